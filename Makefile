@@ -1,0 +1,37 @@
+# make render   render the demo scene into out/demo.png (statistics beside it, in out/demo.json)
+# make test     run the whole test suite
+#
+# PYTHON=...    the Python to use (3.13 or 3.11); the newest usable one is found otherwise
+# VENV=...      the folder of the environment (default .venv)
+# TESTS=...     what to run instead of every test, as pytest takes it
+PYTHON ?=
+VENV ?= .venv
+TESTS ?=
+
+venv_python := $(VENV)/bin/python
+export PYTHON VENV
+
+.PHONY: help environment render test package clean
+
+help:
+	@sed -n 's/^# //p' Makefile
+
+environment:
+	@sh scripts/environment.sh
+
+render: environment
+	@$(MAKE) --no-print-directory out/demo.blend
+	$(venv_python) scripts/render.py out/demo.blend -o out/demo.png --json out/demo.json
+	@echo "rendered out/demo.png; statistics are in out/demo.json" >&2
+
+out/demo.blend: $(wildcard scripts/make_demo*.py)
+	$(venv_python) scripts/make_demo.py $@
+
+test: environment
+	$(venv_python) -m pytest $(TESTS)
+
+package: environment
+	$(venv_python) scripts/package.py
+
+clean:
+	rm -rf out dist build .cache

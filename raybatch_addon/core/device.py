@@ -1,0 +1,101 @@
+"""Devices, worker threads and memory."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import warp as wp
+
+from .errors import DeviceError
+
+_warp_lock = threading.Lock()
+
+
+def start_warp(cache_folder: str | Path | None = None) -> None:
+    """Initialise Warp once, without a word on standard output; kernels are cached in `cache_folder`."""
+    with _warp_lock:
+        if cache_folder is not None:
+            folder = str(Path(cache_folder) / wp.config.version)
+            if wp.config.kernel_cache_dir != folder:
+                os.makedirs(folder, exist_ok=True)
+                wp.config.kernel_cache_dir = folder
+        wp.config.quiet = True
+        wp.init()
+
+
+def find_device(name: str) -> wp.Device:
+    """The device called `name`: AUTO, cpu or cuda:N; raises `DeviceError` that lists what there is."""
+    start_warp()
+    cuda = [device.alias for device in wp.get_cuda_devices()]
+    text = name.strip().lower()
+    if text == "auto":
+        text = cuda[0] if cuda else "cpu"
+    elif text == "cuda" and cuda:
+        text = cuda[0]
+    if text != "cpu" and text not in cuda:
+        there = ", ".join(["AUTO", "cpu", *cuda])
+        why = "" if cuda else "; no CUDA device was found (is the NVIDIA driver installed?)"
+        raise DeviceError(f"there is no device {name!r}: choose one of {there}{why}")
+    return wp.get_device(text)
+
+
+def worker_count(device: wp.Device, thread_count: int) -> int:
+    """Worker threads of a render: every core of the CPU by default; one drives a CUDA device."""
+    if device.is_cuda:
+        return 1
+    if thread_count:
+        return thread_count
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def device_description(device: wp.Device) -> dict[str, str | int]:
+    """Name and size of `device`, for reports."""
+    return {"alias": device.alias, "name": device.name, "memory": int(device.total_memory), "cores": os.cpu_count() or 1}
+
+
+def free_memory(device: wp.Device) -> int:
+    """Memory that a render may still take on `device` [bytes]."""
+    if device.is_cuda:
+        return int(device.free_memory)
+    try:
+        pages = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        with open("/proc/meminfo", encoding="ascii") as file:
+            for line in file:
+                if line.startswith("MemAvailable:"):
+                    return int(line.split()[1]) * 1024
+        return pages
+    except (AttributeError, OSError, ValueError):
+        return 2**63 - 1  # unknown here: allocation itself will tell
+
+
+def host_memory_peak() -> int:
+    """Largest resident size of this process so far [bytes]; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(peak if sys.platform == "darwin" else peak * 1024)
+
+
+def load_kernels(kernels: Iterable[wp.Kernel], device: wp.Device, on_module: Callable[[int, int], None]) -> list[str]:
+    """Compile or load the modules of `kernels`, two at a time; returns the modules' names.
+
+    Done before worker threads start, because a launch must find its module loaded.
+    `on_module(done, all)` is called after each.
+    """
+    from concurrent.futures import ThreadPoolExecutor, as_completed
+
+    unique = {kernel.module.name: kernel for kernel in kernels}
+    block_dim = 256 if device.is_cuda else 1
+    with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
+        tasks = [pool.submit(kernel.module.load, device, block_dim) for kernel in unique.values()]
+        for done, task in enumerate(as_completed(tasks), 1):
+            if task.result() is None:
+                raise DeviceError(f"a kernel could not be compiled for {device.alias}; see the log above")
+            on_module(done, len(tasks))
+    return sorted(unique)

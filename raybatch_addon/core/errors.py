@@ -1,0 +1,21 @@
+"""Errors that a user can mend. Their messages name the thing at fault and what to do about it."""
+
+
+class RayBatchError(Exception):
+    """Base of every error that is shown to the user as one clear line, without a traceback."""
+
+
+class SettingsError(RayBatchError, ValueError):
+    """A setting that does not exist, or a value outside its range."""
+
+
+class SceneError(RayBatchError, ValueError):
+    """A scene that cannot be rendered as it is."""
+
+
+class DeviceError(RayBatchError, RuntimeError):
+    """A device that does not exist, or that failed."""
+
+
+class OutOfMemoryError(RayBatchError, MemoryError):
+    """A render that does not fit in memory, even with everything reduced."""

@@ -1,0 +1,126 @@
+"""A `Scene` and its `RenderSettings` in one file, so that a scene exported in one place renders the same in another.
+
+The file is a NumPy archive (`.npz`, no pickled objects): member `header` is UTF-8 JSON that describes the tree of
+dataclasses; arrays are members of their own, named in it. Arrays come back bit for bit, and numbers too, because
+JSON writes the shortest text that reads back as the same float64.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import json
+import os
+import tempfile
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import SceneError
+from ..settings import RenderSettings
+from . import description
+
+FORMAT = "raybatch-scene"
+VERSION = 1
+
+_CLASSES: dict[str, type] = {
+    name: value
+    for name, value in vars(description).items()
+    if isinstance(value, type) and (dataclasses.is_dataclass(value) or issubclass(value, enum.Enum))
+} | {"RenderSettings": RenderSettings}
+
+
+def save_scene(path: str | Path, scene: description.Scene, settings: RenderSettings) -> None:
+    """Write `scene` and `settings` to `path`, whole or not at all; raises `SceneError` if it cannot be written."""
+    path = Path(path)
+    arrays: dict[str, np.ndarray] = {}
+    members: dict[int, str] = {}  # member by id of an array, so that one used twice is written once
+    tree = {"scene": _encode(scene, arrays, members), "settings": _encode(settings, arrays, members)}
+    header = json.dumps({"format": FORMAT, "version": VERSION, **tree}, ensure_ascii=False)
+    temporary = None
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            temporary = Path(file.name)
+            np.savez(file, header=np.frombuffer(header.encode(), np.uint8), **arrays)
+        temporary.chmod(0o666 & ~_umask())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise SceneError(f"the scene cannot be written to {path}: {error.strerror or error}") from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def load_scene(path: str | Path) -> tuple[description.Scene, RenderSettings]:
+    """The scene and settings of a file by `save_scene`; raises `SceneError` for any other or a damaged one."""
+    path = Path(path)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if not isinstance(archive, np.lib.npyio.NpzFile) or "header" not in archive:
+                raise SceneError(f"{path} is not a saved scene (its header is missing)")
+            header = json.loads(archive["header"].tobytes().decode())
+            if not isinstance(header, dict) or header.get("format") != FORMAT:
+                raise SceneError(f"{path} is not a saved scene (its header is of another kind)")
+            if header.get("version") != VERSION:
+                raise SceneError(
+                    f"{path} is a saved scene of format version {header.get('version')}, and this RayBatch reads "
+                    f"version {VERSION}: save the scene again with this RayBatch"
+                )
+            arrays = {name: archive[name] for name in archive.files if name != "header"}
+        scene, settings = _decode(header["scene"], arrays), _decode(header["settings"], arrays)
+    except FileNotFoundError:
+        raise SceneError(f"there is no file {path}") from None
+    except (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
+        if isinstance(error, SceneError):
+            raise
+        raise SceneError(f"{path} cannot be read as a saved scene; is it damaged or cut short? ({error})") from error
+    if not isinstance(scene, description.Scene) or not isinstance(settings, RenderSettings):
+        raise SceneError(f"{path} does not hold a scene and its settings")
+    return scene, settings
+
+
+def _encode(value: Any, arrays: dict[str, np.ndarray], members: dict[int, str]) -> Any:
+    """`value` as JSON can hold it; arrays go to `arrays`. A list of JSON stands for a tuple."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        if id(value) not in members:
+            array = np.asarray(value)
+            if array.dtype.hasobject:
+                raise TypeError("an array of Python objects cannot be part of a saved scene")
+            members[id(value)] = name = f"array{len(arrays)}"
+            arrays[name] = array
+        return {"scalar" if isinstance(value, np.generic) else "array": members[id(value)]}
+    if isinstance(value, enum.Enum):
+        return {"enum": type(value).__name__, "value": value.value}
+    if dataclasses.is_dataclass(value):
+        fields = {field.name: _encode(getattr(value, field.name), arrays, members) for field in dataclasses.fields(value)}
+        return {"class": type(value).__name__, "fields": fields}
+    if isinstance(value, (tuple, list)):
+        return [_encode(item, arrays, members) for item in value]
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    raise TypeError(f"a {type(value).__name__} cannot be part of a saved scene")
+
+
+def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
+    """The inverse of `_encode`; a field that the file lacks gets its default, one that we do not know is an error."""
+    if isinstance(value, list):
+        return tuple(_decode(item, arrays) for item in value)
+    if not isinstance(value, dict):
+        return value
+    if "array" in value:
+        return arrays[value["array"]]
+    if "scalar" in value:
+        return arrays[value["scalar"]][()]
+    if "enum" in value:
+        return _CLASSES[value["enum"]](value["value"])
+    return _CLASSES[value["class"]](**{name: _decode(item, arrays) for name, item in value["fields"].items()})
+
+
+def _umask() -> int:
+    """The process's file mode mask, which a temporary file does not follow by itself."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,188 @@
+"""The scene as the core receives it: NumPy arrays and plain dataclasses, no Blender, no device.
+
+Units: lengths in metres (Blender units), angles in radians, light in Blender's radiometric RGB.
+Axes are Blender's world axes. A camera looks along its own -Z, with +X right and +Y up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum, IntFlag
+
+import numpy as np
+
+
+class Visibility(IntFlag):
+    """Kinds of rays that see an object; an object is skipped by rays whose bit it lacks."""
+
+    CAMERA = 1
+    DIFFUSE = 2
+    GLOSSY = 4
+    TRANSMISSION = 8
+    SHADOW = 16
+    ALL = 31
+
+
+class ClosureKind(IntEnum):
+    """The scattering and emission models that a material mixes (see `shading/closures.py`)."""
+
+    DIFFUSE = 0  # Lambert
+    LAYERED_DIFFUSE = 1  # Lambert below a dielectric coat (roughness, ior): scaled by what the coat lets through
+    GLOSSY = 2  # GGX reflection, Fresnel factor 1
+    METAL = 3  # GGX reflection, Schlick Fresnel from `weight` at normal incidence to `edge` at grazing
+    DIELECTRIC = 4  # GGX reflection off a dielectric coat, Fresnel from `ior`
+    GLASS = 5  # GGX reflection and refraction, Fresnel from `ior`
+    TRANSPARENT = 6  # passes straight on, times `weight`
+    EMISSION = 7  # emits `weight` as radiance on both sides
+
+
+class LightKind(IntEnum):
+    """Lights without mesh."""
+
+    POINT = 0
+    SPOT = 1
+    SUN = 2
+    RECTANGLE = 3
+    ELLIPSE = 4
+
+
+class CameraKind(IntEnum):
+    """Projections."""
+
+    PERSPECTIVE = 0
+    ORTHOGRAPHIC = 1
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles in object space, shared by any number of instances."""
+
+    name: str
+    positions: np.ndarray  # [m], float32, shape [vertex_count, 3]
+    triangles: np.ndarray  # vertex indices, int32, shape [triangle_count, 3]
+    triangle_slot: np.ndarray | None = None  # material slot, int32, shape [triangle_count]; None: slot 0 everywhere
+    corner_normals: np.ndarray | None = None  # unit, float32, shape [triangle_count, 3, 3]; None: flat
+    corner_uvs: np.ndarray | None = None  # float32, shape [triangle_count, 3, 2]; None: no UV map
+
+
+@dataclass(frozen=True)
+class Closure:
+    """One weighted closure of a material; what a kind does not use is ignored."""
+
+    kind: ClosureKind
+    weight: tuple[float, float, float]  # linear RGB, >= 0: colour times mix factors (EMISSION: radiance, W/(m² sr))
+    roughness: float = 0.0  # Blender's roughness, 0..1; the GGX alpha is its square
+    ior: float = 1.5  # of the inside relative to the outside (GLASS, DIELECTRIC, LAYERED_DIFFUSE)
+    edge: tuple[float, float, float] = (1.0, 1.0, 1.0)  # METAL: reflectance at grazing angles, times mix factors
+    share: float = 1.0  # the mix factors that `weight` and `edge` contain: without them they are the colour of a facet
+    multiscatter: bool = True  # GLOSSY to GLASS, LAYERED_DIFFUSE: add what bounces more than once between facets
+
+
+@dataclass(frozen=True)
+class Material:
+    """A named sum of closures; with no closure it is black."""
+
+    name: str
+    closures: tuple[Closure, ...] = ()  # those with a weight above 0
+    # Kinds that the material's nodes can have when a slider moves (by node kind, not by value):
+    # kernels are compiled for these, so that moving a slider never compiles. Includes those of `closures`.
+    kinds: tuple[ClosureKind, ...] = ()
+
+
+@dataclass(frozen=True)
+class Instances:
+    """Placements of meshes, one entry an instance."""
+
+    mesh: np.ndarray  # index into `Scene.meshes`, int32, shape [n]
+    transform: np.ndarray  # object to world, float32, shape [n, 3, 4]
+    slot_first: np.ndarray  # first entry of the instance in `Scene.slot_materials`, int32, shape [n]
+    visibility: np.ndarray  # `Visibility` bits, int32, shape [n]
+    object: np.ndarray  # index into `Scene.object_names`, int32, shape [n]
+
+    def __len__(self) -> int:
+        return len(self.mesh)
+
+    @staticmethod
+    def empty() -> Instances:
+        """No instances."""
+        none = np.zeros(0, np.int32)
+        return Instances(none, np.zeros((0, 3, 4), np.float32), none, none, none)
+
+
+@dataclass(frozen=True)
+class Light:
+    """A light without mesh. It shines along its own -Z (SPOT, SUN, RECTANGLE, ELLIPSE)."""
+
+    name: str
+    kind: LightKind
+    transform: np.ndarray  # light to world, orthonormal axes in the columns, float32, shape [3, 4]
+    # POINT, SPOT: radiant intensity (on the axis, before blending) [W/sr]; SUN: irradiance of a
+    # surface that faces it [W/m²]; RECTANGLE, ELLIPSE: radiosity / pi, the radiance where `spread` is pi [W/(m² sr)]
+    emission: tuple[float, float, float]
+    radius: float = 0.0  # POINT, SPOT: of the luminous sphere [m]
+    soft_falloff: bool = True  # POINT, SPOT: the light is a disk that faces the shaded point, else a sphere
+    angle: float = 0.0  # SUN: angular diameter [rad]; SPOT: full cone angle [rad]
+    blend: float = 0.0  # SPOT: share of the cone that is softened, 0..1
+    spot_scale: tuple[float, float] = (1.0, 1.0)  # SPOT: width of the cone along x and y relative to z
+    size: tuple[float, float] = (1.0, 1.0)  # RECTANGLE, ELLIPSE: full width along x and y [m]
+    spread: float = np.pi  # RECTANGLE, ELLIPSE: full angle into which light leaves [rad]
+    visibility: int = int(Visibility.ALL)  # kinds of rays that meet the light itself
+    casts_shadow: bool = True
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera whose rays pass through a window one metre in front of it (PERSPECTIVE)."""
+
+    kind: CameraKind
+    transform: np.ndarray  # camera to world, orthonormal axes in the columns, float32, shape [3, 4]
+    # left, right, bottom, top edges of the full frame: on the plane z = -1 (PERSPECTIVE), or on the camera's plane in metres
+    window: tuple[float, float, float, float]
+    clip_start: float = 0.0  # distance of the near plane along the view axis [m]
+    clip_end: float = np.inf  # distance of the far plane along the view axis [m]
+    lens_radius: float = 0.0  # radius of the aperture [m]; 0: everything is sharp
+    focus_distance: float = 1.0  # distance of the sharp plane along the view axis [m]
+    blade_count: int = 0  # edges of the aperture polygon; fewer than 3: a circle
+    blade_rotation: float = 0.0  # [rad]
+    lens_ratio: float = 1.0  # anamorphic squeeze: width of the aperture is divided by this
+
+
+@dataclass(frozen=True)
+class World:
+    """What a ray meets that leaves the scene."""
+
+    radiance: tuple[float, float, float] = (0.0, 0.0, 0.0)  # linear RGB [W/(m² sr)]
+    visibility: int = int(Visibility.ALL)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The picture asked for. Pixel (0, 0) is at the bottom left, as in Blender."""
+
+    width: int  # of the full frame [pixels]
+    height: int
+    border: tuple[int, int, int, int] | None = None  # x0, y0, x1, y1: rendered part (end exclusive); None: all
+    transparent: bool = False  # the world does not cover what is behind the objects: alpha
+    passes: tuple[str, ...] = ("Combined",)  # names of `film.PASSES`
+
+    @property
+    def region(self) -> tuple[int, int, int, int]:
+        """x0, y0, x1, y1 of the rendered part [pixels]."""
+        return self.border or (0, 0, self.width, self.height)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that one picture shows."""
+
+    camera: Camera
+    frame: Frame
+    meshes: tuple[Mesh, ...] = ()
+    instances: Instances = field(default_factory=Instances.empty)
+    # material index by slot; an instance's slot s is `slot_materials[slot_first + s]`. int32, shape [k]
+    slot_materials: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
+    materials: tuple[Material, ...] = ()
+    lights: tuple[Light, ...] = ()
+    world: World = World()
+    object_names: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # what was skipped, repaired or replaced on the way here, by name

@@ -1,0 +1,156 @@
+"""What a scene needs, and so what is compiled, allocated, uploaded and launched for it.
+
+`SceneFeatures` is derived from the scene and the settings by pure functions. Materials count by the kinds that
+their nodes can have, not by the values of their sockets, so that moving a slider never compiles. Each kernel is
+specialised on the few of these features that concern it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..settings import RenderSettings
+from .description import CameraKind, ClosureKind, LightKind, Scene, Visibility
+
+# Kinds that scatter; the others emit or let light pass
+SCATTERING = tuple(k for k in ClosureKind if k not in (ClosureKind.EMISSION, ClosureKind.TRANSPARENT))
+
+
+@dataclass(frozen=True)
+class SceneFeatures:
+    """Everything that kernels are specialised on."""
+
+    closures: tuple[ClosureKind, ...] = ()  # sorted
+    lights: tuple[LightKind, ...] = ()  # sorted
+    light_sphere: bool = False  # a point or spot light shaped as a sphere
+    light_spread: bool = False  # an area light with a spread below 180 degrees
+    light_hits: bool = False  # a light without mesh that rays can meet
+    mesh_lights: bool = False  # materials that emit
+    world: bool = False  # rays that leave the scene find light
+    camera: CameraKind = CameraKind.PERSPECTIVE
+    depth_of_field: bool = False
+    surfaces: bool = False  # there is something to hit
+    instancing: bool = False  # more than one mesh tree: instances or objects hidden from some rays
+    smooth_normals: bool = False
+    film_transparent: bool = False
+    passes: tuple[str, ...] = ("Combined",)
+    sample_sequence: str = "SOBOL"
+    nee: str = "ON"
+    clamping: bool = False
+    roulette: bool = True
+
+    @property
+    def transparency(self) -> bool:
+        """Surfaces that rays pass straight through."""
+        return ClosureKind.TRANSPARENT in self.closures
+
+    @property
+    def shadow_rays(self) -> bool:
+        """There is something to aim at, and it is asked for."""
+        return self.nee != "OFF" and self.surfaces and (bool(self.lights) or self.mesh_lights)
+
+    def left_out(self) -> list[str]:
+        """Names of what this render did without."""
+        names = {f"closure {kind.name.lower()}": kind in self.closures for kind in ClosureKind}
+        names |= {f"light {kind.name.lower()}": kind in self.lights for kind in LightKind}
+        names |= {f"pass {name}": name in self.passes for name in ("Depth", "Position", "Normal")}
+        names |= {
+            "shadow rays": self.shadow_rays,
+            "lights met by rays": self.light_hits,
+            "mesh lights": self.mesh_lights,
+            "world": self.world,
+            "depth of field": self.depth_of_field,
+            "surfaces": self.surfaces,
+            "instancing": self.instancing,
+            "smooth normals": self.smooth_normals,
+            "transparent film": self.film_transparent,
+            "clamping": self.clamping,
+            "Russian roulette": self.roulette,
+        }
+        return sorted(name for name, there in names.items() if not there)
+
+
+def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
+    """The features of `scene` rendered with `settings`."""
+    used_meshes = np.unique(scene.instances.mesh)
+    surfaces = any(len(scene.meshes[i].triangles) for i in used_meshes)
+    kinds: set[ClosureKind] = set()
+    if surfaces:
+        for material in scene.materials:
+            kinds.update(material.kinds)
+            kinds.update(closure.kind for closure in material.closures)
+    return SceneFeatures(
+        closures=tuple(sorted(kinds)),
+        lights=tuple(sorted({light.kind for light in scene.lights})),
+        light_sphere=any(l.kind in (LightKind.POINT, LightKind.SPOT) and not l.soft_falloff and l.radius > 0 for l in scene.lights),
+        light_spread=any(l.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE) and l.spread < np.pi for l in scene.lights),
+        light_hits=any(_can_be_met(light) for light in scene.lights),
+        mesh_lights=ClosureKind.EMISSION in kinds,
+        world=any(scene.world.radiance),
+        camera=scene.camera.kind,
+        depth_of_field=scene.camera.lens_radius > 0,
+        surfaces=surfaces,
+        instancing=surfaces and needs_instancing(scene),
+        smooth_normals=any(scene.meshes[i].corner_normals is not None for i in used_meshes),
+        film_transparent=scene.frame.transparent,
+        passes=tuple(scene.frame.passes),
+        sample_sequence=settings.sample_sequence,
+        nee=settings.nee,
+        clamping=settings.clamp_direct > 0 or settings.clamp_indirect > 0,
+        roulette=settings.roulette_bounce <= settings.bounce_max,
+    )  # fmt: skip
+
+
+# What Blender's Principled BSDF can become
+PRINCIPLED = (
+    ClosureKind.LAYERED_DIFFUSE, ClosureKind.METAL, ClosureKind.DIELECTRIC, ClosureKind.GLASS, ClosureKind.TRANSPARENT,
+    ClosureKind.EMISSION,
+)  # fmt: skip
+
+
+def ordinary_features() -> list[SceneFeatures]:
+    """Features of the scenes that most people render first: what is worth compiling ahead of them.
+
+    Blender's materials under each kind of light, with flat and smooth meshes, and bare geometry under sun and sky.
+    """
+    kernels_ahead = [
+        SceneFeatures(closures=(ClosureKind.DIFFUSE,), lights=(LightKind.SUN,), light_hits=True, world=True, surfaces=True)
+    ]
+    for kind in LightKind:
+        for smooth in (False, True):
+            kernels_ahead.append(
+                SceneFeatures(
+                    closures=PRINCIPLED, lights=(kind,), light_hits=True, mesh_lights=True, world=True, surfaces=True,
+                    smooth_normals=smooth,
+                )  # fmt: skip
+            )
+    return kernels_ahead
+
+
+def needs_instancing(scene: Scene) -> bool:
+    """Whether rays need a tree over several mesh trees: a mesh used twice, or objects that some rays do not see."""
+    instances = scene.instances
+    counts = np.bincount(instances.mesh, minlength=len(scene.meshes))
+    filled = np.array([len(mesh.triangles) > 0 for mesh in scene.meshes], bool)
+    shared = bool(np.any(filled & (counts > 1)))
+    seen = instances.visibility[filled[instances.mesh]] & int(Visibility.ALL)
+    return shared or bool(np.any(seen != int(Visibility.ALL)))
+
+
+def _can_be_met(light) -> bool:
+    rays = int(Visibility.ALL & ~Visibility.SHADOW)
+    if not light.visibility & rays:
+        return False
+    if light.kind in (LightKind.POINT, LightKind.SPOT):
+        return light.radius > 0
+    if light.kind == LightKind.SUN:
+        return light.angle > 0
+    return light.size[0] > 0 and light.size[1] > 0
+
+
+def narrow(features: SceneFeatures, names: tuple[str, ...]) -> dict:
+    """The named features alone, as keyword arguments of a kernel's own feature class."""
+    return {f.name: getattr(features, f.name) for f in dataclasses.fields(features) if f.name in names}

@@ -1,0 +1,140 @@
+"""One set of arrays for all geometry of a scene, in the order in which trees want it.
+
+A mesh that is placed once is moved to world space (*baked*), so that all such meshes share one tree and are shaded without
+transforms. Meshes placed more often stay in object space, once for all their instances.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .description import Mesh, Scene, Visibility
+
+IDENTITY = np.eye(3, 4, dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class Merged:
+    """Baked instances that share one world-space tree."""
+
+    visibility: int  # the same for all of them
+    triangle_first: int  # their triangles are contiguous in `FlatGeometry.triangles`
+    triangle_count: int
+    instance: np.ndarray  # instance ids in the order of their triangles, int32, shape [n]
+    instance_triangle_first: np.ndarray  # first triangle of each, counted from `triangle_first`, int32, shape [n]
+
+
+@dataclass(frozen=True)
+class FlatGeometry:
+    """All triangles; instance ids and primitive indices are those of the `Scene`."""
+
+    positions: np.ndarray  # float32, shape [vertex_count, 3]
+    triangles: np.ndarray  # indices into `positions`, int32, shape [triangle_count, 3]
+    corner_normals: np.ndarray  # float32, shape [triangle_count * 3, 3], or [0, 3] when all is flat
+    triangle_slot: np.ndarray  # int32, shape [triangle_count], or [0] when every mesh has one slot
+    mesh_triangle_first: np.ndarray  # int32, shape [mesh_count + 1]; in the order of `mesh_order`
+    instance_mesh: np.ndarray  # index into `mesh_triangle_first`, int32, shape [n]
+    instance_transform: np.ndarray  # float32, shape [n, 3, 4]; the identity for baked instances
+    merged: tuple[Merged, ...]
+    shared: np.ndarray  # instances that are not baked, int32
+
+
+def flatten(scene: Scene) -> FlatGeometry:
+    """Arrays of all geometry that `scene` uses."""
+    instances = scene.instances
+    uses = np.bincount(instances.mesh, minlength=len(scene.meshes)) if len(instances) else np.zeros(len(scene.meshes), int)
+    filled = np.array([len(mesh.triangles) > 0 for mesh in scene.meshes], bool)
+    alive = filled[instances.mesh] if len(instances) else np.zeros(0, bool)
+    baked = alive & (uses[instances.mesh] == 1) if len(instances) else alive
+    seen = instances.visibility & int(Visibility.ALL)
+
+    chunks: list[_Chunk] = []
+    merged: list[Merged] = []
+    mesh_position: dict[int, int] = {}
+    triangle_first = 0
+    for visibility in sorted(set(seen[baked].tolist()), reverse=True):
+        members = np.flatnonzero(baked & (seen == visibility)).astype(np.int32)
+        starts, start = [], 0
+        for i in members:
+            mesh_position[int(instances.mesh[i])] = len(chunks)
+            chunks.append(_bake(scene.meshes[instances.mesh[i]], instances.transform[i]))
+            starts.append(start)
+            start += len(chunks[-1].triangles)
+        merged.append(Merged(visibility, triangle_first, start, members, np.array(starts, np.int32)))
+        triangle_first += start
+    shared = np.flatnonzero(alive & ~baked).astype(np.int32)
+    for mesh in np.unique(instances.mesh[shared]).tolist():
+        mesh_position[mesh] = len(chunks)
+        chunks.append(_keep(scene.meshes[mesh]))
+
+    transform = np.array(instances.transform, np.float32).reshape(-1, 3, 4)
+    transform[baked] = IDENTITY
+    instance_mesh = np.array([mesh_position.get(int(mesh), 0) for mesh in instances.mesh], np.int32)
+    return _joined(chunks, instance_mesh, transform, tuple(merged), shared)
+
+
+@dataclass(frozen=True)
+class _Chunk:
+    positions: np.ndarray
+    triangles: np.ndarray
+    corner_normals: np.ndarray | None
+    triangle_slot: np.ndarray | None
+
+
+def _keep(mesh: Mesh) -> _Chunk:
+    return _Chunk(mesh.positions, mesh.triangles, mesh.corner_normals, mesh.triangle_slot)
+
+
+def _bake(mesh: Mesh, transform: np.ndarray) -> _Chunk:
+    matrix = np.asarray(transform, np.float64)
+    if np.array_equal(matrix, IDENTITY):
+        return _keep(mesh)
+    linear, offset = matrix[:, :3], matrix[:, 3]
+    positions = (mesh.positions.astype(np.float64) @ linear.T + offset).astype(np.float32)
+    triangles, normals = mesh.triangles, mesh.corner_normals
+    if normals is not None:
+        # the cofactor matrix is the inverse transpose times the determinant, and exists for singular matrices too
+        cofactor = np.stack([np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])])
+        if np.linalg.det(linear) < 0:
+            cofactor = -cofactor
+        turned = normals.astype(np.float64) @ cofactor.T
+        length = np.linalg.norm(turned, axis=-1, keepdims=True)
+        normals = (turned / np.where(length > 0, length, 1)).astype(np.float32)
+    if np.linalg.det(linear) < 0:
+        # A mirrored triangle keeps its front outside: exchange its last two corners
+        triangles = np.ascontiguousarray(triangles[:, [0, 2, 1]])
+        normals = None if normals is None else np.ascontiguousarray(normals[:, [0, 2, 1]])
+    return _Chunk(positions, triangles, normals, mesh.triangle_slot)
+
+
+def _joined(chunks, instance_mesh, transform, merged, shared) -> FlatGeometry:
+    triangle_counts = [len(chunk.triangles) for chunk in chunks]
+    vertex_first = np.concatenate([[0], np.cumsum([len(chunk.positions) for chunk in chunks])]).astype(np.int64)
+    triangles = np.zeros((sum(triangle_counts), 3), np.int32)
+    first = np.concatenate([[0], np.cumsum(triangle_counts)]).astype(np.int32)
+    smooth = any(chunk.corner_normals is not None for chunk in chunks)
+    slotted = any(chunk.triangle_slot is not None for chunk in chunks)
+    corner_normals = np.zeros((len(triangles) if smooth else 0, 3, 3), np.float32)
+    triangle_slot = np.zeros(len(triangles) if slotted else 0, np.int32)
+    for chunk, start, end, vertex in zip(chunks, first[:-1], first[1:], vertex_first[:-1]):
+        triangles[start:end] = chunk.triangles + vertex
+        if chunk.corner_normals is not None:
+            corner_normals[start:end] = chunk.corner_normals  # those of flat meshes stay 0: shaded flat
+        if chunk.triangle_slot is not None:
+            triangle_slot[start:end] = chunk.triangle_slot
+    positions = [chunk.positions for chunk in chunks]
+    return FlatGeometry(
+        positions=np.ascontiguousarray(np.concatenate(positions), np.float32) if positions else np.zeros((0, 3), np.float32),
+        triangles=triangles,
+        corner_normals=corner_normals.reshape(-1, 3),
+        triangle_slot=triangle_slot,
+        mesh_triangle_first=first,
+        instance_mesh=instance_mesh,
+        instance_transform=transform,
+        merged=merged,
+        shared=shared,
+    )
+
+

@@ -1,0 +1,72 @@
+"""All triangles of a scene on the device."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from .description import Scene
+from .flatten import FlatGeometry
+
+mat34 = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
+
+
+@wp.struct
+class Geometry:
+    """Device arrays of `FlatGeometry`."""
+
+    positions: wp.array(dtype=wp.vec3)  # [m], shape [vertex_count]
+    triangles: wp.array(dtype=wp.vec3i)  # indices into `positions`, shape [triangle_count]
+    mesh_triangle_first: wp.array(dtype=int)  # shape [mesh_count + 1]
+    instance_mesh: wp.array(dtype=int)  # shape [instance_count]
+    instance_transform: wp.array(dtype=mat34)  # object to world, shape [instance_count]
+    # Corner normals, shape [3 * triangle_count], 0 where flat; no entries when the whole scene is flat
+    corner_normals: wp.array(dtype=wp.vec3)
+    triangle_slot: wp.array(dtype=int)  # material slot, shape [triangle_count]; no entries when all are in slot 0
+    instance_slot_first: wp.array(dtype=int)  # shape [instance_count]
+    slot_materials: wp.array(dtype=int)  # material of slot s of an instance: [instance_slot_first + s]
+
+
+@wp.func
+def transform_point(m: mat34, p: wp.vec3) -> wp.vec3:
+    """The point `p` under the affine map `m`."""
+    return wp.vec3(
+        m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3],
+        m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3],
+        m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3],
+    )
+
+
+@wp.func
+def transform_vector(m: mat34, d: wp.vec3) -> wp.vec3:
+    """The direction `d` under the linear part of `m`, not normalised, so that ray distances stay those of the world."""
+    return wp.vec3(
+        m[0, 0] * d[0] + m[0, 1] * d[1] + m[0, 2] * d[2],
+        m[1, 0] * d[0] + m[1, 1] * d[1] + m[1, 2] * d[2],
+        m[2, 0] * d[0] + m[2, 1] * d[1] + m[2, 2] * d[2],
+    )
+
+
+@wp.func
+def triangle_vertices(geometry: Geometry, instance: int, primitive: int) -> tuple[wp.vec3, wp.vec3, wp.vec3]:
+    """World-space corners [m] of triangle `primitive` of the mesh that `instance` places."""
+    triangle = geometry.triangles[geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive]
+    matrix = geometry.instance_transform[instance]
+    a = transform_point(matrix, geometry.positions[triangle[0]])
+    b = transform_point(matrix, geometry.positions[triangle[1]])
+    c = transform_point(matrix, geometry.positions[triangle[2]])
+    return a, b, c
+
+
+def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device) -> Geometry:
+    """`flat`, the geometry of `scene`, on `device`."""
+    geometry = Geometry()
+    geometry.positions = wp.array(flat.positions, dtype=wp.vec3, device=device)
+    geometry.triangles = wp.array(flat.triangles, dtype=wp.vec3i, device=device)
+    geometry.mesh_triangle_first = wp.array(flat.mesh_triangle_first, dtype=int, device=device)
+    geometry.instance_mesh = wp.array(flat.instance_mesh, dtype=int, device=device)
+    geometry.instance_transform = wp.array(flat.instance_transform, dtype=mat34, device=device)
+    geometry.corner_normals = wp.array(flat.corner_normals, dtype=wp.vec3, device=device)
+    geometry.triangle_slot = wp.array(flat.triangle_slot, dtype=int, device=device)
+    geometry.instance_slot_first = wp.array(scene.instances.slot_first, dtype=int, device=device)
+    geometry.slot_materials = wp.array(scene.slot_materials, dtype=int, device=device)
+    return geometry

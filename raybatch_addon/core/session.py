@@ -1,0 +1,359 @@
+"""The door to the core: `Session.render` turns a `Scene` into a `Film`."""
+
+from __future__ import annotations
+
+import dataclasses
+import queue
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from .device import find_device, free_memory, load_kernels, start_warp, worker_count
+from .errors import OutOfMemoryError, RayBatchError
+from .film import Film
+from .report.statistics import render_statistics
+from .scene.description import Scene
+from .scene.features import SceneFeatures, derive_features, ordinary_features
+from .scene.validate import checked_scene
+from .settings import RenderSettings
+from .wavefront.device_scene import DeviceScene, GeometryCache
+from .wavefront.integrator import TileIntegrator, TileState
+from .wavefront.kernels import StageKernels
+from .wavefront.rays import bytes_per_path
+from .wavefront.scheduler import Rectangle, paths_a_worker, reduced_path_count, tile_edge, tiles, water_marks
+
+# How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
+POLL_SECONDS = 0.05
+# Share of the free memory that paths may take
+PATH_MEMORY_SHARE = 0.6
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a render stands."""
+
+    stage: str  # "build", "compile" or "render"
+    fraction: float  # of the stage, 0..1
+    samples_done: float  # mean samples per pixel
+    samples_total: int
+    rays_per_second: float
+    seconds_elapsed: float
+    seconds_left: float | None  # None: not known yet
+    memory_bytes: int
+    message: str
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A finished part of the picture."""
+
+    x: int  # of the bottom left pixel in the frame
+    y: int
+    width: int
+    height: int
+    passes: dict[str, np.ndarray]  # linear float32, shape [height, width, channels], bottom row first
+
+
+@dataclass
+class _Job:
+    """What one call of `render` was asked for."""
+
+    scene: Scene
+    settings: RenderSettings
+    features: SceneFeatures
+    sample_first: int
+    on_tile: Callable[[Tile], None]
+    on_progress: Callable[[Progress], None]
+    cancelled: Callable[[], bool]
+    started: float
+    seconds: dict[str, float]
+    warnings: list[str]
+
+
+@dataclass
+class _ResumeState:
+    """What goes on when a stopped render is resumed."""
+
+    tiles: list[TileState]
+    sample_first: int
+    sample_count: int
+    sample_order: str
+
+
+class Session:
+    """A device with its caches. One render at a time; make one session a device and keep it."""
+
+    def __init__(self, device: str | None = None, settings: RenderSettings | None = None, cache_folder: str | Path | None = None):
+        """Open `device` (AUTO, cpu or cuda:N; default: that of `settings`); raises `DeviceError`.
+
+        Compiled kernels are cached in `cache_folder` (default: Warp's own folder in the user's cache).
+        """
+        self.settings = settings or RenderSettings()
+        start_warp(cache_folder)
+        self.device = find_device(device or self.settings.device)
+        self._geometry = GeometryCache()
+
+    def close(self) -> None:
+        """Give back what is cached."""
+        self._geometry.clear()
+
+    def prewarm(self, features: Sequence[SceneFeatures] | None = None, on_progress: Callable[[int, int], None] | None = None) -> list[str]:
+        """Compile ahead for `features` (default: those of ordinary scenes); returns the names of the modules."""
+        kernels = [k for f in features or ordinary_features() for k in StageKernels.choose(f, self.settings).all()]
+        return load_kernels(kernels, self.device, on_progress or (lambda done, total: None))
+
+    def render(
+        self,
+        scene: Scene,
+        settings: RenderSettings | None = None,
+        *,
+        on_tile: Callable[[Tile], None] | None = None,
+        on_progress: Callable[[Progress], None] | None = None,
+        cancelled: Callable[[], bool] | None = None,
+        observers: Sequence[Any] = (),
+        sample_first: int = 0,
+        resume: Film | None = None,
+    ) -> Film:
+        """Render `scene` and return its film.
+
+        Args:
+            scene: what to render.
+            settings: default: the session's.
+            on_tile, on_progress: called on this thread with each finished `Tile`, and several times a second with `Progress`.
+            cancelled: asked several times a second, on this thread; True ends the render soon, with what is done.
+            observers: objects whose methods `on_tile(tile)` and `on_progress(progress)`, where they exist, are called too.
+            sample_first: index of the first sample of every pixel; films of adjoining ranges merge to one (`Film.merge`).
+            resume: the film of a cancelled render of the same scene and settings: goes on from there.
+
+        Raises:
+            RayBatchError: what the user can mend; the message says how.
+        """
+        job = self._job(scene, settings, on_tile, on_progress, cancelled, observers, sample_first)
+        film = _film_to_fill(job, resume)
+        state = film.resume_state or self._all_tiles(job)
+        film.resume_state = None
+        job.settings = job.settings.replace(sample_order=state.sample_order)  # items are numbered by it
+        prepared = self._prepare(job)
+        integrators: list[TileIntegrator] = []
+        if prepared is not None:
+            device_scene, modules = prepared
+            integrators = self._integrators(job, device_scene)
+            self._run(job, integrators, state, film)
+        left = [t for t in state.tiles if t.items_begun < t.tile.pixel_count * state.sample_count or not t.drained]
+        film.complete = not left
+        if left and all(t.drained for t in left):
+            film.resume_state = state
+        film.statistics = self._statistics(job, film, integrators, modules if prepared else [])
+        return film
+
+    # --- before
+
+    def _job(self, scene, settings, on_tile, on_progress, cancelled, observers, sample_first) -> _Job:
+        settings = settings or self.settings
+        checked = checked_scene(scene)
+        if sample_first < 0 or sample_first + settings.sample_count > 2**32:
+            raise RayBatchError(f"samples {sample_first} to {sample_first + settings.sample_count} are out of range: use 0 to 2^32")
+
+        def to_all(name: str, own: Callable | None) -> Callable:
+            calls = [c for c in [own, *(getattr(observer, name, None) for observer in observers)] if c is not None]
+
+            def call(value) -> None:
+                for each in calls:
+                    each(value)
+
+            return call
+
+        return _Job(
+            checked, settings, derive_features(checked, settings), sample_first,
+            to_all("on_tile", on_tile), to_all("on_progress", on_progress), cancelled or (lambda: False),
+            time.perf_counter(), {}, list(checked.warnings),
+        )  # fmt: skip
+
+    def _all_tiles(self, job: _Job) -> _ResumeState:
+        frame = job.scene.frame
+        x0, y0, x1, y1 = frame.region
+        edge = tile_edge(job.settings, self.device.is_cuda, x1 - x0, y1 - y0)
+        states = [TileState(tile) for tile in tiles(frame.region, edge)]
+        return _ResumeState(states, job.sample_first, job.settings.sample_count, job.settings.sample_order)
+
+    def _prepare(self, job: _Job) -> tuple[DeviceScene, list[str]] | None:
+        """Build the tree and compile the kernels, side by side; None when cancelled meanwhile."""
+        kernels = StageKernels.choose(job.features, job.settings).all()
+        done_modules = [0, max(1, len(kernels))]
+
+        def compile_kernels() -> list[str]:
+            start = time.perf_counter()
+            names = load_kernels(kernels, self.device, lambda done, total: done_modules.__setitem__(slice(None), [done, total]))
+            job.seconds["compile"] = time.perf_counter() - start
+            return names
+
+        def build() -> DeviceScene:
+            start = time.perf_counter()
+            built = DeviceScene.build(job.scene, job.features, self.device, self._geometry)
+            wp.synchronize_device(self.device)
+            job.seconds["build"] = time.perf_counter() - start
+            return built
+
+        pool = ThreadPoolExecutor(max_workers=2)
+        try:
+            modules, built = pool.submit(compile_kernels), pool.submit(build)
+            while not (modules.done() and built.done()):
+                if job.cancelled():
+                    return None
+                compiling = built.done() and not modules.done()
+                stage = "compile" if compiling else "build"
+                message = f"Compiling kernels ({done_modules[0]} of {done_modules[1]})" if compiling else "Building the tree"
+                job.on_progress(self._progress(job, stage, done_modules[0] / done_modules[1], 0.0, 0.0, None, message))
+                time.sleep(POLL_SECONDS / 5)
+            return built.result(), modules.result()
+        finally:
+            pool.shutdown(wait=False)  # a cancelled render does not wait for the compiler
+
+    def _integrators(self, job: _Job, scene: DeviceScene) -> list[TileIntegrator]:
+        workers = worker_count(self.device, job.settings.thread_count)
+        if job.settings.ray_count:
+            workers = min(workers, job.settings.ray_count)
+        asked = paths_a_worker(job.settings, workers, self.device.is_cuda)
+        each = bytes_per_path(job.features)
+        budget = int(free_memory(self.device) * PATH_MEMORY_SHARE) // workers
+        count = reduced_path_count(asked, each, budget)
+        if count == 0:
+            raise OutOfMemoryError(
+                f"{self.device.alias} has {budget * workers:,} bytes left for rays and one path takes {each}; "
+                "close other programs or render a smaller scene"
+            )
+        while True:
+            try:
+                marks = water_marks(job.settings, count)
+                made = [TileIntegrator(scene, job.scene.frame, job.settings, marks) for _ in range(workers)]
+                break
+            except (MemoryError, RuntimeError) as error:
+                if count == 1 or not ("memory" in str(error).lower() or isinstance(error, MemoryError)):
+                    raise
+                count //= 2
+        if count < asked:
+            job.warnings.append(
+                f"ray_count was reduced from {asked * workers:,} to {count * workers:,}: {self.device.alias} has not enough free memory"
+            )
+        return made
+
+    # --- the render itself
+
+    def _run(self, job: _Job, integrators: list[TileIntegrator], state: _ResumeState, film: Film) -> None:
+        """Let the integrators render `state`'s tiles, and take their results on this thread."""
+        start = time.perf_counter()
+        todo: queue.SimpleQueue[TileState] = queue.SimpleQueue()
+        open_tiles = [t for t in state.tiles if t.items_begun < t.tile.pixel_count * state.sample_count]
+        for tile in open_tiles:
+            todo.put(tile)
+        results: queue.SimpleQueue[tuple[TileState, Film] | BaseException] = queue.SimpleQueue()
+        stop = threading.Event()
+
+        def work(integrator: TileIntegrator) -> None:
+            try:
+                while not stop.is_set():
+                    tile = todo.get_nowait()
+                    results.put((tile, integrator.render(tile, state.sample_first, state.sample_count, stop.is_set)))
+            except queue.Empty:
+                pass
+            except BaseException as error:  # carried to the calling thread, and raised there
+                stop.set()
+                results.put(error)
+
+        threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in integrators]
+        for thread in threads:
+            thread.start()
+        total = sum(t.tile.pixel_count * state.sample_count - t.items_begun for t in open_tiles)
+        try:
+            while any(thread.is_alive() for thread in threads) or not results.empty():
+                if job.cancelled():
+                    stop.set()
+                self._take_result(job, results, film)
+                done = sum(integrator.items_done for integrator in integrators)
+                job.on_progress(self._render_progress(job, integrators, done, total, start))
+        finally:
+            stop.set()
+            for thread in threads:
+                thread.join()
+        job.seconds["render"] = time.perf_counter() - start
+
+    def _take_result(self, job: _Job, results: queue.SimpleQueue, film: Film) -> None:
+        try:
+            result = results.get(timeout=POLL_SECONDS)
+        except queue.Empty:
+            return
+        if isinstance(result, BaseException):
+            raise result
+        state, part = result
+        tile = state.tile
+        film.add_tile(tile.x, tile.y, part)
+        job.on_tile(Tile(tile.x, tile.y, tile.width, tile.height, film.part(tile.x, tile.y, tile.width, tile.height)))
+
+    def _render_progress(self, job: _Job, integrators: list[TileIntegrator], done: int, total: int, start: float) -> Progress:
+        seconds = time.perf_counter() - start
+        fraction = done / total if total else 1.0
+        rays = sum(i.rays.total for i in integrators)
+        left = seconds / fraction - seconds if fraction > 0.001 else None
+        samples = fraction * job.settings.sample_count
+        return self._progress(job, "render", fraction, samples, rays / seconds if seconds else 0.0, left, "Rendering")
+
+    def _progress(self, job, stage, fraction, samples, rays_per_second, seconds_left, message) -> Progress:
+        memory = 0
+        if self.device.is_cuda and wp.is_mempool_enabled(self.device):
+            memory = int(wp.get_mempool_used_mem_current(self.device))
+        elapsed = time.perf_counter() - job.started
+        return Progress(stage, fraction, samples, job.settings.sample_count, rays_per_second, elapsed, seconds_left, memory, message)
+
+    # --- after
+
+    def _statistics(self, job: _Job, film: Film, integrators: list[TileIntegrator], modules: list[str]) -> dict[str, Any]:
+        job.seconds["total"] = time.perf_counter() - job.started
+        camera = sum(i.rays.camera for i in integrators)
+        rays = {
+            "camera": camera,
+            "bounce": sum(i.rays.extending for i in integrators) - camera,
+            "shadow": sum(i.rays.shadow for i in integrators),
+        }
+        x0, y0, x1, y1 = film.region
+        return render_statistics(
+            device=self.device,
+            settings=job.settings,
+            features=job.features,
+            frame={"width": film.width, "height": film.height, "region": list(film.region), "passes": list(film.pass_names)},
+            seconds={"build": 0.0, "compile": 0.0, "render": 0.0, **job.seconds},
+            rays=rays,
+            samples=int(film.counts.sum()),
+            counts={
+                "complete": film.complete,
+                "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
+                "instances": len(job.scene.instances),
+                "lights": len(job.scene.lights),
+                "invalid_samples": sum(integrator.invalid_samples for integrator in integrators),
+                "modules": modules,
+                "warnings": job.warnings,
+            },
+        )
+
+
+def _film_to_fill(job: _Job, resume: Film | None) -> Film:
+    """An empty film, or a copy of the one to go on with."""
+    empty = Film.empty(job.scene.frame)
+    if resume is None:
+        return empty
+    if resume.complete:
+        raise RayBatchError("this film is complete: there is nothing to resume; to add samples, render a range with sample_first and merge")
+    if resume.resume_state is None:
+        raise RayBatchError("this film cannot be resumed: rays were given up when it was cancelled; render it again")
+    state = resume.resume_state
+    if (state.sample_first, state.sample_count) != (job.sample_first, job.settings.sample_count):
+        raise RayBatchError("this film was begun with another range of samples; resume it with the same settings")
+    film = resume.merge(empty)
+    film.resume_state = dataclasses.replace(state, tiles=[dataclasses.replace(tile) for tile in state.tiles])
+    return film

@@ -1,0 +1,361 @@
+"""Light sampling: which emitter, where on it, how likely; and the lights that rays meet by themselves.
+
+Lights without mesh neither block rays nor hide one another, as in Cycles: a ray gathers all that it passes.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import warp as wp
+
+from ..scene.description import LightKind
+from ..scene.geometry import Geometry, triangle_vertices
+from .light_shapes import (
+    LightSample,
+    meet_area_light,
+    meet_disk,
+    meet_sphere,
+    meet_sun,
+    sample_area_light,
+    sample_disk_light,
+    sample_parallel_light,
+    sample_sphere_light,
+    sample_sun,
+    spot_attenuation,
+)
+from .light_table import LightRecord, LightTable
+from .sampling import sample_triangle
+
+# Eight roundings of float32 (Higham 2002, section 3.1), for each of: to the world, the sampled point, the ray to the
+# object, its test
+GAMMA_8 = 8 * 2.0**-24 / (1 - 8 * 2.0**-24)
+
+_POINT = wp.constant(int(LightKind.POINT))
+_SPOT = wp.constant(int(LightKind.SPOT))
+_SUN = wp.constant(int(LightKind.SUN))
+_ELLIPSE = wp.constant(int(LightKind.ELLIPSE))
+
+
+@dataclass(frozen=True)
+class LightFeatures:
+    """What light sampling is specialised on; the fields are those of `SceneFeatures` under the same names."""
+
+    lights: tuple[LightKind, ...] = ()  # kinds there are
+    light_sphere: bool = False  # a POINT or SPOT shaped as a sphere
+    light_hits: bool = False  # a light that rays can meet
+    mesh_lights: bool = False  # emissive triangles
+
+
+class Lights(NamedTuple):
+    """Functions (`wp.Function`) of one specialisation. Directions are unit vectors."""
+
+    # (table, geometry, position, u_choice: float, u: vec2) -> LightSample, from `position` towards one emitter
+    sample: wp.Function
+    # (table, geometry, instance, primitive, direction, distance) -> float: density [1/sr] with which `sample` would have
+    # chosen the direction of a ray that hit this triangle; 0: it never does
+    hit_pdf: wp.Function
+    # (table, origin, direction, t_min, t_max, visibility, bsdf_pdf) -> vec3: weighted radiance of all lights on a ray at
+    # `t_min` <= t < `t_max` that rays of kind `visibility` see; suns are not among them. `origin` is where the ray
+    # scattered last, and `bsdf_pdf` the density of its direction there (see `mis_weight`)
+    intersect: wp.Function
+    # (table, direction, visibility, bsdf_pdf) -> vec3: the same of the suns, for a ray that leaves the scene
+    miss: wp.Function
+
+
+@wp.func
+def power_heuristic(pdf: float, other: float) -> float:
+    """Weight of a sample of density `pdf` that could have come from `other` too (Veach 1997, section 9.2.4; beta 2)."""
+    if other <= 0.0:
+        return 1.0
+    ratio = other / pdf
+    return 1.0 / (1.0 + ratio * ratio)
+
+
+@wp.func
+def mis_weight(bsdf_pdf: float, light_pdf: float) -> float:
+    """Weight of light that a scattered ray meets; `bsdf_pdf` = 0: light sampling could not find it (camera rays and
+    delta lobes), or does not take part."""
+    if bsdf_pdf <= 0.0:
+        return 1.0
+    return power_heuristic(bsdf_pdf, light_pdf)
+
+
+@wp.func
+def selection_pdf(table: LightTable, emitter: int) -> float:
+    """Probability that light sampling asks `emitter`."""
+    if table.emitter_count == 1:
+        return 1.0
+    end = wp.uint32(0)  # 2^32 in 32 bits
+    if emitter + 1 < table.emitter_count:
+        end = table.emitter_first[emitter + 1]
+    return float(end - table.emitter_first[emitter]) * wp.static(2.0**-32)
+
+
+@wp.func
+def choice_bits(u_choice: float, u: wp.vec2) -> wp.uint32:
+    """32 random bits: the 24 of `u_choice`, and the last 8 of the 24 of `u[1]`.
+
+    24 bits cannot choose among millions of emitters in proportion. The bits that are used twice move a point on its
+    emitter by 2^-16 of its width at most.
+    """
+    high = wp.uint32(u_choice * wp.static(2.0**24))
+    low = wp.uint32(u[1] * wp.static(2.0**24))
+    return (high << wp.uint32(8)) | (low & wp.uint32(255))
+
+
+@wp.func
+def choose_emitter(table: LightTable, bits: wp.uint32) -> int:
+    """The emitter in whose interval `bits` lies."""
+    low = int(0)
+    high = table.emitter_count - 1
+    while low < high:
+        middle = low + (high - low + 1) // 2
+        if table.emitter_first[middle] <= bits:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@wp.func
+def find_triangle(table: LightTable, instance: int, primitive: int) -> int:
+    """Emitter of an instance's triangle, or -1."""
+    low = table.instance_first[instance]
+    end = table.instance_first[instance + 1]
+    high = end
+    while low < high:
+        middle = low + (high - low) // 2
+        if table.triangle_primitive[middle] < primitive:
+            low = middle + 1
+        else:
+            high = middle
+    if low < end:
+        if table.triangle_primitive[low] == primitive:
+            return table.light_count + low
+    return -1
+
+
+@wp.func
+def triangle_density(normal: wp.vec3, direction: wp.vec3, distance: float) -> float:
+    """Density per solid angle of uniform points on a triangle; `normal` has twice its area for a length.
+
+    0 where it is seen edge-on, or so nearly that the density is beyond the range of numbers.
+    """
+    projected = 0.5 * wp.abs(wp.dot(normal, direction))
+    density = distance * distance / projected
+    return wp.where(density < wp.inf, density, 0.0)
+
+
+@wp.func
+def triangle_distance_error(
+    geometry: Geometry, instance: int, primitive: int, normal: wp.vec3, direction: wp.vec3, distance: float
+) -> float:
+    """How much nearer than `distance` a ray along `direction` may find the triangle that was aimed at [m].
+
+    Rounding moves the plane of the triangle, or the ray, by at most `error` along each axis; the slant of the ray
+    stretches what that is along the normal.
+    """
+    triangle = geometry.triangles[geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive]
+    p0 = wp.abs(geometry.positions[triangle[0]])
+    p1 = wp.abs(geometry.positions[triangle[1]])
+    p2 = wp.abs(geometry.positions[triangle[2]])
+    m = geometry.instance_transform[instance]
+    largest = wp.max(p0, wp.max(p1, p2))
+    # terms of the corners in world space; the shaded point is at most `distance` from there, and so are the products
+    # of the ray with its distance
+    error = wp.vec3(distance)
+    for i in range(3):
+        reach = wp.abs(m[i, 0]) * largest[0] + wp.abs(m[i, 1]) * largest[1] + wp.abs(m[i, 2]) * largest[2]
+        error[i] = error[i] + reach + wp.abs(m[i, 3])
+    slant = wp.abs(wp.dot(normal, direction))
+    return wp.static(4.0 * GAMMA_8) * wp.dot(wp.abs(normal), error) / slant
+
+
+@wp.func
+def sample_triangle_light(table: LightTable, geometry: Geometry, triangle: int, position: wp.vec3, u: wp.vec2) -> LightSample:
+    """A direction towards a uniform point of an emissive triangle."""
+    s = LightSample()
+    s.instance = table.triangle_instance[triangle]
+    s.primitive = table.triangle_primitive[triangle]
+    a, b, c = triangle_vertices(geometry, s.instance, s.primitive)
+    weight = sample_triangle(u)
+    # corners relative to the shaded point, so that far coordinates cancel once only
+    offset = weight[0] * (a - position) + weight[1] * (b - position) + weight[2] * (c - position)
+    s.distance = wp.length(offset)
+    s.casts_shadow = 1
+    s.visibility = table.instance_visibility[s.instance]
+    if s.distance > 0.0:
+        s.direction = offset / s.distance
+        s.radiance = table.triangle_radiance[triangle]
+        normal = wp.cross(b - a, c - a)
+        s.pdf = triangle_density(normal, s.direction, s.distance)
+        if s.pdf > 0.0:
+            s.distance_error = triangle_distance_error(geometry, s.instance, s.primitive, normal, s.direction, s.distance)
+    return s
+
+
+@wp.func
+def spot_factor(light: LightRecord, position: wp.vec3, direction: wp.vec3) -> float:
+    """Share of a SPOT's light that comes to `position` from `direction`."""
+    # inside a sphere there is no cone
+    if light.sphere != 0:
+        offset = light.position - position
+        if wp.dot(offset, offset) <= light.radius * light.radius:
+            return 1.0
+    return spot_attenuation(light, direction)
+
+
+@functools.cache
+def make_lights(features: LightFeatures) -> Lights:
+    """The `Lights` for scenes with these features."""
+    has_round = LightKind.POINT in features.lights or LightKind.SPOT in features.lights
+    has_spot = LightKind.SPOT in features.lights
+    has_sphere = has_round and features.light_sphere
+    has_sun = LightKind.SUN in features.lights
+    has_area = LightKind.RECTANGLE in features.lights or LightKind.ELLIPSE in features.lights
+    met_in_space = features.light_hits and (has_round or has_area)
+    met_suns = features.light_hits and has_sun
+
+    @wp.func
+    def sample_shape(light: LightRecord, position: wp.vec3, u: wp.vec2) -> LightSample:
+        s = LightSample()
+        if wp.static(has_round):
+            if light.kind == _POINT or light.kind == _SPOT:
+                factor = float(1.0)
+                if light.delta != 0:
+                    offset = light.position - position
+                    s.distance = wp.length(offset)
+                    square = s.distance * s.distance
+                    if square > 0.0:
+                        s.direction = offset / s.distance
+                        s.pdf = 1.0
+                        factor = 1.0 / square
+                else:
+                    if wp.static(has_sphere):
+                        if light.sphere != 0:
+                            s = sample_sphere_light(light, position, u)
+                        else:
+                            s = sample_disk_light(light, position, u)
+                    else:
+                        s = sample_disk_light(light, position, u)
+                if wp.static(has_spot):
+                    if light.kind == _SPOT and s.pdf > 0.0:
+                        factor = factor * spot_factor(light, position, s.direction)
+                s.radiance = wp.vec3(factor)
+        if wp.static(has_sun):
+            if light.kind == _SUN:
+                if light.delta != 0:
+                    s.direction = -light.axis
+                    s.distance = wp.inf
+                    s.pdf = 1.0
+                else:
+                    s = sample_sun(light, u)
+                s.radiance = wp.vec3(1.0)
+        if wp.static(has_area):
+            if light.kind > _SUN:
+                ellipse = wp.where(light.kind == _ELLIPSE, 1, 0)
+                if light.delta != 0:
+                    s = sample_parallel_light(light, position, ellipse)
+                    s.radiance = wp.vec3(1.0)
+                else:
+                    s = sample_area_light(light, position, u, ellipse)
+        return s
+
+    @wp.func
+    def sample(table: LightTable, geometry: Geometry, position: wp.vec3, u_choice: float, u: wp.vec2) -> LightSample:
+        s = LightSample()
+        if table.emitter_count > 0:
+            emitter = choose_emitter(table, choice_bits(u_choice, u))
+            if emitter < table.light_count:
+                if wp.static(len(features.lights) > 0):
+                    light = table.lights[emitter]
+                    s = sample_shape(light, position, u)
+                    s.radiance = wp.cw_mul(s.radiance, light.emission)
+                    s.delta = light.delta
+                    s.casts_shadow = light.casts_shadow
+                    s.visibility = light.visibility
+                    s.instance = -1
+                    s.primitive = -1
+            else:
+                if wp.static(features.mesh_lights):
+                    s = sample_triangle_light(table, geometry, emitter - table.light_count, position, u)
+            s.pdf = s.pdf * selection_pdf(table, emitter)
+            # beyond the range of numbers: too near or too small to count
+            if not s.pdf < wp.inf:
+                s.pdf = 0.0
+        return s
+
+    @wp.func
+    def hit_pdf(
+        table: LightTable, geometry: Geometry, instance: int, primitive: int, direction: wp.vec3, distance: float
+    ) -> float:
+        if wp.static(features.mesh_lights):
+            emitter = find_triangle(table, instance, primitive)
+            if emitter >= 0:
+                a, b, c = triangle_vertices(geometry, instance, primitive)
+                return triangle_density(wp.cross(b - a, c - a), direction, distance) * selection_pdf(table, emitter)
+        return 0.0
+
+    @wp.func
+    def meet_shape(light: LightRecord, origin: wp.vec3, direction: wp.vec3) -> LightSample:
+        s = LightSample()
+        if wp.static(has_round):
+            if light.kind == _POINT or light.kind == _SPOT:
+                if wp.static(has_sphere):
+                    if light.sphere != 0:
+                        s = meet_sphere(light, origin, direction)
+                    else:
+                        s = meet_disk(light, origin, direction)
+                else:
+                    s = meet_disk(light, origin, direction)
+                s.radiance = wp.vec3(1.0)
+                if wp.static(has_spot):
+                    if light.kind == _SPOT and s.pdf > 0.0:
+                        s.radiance = wp.vec3(spot_factor(light, origin, direction))
+        if wp.static(has_area):
+            if light.kind > _SUN:
+                s = meet_area_light(light, origin, direction, wp.where(light.kind == _ELLIPSE, 1, 0))
+        return s
+
+    @wp.func
+    def intersect(
+        table: LightTable,
+        origin: wp.vec3,
+        direction: wp.vec3,
+        t_min: float,
+        t_max: float,
+        visibility: int,
+        bsdf_pdf: float,
+    ) -> wp.vec3:
+        total = wp.vec3()
+        if wp.static(met_in_space):
+            if table.tree_count > 0:
+                item = int(0)
+                query = wp.bvh_query_ray(table.tree, origin, direction)
+                while wp.bvh_query_next(query, item, t_max):
+                    emitter = table.tree_light[item]
+                    light = table.lights[emitter]
+                    if (light.visibility & visibility) != 0:
+                        met = meet_shape(light, origin, direction)
+                        if met.pdf > 0.0 and met.distance >= t_min and met.distance < t_max:
+                            weight = mis_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter))
+                            total += weight * wp.cw_mul(met.radiance, light.emission)
+        return total
+
+    @wp.func
+    def miss(table: LightTable, direction: wp.vec3, visibility: int, bsdf_pdf: float) -> wp.vec3:
+        total = wp.vec3()
+        if wp.static(met_suns):
+            for i in range(table.sun_count):
+                emitter = table.suns[i]
+                light = table.lights[emitter]
+                if (light.visibility & visibility) != 0:
+                    met = meet_sun(light, direction)
+                    if met.pdf > 0.0:
+                        total += mis_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter)) * light.emission
+        return total
+
+    return Lights(sample, hit_pdf, intersect, miss)

@@ -1,0 +1,161 @@
+"""Materials on the device: tables of weighted closures, and what surrounds their evaluation.
+
+`shading/closures.py` holds the functions that evaluate and sample them.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ..errors import SceneError
+from ..scene.description import Closure, ClosureKind, Material
+from .albedo import AlbedoTables, upload_tables
+
+# What happened to a sampled path (bits)
+DIFFUSE = 1  # reflected by a Lambertian closure
+GLOSSY = 2  # reflected by facets
+TRANSMISSION = 4  # refracted
+TRANSPARENT = 8  # passed straight on
+DELTA = 16  # in a direction that no other strategy finds
+
+_K = ClosureKind
+MICROFACET_KINDS = frozenset({_K.GLOSSY, _K.METAL, _K.DIELECTRIC, _K.GLASS})
+_COAT_KINDS = frozenset({_K.LAYERED_DIFFUSE, _K.DIELECTRIC})
+# Indices of refraction are kept in a range whose squares and their inverses are far from the ends of
+# float32; beyond it a dielectric reflects more than 99.6 % and is a mirror for all purposes.
+IOR_RANGE = (1e-3, 1e3)
+
+
+@dataclass(frozen=True)
+class ClosureFeatures:
+    """Kinds that BSDF functions are compiled for."""
+
+    kinds: tuple[ClosureKind, ...] = ()
+
+    def has(self, *kinds: ClosureKind) -> bool:
+        """Whether any of `kinds` is among them."""
+        return any(kind in self.kinds for kind in kinds)
+
+    @property
+    def scatters(self) -> bool:
+        """Whether anything but emission and straight passage is there."""
+        return any(kind not in (_K.EMISSION, _K.TRANSPARENT) for kind in self.kinds)
+
+    @property
+    def facets(self) -> bool:
+        """Whether GGX is needed."""
+        return self.has(*MICROFACET_KINDS)
+
+    @property
+    def coats(self) -> bool:
+        """Whether the albedo of a dielectric coat is needed."""
+        return self.has(*_COAT_KINDS)
+
+
+@wp.struct
+class MaterialTable:
+    """Closures of all materials, one after the other. Arrays without use for the features have length 0."""
+
+    closure_first: wp.array(dtype=int)  # material m has the closures [first[m], first[m + 1]); [material_count + 1]
+    kind: wp.array(dtype=int)  # `ClosureKind`; this and the following: [closure_count]
+    weight: wp.array(dtype=wp.vec3)
+    roughness: wp.array(dtype=float)  # [0, 1]; alpha is its square
+    ior: wp.array(dtype=float)  # inside over outside
+    edge: wp.array(dtype=wp.vec3)  # METAL
+    colour_scale: wp.array(dtype=float)  # makes `weight` the colour of a facet; 0: single scattering only
+    albedo: AlbedoTables
+
+
+@wp.struct
+class ShadingFrame:
+    """Directions at a surface point. Both normals are on the side of wo."""
+
+    normal: wp.vec3  # unit shading normal, on the same side as geometric_normal
+    geometric_normal: wp.vec3  # unit, of the triangle
+    tangent: wp.vec3  # unit; with bitangent and normal a right-handed frame
+    bitangent: wp.vec3
+    entering: int  # 1: wo is in front of the surface, so that what refracts enters the object
+
+
+@wp.struct
+class BsdfValue:
+    """Sum over the closures without delta lobes."""
+
+    value: wp.vec3  # BSDF times |cosine to the shading normal| [1/sr]
+    pdf: float  # density with which `sample` finds the direction [1/sr]
+
+
+@wp.struct
+class BsdfSample:
+    """A direction chosen by the BSDF."""
+
+    direction: wp.vec3  # unit, away from the surface
+    weight: wp.vec3  # BSDF |cosine| / density of all lobes together: a path's throughput is multiplied by it; 0: absorbed
+    pdf: float  # as `BsdfValue.pdf` [1/sr]; 0 for delta lobes
+    lobe: int  # bits DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT, DELTA; 0: absorbed
+
+
+def upload_materials(materials: Sequence[Material], features: ClosureFeatures, device) -> MaterialTable:
+    """The table of `materials` on `device`.
+
+    Roughness and the indices of refraction are brought into their ranges; a coat (DIELECTRIC,
+    LAYERED_DIFFUSE) with an index below 1 is taken as index 1, no coat. Raises `SceneError` for a
+    value that is not finite or a negative weight, `ValueError` for a kind that `features` lacks.
+    """
+    closures = [closure for material in materials for closure in material.closures]
+    for material in materials:
+        for closure in material.closures:
+            _check(material, closure, features)
+    first = np.cumsum([0] + [len(material.closures) for material in materials], dtype=np.int32)
+    rough = features.facets or features.coats
+
+    table = MaterialTable()
+    table.closure_first = wp.array(first, dtype=int, device=device)
+    table.kind = _upload([int(c.kind) for c in closures], int, device)
+    table.weight = _upload([c.weight for c in closures], wp.vec3, device)
+    table.roughness = _upload([min(max(c.roughness, 0.0), 1.0) for c in closures] if rough else [], float, device)
+    table.ior = _upload([_ior(c) for c in closures] if features.coats or features.has(_K.GLASS) else [], float, device)
+    table.edge = _upload([c.edge for c in closures] if features.has(_K.METAL) else [], wp.vec3, device)
+    table.colour_scale = _upload([_colour_scale(c) for c in closures] if rough else [], float, device)
+    table.albedo = upload_tables(
+        device,
+        reflection=features.coats or features.has(_K.GLOSSY, _K.METAL),
+        coat=features.coats,
+        glass=features.has(_K.GLASS),
+    )
+    return table
+
+
+def _check(material: Material, closure: Closure, features: ClosureFeatures) -> None:
+    kind = ClosureKind(closure.kind)
+    if kind not in features.kinds:
+        raise ValueError(f"material {material.name!r} has a closure {kind.name} that its features lack")
+    numbers = (*closure.weight, *closure.edge, closure.roughness, closure.ior, closure.share)
+    if not np.all(np.isfinite(np.asarray(numbers, np.float32))) or min(*closure.weight, *closure.edge, closure.share) < 0:
+        raise SceneError(
+            f"material {material.name!r}: the {kind.name.lower()} closure has a value that is negative, infinite or not "
+            "a number; look for such a value in the material's nodes"
+        )
+
+
+def _upload(values: list, dtype, device) -> wp.array:
+    shape = (len(values), 3) if dtype is wp.vec3 else (len(values),)
+    return wp.array(np.array(values, np.int32 if dtype is int else np.float32).reshape(shape), dtype=dtype, device=device)
+
+
+def _ior(closure: Closure) -> float:
+    least, largest = IOR_RANGE
+    if closure.kind in _COAT_KINDS:
+        least = 1.0
+    return min(max(closure.ior, least), largest)
+
+
+def _colour_scale(closure: Closure) -> float:
+    if not closure.multiscatter:
+        return 0.0
+    scale = np.float32(1.0 / closure.share) if closure.share > 0 else np.float32(np.inf)
+    # a share too small to divide by means a closure too faint to see
+    return float(scale) if math.isfinite(scale) else 1.0

@@ -1,0 +1,364 @@
+"""Random numbers keyed by what they are for, and warps from the unit square to shapes.
+
+A number is a pure function of (seed, pixel of the full frame, sample, dimension set): threads, tiles
+and the order of work never enter. A *dimension set* is one decision of a path (see the constants);
+each set is a sequence of its own over the sample index, and sets are padded against each other.
+
+Points of the unit square are in [0, 1) with 24 bits; warps centre them in their cells of 2**-24, so
+that no warp meets the border of the square, where directions would degenerate.
+"""
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+# Dimension sets. FILTER and LENS belong to bounce 0; the others are added to
+# `bounce * DIMENSIONS_PER_BOUNCE`.
+DIMENSIONS_PER_BOUNCE = 8
+FILTER = 0  # 2D: place in the pixel filter
+LENS = 1  # 2D: place on the aperture
+LIGHT_CHOICE = 2  # 1D: which light
+LIGHT = 3  # 2D: place on it
+LOBE = 4  # 1D: which closure, and which side of it
+BSDF = 5  # 2D: direction
+ROULETTE = 6  # 1D: whether the path goes on
+
+FILTER_TABLE_SIZE = 1024
+
+_ULP_BELOW_ONE = wp.constant(2.0**-24)  # spacing of the 24-bit points, and of floats in [0.5, 1)
+
+
+class Sampler(NamedTuple):
+    """Functions (`wp.Function`) of one sequence, called as f(key, sample, dimension), all uint32."""
+
+    sample_1d: wp.Function  # -> float in [0, 1)
+    sample_2d: wp.Function  # -> vec2 in [0, 1)^2
+
+
+@functools.cache
+def make_sampler(sequence: str) -> Sampler:
+    """The `Sampler` of `sequence`: "SOBOL" or "INDEPENDENT" (as `RenderSettings.sample_sequence`)."""
+    samplers = {"SOBOL": Sampler(_sobol_1d, _sobol_2d), "INDEPENDENT": Sampler(_philox_1d, _philox_2d)}
+    if sequence not in samplers:
+        raise ValueError(f"no sample sequence is called {sequence!r}; there are {', '.join(samplers)}")
+    return samplers[sequence]
+
+
+# --- keys -----------------------------------------------------------------------------------------
+
+
+@wp.func
+def mix_bits(x: wp.uint32) -> wp.uint32:
+    """A bijective hash of 32 bits (shape by Wellons, "hash prospector", two rounds)."""
+    x = x ^ (x >> wp.uint32(16))
+    x = x * wp.uint32(0x21F0AAAD)
+    x = x ^ (x >> wp.uint32(15))
+    x = x * wp.uint32(0xD35A2D97)
+    return x ^ (x >> wp.uint32(15))
+
+
+@wp.func
+def pixel_key(seed: wp.uint32, pixel: wp.uint32) -> wp.uint32:
+    """Key of a pixel's random numbers; `pixel` = y * width + x in the full frame (at most 2**32 pixels).
+
+    For one seed no two pixels share a key. The pixel is hashed before the seed enters, so that two
+    seeds never give the same pattern shifted.
+    """
+    return mix_bits(mix_bits(pixel + wp.uint32(0x9E3779B9)) ^ mix_bits(seed + wp.uint32(0x85EBCA6B)))
+
+
+@wp.func
+def _unit(x: wp.uint32) -> float:
+    """The upper 24 bits as a number in [0, 1 - 2**-24], exact in float32."""
+    return wp.float32(x >> wp.uint32(8)) * _ULP_BELOW_ONE
+
+
+# --- Owen-scrambled Sobol -------------------------------------------------------------------------
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __brev(x);
+#else
+    return __builtin_bitreverse32(x);
+#endif
+""")
+def reverse_bits(x: wp.uint32) -> wp.uint32: ...
+
+
+@wp.func
+def _scramble_reversed(x: wp.uint32, seed: wp.uint32) -> wp.uint32:
+    """Owen scrambling of a number whose bits are reversed: each bit is flipped by a hash of those below.
+
+    Laine and Karras (2011) with Vegdahl's constants (2021), which leave no visible structure.
+    """
+    x = x ^ (x * wp.uint32(0x3D20ADEA))
+    x = x + seed
+    x = x * ((seed >> wp.uint32(16)) | wp.uint32(1))
+    x = x ^ (x * wp.uint32(0x05526C56))
+    return x ^ (x * wp.uint32(0x53A22864))
+
+
+@wp.func
+def _sobol_second(x: wp.uint32) -> wp.uint32:
+    """Second Sobol dimension of index `x`, with its bits reversed (the first is `x` itself).
+
+    Its matrix is Pascal's triangle mod 2, the fifth Kronecker power of [[1, 1], [0, 1]]: five steps.
+    """
+    x = x ^ ((x >> wp.uint32(1)) & wp.uint32(0x55555555))
+    x = x ^ ((x >> wp.uint32(2)) & wp.uint32(0x33333333))
+    x = x ^ ((x >> wp.uint32(4)) & wp.uint32(0x0F0F0F0F))
+    x = x ^ ((x >> wp.uint32(8)) & wp.uint32(0x00FF00FF))
+    return x ^ ((x >> wp.uint32(16)) & wp.uint32(0x0000FFFF))
+
+
+@wp.func
+def _set_seed(key: wp.uint32, dimension: wp.uint32) -> wp.uint32:
+    return mix_bits(key + mix_bits(dimension + wp.uint32(0xC2B2AE35)))
+
+
+@wp.func
+def _shuffled_index(sample: wp.uint32, seed: wp.uint32) -> wp.uint32:
+    # a nested shuffle: every aligned block of 2**k samples stays an aligned block of the sequence
+    return reverse_bits(_scramble_reversed(reverse_bits(sample), seed))
+
+
+@wp.func
+def _sobol_1d(key: wp.uint32, sample: wp.uint32, dimension: wp.uint32) -> float:
+    """Burley, "Practical Hash-based Owen Scrambling" (2020): first dimension of the set's pair."""
+    seed = _set_seed(key, dimension)
+    index = _shuffled_index(sample, seed)
+    return _unit(reverse_bits(_scramble_reversed(index, mix_bits(seed + wp.uint32(1)))))
+
+
+@wp.func
+def _sobol_2d(key: wp.uint32, sample: wp.uint32, dimension: wp.uint32) -> wp.vec2:
+    """Burley (2020): an Owen-scrambled (0,2)-sequence with shuffled index, one for each set."""
+    seed = _set_seed(key, dimension)
+    index = _shuffled_index(sample, seed)
+    x = reverse_bits(_scramble_reversed(index, mix_bits(seed + wp.uint32(1))))
+    y = reverse_bits(_scramble_reversed(_sobol_second(index), mix_bits(seed + wp.uint32(2))))
+    return wp.vec2(_unit(x), _unit(y))
+
+
+# --- independent ----------------------------------------------------------------------------------
+
+
+@wp.func
+def philox(counter: wp.vec4ui, key: wp.vec2ui) -> wp.vec4ui:
+    """Philox4x32-10: 128 random bits (Salmon et al., "Parallel Random Numbers: As Easy as 1, 2, 3", 2011)."""
+    c0 = counter[0]
+    c1 = counter[1]
+    c2 = counter[2]
+    c3 = counter[3]
+    k0 = key[0]
+    k1 = key[1]
+    for _ in range(10):
+        p0 = wp.uint64(wp.uint32(0xD2511F53)) * wp.uint64(c0)
+        p1 = wp.uint64(wp.uint32(0xCD9E8D57)) * wp.uint64(c2)
+        n0 = wp.uint32(p1 >> wp.uint64(32)) ^ c1 ^ k0
+        n2 = wp.uint32(p0 >> wp.uint64(32)) ^ c3 ^ k1
+        c1 = wp.uint32(p1 & wp.uint64(0xFFFFFFFF))
+        c3 = wp.uint32(p0 & wp.uint64(0xFFFFFFFF))
+        c0 = n0
+        c2 = n2
+        k0 = k0 + wp.uint32(0x9E3779B9)
+        k1 = k1 + wp.uint32(0xBB67AE85)
+    return wp.vec4ui(c0, c1, c2, c3)
+
+
+@wp.func
+def _philox_1d(key: wp.uint32, sample: wp.uint32, dimension: wp.uint32) -> float:
+    return _philox_2d(key, sample, dimension)[0]
+
+
+@wp.func
+def _philox_2d(key: wp.uint32, sample: wp.uint32, dimension: wp.uint32) -> wp.vec2:
+    counter = wp.vec4ui(sample, dimension, wp.uint32(0), wp.uint32(0))
+    bits = philox(counter, wp.vec2ui(key, wp.uint32(0)))
+    return wp.vec2(_unit(bits[0]), _unit(bits[1]))
+
+
+# --- warps ----------------------------------------------------------------------------------------
+
+
+@wp.func
+def _centred(u: float) -> float:
+    """[0, 1) to (-1, 1), never 0 and never an end: the middle of the 24-bit cell, exact in float32."""
+    return (2.0 * u - 1.0) + _ULP_BELOW_ONE
+
+
+@wp.func
+def sample_disk(u: wp.vec2) -> wp.vec2:
+    """Uniform in the open unit disk, keeping neighbours (Shirley and Chiu 1997). Density 1 / pi."""
+    x = _centred(u[0])
+    y = _centred(u[1])
+    radius = x
+    angle = (wp.PI / 4.0) * (y / x)
+    if wp.abs(y) > wp.abs(x):
+        radius = y
+        angle = (wp.PI / 2.0) - (wp.PI / 4.0) * (x / y)
+    return radius * wp.vec2(wp.cos(angle), wp.sin(angle))
+
+
+@wp.func
+def sample_cosine_hemisphere(u: wp.vec2) -> wp.vec3:
+    """Unit direction about +Z with density z / pi (Malley); z >= 2**-11.5, never 0."""
+    rho = wp.max(wp.abs(_centred(u[0])), wp.abs(_centred(u[1])))
+    d = sample_disk(u)
+    # from the radius before rotation: 1 - |d|^2 would lose the low bits near the horizon
+    return wp.vec3(d[0], d[1], wp.sqrt((1.0 - rho) * (1.0 + rho)))
+
+
+@wp.func
+def sample_sphere(u: wp.vec2) -> wp.vec3:
+    """Uniform unit direction. Density 1 / (4 pi)."""
+    r = 2.0 * wp.sqrt(u[0] * (1.0 - u[0]))
+    phi = wp.TAU * u[1]
+    return wp.vec3(r * wp.cos(phi), r * wp.sin(phi), 1.0 - 2.0 * u[0])
+
+
+@wp.func
+def sample_cone(u: wp.vec2, one_minus_cos: float) -> wp.vec3:
+    """Uniform unit direction within a cone about +Z; density `cone_pdf`.
+
+    `one_minus_cos` = 1 - cos(half angle) in [0, 2], as 2 sin^2(half angle / 2), which keeps its
+    precision in the thinnest cones.
+    """
+    v = u[0] * one_minus_cos
+    r = wp.sqrt(wp.max(v * (2.0 - v), 0.0))
+    phi = wp.TAU * u[1]
+    return wp.vec3(r * wp.cos(phi), r * wp.sin(phi), 1.0 - v)
+
+
+@wp.func
+def cone_pdf(one_minus_cos: float) -> float:
+    """Density [1/sr] of `sample_cone`; 0 for a cone without extent, which nothing hits by chance."""
+    if one_minus_cos <= 0.0:
+        return 0.0
+    return 1.0 / (wp.TAU * one_minus_cos)
+
+
+@wp.func
+def sample_triangle(u: wp.vec2) -> wp.vec3:
+    """Uniform barycentric coordinates, >= 0, with sum 1, keeping neighbours (Heitz 2019)."""
+    a = u[0]
+    b = u[1]
+    if b > a:
+        a = 0.5 * a
+        b = b - a
+    else:
+        b = 0.5 * b
+        a = a - b
+    return wp.vec3(a, b, wp.max((1.0 - a) - b, 0.0))
+
+
+@wp.func
+def sample_aperture(u: wp.vec2, blade_count: int, rotation: float) -> wp.vec2:
+    """Uniform in the unit disk, or in the regular polygon inscribed in the unit circle.
+
+    `blade_count` < 3 gives the disk. The middle of a polygon's edge lies at angle `rotation` [rad]
+    from +X, as in Blender.
+    """
+    if blade_count < 3:
+        return sample_disk(u)
+    scaled = u[0] * float(blade_count)
+    blade = wp.min(int(scaled), blade_count - 1)  # the product may round up to blade_count
+    b = sample_triangle(wp.vec2(scaled - float(blade), u[1]))
+    half = wp.PI / float(blade_count)
+    x = (b[0] + b[1]) * wp.cos(half)
+    y = (b[0] - b[1]) * wp.sin(half)
+    turn = rotation + 2.0 * half * float(blade)
+    c = wp.cos(turn)
+    s = wp.sin(turn)
+    return wp.vec2(c * x - s * y, s * x + c * y)
+
+
+@wp.func
+def tangent_of(normal: wp.vec3) -> wp.vec3:
+    """A unit vector perpendicular to unit `normal` (Duff et al., "Building an Orthonormal Basis, Revisited", 2017)."""
+    sign = wp.where(normal[2] < 0.0, -1.0, 1.0)
+    a = -1.0 / (sign + normal[2])
+    return wp.vec3(1.0 + sign * normal[0] * normal[0] * a, sign * normal[0] * normal[1] * a, -sign * normal[0])
+
+
+@wp.func
+def bitangent_of(normal: wp.vec3) -> wp.vec3:
+    """cross(normal, tangent_of(normal)), from the same construction."""
+    sign = wp.where(normal[2] < 0.0, -1.0, 1.0)
+    a = -1.0 / (sign + normal[2])
+    return wp.vec3(normal[0] * normal[1] * a, sign + normal[1] * normal[1] * a, -normal[1])
+
+
+@wp.func
+def to_world(local: wp.vec3, tangent: wp.vec3, bitangent: wp.vec3, normal: wp.vec3) -> wp.vec3:
+    """`local` = (along tangent, along bitangent, along normal) in world axes, normalised."""
+    return wp.normalize(local[0] * tangent + local[1] * bitangent + local[2] * normal)
+
+
+@wp.func
+def spherical_direction(cos_theta: float, phi: float) -> wp.vec3:
+    """Unit direction at polar angle theta from +Z and azimuth `phi` from +X [rad]."""
+    r = wp.sqrt(wp.max((1.0 - cos_theta) * (1.0 + cos_theta), 0.0))
+    return wp.vec3(r * wp.cos(phi), r * wp.sin(phi), cos_theta)
+
+
+# --- pixel filter ---------------------------------------------------------------------------------
+
+
+def filter_table(name: str, width: float) -> np.ndarray:
+    """Inverse CDF of a pixel filter at FILTER_TABLE_SIZE even probabilities from 0 to 1.
+
+    float32, shape [FILTER_TABLE_SIZE]: offsets from the pixel's centre [pixels], increasing and
+    exactly antisymmetric. Shapes and extents are those of Blender's Cycles: "BOX" is 1 pixel wide
+    whatever `width`; "GAUSSIAN" is exp(-8 (x / width)^2) on |x| < 1.5 width; "BLACKMAN_HARRIS" is the
+    4-term window on |x| < width. `width` in pixels, > 0; raises `ValueError` for an unknown name.
+    """
+    probability = np.linspace(0.0, 1.0, FILTER_TABLE_SIZE)[FILTER_TABLE_SIZE // 2 :]
+    if name == "BOX":
+        upper = probability - 0.5
+    elif name == "GAUSSIAN":
+        erf = np.vectorize(math.erf)
+        scale = math.sqrt(8.0) / width  # exp(-(scale x)^2)
+        extent = 1.5 * width
+        total = 2.0 * math.erf(scale * extent)
+        upper = _invert(lambda x: 0.5 + erf(scale * x) / total, probability, extent)
+    elif name == "BLACKMAN_HARRIS":
+        upper = _invert(lambda x: _blackman_harris_cdf(x / width), probability, width)
+    else:
+        raise ValueError(f"no pixel filter is called {name!r}; there are BOX, GAUSSIAN, BLACKMAN_HARRIS")
+    return np.concatenate([-upper[::-1], upper]).astype(np.float32)
+
+
+def _blackman_harris_cdf(x: np.ndarray) -> np.ndarray:
+    """Integral from -1 to x of the window on [-1, 1], normalised (Harris 1978, 92 dB)."""
+    angle = np.pi * x  # the cosines of odd multiples change sign with the window centred on 0
+    wave = 0.48829 * np.sin(angle) + 0.14128 * np.sin(2 * angle) / 2 + 0.01168 * np.sin(3 * angle) / 3
+    return 0.5 + (0.35875 * angle + wave) / (2 * np.pi * 0.35875)
+
+
+def _invert(cdf, probability: np.ndarray, extent: float) -> np.ndarray:
+    """x in [0, extent] with cdf(x) = probability, by bisection to the last bit of float64."""
+    low, high = np.zeros_like(probability), np.full_like(probability, extent)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        below = cdf(middle) < probability
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    high[-1] = extent  # probability 1
+    return high
+
+
+@wp.func
+def _filter_offset(table: wp.array(dtype=float), u: float) -> float:
+    place = u * float(FILTER_TABLE_SIZE - 1)
+    i = wp.min(int(place), FILTER_TABLE_SIZE - 2)
+    return wp.lerp(table[i], table[i + 1], place - float(i))
+
+
+@wp.func
+def sample_filter(table: wp.array(dtype=float), u: wp.vec2) -> wp.vec2:
+    """Offset from the pixel's centre [pixels], distributed as the separable filter of `filter_table`."""
+    return wp.vec2(_filter_offset(table, u[0]), _filter_offset(table, u[1]))

@@ -1,0 +1,157 @@
+"""The surface at a hit: where it is, how far it may be from there, how it is turned, and what it is made of."""
+
+from __future__ import annotations
+
+import functools
+from typing import Any, NamedTuple
+
+import warp as wp
+
+from ..scene.geometry import Geometry, mat34, transform_vector
+
+# Unit roundoff of float32. n operations are wrong by at most n u / (1 - n u), relatively (Higham 2002, section 3.1).
+_U = 2.0**-24
+_GAMMA_3 = 3 * _U / (1 - 3 * _U)
+_GAMMA_8 = 8 * _U / (1 - 8 * _U)
+
+
+@wp.struct
+class SurfacePoint:
+    """A point on a triangle, in world space."""
+
+    position: wp.vec3  # [m]
+    error: wp.vec3  # bound of the error of each coordinate, and of the ray test there [m]
+    geometric_normal: wp.vec3  # unit, of the front
+    normal: wp.vec3  # unit, interpolated; on the same side as `geometric_normal`
+    material: int
+
+
+class SurfaceFunctions(NamedTuple):
+    """Warp functions of one specialisation."""
+
+    point: Any  # (geometry, instance, primitive, uv) -> SurfacePoint
+
+
+@wp.func
+def spawn_origin(position: wp.vec3, error: wp.vec3, normal: wp.vec3, direction: wp.vec3) -> wp.vec3:
+    """Origin of a ray that leaves the surface at `position` towards `direction` and cannot meet it again.
+
+    Moves along the normal to the outside of the box of possible positions, then rounds away from it
+    (Pharr, Jakob and Humphreys 2023, section 6.8.6).
+    """
+    reach = wp.dot(wp.vec3(wp.abs(normal[0]), wp.abs(normal[1]), wp.abs(normal[2])), error)
+    offset = normal * reach
+    if wp.dot(normal, direction) < 0.0:
+        offset = -offset
+    return wp.vec3(
+        _rounded_away(position[0] + offset[0], offset[0]),
+        _rounded_away(position[1] + offset[1], offset[1]),
+        _rounded_away(position[2] + offset[2], offset[2]),
+    )
+
+
+@wp.func
+def _rounded_away(x: float, towards: float) -> float:
+    # one rounding of the sum above, at most half a unit in the last place of x
+    step = wp.abs(x) * wp.static(2.0 * _U)
+    if towards > 0.0:
+        return x + step
+    if towards < 0.0:
+        return x - step
+    return x
+
+
+@wp.func
+def _abs(v: wp.vec3) -> wp.vec3:
+    return wp.vec3(wp.abs(v[0]), wp.abs(v[1]), wp.abs(v[2]))
+
+
+@wp.func
+def _offset(m: mat34) -> wp.vec3:
+    return wp.vec3(m[0, 3], m[1, 3], m[2, 3])
+
+
+@wp.func
+def _row_abs(m: mat34, v: wp.vec3) -> wp.vec3:
+    return wp.vec3(
+        wp.abs(m[0, 0]) * v[0] + wp.abs(m[0, 1]) * v[1] + wp.abs(m[0, 2]) * v[2],
+        wp.abs(m[1, 0]) * v[0] + wp.abs(m[1, 1]) * v[1] + wp.abs(m[1, 2]) * v[2],
+        wp.abs(m[2, 0]) * v[0] + wp.abs(m[2, 1]) * v[1] + wp.abs(m[2, 2]) * v[2],
+    )
+
+
+@wp.func
+def _cofactor(m: mat34, n: wp.vec3) -> wp.vec3:
+    """Normal `n` under `m`: by the cofactor matrix, signed so that the front stays the front of mirrored objects."""
+    r0 = wp.vec3(m[0, 0], m[0, 1], m[0, 2])
+    r1 = wp.vec3(m[1, 0], m[1, 1], m[1, 2])
+    r2 = wp.vec3(m[2, 0], m[2, 1], m[2, 2])
+    c0 = wp.cross(r1, r2)
+    turned = wp.vec3(wp.dot(c0, n), wp.dot(wp.cross(r2, r0), n), wp.dot(wp.cross(r0, r1), n))
+    if wp.dot(r0, c0) < 0.0:
+        return -turned
+    return turned
+
+
+@wp.func
+def _unit(v: wp.vec3) -> wp.vec3:
+    """`v` at length 1, also where its square leaves the range of float32; 0 stays 0."""
+    largest = wp.max(wp.abs(v[0]), wp.max(wp.abs(v[1]), wp.abs(v[2])))
+    if largest == 0.0:
+        return v
+    return wp.normalize(v / largest)
+
+
+@functools.cache
+def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
+    """Functions for scenes with or without instances and interpolated normals."""
+
+    @wp.func
+    def point(geometry: Geometry, instance: int, primitive: int, uv: wp.vec2) -> SurfacePoint:
+        triangle = geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive
+        corners = geometry.triangles[triangle]
+        p0 = geometry.positions[corners[0]]
+        p1 = geometry.positions[corners[1]]
+        p2 = geometry.positions[corners[2]]
+        w = 1.0 - uv[0] - uv[1]
+
+        surface = SurfacePoint()
+        position = w * p0 + uv[0] * p1 + uv[1] * p2
+        # |corner| bounds the interpolation, coordinate by coordinate. The test of a ray that starts here takes corners
+        # relative to its origin and mixes their coordinates, so that its error is in proportion to the triangle.
+        edge_1 = p1 - p0
+        edge_2 = p2 - p0
+        reach = wp.max(_abs(edge_1)) + wp.max(_abs(edge_2))
+        largest = wp.max(_abs(p0), wp.max(_abs(p1), _abs(p2)))
+        error = wp.static(_GAMMA_8) * (largest + wp.vec3(reach, reach, reach))
+        edge_cross = wp.cross(edge_1, edge_2)
+        if wp.static(instancing):
+            matrix = geometry.instance_transform[instance]
+            moved = transform_vector(matrix, position)
+            offset = _offset(matrix)
+            # carrying the point to the world, and the ray to the object and back
+            error = _row_abs(matrix, error) + wp.static(2.0 * _GAMMA_8) * (_row_abs(matrix, _abs(position)) + _abs(offset))
+            position = moved + offset
+            edge_cross = _cofactor(matrix, edge_cross)
+        surface.position = position
+        surface.error = error
+        surface.geometric_normal = _unit(edge_cross)
+        surface.normal = surface.geometric_normal
+        if wp.static(smooth_normals):
+            n = w * geometry.corner_normals[3 * triangle]
+            n = n + uv[0] * geometry.corner_normals[3 * triangle + 1] + uv[1] * geometry.corner_normals[3 * triangle + 2]
+            if wp.static(instancing):
+                n = _cofactor(geometry.instance_transform[instance], n)
+            n = _unit(n)
+            if wp.dot(n, n) > 0.5:  # normals of flat meshes are 0
+                surface.normal = n
+        if wp.dot(surface.normal, surface.geometric_normal) < 0.0:
+            surface.normal = -surface.normal
+
+        slot = geometry.instance_slot_first[instance]
+        if geometry.triangle_slot.shape[0] > 0:
+            slot += geometry.triangle_slot[triangle]
+        surface.material = geometry.slot_materials[slot]
+        return surface
+
+    return SurfaceFunctions(point)

@@ -1,0 +1,69 @@
+"""The kernels of one render, chosen by its features."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from ..film import layout_of
+from ..scene.features import SceneFeatures, narrow
+from ..settings import RenderSettings
+from .queues import QUEUE_KERNELS
+from .rays import RayKind
+from .stages.accumulate import accumulate_kernel, add_spill_kernel
+from .stages.connect import connect_kernel, settle_kernel
+from .stages.generate import GenerateFeatures, generate_kernel
+from .stages.shade_background import BackgroundFeatures, LightHitFeatures, background_kernel, light_hit_kernel
+from .stages.shade_surface import SurfaceFeatures, surface_kernel, transparent_shadow_kernel
+from .stages.trace import trace_kernel
+
+
+@dataclass(frozen=True)
+class StageKernels:
+    """Kernels by stage; None: the scene has nothing for that stage to do."""
+
+    generate: wp.Kernel
+    trace: wp.Kernel | None
+    trace_shadow: wp.Kernel | None
+    settle: wp.Kernel
+    connect: wp.Kernel | None
+    connect_transparent: wp.Kernel | None
+    light_hits: wp.Kernel | None
+    background: wp.Kernel
+    surface: wp.Kernel | None
+    accumulate: wp.Kernel
+
+    @staticmethod
+    def choose(features: SceneFeatures, settings: RenderSettings) -> StageKernels:
+        """The kernels for a scene with `features`."""
+        has = features
+        surface = SurfaceFeatures(
+            **narrow(features, tuple(SurfaceFeatures.__dataclass_fields__)), shadow_rays=has.shadow_rays
+        )  # fmt: skip
+        return StageKernels(
+            generate=generate_kernel(
+                GenerateFeatures(
+                    has.camera, has.depth_of_field, has.sample_sequence, has.transparency, has.film_transparent,
+                    "Normal" in has.passes, settings.sample_order == "PIXEL_FIRST",
+                )  # fmt: skip
+            ),
+            trace=trace_kernel(RayKind.CLOSEST, has.instancing) if has.surfaces else None,
+            trace_shadow=trace_kernel(RayKind.OCCLUSION, has.instancing) if has.shadow_rays else None,
+            settle=settle_kernel,
+            connect=connect_kernel if has.shadow_rays else None,
+            connect_transparent=transparent_shadow_kernel(surface) if has.shadow_rays and has.transparency else None,
+            light_hits=light_hit_kernel(
+                LightHitFeatures(has.lights, has.light_sphere, has.light_hits, has.transparency, has.clamping)
+            ) if has.light_hits else None,
+            background=background_kernel(
+                BackgroundFeatures(has.world, has.film_transparent, "Depth" in has.passes, has.clamping)
+            ),
+            surface=surface_kernel(surface) if has.surfaces else None,
+            accumulate=accumulate_kernel(layout_of(has.passes, has.film_transparent)),
+        )  # fmt: skip
+
+    def all(self) -> list[wp.Kernel]:
+        """Everything that a render launches."""
+        stages = [getattr(self, name) for name in self.__dataclass_fields__]
+        return [kernel for kernel in stages if kernel is not None] + [*QUEUE_KERNELS, add_spill_kernel]

@@ -1,0 +1,84 @@
+"""When rays are generated, and in which tiles: pure policy, without Warp or a device."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from ..settings import RenderSettings
+
+# Paths alive at once, by device, where `ray_count` is 0. A CPU wave stays within a core's share of the outer caches; a GPU
+# needs some ten thousand threads many times over, so that a wave's tail does not leave it idle.
+CPU_RAYS_A_WORKER = 1 << 15
+CUDA_RAYS = 1 << 21
+# Edges of tiles where `tile_size` is 0
+CPU_TILE = 128
+CUDA_TILE = 1024
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """Pixels of the frame, from the bottom left."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    @property
+    def pixel_count(self) -> int:
+        """Area [pixels]."""
+        return self.width * self.height
+
+
+@dataclass(frozen=True)
+class WaterMarks:
+    """How many paths a worker keeps alive."""
+
+    path_count: int  # slots
+    low: int  # new paths are generated below this many
+    high: int  # and up to this many
+
+    def to_generate(self, alive: int, remaining: int) -> int:
+        """How many new paths to generate now, with `alive` under way and `remaining` not yet begun."""
+        if alive and alive >= self.low:
+            return 0
+        return max(0, min(self.high - alive, remaining))
+
+
+def water_marks(settings: RenderSettings, path_count: int) -> WaterMarks:
+    """Water marks of a worker with `path_count` slots; at least one path is kept alive."""
+    high = max(1, min(path_count, round(settings.ray_high_water * path_count)))
+    low = max(1, min(high, round(settings.ray_low_water * path_count)))
+    return WaterMarks(path_count, low, high)
+
+
+def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool) -> int:
+    """Path slots of each worker."""
+    if settings.ray_count:
+        return max(1, settings.ray_count // workers)
+    return CUDA_RAYS if is_cuda else CPU_RAYS_A_WORKER
+
+
+def tile_edge(settings: RenderSettings, is_cuda: bool, width: int, height: int) -> int:
+    """Edge of the tiles [pixels]; where it is chosen here, at least four tiles cover a frame that can be cut so."""
+    if settings.tile_size:
+        return settings.tile_size
+    edge = CUDA_TILE if is_cuda else CPU_TILE
+    return max(1, min(edge, -(-max(width, height) // 2), -(-min(width, height) // 2) if min(width, height) > 1 else 1 << 30))
+
+
+def tiles(region: tuple[int, int, int, int], edge: int) -> Iterator[Rectangle]:
+    """Tiles that cover `region`, from its top, where a viewer looks first, row by row."""
+    x0, y0, x1, y1 = region
+    for top in range(y1, y0, -edge):
+        bottom = max(y0, top - edge)
+        for x in range(x0, x1, edge):
+            yield Rectangle(x, bottom, min(edge, x1 - x), top - bottom)
+
+
+def reduced_path_count(path_count: int, bytes_a_path: int, budget: int) -> int:
+    """Largest power-of-two part of `path_count` that fits `budget` bytes; 0 when not even 256 paths fit."""
+    while path_count > 1 and path_count * bytes_a_path > budget:
+        path_count //= 2
+    return path_count if path_count * bytes_a_path <= budget else 0

@@ -1,0 +1,102 @@
+"""Stage: new paths start at the camera, in free slots. Next: `trace`."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import warp as wp
+
+from ...kernel import KERNEL_OPTIONS
+from ...scene.description import CameraKind, Visibility
+from ...shading.camera import CameraData, CameraFeatures, make_camera_ray
+from ...shading.sampling import FILTER, LENS, make_sampler, pixel_key, sample_filter
+from ..rays import Paths, Rays, Status
+from .limits import PathLimits
+
+NEW_PATH = int(Status.ALIVE | Status.RAY_NEW)
+CAMERA_RAY = int(Visibility.CAMERA)
+
+
+@dataclass(frozen=True)
+class GenerateFeatures:
+    """What the stage is specialised on."""
+
+    camera: CameraKind
+    depth_of_field: bool
+    sample_sequence: str
+    transparency: bool
+    film_transparent: bool
+    normal_pass: bool
+    pixel_first: bool
+
+
+@wp.struct
+class TileWork:
+    """The paths of a tile, numbered: item -> (pixel, sample)."""
+
+    x: int  # of the tile's bottom left in the frame [pixels]
+    y: int
+    width: int
+    height: int
+    frame_width: int
+    sample_first: wp.int64
+    sample_count: wp.int64
+    item_first: wp.int64  # next item that was not begun
+    filter_table: wp.array(dtype=float)
+
+
+@functools.cache
+def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
+    """Kernel (work, limits, camera, paths, rays, slots): item `item_first + i` starts in free slot `slots[i]`."""
+    sampler = make_sampler(features.sample_sequence)
+    sample_2d = sampler.sample_2d
+    camera_ray = make_camera_ray(CameraFeatures(features.camera, features.depth_of_field))
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def generate(
+        work: TileWork, limits: PathLimits, camera: CameraData, paths: Paths, rays: Rays, slots: wp.array(dtype=int)
+    ):
+        i = wp.tid()
+        path = slots[i]
+        item = work.item_first + wp.int64(i)
+        pixel_count = wp.int64(work.width) * wp.int64(work.height)
+        pixel = int(0)
+        sample = wp.int64(0)
+        if wp.static(features.pixel_first):
+            pixel = int(item / work.sample_count)
+            sample = work.sample_first + item % work.sample_count
+        else:
+            pixel = int(item % pixel_count)
+            sample = work.sample_first + item / pixel_count
+        x = work.x + pixel % work.width
+        y = work.y + pixel / work.width
+
+        key = pixel_key(limits.seed, wp.uint32(y) * wp.uint32(work.frame_width) + wp.uint32(x))
+        index = wp.uint32(sample)
+        offset = sample_filter(work.filter_table, sample_2d(key, index, wp.uint32(FILTER)))
+        lens = wp.vec2(0.5, 0.5)
+        if wp.static(features.depth_of_field):
+            lens = sample_2d(key, index, wp.uint32(LENS))
+        origin, direction, t_max = camera_ray(camera, float(x) + 0.5 + offset[0], float(y) + 0.5 + offset[1], lens)
+
+        rays.origin[path] = origin
+        rays.direction[path] = direction
+        rays.t_max[path] = t_max
+        rays.visibility[path] = wp.static(CAMERA_RAY)
+        paths.pixel[path] = pixel
+        paths.sample[path] = index
+        paths.bounce[path] = 0
+        paths.throughput[path] = wp.vec3(1.0, 1.0, 1.0)
+        paths.radiance[path] = wp.vec3(0.0, 0.0, 0.0)
+        paths.pdf[path] = 0.0
+        if wp.static(features.transparency):
+            paths.passed[path] = 0
+            paths.passed_t[path] = 0.0
+        if wp.static(features.film_transparent):
+            paths.alpha[path] = 1.0
+        if wp.static(features.normal_pass):
+            paths.normal[path] = wp.vec3(0.0, 0.0, 0.0)
+        paths.status[path] = wp.static(NEW_PATH)
+
+    return generate

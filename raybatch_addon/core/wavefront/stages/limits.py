@@ -1,0 +1,45 @@
+"""Numbers that end or bound paths, and what several shading stages share."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ...settings import RenderSettings
+
+
+@wp.struct
+class PathLimits:
+    """From `RenderSettings`, for kernels."""
+
+    seed: wp.uint32
+    bounce_max: int
+    transparent_bounce_max: int
+    roulette_bounce: int
+    clamp_direct: float  # 0: no limit
+    clamp_indirect: float
+    nee_end: int  # light is sampled left of this column of the frame
+
+
+def path_limits(settings: RenderSettings, frame_width: int) -> PathLimits:
+    """The limits that `settings` ask for in a frame of this width."""
+    limits = PathLimits()
+    limits.seed = settings.seed
+    limits.bounce_max = settings.bounce_max
+    limits.transparent_bounce_max = settings.transparent_bounce_max
+    limits.roulette_bounce = settings.roulette_bounce
+    limits.clamp_direct = settings.clamp_direct
+    limits.clamp_indirect = settings.clamp_indirect
+    limits.nee_end = {"ON": frame_width, "OFF": 0, "HALF": frame_width // 2}[settings.nee]
+    return limits
+
+
+@wp.func
+def clamped(limits: PathLimits, light: wp.vec3, bounce: int) -> wp.vec3:
+    """`light` that reaches the camera over `bounce` scattering events, scaled down to the limit for it."""
+    limit = limits.clamp_indirect
+    if bounce <= 1:
+        limit = limits.clamp_direct
+    largest = wp.max(light[0], wp.max(light[1], light[2]))
+    if limit > 0.0 and largest > limit:
+        return light * (limit / largest)
+    return light

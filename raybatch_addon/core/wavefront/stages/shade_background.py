@@ -1,0 +1,116 @@
+"""Stage: light that a ray meets outside surfaces: lights without mesh on its way, and the world behind. Then the path ends."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import warp as wp
+
+from ...kernel import KERNEL_OPTIONS
+from ...scene.description import LightKind
+from ...shading.lights import LightFeatures, make_lights
+from ..device_scene import SceneData
+from ..rays import Paths, Rays, Status
+from .accumulate import FilmTile
+from .limits import PathLimits, clamped
+
+ENDED = int(Status.ENDED)
+# What Blender writes as the depth of nothing [m]
+DEPTH_OF_NOTHING = 1e10
+
+
+@dataclass(frozen=True)
+class LightHitFeatures:
+    """What the light stage is specialised on."""
+
+    lights: tuple[LightKind, ...]
+    light_sphere: bool
+    light_hits: bool
+    transparency: bool
+    clamping: bool
+
+
+@dataclass(frozen=True)
+class BackgroundFeatures:
+    """What the background stage is specialised on."""
+
+    world: bool
+    film_transparent: bool
+    depth_pass: bool
+    clamping: bool
+
+
+@functools.cache
+def light_hit_kernel(features: LightHitFeatures) -> wp.Kernel:
+    """Kernel (data, limits, paths, rays, slots, count): lights that rays met on their way."""
+    lights = make_lights(LightFeatures(features.lights, features.light_sphere, features.light_hits, False))
+    intersect = lights.intersect
+    miss = lights.miss
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def light_hits(
+        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)
+    ):
+        i = wp.tid()
+        if i >= count[0]:
+            return
+        path = slots[i]
+        direction = rays.direction[path]
+        visibility = rays.visibility[path]
+        pdf = paths.pdf[path]
+        t_min = float(0.0)
+        if wp.static(features.transparency):
+            t_min = paths.passed_t[path]
+        t_max = t_min + rays.t_max[path]
+        if rays.hit_instance[path] >= 0:
+            t_max = t_min + rays.hit_t[path]
+        # densities are those at the last scattering, behind the transparent surfaces that were passed since
+        origin = rays.origin[path] - t_min * direction
+        light = intersect(data.lights, origin, direction, t_min, t_max, visibility, pdf)
+        if rays.hit_instance[path] < 0:
+            light = light + miss(data.lights, direction, visibility, pdf)
+        light = wp.cw_mul(paths.throughput[path], light)
+        if wp.static(features.clamping):
+            light = clamped(limits, light, paths.bounce[path])
+        paths.radiance[path] = paths.radiance[path] + light
+
+    return light_hits
+
+
+@functools.cache
+def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
+    """Kernel (data, limits, paths, rays, film, slots, count): rays that leave the scene."""
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def background(
+        data: SceneData,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        film: FilmTile,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
+    ):
+        i = wp.tid()
+        if i >= count[0]:
+            return
+        path = slots[i]
+        throughput = paths.throughput[path]
+        shows_world = bool(True)
+        if wp.static(features.film_transparent):
+            if paths.bounce[path] == 0:
+                shows_world = False
+                paths.alpha[path] = 1.0 - (throughput[0] + throughput[1] + throughput[2]) / 3.0
+        if wp.static(features.world):
+            if shows_world and (data.world_visibility & rays.visibility[path]) != 0:
+                light = wp.cw_mul(throughput, data.world)
+                if wp.static(features.clamping):
+                    light = clamped(limits, light, paths.bounce[path])
+                paths.radiance[path] = paths.radiance[path] + light
+        if wp.static(features.depth_pass):
+            if paths.sample[path] == wp.uint32(0) and paths.bounce[path] == 0 and film.depth[paths.pixel[path]] == 0.0:
+                film.depth[paths.pixel[path]] = wp.static(DEPTH_OF_NOTHING)
+        paths.status[path] = paths.status[path] | wp.static(ENDED)
+
+    return background

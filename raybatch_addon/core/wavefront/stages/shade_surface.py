@@ -1,0 +1,304 @@
+"""Stage: a ray has met a surface. It emits, a light is sampled, and the path scatters. Next: `trace`, or `accumulate`."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import warp as wp
+
+from ...kernel import KERNEL_OPTIONS
+from ...scene.description import ClosureKind, LightKind, Visibility
+from ...shading.closures import DELTA, DIFFUSE, TRANSMISSION, TRANSPARENT, ClosureFeatures, ShadingFrame, make_bsdf
+from ...shading.lights import LightFeatures, make_lights, power_heuristic
+from ...shading.sampling import (
+    BSDF,
+    DIMENSIONS_PER_BOUNCE,
+    LIGHT,
+    LIGHT_CHOICE,
+    LOBE,
+    ROULETTE,
+    bitangent_of,
+    make_sampler,
+    pixel_key,
+    tangent_of,
+)
+from ...shading.surface import SurfacePoint, make_surface, spawn_origin
+from ..device_scene import SceneData
+from ..rays import Paths, Rays, Status
+from .accumulate import FilmTile
+from .generate import TileWork
+from .limits import PathLimits, clamped
+
+RAY_NEW = int(Status.RAY_NEW)
+SHADOW_NEW = int(Status.SHADOW_NEW)
+SHADOW_OUT = int(Status.SHADOW_OUT)
+HIT = int(Status.HIT)
+ENDED = int(Status.ENDED)
+# Passes by shadow rays are counted above those of extending rays
+SHADOW_PASS = 1 << 16
+
+
+@dataclass(frozen=True)
+class SurfaceFeatures:
+    """What the stage is specialised on; the fields are those of `SceneFeatures`."""
+
+    closures: tuple[ClosureKind, ...]
+    lights: tuple[LightKind, ...]
+    light_sphere: bool
+    mesh_lights: bool
+    shadow_rays: bool
+    instancing: bool
+    smooth_normals: bool
+    sample_sequence: str
+    passes: tuple[str, ...]
+    clamping: bool
+    roulette: bool
+
+    @property
+    def transparency(self) -> bool:
+        """Surfaces that rays pass straight through."""
+        return ClosureKind.TRANSPARENT in self.closures
+
+    @property
+    def emission(self) -> bool:
+        """Surfaces that emit."""
+        return ClosureKind.EMISSION in self.closures
+
+
+@wp.func
+def is_positive(light: wp.vec3) -> bool:
+    """Whether any channel is above 0."""
+    return light[0] > 0.0 or light[1] > 0.0 or light[2] > 0.0
+
+
+@wp.func
+def shading_frame(surface: SurfacePoint, wo: wp.vec3) -> ShadingFrame:
+    """The frame on the side of `wo`."""
+    frame = ShadingFrame()
+    frame.geometric_normal = surface.geometric_normal
+    frame.normal = surface.normal
+    frame.entering = 1
+    if wp.dot(wo, surface.geometric_normal) < 0.0:
+        frame.geometric_normal = -frame.geometric_normal
+        frame.normal = -frame.normal
+        frame.entering = 0
+    # an interpolated normal that is turned away from the viewer cannot be shaded
+    if wp.dot(wo, frame.normal) <= 0.0:
+        frame.normal = frame.geometric_normal
+    frame.tangent = tangent_of(frame.normal)
+    frame.bitangent = bitangent_of(frame.normal)
+    return frame
+
+
+@functools.cache
+def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
+    """Kernel (data, work, limits, paths, rays, film, slots, count)."""
+    sampler = make_sampler(features.sample_sequence)
+    sample_1d = sampler.sample_1d
+    sample_2d = sampler.sample_2d
+    surface_point = make_surface(features.instancing, features.smooth_normals).point
+    bsdf = make_bsdf(ClosureFeatures(features.closures))
+    bsdf_evaluate = bsdf.evaluate
+    bsdf_sample = bsdf.sample
+    bsdf_emission = bsdf.emission
+    lights = make_lights(LightFeatures(features.lights, features.light_sphere, False, features.mesh_lights))
+    light_sample = lights.sample
+    light_hit_pdf = lights.hit_pdf
+
+    @wp.func
+    def gather_emission(
+        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, material: int, seen_from: float
+    ):
+        emission = bsdf_emission(data.materials, material)
+        if is_positive(emission):
+            weight = float(1.0)
+            pdf = paths.pdf[path]
+            if pdf > 0.0:
+                light_pdf = light_hit_pdf(
+                    data.lights, data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.direction[path],
+                    seen_from + rays.hit_t[path],
+                )  # fmt: skip
+                weight = power_heuristic(pdf, light_pdf)
+            light = weight * wp.cw_mul(paths.throughput[path], emission)
+            if wp.static(features.clamping):
+                light = clamped(limits, light, paths.bounce[path])
+            paths.radiance[path] = paths.radiance[path] + light
+
+    @wp.func
+    def connect_light(
+        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, surface: SurfacePoint, frame: ShadingFrame,
+        u_choice: float, u: wp.vec2,
+    ) -> int:  # fmt: skip
+        """Aim a shadow ray at a light; returns the status bit that submits it, or 0."""
+        light = light_sample(data.lights, data.geometry, surface.position, u_choice, u)
+        if light.pdf <= 0.0 or (light.visibility & wp.static(int(Visibility.ALL ^ Visibility.CAMERA))) == 0:
+            return 0
+        value = bsdf_evaluate(data.materials, surface.material, frame, -rays.direction[path], light.direction)
+        if not is_positive(value.value):
+            return 0
+        weight = 1.0 / light.pdf
+        if light.delta == 0:
+            weight = power_heuristic(light.pdf, value.pdf) / light.pdf
+        contribution = weight * wp.cw_mul(wp.cw_mul(paths.throughput[path], value.value), light.radiance)
+        if wp.static(features.clamping):
+            contribution = clamped(limits, contribution, paths.bounce[path] + 1)
+        if not is_positive(contribution):
+            return 0
+        if light.casts_shadow == 0:
+            paths.radiance[path] = paths.radiance[path] + contribution
+            return 0
+        origin = spawn_origin(surface.position, surface.error, frame.geometric_normal, light.direction)
+        slot = paths.status.shape[0] + path
+        rays.origin[slot] = origin
+        rays.direction[slot] = light.direction
+        # the light itself must not hide the light: stop before the box of places where its point may be
+        rays.t_max[slot] = light.distance - light.distance_error - wp.length(origin - surface.position)
+        rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
+        paths.shadow_light[path] = contribution
+        return wp.static(SHADOW_NEW)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def shade(
+        data: SceneData,
+        work: TileWork,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        film: FilmTile,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
+    ):
+        i = wp.tid()
+        if i >= count[0]:
+            return
+        path = slots[i]
+        bounce = paths.bounce[path]
+        pixel = paths.pixel[path]
+        sample = paths.sample[path]
+        direction = rays.direction[path]
+        hit_t = rays.hit_t[path]
+        passed = int(0)
+        passed_t = float(0.0)
+        if wp.static(features.transparency):
+            passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
+            passed_t = paths.passed_t[path]
+        surface = surface_point(data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path])
+        frame = shading_frame(surface, -direction)
+
+        if bounce == 0 and passed == 0:
+            if wp.static("Normal" in features.passes):
+                paths.normal[path] = frame.normal
+            if sample == wp.uint32(0):
+                if wp.static("Depth" in features.passes):
+                    film.depth[pixel] = wp.dot(surface.position - data.view_origin, data.view_axis)
+                if wp.static("Position" in features.passes):
+                    film.position[pixel] = surface.position
+
+        if wp.static(features.emission):
+            gather_emission(data, limits, paths, rays, path, surface.material, passed_t)
+
+        status = paths.status[path] & ~wp.static(HIT)
+        if bounce > limits.bounce_max:
+            paths.status[path] = status | wp.static(ENDED)
+            return
+
+        x = work.x + pixel % work.width
+        y = work.y + pixel / work.width
+        key = pixel_key(limits.seed, wp.uint32(y) * wp.uint32(work.frame_width) + wp.uint32(x))
+        # every surface that a path meets has numbers of its own, also those that it passes
+        dimension = wp.uint32(bounce + passed) * wp.uint32(DIMENSIONS_PER_BOUNCE)
+
+        if wp.static(features.shadow_rays):
+            if x < limits.nee_end:
+                status = status | connect_light(
+                    data, limits, paths, rays, path, surface, frame,
+                    sample_1d(key, sample, dimension + wp.uint32(LIGHT_CHOICE)), sample_2d(key, sample, dimension + wp.uint32(LIGHT)),
+                )  # fmt: skip
+
+        scattered = bsdf_sample(
+            data.materials, surface.material, frame, -direction,
+            sample_1d(key, sample, dimension + wp.uint32(LOBE)), sample_2d(key, sample, dimension + wp.uint32(BSDF)),
+        )  # fmt: skip
+        throughput = wp.cw_mul(paths.throughput[path], scattered.weight)
+        goes_on = is_positive(throughput)
+
+        if wp.static(features.transparency):
+            if (scattered.lobe & TRANSPARENT) != 0:
+                # the path goes straight on: it remembers where it last scattered, and how
+                goes_on = goes_on and passed < limits.transparent_bounce_max
+                paths.passed[path] = passed + 1
+                paths.passed_t[path] = passed_t + hit_t
+            else:
+                paths.passed[path] = passed
+                paths.passed_t[path] = 0.0
+        if (scattered.lobe & TRANSPARENT) == 0:
+            paths.bounce[path] = bounce + 1
+            pdf = scattered.pdf
+            if (scattered.lobe & DELTA) != 0 or x >= limits.nee_end:
+                pdf = 0.0
+            paths.pdf[path] = pdf
+            seen_by = wp.static(int(Visibility.GLOSSY))
+            if (scattered.lobe & TRANSMISSION) != 0:
+                seen_by = wp.static(int(Visibility.TRANSMISSION))
+            elif (scattered.lobe & DIFFUSE) != 0:
+                seen_by = wp.static(int(Visibility.DIFFUSE))
+            rays.visibility[path] = seen_by
+            if wp.static(features.roulette):
+                if goes_on and bounce >= limits.roulette_bounce:
+                    survival = wp.min(wp.max(throughput[0], wp.max(throughput[1], throughput[2])), 1.0)
+                    if sample_1d(key, sample, dimension + wp.uint32(ROULETTE)) >= survival:
+                        goes_on = False
+                    throughput = throughput / survival
+
+        if goes_on:
+            paths.throughput[path] = throughput
+            rays.origin[path] = spawn_origin(surface.position, surface.error, frame.geometric_normal, scattered.direction)
+            rays.direction[path] = scattered.direction
+            rays.t_max[path] = wp.inf
+            status = status | wp.static(RAY_NEW)
+        else:
+            status = status | wp.static(ENDED)
+        paths.status[path] = status
+
+    return shade
+
+
+@functools.cache
+def transparent_shadow_kernel(features: SurfaceFeatures) -> wp.Kernel:
+    """Kernel (data, limits, paths, rays, slots, count): shadow rays of scenes in which surfaces may let them through.
+
+    They come back with closest hits, in order, and go on behind each surface that is not opaque.
+    """
+    surface_point = make_surface(features.instancing, features.smooth_normals).point
+    transparency = make_bsdf(ClosureFeatures(features.closures)).transparency
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def connect_transparent(
+        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)
+    ):
+        i = wp.tid()
+        if i >= count[0]:
+            return
+        slot = slots[i]
+        path = slot - paths.status.shape[0]
+        status = paths.status[path] & ~wp.static(SHADOW_OUT)
+        passed = paths.passed[path]
+        if rays.hit_instance[slot] < 0:
+            paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
+        else:
+            surface = surface_point(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot])
+            light = wp.cw_mul(paths.shadow_light[path], transparency(data.materials, surface.material))
+            if is_positive(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
+                direction = rays.direction[slot]
+                origin = spawn_origin(surface.position, surface.error, surface.geometric_normal, direction)
+                rays.t_max[slot] = rays.t_max[slot] - wp.dot(origin - rays.origin[slot], direction)
+                rays.origin[slot] = origin
+                paths.shadow_light[path] = light
+                paths.passed[path] = passed + wp.static(SHADOW_PASS)
+                status = status | wp.static(SHADOW_NEW)
+        if (status & wp.static(SHADOW_NEW)) == 0:
+            paths.passed[path] = passed & wp.static(SHADOW_PASS - 1)
+        paths.status[path] = status
+
+    return connect_transparent

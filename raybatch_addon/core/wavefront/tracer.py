@@ -1,0 +1,61 @@
+"""What the integrator asks of a tracer, and the reference tracer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import warp as wp
+
+from ..bvh.reference import ReferenceTree
+from .rays import RayKind, Rays
+from .stages.trace import trace_kernel
+
+
+@dataclass(frozen=True)
+class SlotList:
+    """Ray slots on the device; the length is known exactly there and bounded on the host."""
+
+    slots: wp.array  # int32, shape [>= bound]
+    count: wp.array  # int32, shape [1]
+    bound: int  # at least `count[0]`
+
+
+class Tracer(Protocol):
+    """Resumable ray queries: rays of many bounces, of both kinds, may be under way at once."""
+
+    def submit(self, kind: RayKind, rays: SlotList) -> None:
+        """Take rays in; their slots must not be touched until they come back."""
+
+    def advance(self) -> None:
+        """Work on rays that are under way; at least one of them finishes."""
+
+    def take_finished(self) -> list[tuple[RayKind, SlotList]]:
+        """Rays that are done since the last call, their hits written to their slots."""
+
+
+class ReferenceTracer:
+    """A `Tracer` in which every ray visits the whole tree as soon as it is told to advance."""
+
+    def __init__(self, tree: ReferenceTree, rays: Rays, instancing: bool, device: wp.Device):
+        self._tree = tree
+        self._rays = rays
+        self._instancing = instancing
+        self._device = device
+        self._under_way: list[tuple[RayKind, SlotList]] = []
+        self._finished: list[tuple[RayKind, SlotList]] = []
+
+    def submit(self, kind: RayKind, rays: SlotList) -> None:
+        if rays.bound:
+            self._under_way.append((kind, rays))
+
+    def advance(self) -> None:
+        for kind, rays in self._under_way:
+            kernel = trace_kernel(kind, self._instancing)
+            wp.launch(kernel, rays.bound, [self._tree, self._rays, rays.slots, rays.count], device=self._device)
+        self._finished += self._under_way
+        self._under_way = []
+
+    def take_finished(self) -> list[tuple[RayKind, SlotList]]:
+        finished, self._finished = self._finished, []
+        return finished

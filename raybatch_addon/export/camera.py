@@ -1,0 +1,109 @@
+"""Blender's camera as the core's `Camera`, framed as Blender frames it."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ..core.errors import SceneError
+from ..core.scene.description import Camera, CameraKind
+
+# Smallest f-number of Cycles, which keeps the aperture finite
+_FSTOP_MIN = 1e-5
+
+
+def export_camera(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, width: int, height: int, warnings: list[str]) -> Camera:
+    """The active camera of `scene` for a full frame of `width` x `height` pixels.
+
+    Raises `SceneError` for no camera, an object that is none, a matrix that is singular or not finite, and clipping
+    that leaves nothing.
+    """
+    if scene.camera is None:
+        raise SceneError(f"scene “{scene.name}” has no camera; add one (Add > Camera) and make it the scene's active camera")
+    obj = scene.camera.evaluated_get(depsgraph)
+    if obj.type != "CAMERA":
+        kind = obj.type.lower()
+        raise SceneError(f"the active camera “{obj.name}” of scene “{scene.name}” is a {kind}; make a camera the active one")
+    camera = obj.data
+    name = f"camera “{obj.name}”"
+    transform = _transform(obj, name)
+    kind = CameraKind.ORTHOGRAPHIC if camera.type == "ORTHO" else CameraKind.PERSPECTIVE
+    if camera.type not in ("PERSP", "ORTHO"):
+        warnings.append(f"{name}: {_type_label(camera)} cameras are not supported; it is rendered as a perspective camera")
+    if camera.clip_end <= camera.clip_start:
+        raise SceneError(f"{name}: its clip end ({camera.clip_end:g}) is not beyond its clip start ({camera.clip_start:g}); raise it")
+    return Camera(
+        kind=kind,
+        transform=transform,
+        window=_window(camera, kind, scene.render, width, height),
+        clip_start=float(camera.clip_start),
+        clip_end=float(camera.clip_end),
+        **_depth_of_field(obj, kind, transform, depsgraph, name, warnings),
+    )
+
+
+def _transform(obj: bpy.types.Object, name: str) -> np.ndarray:
+    """Camera to world without scale, as Blender views through it: shape [3, 4]."""
+    matrix = np.array(obj.matrix_world, float)
+    if not np.isfinite(matrix).all():
+        raise SceneError(f"{name}: its matrix is not finite; reset its location, rotation and scale")
+    scale = np.linalg.norm(matrix[:3, :3], axis=0)
+    axes = matrix[:3, :3] / np.where(scale > 0, scale, 1)
+    # axes of unit length span a volume of 1, less where they are sheared
+    if abs(np.linalg.det(axes)) < np.finfo(np.float32).eps:
+        raise SceneError(f"{name}: its matrix is singular; give it, and what it is parented to, a scale that is not 0")
+    return np.column_stack([axes, matrix[:3, 3]]).astype(np.float32)
+
+
+def _window(camera: bpy.types.Camera, kind: CameraKind, render: bpy.types.RenderSettings, width: int, height: int):
+    """Left, right, bottom, top edges of the frame one metre ahead, or of an orthographic camera's view [m]."""
+    span = np.array([width * render.pixel_aspect_x, height * render.pixel_aspect_y])
+    fit = camera.sensor_fit
+    along = {"HORIZONTAL": 0, "VERTICAL": 1}.get(fit, int(span[1] > span[0]))
+    if kind == CameraKind.ORTHOGRAPHIC:
+        extent = camera.ortho_scale
+    else:
+        extent = (camera.sensor_height if fit == "VERTICAL" else camera.sensor_width) / camera.lens
+    # the sensor's extent lies along the axis of the fit; shift is in units of it on both axes
+    half = extent / 2 * span / span[along]
+    centre = np.array([camera.shift_x, camera.shift_y]) * extent
+    left, bottom = (float(edge) for edge in centre - half)
+    right, top = (float(edge) for edge in centre + half)
+    return left, right, bottom, top
+
+
+def _depth_of_field(obj, kind: CameraKind, transform: np.ndarray, depsgraph, name: str, warnings: list[str]) -> dict:
+    camera = obj.data
+    if not camera.dof.use_dof:
+        return {}
+    distance = _focus_distance(camera, transform, depsgraph)
+    if not np.isfinite(distance) or distance <= 0:
+        warnings.append(f"{name}: its focus distance is {distance:g}, where nothing can be sharp; depth of field is left out")
+        return {}
+    # a focal length in millimetres over twice the f-number; an orthographic camera counts as one of one metre
+    focal_length = 1.0 if kind == CameraKind.ORTHOGRAPHIC else camera.lens * 1e-3
+    return dict(
+        lens_radius=focal_length / (2 * max(camera.dof.aperture_fstop, _FSTOP_MIN)),
+        focus_distance=float(distance),
+        blade_count=int(camera.dof.aperture_blades),
+        blade_rotation=float(camera.dof.aperture_rotation),
+        lens_ratio=float(camera.dof.aperture_ratio),
+    )
+
+
+def _focus_distance(camera: bpy.types.Camera, transform: np.ndarray, depsgraph) -> float:
+    """Along the view axis [m], to the focus object or its bone where there is one."""
+    target = camera.dof.focus_object
+    if target is None:
+        return float(camera.dof.focus_distance)
+    target = target.evaluated_get(depsgraph)
+    matrix = target.matrix_world
+    bone = target.pose.bones.get(camera.dof.focus_subtarget) if target.pose and camera.dof.focus_subtarget else None
+    if bone is not None:
+        matrix = matrix @ bone.matrix
+    return abs(float((np.array(matrix.translation) - transform[:, 3]) @ transform[:, 2]))
+
+
+def _type_label(camera: bpy.types.Camera) -> str:
+    items = camera.bl_rna.properties["type"].enum_items
+    return items[camera.type].name.lower() if camera.type in items else camera.type.lower()

@@ -1,0 +1,218 @@
+"""Placements: the depsgraph's objects and instances as the core's meshes, `Instances` and lights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..core.scene.description import Instances, Light, Mesh, Visibility
+from .lights import export_light
+from .materials import MaterialTable
+from .meshes import export_mesh, slot_count
+
+# Instances between two looks at the clock of whoever waits for a cancel
+_CANCEL_INTERVAL = 256
+
+# A matrix composed in float32 from a few products has elements wrong by about this much, relatively
+_MATRIX_ERROR = 8 * 2.0**-24
+
+_SOLID_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+_UNSUPPORTED_TYPES = {"VOLUME": "volumes", "CURVES": "hair curves", "POINTCLOUD": "point clouds", "GREASEPENCIL": "Grease Pencil"}
+
+
+class Cancelled(Exception):
+    """The export was given up because its caller asked for it."""
+
+
+@dataclass(frozen=True)
+class _Template:
+    """What all placements of one mesh by one object share."""
+
+    mesh: int
+    slot_first: int
+    visibility: int
+    object: int
+
+
+@dataclass
+class Placements:
+    """Everything of the depsgraph that can be placed, collected in one pass."""
+
+    meshes: list[Mesh] = field(default_factory=list)
+    materials: MaterialTable = field(default_factory=MaterialTable)
+    slot_materials: list[int] = field(default_factory=list)
+    lights: list[Light] = field(default_factory=list)
+    object_names: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    _templates: list[_Template] = field(default_factory=list)
+    _matrices: list[Any] = field(default_factory=list)
+
+    def instances(self) -> Instances:
+        """The placements, without those whose matrix cannot be used; these are named in `warnings`."""
+        count = len(self._templates)
+        if count == 0:
+            return Instances.empty()
+        transform = np.array(self._matrices, np.float32).reshape(count, 4, 4)[:, :3]
+        table = np.array([(t.mesh, t.slot_first, t.visibility, t.object) for t in self._templates], np.int32)
+        usable = np.ones(count, bool)
+        finite = np.isfinite(transform).all(axis=(1, 2))
+        singular = finite & is_singular(np.where(finite[:, None, None], transform, 0))
+        for bad, reason in (
+            (~finite, "its matrix is not finite; reset its location, rotation and scale"),
+            (singular, "it is flattened to nothing (its matrix is singular); give it, and what it is parented to, a scale that is not 0"),
+        ):
+            usable &= ~bad
+            for index, times in zip(*np.unique(table[bad, 3], return_counts=True)):
+                how_often = f" ({times:,} instances)" if times > 1 else ""
+                self.warnings.append(f"object “{self.object_names[index]}”{how_often} is left out: {reason}")
+        mesh, slot_first, visibility, owner = np.ascontiguousarray(table[usable].T)
+        return Instances(mesh, np.ascontiguousarray(transform[usable]), slot_first, visibility, owner)
+
+
+def is_singular(transform: np.ndarray) -> np.ndarray:
+    """Whether matrices [n, 3 or more, 4] collapse space, as far as float32 can tell: bool, shape [n].
+
+    The determinant is at most the product of the columns' lengths (Hadamard), and known to within the error
+    of the elements relative to that product.
+    """
+    linear = transform[:, :3, :3].astype(np.float64)
+    return np.abs(np.linalg.det(linear)) <= _MATRIX_ERROR * np.linalg.norm(linear, axis=1).prod(axis=1)
+
+
+def collect_placements(depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool]) -> Placements:
+    """One pass over the objects and instances of `depsgraph`. Raises `Cancelled`."""
+    collector = _Collector(depsgraph)
+    for count, placed in enumerate(depsgraph.object_instances):
+        if count % _CANCEL_INTERVAL == 0 and cancelled():
+            raise Cancelled
+        collector.add(placed, cancelled)
+    return collector.finish()
+
+
+class _Collector:
+    """Goes over a depsgraph. The iterator's objects are temporary: only copies and keys of them are kept."""
+
+    def __init__(self, depsgraph: bpy.types.Depsgraph) -> None:
+        self.view_layer = depsgraph.view_layer
+        self.viewport = depsgraph.mode != "RENDER"
+        self.placements = Placements()
+        self._templates: dict[Any, _Template | None] = {}
+        self._meshes: dict[Any, int | None] = {}
+        self._object_index: dict[str, int] = {}
+        self._unsupported: dict[str, list[str]] = {}
+        self._visibilities: dict[int, int] = {}
+
+    def add(self, placed: bpy.types.DepsgraphObjectInstance, cancelled: Callable[[], bool]) -> None:
+        """Takes one item of the depsgraph's list."""
+        obj = placed.object
+        kind = obj.type
+        if not placed.is_instance:
+            if self.viewport and obj.original.hide_render:
+                return  # a render's own depsgraph leaves these out by itself
+            self._note_unsupported(obj, placed)
+        if kind == "LIGHT":
+            self._add_light(placed, obj)
+            return
+        # Curves, text, surfaces and metaballs come twice: as themselves, and as an instance of their evaluated mesh
+        if kind not in _SOLID_TYPES or not placed.show_self or not isinstance(obj.data, bpy.types.Mesh):
+            return
+        data = obj.data
+        key = (obj.original.as_pointer(), placed.parent.original.as_pointer() if placed.parent else 0, data.as_pointer(), data.session_uid)
+        if key not in self._templates:
+            if cancelled():
+                raise Cancelled
+            self._templates[key] = self._template(placed, obj, data)
+        template = self._templates[key]
+        if template is not None:
+            self.placements._templates.append(template)
+            self.placements._matrices.append([tuple(row) for row in placed.matrix_world])
+
+    def finish(self) -> Placements:
+        """All that was collected, with the warnings that needed the whole list."""
+        placements = self.placements
+        for what, names in self._unsupported.items():
+            named = ", ".join(f"“{name}”" for name in names)
+            placements.warnings.append(f"{what} not supported yet: {named}")
+        placements.warnings += placements.materials.warnings()
+        return placements
+
+    def _add_light(self, placed, obj) -> None:
+        light = export_light(obj, placed.matrix_world.copy(), self.placements.warnings)
+        if light is not None:
+            self.placements.lights.append(light)
+
+    def _template(self, placed, obj, data) -> _Template | None:
+        visibility = self._visibility(obj)
+        if placed.is_instance and placed.parent is not None:
+            visibility &= self._visibility(placed.parent)
+        if visibility == 0:
+            return None
+        mesh = self._mesh(obj, data)
+        if mesh is None:
+            return None
+        return _Template(mesh, self._slots(obj, data), visibility, self._name_index(obj.name))
+
+    def _mesh(self, obj, data) -> int | None:
+        key = (data.as_pointer(), data.session_uid)
+        if key not in self._meshes:
+            # A mesh that is being edited has its triangles elsewhere, until it is asked for as a mesh
+            edited = data.is_editmode
+            exported = export_mesh(obj.to_mesh() if edited else data, obj.name, self.placements.warnings)
+            if edited:
+                obj.to_mesh_clear()
+            self._meshes[key] = None if exported is None else len(self.placements.meshes)
+            if exported is not None:
+                self.placements.meshes.append(exported)
+        return self._meshes[key]
+
+    def _slots(self, obj, data) -> int:
+        """Appends the materials of the object's slots; returns where they begin."""
+        slots = obj.material_slots
+        wanted = []
+        for i in range(slot_count(data)):
+            material = slots[i].material if i < len(slots) else data.materials[i] if i < len(data.materials) else None
+            wanted.append(self.placements.materials.index(material, obj.name))
+        first = len(self.placements.slot_materials)
+        self.placements.slot_materials += wanted
+        return first
+
+    def _visibility(self, obj) -> int:
+        original = obj.original
+        key = original.as_pointer()
+        if key not in self._visibilities:
+            seen = Visibility(0)
+            for ray in Visibility:
+                if ray in (Visibility.CAMERA, Visibility.DIFFUSE, Visibility.GLOSSY, Visibility.TRANSMISSION, Visibility.SHADOW):
+                    seen |= ray if getattr(obj, f"visible_{ray.name.lower()}") else Visibility(0)
+            if original.indirect_only_get(view_layer=self.view_layer):
+                seen &= ~Visibility.CAMERA
+            self._visibilities[key] = int(seen)
+        return self._visibilities[key]
+
+    def _name_index(self, name: str) -> int:
+        if name not in self._object_index:
+            self._object_index[name] = len(self.placements.object_names)
+            self.placements.object_names.append(name)
+        return self._object_index[name]
+
+    def _note_unsupported(self, obj, placed) -> None:
+        """Remembers by name what of `obj` is not rendered as it is."""
+        if obj.type in _UNSUPPORTED_TYPES:
+            self._note(f"{_UNSUPPORTED_TYPES[obj.type]} (left out) are", obj.name)
+        if obj.type not in _SOLID_TYPES:
+            return
+        if obj.is_holdout or obj.original.holdout_get(view_layer=self.view_layer):
+            self._note("holdout (rendered as an ordinary object) is", obj.name)
+        if obj.is_shadow_catcher:
+            self._note("shadow catcher (rendered as an ordinary object) is", obj.name)
+        if placed.show_particles:
+            for system in obj.particle_systems:
+                if system.settings.type == "HAIR" and system.settings.render_type == "PATH":
+                    self._note("particle hair (left out) is", f"{obj.name}/{system.name}")
+
+    def _note(self, what: str, name: str) -> None:
+        self._unsupported.setdefault(what, []).append(name)

@@ -1,0 +1,134 @@
+"""Blender's lights as the core's `Light`s, in the units of Cycles.
+
+A point or spot light of P watts has the radiant intensity P / (4 pi), whatever its cone; its radius does not follow the
+object's scale. An area light has the radiosity P / area, its sizes scaled by the object. A sun's strength is the
+irradiance of a surface that faces it. Without `normalize`, power is per area of a sphere or area light (a point of no
+radius counts as 4), and a sun's strength is its radiance.
+"""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ..core.scene.description import Light, LightKind, Visibility
+from .emission_nodes import NotConstant, constant_emission
+from .world import has_nodes, usable_emission
+
+_MAX_BOUNCES = 1024  # Cycles' default: no limit
+
+# Columns of a matrix that was composed from rotation and scale in float32 are this close to perpendicular
+_SHEAR_MIN = 1e-4
+
+
+def export_light(obj: bpy.types.Object, matrix_world, warnings: list[str]) -> Light | None:
+    """The light object `obj`, evaluated, placed by `matrix_world` (4 x 4).
+
+    Returns None, with a line in `warnings`, for a light that cannot be rendered.
+    """
+    light = obj.data
+    name = f"light “{obj.name}”"
+    placed = _placement(obj, np.array(matrix_world, float), warnings)
+    if placed is None:
+        return None
+    transform, scale = placed
+    if light.type == "AREA" and getattr(getattr(light, "cycles", None), "is_portal", False):
+        warnings.append(f"{name}: it is a portal, which only guides the sampling of Cycles and gives no light; it is left out")
+        return None
+    _warn_of_limits(obj, name, warnings)
+
+    emission, values = _shape(light, scale)
+    if values is None:
+        warnings.append(f"{name}: its area is zero, so it gives no light; it is left out. Give it a size and a scale that are not 0")
+        return None
+    strength = usable_emission(_strength(light, name, warnings) * emission, name, warnings)
+    return Light(
+        name=obj.name,
+        transform=transform,
+        emission=strength,
+        visibility=object_visibility(obj),
+        casts_shadow=bool(light.use_shadow),
+        **values,
+    )
+
+
+def object_visibility(obj: bpy.types.Object) -> int:
+    """`Visibility` bits of a light: the kinds of rays that meet it, and of scattering that it lights."""
+    seen = Visibility.SHADOW
+    for kind in ("camera", "diffuse", "glossy", "transmission"):
+        if getattr(obj, f"visible_{kind}"):
+            seen |= Visibility[kind.upper()]
+    return int(seen)
+
+
+def _strength(light: bpy.types.Light, name: str, warnings: list[str]) -> np.ndarray:
+    """Power or strength by colour, nodes included [W, or W/m² of a sun]."""
+    strength = np.array(light.color[:3], float) * light.energy * 2.0 ** getattr(light, "exposure", 0.0)
+    if getattr(light, "use_temperature", False):
+        strength = strength * np.array(light.temperature_color[:3], float)
+    if has_nodes(light):
+        try:
+            strength = strength * constant_emission(light.node_tree)
+        except NotConstant as reason:
+            warnings.append(f"{name}: {reason} is not supported; the light shines as if it had no nodes")
+    return strength
+
+
+def _shape(light: bpy.types.Light, scale: np.ndarray) -> tuple[float, dict | None]:
+    """What turns strength to `Light.emission`, and the fields of the light's kind; no fields for a light of zero area."""
+    normalize = getattr(light, "normalize", True)
+    if light.type in ("POINT", "SPOT"):
+        radius = float(light.shadow_soft_size)
+        values = dict(kind=LightKind.POINT, radius=radius, soft_falloff=bool(light.use_soft_falloff))
+        if light.type == "SPOT":
+            width = (float(scale[0] / scale[2]), float(scale[1] / scale[2]))
+            values.update(kind=LightKind.SPOT, angle=float(light.spot_size), blend=float(light.spot_blend), spot_scale=width)
+        area = 4 * np.pi * radius**2 if radius > 0 else 4.0
+        return (1 if normalize else area) / (4 * np.pi), values
+    if light.type == "SUN":
+        angle = float(light.angle)
+        as_radiance = angle > 0 and not normalize
+        return np.pi * np.sin(min(angle, np.pi) / 2) ** 2 if as_radiance else 1.0, dict(kind=LightKind.SUN, angle=angle)
+    size_y = light.size_y if light.shape in ("RECTANGLE", "ELLIPSE") else light.size
+    size = (float(light.size * scale[0]), float(size_y * scale[1]))
+    is_round = light.shape in ("DISK", "ELLIPSE")
+    area = size[0] * size[1] * (np.pi / 4 if is_round else 1)
+    if area == 0:
+        return 0.0, None
+    kind = LightKind.ELLIPSE if is_round else LightKind.RECTANGLE
+    return 1 / (np.pi * (area if normalize else 1)), dict(kind=kind, size=size, spread=float(light.spread))
+
+
+def _placement(obj: bpy.types.Object, matrix: np.ndarray, warnings: list[str]) -> tuple[np.ndarray, np.ndarray] | None:
+    """Orthonormal light to world, shape [3, 4], and the scale along its axes, shape [3]; None if there is no such thing."""
+    name = f"light “{obj.name}”"
+    if not np.isfinite(matrix).all():
+        warnings.append(f"{name}: its matrix is not finite; it is left out. Reset its location, rotation and scale")
+        return None
+    columns, position = matrix[:3, :3], matrix[:3, 3]
+    scale = np.linalg.norm(columns, axis=0)
+    if obj.data.type == "POINT":
+        return np.column_stack([np.eye(3), position]).astype(np.float32), np.ones(3)
+    needed = scale if obj.data.type == "SPOT" else scale[2:]
+    if (needed == 0).any():
+        warnings.append(f"{name}: its scale is 0, so that it has no direction; it is left out. Give it a scale that is not 0")
+        return None
+    unit = columns / np.where(scale > 0, scale, 1)
+    z = unit[:, 2]
+    if obj.data.type != "SUN" and max(abs(unit[:, i] @ unit[:, j]) for i, j in ((0, 1), (0, 2), (1, 2))) > _SHEAR_MIN:
+        warnings.append(f"{name}: it is sheared, which is not supported; it keeps its direction and sizes at right angles")
+    x = unit[:, 0] - (unit[:, 0] @ z) * z
+    if np.linalg.norm(x) < _SHEAR_MIN:
+        x = np.cross(unit[:, 1], z)
+    if np.linalg.norm(x) < _SHEAR_MIN:
+        x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z, position]).astype(np.float32), scale
+
+
+def _warn_of_limits(obj: bpy.types.Object, name: str, warnings: list[str]) -> None:
+    linking = getattr(obj, "light_linking", None)
+    if linking and (linking.receiver_collection or linking.blocker_collection):
+        warnings.append(f"{name}: light linking is not supported; it lights every object, and every object casts its shadow")
+    if getattr(getattr(obj.data, "cycles", None), "max_bounces", _MAX_BOUNCES) < _MAX_BOUNCES:
+        warnings.append(f"{name}: its limit of bounces is not supported; it shines at every bounce")

@@ -1,0 +1,100 @@
+"""Blender's materials as the core's `Material`s."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..core.scene.description import ClosureKind, Material
+from .nodes import shader_at
+from .nodes.graph import NotUnderstood, find_source
+from .nodes.mixture import WHITE, Mixture, single
+from .nodes.principled import principled_mixture
+
+_DEFAULT_GREY = (0.8, 0.8, 0.8)  # Blender's surface without a material
+# Objects named in a message about their material
+_NAMED_USERS = 3
+
+
+class MaterialTable:
+    """The materials of one scene, each exported once, in the order of their first use."""
+
+    def __init__(self) -> None:
+        self.materials: list[Material] = []
+        self._index: dict[Any, int] = {}
+        self._notes: dict[int, list[str]] = {}  # by material: what was left out
+        self._users: dict[int, list[str]] = {}
+
+    def index(self, material: bpy.types.Material | None, user: str) -> int:
+        """The index of `material` (None: Blender's default grey), used by the object called `user`."""
+        key = None if material is None else material.original.as_pointer()
+        if key not in self._index:
+            self._index[key] = len(self.materials)
+            exported, notes = export_material(material)
+            self.materials.append(exported)
+            if notes:
+                self._notes[self._index[key]] = notes
+        index = self._index[key]
+        if index in self._notes:
+            users = self._users.setdefault(index, [])
+            if user not in users:
+                users.append(user)
+        return index
+
+    def warnings(self) -> list[str]:
+        """One line a material that is not rendered as it is: its name, its nodes, its objects."""
+        lines = []
+        for index, notes in self._notes.items():
+            users = self._users[index]
+            named = ", ".join(f"“{name}”" for name in users[:_NAMED_USERS])
+            more = f" and {len(users) - _NAMED_USERS} more" if len(users) > _NAMED_USERS else ""
+            lines.append(f"material “{self.materials[index].name}” of {named}{more}: {'; '.join(notes)}")
+        return lines
+
+
+def export_material(material: bpy.types.Material | None) -> tuple[Material, list[str]]:
+    """`material`, and in words what of it is not rendered as it is.
+
+    A graph that is not understood becomes a diffuse surface of the material's viewport colour.
+    """
+    if material is None:
+        return _material("default", single(ClosureKind.DIFFUSE, _DEFAULT_GREY)), []
+    notes: list[str] = []
+    try:
+        mixture = _surface(material, notes)
+    except NotUnderstood as reason:
+        mixture = single(ClosureKind.DIFFUSE, tuple(max(float(c), 0.0) for c in material.diffuse_color[:3]))
+        notes = [f"{reason} is not supported yet; rendered in the material's viewport colour"]
+    return _material(material.name, mixture), notes
+
+
+def _surface(material: bpy.types.Material, notes: list[str]) -> Mixture:
+    if not has_nodes(material):
+        return principled_mixture(
+            base=tuple(max(float(c), 0.0) for c in material.diffuse_color[:3]),
+            metallic=float(material.metallic),
+            roughness=float(material.roughness),
+        )
+    tree = material.node_tree
+    output = tree.get_output_node("CYCLES") or tree.get_output_node("ALL") or tree.get_output_node("EEVEE")
+    if output is None:
+        return Mixture()
+    left_out: list[str] = []
+    surface = shader_at(output.inputs["Surface"], left_out=left_out)
+    linked = {name for name in ("Surface", "Volume", "Displacement") if find_source(output.inputs[name])[0] is not None}
+    left_out += [name.lower() for name in ("Volume", "Displacement") if name in linked]
+    if left_out:
+        notes.append(f"not supported yet and left out: {', '.join(left_out)}")
+    if "Volume" in linked and "Surface" not in linked:
+        return single(ClosureKind.TRANSPARENT, WHITE)  # a volume alone has no surface
+    return surface
+
+
+def has_nodes(material: bpy.types.Material) -> bool:
+    """Whether `material` is described by its nodes. From Blender 5.0 on it is wherever it has a tree."""
+    return material.node_tree is not None and (bpy.app.version >= (5, 0) or material.use_nodes)
+
+
+def _material(name: str, mixture: Mixture) -> Material:
+    return Material(name, mixture.visible().closures, tuple(sorted(mixture.kinds)))

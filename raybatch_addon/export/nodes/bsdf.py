@@ -1,0 +1,87 @@
+"""Nodes of one closure: Diffuse, Glossy, Metallic, Glass, Transparent and Emission."""
+
+from __future__ import annotations
+
+from ...core.scene.description import ClosureKind
+from . import ShaderNode, handles
+from .graph import NotUnderstood, node_label
+from .mixture import Color, Mixture, saturated, single, times
+
+# Blender's smallest index of refraction, which keeps 1 / ior finite
+IOR_MIN = 1e-5
+
+# The cosine at which F82 states a metal's tint (82 degrees), and Schlick's term there
+_F82_TERM = (1.0 - 1.0 / 7.0) ** 5
+
+
+@handles("ShaderNodeBsdfDiffuse")
+def _diffuse(node: ShaderNode) -> Mixture:
+    node.leave_out_links("Normal")
+    if node.number("Roughness") > 0:
+        node.leave_out("Roughness")
+    return single(ClosureKind.DIFFUSE, node.color("Color"))
+
+
+@handles("ShaderNodeBsdfAnisotropic")
+def _glossy(node: ShaderNode) -> Mixture:
+    _note_lobe(node, "Anisotropy")
+    return single(ClosureKind.GLOSSY, node.color("Color"), roughness=saturated(node.number("Roughness")))
+
+
+@handles("ShaderNodeBsdfMetallic")
+def _metallic(node: ShaderNode) -> Mixture:
+    if node.node.fresnel_type != "F82":
+        raise NotUnderstood(f"{node_label(node.node)} with physical conductors")
+    _note_lobe(node, "Anisotropy")
+    note_thin_film(node)
+    base = _at_most_one(node.color("Base Color"))
+    edge = metal_edge(base, _at_most_one(node.color("Edge Tint")))
+    return single(ClosureKind.METAL, base, edge=edge, roughness=saturated(node.number("Roughness")))
+
+
+@handles("ShaderNodeBsdfGlass")
+def _glass(node: ShaderNode) -> Mixture:
+    _note_lobe(node)
+    note_thin_film(node)
+    roughness, ior = saturated(node.number("Roughness")), max(node.number("IOR"), IOR_MIN)
+    return single(ClosureKind.GLASS, node.color("Color"), roughness=roughness, ior=ior)
+
+
+@handles("ShaderNodeBsdfTransparent")
+def _transparent(node: ShaderNode) -> Mixture:
+    return single(ClosureKind.TRANSPARENT, node.color("Color"))
+
+
+@handles("ShaderNodeEmission")
+def _emission(node: ShaderNode) -> Mixture:
+    return single(ClosureKind.EMISSION, times(node.color("Color"), max(node.number("Strength"), 0.0)))
+
+
+def metal_edge(base: Color, tint: Color) -> Color:
+    """Grazing reflectance of Schlick's Fresnel that meets the F82-tint model at 0 and 82 degrees.
+
+    The model's reflectance at 82 degrees is Schlick's (towards white) times `tint`; exact for a white tint.
+    (Kutz, Hasan and Edmondson, "Novel aspects of the Adobe Standard Material", 2021, section 2.)
+    """
+    at_82 = [t * (b + (1.0 - b) * _F82_TERM) for b, t in zip(base, tint)]
+    red, green, blue = (saturated(b + (f - b) / _F82_TERM) for b, f in zip(base, at_82))
+    return red, green, blue
+
+
+def note_thin_film(node: ShaderNode) -> None:
+    """Notes a thin film, which is not rendered."""
+    if node.number("Thin Film Thickness") > 0:
+        node.leave_out("Thin Film")
+
+
+def _at_most_one(color: Color) -> Color:
+    return saturated(color[0]), saturated(color[1]), saturated(color[2])
+
+
+def _note_lobe(node: ShaderNode, anisotropy: str | None = None) -> None:
+    node.leave_out_links("Normal")
+    distribution = node.node.distribution
+    if distribution not in ("GGX", "MULTI_GGX"):
+        node.leave_out(f"the distribution {distribution.replace('_', '-').title()} (GGX instead)")
+    if anisotropy is not None and node.number(anisotropy) != 0:
+        node.leave_out(anisotropy)

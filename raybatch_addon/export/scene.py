@@ -1,0 +1,89 @@
+"""The evaluated depsgraph of Blender as the core's `Scene`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import bpy
+import numpy as np
+
+from ..core.scene.description import Frame, Scene
+from .camera import export_camera
+from .instances import Cancelled, collect_placements
+from .world import export_world
+
+# Passes that can be rendered, by the property of a view layer that asks for them
+PASS_PROPERTIES = {"use_pass_z": "Depth", "use_pass_position": "Position", "use_pass_normal": "Normal"}
+
+
+def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool] | None = None) -> Scene | None:
+    """What the active camera of the depsgraph's scene sees of its view layer.
+
+    Returns None when `cancelled()` said so meanwhile; it is asked at least once a mesh.
+    Raises `SceneError` for a scene that cannot be rendered: without a camera, or with one that cannot be used.
+    """
+    scene = depsgraph.scene
+    frame = export_frame(scene, depsgraph.view_layer)
+    warnings: list[str] = []
+    camera = export_camera(scene, depsgraph, frame.width, frame.height, warnings)
+    try:
+        placements = collect_placements(depsgraph, cancelled or (lambda: False))
+    except Cancelled:
+        return None
+    world = export_world(_world(scene, depsgraph.view_layer), warnings)
+    instances = placements.instances()
+    warnings += placements.warnings + _unsupported(scene, depsgraph.view_layer)
+    return Scene(
+        camera=camera,
+        frame=frame,
+        meshes=tuple(placements.meshes),
+        instances=instances,
+        slot_materials=np.array(placements.slot_materials, np.int32),
+        materials=tuple(placements.materials.materials),
+        lights=tuple(placements.lights),
+        world=world,
+        object_names=tuple(placements.object_names),
+        warnings=tuple(dict.fromkeys(warnings)),
+    )
+
+
+def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Frame:
+    """The picture that the render settings ask for: size, border, alpha and passes."""
+    render = scene.render
+    width = render.resolution_x * render.resolution_percentage // 100
+    height = render.resolution_y * render.resolution_percentage // 100
+    width, height = max(1, width), max(1, height)
+    border = None
+    if render.use_border:
+        # in float32 and cut off, as Blender sizes its own buffer
+        border = (
+            int(np.float32(render.border_min_x) * np.float32(width)),
+            int(np.float32(render.border_min_y) * np.float32(height)),
+            int(np.float32(render.border_max_x) * np.float32(width)),
+            int(np.float32(render.border_max_y) * np.float32(height)),
+        )
+        if border == (0, 0, width, height):
+            border = None
+    passes = ("Combined", *(name for prop, name in PASS_PROPERTIES.items() if getattr(view_layer, prop)))
+    return Frame(width, height, border, bool(render.film_transparent), passes)
+
+
+def _world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bpy.types.World | None:
+    return getattr(view_layer, "world_override", None) or scene.world
+
+
+def _unsupported(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list[str]:
+    """What the scene and the view layer ask for that is not rendered."""
+    lines = []
+    if scene.render.use_motion_blur and getattr(view_layer, "use_motion_blur", True):
+        lines.append(f"scene “{scene.name}”: motion blur is not supported yet; the frame is rendered sharp")
+    if scene.render.use_multiview:
+        lines.append(f"scene “{scene.name}”: stereoscopy is not supported yet; every view shows the same picture")
+    if view_layer.material_override is not None:
+        lines.append(f"view layer “{view_layer.name}”: its material override is not supported yet; objects keep their materials")
+    known = {"use_pass_combined", *PASS_PROPERTIES}
+    asked = [p for p in view_layer.bl_rna.properties.keys() if p.startswith("use_pass_") and p not in known and getattr(view_layer, p) is True]
+    if asked:
+        names = ", ".join(view_layer.bl_rna.properties[p].name for p in asked)
+        lines.append(f"view layer “{view_layer.name}”: these passes are not supported yet and stay empty: {names}")
+    return lines

@@ -1,0 +1,21 @@
+"""The settings of a Blender scene as the core's `RenderSettings`."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ..core.settings import SETTINGS, RenderSettings
+
+
+def settings_from(scene: bpy.types.Scene) -> RenderSettings:
+    """The settings at `scene.raybatch`; the defaults where the add-on is not registered. Raises `SettingsError`."""
+    properties = getattr(scene, "raybatch", None)
+    if properties is None:
+        return RenderSettings()
+    return RenderSettings(**{name: _exact(getattr(properties, name)) for name in SETTINGS})
+
+
+def _exact(value):
+    # Blender keeps float32: the shortest decimal that means the same is what was typed, and lies within the range
+    return float(str(np.float32(value))) if isinstance(value, float) else value

@@ -1,0 +1,134 @@
+"""Camera rays against geometry: window, clipping, depth of field."""
+
+import functools
+
+import numpy as np
+import pytest
+import warp as wp
+
+from raybatch_addon.core.errors import SceneError
+from raybatch_addon.core.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.scene.description import Camera, CameraKind
+from raybatch_addon.core.shading.camera import CameraData, CameraFeatures, make_camera_ray, upload_camera
+
+DEVICES = ["cpu"] + (["cuda:0"] if wp.is_cuda_available() else [])
+WIDTH, HEIGHT = 64, 48
+
+
+@functools.cache
+def kernel_for(features: CameraFeatures):
+    camera_ray = make_camera_ray(features)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def shoot(
+        camera: CameraData,
+        pixel: wp.array(dtype=wp.vec2),
+        lens: wp.array(dtype=wp.vec2),
+        origin: wp.array(dtype=wp.vec3),
+        direction: wp.array(dtype=wp.vec3),
+        t_max: wp.array(dtype=float),
+    ):
+        i = wp.tid()
+        o, d, t = camera_ray(camera, pixel[i][0], pixel[i][1], lens[i])
+        origin[i] = o
+        direction[i] = d
+        t_max[i] = t
+
+    return shoot
+
+
+def shoot(camera: Camera, pixel, lens=None, device="cpu"):
+    """Rays in the camera's own axes: origin, direction, t_max."""
+    pixel = np.atleast_2d(np.asarray(pixel, np.float32))
+    lens = np.zeros_like(pixel) if lens is None else np.asarray(lens, np.float32)
+    count = len(pixel)
+    out = [wp.zeros(count, dtype=t, device=device) for t in (wp.vec3, wp.vec3, float)]
+    arrays = [wp.array(a, dtype=wp.vec2, device=device) for a in (pixel, lens)]
+    kernel = kernel_for(CameraFeatures(camera.kind, camera.lens_radius > 0))
+    data = upload_camera(camera, WIDTH, HEIGHT)
+    wp.launch(kernel, count, [data, *arrays], out, device=device, block_dim=1 if device == "cpu" else 256)
+    origin, direction, t_max = (a.numpy().astype(float) for a in out)
+    m = np.asarray(camera.transform, float)
+    inverse = np.linalg.inv(m[:, :3])
+    return (origin - m[:, 3]) @ inverse.T, direction @ inverse.T, t_max
+
+
+def turned(seed=4, scale=10.0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return np.column_stack([q, rng.normal(size=3) * scale]).astype(np.float32)
+
+
+WINDOW = (-0.7, 0.9, -0.4, 0.8)
+CORNERS = [(0, 0), (WIDTH, HEIGHT), (WIDTH / 4, HEIGHT / 2)]
+AT = np.array([(-0.7, -0.4), (0.9, 0.8), (-0.3, 0.2)])
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_perspective_rays_pass_the_window_between_the_planes(device):
+    camera = Camera(CameraKind.PERSPECTIVE, turned(), WINDOW, clip_start=0.5, clip_end=20.0)
+    origin, direction, t_max = shoot(camera, CORNERS, device=device)
+    np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1, rtol=1e-6)
+    np.testing.assert_allclose(direction[:, :2] / -direction[:, 2:], AT, atol=1e-5)
+    np.testing.assert_allclose(origin, np.column_stack([AT, -np.ones(3)]) * 0.5, atol=1e-5)
+    np.testing.assert_allclose((origin + direction * t_max[:, None])[:, 2], -20, rtol=1e-5)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_orthographic_rays_are_parallel(device):
+    camera = Camera(CameraKind.ORTHOGRAPHIC, turned(), WINDOW, clip_start=0.5)
+    origin, direction, t_max = shoot(camera, CORNERS, device=device)
+    np.testing.assert_allclose(direction, np.tile([0, 0, -1], (3, 1)), atol=1e-6)
+    np.testing.assert_allclose(origin, np.column_stack([AT, np.full(3, -0.5)]), atol=1e-5)
+    assert np.isinf(t_max).all()
+
+
+@pytest.mark.parametrize("kind", list(CameraKind))
+def test_depth_of_field_is_sharp_on_the_plane_of_focus_alone(kind):
+    camera = Camera(kind, turned(), WINDOW, clip_start=0.1, clip_end=9.0, lens_radius=0.3, focus_distance=4.0, lens_ratio=2.0)
+    lens = np.random.default_rng(0).uniform(size=(4000, 2))
+    origin, direction, t_max = shoot(camera, np.tile([(WIDTH / 4, HEIGHT / 2)], (4000, 1)), lens)
+
+    def at(depth):
+        return (origin + direction * ((-depth - origin[:, 2]) / direction[:, 2])[:, None])[:, :2]
+
+    focus = AT[2] * (4 if kind == CameraKind.PERSPECTIVE else 1)
+    np.testing.assert_allclose(at(4.0), np.tile(focus, (4000, 1)), atol=1e-5)
+    np.testing.assert_allclose(origin[:, 2], -0.1, atol=1e-5)
+    np.testing.assert_allclose((origin + direction * t_max[:, None])[:, 2], -9, rtol=1e-5)
+    # the lens itself: an ellipse of half the width, filled evenly
+    point = at(0.0) - (0 if kind == CameraKind.PERSPECTIVE else focus)
+    radius = np.hypot(point[:, 0] / 0.15, point[:, 1] / 0.3)
+    assert 0.99 < radius.max() <= 1 + 1e-5
+    assert abs((radius**2).mean() - 0.5) < 4 * np.sqrt(1 / 12 / 4000)
+    np.testing.assert_allclose(point.mean(0), 0, atol=0.02)
+
+
+def test_aperture_blades():
+    """A triangle whose edge's middle lies at the angle of rotation, its corners on the circle."""
+    camera = Camera(CameraKind.PERSPECTIVE, np.eye(3, 4, dtype=np.float32), WINDOW, lens_radius=2.0, blade_count=3, blade_rotation=0.3)
+    lens = np.random.default_rng(1).uniform(size=(20000, 2))
+    origin, direction, _ = shoot(camera, np.tile([(10, 10)], (20000, 1)), lens)
+    point = origin[:, :2] / 2
+    for k in range(3):
+        angle = 0.3 + k * 2 * np.pi / 3
+        along = point @ [np.cos(angle), np.sin(angle)]
+        assert np.cos(np.pi / 3) - 0.02 < along.max() <= np.cos(np.pi / 3) + 1e-5
+        corner = point @ [np.cos(angle + np.pi / 3), np.sin(angle + np.pi / 3)]
+        assert 0.97 < corner.max() <= 1 + 1e-5
+    # uniform: the inscribed circle holds its share of the triangle's area
+    share = (np.hypot(*point.T) < 0.5).mean()
+    expected = np.pi * 0.25 / (3 * np.sqrt(3) / 4)
+    assert abs(share - expected) < 4 * np.sqrt(expected * (1 - expected) / 20000)
+
+
+def test_cameras_that_see_nothing_are_refused():
+    eye = np.eye(3, 4, dtype=np.float32)
+    for broken in (
+        dict(transform=np.zeros((3, 4), np.float32)),
+        dict(transform=np.full((3, 4), np.nan, np.float32)),
+        dict(window=(0.0, 0.0, -1.0, 1.0)),
+        dict(clip_start=5.0, clip_end=5.0),
+    ):
+        with pytest.raises(SceneError, match="camera"):
+            upload_camera(Camera(**{**dict(kind=CameraKind.PERSPECTIVE, transform=eye, window=WINDOW), **broken}), WIDTH, HEIGHT)
