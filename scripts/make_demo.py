@@ -57,8 +57,8 @@ def node_material(name, *shaders, mix=0.5):
 def materials():
     """Every material of the scene by name."""
     return {
-        "floor": principled("Floor", (0.23, 0.21, 0.22), 0.45),
-        "gold": principled("Brushed gold", (1.0, 0.62, 0.26), 0.2, metallic=1.0),
+        "floor": principled("Floor", (0.20, 0.19, 0.21), 0.5),
+        "gold": principled("Brushed gold", (1.0, 0.62, 0.26), 0.28, metallic=1.0),
         "steel": principled("Polished steel", (0.80, 0.83, 0.88), 0.06, metallic=1.0),
         "teal": principled("Teal glaze", (0.012, 0.16, 0.19), 0.12),
         "coral": principled("Coral clay", (0.72, 0.11, 0.055), 0.65),
@@ -69,7 +69,7 @@ def materials():
             mix=0.12,
         ),
         "glass": node_material("Clear glass", ("ShaderNodeBsdfGlass", {"Color": (0.97, 0.99, 1, 1), "IOR": 1.5, "Roughness": 0.0})),
-        "amber": node_material("Frosted amber", ("ShaderNodeBsdfGlass", {"Color": (1, 0.62, 0.28, 1), "IOR": 1.45, "Roughness": 0.25})),
+        "amber": node_material("Frosted amber", ("ShaderNodeBsdfGlass", {"Color": (1, 0.62, 0.28, 1), "IOR": 1.45, "Roughness": 0.12})),
         "neon": node_material("Neon", ("ShaderNodeEmission", {"Color": (1.0, 0.2, 0.05, 1), "Strength": 5.0})),
         "neon_blue": node_material("Blue lamp", ("ShaderNodeEmission", {"Color": (0.06, 0.3, 1.0, 1), "Strength": 7.0})),
     }
@@ -144,7 +144,7 @@ def add_sides(mats):
 
     bpy.ops.mesh.primitive_uv_sphere_add(segments=96, ring_count=48, radius=0.72, location=(-2.0, -0.45, 0.72))
     finish("Glass ball", mats["glass"])
-    bpy.ops.mesh.primitive_cylinder_add(vertices=6, radius=0.42, depth=1.9, location=(-2.75, 0.95, 0.95), rotation=(0, 0, 0.3))
+    bpy.ops.mesh.primitive_cylinder_add(vertices=6, radius=0.42, depth=1.9, location=(-2.95, 0.95, 0.95), rotation=(0, 0, 0.3))
     bevelled(finish("Amber column", mats["amber"], smooth=False), 0.05)
     bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, radius=0.36, location=(1.35, -1.15, 0.36))
     finish("Steel ball", mats["steel"])
@@ -179,19 +179,24 @@ def add_pebbles(mats):
 
 
 def add_light_and_camera():
-    """A soft box from the upper left, a dusky world, and a camera with a little depth of field."""
+    """A soft box from the upper left, a warm fill from the front, a dusky world, and a camera with a little depth of field."""
     scene = bpy.context.scene
-    data = bpy.data.lights.new("Soft box", "AREA")
-    data.shape, data.size, data.size_y, data.energy, data.color = "RECTANGLE", 3.2, 2.2, 420.0, (1.0, 0.93, 0.84)
-    light = bpy.data.objects.new("Soft box", data)
-    light.location = (-4.2, -3.6, 5.2)
-    light.rotation_euler = (Vector((0, 0, 0.8)) - light.location).to_track_quat("-Z", "Y").to_euler()
-    scene.collection.objects.link(light)
+    for name, place, size, energy, colour in (
+        ("Soft box", (-4.2, -3.6, 5.2), (3.2, 2.2), 400.0, (1.0, 0.93, 0.84)),
+        ("Fill", (2.6, -8.5, 3.4), (5.0, 3.2), 190.0, (1.0, 0.80, 0.66)),
+    ):
+        data = bpy.data.lights.new(name, "AREA")
+        data.shape, data.energy, data.color = "RECTANGLE", energy, colour
+        data.size, data.size_y = size
+        light = bpy.data.objects.new(name, data)
+        light.location = place
+        light.rotation_euler = (Vector((0, 0, 1.0)) - light.location).to_track_quat("-Z", "Y").to_euler()
+        scene.collection.objects.link(light)
 
     world = bpy.data.worlds.new("Dusk")
     world.use_nodes = True
     background = world.node_tree.nodes["Background"]
-    background.inputs["Color"].default_value = (0.10, 0.22, 0.50, 1)
+    background.inputs["Color"].default_value = (0.16, 0.24, 0.46, 1)
     background.inputs["Strength"].default_value = 0.45
     scene.world = world
 
@@ -221,7 +226,7 @@ def make_demo(path: Path) -> None:
     scene.render.resolution_x, scene.render.resolution_y = RESOLUTION
     scene.render.image_settings.file_format = "PNG"
     scene.raybatch.sample_count = SAMPLE_COUNT
-    scene.raybatch.clamp_indirect = 8.0  # takes the sparks out of the glass's caustics
+    scene.raybatch.clamp_indirect = 4.0  # takes the sparks out of the glass's caustics
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{path.stem}.{os.getpid()}.blend")
     try:

@@ -23,7 +23,7 @@ def start_warp(cache_folder: str | Path | None = None) -> None:
             if wp.config.kernel_cache_dir != folder:
                 os.makedirs(folder, exist_ok=True)
                 wp.config.kernel_cache_dir = folder
-        wp.config.quiet = True
+        wp.config.log_level = wp.LOG_ERROR
         wp.init()
 
 
@@ -54,7 +54,17 @@ def worker_count(device: wp.Device, thread_count: int) -> int:
 
 def device_description(device: wp.Device) -> dict[str, str | int]:
     """Name and size of `device`, for reports."""
-    return {"alias": device.alias, "name": device.name, "memory": int(device.total_memory), "cores": os.cpu_count() or 1}
+    return {"alias": device.alias, "name": device.name, "memory": total_memory(device), "cores": os.cpu_count() or 1}
+
+
+def total_memory(device: wp.Device) -> int:
+    """Memory of `device` [bytes]; 0 where the system does not tell."""
+    if device.is_cuda:
+        return int(device.total_memory)
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return 0
 
 
 def free_memory(device: wp.Device) -> int:
@@ -62,13 +72,11 @@ def free_memory(device: wp.Device) -> int:
     if device.is_cuda:
         return int(device.free_memory)
     try:
-        pages = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        # what the kernel could free counts too
         with open("/proc/meminfo", encoding="ascii") as file:
-            for line in file:
-                if line.startswith("MemAvailable:"):
-                    return int(line.split()[1]) * 1024
-        return pages
-    except (AttributeError, OSError, ValueError):
+            available = next(line for line in file if line.startswith("MemAvailable:"))
+        return int(available.split()[1]) * 1024
+    except (OSError, ValueError, StopIteration):
         return 2**63 - 1  # unknown here: allocation itself will tell
 
 

@@ -110,15 +110,18 @@ class _Collector:
         """Takes one item of the depsgraph's list."""
         obj = placed.object
         kind = obj.type
+        of_itself = not placed.is_instance or (placed.parent is not None and placed.parent.original == obj.original)
+        if of_itself and self.viewport and obj.original.hide_render:
+            return  # a render's own depsgraph leaves these out by itself
         if not placed.is_instance:
-            if self.viewport and obj.original.hide_render:
-                return  # a render's own depsgraph leaves these out by itself
             self._note_unsupported(obj, placed)
         if kind == "LIGHT":
             self._add_light(placed, obj)
             return
         # Curves, text, surfaces and metaballs come twice: as themselves, and as an instance of their evaluated mesh
         if kind not in _SOLID_TYPES or not placed.show_self or not isinstance(obj.data, bpy.types.Mesh):
+            return
+        if not self.view_layer.use_solid:
             return
         data = obj.data
         key = (obj.original.as_pointer(), placed.parent.original.as_pointer() if placed.parent else 0, data.as_pointer(), data.session_uid)
@@ -175,6 +178,7 @@ class _Collector:
         wanted = []
         for i in range(slot_count(data)):
             material = slots[i].material if i < len(slots) else data.materials[i] if i < len(data.materials) else None
+            material = self.view_layer.material_override or material
             wanted.append(self.placements.materials.index(material, obj.name))
         first = len(self.placements.slot_materials)
         self.placements.slot_materials += wanted
@@ -186,8 +190,8 @@ class _Collector:
         if key not in self._visibilities:
             seen = Visibility(0)
             for ray in Visibility:
-                if ray in (Visibility.CAMERA, Visibility.DIFFUSE, Visibility.GLOSSY, Visibility.TRANSMISSION, Visibility.SHADOW):
-                    seen |= ray if getattr(obj, f"visible_{ray.name.lower()}") else Visibility(0)
+                if getattr(obj, f"visible_{ray.name.lower()}"):
+                    seen |= ray
             if original.indirect_only_get(view_layer=self.view_layer):
                 seen &= ~Visibility.CAMERA
             self._visibilities[key] = int(seen)

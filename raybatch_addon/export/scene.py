@@ -69,7 +69,8 @@ def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Fra
 
 
 def _world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bpy.types.World | None:
-    return getattr(view_layer, "world_override", None) or scene.world
+    """The world that lights the view layer, if it is to be seen at all."""
+    return (getattr(view_layer, "world_override", None) or scene.world) if view_layer.use_sky else None
 
 
 def _unsupported(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list[str]:
@@ -79,8 +80,6 @@ def _unsupported(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> lis
         lines.append(f"scene “{scene.name}”: motion blur is not supported yet; the frame is rendered sharp")
     if scene.render.use_multiview:
         lines.append(f"scene “{scene.name}”: stereoscopy is not supported yet; every view shows the same picture")
-    if view_layer.material_override is not None:
-        lines.append(f"view layer “{view_layer.name}”: its material override is not supported yet; objects keep their materials")
     known = {"use_pass_combined", *PASS_PROPERTIES}
     asked = [p for p in view_layer.bl_rna.properties.keys() if p.startswith("use_pass_") and p not in known and getattr(view_layer, p) is True]
     if asked:

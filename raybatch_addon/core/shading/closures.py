@@ -251,13 +251,23 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                         if kind != _GLASS:
                             delta = wp.cw_mul(lobe.scale, mirror_fresnel(table, chosen, cosine))
 
+        # A direction on a side that its lobe does not serve is absorbed: `mix` gives it no density there,
+        # and another lobe's value must not be counted for it.
+        side = wp.dot(wi, frame.geometric_normal)
+        facet_side = side
+        if wp.static(has_facets):
+            if (bits & (GLOSSY | TRANSMISSION)) != 0:
+                facet_side = wp.dot(wi, n)
+        if (bits & (TRANSMISSION | TRANSPARENT)) != 0:
+            side = -side
+            facet_side = -facet_side
+        if not (side > 0.0 and facet_side > 0.0):
+            return result
+
         if (bits & DELTA) != 0:
-            above = wp.dot(wi, frame.geometric_normal)
-            crosses = (bits & (TRANSMISSION | TRANSPARENT)) != 0
-            if (above > 0.0 and not crosses) or (above < 0.0 and crosses):
-                result.direction = wi
-                result.lobe = bits
-                result.weight = (total / lobe.selection) * delta
+            result.direction = wi
+            result.lobe = bits
+            result.weight = (total / lobe.selection) * delta
             return result
 
         mixture = mix(table, material, frame, wo, wi)

@@ -1,0 +1,28 @@
+"""RayBatch: a path tracer that batches rays, for Blender.
+
+`import raybatch_addon.core` works where there is no Blender; `register()` brings in Blender's side.
+"""
+
+# SPDX-License-Identifier: GPL-3.0-or-later
+
+
+def register() -> None:
+    """Add the engine, its settings and its panels to Blender."""
+    import bpy
+
+    from . import engine, ui
+
+    ui.register()
+    bpy.utils.register_class(engine.RayBatchRenderEngine)
+
+
+def unregister() -> None:
+    """Remove everything that `register` added, and give back what is cached."""
+    import bpy
+
+    from . import engine, reports, sessions, ui
+
+    bpy.utils.unregister_class(engine.RayBatchRenderEngine)
+    ui.unregister()
+    sessions.close_all()
+    reports.clear()

@@ -1,0 +1,19 @@
+"""Settings and panels in Blender."""
+
+from __future__ import annotations
+
+from . import builtin_panels, data_panels, last_render, properties, render_panels
+
+_parts = (properties, render_panels, data_panels, last_render, builtin_panels)
+
+
+def register() -> None:
+    """Add all of it."""
+    for part in _parts:
+        part.register()
+
+
+def unregister() -> None:
+    """Remove all of it."""
+    for part in reversed(_parts):
+        part.unregister()

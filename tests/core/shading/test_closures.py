@@ -1,0 +1,461 @@
+"""Closures: sampling against density, energy, reciprocity, delta lobes, extremes, and what is compiled."""
+
+import functools
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import warp as wp
+
+from raybatch_addon.core.errors import SceneError
+from raybatch_addon.core.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.scene.description import Closure, ClosureKind, Material
+from raybatch_addon.core.shading.closures import (
+    DELTA, DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT,
+    ClosureFeatures, MaterialTable, ShadingFrame, make_bsdf, upload_materials,
+)  # fmt: skip
+from raybatch_addon.core.shading.microfacet import ALPHA_MIN
+
+K = ClosureKind
+EVERYTHING = ClosureFeatures(tuple(K))
+WHITE = (1.0, 1.0, 1.0)
+UP = (0.0, 0.0, 1.0)
+SMOOTH = 0.9 * ALPHA_MIN**0.5  # roughness of a delta lobe
+
+
+@functools.cache
+def kernels(features):
+    """Kernels that evaluate and sample many directions at once, loaded on the CPU."""
+    bsdf = make_bsdf(features)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def evaluate(
+        table: MaterialTable, frame: ShadingFrame, wo: wp.array(dtype=wp.vec3), wi: wp.array(dtype=wp.vec3),
+        value: wp.array(dtype=wp.vec3), pdf: wp.array(dtype=float),
+    ):  # fmt: skip
+        i = wp.tid()
+        result = bsdf.evaluate(table, 0, frame, wo[i], wi[i])
+        value[i] = result.value
+        pdf[i] = result.pdf
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def sample(
+        table: MaterialTable, frame: ShadingFrame, wo: wp.array(dtype=wp.vec3), u: wp.array(dtype=wp.vec3),
+        direction: wp.array(dtype=wp.vec3), weight: wp.array(dtype=wp.vec3), pdf: wp.array(dtype=float),
+        lobe: wp.array(dtype=int),
+    ):  # fmt: skip
+        i = wp.tid()
+        result = bsdf.sample(table, 0, frame, wo[i], u[i][0], wp.vec2(u[i][1], u[i][2]))
+        direction[i] = result.direction
+        weight[i] = result.weight
+        pdf[i] = result.pdf
+        lobe[i] = result.lobe
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def constants(table: MaterialTable, out: wp.array(dtype=wp.vec3)):
+        out[0] = bsdf.emission(table, 0)
+        out[1] = bsdf.transparency(table, 0)
+        out[2] = wp.vec3(wp.where(bsdf.scatters(table, 0), 1.0, 0.0))
+
+    for kernel in (evaluate, sample, constants):
+        kernel.module.load(wp.get_device("cpu"), block_dim=1)
+    return SimpleNamespace(evaluate=evaluate, sample=sample, constants=constants)
+
+
+def frame_of(normal=UP, geometric=UP, entering=1):
+    """A `ShadingFrame` with normals on the side of wo."""
+    n = np.asarray(normal, np.float64) / np.linalg.norm(normal)
+    tangent = np.cross((0.0, 1.0, 0.0) if abs(n[1]) < 0.9 else (1.0, 0.0, 0.0), n)
+    tangent /= np.linalg.norm(tangent)
+    frame = ShadingFrame()
+    frame.normal = wp.vec3(*n)
+    frame.geometric_normal = wp.vec3(*(np.asarray(geometric) / np.linalg.norm(geometric)))
+    frame.tangent = wp.vec3(*tangent)
+    frame.bitangent = wp.vec3(*np.cross(n, tangent))
+    frame.entering = entering
+    return frame
+
+
+def table_of(*closures, features=EVERYTHING):
+    return upload_materials([Material("test", closures)], features, "cpu")
+
+
+def launch(kernel, count, inputs, outputs):
+    wp.launch(kernel, count, inputs=inputs, outputs=outputs, device="cpu", block_dim=1)
+
+
+def vectors(values, count):
+    return wp.array(np.broadcast_to(np.asarray(values, np.float32), (count, 3)).copy(), dtype=wp.vec3, device="cpu")
+
+
+def evaluate(closures, wo, wi, frame=None, features=EVERYTHING):
+    """value [n, 3], pdf [n]."""
+    wi = np.atleast_2d(wi)
+    count = len(wi)
+    value, pdf = wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=float, device="cpu")
+    table = table_of(*closures, features=features)
+    launch(kernels(features).evaluate, count, [table, frame or frame_of(), vectors(wo, count), vectors(wi, count)], [value, pdf])
+    return value.numpy().astype(np.float64), pdf.numpy().astype(np.float64)
+
+
+def sample(closures, wo, count, frame=None, features=EVERYTHING, seed=0, u=None):
+    """direction [n, 3], weight [n, 3], pdf [n], lobe [n] for stratified random numbers."""
+    if u is None:
+        u = stratified(count, seed)
+    count = len(u)
+    out = [
+        wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=wp.vec3, device="cpu"),
+        wp.zeros(count, dtype=float, device="cpu"), wp.zeros(count, dtype=int, device="cpu"),
+    ]  # fmt: skip
+    table = table_of(*closures, features=features)
+    launch(kernels(features).sample, count, [table, frame or frame_of(), vectors(wo, count), vectors(u, count)], out)
+    return [array.numpy().astype(np.float64 if i < 3 else np.int64) for i, array in enumerate(out)]
+
+
+def stratified(count, seed=0):
+    """[n, 3] points in [0, 1): jittered in a grid of the last two dimensions, shuffled strata in the first."""
+    rng = np.random.default_rng(seed)
+    side = int(round(count**0.5))
+    grid = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2)
+    first = (rng.permutation(side * side) + rng.random(side * side)) / (side * side)
+    u = np.concatenate([first[:, None], (grid + rng.random(grid.shape)) / side], 1)
+    return np.minimum(u, 1 - 2.0**-24).astype(np.float32)
+
+
+def toward(cosine, azimuth=0.4):
+    sine = np.sqrt(1 - cosine**2)
+    return np.array([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine])
+
+
+ROUGH = {
+    "diffuse": (Closure(K.DIFFUSE, WHITE),),
+    "layered": (Closure(K.LAYERED_DIFFUSE, WHITE, 0.4, 1.5),),
+    "glossy": (Closure(K.GLOSSY, WHITE, 0.5),),
+    "glossy 1": (Closure(K.GLOSSY, WHITE, 1.0),),
+    "glossy 0.2": (Closure(K.GLOSSY, WHITE, 0.2),),
+    "metal": (Closure(K.METAL, (0.9, 0.6, 0.3), 0.4),),
+    "dielectric": (Closure(K.DIELECTRIC, WHITE, 0.3, 1.5),),
+    "glass": (Closure(K.GLASS, WHITE, 0.5, 1.5),),
+    "glass 0.2": (Closure(K.GLASS, WHITE, 0.2, 1.33),),
+    "plastic": (Closure(K.DIELECTRIC, WHITE, 0.3, 1.5), Closure(K.LAYERED_DIFFUSE, (0.8, 0.2, 0.1), 0.3, 1.5)),
+    "all": tuple(Closure(kind, (0.1, 0.2, 0.15), 0.4, 1.4) for kind in K if kind != K.EMISSION),
+}
+
+
+def polar_cells(axis, power, heights, turns):
+    """Bins of the sphere about `axis`, finer towards it: a function from directions to bin numbers, and quadrature.
+
+    Returns (bin_of, directions [bins, points, 3], solid angles [bins, points]).
+    """
+    n = np.asarray(axis) / np.linalg.norm(axis)
+    t = np.cross((0, 1, 0) if abs(n[1]) < 0.9 else (1, 0, 0), n)
+    t /= np.linalg.norm(t)
+    b = np.cross(n, t)
+    nodes, weights = np.polynomial.legendre.leggauss(10)
+    nodes, weights = (nodes + 1) / 2, weights / 2
+
+    def bin_of(d):
+        theta = np.arctan2(np.hypot(d @ t, d @ b), d @ n)
+        row = np.minimum(((theta / np.pi) ** (1 / power) * heights).astype(int), heights - 1)
+        column = ((np.arctan2(d @ b, d @ t) / (2 * np.pi)) % 1.0 * turns).astype(int) % turns
+        return row * turns + column
+
+    x = (np.arange(heights)[:, None] + nodes) / heights
+    phi = 2 * np.pi * (np.arange(turns)[:, None] + nodes) / turns
+    theta = np.pi * x**power
+    area = np.sin(theta) * np.pi * power * x ** (power - 1) * weights / heights
+    directions = (
+        np.cos(theta)[:, None, :, None, None] * n
+        + np.sin(theta)[:, None, :, None, None] * (np.cos(phi)[None, :, None, :, None] * t + np.sin(phi)[None, :, None, :, None] * b)
+    ).reshape(heights * turns, -1, 3)
+    shape = (heights, turns, len(nodes), len(nodes))
+    solid = np.broadcast_to(area[:, None, :, None] * (weights * 2 * np.pi / turns)[None, None, None, :], shape)
+    return bin_of, directions, solid.reshape(heights * turns, -1)
+
+
+@pytest.mark.parametrize("entering", [1, 0])
+@pytest.mark.parametrize("cosine", [0.95, 0.5, 0.12])
+@pytest.mark.parametrize("name", ROUGH)
+def test_samples_follow_their_density(name, cosine, entering):
+    """Pearson's chi-squared over the sphere; the samples are random, not stratified, so that it applies."""
+    if entering == 0 and "glass" not in name and name != "all":
+        pytest.skip("the same from both sides")
+    wo, frame, count = toward(cosine), frame_of(entering=entering), 20_000
+    u = np.random.default_rng(1).random((count, 3), np.float32)
+    direction, weight, pdf, lobe = sample(ROUGH[name], wo, count, frame, u=u)
+    mirror = np.array([-wo[0], -wo[1], wo[2]])
+    bin_of, points, solid = polar_cells(mirror, 2.0, 24, 16)
+    _, density = evaluate(ROUGH[name], wo, points.reshape(-1, 3), frame)
+    expected = count * (density.reshape(solid.shape) * solid).sum(1)
+    found = (lobe != 0) & (lobe & DELTA == 0)
+    observed = np.bincount(bin_of(direction[found]), minlength=len(expected))
+
+    order = np.argsort(expected)
+    pooled = np.searchsorted(np.cumsum(expected[order]), 10.0)  # bins too small for the test, together
+    few, many = order[: pooled + 1], order[pooled + 1 :]
+    e = np.append(expected[many], expected[few].sum())
+    o = np.append(observed[many], observed[few].sum())
+    missed = count - e.sum()  # absorbed, and delta lobes
+    if missed > 10:
+        e, o = np.append(e, missed), np.append(o, count - o.sum())
+    chi2, freedom = ((o - e) ** 2 / e).sum(), len(e) - 1
+    # Wilson and Hilferty's normal deviate; one false alarm in a million tests
+    z = ((chi2 / freedom) ** (1 / 3) - (1 - 2 / (9 * freedom))) / np.sqrt(2 / (9 * freedom))
+    assert z < 4.9, (chi2, freedom)
+
+
+@pytest.mark.parametrize("name", ROUGH)
+def test_samples_agree_with_evaluation(name):
+    """A sample's weight is value over density, its density the one that `evaluate` gives."""
+    wo = toward(0.6)
+    direction, weight, pdf, lobe = sample(ROUGH[name], wo, 1000)
+    found = (lobe != 0) & (lobe & DELTA == 0)
+    value, density = evaluate(ROUGH[name], wo, direction[found])
+    np.testing.assert_allclose(pdf[found], density, rtol=1e-5)
+    np.testing.assert_allclose(weight[found] * density[:, None], value, rtol=2e-5, atol=1e-9)
+    assert np.all(weight[~found & (lobe == 0)] == 0)
+
+
+def test_a_lone_diffuse_closure_gives_its_weight_to_the_bit():
+    """White furnace exact to rounding, in a module for it alone and in one for every kind."""
+    colour = (0.8, 0.31415927, 1.0)
+    for features in (ClosureFeatures((K.DIFFUSE,)), EVERYTHING):
+        u = stratified(4096)
+        u[:5] = [(0, 0, 0), (0, 1 - 2.0**-24, 1 - 2.0**-24), (0, 0, 1 - 2.0**-24), (0, 0.5, 0.5), (1 - 2.0**-24, 0, 0.5)]
+        _, weight, pdf, lobe = sample((Closure(K.DIFFUSE, colour),), toward(0.3), 0, features=features, u=u)
+        np.testing.assert_array_equal(weight, np.broadcast_to(np.float32(colour), weight.shape))
+        assert np.all(lobe == DIFFUSE) and np.all(pdf > 0)
+
+
+@functools.cache
+def albedo(closures, cosine, entering=1, count=2**14):
+    """Directional albedo [3] and its standard error, stratified."""
+    estimates = [
+        sample(closures, toward(cosine), count, frame_of(entering=entering), seed=seed)[1].mean(0) for seed in range(4)
+    ]
+    return np.mean(estimates, 0), np.std(estimates, 0).max() / 2
+
+
+COSINES = (1.0, 0.7, 0.3, 0.1, 0.03)
+ROUGHNESSES = (SMOOTH, 0.02, 0.15, 0.37, 0.6, 0.85, 1.0)
+
+
+@pytest.mark.parametrize("roughness", ROUGHNESSES)
+@pytest.mark.parametrize("cosine", COSINES)
+def test_white_furnace_reflection(roughness, cosine):
+    """White facets return all light, whatever the roughness and the angle."""
+    for closures in ((Closure(K.GLOSSY, WHITE, roughness),), (Closure(K.METAL, WHITE, roughness),)):
+        mean, error = albedo(closures, cosine)
+        np.testing.assert_allclose(mean, 1, atol=0.008 + 4 * error)
+
+
+@pytest.mark.parametrize("roughness", ROUGHNESSES)
+@pytest.mark.parametrize("ior", (1.05, 1.33, 1.5, 2.4))
+def test_white_furnace_coat(roughness, ior):
+    """A white base below a coat returns all light."""
+    for cosine in COSINES:
+        closures = (Closure(K.DIELECTRIC, WHITE, roughness, ior), Closure(K.LAYERED_DIFFUSE, WHITE, roughness, ior))
+        mean, error = albedo(closures, cosine)
+        np.testing.assert_allclose(mean, 1, atol=0.008 + 4 * error)
+
+
+@pytest.mark.parametrize("roughness", ROUGHNESSES)
+@pytest.mark.parametrize("ior", (1.05, 1.33, 1.5, 2.4))
+@pytest.mark.parametrize("entering", (1, 0))
+def test_white_furnace_glass(roughness, ior, entering):
+    """White glass reflects and refracts all light, from outside and from inside."""
+    for cosine in COSINES:
+        mean, error = albedo((Closure(K.GLASS, WHITE, roughness, ior),), cosine, entering)
+        np.testing.assert_allclose(mean, 1, atol=0.02 + 4 * error)
+
+
+def test_single_scattering_loses_what_theory_says():
+    """Without compensation the albedo is that of one bounce, by quadrature of its own."""
+    for roughness, cosine in itertools.product((0.3, 0.7, 1.0), (0.9, 0.4, 0.1)):
+        closure = Closure(K.GLOSSY, WHITE, roughness, multiscatter=False)
+        mean, error = albedo((closure,), cosine)
+        expected = hemisphere_albedo(roughness**2, cosine)
+        np.testing.assert_allclose(mean, expected, atol=2e-3 + 4 * error)
+
+
+def hemisphere_albedo(alpha, cosine):
+    """Integral of D G2 / (4 cos_o) over wi, in cosine and azimuth, float64."""
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    c = ((nodes + 1) / 2)[:, None]
+    phi = (np.pi * (nodes + 1) / 2)[None, :]
+    s, so = np.sqrt(1 - c**2), np.sqrt(1 - cosine**2)
+    h = np.stack(np.broadcast_arrays(s * np.cos(phi) + so, s * np.sin(phi), c + cosine))
+    cos2 = h[2] ** 2 / (h**2).sum(0)
+    d = alpha**2 / (np.pi * (cos2 * (alpha**2 - 1) + 1) ** 2)
+    smith = [(np.sqrt(1 + alpha**2 * (1 / x**2 - 1)) - 1) / 2 for x in (c, cosine)]
+    f = d / (1 + smith[0] + smith[1]) / (4 * cosine)
+    return (f * weights[:, None] / 2 * weights[None, :] * np.pi).sum()  # both halves of the azimuth
+
+
+def test_energy_compensation_knows_the_mix_factor():
+    """Half of a white glossy closure is half of its albedo: the share is no darker colour."""
+    whole, _ = albedo((Closure(K.GLOSSY, WHITE, 0.9),), 0.5)
+    half, _ = albedo((Closure(K.GLOSSY, (0.5,) * 3, 0.9, share=0.5),), 0.5)
+    dark, _ = albedo((Closure(K.GLOSSY, (0.5,) * 3, 0.9),), 0.5)
+    np.testing.assert_allclose(half, whole / 2, rtol=1e-4)
+    assert np.all(dark < half - 0.02)
+
+
+@pytest.mark.parametrize("name", ["diffuse", "glossy", "glossy 0.2", "metal"])
+def test_reciprocity(name):
+    """f(wo, wi) = f(wi, wo) for single scattering."""
+    closures = [Closure(c.kind, c.weight, c.roughness, c.ior, multiscatter=False) for c in ROUGH[name]]
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        a, b = (toward(rng.uniform(0.05, 1), rng.uniform(0, 6)) for _ in range(2))
+        forward, _ = evaluate(closures, a, b)
+        backward, _ = evaluate(closures, b, a)
+        np.testing.assert_allclose(forward / b[2], backward / a[2], rtol=1e-4)
+
+
+def test_evaluation_against_textbook_formulas():
+    """GGX reflection and Schlick's Fresnel, Lambert: float64, written out."""
+    rng = np.random.default_rng(4)
+    f0, alpha = np.array([0.9, 0.6, 0.3]), 0.16
+    for _ in range(20):
+        o, i = (toward(rng.uniform(0.05, 1), rng.uniform(0, 6)) for _ in range(2))
+        h = (o + i) / np.linalg.norm(o + i)
+        d = alpha**2 / (np.pi * (h[2] ** 2 * (alpha**2 - 1) + 1) ** 2)
+        lambdas = [(np.sqrt(1 + alpha**2 * (1 / w[2] ** 2 - 1)) - 1) / 2 for w in (o, i)]
+        f = f0 + (1 - f0) * (1 - o @ h) ** 5
+        value, pdf = evaluate([Closure(K.METAL, tuple(f0), 0.4, multiscatter=False)], o, i)
+        np.testing.assert_allclose(value[0], f * d / (1 + sum(lambdas)) / (4 * o[2]), rtol=2e-4)
+        np.testing.assert_allclose(pdf[0], d / (1 + lambdas[0]) / (4 * o[2]), rtol=2e-4)
+        value, pdf = evaluate([Closure(K.DIFFUSE, (0.5, 0.25, 1.0))], o, i)
+        np.testing.assert_allclose(value[0], np.array([0.5, 0.25, 1.0]) * i[2] / np.pi, rtol=1e-5)
+        np.testing.assert_allclose(pdf[0], i[2] / np.pi, rtol=1e-5)
+
+
+def fresnel(cosine, eta):
+    sine2 = (1 - cosine**2) / eta**2
+    if sine2 >= 1:
+        return 1.0
+    t = np.sqrt(1 - sine2)
+    s, p = (cosine - eta * t) / (cosine + eta * t), (eta * cosine - t) / (eta * cosine + t)
+    return (s * s + p * p) / 2
+
+
+@pytest.mark.parametrize("entering", [1, 0])
+def test_smooth_glass_obeys_fresnel_and_snell(entering):
+    """Shares of mirrored and refracted samples, and where they go; total internal reflection too."""
+    eta = 1.5 if entering else 1 / 1.5
+    for cosine in (0.99, 0.8, 0.7, 0.3, 0.02):
+        wo = toward(cosine)
+        direction, weight, pdf, lobe = sample([Closure(K.GLASS, WHITE, 0.0, 1.5)], wo, 2**14, frame_of(entering=entering))
+        assert set(lobe) <= {GLOSSY | DELTA, TRANSMISSION | DELTA}
+        assert np.all(pdf == 0)
+        np.testing.assert_allclose(weight, 1, rtol=1e-5)
+        mirrored = lobe == (GLOSSY | DELTA)
+        assert mirrored.mean() == pytest.approx(fresnel(cosine, eta), abs=1e-3)
+        np.testing.assert_allclose(direction[mirrored], np.broadcast_to([-wo[0], -wo[1], wo[2]], (mirrored.sum(), 3)), atol=1e-6)
+        if not mirrored.all():
+            through = direction[~mirrored]
+            np.testing.assert_allclose(through[:, :2] * eta, np.broadcast_to(-wo[:2], (len(through), 2)), atol=2e-6)
+            assert np.all(through[:, 2] < 0)
+        value, density = evaluate([Closure(K.GLASS, WHITE, 0.0, 1.5)], wo, direction, frame_of(entering=entering))
+        assert np.all(value == 0) and np.all(density == 0)
+
+
+def test_smooth_metal_and_coat():
+    """A delta lobe's weight is its Fresnel factor."""
+    wo = toward(0.3)
+    f0, edge = np.array([0.9, 0.5, 0.1]), np.array([1.0, 0.9, 0.8])
+    direction, weight, _, lobe = sample([Closure(K.METAL, tuple(f0), SMOOTH, edge=tuple(edge))], wo, 16)
+    assert np.all(lobe == (GLOSSY | DELTA))
+    np.testing.assert_allclose(weight, np.broadcast_to(f0 + (edge - f0) * 0.7**5, weight.shape), rtol=1e-5)
+    np.testing.assert_allclose(direction, np.broadcast_to([-wo[0], -wo[1], wo[2]], direction.shape), atol=1e-6)
+    _, weight, _, _ = sample([Closure(K.DIELECTRIC, WHITE, 0.0, 1.5)], wo, 16)
+    np.testing.assert_allclose(weight, fresnel(0.3, 1.5), rtol=1e-5)
+
+
+def test_transparency_and_emission():
+    """Straight passage is a delta lobe; emission neither scatters nor is it sampled."""
+    closures = [Closure(K.TRANSPARENT, (0.3, 0.6, 0.9)), Closure(K.EMISSION, (5.0, 6.0, 7.0))]
+    wo = toward(0.4)
+    direction, weight, pdf, lobe = sample(closures, wo, 16)
+    assert np.all(lobe == (TRANSPARENT | DELTA)) and np.all(pdf == 0)
+    np.testing.assert_allclose(direction, np.broadcast_to(-wo, direction.shape), rtol=1e-6)
+    np.testing.assert_allclose(weight, np.broadcast_to([0.3, 0.6, 0.9], weight.shape), rtol=1e-6)
+
+    def constants(*closures):
+        out = wp.zeros(3, dtype=wp.vec3, device="cpu")
+        launch(kernels(EVERYTHING).constants, 1, [table_of(*closures)], [out])
+        return out.numpy()
+
+    np.testing.assert_allclose(constants(*closures), [[5, 6, 7], [0.3, 0.6, 0.9], [0, 0, 0]], rtol=1e-6)
+    assert constants(Closure(K.GLASS, WHITE, SMOOTH))[2, 0] == 0
+    assert constants(Closure(K.GLASS, WHITE, 0.1))[2, 0] == 1
+    assert constants(Closure(K.DIFFUSE, WHITE))[2, 0] == 1
+
+
+def test_nothing_is_absorbed_by_an_empty_material():
+    """A material without closures is black, not invalid."""
+    direction, weight, pdf, lobe = sample([], toward(0.4), 16)
+    value, density = evaluate([], toward(0.4), toward(0.5))
+    assert not weight.any() and not pdf.any() and not lobe.any() and not value.any() and not density.any()
+
+
+@pytest.mark.parametrize("name", ROUGH)
+def test_light_does_not_leak(name):
+    """With a strongly turned shading normal, reflected light stays above the triangle and refracted below."""
+    normal = np.array([0.8, 0.0, 0.6])
+    frame = frame_of(normal)
+    for wo in (toward(0.1, 0.0), toward(0.1, 3.0), toward(0.7, 3.1)):
+        direction, weight, pdf, lobe = sample(ROUGH[name], wo, 1024, frame)
+        used = weight.any(1)
+        crosses = (lobe & (TRANSMISSION | TRANSPARENT)) != 0
+        height = direction[:, 2]
+        assert np.all(height[used & crosses] < 0) and np.all(height[used & ~crosses] > 0)
+        assert used.mean() > 0.2  # the bent normal leaves something, though the shading normal faces away
+        below = toward(0.3, 1.0) * [1, 1, -1]
+        value, density = evaluate(ROUGH[name], wo, below, frame)
+        if "glass" not in name and name != "all":
+            assert not value.any() and not density.any()
+
+
+def test_extremes_stay_finite():
+    """Grazing and degenerate directions, every roughness and index: finite, never negative, bounded energy."""
+    normal_ish = [toward(c, a) for c in (1.0, 0.5, 1e-3, 1e-7, 0.0) for a in (0.0, 2.0)]
+    wis = np.array(normal_ish + [-d for d in normal_ish] + [[-d[0], -d[1], d[2]] for d in normal_ish])
+    corner = np.array(list(itertools.product((0.0, 0.5, 1 - 2.0**-24), repeat=3)), np.float32)
+    kinds = [k for k in K if k not in (K.EMISSION, K.TRANSPARENT)]
+    for kind, roughness in itertools.product(kinds, (0.0, SMOOTH, 1.12 * SMOOTH, 0.1, 1.0)):
+        for ior in (0.0, 0.5, 1.0, 1.0 + 1e-6, 1.0005, 1.5, 1e9) if kind in (K.GLASS, K.DIELECTRIC, K.LAYERED_DIFFUSE) else (1.5,):
+            closures = [Closure(kind, WHITE, roughness, ior)]
+            for wo, entering in itertools.product(normal_ish, (0, 1)):
+                frame = frame_of(entering=entering)
+                value, pdf = evaluate(closures, wo, wis, frame)
+                assert np.isfinite(value).all() and np.isfinite(pdf).all() and (value >= 0).all() and (pdf >= 0).all()
+                direction, weight, pdf, lobe = sample(closures, wo, 0, frame, u=corner)
+                assert np.isfinite(direction).all() and np.isfinite(weight).all() and np.isfinite(pdf).all()
+                assert (weight >= 0).all() and (weight < 200).all()
+                np.testing.assert_allclose(np.linalg.norm(direction[lobe != 0], axis=1), 1, atol=1e-5)
+
+
+def test_only_what_is_needed_is_compiled_and_allocated(tmp_path, monkeypatch):
+    """A diffuse material's module holds no function of facets, and its table no array of them."""
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    kernels.__wrapped__(ClosureFeatures((K.DIFFUSE,)))
+    source = "\n".join(path.read_text() for path in tmp_path.rglob("*.cpp"))
+    assert "sample_cosine_hemisphere" in source
+    for name in ("ggx", "fresnel", "visible_normal", "albedo(", "_facet_normal", "refracted", "reflected"):
+        assert name not in source, name
+    table = table_of(Closure(K.DIFFUSE, WHITE), features=ClosureFeatures((K.DIFFUSE,)))
+    for array in (table.roughness, table.ior, table.edge, table.albedo.reflection, table.albedo.coat, table.albedo.glass):
+        assert array.size == 0
+    glossy = table_of(Closure(K.GLOSSY, WHITE, 0.3), features=ClosureFeatures((K.GLOSSY,)))
+    assert glossy.albedo.reflection.size > 0 and glossy.albedo.coat.size == 0 and glossy.albedo.glass.size == 0
+
+
+def test_bad_materials_are_named():
+    for closure in (Closure(K.DIFFUSE, (np.nan, 0, 0)), Closure(K.DIFFUSE, (-1.0, 0, 0)), Closure(K.GLASS, WHITE, np.inf)):
+        with pytest.raises(SceneError, match="Marble"):
+            upload_materials([Material("Marble", (closure,))], EVERYTHING, "cpu")
+    with pytest.raises(ValueError, match="GLASS"):
+        upload_materials([Material("Marble", (Closure(K.GLASS, WHITE),))], ClosureFeatures((K.DIFFUSE,)), "cpu")
