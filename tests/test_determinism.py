@@ -11,15 +11,9 @@ from hypothesis import strategies as st
 
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.scene.description import Frame
-from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
 
 SETTINGS = RenderSettings(sample_count=6, bounce_max=6, roulette_bounce=2, clamp_indirect=3.0)
-
-
-@pytest.fixture(scope="module")
-def session():
-    return Session("cpu")
 
 
 @pytest.fixture(scope="module")

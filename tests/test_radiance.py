@@ -8,13 +8,7 @@ import pytest
 import scenes
 
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Light, LightKind, Visibility
-from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
-
-
-@pytest.fixture(scope="module")
-def session():
-    return Session("cpu")
 
 
 def colour(film) -> np.ndarray:

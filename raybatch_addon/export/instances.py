@@ -21,7 +21,7 @@ _CANCEL_INTERVAL = 256
 _MATRIX_ERROR = 8 * 2.0**-24
 
 _SOLID_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
-_UNSUPPORTED_TYPES = {"VOLUME": "volumes", "CURVES": "hair curves", "POINTCLOUD": "point clouds", "GREASEPENCIL": "Grease Pencil"}
+_UNSUPPORTED_TYPES = {"VOLUME": "volumes", "CURVES": "hair curves", "POINTCLOUD": "point clouds"}
 
 
 class Cancelled(Exception):

@@ -12,7 +12,8 @@ import bpy
 import numpy as np
 
 from ..core.scene.description import Light, LightKind, Visibility
-from .emission_nodes import NotConstant, constant_emission
+from .emission_nodes import constant_emission
+from .nodes.graph import NotUnderstood
 from .world import has_nodes, usable_emission
 
 _MAX_BOUNCES = 1024  # Cycles' default: no limit
@@ -69,8 +70,8 @@ def _strength(light: bpy.types.Light, name: str, warnings: list[str]) -> np.ndar
     if has_nodes(light):
         try:
             strength = strength * constant_emission(light.node_tree)
-        except NotConstant as reason:
-            warnings.append(f"{name}: {reason} is not supported; the light shines as if it had no nodes")
+        except NotUnderstood as reason:
+            warnings.append(f"{name}: {reason}, which is not supported; the light shines as if it had no nodes")
     return strength
 
 

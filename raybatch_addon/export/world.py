@@ -6,7 +6,8 @@ import bpy
 import numpy as np
 
 from ..core.scene.description import Visibility, World
-from .emission_nodes import NotConstant, constant_emission, has_volume
+from .emission_nodes import constant_emission, has_volume
+from .nodes.graph import NotUnderstood
 
 
 def export_world(world: bpy.types.World | None, warnings: list[str]) -> World:
@@ -20,8 +21,8 @@ def export_world(world: bpy.types.World | None, warnings: list[str]) -> World:
     if has_nodes(world):
         try:
             radiance = constant_emission(world.node_tree)
-        except NotConstant as reason:
-            warnings.append(f"world “{world.name}”: {reason} is not supported; the world has its viewport colour instead")
+        except NotUnderstood as reason:
+            warnings.append(f"world “{world.name}”: {reason}, which is not supported; the world has its viewport colour instead")
         if has_volume(world.node_tree):
             warnings.append(f"world “{world.name}”: volumes are not supported; the world's volume is left out")
     return World(radiance=usable_emission(radiance, f"world “{world.name}”", warnings), visibility=_visibility(world))

@@ -16,6 +16,10 @@ from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.wavefront.stages.accumulate import FilmTile, add_spill_kernel, allocate_film_tile, take_spill
 
 
+wp.init()
+DEVICE = wp.get_preferred_device()
+
+
 @wp.kernel(**KERNEL_OPTIONS)
 def add_all(window: wp.array2d(dtype=wp.int64), wide: wp.array2d(dtype=wp.int64), values: wp.array2d(dtype=float)):
     i, j = wp.tid()
@@ -27,8 +31,8 @@ def summed(values: np.ndarray) -> ExactSums:
     count = values.shape[1]
     window = np.zeros((WINDOW_DIGITS, count), np.int64)
     wide = np.zeros((WIDE_DIGITS, count), np.int64)
-    on_device = [wp.array(a, device="cpu") for a in (window, wide, values)]
-    wp.launch(add_all, values.shape, on_device, device="cpu")
+    on_device = [wp.array(a, device=DEVICE) for a in (window, wide, values)]
+    wp.launch(add_all, values.shape, on_device, device=DEVICE)
     return ExactSums(on_device[0].numpy(), on_device[1].numpy(), 1)
 
 
@@ -74,11 +78,11 @@ def test_any_order_and_partition_gives_the_same_bits(values, random):
 
 def test_a_sample_outside_the_window_is_set_aside_and_kept():
     layout = film_module.layout_of(("Combined",), False)
-    tile: FilmTile = allocate_film_tile(1, 4, layout, ("Combined",), "cpu")
+    tile: FilmTile = allocate_film_tile(1, 4, layout, ("Combined",), DEVICE)
     tile.spill_index.assign(np.array([0, 2] + [0] * 10, np.int32))
     tile.spill_value.assign(np.array([1e30, 1e-30] + [0] * 10, np.float32))
     tile.spill_count.assign([2])
-    take_spill(tile, 2, wp.get_device("cpu"))
+    take_spill(tile, 2, wp.get_device(DEVICE))
     sums = ExactSums(tile.window.numpy(), tile.wide.numpy(), 3).sums()[0]
     assert sums.tolist() == [float(np.float32(1e30)), 0.0, float(np.float32(1e-30))]
     assert tile.spill_count.numpy()[0] == 0

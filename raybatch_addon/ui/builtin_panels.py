@@ -1,0 +1,58 @@
+"""Blender's own panels that apply to RayBatch, and not those that would do nothing."""
+
+from __future__ import annotations
+
+import bpy
+
+from .panel import ENGINE
+
+# Every panel for engines of Blender's general kind is taken, without those of what is not rendered
+_GENERAL = "BLENDER_RENDER"
+_LEFT_OUT = {
+    "DATA_PT_light",  # the fuller DATA_PT_EEVEE_light is taken
+    "NODE_DATA_PT_light",
+    "DATA_PT_preview",
+    "DATA_PT_volume_render",
+    "OBJECT_PT_shading",  # light linking
+    "PARTICLE_PT_hair_shape",
+    "RENDER_PT_stereoscopy",
+    "RENDER_PT_output_views",
+    "DATA_PT_camera_stereoscopy",
+    "PHYSICS_PT_fluid_domain_render",
+}
+_LEFT_OUT_FAMILIES = ("DATA_PT_lightprobe", "DATA_PT_context_lightprobe", "RENDER_PT_freestyle", "VIEWLAYER_PT_freestyle", "MATERIAL_PT_freestyle")
+
+# Panels that Blender made for EEVEE and that say nothing special to it
+_TAKEN = {
+    "DATA_PT_EEVEE_light",
+    "NODE_DATA_PT_EEVEE_light",
+    "DATA_PT_camera_dof",
+    "DATA_PT_camera_dof_aperture",
+    "EEVEE_MATERIAL_PT_context_material",
+    "EEVEE_MATERIAL_PT_surface",
+    "EEVEE_WORLD_PT_surface",
+}
+
+_added: list[type] = []
+
+
+def _applies(panel: type) -> bool:
+    name = panel.__name__
+    if name in _TAKEN:
+        return True
+    return _GENERAL in panel.COMPAT_ENGINES and name not in _LEFT_OUT and not name.startswith(_LEFT_OUT_FAMILIES)
+
+
+def register() -> None:
+    """Enable them for the engine."""
+    for panel in bpy.types.Panel.__subclasses__():
+        if hasattr(panel, "COMPAT_ENGINES") and ENGINE not in panel.COMPAT_ENGINES and _applies(panel):
+            panel.COMPAT_ENGINES.add(ENGINE)
+            _added.append(panel)
+
+
+def unregister() -> None:
+    """Disable exactly those again."""
+    for panel in _added:
+        panel.COMPAT_ENGINES.discard(ENGINE)
+    _added.clear()

@@ -1,0 +1,136 @@
+"""A scene pays only for what it has: what it lacks is neither compiled nor allocated nor uploaded."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scenes
+
+from raybatch_addon.core.device import find_device
+from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame, Light, LightKind, Visibility
+from raybatch_addon.core.scene.features import SceneFeatures, derive_features, ordinary_features
+from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.wavefront.device_scene import DeviceScene, GeometryCache
+from raybatch_addon.core.wavefront.kernels import StageKernels
+from raybatch_addon.core.wavefront.rays import allocate_paths, bytes_per_path
+
+SETTINGS = RenderSettings()
+
+
+def plain(**more):
+    """A flat diffuse floor under a point light."""
+    light = Light("point", LightKind.POINT, scenes.translation(0, 0, 2), (1.0,) * 3)
+    given = dict(lights=[light], frame=Frame(8, 8)) | more
+    return scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse())], **given)
+
+
+def with_material(kind):
+    return scenes.scene(
+        [(scenes.plane(), scenes.IDENTITY, scenes.material(Closure(kind, (0.5, 0.5, 0.5), roughness=0.5)))],
+        lights=plain().lights, frame=Frame(8, 8),
+    )  # fmt: skip
+
+
+def source(features: SceneFeatures) -> str:
+    """All code that is compiled for `features`."""
+    text = []
+    for kernel in StageKernels.choose(features, SETTINGS).all():
+        builder = __import__("warp")._src.context.ModuleBuilder(kernel.module, {**kernel.module.options, "block_dim": 1, "mode": "release"})
+        text.append(builder.codegen("cpu"))
+    return "\n".join(text)
+
+
+def with_light(kind, **more):
+    return plain(lights=[dataclasses.replace(plain().lights[0], kind=kind, **more)])
+
+
+# feature -> (a scene that has it, a word that only its code has)
+CODE = {
+    "metal": (with_material(ClosureKind.METAL), "ggx_distribution"),
+    "glossy": (with_material(ClosureKind.GLOSSY), "ggx_visible"),
+    "glass": (with_material(ClosureKind.GLASS), "fresnel_dielectric"),
+    "emission": (with_material(ClosureKind.EMISSION), "sample_triangle_light"),
+    "transparency": (with_material(ClosureKind.TRANSPARENT), "connect_transparent"),
+    "area light": (with_light(LightKind.RECTANGLE), "sample_area_light"),
+    "sun": (with_light(LightKind.SUN, angle=0.1), "sample_sun"),
+    "spot": (with_light(LightKind.SPOT, angle=1.0), "spot_attenuation"),
+    "light that rays meet": (with_light(LightKind.POINT, radius=0.1), "light_hits"),
+    "depth of field": (plain(view=scenes.camera(lens_radius=0.1)), "lens_point"),
+    "instancing": (
+        (lambda m: scenes.scene([(m, scenes.IDENTITY, scenes.diffuse()), (m, scenes.translation(3, 0, 0), scenes.diffuse())]))(scenes.plane()),
+        "bvh_query_ray",
+    ),
+    "hidden objects": (scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse(), Visibility.CAMERA)]), "closest_of_entries"),
+    "smooth normals": (scenes.scene([(scenes.sphere(smooth=True), scenes.IDENTITY, scenes.diffuse())]), "corner_normals["),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def plain_source():
+    return source(derive_features(plain(), SETTINGS))
+
+
+@pytest.mark.parametrize("feature", CODE)
+def test_code_of_a_feature_is_compiled_only_for_scenes_that_have_it(feature, plain_source):
+    scene, word = CODE[feature]
+    assert word not in plain_source
+    assert word in source(derive_features(scene, SETTINGS))
+
+
+def test_a_scene_without_surfaces_compiles_no_surface_code():
+    empty = source(derive_features(scenes.scene(world=1.0), SETTINGS))
+    for word in ("mesh_query_ray", "connect", "bsdf", "surface_point"):
+        assert word not in empty
+
+
+def test_settings_that_are_off_compile_nothing(plain_source):
+    features = derive_features(plain(), SETTINGS)
+    assert "clamped" not in plain_source and "clamped" in source(dataclasses.replace(features, clamping=True))
+    assert "connect_light" in plain_source and "connect_light" not in source(dataclasses.replace(features, nee="OFF"))
+
+
+def test_arrays_of_a_feature_are_allocated_only_for_scenes_that_have_it(device):
+    where = find_device(device)
+    base = SceneFeatures(surfaces=True, closures=(ClosureKind.DIFFUSE,))
+    lean = allocate_paths(4, base, where)
+    for field in ("shadow_light", "passed", "passed_t", "alpha", "normal"):
+        assert getattr(lean, field).size == 0, field
+    full = allocate_paths(
+        4,
+        dataclasses.replace(
+            base, lights=(LightKind.POINT,), closures=(ClosureKind.DIFFUSE, ClosureKind.TRANSPARENT), film_transparent=True, passes=("Combined", "Normal"),
+        ),
+        where,
+    )  # fmt: skip
+    assert all(getattr(full, field).size for field in ("shadow_light", "passed", "passed_t", "alpha", "normal"))
+    assert bytes_per_path(base) < bytes_per_path(dataclasses.replace(base, lights=(LightKind.POINT,)))
+
+
+def test_a_flat_scene_of_one_material_uploads_no_normals_and_no_slots(device):
+    scene = plain()
+    built = DeviceScene.build(scene, derive_features(scene, SETTINGS), find_device(device), GeometryCache())
+    assert built.data.geometry.corner_normals.size == 0 and built.data.geometry.triangle_slot.size == 0
+    assert built.built.entry_tree is None and len(built.built.meshes) == 1
+
+
+def test_what_is_left_out_is_told_by_name():
+    left_out = derive_features(plain(), SETTINGS).left_out()
+    assert {"closure glass", "instancing", "depth of field", "world", "mesh lights", "smooth normals", "light sun"} <= set(left_out)
+    assert not {"closure diffuse", "light point", "surfaces", "shadow rays"} & set(left_out)
+
+
+def test_kinds_count_by_node_and_not_by_value():
+    """A slider at 0 leaves the kind among the features, so that moving it compiles nothing."""
+    surface = scenes.material(Closure(ClosureKind.DIFFUSE, (1, 1, 1)), kinds=(ClosureKind.DIFFUSE, ClosureKind.GLASS))
+    features = derive_features(scenes.scene([(scenes.plane(), scenes.IDENTITY, surface)]), SETTINGS)
+    assert features.closures == (ClosureKind.DIFFUSE, ClosureKind.GLASS)
+
+
+def test_ordinary_features_can_be_rendered():
+    for features in ordinary_features():
+        assert StageKernels.choose(features, SETTINGS).surface is not None and features.camera == CameraKind.PERSPECTIVE
+
+
+def test_a_render_without_surfaces_shows_the_world(session):
+    picture = session.render(scenes.scene(world=(0.2, 0.4, 0.6), frame=Frame(8, 8)), RenderSettings(sample_count=3)).passes["Combined"]
+    assert np.allclose(picture, [0.2, 0.4, 0.6, 1.0], rtol=1e-6)
