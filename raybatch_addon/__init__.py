@@ -18,11 +18,15 @@ def register() -> None:
 
 def unregister() -> None:
     """Remove everything that `register` added, and give back what is cached."""
+    import sys
+
     import bpy
 
-    from . import engine, reports, sessions, ui
+    from . import engine, reports, ui
 
     bpy.utils.unregister_class(engine.RayBatchRenderEngine)
     ui.unregister()
-    sessions.close_all()
+    sessions = sys.modules.get(f"{__name__}.sessions")  # there if something was rendered
+    if sessions is not None:
+        sessions.close_all()
     reports.clear()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bpy
 
-from .frame import render_view_layer
 from .result import register_passes
 
 
@@ -25,4 +24,6 @@ class RayBatchRenderEngine(bpy.types.RenderEngine):
         register_passes(self, scene, renderlayer)
 
     def render(self, depsgraph):
+        from .frame import render_view_layer  # brings in Warp, which opening Blender should not wait for
+
         render_view_layer(self, depsgraph)

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import bpy
 import numpy as np
 
-from .core.session import Tile
 from .export.scene import PASS_PROPERTIES
+
+if TYPE_CHECKING:
+    from .core.session import Tile  # brings in Warp, which registering the add-on should not wait for
 
 # channels, their letters and Blender's kind of value, by pass
 PASSES = {

@@ -80,7 +80,7 @@ def _unsupported(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> lis
         lines.append(f"scene “{scene.name}”: motion blur is not supported yet; the frame is rendered sharp")
     if scene.render.use_multiview:
         lines.append(f"scene “{scene.name}”: stereoscopy is not supported yet; every view shows the same picture")
-    known = {"use_pass_combined", *PASS_PROPERTIES}
+    known = {"use_pass_combined", "use_pass_cryptomatte_accurate", *PASS_PROPERTIES}  # accuracy is no pass of its own
     asked = [p for p in view_layer.bl_rna.properties.keys() if p.startswith("use_pass_") and p not in known and getattr(view_layer, p) is True]
     if asked:
         names = ", ".join(view_layer.bl_rna.properties[p].name for p in asked)

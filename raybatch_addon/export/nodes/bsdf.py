@@ -24,27 +24,29 @@ def _diffuse(node: ShaderNode) -> Mixture:
 
 @handles("ShaderNodeBsdfAnisotropic")
 def _glossy(node: ShaderNode) -> Mixture:
-    _note_lobe(node, "Anisotropy")
-    return single(ClosureKind.GLOSSY, node.color("Color"), roughness=saturated(node.number("Roughness")))
+    multiscatter = _lobe(node, "Anisotropy")
+    roughness = saturated(node.number("Roughness"))
+    return single(ClosureKind.GLOSSY, node.color("Color"), roughness=roughness, multiscatter=multiscatter)
 
 
 @handles("ShaderNodeBsdfMetallic")
 def _metallic(node: ShaderNode) -> Mixture:
     if node.node.fresnel_type != "F82":
         raise NotUnderstood(f"{node_label(node.node)} with physical conductors")
-    _note_lobe(node, "Anisotropy")
+    multiscatter = _lobe(node, "Anisotropy")
     note_thin_film(node)
     base = _at_most_one(node.color("Base Color"))
     edge = metal_edge(base, _at_most_one(node.color("Edge Tint")))
-    return single(ClosureKind.METAL, base, edge=edge, roughness=saturated(node.number("Roughness")))
+    roughness = saturated(node.number("Roughness"))
+    return single(ClosureKind.METAL, base, edge=edge, roughness=roughness, multiscatter=multiscatter)
 
 
 @handles("ShaderNodeBsdfGlass")
 def _glass(node: ShaderNode) -> Mixture:
-    _note_lobe(node)
+    multiscatter = _lobe(node)
     note_thin_film(node)
     roughness, ior = saturated(node.number("Roughness")), max(node.number("IOR"), IOR_MIN)
-    return single(ClosureKind.GLASS, node.color("Color"), roughness=roughness, ior=ior)
+    return single(ClosureKind.GLASS, node.color("Color"), roughness=roughness, ior=ior, multiscatter=multiscatter)
 
 
 @handles("ShaderNodeBsdfTransparent")
@@ -78,10 +80,12 @@ def _at_most_one(color: Color) -> Color:
     return saturated(color[0]), saturated(color[1]), saturated(color[2])
 
 
-def _note_lobe(node: ShaderNode, anisotropy: str | None = None) -> None:
+def _lobe(node: ShaderNode, anisotropy: str | None = None) -> bool:
+    """Notes what of a microfacet lobe is not rendered; whether its facets scatter more than once."""
     node.leave_out_links("Normal")
     distribution = node.node.distribution
     if distribution not in ("GGX", "MULTI_GGX"):
         node.leave_out(f"the distribution {distribution.replace('_', '-').title()} (GGX instead)")
     if anisotropy is not None and node.number(anisotropy) != 0:
         node.leave_out(anisotropy)
+    return distribution == "MULTI_GGX"

@@ -9,6 +9,7 @@ from ...core.scene.description import Closure, ClosureKind
 
 Color = tuple[float, float, float]
 WHITE: Color = (1.0, 1.0, 1.0)
+BLACK: Color = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Mixture:
 
 
 def _scaled(closure: Closure, factor: float) -> Closure:
-    changes = {"weight": times(closure.weight, factor)}
+    changes = {"weight": times(closure.weight, factor), "share": closure.share * factor}
     if closure.kind == ClosureKind.METAL:
         changes["edge"] = times(closure.edge, factor)
     return dataclasses.replace(closure, **changes)
@@ -40,11 +41,6 @@ def _scaled(closure: Closure, factor: float) -> Closure:
 def times(color: Color, factor: float) -> Color:
     """`color` times a number."""
     return color[0] * factor, color[1] * factor, color[2] * factor
-
-
-def product(a: Color, b: Color) -> Color:
-    """Two colours multiplied channel by channel."""
-    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 def saturated(value: float) -> float:

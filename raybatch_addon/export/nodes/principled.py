@@ -7,7 +7,7 @@ import math
 from ...core.scene.description import Closure, ClosureKind
 from . import ShaderNode, handles
 from .bsdf import IOR_MIN, metal_edge, note_thin_film
-from .mixture import WHITE, Color, Mixture, saturated, times
+from .mixture import BLACK, WHITE, Color, Mixture, saturated, times
 
 KINDS = frozenset(
     {
@@ -48,6 +48,7 @@ def _principled(node: ShaderNode) -> Mixture:
         transmission=saturated(node.number("Transmission Weight")),
         alpha=saturated(node.number("Alpha")),
         emission=emission,
+        multiscatter=node.node.distribution == "MULTI_GGX",
     )
 
 
@@ -61,7 +62,8 @@ def principled_mixture(
     tint: Color = WHITE,
     transmission: float = 0.0,
     alpha: float = 1.0,
-    emission: Color = (0.0, 0.0, 0.0),
+    emission: Color = BLACK,
+    multiscatter: bool = True,
 ) -> Mixture:
     """The closures of a Principled BSDF.
 
@@ -75,15 +77,19 @@ def principled_mixture(
     plastic = alpha * (1.0 - metallic) * (1.0 - transmission)
     coat_ior = _coat_ior(ior, specular)
     glass_color = (math.sqrt(base[0]), math.sqrt(base[1]), math.sqrt(base[2]))
-    closures = [
+
+    def lobe(kind: ClosureKind, color: Color, share: float, index: float = coat_ior, edge: Color = WHITE) -> Closure:
+        return Closure(kind, times(color, share), roughness, index, times(edge, share), share, multiscatter)
+
+    closures = (
         Closure(ClosureKind.TRANSPARENT, times(WHITE, 1.0 - alpha)),
         Closure(ClosureKind.EMISSION, times(emission, alpha)),
-        Closure(ClosureKind.METAL, times(base, metal), roughness, edge=times(metal_edge(base, tint), metal)),
-        Closure(ClosureKind.GLASS, times(glass_color, glass), roughness, ior),
-        Closure(ClosureKind.DIELECTRIC, times(WHITE, plastic if coat_ior != 1.0 else 0.0), roughness, coat_ior),
-        Closure(ClosureKind.LAYERED_DIFFUSE, times(base, plastic), roughness, coat_ior),
-    ]
-    return Mixture(tuple(closures), KINDS)
+        lobe(ClosureKind.METAL, base, metal, edge=metal_edge(base, tint)),
+        lobe(ClosureKind.GLASS, glass_color, glass, ior),
+        lobe(ClosureKind.DIELECTRIC, WHITE if coat_ior != 1.0 else BLACK, plastic),
+        lobe(ClosureKind.LAYERED_DIFFUSE, base, plastic),
+    )
+    return Mixture(closures, KINDS)
 
 
 def _coat_ior(ior: float, specular: float) -> float:

@@ -1,12 +1,15 @@
 """Emissive triangles, and the choice among emitters."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
 import warp as wp
 
+from raybatch_addon.core.bvh.reference import ReferenceTree, build_reference, make_reference
 from raybatch_addon.core.errors import SceneError
+from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import (
     Closure,
     ClosureKind,
@@ -17,8 +20,11 @@ from raybatch_addon.core.scene.description import (
     Mesh,
     Visibility,
 )
+from raybatch_addon.core.scene.flatten import flatten
+from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
 from raybatch_addon.core.shading.emitters import find_emissive_triangles, fixed_point_cdf, scene_radius
-from raybatch_addon.core.shading.light_table import upload_lights
+from raybatch_addon.core.shading.light_table import LightTable, upload_lights
+from raybatch_addon.core.shading.lights import LightFeatures, make_lights
 from tests.core.shading.light_probe import COUNT, DEVICES, UP, assert_mean, facing, polygon_irradiance, probe, scene_of
 
 LAMP = np.array([0.5, -0.3, 2.0])  # from the shaded point (the origin)
@@ -128,3 +134,53 @@ def test_scene_radius():
     corners = np.concatenate([world_triangle(scene, i, p) for i in range(4) for p in range(2)])
     exact = np.linalg.norm(corners.max(0) - corners.min(0)) / 2
     assert exact - 1e-6 <= scene_radius(scene) < 1.5 * exact
+
+
+@functools.cache
+def shadow_kernel():
+    sample = make_lights(LightFeatures(mesh_lights=True)).sample
+    closest = make_reference(True).closest
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def aim(
+        table: LightTable,
+        geometry: Geometry,
+        tree: ReferenceTree,
+        position: wp.array(dtype=wp.vec3),
+        found: wp.array(dtype=wp.vec3),
+        same: wp.array(dtype=int),
+    ):
+        i = wp.tid()
+        r = wp.rand_init(5, i)
+        s = sample(table, geometry, position[i], wp.randf(r), wp.vec2(wp.randf(r), wp.randf(r)))
+        hit = closest(tree, position[i], s.direction, 2.0 * s.distance, 31)
+        found[i] = wp.vec3(s.distance, s.distance_error, hit.t)
+        same[i] = wp.where(s.pdf > 0.0 and hit.instance == s.instance and hit.primitive == s.primitive, 1, 0)
+
+    return aim
+
+
+@pytest.mark.parametrize("far, sliver", [(0.0, 1.0), (1e4, 1.0), (10.0, 1e-4)])
+def test_a_shadow_ray_ends_before_the_light_that_it_aims_at(far, sliver):
+    """No hit of the aimed triangle is nearer than the stated error, however far from the origin, and that error is small."""
+    rng = np.random.default_rng(0)
+    scene = mesh_scene()
+    corners = rng.normal(size=(3, 3))
+    corners[2] = corners[1] + (corners[2] - corners[1]) * sliver
+    mesh = Mesh("t", (corners + far * rng.normal(size=3)).astype(np.float32), np.array([[0, 1, 2]], np.int32))
+    matrix = np.concatenate([rng.normal(size=(2, 3, 3)), far * rng.normal(size=(2, 3, 1))], 2).astype(np.float32)
+    none = np.zeros(2, np.int32)
+    instances = Instances(none, matrix, none, np.full(2, 31, np.int32), np.arange(2, dtype=np.int32))
+    scene = dataclasses.replace(scene, meshes=(mesh,), instances=instances)
+    device = wp.get_device("cpu")
+    flat = flatten(scene)
+    lights, geometry = upload_lights(scene, device), upload_geometry(flat, scene, device)
+    built = build_reference(flat, instances.visibility, device)
+    position = (world_triangle(scene, 0, 0).mean(0) + 3 * rng.normal(size=(COUNT, 3))).astype(np.float32)
+    found, same = wp.zeros(COUNT, dtype=wp.vec3, device=device), wp.zeros(COUNT, dtype=int, device=device)
+    inputs = [lights.table, geometry, built.tree, wp.array(position, dtype=wp.vec3, device=device)]
+    wp.launch(shadow_kernel(), COUNT, inputs, [found, same], device=device, block_dim=1)
+    distance, error, t = found.numpy()[same.numpy() > 0].astype(float).T
+    assert len(t) > COUNT / 2
+    assert (distance - t <= error).all()
+    assert np.median(error / distance) < 1e-4

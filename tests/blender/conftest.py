@@ -1,0 +1,44 @@
+"""Blender's tests: skipped as a whole where bpy cannot be imported."""
+
+import importlib.util
+import sys
+
+import pytest
+
+HAS_BPY = importlib.util.find_spec("bpy") is not None
+collect_ignore_glob = [] if HAS_BPY else ["test_*.py"]
+
+
+def pytest_report_header():
+    """Says so when Blender's tests are left out."""
+    return [] if HAS_BPY else ["Blender's tests are left out: bpy cannot be imported"]
+
+
+@pytest.fixture(scope="session")
+def addon():
+    """The add-on, registered as by `import raybatch_addon; raybatch_addon.register()`."""
+    import raybatch_addon
+
+    raybatch_addon.register()
+    yield raybatch_addon
+    raybatch_addon.unregister()
+
+
+@pytest.fixture
+def scene(addon):
+    """An empty scene with factory settings, RayBatch as its engine, and nothing in it but a camera."""
+    import bpy
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.location = (0, 0, 10)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.engine = "RAYBATCH"
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 32, 24, 100
+    scene.raybatch.device = "cpu"
+    scene.raybatch.sample_count = 2
+    yield scene
+    reports = sys.modules["raybatch_addon.reports"]
+    reports.clear()
