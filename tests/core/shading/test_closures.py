@@ -27,7 +27,7 @@ SMOOTH = 0.9 * ALPHA_MIN**0.5  # roughness of a delta lobe
 
 @functools.cache
 def kernels(features):
-    """Kernels that evaluate and sample many directions at once, loaded on the CPU."""
+    """Kernels that evaluate and sample many directions at once."""
     bsdf = make_bsdf(features)
 
     @wp.kernel(**KERNEL_OPTIONS)
@@ -59,8 +59,6 @@ def kernels(features):
         out[1] = bsdf.transparency(table, 0)
         out[2] = wp.vec3(wp.where(bsdf.scatters(table, 0), 1.0, 0.0))
 
-    for kernel in (evaluate, sample, constants):
-        kernel.module.load(wp.get_device("cpu"), block_dim=1)
     return SimpleNamespace(evaluate=evaluate, sample=sample, constants=constants)
 
 
@@ -78,11 +76,14 @@ def frame_of(normal=UP, geometric=UP, entering=1):
     return frame
 
 
+@functools.cache
 def table_of(*closures, features=EVERYTHING):
+    """The device table of one material."""
     return upload_materials([Material("test", closures)], features, "cpu")
 
 
 def launch(kernel, count, inputs, outputs):
+    kernel.module.load(wp.get_device("cpu"), block_dim=1)
     wp.launch(kernel, count, inputs=inputs, outputs=outputs, device="cpu", block_dim=1)
 
 
@@ -153,7 +154,7 @@ def polar_cells(axis, power, heights, turns):
     t = np.cross((0, 1, 0) if abs(n[1]) < 0.9 else (1, 0, 0), n)
     t /= np.linalg.norm(t)
     b = np.cross(n, t)
-    nodes, weights = np.polynomial.legendre.leggauss(10)
+    nodes, weights = np.polynomial.legendre.leggauss(8)
     nodes, weights = (nodes + 1) / 2, weights / 2
 
     def bin_of(d):
@@ -191,7 +192,7 @@ def test_samples_follow_their_density(name, cosine, entering):
     behind = -wo / eta
     behind[2] = -np.sqrt(max(1 - behind[0] ** 2 - behind[1] ** 2, 0))
     for axis, side in (([-wo[0], -wo[1], wo[2]], 1), (behind, -1)):
-        bin_of, points, solid = polar_cells(axis, 3.0, 24, 16)
+        bin_of, points, solid = polar_cells(axis, 3.0, 20, 12)
         _, density = evaluate(ROUGH[name], wo, points.reshape(-1, 3), frame)
         density = density.reshape(solid.shape) * (points[..., 2] * side > 0)
         expected = count * (density * solid).sum(1)
@@ -237,7 +238,7 @@ def test_a_lone_diffuse_closure_gives_its_weight_to_the_bit():
 
 
 @functools.cache
-def albedo(closures, cosine, entering=1, count=2**14):
+def albedo(closures, cosine, entering=1, count=2**12):
     """Directional albedo [3] and its standard error, stratified."""
     estimates = [
         sample(closures, toward(cosine), count, frame_of(entering=entering), seed=seed)[1].mean(0) for seed in range(4)
@@ -245,8 +246,8 @@ def albedo(closures, cosine, entering=1, count=2**14):
     return np.mean(estimates, 0), np.std(estimates, 0).max() / 2
 
 
-COSINES = (1.0, 0.7, 0.3, 0.1, 0.03)
-ROUGHNESSES = (SMOOTH, 0.02, 0.15, 0.37, 0.6, 0.85, 1.0)
+COSINES = (1.0, 0.5, 0.2, 0.03)
+ROUGHNESSES = (SMOOTH, 0.02, 0.15, 0.37, 0.7, 1.0)
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESSES)
@@ -259,7 +260,7 @@ def test_white_furnace_reflection(roughness, cosine):
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESSES)
-@pytest.mark.parametrize("ior", (1.05, 1.33, 1.5, 2.4))
+@pytest.mark.parametrize("ior", (1.05, 1.5, 2.4))
 def test_white_furnace_coat(roughness, ior):
     """A white base below a coat returns all light."""
     for cosine in COSINES:
@@ -269,7 +270,7 @@ def test_white_furnace_coat(roughness, ior):
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESSES)
-@pytest.mark.parametrize("ior", (1.05, 1.33, 1.5, 2.4))
+@pytest.mark.parametrize("ior", (1.05, 1.5, 2.4))
 @pytest.mark.parametrize("entering", (1, 0))
 def test_white_furnace_glass(roughness, ior, entering):
     """White glass reflects and refracts all light, from outside and from inside."""
@@ -288,8 +289,18 @@ def test_single_scattering_loses_what_theory_says():
         np.testing.assert_allclose(mean, expected, atol=2e-3 + 4 * error)
 
 
-def hemisphere_albedo(alpha, cosine):
-    """Integral of D G2 / (4 cos_o) over wi, in cosine and azimuth, float64."""
+def test_a_coat_withholds_what_it_reflects():
+    """Both the coat's sampled albedo and the table that scales the layer below, against quadrature."""
+    for roughness, ior, cosine in itertools.product((0.3, 0.7, 1.0), (1.2, 1.5, 2.4), (0.9, 0.4, 0.1)):
+        expected = hemisphere_albedo(roughness**2, cosine, ior)
+        coat, error = albedo((Closure(K.DIELECTRIC, WHITE, roughness, ior, multiscatter=False),), cosine)
+        np.testing.assert_allclose(coat, expected, atol=2e-3 + 4 * error)
+        below, _ = albedo((Closure(K.LAYERED_DIFFUSE, WHITE, roughness, ior, multiscatter=False),), cosine)
+        np.testing.assert_allclose(below, 1 - expected, atol=3e-3)
+
+
+def hemisphere_albedo(alpha, cosine, ior=None):
+    """Integral of F D G2 / (4 cos_o) over wi, in cosine and azimuth, float64; F = 1 without `ior`."""
     nodes, weights = np.polynomial.legendre.leggauss(400)
     c = ((nodes + 1) / 2)[:, None]
     phi = (np.pi * (nodes + 1) / 2)[None, :]
@@ -299,6 +310,8 @@ def hemisphere_albedo(alpha, cosine):
     d = alpha**2 / (np.pi * (cos2 * (alpha**2 - 1) + 1) ** 2)
     smith = [(np.sqrt(1 + alpha**2 * (1 / x**2 - 1)) - 1) / 2 for x in (c, cosine)]
     f = d / (1 + smith[0] + smith[1]) / (4 * cosine)
+    if ior is not None:
+        f = f * fresnel(np.linalg.norm(h, axis=0) / 2, ior)
     return (f * weights[:, None] / 2 * weights[None, :] * np.pi).sum()  # both halves of the azimuth
 
 
@@ -342,12 +355,11 @@ def test_evaluation_against_textbook_formulas():
 
 
 def fresnel(cosine, eta):
+    """Fresnel's equations as in a textbook, 1 at total internal reflection."""
     sine2 = (1 - cosine**2) / eta**2
-    if sine2 >= 1:
-        return 1.0
-    t = np.sqrt(1 - sine2)
+    t = np.sqrt(np.maximum(1 - sine2, 0))
     s, p = (cosine - eta * t) / (cosine + eta * t), (eta * cosine - t) / (eta * cosine + t)
-    return (s * s + p * p) / 2
+    return np.where(sine2 >= 1, 1.0, (s * s + p * p) / 2)
 
 
 @pytest.mark.parametrize("entering", [1, 0])
@@ -361,7 +373,7 @@ def test_smooth_glass_obeys_fresnel_and_snell(entering):
         assert np.all(pdf == 0)
         np.testing.assert_allclose(weight, 1, rtol=1e-5)
         mirrored = lobe == (GLOSSY | DELTA)
-        assert mirrored.mean() == pytest.approx(fresnel(cosine, eta), abs=1e-3)
+        assert mirrored.mean() == pytest.approx(float(fresnel(cosine, eta)), abs=1e-3)
         np.testing.assert_allclose(direction[mirrored], np.broadcast_to([-wo[0], -wo[1], wo[2]], (mirrored.sum(), 3)), atol=1e-6)
         if not mirrored.all():
             through = direction[~mirrored]
@@ -447,8 +459,19 @@ def test_extremes_stay_finite():
                 np.testing.assert_allclose(np.linalg.norm(direction[lobe != 0], axis=1), 1, atol=1e-5)
 
 
+@pytest.mark.parametrize("kind", [(k,) for k in K if k != K.EMISSION] + [()], ids=str)
+def test_a_module_for_one_kind_gives_the_same_numbers(kind):
+    """What a module is compiled for beside a material changes none of its samples."""
+    closures = tuple(Closure(k, (0.5, 0.7, 0.9), 0.4, 1.5) for k in kind)
+    narrow = sample(closures, toward(0.4), 256, features=ClosureFeatures(kind))
+    for a, b in zip(narrow, sample(closures, toward(0.4), 256), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
 def source_of(features):
     """Generated C++ of the sampling and evaluation kernels."""
+    sample((), toward(0.5), 1, features=features)
+    evaluate((), toward(0.5), toward(0.5), features=features)
     loaded = kernels(features)
     folders = [
         Path(wp.config.kernel_cache_dir) / kernel.module.get_module_identifier(block_dim=1)
@@ -461,7 +484,7 @@ def test_only_what_is_needed_is_compiled_and_allocated():
     """A diffuse material's module holds no function of facets, and its table no array of them."""
     source, everything = source_of(ClosureFeatures((K.DIFFUSE,))), source_of(EVERYTHING)
     assert "sample_cosine_hemisphere" in source
-    for name in ("ggx", "fresnel", "visible_normal", "_albedo", "_facet_normal", "refracted", "reflected"):
+    for name in ("ggx_", "fresnel_dielectric", "fresnel_schlick", "visible_normal", "_albedo_", "_facet_normal", "refracted", "reflected"):
         assert name not in source and name in everything, name
     table = table_of(Closure(K.DIFFUSE, WHITE), features=ClosureFeatures((K.DIFFUSE,)))
     for array in (table.roughness, table.ior, table.edge, table.albedo.reflection, table.albedo.coat, table.albedo.glass):

@@ -132,7 +132,12 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     ) -> int:  # fmt: skip
         """Aim a shadow ray at a light; returns the status bit that submits it, or 0."""
         light = light_sample(data.lights, data.geometry, surface.position, u_choice, u)
-        if light.pdf <= 0.0 or (light.visibility & wp.static(int(Visibility.ALL ^ Visibility.CAMERA))) == 0:
+        if light.pdf <= 0.0:
+            return 0
+        seen_by = wp.static(int(Visibility.DIFFUSE | Visibility.GLOSSY))
+        if wp.dot(light.direction, frame.geometric_normal) < 0.0:
+            seen_by = wp.static(int(Visibility.TRANSMISSION))
+        if (light.visibility & seen_by) == 0:
             return 0
         value = bsdf_evaluate(data.materials, surface.material, frame, -rays.direction[path], light.direction)
         if not is_positive(value.value):
@@ -150,10 +155,18 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             return 0
         origin = spawn_origin(surface.position, surface.error, frame.geometric_normal, light.direction)
         slot = paths.status.shape[0] + path
+        direction = light.direction
+        distance = light.distance
+        if distance < wp.inf:
+            # from the moved origin to the same point; the light itself must not hide it
+            ray = surface.position + distance * direction - origin
+            distance = wp.length(ray)
+            if distance > 0.0:
+                direction = ray / distance
+            distance = wp.max(distance - light.distance_error, 0.0)
         rays.origin[slot] = origin
-        rays.direction[slot] = light.direction
-        # the light itself must not hide the light: stop before the box of places where its point may be
-        rays.t_max[slot] = light.distance - light.distance_error - wp.length(origin - surface.position)
+        rays.direction[slot] = direction
+        rays.t_max[slot] = distance
         rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
         paths.shadow_light[path] = contribution
         return wp.static(SHADOW_NEW)

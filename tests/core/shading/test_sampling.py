@@ -1,0 +1,350 @@
+"""Random numbers, warps and pixel filters."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+import warp as wp
+
+from raybatch_addon.core.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.shading import sampling
+from raybatch_addon.core.shading.sampling import (
+    BSDF, DIMENSIONS_PER_BOUNCE, FILTER, LENS, LIGHT, LIGHT_CHOICE, LOBE, ROULETTE,
+    bitangent_of, filter_table, make_sampler, pixel_key, philox, sample_aperture, sample_cone,
+    sample_cosine_hemisphere, sample_disk, sample_filter, sample_sphere, sample_triangle,
+    spherical_direction, tangent_of, to_world,
+)  # fmt: skip
+
+SEQUENCES = ("SOBOL", "INDEPENDENT")
+
+
+def load(kernel):
+    kernel.module.load(wp.get_device("cpu"), block_dim=1)
+    return kernel
+
+
+def launch(kernel, count, inputs, outputs):
+    wp.launch(kernel, count, inputs=inputs, outputs=outputs, device="cpu", block_dim=1)
+
+
+@functools.cache
+def number_kernel(sequence):
+    sampler = make_sampler(sequence)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def numbers(
+        seed: wp.uint32, pixel: wp.array(dtype=wp.uint32), sample: wp.array(dtype=wp.uint32), dimension: wp.uint32,
+        one: wp.array(dtype=float), two: wp.array(dtype=wp.vec2),
+    ):  # fmt: skip
+        i = wp.tid()
+        key = pixel_key(seed, pixel[i])
+        one[i] = sampler.sample_1d(key, sample[i], dimension)
+        two[i] = sampler.sample_2d(key, sample[i], dimension)
+
+    return load(numbers)
+
+
+def numbers(sequence, samples, pixels=0, dimension=LIGHT, seed=0):
+    """1D numbers [n] and 2D numbers [n, 2]."""
+    samples, pixels = np.broadcast_arrays(samples, pixels)
+    count = samples.size
+    one, two = wp.zeros(count, dtype=float, device="cpu"), wp.zeros(count, dtype=wp.vec2, device="cpu")
+    arrays = [wp.array(a.astype(np.uint32).ravel(), dtype=wp.uint32, device="cpu") for a in (pixels, samples)]
+    launch(number_kernel(sequence), count, [seed, *arrays, dimension], [one, two])
+    return one.numpy(), two.numpy()
+
+
+@pytest.mark.parametrize("dimension", [FILTER, BSDF, 7 * DIMENSIONS_PER_BOUNCE + LIGHT])
+@pytest.mark.parametrize("pixel", [0, 1, 123_456])
+def test_sobol_fills_every_elementary_interval_once(pixel, dimension):
+    """(0,2)-sequence: any aligned 2**k samples have one point in each dyadic box of area 2**-k."""
+    one, two = numbers("SOBOL", np.arange(1024), pixel, dimension)
+    for log in (1, 4, 8):
+        for block in range(0, 1024, 2**log):
+            points = two[block : block + 2**log].astype(np.float64)
+            for first in range(log + 1):
+                boxes = (points * [2**first, 2 ** (log - first)]).astype(int) @ [1, 2**first]
+                assert len(np.unique(boxes)) == 2**log
+            assert len(np.unique((one[block : block + 2**log] * 2**log).astype(int))) == 2**log
+
+
+def test_sobol_second_dimension_against_direction_numbers():
+    """The bit trick gives the textbook's matrix: direction numbers v_k = v_(k-1) ^ (v_(k-1) >> 1)."""
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def second(x: wp.array(dtype=wp.uint32), y: wp.array(dtype=wp.uint32)):
+        i = wp.tid()
+        y[i] = sampling.reverse_bits(sampling._sobol_second(x[i]))
+
+    index = np.random.default_rng(0).integers(0, 2**32, 500, dtype=np.uint32)
+    expected, v = np.zeros_like(index), np.uint32(1 << 31)
+    for k in range(32):
+        expected ^= np.where(index >> np.uint32(k) & np.uint32(1), v, np.uint32(0)).astype(np.uint32)
+        v ^= v >> np.uint32(1)
+    y = wp.zeros(len(index), dtype=wp.uint32, device="cpu")
+    launch(load(second), len(index), [wp.array(index, dtype=wp.uint32, device="cpu")], [y])
+    np.testing.assert_array_equal(y.numpy(), expected)
+
+
+def test_philox_known_answers():
+    """The reference vectors of Random123."""
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def run(counter: wp.array(dtype=wp.vec4ui), key: wp.array(dtype=wp.vec2ui), out: wp.array(dtype=wp.vec4ui)):
+        i = wp.tid()
+        out[i] = philox(counter[i], key[i])
+
+    counters = [[0] * 4, [0xFFFFFFFF] * 4, [0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344]]
+    keys = [[0] * 2, [0xFFFFFFFF] * 2, [0xA4093822, 0x299F31D0]]
+    expected = [
+        [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8], [0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD],
+        [0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1],
+    ]  # fmt: skip
+    out = wp.zeros(3, dtype=wp.vec4ui, device="cpu")
+    arrays = [wp.array(np.array(a, np.uint32), dtype=d, device="cpu") for a, d in ((counters, wp.vec4ui), (keys, wp.vec2ui))]
+    launch(load(run), 3, arrays, [out])
+    np.testing.assert_array_equal(out.numpy(), np.array(expected, np.uint32))
+
+
+@pytest.mark.parametrize("sequence", SEQUENCES)
+def test_numbers_are_uniform_and_below_one(sequence):
+    """Moments over many pixels, where both sequences are random."""
+    samples, pixels = np.meshgrid(np.arange(64), np.arange(4096))
+    one, two = numbers(sequence, samples, pixels)
+    for values in (one, two[:, 0], two[:, 1]):
+        values = values.astype(np.float64)
+        assert values.min() >= 0 and values.max() <= 1 - 2.0**-24
+        sigma = 1 / np.sqrt(values.size)
+        for power in (1, 2, 3):
+            assert np.mean(values**power) == pytest.approx(1 / (power + 1), abs=4 * 0.3 * sigma)
+        counts = np.bincount((values * 256).astype(int), minlength=256)
+        if sequence == "INDEPENDENT":
+            assert ((counts - values.size / 256) ** 2 / (values.size / 256)).sum() == pytest.approx(255, abs=5 * np.sqrt(510))
+
+
+def test_owen_scrambling_integrates_better():
+    """A smooth integrand: the variance over pixels of 64-sample means falls far below the independent one."""
+    samples, pixels = np.meshgrid(np.arange(64), np.arange(1024))
+    variance = {}
+    for sequence in SEQUENCES:
+        _, two = numbers(sequence, samples, pixels)
+        means = np.sin(two.astype(np.float64) * [2.0, 1.0]).prod(1).reshape(1024, 64).mean(1)
+        exact = (1 - math.cos(2)) / 2 * (1 - math.cos(1))
+        assert means.mean() == pytest.approx(exact, abs=4 * means.std() / 32)
+        variance[sequence] = means.var()
+    assert variance["SOBOL"] < 0.01 * variance["INDEPENDENT"]
+
+
+@pytest.mark.parametrize("sequence", SEQUENCES)
+def test_pixels_seeds_and_dimensions_are_independent(sequence):
+    """No correlation between neighbours, seeds or dimension sets, within five standard errors."""
+    count = 20_000
+    pixels = np.arange(count)
+    base = numbers(sequence, 3, pixels)[1][:, 0]
+    others = {
+        "next pixel": numbers(sequence, 3, pixels + 1)[1][:, 0],
+        "pixel above": numbers(sequence, 3, pixels + 1920)[1][:, 0],
+        "next seed": numbers(sequence, 3, pixels, seed=1)[1][:, 0],
+        "next sample": numbers("INDEPENDENT", 4, pixels)[1][:, 0],
+        "second number": numbers(sequence, 3, pixels)[1][:, 1],
+        "next bounce": numbers(sequence, 3, pixels, LIGHT + DIMENSIONS_PER_BOUNCE)[1][:, 0],
+    }
+    others |= {f"set {d}": numbers(sequence, 3, pixels, d)[1][:, 0] for d in (FILTER, LENS, LIGHT_CHOICE, LOBE, BSDF, ROULETTE)}
+    for name, values in others.items():
+        assert abs(np.corrcoef(base, values)[0, 1]) < 5 / np.sqrt(count), name
+    # within one pixel, sets are padded against each other: pairs across sets fill the square evenly
+    samples = np.arange(4096)
+    a, b = numbers(sequence, samples, 5, LIGHT)[1][:, 0], numbers(sequence, samples, 5, BSDF)[1][:, 0]
+    counts = np.histogram2d(a, b, 16, [[0, 1], [0, 1]])[0]
+    assert ((counts - 16) ** 2 / 16).sum() < 255 + 6 * np.sqrt(510)
+
+
+def test_numbers_depend_on_their_key_alone():
+    """The same numbers whatever else is asked for in the launch, and no two pixels alike."""
+    for sequence in SEQUENCES:
+        whole = numbers(sequence, np.arange(100), 77)[1]
+        np.testing.assert_array_equal(whole[40:60], numbers(sequence, np.arange(40, 60), 77)[1])
+        first = numbers(sequence, 0, np.arange(50_000))[1]
+        assert len(np.unique(first, axis=0)) > 49_990
+    with pytest.raises(ValueError, match="HALTON"):
+        make_sampler("HALTON")
+
+
+# --- warps ----------------------------------------------------------------------------------------
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def warp_kernel(
+    shape: int, parameter: float, count: int, u: wp.array(dtype=wp.vec2), table: wp.array(dtype=float),
+    out: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    i = wp.tid()
+    if shape == 0:
+        p = sample_disk(u[i])
+        out[i] = wp.vec3(p[0], p[1], 0.0)
+    if shape == 1:
+        out[i] = sample_cosine_hemisphere(u[i])
+    if shape == 2:
+        out[i] = sample_sphere(u[i])
+    if shape == 3:
+        out[i] = sample_cone(u[i], parameter)
+    if shape == 4:
+        out[i] = sample_triangle(u[i])
+    if shape == 5:
+        p = sample_aperture(u[i], count, parameter)
+        out[i] = wp.vec3(p[0], p[1], 0.0)
+    if shape == 6:
+        p = sample_filter(table, u[i])
+        out[i] = wp.vec3(p[0], p[1], 0.0)
+
+
+DISK, COSINE, SPHERE, CONE, TRIANGLE, APERTURE, PIXEL = range(7)
+ENDS = np.array([(a, b) for a in (0, 2.0**-24, 0.5, 1 - 2.0**-24) for b in (0, 2.0**-24, 0.5, 1 - 2.0**-24)], np.float32)
+
+
+@functools.cache
+def jittered(side):
+    """One random point in each cell of the unit square [side^2, 2]."""
+    x = np.arange(side)
+    cells = np.stack(np.meshgrid(x, x, indexing="ij"), -1).reshape(-1, 2)
+    return np.minimum((cells + np.random.default_rng(0).random(cells.shape)) / side, 1 - 2.0**-24).astype(np.float32)
+
+
+def warp_points(shape, parameter=0.0, count=0, u=None, table=(0.0, 0.0)):
+    u = jittered(256) if u is None else u
+    out = wp.zeros(len(u), dtype=wp.vec3, device="cpu")
+    arrays = [wp.array(u, dtype=wp.vec2, device="cpu"), wp.array(np.asarray(table, np.float32), dtype=float, device="cpu")]
+    launch(load(warp_kernel), len(u), [shape, parameter, count, *arrays], [out])
+    return out.numpy().astype(np.float64)
+
+
+def assert_even(values, bins, tolerance=0.02):
+    """`values`, uniform in [0, 1) if the warp is right, fall evenly into `bins` (stratified input)."""
+    counts = np.bincount(np.clip((values * bins).astype(int), 0, bins - 1), minlength=bins)
+    np.testing.assert_allclose(counts, len(values) / bins, rtol=tolerance)
+
+
+def turns(x, y):
+    return np.arctan2(y, x) / (2 * np.pi) % 1.0
+
+
+def test_disk_and_cosine_hemisphere():
+    p = warp_points(DISK)
+    r2 = p[:, 0] ** 2 + p[:, 1] ** 2
+    assert r2.max() < 1
+    assert_even(r2, 16)
+    assert_even(turns(p[:, 0], p[:, 1]), 16)
+    d = warp_points(COSINE)
+    assert_even(d[:, 2] ** 2, 16)
+    assert_even(turns(d[:, 0], d[:, 1]), 16)
+    d = np.concatenate([d, warp_points(COSINE, u=ENDS)])
+    np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1, atol=1e-6)
+    assert d[:, 2].min() >= 2**-11.5 * (1 - 1e-6)
+
+
+def test_sphere_and_cone():
+    d = warp_points(SPHERE)
+    np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1, atol=1e-6)
+    assert_even((d[:, 2] + 1) / 2, 16)
+    assert_even(turns(d[:, 0], d[:, 1]), 16)
+    for half in (np.pi, 1.0, 0.005, 1e-5):
+        one_minus_cos = 2 * math.sin(half / 2) ** 2
+        d = np.concatenate([warp_points(CONE, one_minus_cos), warp_points(CONE, one_minus_cos, u=ENDS)])
+        sine = np.hypot(d[:, 0], d[:, 1])
+        if half < 1.5:
+            # 1 - cos = 2 sin^2(angle / 2), from the sine: precise in the thinnest cone
+            share = 2 * np.sin(np.arcsin(sine) / 2) ** 2 / one_minus_cos
+            assert share.max() < 1 + 1e-5
+            assert_even(share, 16)
+        np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1, atol=1e-6)
+
+
+def test_triangle():
+    b = np.concatenate([warp_points(TRIANGLE), warp_points(TRIANGLE, u=ENDS)])
+    assert b.min() >= 0
+    np.testing.assert_allclose(b.sum(1), 1, atol=1e-6)
+    for k in range(3):  # the share below b_k = x is 1 - (1 - x)^2
+        assert_even(1 - (1 - b[:, k]) ** 2, 16)
+
+
+@pytest.mark.parametrize("blades", [3, 5, 6, 17])
+def test_aperture_is_a_regular_polygon(blades):
+    rotation, half = 0.3, np.pi / blades
+    p = np.concatenate([warp_points(APERTURE, rotation, blades), warp_points(APERTURE, rotation, blades, u=ENDS)])
+    angle = (np.arctan2(p[:, 1], p[:, 0]) - rotation + half) % (2 * half) - half
+    r = np.hypot(p[:, 0], p[:, 1])
+    height = r * np.cos(angle) / np.cos(half)  # 1 on the edge
+    assert height.max() < 1 + 1e-5
+    assert_even(height**2, 16)
+    blade = ((np.arctan2(p[:, 1], p[:, 0]) - rotation + half) % (2 * np.pi) / (2 * half)).astype(int)
+    np.testing.assert_allclose(np.bincount(blade % blades), len(p) / blades, rtol=0.03)
+    np.testing.assert_allclose(p.mean(0), 0, atol=2e-3)
+
+
+def test_aperture_without_blades_is_a_disk():
+    np.testing.assert_array_equal(warp_points(APERTURE, 0.3, 2), warp_points(DISK))
+
+
+def test_frames_are_orthonormal():
+    """Also for normals at and beside the poles, where the construction changes sign."""
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def frames(n: wp.array(dtype=wp.vec3), t: wp.array(dtype=wp.vec3), b: wp.array(dtype=wp.vec3), s: wp.array(dtype=wp.vec3)):
+        i = wp.tid()
+        t[i] = tangent_of(n[i])
+        b[i] = bitangent_of(n[i])
+        s[i] = to_world(spherical_direction(0.6, 0.5), t[i], b[i], n[i])
+
+    n = np.random.default_rng(0).normal(size=(2000, 3))
+    n[:6] = [(0, 0, 1), (0, 0, -1), (1e-4, 0, -1), (0, -1e-7, -1), (1, 0, 0), (1, 1, -1e-30)]
+    n = (n / np.linalg.norm(n, axis=1)[:, None]).astype(np.float32)
+    t, b, s = (wp.zeros(len(n), dtype=wp.vec3, device="cpu") for _ in range(3))
+    launch(load(frames), len(n), [wp.array(n, dtype=wp.vec3, device="cpu")], [t, b, s])
+    frame = np.stack([t.numpy(), b.numpy(), n], 1).astype(np.float64)
+    np.testing.assert_allclose(frame @ frame.transpose(0, 2, 1), np.broadcast_to(np.eye(3), frame.shape), atol=1e-6)
+    assert np.all(np.linalg.det(frame) > 0)
+    np.testing.assert_allclose((s.numpy() * n).sum(1), 0.6, atol=1e-6)
+
+
+# --- pixel filter ---------------------------------------------------------------------------------
+
+SHAPES = {
+    "BOX": (lambda x, w: np.ones_like(x), lambda w: 0.5),
+    "GAUSSIAN": (lambda x, w: np.exp(-8 * (x / w) ** 2), lambda w: 1.5 * w),
+    "BLACKMAN_HARRIS": (
+        lambda x, w: sum(a * np.cos(k * np.pi * (x / w + 1)) for k, a in enumerate((0.35875, -0.48829, 0.14128, -0.01168))),
+        lambda w: w,
+    ),
+}
+
+
+@pytest.mark.parametrize("width", [0.01, 1.5, 10.0])
+@pytest.mark.parametrize("name", SHAPES)
+def test_filter_table_against_direct_integration(name, width):
+    shape, extent = SHAPES[name]
+    table = filter_table(name, width)
+    half = extent(width)
+    x = np.linspace(-half, half, 200_001)
+    density = shape(x, width)
+    cdf = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2)])
+    cdf /= cdf[-1]
+    assert table.dtype == np.float32 and table.shape == (1024,)
+    np.testing.assert_array_equal(table, -table[::-1])
+    assert np.all(np.diff(table) > 0) and table[-1] == np.float32(half)
+    np.testing.assert_allclose(np.interp(table, x, cdf), np.linspace(0, 1, 1024), atol=2e-6)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_filter_samples_have_the_shape(name):
+    shape, extent = SHAPES[name]
+    p = warp_points(PIXEL, table=filter_table(name, 1.5))
+    half = extent(1.5)
+    for axis in (0, 1):
+        counts, edges = np.histogram(p[:, axis], 20, (-half, half))
+        fine = np.linspace(-half, half, 20_001)
+        expected = np.interp(edges, fine, np.concatenate([[0], np.cumsum(shape(fine, 1.5)[1:])]))
+        expected = np.diff(expected) / expected[-1]
+        np.testing.assert_allclose(counts / len(p), expected, atol=0.005)
+    with pytest.raises(ValueError, match="MITCHELL"):
+        filter_table("MITCHELL", 1.5)
