@@ -14,6 +14,7 @@ from .core.errors import RayBatchError
 from .core.film import Film
 from .core.scene.description import Scene
 from .core.session import Progress
+from .core.settings import RenderSettings
 from .export.scene import export_scene
 from .export.settings import settings_from
 from .result import ResultWriter
@@ -21,6 +22,10 @@ from .sessions import session_for
 
 # Called with (view layer name, exported scene, film) after each view layer; for scripts that want more than pixels
 film_listeners: list[Callable[[str, Scene, Film], None]] = []
+# Called with (view layer name, exported scene, its settings) before each view layer; a `RayBatchError` from it ends the render
+scene_listeners: list[Callable[[str, Scene, RenderSettings], None]] = []
+# Called with the core's `Progress` several times a second
+progress_listeners: list[Callable[[Progress], None]] = []
 
 # Blender's status line is written at most this often [s]: it goes to the terminal when Blender has no window
 STATUS_SECONDS = 0.25
@@ -63,9 +68,17 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
     if scene is None:
         return
     export_seconds = time.perf_counter() - started
+    for listener in scene_listeners:
+        listener(layer_name, scene, settings)
     writer = ResultWriter(engine, layer_name, scene.frame.region[:2])
+
+    def on_progress(progress: Progress) -> None:
+        status.update(progress)
+        for listener in progress_listeners:
+            listener(progress)
+
     with session_for(settings) as session:
-        film = session.render(scene, settings, on_tile=writer.write, on_progress=status.update, cancelled=engine.test_break)
+        film = session.render(scene, settings, on_tile=writer.write, on_progress=on_progress, cancelled=engine.test_break)
     seconds = film.statistics["seconds"]
     seconds["export"] = export_seconds
     seconds["total"] = seconds.get("total", 0.0) + export_seconds

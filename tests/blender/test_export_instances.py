@@ -189,7 +189,7 @@ def test_objects_scaled_to_nothing_are_left_out_by_name():
     add_triangle("Good")
     add_triangle("Flat").scale = (1, 0, 1)
     parent, child = add_object("Parent", None), add_triangle("Child")
-    parent.matrix_world = Matrix.Rotation(0.3, 4, "X") @ Matrix.Diagonal((1, 1, 0, 1)) @ Matrix.Rotation(0.7, 4, "Y")
+    parent.rotation_euler, parent.scale = (0.3, 0.7, 0.1), (1, 1, 0)
     child.parent = parent
     child.rotation_euler = (0.2, 0.5, 0.9)
     scene = exported()

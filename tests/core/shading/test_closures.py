@@ -1,9 +1,7 @@
 """Closures: sampling against density, energy, reciprocity, delta lobes, extremes, and what is compiled."""
 
-import functools
 import itertools
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,169 +9,15 @@ import warp as wp
 
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
-from raybatch_addon.core.scene.description import Closure, ClosureKind, Material
+from raybatch_addon.core.scene.description import Closure, Material
 from raybatch_addon.core.shading.closures import (
-    DELTA, DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT,
-    ClosureFeatures, MaterialTable, ShadingFrame, make_bsdf, upload_materials,
+    DELTA, DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT, ClosureFeatures, upload_materials,
 )  # fmt: skip
-from raybatch_addon.core.shading.microfacet import ALPHA_MIN
-
-K = ClosureKind
-EVERYTHING = ClosureFeatures(tuple(K))
-WHITE = (1.0, 1.0, 1.0)
-UP = (0.0, 0.0, 1.0)
-SMOOTH = 0.9 * ALPHA_MIN**0.5  # roughness of a delta lobe
-
-
-@functools.cache
-def kernels(features):
-    """Kernels that evaluate and sample many directions at once."""
-    bsdf = make_bsdf(features)
-
-    @wp.kernel(**KERNEL_OPTIONS)
-    def evaluate(
-        table: MaterialTable, frame: ShadingFrame, wo: wp.array(dtype=wp.vec3), wi: wp.array(dtype=wp.vec3),
-        value: wp.array(dtype=wp.vec3), pdf: wp.array(dtype=float),
-    ):  # fmt: skip
-        i = wp.tid()
-        result = bsdf.evaluate(table, 0, frame, wo[i], wi[i])
-        value[i] = result.value
-        pdf[i] = result.pdf
-
-    @wp.kernel(**KERNEL_OPTIONS)
-    def sample(
-        table: MaterialTable, frame: ShadingFrame, wo: wp.array(dtype=wp.vec3), u: wp.array(dtype=wp.vec3),
-        direction: wp.array(dtype=wp.vec3), weight: wp.array(dtype=wp.vec3), pdf: wp.array(dtype=float),
-        lobe: wp.array(dtype=int),
-    ):  # fmt: skip
-        i = wp.tid()
-        result = bsdf.sample(table, 0, frame, wo[i], u[i][0], wp.vec2(u[i][1], u[i][2]))
-        direction[i] = result.direction
-        weight[i] = result.weight
-        pdf[i] = result.pdf
-        lobe[i] = result.lobe
-
-    @wp.kernel(**KERNEL_OPTIONS)
-    def constants(table: MaterialTable, out: wp.array(dtype=wp.vec3)):
-        out[0] = bsdf.emission(table, 0)
-        out[1] = bsdf.transparency(table, 0)
-        out[2] = wp.vec3(wp.where(bsdf.scatters(table, 0), 1.0, 0.0))
-
-    return SimpleNamespace(evaluate=evaluate, sample=sample, constants=constants)
-
-
-def frame_of(normal=UP, geometric=UP, entering=1):
-    """A `ShadingFrame` with normals on the side of wo."""
-    n = np.asarray(normal, np.float64) / np.linalg.norm(normal)
-    tangent = np.cross((0.0, 1.0, 0.0) if abs(n[1]) < 0.9 else (1.0, 0.0, 0.0), n)
-    tangent /= np.linalg.norm(tangent)
-    frame = ShadingFrame()
-    frame.normal = wp.vec3(*n)
-    frame.geometric_normal = wp.vec3(*(np.asarray(geometric) / np.linalg.norm(geometric)))
-    frame.tangent = wp.vec3(*tangent)
-    frame.bitangent = wp.vec3(*np.cross(n, tangent))
-    frame.entering = entering
-    return frame
-
-
-@functools.cache
-def table_of(*closures, features=EVERYTHING):
-    """The device table of one material."""
-    return upload_materials([Material("test", closures)], features, "cpu")
-
-
-def launch(kernel, count, inputs, outputs):
-    kernel.module.load(wp.get_device("cpu"), block_dim=1)
-    wp.launch(kernel, count, inputs=inputs, outputs=outputs, device="cpu", block_dim=1)
-
-
-def vectors(values, count):
-    return wp.array(np.broadcast_to(np.asarray(values, np.float32), (count, 3)).copy(), dtype=wp.vec3, device="cpu")
-
-
-def evaluate(closures, wo, wi, frame=None, features=EVERYTHING):
-    """value [n, 3], pdf [n]."""
-    wi = np.atleast_2d(wi)
-    count = len(wi)
-    value, pdf = wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=float, device="cpu")
-    table = table_of(*closures, features=features)
-    launch(kernels(features).evaluate, count, [table, frame or frame_of(), vectors(wo, count), vectors(wi, count)], [value, pdf])
-    return value.numpy().astype(np.float64), pdf.numpy().astype(np.float64)
-
-
-def sample(closures, wo, count, frame=None, features=EVERYTHING, seed=0, u=None):
-    """direction [n, 3], weight [n, 3], pdf [n], lobe [n] for stratified random numbers."""
-    if u is None:
-        u = stratified(count, seed)
-    count = len(u)
-    out = [
-        wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=wp.vec3, device="cpu"),
-        wp.zeros(count, dtype=float, device="cpu"), wp.zeros(count, dtype=int, device="cpu"),
-    ]  # fmt: skip
-    table = table_of(*closures, features=features)
-    launch(kernels(features).sample, count, [table, frame or frame_of(), vectors(wo, count), vectors(u, count)], out)
-    return [array.numpy().astype(np.float64 if i < 3 else np.int64) for i, array in enumerate(out)]
-
-
-def stratified(count, seed=0):
-    """[n, 3] points in [0, 1): jittered in a grid of the last two dimensions, shuffled strata in the first."""
-    rng = np.random.default_rng(seed)
-    side = int(round(count**0.5))
-    grid = np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2)
-    first = (rng.permutation(side * side) + rng.random(side * side)) / (side * side)
-    u = np.concatenate([first[:, None], (grid + rng.random(grid.shape)) / side], 1)
-    return np.minimum(u, 1 - 2.0**-24).astype(np.float32)
-
-
-def toward(cosine, azimuth=0.4):
-    sine = np.sqrt(1 - cosine**2)
-    return np.array([sine * np.cos(azimuth), sine * np.sin(azimuth), cosine])
-
-
-ROUGH = {
-    "diffuse": (Closure(K.DIFFUSE, WHITE),),
-    "layered": (Closure(K.LAYERED_DIFFUSE, WHITE, 0.4, 1.5),),
-    "glossy": (Closure(K.GLOSSY, WHITE, 0.5),),
-    "glossy 1": (Closure(K.GLOSSY, WHITE, 1.0),),
-    "glossy 0.2": (Closure(K.GLOSSY, WHITE, 0.2),),
-    "metal": (Closure(K.METAL, (0.9, 0.6, 0.3), 0.4),),
-    "dielectric": (Closure(K.DIELECTRIC, WHITE, 0.3, 1.5),),
-    "glass": (Closure(K.GLASS, WHITE, 0.5, 1.5),),
-    "glass 0.2": (Closure(K.GLASS, WHITE, 0.2, 1.33),),
-    "plastic": (Closure(K.DIELECTRIC, WHITE, 0.3, 1.5), Closure(K.LAYERED_DIFFUSE, (0.8, 0.2, 0.1), 0.3, 1.5)),
-    "all": tuple(Closure(kind, (0.1, 0.2, 0.15), 0.4, 1.4) for kind in K if kind != K.EMISSION),
-}
-
-
-def polar_cells(axis, power, heights, turns):
-    """Bins of the sphere about `axis`, finer towards it: a function from directions to bin numbers, and quadrature.
-
-    Returns (bin_of, directions [bins, points, 3], solid angles [bins, points]).
-    """
-    n = np.asarray(axis) / np.linalg.norm(axis)
-    t = np.cross((0, 1, 0) if abs(n[1]) < 0.9 else (1, 0, 0), n)
-    t /= np.linalg.norm(t)
-    b = np.cross(n, t)
-    nodes, weights = np.polynomial.legendre.leggauss(8)
-    nodes, weights = (nodes + 1) / 2, weights / 2
-
-    def bin_of(d):
-        theta = np.arctan2(np.hypot(d @ t, d @ b), d @ n)
-        row = np.minimum(((theta / np.pi) ** (1 / power) * heights).astype(int), heights - 1)
-        column = ((np.arctan2(d @ b, d @ t) / (2 * np.pi)) % 1.0 * turns).astype(int) % turns
-        return row * turns + column
-
-    x = (np.arange(heights)[:, None] + nodes) / heights
-    phi = 2 * np.pi * (np.arange(turns)[:, None] + nodes) / turns
-    theta = np.pi * x**power
-    area = np.sin(theta) * np.pi * power * x ** (power - 1) * weights / heights
-    directions = (
-        np.cos(theta)[:, None, :, None, None] * n
-        + np.sin(theta)[:, None, :, None, None] * (np.cos(phi)[None, :, None, :, None] * t + np.sin(phi)[None, :, None, :, None] * b)
-    ).reshape(heights * turns, -1, 3)
-    shape = (heights, turns, len(nodes), len(nodes))
-    solid = np.broadcast_to(area[:, None, :, None] * (weights * 2 * np.pi / turns)[None, None, None, :], shape)
-    return bin_of, directions, solid.reshape(heights * turns, -1)
+from raybatch_addon.core.shading.microfacet import fresnel_dielectric
+from tests.core.shading.closure_probe import (
+    EVERYTHING, ROUGH, SMOOTH, UP, WHITE, K, albedo, chi_squared_deviate, evaluate, frame_of, fresnel,
+    hemisphere_albedo, kernels, launch, polar_cells, sample, stratified, table_of, toward,
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("entering", [1, 0])
@@ -200,20 +44,6 @@ def test_samples_follow_their_density(name, cosine, entering):
         assert chi_squared_deviate(observed, expected, count) < 4.9  # one false alarm in a million
 
 
-def chi_squared_deviate(observed, expected, count):
-    """Chi-squared of `count` draws as a standard normal deviate (Wilson and Hilferty 1931)."""
-    order = np.argsort(expected)
-    pooled = np.searchsorted(np.cumsum(expected[order]), 10.0)  # bins too small for the test, together
-    few, many = order[: pooled + 1], order[pooled + 1 :]
-    e, o = np.append(expected[many], expected[few].sum()), np.append(observed[many], observed[few].sum())
-    if e.sum() == 0:
-        return np.inf if o.any() else 0.0
-    e, o = np.append(e, count - e.sum()), np.append(o, count - o.sum())  # elsewhere, absorbed, or in a delta lobe
-    e, o = e[e > 1], o[e > 1]
-    freedom = max(len(e) - 1, 1)
-    return ((((o - e) ** 2 / e).sum() / freedom) ** (1 / 3) - (1 - 2 / (9 * freedom))) / np.sqrt(2 / (9 * freedom))
-
-
 @pytest.mark.parametrize("name", ROUGH)
 def test_samples_agree_with_evaluation(name):
     """A sample's weight is value over density, its density the one that `evaluate` gives."""
@@ -235,15 +65,6 @@ def test_a_lone_diffuse_closure_gives_its_weight_to_the_bit():
         _, weight, pdf, lobe = sample((Closure(K.DIFFUSE, colour),), toward(0.3), 0, features=features, u=u)
         np.testing.assert_array_equal(weight, np.broadcast_to(np.float32(colour), weight.shape))
         assert np.all(lobe == DIFFUSE) and np.all(pdf > 0)
-
-
-@functools.cache
-def albedo(closures, cosine, entering=1, count=2**12):
-    """Directional albedo [3] and its standard error, stratified."""
-    estimates = [
-        sample(closures, toward(cosine), count, frame_of(entering=entering), seed=seed)[1].mean(0) for seed in range(4)
-    ]
-    return np.mean(estimates, 0), np.std(estimates, 0).max() / 2
 
 
 COSINES = (1.0, 0.5, 0.2, 0.03)
@@ -299,22 +120,6 @@ def test_a_coat_withholds_what_it_reflects():
         np.testing.assert_allclose(below, 1 - expected, atol=3e-3)
 
 
-def hemisphere_albedo(alpha, cosine, ior=None):
-    """Integral of F D G2 / (4 cos_o) over wi, in cosine and azimuth, float64; F = 1 without `ior`."""
-    nodes, weights = np.polynomial.legendre.leggauss(400)
-    c = ((nodes + 1) / 2)[:, None]
-    phi = (np.pi * (nodes + 1) / 2)[None, :]
-    s, so = np.sqrt(1 - c**2), np.sqrt(1 - cosine**2)
-    h = np.stack(np.broadcast_arrays(s * np.cos(phi) + so, s * np.sin(phi), c + cosine))
-    cos2 = h[2] ** 2 / (h**2).sum(0)
-    d = alpha**2 / (np.pi * (cos2 * (alpha**2 - 1) + 1) ** 2)
-    smith = [(np.sqrt(1 + alpha**2 * (1 / x**2 - 1)) - 1) / 2 for x in (c, cosine)]
-    f = d / (1 + smith[0] + smith[1]) / (4 * cosine)
-    if ior is not None:
-        f = f * fresnel(np.linalg.norm(h, axis=0) / 2, ior)
-    return (f * weights[:, None] / 2 * weights[None, :] * np.pi).sum()  # both halves of the azimuth
-
-
 def test_energy_compensation_knows_the_mix_factor():
     """Half of a white glossy closure is half of its albedo: the share is no darker colour."""
     whole, _ = albedo((Closure(K.GLOSSY, WHITE, 0.9),), 0.5)
@@ -354,12 +159,24 @@ def test_evaluation_against_textbook_formulas():
         np.testing.assert_allclose(pdf[0], i[2] / np.pi, rtol=1e-5)
 
 
-def fresnel(cosine, eta):
-    """Fresnel's equations as in a textbook, 1 at total internal reflection."""
-    sine2 = (1 - cosine**2) / eta**2
-    t = np.sqrt(np.maximum(1 - sine2, 0))
-    s, p = (cosine - eta * t) / (cosine + eta * t), (eta * cosine - t) / (eta * cosine + t)
-    return np.where(sine2 >= 1, 1.0, (s * s + p * p) / 2)
+def test_fresnel_is_precise_for_every_index():
+    """float32 against float64 formulas: grazing, near the critical angle, and where the index is nearly 1."""
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def run(cosine: wp.array(dtype=float), eta: wp.array(dtype=float), out: wp.array(dtype=float)):
+        i = wp.tid()
+        out[i] = fresnel_dielectric(cosine[i], eta[i])
+
+    etas = np.array([1e-3, 0.5, 1 / 1.5, 0.99, 1 - 1e-6, 1 + 1e-6, 1.0001, 1.05, 1.5, 4, 1e3], np.float32)
+    cosines = np.concatenate([np.linspace(0, 1, 201), 10.0 ** -np.arange(1, 9)]).astype(np.float32)
+    eta, cosine = (a.ravel() for a in np.meshgrid(etas, cosines))
+    out = wp.zeros(len(eta), dtype=float, device="cpu")
+    launch(run, len(eta), [wp.array(a, dtype=float, device="cpu") for a in (cosine, eta)], [out])
+    # F has an infinite slope at the critical angle; elsewhere it is good to a few roundings
+    expected = fresnel(cosine.astype(np.float64), eta.astype(np.float64))
+    away = np.abs(eta.astype(np.float64) ** 2 - 1 + cosine.astype(np.float64) ** 2) > 1e-4
+    np.testing.assert_allclose(out.numpy()[away], expected[away], rtol=2e-3, atol=1e-15)
+    np.testing.assert_allclose(out.numpy(), expected, atol=0.01)
 
 
 @pytest.mark.parametrize("entering", [1, 0])
@@ -420,6 +237,20 @@ def test_nothing_is_absorbed_by_an_empty_material():
     direction, weight, pdf, lobe = sample([], toward(0.4), 16)
     value, density = evaluate([], toward(0.4), toward(0.5))
     assert not weight.any() and not pdf.any() and not lobe.any() and not value.any() and not density.any()
+
+
+@pytest.mark.parametrize("name", ["glass", "all", "plastic"])
+@pytest.mark.parametrize("entering", [1, 0])
+def test_turned_normals_keep_the_estimate_unbiased(name, entering):
+    """The mean weight is the integral of the value, also where shading and geometric normals disagree on sides."""
+    frame = frame_of((0.6, 0.0, 0.8), entering=entering)
+    closures = tuple(c for c in ROUGH[name] if c.kind != K.TRANSPARENT)
+    _, points, solid = polar_cells(UP, 1.0, 40, 30)
+    for wo in (toward(0.3, 0.0), toward(0.5, 3.0)):
+        value, _ = evaluate(closures, wo, points.reshape(-1, 3), frame)
+        expected = (value.reshape(*solid.shape, 3) * solid[..., None]).sum((0, 1))
+        weight = sample(closures, wo, 2**16, frame)[1]
+        np.testing.assert_allclose(weight.mean(0), expected, rtol=0.006)
 
 
 @pytest.mark.parametrize("name", ROUGH)

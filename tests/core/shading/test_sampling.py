@@ -238,7 +238,9 @@ def test_disk_and_cosine_hemisphere():
     d = warp_points(COSINE)
     assert_even(d[:, 2] ** 2, 16)
     assert_even(turns(d[:, 0], d[:, 1]), 16)
-    d = np.concatenate([d, warp_points(COSINE, u=ENDS)])
+    border = jittered(64).copy()
+    border[::2, 0], border[1::2, 1] = 0, 1 - 2.0**-24
+    d = np.concatenate([d, warp_points(COSINE, u=ENDS), warp_points(COSINE, u=border)])
     np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1, atol=1e-6)
     assert d[:, 2].min() >= 2**-11.5 * (1 - 1e-6)
 
