@@ -1,16 +1,13 @@
 """What all tests share: the device they run on."""
 
 import pytest
-
-
-def pytest_addoption(parser):
-    parser.addoption("--device", default="cpu", help="device for the tests of the core: cpu (default) or cuda:0")
+from under_test import DEVICE
 
 
 @pytest.fixture(scope="session")
-def device(request) -> str:
+def device() -> str:
     """Alias of the device under test."""
-    return request.config.getoption("--device")
+    return DEVICE
 
 
 @pytest.fixture(scope="module")

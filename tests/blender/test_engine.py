@@ -12,7 +12,6 @@ from blender_builders import add_object, add_triangle, material_of, node_tree  #
 
 from raybatch_addon import frame, reports, sessions  # noqa: E402
 from raybatch_addon.core.errors import SceneError  # noqa: E402
-from raybatch_addon.engine import RayBatchRenderEngine  # noqa: E402
 from raybatch_addon.result import ResultWriter  # noqa: E402
 
 
@@ -49,17 +48,41 @@ def films(lit):
     frame.film_listeners.remove(listen)
 
 
+class Watched:
+    """Blender's engine with some of its methods replaced: Blender does not let us replace them on its class."""
+
+    def __init__(self, engine, methods):
+        object.__setattr__(self, "engine", engine)
+        object.__setattr__(self, "methods", methods)
+
+    def __getattr__(self, name):
+        if name in self.methods:
+            return lambda *args, **options: self.methods[name](self.engine, *args, **options)
+        return getattr(self.engine, name)
+
+    def __setattr__(self, name, value):
+        setattr(self.engine, name, value)
+
+
 @pytest.fixture
-def rectangles(monkeypatch):
+def watch(monkeypatch):
+    """watch(name=function, ...): replaces methods of every engine; the functions get the engine first."""
+    methods = {}
+    original = frame.render_view_layer
+    monkeypatch.setattr(frame, "render_view_layer", lambda engine, depsgraph: original(Watched(engine, methods), depsgraph))
+    return methods.update
+
+
+@pytest.fixture
+def rectangles(watch):
     """x, y, width, height of every result that the engine opens."""
     got = []
-    begin = RayBatchRenderEngine.begin_result
 
-    def record(self, x, y, width, height, **options):
+    def record(engine, x, y, width, height, **options):
         got.append((x, y, width, height))
-        return begin(self, x, y, width, height, **options)
+        return engine.begin_result(x, y, width, height, **options)
 
-    monkeypatch.setattr(RayBatchRenderEngine, "begin_result", record, raising=False)
+    watch(begin_result=record)
     return got
 
 
@@ -123,20 +146,19 @@ def test_a_transparent_film_has_no_world(lit, films, tmp_path):
     assert pixels[12, 16] == pytest.approx([1, 0.5, 0.25, 1], rel=1e-5)
 
 
-def test_every_pass_that_is_asked_for_is_written(lit, monkeypatch, tmp_path):
+def test_every_pass_that_is_asked_for_is_written(lit, watch, tmp_path):
     layer = lit.view_layers[0]
     layer.use_pass_z = layer.use_pass_normal = layer.use_pass_position = True
     seen = {}
-    end = RayBatchRenderEngine.end_result
 
-    def record(self, result, **options):
+    def record(engine, result, **options):
         for target in result.layers[0].passes:
             values = np.empty((len(target.rect), target.channels), np.float32)
             target.rect.foreach_get(values.reshape(-1))
             seen.setdefault(target.name, []).append(values)
-        return end(self, result, **options)
+        return engine.end_result(result, **options)
 
-    monkeypatch.setattr(RayBatchRenderEngine, "end_result", record, raising=False)
+    watch(end_result=record)
     render(tmp_path / "passes")
     seen = {name: np.concatenate(parts) for name, parts in seen.items()}
     assert {name: values.shape[1] for name, values in seen.items()} == {"Combined": 4, "Depth": 1, "Position": 3, "Normal": 3}
@@ -171,11 +193,11 @@ def test_frames_of_an_animation_share_one_session(lit, films, tmp_path):
     assert np.abs(films[0][1].passes["Combined"] - films[2][1].passes["Combined"]).max() > 0.1
 
 
-def test_a_cancelled_render_keeps_what_is_done(lit, monkeypatch, films):
+def test_a_cancelled_render_keeps_what_is_done(lit, monkeypatch, watch, films):
     written = []
     write = ResultWriter.write
     monkeypatch.setattr(ResultWriter, "write", lambda self, tile: (written.append(tile), write(self, tile)))
-    monkeypatch.setattr(RayBatchRenderEngine, "test_break", lambda self: len(written) > 0, raising=False)
+    watch(test_break=lambda engine: len(written) > 0)
     lit.raybatch.thread_count = 1
     lit.raybatch.sample_count = 4096
     bpy.ops.render.render()
@@ -273,11 +295,10 @@ def test_statistics_count_the_export(lit, films):
     assert 0 < seconds["export"] < seconds["total"]
 
 
-def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch):
+def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch, watch):
     monkeypatch.setattr(frame, "STATUS_SECONDS", 0.0)
     lines, fractions = [], []
-    monkeypatch.setattr(RayBatchRenderEngine, "update_stats", lambda self, stats, info: lines.append(info), raising=False)
-    monkeypatch.setattr(RayBatchRenderEngine, "update_progress", lambda self, value: fractions.append(value), raising=False)
+    watch(update_stats=lambda engine, stats, info: lines.append(info), update_progress=lambda engine, value: fractions.append(value))
     lit.raybatch.sample_count = 64
     bpy.ops.render.render()
     assert lines[0] == "Reading the scene"

@@ -7,6 +7,7 @@ import pytest
 import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from under_test import DEVICE
 
 from raybatch_addon.core import film as film_module
 from raybatch_addon.core.errors import RayBatchError
@@ -14,10 +15,6 @@ from raybatch_addon.core.film import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, Film
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.wavefront.stages.accumulate import FilmTile, add_spill_kernel, allocate_film_tile, take_spill
-
-
-wp.init()
-DEVICE = wp.get_preferred_device()
 
 
 @wp.kernel(**KERNEL_OPTIONS)

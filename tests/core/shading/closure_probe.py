@@ -10,6 +10,7 @@ from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Material
 from raybatch_addon.core.shading.closures import ClosureFeatures, MaterialTable, ShadingFrame, make_bsdf, upload_materials
 from raybatch_addon.core.shading.microfacet import ALPHA_MIN
+from under_test import DEVICE
 
 K = ClosureKind
 EVERYTHING = ClosureFeatures(tuple(K))
@@ -70,41 +71,42 @@ def frame_of(normal=UP, geometric=UP, entering=1):
 
 
 @functools.cache
-def table_of(*closures, features=EVERYTHING):
+def table_of(*closures, features=EVERYTHING, device=DEVICE):
     """The device table of one material."""
-    return upload_materials([Material("test", closures)], features, "cpu")
+    return upload_materials([Material("test", closures)], features, device)
 
 
-def launch(kernel, count, inputs, outputs):
-    kernel.module.load(wp.get_device("cpu"), block_dim=1)
-    wp.launch(kernel, count, inputs=inputs, outputs=outputs, device="cpu", block_dim=1)
+def launch(kernel, count, inputs, outputs, device=DEVICE):
+    """Runs `kernel`, compiled for the device's block width."""
+    width = 1 if wp.get_device(device).is_cpu else 256
+    kernel.module.load(wp.get_device(device), block_dim=width)
+    wp.launch(kernel, count, inputs=inputs, outputs=outputs, device=device, block_dim=width)
 
 
-def vectors(values, count):
-    return wp.array(np.broadcast_to(np.asarray(values, np.float32), (count, 3)).copy(), dtype=wp.vec3, device="cpu")
+def vectors(values, count, device=DEVICE):
+    """Device array of `values`, [3] or [count, 3]."""
+    return wp.array(np.broadcast_to(np.asarray(values, np.float32), (count, 3)).copy(), dtype=wp.vec3, device=device)
 
 
-def evaluate(closures, wo, wi, frame=None, features=EVERYTHING):
+def evaluate(closures, wo, wi, frame=None, features=EVERYTHING, device=DEVICE):
     """value [n, 3], pdf [n]."""
     wi = np.atleast_2d(wi)
     count = len(wi)
-    value, pdf = wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=float, device="cpu")
-    table = table_of(*closures, features=features)
-    launch(kernels(features).evaluate, count, [table, frame or frame_of(), vectors(wo, count), vectors(wi, count)], [value, pdf])
-    return value.numpy().astype(np.float64), pdf.numpy().astype(np.float64)
+    out = [wp.zeros(count, dtype=wp.vec3, device=device), wp.zeros(count, dtype=float, device=device)]
+    table = table_of(*closures, features=features, device=device)
+    arrays = [vectors(wo, count, device), vectors(wi, count, device)]
+    launch(kernels(features).evaluate, count, [table, frame or frame_of(), *arrays], out, device)
+    return [array.numpy().astype(np.float64) for array in out]
 
 
-def sample(closures, wo, count, frame=None, features=EVERYTHING, seed=0, u=None):
+def sample(closures, wo, count, frame=None, features=EVERYTHING, seed=0, u=None, device=DEVICE):
     """direction [n, 3], weight [n, 3], pdf [n], lobe [n] for stratified random numbers."""
-    if u is None:
-        u = stratified(count, seed)
+    u = stratified(count, seed) if u is None else u
     count = len(u)
-    out = [
-        wp.zeros(count, dtype=wp.vec3, device="cpu"), wp.zeros(count, dtype=wp.vec3, device="cpu"),
-        wp.zeros(count, dtype=float, device="cpu"), wp.zeros(count, dtype=int, device="cpu"),
-    ]  # fmt: skip
-    table = table_of(*closures, features=features)
-    launch(kernels(features).sample, count, [table, frame or frame_of(), vectors(wo, count), vectors(u, count)], out)
+    out = [wp.zeros(count, dtype=dtype, device=device) for dtype in (wp.vec3, wp.vec3, float, int)]
+    table = table_of(*closures, features=features, device=device)
+    arrays = [vectors(wo, count, device), vectors(u, count, device)]
+    launch(kernels(features).sample, count, [table, frame or frame_of(), *arrays], out, device)
     return [array.numpy().astype(np.float64 if i < 3 else np.int64) for i, array in enumerate(out)]
 
 
@@ -160,10 +162,9 @@ def polar_cells(axis, power, heights, turns):
     phi = 2 * np.pi * (np.arange(turns)[:, None] + nodes) / turns
     theta = np.pi * x**power
     area = np.sin(theta) * np.pi * power * x ** (power - 1) * weights / heights
-    directions = (
-        np.cos(theta)[:, None, :, None, None] * n
-        + np.sin(theta)[:, None, :, None, None] * (np.cos(phi)[None, :, None, :, None] * t + np.sin(phi)[None, :, None, :, None] * b)
-    ).reshape(heights * turns, -1, 3)
+    theta_, phi_ = theta[:, None, :, None, None], phi[None, :, None, :, None]
+    around = np.cos(phi_) * t + np.sin(phi_) * b
+    directions = (np.cos(theta_) * n + np.sin(theta_) * around).reshape(heights * turns, -1, 3)
     shape = (heights, turns, len(nodes), len(nodes))
     solid = np.broadcast_to(area[:, None, :, None] * (weights * 2 * np.pi / turns)[None, None, None, :], shape)
     return bin_of, directions, solid.reshape(heights * turns, -1)

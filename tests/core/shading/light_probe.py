@@ -13,8 +13,9 @@ from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
 from raybatch_addon.core.shading.light_table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights import LightFeatures, make_lights
 from raybatch_addon.core.shading.sampling import bitangent_of, sample_cone, tangent_of, to_world
+from under_test import BLOCK_DIM, DEVICE
 
-DEVICES = ["cpu"] + (["cuda:0"] if wp.is_cuda_available() else [])
+DEVICES = [DEVICE]
 COUNT = 2**15
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -124,7 +125,7 @@ class Result:
         return self.irradiance_by_lights() * weight[:, None] + self.cone_weighted * (cosine * self.cone_solid_angle)[:, None]
 
 
-def probe(scene, position=(0, 0, 0), normal=UP, cone_axis=UP, cone=1.0, device="cpu", features=ALL, visibility=1, t_min=0.0, t_max=1e30, count=COUNT):
+def probe(scene, position=(0, 0, 0), normal=UP, cone_axis=UP, cone=1.0, device=DEVICE, features=ALL, visibility=1, t_min=0.0, t_max=1e30, count=COUNT):
     uploaded = upload_lights(scene, wp.get_device(device))
     geometry = upload_geometry(flatten(scene), scene, wp.get_device(device))
     answers = Answers()
@@ -135,7 +136,7 @@ def probe(scene, position=(0, 0, 0), normal=UP, cone_axis=UP, cone=1.0, device="
     query.position, query.normal, query.cone_axis = wp.vec3(*position), wp.vec3(*normal), wp.vec3(*cone_axis)
     query.cone, query.seed, query.visibility, query.t_min, query.t_max = cone, 7, visibility, t_min, t_max
     kernel = kernel_for(features)
-    wp.launch(kernel, count, [uploaded.table, geometry, query, answers], device=device, block_dim=1 if device == "cpu" else 256)
+    wp.launch(kernel, count, [uploaded.table, geometry, query, answers], device=device, block_dim=BLOCK_DIM)
     info = answers.info.numpy().astype(float)
     return Result(
         radiance=answers.radiance.numpy().astype(float), direction=answers.direction.numpy().astype(float), pdf=info[:, 0],

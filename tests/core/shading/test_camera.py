@@ -10,8 +10,9 @@ from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Camera, CameraKind
 from raybatch_addon.core.shading.camera import CameraData, CameraFeatures, make_camera_ray, upload_camera
+from under_test import BLOCK_DIM, DEVICE
 
-DEVICES = ["cpu"] + (["cuda:0"] if wp.is_cuda_available() else [])
+DEVICES = [DEVICE]
 WIDTH, HEIGHT = 64, 48
 
 
@@ -37,7 +38,7 @@ def kernel_for(features: CameraFeatures):
     return shoot
 
 
-def shoot(camera: Camera, pixel, lens=None, device="cpu"):
+def shoot(camera: Camera, pixel, lens=None, device=DEVICE):
     """Rays in the camera's own axes: origin, direction, t_max."""
     pixel = np.atleast_2d(np.asarray(pixel, np.float32))
     lens = np.zeros_like(pixel) if lens is None else np.asarray(lens, np.float32)
@@ -46,7 +47,7 @@ def shoot(camera: Camera, pixel, lens=None, device="cpu"):
     arrays = [wp.array(a, dtype=wp.vec2, device=device) for a in (pixel, lens)]
     kernel = kernel_for(CameraFeatures(camera.kind, camera.lens_radius > 0))
     data = upload_camera(camera, WIDTH, HEIGHT)
-    wp.launch(kernel, count, [data, *arrays], out, device=device, block_dim=1 if device == "cpu" else 256)
+    wp.launch(kernel, count, [data, *arrays], out, device=device, block_dim=BLOCK_DIM)
     origin, direction, t_max = (a.numpy().astype(float) for a in out)
     m = np.asarray(camera.transform, float)
     inverse = np.linalg.inv(m[:, :3])

@@ -26,6 +26,7 @@ from raybatch_addon.core.shading.emitters import find_emissive_triangles, fixed_
 from raybatch_addon.core.shading.light_table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights import LightFeatures, make_lights
 from tests.core.shading.light_probe import COUNT, DEVICES, UP, assert_mean, facing, polygon_irradiance, probe, scene_of
+from under_test import BLOCK_DIM, DEVICE
 
 LAMP = np.array([0.5, -0.3, 2.0])  # from the shaded point (the origin)
 
@@ -122,10 +123,10 @@ def test_millions_of_emitters_have_a_probability():
 
 def test_emission_that_is_not_finite_is_named():
     with pytest.raises(SceneError, match="Lamp"):
-        upload_lights(scene_of(Light("Lamp", LightKind.POINT, facing(LAMP, -UP), (np.nan, 1, 1))), wp.get_device("cpu"))
+        upload_lights(scene_of(Light("Lamp", LightKind.POINT, facing(LAMP, -UP), (np.nan, 1, 1))), wp.get_device(DEVICE))
     glow = Material("Glow", (Closure(ClosureKind.EMISSION, (np.inf, 0, 0)),))
     with pytest.raises(SceneError, match="Glow"):
-        upload_lights(dataclasses.replace(mesh_scene(), materials=(glow,) * 3), wp.get_device("cpu"))
+        upload_lights(dataclasses.replace(mesh_scene(), materials=(glow,) * 3), wp.get_device(DEVICE))
 
 
 def test_scene_radius():
@@ -172,14 +173,14 @@ def test_a_shadow_ray_ends_before_the_light_that_it_aims_at(far, sliver):
     none = np.zeros(2, np.int32)
     instances = Instances(none, matrix, none, np.full(2, 31, np.int32), np.arange(2, dtype=np.int32))
     scene = dataclasses.replace(scene, meshes=(mesh,), instances=instances)
-    device = wp.get_device("cpu")
+    device = wp.get_device(DEVICE)
     flat = flatten(scene)
     lights, geometry = upload_lights(scene, device), upload_geometry(flat, scene, device)
     built = build_reference(flat, instances.visibility, device)
     position = (world_triangle(scene, 0, 0).mean(0) + 3 * rng.normal(size=(COUNT, 3))).astype(np.float32)
     found, same = wp.zeros(COUNT, dtype=wp.vec3, device=device), wp.zeros(COUNT, dtype=int, device=device)
     inputs = [lights.table, geometry, built.tree, wp.array(position, dtype=wp.vec3, device=device)]
-    wp.launch(shadow_kernel(), COUNT, inputs, [found, same], device=device, block_dim=1)
+    wp.launch(shadow_kernel(), COUNT, inputs, [found, same], device=device, block_dim=BLOCK_DIM)
     distance, error, t = found.numpy()[same.numpy() > 0].astype(float).T
     assert len(t) > COUNT / 2
     assert (distance - t <= error).all()

@@ -15,17 +15,18 @@ from raybatch_addon.core.shading.sampling import (
     sample_cosine_hemisphere, sample_disk, sample_filter, sample_sphere, sample_triangle,
     spherical_direction, tangent_of, to_world,
 )  # fmt: skip
+from under_test import BLOCK_DIM, DEVICE
 
 SEQUENCES = ("SOBOL", "INDEPENDENT")
 
 
 def load(kernel):
-    kernel.module.load(wp.get_device("cpu"), block_dim=1)
+    kernel.module.load(wp.get_device(DEVICE), block_dim=BLOCK_DIM)
     return kernel
 
 
 def launch(kernel, count, inputs, outputs):
-    wp.launch(kernel, count, inputs=inputs, outputs=outputs, device="cpu", block_dim=1)
+    wp.launch(kernel, count, inputs=inputs, outputs=outputs, device=DEVICE, block_dim=BLOCK_DIM)
 
 
 @functools.cache
@@ -49,8 +50,8 @@ def numbers(sequence, samples, pixels=0, dimension=LIGHT, seed=0):
     """1D numbers [n] and 2D numbers [n, 2]."""
     samples, pixels = np.broadcast_arrays(samples, pixels)
     count = samples.size
-    one, two = wp.zeros(count, dtype=float, device="cpu"), wp.zeros(count, dtype=wp.vec2, device="cpu")
-    arrays = [wp.array(a.astype(np.uint32).ravel(), dtype=wp.uint32, device="cpu") for a in (pixels, samples)]
+    one, two = wp.zeros(count, dtype=float, device=DEVICE), wp.zeros(count, dtype=wp.vec2, device=DEVICE)
+    arrays = [wp.array(a.astype(np.uint32).ravel(), dtype=wp.uint32, device=DEVICE) for a in (pixels, samples)]
     launch(number_kernel(sequence), count, [seed, *arrays, dimension], [one, two])
     return one.numpy(), two.numpy()
 
@@ -82,8 +83,8 @@ def test_sobol_second_dimension_against_direction_numbers():
     for k in range(32):
         expected ^= np.where(index >> np.uint32(k) & np.uint32(1), v, np.uint32(0)).astype(np.uint32)
         v ^= v >> np.uint32(1)
-    y = wp.zeros(len(index), dtype=wp.uint32, device="cpu")
-    launch(load(second), len(index), [wp.array(index, dtype=wp.uint32, device="cpu")], [y])
+    y = wp.zeros(len(index), dtype=wp.uint32, device=DEVICE)
+    launch(load(second), len(index), [wp.array(index, dtype=wp.uint32, device=DEVICE)], [y])
     np.testing.assert_array_equal(y.numpy(), expected)
 
 
@@ -101,8 +102,8 @@ def test_philox_known_answers():
         [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8], [0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD],
         [0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1],
     ]  # fmt: skip
-    out = wp.zeros(3, dtype=wp.vec4ui, device="cpu")
-    arrays = [wp.array(np.array(a, np.uint32), dtype=d, device="cpu") for a, d in ((counters, wp.vec4ui), (keys, wp.vec2ui))]
+    out = wp.zeros(3, dtype=wp.vec4ui, device=DEVICE)
+    arrays = [wp.array(np.array(a, np.uint32), dtype=d, device=DEVICE) for a, d in ((counters, wp.vec4ui), (keys, wp.vec2ui))]
     launch(load(run), 3, arrays, [out])
     np.testing.assert_array_equal(out.numpy(), np.array(expected, np.uint32))
 
@@ -213,8 +214,8 @@ def jittered(side):
 
 def warp_points(shape, parameter=0.0, count=0, u=None, table=(0.0, 0.0)):
     u = jittered(256) if u is None else u
-    out = wp.zeros(len(u), dtype=wp.vec3, device="cpu")
-    arrays = [wp.array(u, dtype=wp.vec2, device="cpu"), wp.array(np.asarray(table, np.float32), dtype=float, device="cpu")]
+    out = wp.zeros(len(u), dtype=wp.vec3, device=DEVICE)
+    arrays = [wp.array(u, dtype=wp.vec2, device=DEVICE), wp.array(np.asarray(table, np.float32), dtype=float, device=DEVICE)]
     launch(load(warp_kernel), len(u), [shape, parameter, count, *arrays], [out])
     return out.numpy().astype(np.float64)
 
@@ -301,8 +302,8 @@ def test_frames_are_orthonormal():
     n = np.random.default_rng(0).normal(size=(2000, 3))
     n[:6] = [(0, 0, 1), (0, 0, -1), (1e-4, 0, -1), (0, -1e-7, -1), (1, 0, 0), (1, 1, -1e-30)]
     n = (n / np.linalg.norm(n, axis=1)[:, None]).astype(np.float32)
-    t, b, s = (wp.zeros(len(n), dtype=wp.vec3, device="cpu") for _ in range(3))
-    launch(load(frames), len(n), [wp.array(n, dtype=wp.vec3, device="cpu")], [t, b, s])
+    t, b, s = (wp.zeros(len(n), dtype=wp.vec3, device=DEVICE) for _ in range(3))
+    launch(load(frames), len(n), [wp.array(n, dtype=wp.vec3, device=DEVICE)], [t, b, s])
     frame = np.stack([t.numpy(), b.numpy(), n], 1).astype(np.float64)
     np.testing.assert_allclose(frame @ frame.transpose(0, 2, 1), np.broadcast_to(np.eye(3), frame.shape), atol=1e-6)
     assert np.all(np.linalg.det(frame) > 0)

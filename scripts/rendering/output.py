@@ -1,0 +1,137 @@
+"""Where render.py writes: standard output kept clean, folders checked ahead, files written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.film import Film
+
+
+class OutputError(RayBatchError):
+    """A place that cannot be written."""
+
+
+@contextmanager
+def own_standard_output(verbose: bool) -> Iterator[Any]:
+    """Yield a text file that is the real standard output.
+
+    Meanwhile what others print there, Blender's and Warp's native code included, goes to standard error
+    if `verbose`, else nowhere.
+    """
+    sys.stdout.flush()
+    real = os.dup(1)
+    target = os.dup(2) if verbose else os.open(os.devnull, os.O_WRONLY)
+    os.dup2(target, 1)
+    os.close(target)
+    try:
+        with os.fdopen(os.dup(real), "w", encoding="utf-8") as file:
+            yield file
+    finally:
+        sys.stdout.flush()
+        os.dup2(real, 1)
+        os.close(real)
+
+
+class OutputFolders:
+    """Makes the folders of files to come and tries them out, before any time is spent on a render."""
+
+    def __init__(self) -> None:
+        self._made: list[Path] = []
+
+    def prepare(self, path: Path) -> None:
+        """Make sure that the file `path` can be written; raises `OutputError`."""
+        if path.is_dir():
+            raise OutputError(f"{path} cannot be written: it is a folder")
+        missing = []
+        folder = path.parent
+        while not folder.exists():
+            missing.append(folder)
+            folder = folder.parent
+        try:
+            for each in reversed(missing):
+                each.mkdir()
+                self._made.append(each)
+            with tempfile.TemporaryFile(dir=path.parent):
+                pass
+            if path.exists() and not os.access(path, os.W_OK):
+                raise PermissionError(13, "Permission denied")
+        except OSError as error:
+            raise OutputError(f"{path} cannot be written: {error.strerror or error}") from None
+
+    def take_back(self) -> None:
+        """Remove the folders that were made and are still empty."""
+        for folder in reversed(self._made):
+            try:
+                folder.rmdir()
+            except OSError:
+                return
+
+
+def write_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Let `write(temporary path)` make a file, and put it at `path` when it is complete; raises `OutputError`."""
+    # the temporary name ends as the real one does, for writers that look at it
+    temporary = path.with_name(f".{os.getpid()}.{path.name}")
+    try:
+        write(temporary)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise OutputError(f"{path} cannot be written: {error.strerror or error}") from None
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def numbered(path: str, number: int, many: bool) -> Path:
+    """`path` with its last run of `#` replaced by the frame's number; with none, the number comes before the extension if there are many."""
+    folder, name = os.path.split(path)
+    if "#" not in name:
+        if not many:
+            return Path(path).absolute()
+        stem, dot, extension = name.partition(".")
+        name = f"{stem}####{dot}{extension}"
+    end = name.rindex("#") + 1
+    start = end
+    while start > 0 and name[start - 1] == "#":
+        start -= 1
+    sign, digits = ("-" if number < 0 else ""), str(abs(number)).zfill(end - start)
+    return (Path(folder) / f"{name[:start]}{sign}{digits}{name[end:]}").absolute()
+
+
+def write_film(path: Path, films: list[tuple[str, Film]]) -> None:
+    """Write the passes of the films of one frame, by view layer; those of the second layer on are called `layer/pass`."""
+    arrays = {}
+    for number, (layer, film) in enumerate(films):
+        for name, values in film.passes.items():
+            arrays[name if number == 0 else f"{layer}/{name}"] = values
+
+    def write(temporary: Path) -> None:
+        with open(temporary, "wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    write_whole(path, write)
+
+
+def write_json(target: str, statistics: list[dict[str, Any]], standard_output) -> None:
+    """Write the statistics to the file `target`, or to standard output for `-`: one object, or a list when several were rendered."""
+    text = json.dumps(statistics[0] if len(statistics) == 1 else statistics, indent=2, ensure_ascii=False) + "\n"
+    if target == "-":
+        standard_output.write(text)
+        standard_output.flush()
+    else:
+        write_whole(Path(target).absolute(), lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def described(film: Film, frame_number: int | None, view_layer: str | None) -> dict[str, Any]:
+    """The film's statistics with what picture they are of."""
+    statistics = dict(film.statistics)
+    statistics["frame"] = {**statistics.get("frame", {}), "number": frame_number, "view_layer": view_layer}
+    return statistics

@@ -1,0 +1,88 @@
+"""What render.py was asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from raybatch_addon.core.errors import RayBatchError, SettingsError
+from raybatch_addon.core.settings import parse_setting
+
+BLEND, BLENDER_GEOMETRY, ARCHIVE, NPZ = "blend", "geometry through Blender", "saved scene", "NumPy geometry"
+KINDS = ((".blend", BLEND), (".obj", BLENDER_GEOMETRY), (".ply", BLENDER_GEOMETRY), (".gltf", BLENDER_GEOMETRY),
+         (".glb", BLENDER_GEOMETRY), (".scene.npz", ARCHIVE), (".npz", NPZ))  # fmt: skip
+RESOLUTION_DEFAULT = (960, 540)  # of geometry, which has none of its own [pixels]
+RESOLUTION_MAX = 65_536  # Blender's own limit
+
+
+class UsageError(RayBatchError):
+    """Arguments that do not go together."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """One call of render.py, checked as far as it can be without opening the file."""
+
+    source: Path
+    kind: str  # of the constants above
+    out: str | None = None
+    frames: tuple[int, ...] | None = None  # None: the file's current one
+    view_layers: tuple[str, ...] = ()  # empty: those that the file renders
+    settings: dict[str, Any] = field(default_factory=dict)  # RenderSettings to change
+    resolution: tuple[int, int] | None = None
+    film: str | None = None
+    json: str | None = None
+    save_scene: str | None = None
+    camera: str | None = None
+    up: str | None = None
+
+    @property
+    def renders(self) -> bool:
+        """Whether a render is wanted, not just the exported scene."""
+        return bool(self.out or self.film or self.json)
+
+
+def kind_of(source: Path) -> str:
+    """The kind of file by its name; raises `UsageError` for one that cannot be rendered."""
+    for suffix, kind in KINDS:
+        if source.name.lower().endswith(suffix):
+            return kind
+    raise UsageError(f"{source}: what kind of file is this? It must end in {', '.join(suffix for suffix, _ in KINDS)}")
+
+
+def parse_frames(text: str) -> tuple[int, ...]:
+    """`A..B`, both included; raises `UsageError`."""
+    first, dots, last = text.partition("..")
+    try:
+        a, b = int(first), int(last)
+    except ValueError:
+        raise UsageError(f"--frames {text} is not a range A..B of whole numbers") from None
+    if not dots or a > b:
+        raise UsageError(f"--frames {text} is not a range A..B with A at most B")
+    return tuple(range(a, b + 1))
+
+
+def parse_settings(assignments: list[str]) -> tuple[dict[str, Any], tuple[int, int] | None]:
+    """Settings by name, and the resolution if one is given, from `name=value` texts; raises `SettingsError`."""
+    values: dict[str, Any] = {}
+    resolution = None
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        name = name.strip()
+        if not equals:
+            raise SettingsError(f"--set {assignment} has no value; write --set {name}=VALUE")
+        if name == "resolution":
+            resolution = _parse_resolution(text)
+        else:
+            values[name] = parse_setting(name, text)
+    return values, resolution
+
+
+def _parse_resolution(text: str) -> tuple[int, int]:
+    parts = text.lower().split("x")
+    if len(parts) == 2 and all(part.strip().isdecimal() for part in parts):
+        width, height = int(parts[0]), int(parts[1])
+        if 1 <= width <= RESOLUTION_MAX and 1 <= height <= RESOLUTION_MAX:
+            return width, height
+    raise SettingsError(f"resolution = {text!r} is not valid: write WIDTHxHEIGHT in pixels, each 1 to {RESOLUTION_MAX}, such as 160x120")

@@ -1,0 +1,84 @@
+"""Renders that need no Blender: saved scenes and NumPy geometry."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from raybatch_addon.core.scene.archive import load_scene, save_scene
+from raybatch_addon.core.scene.description import Camera, Scene
+from raybatch_addon.core.scene.geometry_files import load_geometry, parse_view
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.kernel_cache import kernel_cache_folder
+
+from .output import OutputFolders, described, write_film, write_json
+from .pictures import picture_path, write_picture
+from .progress import ProgressBar
+from .request import ARCHIVE, RESOLUTION_DEFAULT, Request, UsageError
+
+
+def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar, standard_output) -> None:
+    """Render `request.source`, and write what was asked for; raises `RayBatchError`."""
+    if request.frames is not None or request.view_layers:
+        raise UsageError(f"{request.source} holds one picture; --frame, --frames and --view-layer are for .blend files")
+    out = picture_path(Path(request.out).absolute()) if request.out else None
+    film_path = Path(request.film).absolute() if request.film else None
+    for path in (out, film_path):
+        if path is not None:
+            folders.prepare(path)
+    scene, settings = _scene_and_settings(request)
+    settings = settings.replace(**request.settings)
+    if request.save_scene:
+        save_scene(Path(request.save_scene).absolute(), scene, settings)
+    if not request.renders:
+        return
+    session = Session(settings.device, settings, kernel_cache_folder())
+    try:
+        film = session.render(scene, settings, on_progress=bar.show)
+    finally:
+        session.close()
+        bar.close()
+    if out is not None:
+        write_picture(out, film)
+    if film_path is not None:
+        write_film(film_path, [("", film)])
+    if request.json:
+        write_json(request.json, [described(film, None, None)], standard_output)
+
+
+def _scene_and_settings(request: Request) -> tuple[Scene, RenderSettings]:
+    if request.kind == ARCHIVE:
+        if request.camera or request.up:
+            raise UsageError(f"{request.source} has a camera of its own; --camera and --up are for geometry files")
+        scene, settings = load_scene(request.source)
+        # the device and its threads were those of the machine that saved the scene
+        settings = settings.replace(device="AUTO", thread_count=0)
+        return (resized(scene, *request.resolution) if request.resolution else scene), settings
+    width, height = request.resolution or RESOLUTION_DEFAULT
+    view = parse_view(request.camera) if request.camera else None
+    return load_geometry(request.source, width=width, height=height, view=view, up=request.up or "z"), RenderSettings()
+
+
+def resized(scene: Scene, width: int, height: int) -> Scene:
+    """`scene` at another resolution: the longer side shows what it showed, the shorter one more or less of it; a border scales along."""
+    frame, camera = scene.frame, scene.camera
+    border = None
+    if frame.border is not None:
+        x0, y0, x1, y1 = frame.border
+        across, down = width / frame.width, height / frame.height
+        left, bottom = min(round(x0 * across), width - 1), min(round(y0 * down), height - 1)
+        border = (left, bottom, max(left + 1, round(x1 * across)), max(bottom + 1, round(y1 * down)))
+    frame = dataclasses.replace(frame, width=width, height=height, border=border)
+    return dataclasses.replace(scene, frame=frame, camera=_refitted(camera, scene.frame.width, scene.frame.height, width, height))
+
+
+def _refitted(camera: Camera, old_width: int, old_height: int, width: int, height: int) -> Camera:
+    """`camera` for a frame of another shape, square pixels assumed to stay as square as they were."""
+    left, right, bottom, top = camera.window
+    # size of a pixel in the window, where the longer side keeps its extent
+    scale = max(old_width, old_height) / max(width, height)
+    half_x = (right - left) / 2 * scale * width / old_width
+    half_y = (top - bottom) / 2 * scale * height / old_height
+    x, y = (left + right) / 2, (bottom + top) / 2
+    return dataclasses.replace(camera, window=(x - half_x, x + half_x, y - half_y, y + half_y))
