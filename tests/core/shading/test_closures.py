@@ -310,7 +310,7 @@ def source_of(features):
         Path(wp.config.kernel_cache_dir) / kernel.module.get_module_identifier(block_dim=BLOCK_DIM)
         for kernel in (loaded.evaluate, loaded.sample)
     ]
-    return "\n".join(path.read_text() for folder in folders for path in folder.glob("*.cpp"))
+    return "\n".join(path.read_text() for folder in folders for path in folder.glob("*.c[pu]*"))
 
 
 def test_only_what_is_needed_is_compiled_and_allocated():

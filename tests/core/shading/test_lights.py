@@ -294,5 +294,5 @@ def test_specialisation_leaves_the_rest_out():
 
 
 def generated_code(features: LightFeatures) -> str:
-    sources = Path(wp.config.kernel_cache_dir).rglob(f"*{kernel_for(features).module.name}*.cpp")
+    sources = Path(wp.config.kernel_cache_dir).rglob(f"*{kernel_for(features).module.name}*.c[pu]*")
     return max(sources, key=lambda path: path.stat().st_mtime).read_text()

@@ -1,0 +1,141 @@
+#!/usr/bin/env python3
+"""Render a scene file with RayBatch, without a window. `render.py --help` says how."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.settings import SETTINGS
+from rendering.output import OutputFolders, own_standard_output
+from rendering.request import ARCHIVE, NPZ, Request, UsageError, kind_of, parse_frames, parse_settings
+
+DESCRIPTION = """\
+Render a scene file with RayBatch.
+
+FILE is one of
+  .blend              a Blender file: the same render as `blender -b FILE -E RAYBATCH -o OUT -f N`
+  .obj .ply .gltf .glb  geometry, read by Blender's importers
+  .npz                geometry as NumPy arrays v [n,3], f [k,3] and, if wanted, m [k]; needs no Blender
+  .scene.npz          a scene written by --save-scene; needs no Blender, and gives the same film bit for bit
+
+Geometry gets a default light (a sun and a pale blue sky), and a camera that shows all of it unless --camera is given.
+Nothing is written to standard output but the statistics, for `--json -`. Progress and errors go to standard error.
+The exit code is 0, or 1 with one line that says what was wrong (2: the command line was not understood).
+"""
+OUT_HELP = """\
+where the picture goes. A name with a picture's extension (.png .exr .jpg .tif ...) is that file, in that format;
+a run of # in it stands for the frame's number, and with --frames and no # the number comes before the extension.
+Any other name is taken as Blender's own -o does: the frame's number (#### if there is no #) and the extension of
+the file's output format are added, and // at the start is the .blend's folder. Folders are made as needed.
+Without Blender (.npz, .scene.npz): .png, in sRGB without a view transform, or .exr, linear with every pass.
+"""
+
+
+def argument_parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="render.py", description=DESCRIPTION, formatter_class=argparse.RawTextHelpFormatter, allow_abbrev=False,
+        epilog="settings of --set:\n" + "\n".join(f"  {info.name} ({info.range_text()}): {info.description}" for info in SETTINGS.values()),
+    )  # fmt: skip
+    add = parser.add_argument
+    add("file", nargs="?", type=Path, metavar="FILE", help="what to render")
+    add("-o", "--out", metavar="OUT", help=OUT_HELP)
+    which = parser.add_mutually_exclusive_group()
+    which.add_argument("--frame", type=int, metavar="N", help="the frame to render (default: the file's current one)")
+    which.add_argument("--frames", metavar="A..B", help="the frames to render, both ends included")
+    add("--view-layer", action="append", default=[], metavar="NAME", help="render this view layer only (may be repeated)")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting (may be repeated); see below. resolution=160x120 sets the picture's size")
+    add("--device", metavar="DEVICE", help="AUTO, cpu or cuda:N; the same as --set device=DEVICE")
+    add("--json", metavar="FILE", help="write statistics; - is standard output. An object, or a list when several frames or view layers are rendered")
+    add("--film", metavar="FILE.npz", help="write the linear passes: name -> float32 [height, width, channels], bottom row first.\n"
+        "Passes of the second view layer on are called LAYER/PASS; frames are numbered as with -o")  # fmt: skip
+    add("--camera", metavar="EX,EY,EZ,TX,TY,TZ,FOV", help="for geometry: eye, target and field of view of the longer side [degrees],\nin the file's own coordinates (write --camera=-1,... when the first number is negative)")
+    add("--up", choices=("y", "z"), help="for geometry: the axis that points up (default: z for .npz and .ply, y for .obj; glTF is y)")
+    add("--save-scene", metavar="FILE.scene.npz", help="write the scene and its settings, to render elsewhere; alone, nothing is rendered")
+    add("--prewarm", action="store_true", help="compile the kernels of ordinary scenes ahead, and stop; takes no FILE.\n"
+        "The cache is that of the installed Blender extension, if there is one")  # fmt: skip
+    add("--verbose", action="store_true", help="pass on what Blender and Warp print, to standard error")
+    return parser
+
+
+def request_from(options: argparse.Namespace) -> Request:
+    """The checked request; raises `RayBatchError`."""
+    if options.file is None:
+        raise UsageError("name the FILE to render (or --prewarm); --help says more")
+    if not (options.out or options.film or options.json or options.save_scene):
+        raise UsageError("nothing would be written: give at least one of -o, --film, --json and --save-scene")
+    assignments = options.set + ([f"device={options.device}"] if options.device else [])
+    settings, resolution = parse_settings(assignments)
+    frames = (options.frame,) if options.frame is not None else parse_frames(options.frames) if options.frames else None
+    return Request(
+        source=options.file, kind=kind_of(options.file), out=options.out, frames=frames, view_layers=tuple(options.view_layer),
+        settings=settings, resolution=resolution, film=options.film, json=options.json, save_scene=options.save_scene,
+        camera=options.camera, up=options.up,
+    )  # fmt: skip
+
+
+def prewarm(device: str | None) -> None:
+    """Compile ahead what ordinary scenes need."""
+    from raybatch_addon.core.session import Session
+    from raybatch_addon.kernel_cache import kernel_cache_folder
+
+    folder = kernel_cache_folder()
+    session = Session(device or "AUTO", cache_folder=folder)
+    names = session.prewarm(on_progress=lambda done, total: print(f"compiled {done} of {total} modules", file=sys.stderr))
+    session.close()
+    print(f"{len(names)} modules are ready in {folder}", file=sys.stderr)
+
+
+def render(request: Request, folders: OutputFolders, standard_output) -> None:
+    """Do what was asked; raises `RayBatchError`."""
+    from rendering.progress import ProgressBar
+
+    for target in (request.json if request.json != "-" else None, request.save_scene):
+        if target:
+            folders.prepare(Path(target).absolute())
+    if not request.source.is_file():
+        raise UsageError(f"there is no file {request.source}")
+    if request.kind in (ARCHIVE, NPZ):
+        from rendering.standalone import render_standalone
+
+        render_standalone(request, folders, ProgressBar(), standard_output)
+        return
+    try:
+        import bpy  # noqa: F401
+    except ImportError:
+        raise UsageError(f"{request.source} needs Blender's Python module bpy, which cannot be imported here; .npz and .scene.npz do without") from None
+    from rendering.blender import BlenderRender
+
+    BlenderRender(request, folders, ProgressBar(), standard_output).run()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The exit code."""
+    options = argument_parser().parse_args(arguments)
+    folders = OutputFolders()
+    with own_standard_output(options.verbose) as standard_output:
+        try:
+            if options.prewarm:
+                if options.file is not None:
+                    raise UsageError("--prewarm takes no FILE: it compiles what ordinary scenes need")
+                prewarm(options.device)
+            else:
+                render(request_from(options), folders, standard_output)
+        except RayBatchError as error:
+            folders.take_back()
+            print(f"render.py: error: {' '.join(str(error).split())}", file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            folders.take_back()
+            print("render.py: stopped", file=sys.stderr)
+            return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,240 @@
+"""Renders through Blender (the bpy module): .blend files, and geometry that Blender imports."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+import raybatch_addon
+from raybatch_addon import reports
+from raybatch_addon.core.errors import RayBatchError, SceneError
+from raybatch_addon.core.film import Film
+from raybatch_addon.core.scene.archive import save_scene
+from raybatch_addon.core.scene.description import Scene
+from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.export.settings import settings_from
+
+from .imported import import_geometry
+from .output import OutputError, OutputFolders, described, numbered, write_film, write_json
+from .progress import ProgressBar
+from .request import BLEND, Request, UsageError
+
+# Blender's formats by the extension that chooses them; the first one listed is taken
+FORMATS = {
+    ".png": ("PNG",), ".jpg": ("JPEG",), ".jpeg": ("JPEG",), ".exr": ("OPEN_EXR", "OPEN_EXR_MULTILAYER"), ".tif": ("TIFF",),
+    ".tiff": ("TIFF",), ".bmp": ("BMP",), ".tga": ("TARGA", "TARGA_RAW"), ".hdr": ("HDR",), ".webp": ("WEBP",), ".jp2": ("JPEG2000",),
+}  # fmt: skip
+
+
+class _SceneSaved(RayBatchError):
+    """Ends a render whose scene was all that was wanted."""
+
+
+class BlenderRender:
+    """The renders of one request."""
+
+    def __init__(self, request: Request, folders: OutputFolders, bar: ProgressBar, standard_output) -> None:
+        self._request, self._folders, self._bar, self._standard_output = request, folders, bar, standard_output
+        self._films: list[tuple[str, Film]] = []  # of the frame in work, by view layer
+        self._statistics: list[dict[str, Any]] = []
+        self._scene_saved = False
+
+    def run(self) -> None:
+        """Open, render and write what was asked for; raises `RayBatchError`."""
+        request = self._request
+        raybatch_addon.register()
+        try:
+            _open(request)
+            scene = bpy.context.scene
+            _choose_view_layers(scene, request.view_layers)
+            _apply_settings(scene, request)
+            frames = request.frames or (scene.frame_current,)
+            if request.save_scene and (len(frames) > 1 or sum(layer.use for layer in scene.view_layers) > 1):
+                raise UsageError("--save-scene holds one picture: choose one frame with --frame and one layer with --view-layer")
+            self._listen()
+            if request.out and scene.render.is_movie_format and not _picture_format(request.out):
+                self._render_movie(scene, frames)
+            else:
+                self._render_stills(scene, frames)
+        finally:
+            self._bar.close()
+        if request.json:
+            write_json(request.json, self._statistics, self._standard_output)
+
+    # --- what the engine tells
+
+    def _listen(self) -> None:
+        from raybatch_addon import frame
+
+        frame.progress_listeners.append(self._bar.show)
+        frame.scene_listeners.append(self._on_scene)
+        frame.film_listeners.append(self._on_film)
+
+    def _on_scene(self, _layer: str, exported: Scene, settings: RenderSettings) -> None:
+        if self._request.save_scene and not self._scene_saved:
+            save_scene(Path(self._request.save_scene).absolute(), exported, settings)
+            self._scene_saved = True
+            if not self._request.renders:
+                raise _SceneSaved("the scene is saved")
+
+    def _on_film(self, layer: str, _exported: Scene, film: Film) -> None:
+        self._statistics.append(described(film, bpy.context.scene.frame_current, layer))
+        if self._request.film:
+            self._films.append((layer, film))
+
+    # --- rendering
+
+    def _render_stills(self, scene: bpy.types.Scene, frames: tuple[int, ...]) -> None:
+        request, many = self._request, len(frames) > 1
+        if request.out and (file_format := _picture_format(request.out)):
+            _set_format(scene, file_format)
+        places = [_still_path(scene, request.out, number, many) if request.out else None for number in frames]
+        films = [numbered(request.film, number, many) if request.film else None for number in frames]
+        for path in {path.parent: path for path in (*places, *films) if path is not None}.values():
+            self._folders.prepare(path)
+        for number, place, film_path in zip(frames, places, films, strict=True):
+            self._bar.label = f"frame {number}: " if many else ""
+            scene.frame_set(number)
+            self._films.clear()
+            if place is None:
+                self._operate()
+            else:
+                with _Workshop(place.parent) as workshop:
+                    scene.render.filepath = str(workshop.folder / place.name)
+                    self._operate(write_still=True)
+                    workshop.deliver(place)
+            if film_path is not None:
+                write_film(film_path, self._films)
+
+    def _render_movie(self, scene: bpy.types.Scene, frames: tuple[int, ...]) -> None:
+        if self._request.film:
+            raise UsageError("--film is for still pictures; the file renders a movie")
+        out = Path(_absolute(self._request.out))
+        self._folders.prepare(out)
+        scene.frame_start, scene.frame_end, scene.frame_step = frames[0], frames[-1], 1
+        with _Workshop(out.parent) as workshop:
+            scene.render.filepath = str(workshop.folder / out.name)
+            self._operate(animation=True)
+            workshop.deliver(None)
+
+    def _operate(self, **how: bool) -> None:
+        """Let Blender render; its errors and the engine's become a `RayBatchError`."""
+        before = reports.last()
+        try:
+            bpy.ops.render.render(**how)
+        except RuntimeError as error:
+            report = reports.last()
+            told = report.errors if report is not None and report is not before else []
+            if self._scene_saved and not self._request.renders:
+                return
+            raise SceneError(told[0] if told else _one_line(error)) from None
+        if (report := reports.last()) is not None and report is not before and report.errors and not self._scene_saved:
+            raise SceneError(report.errors[0])
+
+
+class _Workshop:
+    """A folder beside the results, where Blender may leave half-written files; gone at the end."""
+
+    def __init__(self, where: Path) -> None:
+        self._where = where
+
+    def __enter__(self) -> _Workshop:
+        self.folder = Path(tempfile.mkdtemp(prefix=".raybatch-", dir=self._where))
+        return self
+
+    def __exit__(self, *_) -> None:
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def deliver(self, place: Path | None) -> None:
+        """Move what Blender wrote to its place: a single file to `place`, several (stereo) under the names they have."""
+        made = sorted(self.folder.iterdir())
+        if not made:
+            raise OutputError(f"Blender wrote no picture to {place or self._where}; is the disk full?")
+        for file in made:
+            os.replace(file, place if place is not None and len(made) == 1 else self._where / file.name)
+
+
+def _open(request: Request) -> None:
+    """Open or import the request's file, with RayBatch as its engine."""
+    if not request.source.is_file():
+        raise SceneError(f"there is no file {request.source}")
+    if request.kind == BLEND:
+        if request.camera or request.up:
+            raise UsageError(f"{request.source} has a camera of its own; --camera and --up are for geometry files")
+        try:
+            bpy.ops.wm.open_mainfile(filepath=str(request.source.absolute()), load_ui=False)
+        except RuntimeError as error:
+            raise SceneError(f"{request.source} cannot be opened: {_one_line(error)}") from None
+    else:
+        if request.frames is not None or request.view_layers:
+            raise UsageError(f"{request.source} holds one picture; --frame, --frames and --view-layer are for .blend files")
+        import_geometry(request)
+    bpy.context.scene.render.engine = "RAYBATCH"
+
+
+def _choose_view_layers(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
+    there = [layer.name for layer in scene.view_layers]
+    for name in names:
+        if name not in there:
+            raise UsageError(f"there is no view layer {name!r}; there is {', '.join(there)}")
+    for layer in scene.view_layers:
+        if names:
+            layer.use = layer.name in names
+    if names:
+        scene.render.use_single_layer = False
+
+
+def _apply_settings(scene: bpy.types.Scene, request: Request) -> None:
+    for name, value in request.settings.items():
+        setattr(scene.raybatch, name, value)
+    settings_from(scene)  # values that do not go together are told before the render
+    if request.resolution:
+        scene.render.resolution_x, scene.render.resolution_y = request.resolution
+        scene.render.resolution_percentage = 100
+
+
+def _picture_format(out: str) -> tuple[str, ...]:
+    """The formats that the extension of `out` stands for; empty if it has none that is known."""
+    return FORMATS.get(os.path.splitext(out)[1].lower(), ())
+
+
+def _set_format(scene: bpy.types.Scene, formats: tuple[str, ...]) -> None:
+    """Take the first of `formats`, unless the file has one of them already."""
+    image = scene.render.image_settings
+    if image.file_format in formats:
+        return
+    if hasattr(image, "media_type"):
+        image.media_type = "IMAGE"
+    image.file_format = formats[0]
+
+
+def _absolute(out: str) -> str:
+    """`out` from the current folder, or from the .blend's where it begins with `//` as Blender has it."""
+    return os.path.abspath(bpy.path.abspath(out) if out.startswith("//") else out)
+
+
+def _still_path(scene: bpy.types.Scene, out: str, number: int, many: bool) -> Path:
+    """The file of frame `number`: as Blender names it, except that a picture's full name is taken as it is."""
+    path = _absolute(out) + (os.sep if out.endswith(("/", os.sep)) else "")
+    if _picture_format(out) and ("#" in os.path.basename(out) or not many):
+        return numbered(path, number, many)
+    if _picture_format(out):
+        stem, extension = os.path.splitext(path)
+        return Path(f"{stem}{number:04d}{extension}")
+    before = scene.render.filepath
+    scene.render.filepath = path
+    try:
+        return Path(scene.render.frame_path(frame=number))
+    finally:
+        scene.render.filepath = before
+
+
+def _one_line(error: BaseException) -> str:
+    """The first thing that Blender's message says, without its `Error:`."""
+    lines = [line.removeprefix("Error:").strip() for line in str(error).splitlines()]
+    return next((line for line in lines if line), type(error).__name__)
