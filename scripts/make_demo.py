@@ -17,7 +17,7 @@ from mathutils import Vector
 import raybatch_addon
 
 RESOLUTION = (960, 540)
-SAMPLE_COUNT = 64
+SAMPLE_COUNT = 32
 
 
 def principled(name, colour, roughness, metallic=0.0, ior=1.5):

@@ -1,17 +1,14 @@
-"""Build the Blender extension, one zip a platform: python scripts/package.py [--platform linux-x64]
+#!/usr/bin/env python3
+"""Build the Blender extension: one zip a platform, with the Warp wheel inside, through Blender's own extension builder.
 
-The add-on and its manifest are staged together, with Warp's wheel for the platform, and packed by Blender's own extension
-builder, which checks the manifest. Wheels are downloaded once and kept in the user's cache folder. Standard output lists
-the zips, one a line. Exit codes: 0; 1 for what is wrong with the project or its environment; 3 when a wheel cannot be downloaded.
+`package.py` builds all platforms into dist/; `package.py linux-x64` only that one. Wheels are downloaded with pip
+and kept in build/wheels.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.metadata
 import importlib.util
-import os
-import re
 import shutil
 import subprocess
 import sys
@@ -20,148 +17,108 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-VERSION_FILE = "raybatch_addon/core/report/statistics.py"
-EXIT_FAILED, EXIT_NO_WHEEL = 1, 3
-
-# Tags of the wheels, newest system first, that the oldest system can load on which Blender itself runs
-WHEEL_TAGS = {
-    "linux-x64": ("manylinux_2_28_x86_64", "manylinux2014_x86_64"),
-    "windows-x64": ("win_amd64",),
-    "macos-arm64": ("macosx_11_0_arm64",),
-}
+MANIFEST = "blender_manifest.toml"
+# the name of pip's platform, by Blender's. Warp's wheels are the same for every Python 3.
+PIP_PLATFORMS = {"linux-x64": "manylinux_2_28_x86_64", "windows-x64": "win_amd64", "macos-arm64": "macosx_11_0_arm64"}
 
 
 class PackageError(Exception):
-    """What keeps the extension from being built, as one line."""
-
-    def __init__(self, message: str, exit_code: int = EXIT_FAILED) -> None:
-        super().__init__(message)
-        self.exit_code = exit_code
+    """Why there is no package, in one line."""
 
 
-def project_version(root: Path = ROOT) -> str:
-    """The version that the manifest, pyproject.toml and the statistics agree on; raises `PackageError` when they do not."""
-    said = re.search(r'^VERSION = "([^"]+)"', (root / VERSION_FILE).read_text(encoding="utf-8"), re.MULTILINE)
-    versions = {
-        "blender_manifest.toml": tomllib.loads((root / "blender_manifest.toml").read_text(encoding="utf-8"))["version"],
-        "pyproject.toml": _project(root)["version"],
-        VERSION_FILE: said[1] if said else "none",
-    }
-    if len(set(versions.values())) > 1:
-        raise PackageError("the versions differ: " + ", ".join(f"{name} says {version}" for name, version in versions.items()))
-    return versions["blender_manifest.toml"]
+def warp_requirement() -> str:
+    """The tested range of Warp, as pyproject.toml has it."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return next(line for line in project["dependencies"] if line.startswith("warp-lang"))
 
 
-def warp_requirement(root: Path = ROOT) -> tuple[str, str]:
-    """What to ask pip for, and the version: the tested range of pyproject.toml, and in it the version that is installed here."""
-    pin = next(line for line in _project(root)["dependencies"] if line.startswith("warp-lang"))
+def fetch_wheel(platform: str, folder: Path) -> Path:
+    """The Warp wheel of `platform`, in `folder`; downloaded unless the version that is installed here is there already."""
+    from importlib.metadata import PackageNotFoundError, version
+
     try:
-        version = importlib.metadata.version("warp-lang")
-    except importlib.metadata.PackageNotFoundError:
-        raise PackageError("Warp is not installed in this Python: use the one of .venv, which `make environment` fills") from None
-    return f"{pin},=={version}", version
+        requirement = f"warp-lang=={version('warp-lang')}"  # the one that the tests ran with
+    except PackageNotFoundError:
+        requirement = warp_requirement()
+    folder = folder / platform
+    folder.mkdir(parents=True, exist_ok=True)
+    wanted = requirement.partition("==")[2]
+    for wheel in folder.glob(f"warp_lang-{wanted}-*.whl" if wanted else ""):
+        return wheel
+    shutil.rmtree(folder)
+    command = [
+        sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:", "--no-input", "--disable-pip-version-check",
+        "--platform", PIP_PLATFORMS[platform], "--python-version", "3.13", "--implementation", "py", "--abi", "none", "--dest", str(folder), requirement,
+    ]  # fmt: skip
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+    wheels = list(folder.glob("warp_lang-*.whl"))
+    if done.returncode or len(wheels) != 1:
+        lines = [line for line in done.stderr.splitlines() if line.startswith("ERROR")] or ["pip found none"]
+        raise PackageError(f"the Warp wheel for {platform} could not be downloaded: {lines[-1]}")
+    return wheels[0]
 
 
-def _project(root: Path) -> dict:
-    return tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-
-
-def extension_builder() -> Path:
-    """Blender's extension builder, from the bpy of this Python."""
+def builder() -> Path:
+    """Blender's own extension builder, a script that comes with bpy."""
     spec = importlib.util.find_spec("bpy")
-    folders = spec.submodule_search_locations or [] if spec else []
-    for folder in folders:
-        for path in sorted(Path(folder).glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py")):
-            return path
-    raise PackageError("Blender's extension builder was not found: bpy is not installed in this Python; use the one of .venv")
+    if spec is None or spec.origin is None:
+        raise PackageError("Blender's module bpy is not installed here: run this with the environment that `make environment` makes")
+    found = list(Path(spec.origin).parent.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
+    if not found:
+        raise PackageError("bpy has no extension builder (addons_core/bl_pkg/cli/blender_ext.py)")
+    return found[0]
 
 
-def wheel_cache() -> Path:
-    """The folder where downloaded wheels are kept, in the user's cache folder."""
-    if sys.platform == "win32":
-        base = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        base = Path.home() / "Library" / "Caches"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return base / "raybatch" / "wheels"
-
-
-def warp_wheel(platform: str) -> Path:
-    """Warp's wheel for `platform`, downloaded unless it is in the cache; raises `PackageError`.
-
-    It must suit every Python 3: Blender 4.5 and 5.2 bring different ones.
-    """
-    requirement, version = warp_requirement()
-    cache = wheel_cache()
-    for tag in WHEEL_TAGS[platform]:
-        for wheel in cache.glob(f"warp_lang-{version}-py3-none-*{tag}.whl"):
-            return wheel
-    print(f"RayBatch: downloading Warp {version} for {platform} (once; it is kept in {cache})", file=sys.stderr)
-    cache.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=cache) as folder:  # nothing half-written gets into the cache
-        tags = [word for tag in WHEEL_TAGS[platform] for word in ("--platform", tag)]
-        pip = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-input", "--no-deps"]
-        done = subprocess.run([*pip, "--only-binary=:all:", *tags, "--dest", folder, requirement], capture_output=True, text=True)
-        wheels = list(Path(folder).glob("*.whl"))
-        if done.returncode or not wheels:
-            said = [line for line in (done.stderr + done.stdout).splitlines() if "ERROR" in line]
-            raise PackageError(f"Warp's wheel for {platform} could not be downloaded: {' '.join(said) or 'pip does not say why'}", EXIT_NO_WHEEL)
-        if "-py3-none-" not in wheels[0].name:
-            raise PackageError(f"{wheels[0].name} does not suit every Python 3, as Blender 4.5 and 5.2 need")
-        return wheels[0].replace(cache / wheels[0].name)
-
-
-def stage(folder: Path, wheels: dict[str, Path]) -> None:
-    """Fill `folder` with what goes into the zips of the platforms of `wheels`."""
-    shutil.copytree(ROOT / "raybatch_addon", folder, dirs_exist_ok=True, ignore=shutil.ignore_patterns("__pycache__", "*.pyc"))
-    shutil.copy2(ROOT / "LICENSE", folder)
+def stage(folder: Path, platform: str, wheel: Path) -> None:
+    """Lay out the extension in `folder`: the add-on's files, the manifest with its wheel and platform, and the licence."""
+    shutil.copytree(ROOT / "raybatch_addon", folder, ignore=shutil.ignore_patterns("__pycache__", "*.pyc"))
+    shutil.copy(ROOT / "LICENSE", folder)
     (folder / "wheels").mkdir()
-    for wheel in wheels.values():
-        shutil.copy2(wheel, folder / "wheels")
-    names = ", ".join(f'"./wheels/{wheel.name}"' for wheel in wheels.values())
-    platforms = ", ".join(f'"{platform}"' for platform in wheels)
-    manifest = (ROOT / "blender_manifest.toml").read_text(encoding="utf-8")
-    added = f"platforms = [{platforms}]\nwheels = [{names}]\n"  # first, because what follows a table's name belongs to it
-    (folder / "blender_manifest.toml").write_text(added + manifest, encoding="utf-8")
+    try:
+        (folder / "wheels" / wheel.name).hardlink_to(wheel)
+    except OSError:
+        shutil.copy(wheel, folder / "wheels")
+    text = (ROOT / MANIFEST).read_text(encoding="utf-8")
+    kept = [line for line in text.splitlines() if not line.startswith(("platforms", "# `wheels`"))]
+    # top-level keys must come before the first table
+    first_table = next(i for i, line in enumerate(kept) if line.startswith("["))
+    kept[first_table:first_table] = [f'platforms = ["{platform}"]', f'wheels = ["./wheels/{wheel.name}"]', ""]
+    (folder / MANIFEST).write_text("\n".join(kept) + "\n", encoding="utf-8")
 
 
-def build(platforms: list[str], output: Path) -> list[Path]:
-    """Build the zips of `platforms` in the folder `output`; raises `PackageError`."""
-    version = project_version()
-    builder = extension_builder()
-    wheels = {platform: warp_wheel(platform) for platform in platforms}
-    output.mkdir(parents=True, exist_ok=True)
-    zips = [output / f"raybatch-{version}-{platform.replace('-', '_')}.zip" for platform in platforms]
-    with tempfile.TemporaryDirectory(prefix="raybatch-") as folder:
-        source, packed = Path(folder) / "source", Path(folder) / "packed"
-        packed.mkdir()
-        stage(source, wheels)
-        command = [sys.executable, str(builder), "build", "--split-platforms", "--source-dir", str(source), "--output-dir", str(packed)]
-        done = subprocess.run(command, capture_output=True, text=True)
-        missing = [path.name for path in zips if not (packed / path.name).is_file()]
-        if done.returncode or missing:
-            raise PackageError("Blender's extension builder failed: " + (" ".join((done.stdout + done.stderr).split()) or f"no {missing[0]}"))
-        for path in zips:
-            shutil.move(packed / path.name, path)
-    return zips
+def build(platform: str, out: Path, wheels: Path) -> Path:
+    """The zip of `platform`, in the folder `out`; raises `PackageError`."""
+    wheel = fetch_wheel(platform, wheels)
+    version = tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8"))["version"]
+    target = out / f"raybatch-{version}-{platform.replace('-', '_')}.zip"
+    out.mkdir(parents=True, exist_ok=True)
+    wheels.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=wheels.parent, prefix="stage-") as temporary:
+        source = Path(temporary) / "raybatch"
+        stage(source, platform, wheel)
+        half = Path(temporary) / target.name
+        for command in (["build", "--source-dir", str(source), "--output-filepath", str(half)], ["validate", str(half)]):
+            done = subprocess.run([sys.executable, str(builder()), *command], stdin=subprocess.DEVNULL, capture_output=True, text=True)
+            if done.returncode:
+                raise PackageError(f"Blender's extension builder refused {platform}: {' '.join((done.stdout + done.stderr).split())}")
+        half.replace(target)
+    return target
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Build the Blender extension, one zip a platform.")
-    parser.add_argument("--platform", choices=sorted(WHEEL_TAGS), action="append", help="build for this platform only; may be repeated (default: all)")
-    parser.add_argument("--output", type=Path, default=ROOT / "dist", metavar="FOLDER", help="where the zips go (default: dist/)")
-    arguments = parser.parse_args()
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("platforms", nargs="*", metavar="PLATFORM", help=f"which to build: {', '.join(PIP_PLATFORMS)} (default: all)")
+    parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the zips (default: dist)")
+    parser.add_argument("--wheels", type=Path, default=ROOT / "build" / "wheels", help="folder where wheels are kept (default: build/wheels)")
+    options = parser.parse_args()
+    if unknown := set(options.platforms) - set(PIP_PLATFORMS):
+        parser.error(f"unknown platform {', '.join(sorted(unknown))}; choose from {', '.join(PIP_PLATFORMS)}")
     try:
-        zips = build(arguments.platform or list(WHEEL_TAGS), arguments.output)
+        for platform in options.platforms or PIP_PLATFORMS:
+            print(build(platform, options.out.absolute(), options.wheels.absolute()))
     except PackageError as error:
-        print(f"RayBatch: {error}", file=sys.stderr)
-        return error.exit_code
-    except OSError as error:
-        print(f"RayBatch: the extension could not be built: {error}", file=sys.stderr)
-        return EXIT_FAILED
-    for path in zips:
-        print(path)
+        print(f"package.py: error: {error}", file=sys.stderr)
+        return 1
     return 0
 
 

@@ -126,7 +126,7 @@ def test_principled_layers_share_the_light():
         K.TRANSPARENT: np.full(3, 0.25),
         K.EMISSION: 0.75 * 2 * green,
         K.METAL: 0.75 * 0.5 * red,
-        K.GLASS: 0.75 * 0.5 * 0.25 * np.sqrt(red),
+        K.GLASS: np.full(3, 0.75 * 0.5 * 0.25),
         K.DIELECTRIC: np.full(3, plastic),
         K.LAYERED_DIFFUSE: plastic * red,
     }
@@ -137,6 +137,7 @@ def test_principled_layers_share_the_light():
         assert by_kind[kind].ior == 1.75
     assert by_kind[K.METAL].edge == pytest.approx((0.375,) * 3)
     assert by_kind[K.METAL].share == 0.375
+    assert by_kind[K.GLASS].refraction == pytest.approx(np.sqrt(red))
 
 
 def test_principled_kinds_do_not_depend_on_values():

@@ -74,6 +74,7 @@ class Closure:
     roughness: float = 0.0  # Blender's roughness, 0..1; the GGX alpha is its square
     ior: float = 1.5  # of the inside relative to the outside (GLASS, DIELECTRIC, LAYERED_DIFFUSE)
     edge: tuple[float, float, float] = (1.0, 1.0, 1.0)  # METAL: reflectance at grazing angles, times mix factors
+    refraction: tuple[float, float, float] = (1.0, 1.0, 1.0)  # GLASS: what refracts is `weight` times this, what reflects `weight`
     share: float = 1.0  # the mix factors that `weight` and `edge` contain: without them they are the colour of a facet
     multiscatter: bool = True  # GLOSSY to GLASS, LAYERED_DIFFUSE: add what bounces more than once between facets
 

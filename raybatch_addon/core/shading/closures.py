@@ -156,7 +156,8 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                             # Walter et al. 2007, equation 17: its denominator is the half vector's squared length
                             jacobian = (eta * (c_o / root)) * (eta * (-c_i / root)) / square
                             pdf = passed * _visible_density(alpha, cos_o, n, half) * jacobian
-                            mixture.value += (pdf * ggx_shadowing(alpha, cos_o, -cos_i)) * lobe.scale
+                            shadowed = pdf * ggx_shadowing(alpha, cos_o, -cos_i)
+                            mixture.value += shadowed * wp.cw_mul(lobe.scale, table.refraction[c])
                             mixture.density += lobe.selection * pdf
         return mixture
 
@@ -247,6 +248,9 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                         bits = GLOSSY | DELTA
                 if (bits & DELTA) != 0:
                     delta = lobe.scale  # GLASS: Fresnel's factor is in the probability
+                    if wp.static(has_glass):
+                        if passes:
+                            delta = wp.cw_mul(delta, table.refraction[chosen])
                     if wp.static(has_mirror):
                         if kind != _GLASS:
                             delta = wp.cw_mul(lobe.scale, mirror_fresnel(table, chosen, cosine))

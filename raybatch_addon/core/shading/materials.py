@@ -65,6 +65,7 @@ class MaterialTable:
     roughness: wp.array(dtype=float)  # [0, 1]; alpha is its square
     ior: wp.array(dtype=float)  # inside over outside
     edge: wp.array(dtype=wp.vec3)  # METAL
+    refraction: wp.array(dtype=wp.vec3)  # GLASS: colour of refracted light relative to `weight`
     colour_scale: wp.array(dtype=float)  # makes `weight` the colour of a facet; 0: single scattering only
     albedo: AlbedoTables
 
@@ -119,6 +120,7 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     table.roughness = _upload([min(max(c.roughness, 0.0), 1.0) for c in closures] if rough else [], float, device)
     table.ior = _upload([_ior(c) for c in closures] if features.coats or features.has(_K.GLASS) else [], float, device)
     table.edge = _upload([c.edge for c in closures] if features.has(_K.METAL) else [], wp.vec3, device)
+    table.refraction = _upload([c.refraction for c in closures] if features.has(_K.GLASS) else [], wp.vec3, device)
     table.colour_scale = _upload([_colour_scale(c) for c in closures] if rough else [], float, device)
     table.albedo = upload_tables(
         device,
@@ -133,8 +135,9 @@ def _check(material: Material, closure: Closure, features: ClosureFeatures) -> N
     kind = ClosureKind(closure.kind)
     if kind not in features.kinds:
         raise ValueError(f"material {material.name!r} has a closure {kind.name} that its features lack")
-    numbers = (*closure.weight, *closure.edge, closure.roughness, closure.ior, closure.share)
-    if not np.all(np.isfinite(np.asarray(numbers, np.float32))) or min(*closure.weight, *closure.edge, closure.share) < 0:
+    colours = (*closure.weight, *closure.edge, *closure.refraction)
+    numbers = (*colours, closure.roughness, closure.ior, closure.share)
+    if not np.all(np.isfinite(np.asarray(numbers, np.float32))) or min(*colours, closure.share) < 0:
         raise SceneError(
             f"material {material.name!r}: the {kind.name.lower()} closure has a value that is negative, infinite or not "
             "a number; look for such a value in the material's nodes"

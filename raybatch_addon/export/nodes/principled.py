@@ -69,23 +69,26 @@ def principled_mixture(
 
     Transparency takes 1 - alpha of all; of the rest, metal takes `metallic`, of what is left glass takes
     `transmission`, and a dielectric coat above a diffuse base has the remainder. Emission lies above them.
-    Glass is tinted by the square root of the base colour, since light crosses two surfaces on its way.
+    Glass reflects white; what it refracts is tinted by the square root of the base colour, since light
+    crosses two surfaces on its way.
     """
     base = (saturated(base[0]), saturated(base[1]), saturated(base[2]))
     metal = alpha * metallic
     glass = alpha * (1.0 - metallic) * transmission
     plastic = alpha * (1.0 - metallic) * (1.0 - transmission)
     coat_ior = _coat_ior(ior, specular)
-    glass_color = (math.sqrt(base[0]), math.sqrt(base[1]), math.sqrt(base[2]))
+    refraction = (math.sqrt(base[0]), math.sqrt(base[1]), math.sqrt(base[2]))
 
-    def lobe(kind: ClosureKind, color: Color, share: float, index: float = coat_ior, edge: Color = WHITE) -> Closure:
-        return Closure(kind, times(color, share), roughness, index, times(edge, share), share, multiscatter)
+    def lobe(
+        kind: ClosureKind, color: Color, share: float, index: float = coat_ior, edge: Color = WHITE, refraction: Color = WHITE
+    ) -> Closure:
+        return Closure(kind, times(color, share), roughness, index, times(edge, share), refraction, share, multiscatter)
 
     closures = (
         Closure(ClosureKind.TRANSPARENT, times(WHITE, 1.0 - alpha)),
         Closure(ClosureKind.EMISSION, times(emission, alpha)),
         lobe(ClosureKind.METAL, base, metal, edge=metal_edge(base, tint)),
-        lobe(ClosureKind.GLASS, glass_color, glass, ior),
+        lobe(ClosureKind.GLASS, WHITE, glass, ior, refraction=refraction),
         lobe(ClosureKind.DIELECTRIC, WHITE if coat_ior != 1.0 else BLACK, plastic),
         lobe(ClosureKind.LAYERED_DIFFUSE, base, plastic),
     )

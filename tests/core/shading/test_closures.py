@@ -18,7 +18,7 @@ from tests.core.shading.closure_probe import (
     EVERYTHING, ROUGH, SMOOTH, UP, WHITE, K, albedo, chi_squared_deviate, evaluate, frame_of, fresnel,
     hemisphere_albedo, kernels, launch, polar_cells, sample, stratified, table_of, toward,
 )  # fmt: skip
-from under_test import BLOCK_DIM, DEVICE
+from under_test import BLOCK_DIM, DEVICE, SOURCE_SUFFIX
 
 
 @pytest.mark.parametrize("entering", [1, 0])
@@ -310,7 +310,7 @@ def source_of(features):
         Path(wp.config.kernel_cache_dir) / kernel.module.get_module_identifier(block_dim=BLOCK_DIM)
         for kernel in (loaded.evaluate, loaded.sample)
     ]
-    return "\n".join(path.read_text() for folder in folders for path in folder.glob("*.c[pu]*"))
+    return "\n".join(path.read_text() for folder in folders for path in folder.glob(f"*.{SOURCE_SUFFIX}"))
 
 
 def test_only_what_is_needed_is_compiled_and_allocated():

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
+from under_test import SOURCE_SUFFIX
 
 from raybatch_addon.core.scene.description import Light, LightKind, Visibility
 from raybatch_addon.core.shading.lights import LightFeatures, make_lights
@@ -294,5 +295,5 @@ def test_specialisation_leaves_the_rest_out():
 
 
 def generated_code(features: LightFeatures) -> str:
-    sources = Path(wp.config.kernel_cache_dir).rglob(f"*{kernel_for(features).module.name}*.c[pu]*")
+    sources = Path(wp.config.kernel_cache_dir).rglob(f"*{kernel_for(features).module.name}*.{SOURCE_SUFFIX}")
     return max(sources, key=lambda path: path.stat().st_mtime).read_text()
