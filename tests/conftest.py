@@ -1,7 +1,15 @@
 """What all tests share: the device they run on."""
 
+import os
+from pathlib import Path
+
 import pytest
 from under_test import DEVICE
+
+# Compiled kernels stay in the clone, for this run's subprocesses and the next run alike
+_KERNELS = Path(__file__).resolve().parents[1] / ".cache" / "kernels"
+os.environ.setdefault("WARP_CACHE_PATH", str(_KERNELS))
+os.environ.setdefault("RAYBATCH_KERNEL_CACHE", str(_KERNELS))
 
 
 @pytest.fixture(scope="session")

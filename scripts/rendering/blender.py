@@ -49,6 +49,7 @@ class BlenderRender:
         request = self._request
         raybatch_addon.register()
         try:
+            self._listen()
             _open(request)
             scene = bpy.context.scene
             _choose_view_layers(scene, request.view_layers)
@@ -56,7 +57,6 @@ class BlenderRender:
             frames = request.frames or (scene.frame_current,)
             if request.save_scene and (len(frames) > 1 or sum(layer.use for layer in scene.view_layers) > 1):
                 raise UsageError("--save-scene holds one picture: choose one frame with --frame and one layer with --view-layer")
-            self._listen()
             if request.out and scene.render.is_movie_format and not _picture_format(request.out):
                 self._render_movie(scene, frames)
             else:

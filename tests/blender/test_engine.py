@@ -96,7 +96,8 @@ def render(path):
     image.alpha_mode = "CHANNEL_PACKED"
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
-    pixels = pixels.reshape(*image.size[::-1], 4)
+    width, height = image.size
+    pixels = pixels.reshape(height, width, 4)
     bpy.data.images.remove(image)
     return pixels
 

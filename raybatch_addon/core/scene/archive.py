@@ -58,8 +58,11 @@ def load_scene(path: str | Path) -> tuple[description.Scene, RenderSettings]:
     """The scene and settings of a file by `save_scene`; raises `SceneError` for any other or a damaged one."""
     path = Path(path)
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile) or "header" not in archive:
+        loaded = np.load(path, allow_pickle=False)
+        if not isinstance(loaded, np.lib.npyio.NpzFile):
+            raise SceneError(f"{path} is not a saved scene (it is a single array)")
+        with loaded as archive:
+            if "header" not in archive:
                 raise SceneError(f"{path} is not a saved scene (its header is missing)")
             header = json.loads(archive["header"].tobytes().decode())
             if not isinstance(header, dict) or header.get("format") != FORMAT:

@@ -80,9 +80,10 @@ def read_mesh(path: str | Path) -> tuple[Mesh, tuple[Material, ...]]:
     """The mesh of an archive and a material for each slot; raises `SceneError` that names the file and the array at fault."""
     path = Path(path)
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise SceneError(f"{path} is a single array; geometry is an archive with the arrays v and f")
+        loaded = np.load(path, allow_pickle=False)
+        if not isinstance(loaded, np.lib.npyio.NpzFile):
+            raise SceneError(f"{path} is a single array; geometry is an archive with the arrays v and f")
+        with loaded as archive:
             missing = [name for name in ("v", "f") if name not in archive]
             if missing:
                 raise SceneError(f"{path} has no array {' and no array '.join(missing)}; geometry needs v (positions) and f (triangles)")
