@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +45,7 @@ class GeometryCache:
 
     def __init__(self):
         self._last: _CachedGeometry | None = None
+        self._lock = threading.Lock()  # the build of a cancelled render may still be going on
 
     def clear(self) -> None:
         """Forget it."""
@@ -59,10 +61,11 @@ class GeometryCache:
             digest.update(str((array.dtype, array.shape)).encode())
             digest.update(np.ascontiguousarray(array))
         key = digest.digest()
-        if self._last is None or self._last.key != key:
-            self._last = None  # before the new one is built: never hold two
-            self._last = _CachedGeometry(key, upload_geometry(flat, scene, device), build_reference(flat, visibility, device))
-        return self._last.geometry, self._last.built
+        with self._lock:
+            if self._last is None or self._last.key != key:
+                self._last = None  # before the new one is built: never hold two
+                self._last = _CachedGeometry(key, upload_geometry(flat, scene, device), build_reference(flat, visibility, device))
+            return self._last.geometry, self._last.built
 
 
 @dataclass
