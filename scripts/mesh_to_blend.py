@@ -1,7 +1,10 @@
-"""Make a .blend of bare geometry: python scripts/mesh_to_blend.py MESH.npz OUT.blend --camera ex,ey,ez,tx,ty,tz,fov [--up y]
+"""Make a .blend of bare geometry, so that other engines can render it too. Needs bpy.
+
+python scripts/mesh_to_blend.py MESH.npz OUT.blend --camera ex,ey,ez,tx,ty,tz,fov [--up y]    under a sun and a constant world
+python scripts/mesh_to_blend.py MESH.npz OUT.blend --stage [--up y]    on a floor, under one area light, seen from the front
 
 MESH.npz holds `v` float32 [n, 3], `f` int32 [m, 3] and perhaps `m` [m], a material id a triangle (as `scripts/render.py` takes
-it). Everything is diffuse and white, under a sun and a constant world. So that other engines can render it too. Needs bpy.
+it). Everything is diffuse and white.
 """
 
 import argparse
@@ -41,38 +44,70 @@ def mesh_object(path: Path, up: str, drop: list[int]) -> bpy.types.Object:
     return bpy.data.objects.new(path.stem, mesh)
 
 
+def point_camera(scene: bpy.types.Scene, eye: Vector, target: Vector, fov: float) -> None:
+    """Give the scene a camera; `fov` in radians."""
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.location, camera.data.angle, camera.data.clip_start = eye, fov, 1e-4
+    camera.rotation_euler = (target - eye).to_track_quat("-Z", "Y").to_euler()
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+
+
+def under_the_sky(scene: bpy.types.Scene, given: argparse.Namespace) -> None:
+    """A sun and a constant world, and the camera that was asked for."""
+    numbers = [float(n) for n in given.camera.split(",")]
+    if len(numbers) != 7:
+        sys.exit("--camera takes seven numbers: ex,ey,ez,tx,ty,tz,fov_degrees")
+    turn = Matrix(((1, 0, 0), (0, 0, -1), (0, 1, 0))) if given.up == "y" else Matrix.Identity(3)
+    point_camera(scene, turn @ Vector(numbers[:3]), turn @ Vector(numbers[3:6]), math.radians(numbers[6]))
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
+    sun.data.energy, sun.data.angle = given.sun, math.radians(1)
+    sun.rotation_euler = (math.radians(15), math.radians(20), 0)
+    scene.collection.objects.link(sun)
+    scene.world = bpy.data.worlds.new("World")
+    scene.world.use_nodes = True
+    background = scene.world.node_tree.nodes["Background"]
+    background.inputs["Color"].default_value = (1, 1, 1, 1)
+    background.inputs["Strength"].default_value = given.world
+
+
+def on_a_stage(scene: bpy.types.Scene, placed: bpy.types.Object) -> None:
+    """A floor, an area light as wide as the object is large, and a camera in front of it."""
+    corners = np.array(placed.bound_box)
+    low, high = corners.min(0), corners.max(0)
+    middle, extent = (low + high) / 2, float((high - low).max())
+    bpy.ops.mesh.primitive_plane_add(size=6 * extent, location=(middle[0], middle[1], low[2]))
+    bpy.context.object.data.materials.append(placed.data.materials[0])
+    light = bpy.data.objects.new("Area", bpy.data.lights.new("Area", "AREA"))
+    light.data.size, light.data.energy = extent, 40 * extent * extent
+    light.location = (middle[0], middle[1], high[2] + 1.5 * extent)
+    scene.collection.objects.link(light)
+    eye = Vector((middle[0], middle[1] - 1.6 * extent, middle[2] + 0.5 * extent))
+    point_camera(scene, eye, Vector(middle.tolist()), math.radians(40))
+    scene.world = bpy.data.worlds.new("World")
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("mesh", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--camera", required=True, help="ex,ey,ez,tx,ty,tz,fov_degrees, in the axes of the file")
-    parser.add_argument("--up", choices=("y", "z"), default="z")
+    how = parser.add_mutually_exclusive_group(required=True)
+    how.add_argument("--camera", help="ex,ey,ez,tx,ty,tz,fov_degrees, in the axes of the file")
+    how.add_argument("--stage", action="store_true", help="on a floor, under an area light, seen from the front")
+    parser.add_argument("--up", choices=("y", "z"), default="z", help="the axis of the file that points up")
     parser.add_argument("--drop", type=int, action="append", default=[], help="leave out triangles of this material id")
     parser.add_argument("--sun", type=float, default=4.0, help="irradiance of the sun [W/m²]")
     parser.add_argument("--world", type=float, default=0.5, help="radiance of the world")
     given = parser.parse_args()
-    numbers = [float(n) for n in given.camera.split(",")]
-    if len(numbers) != 7:
-        sys.exit("--camera takes seven numbers: ex,ey,ez,tx,ty,tz,fov_degrees")
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    scene.collection.objects.link(mesh_object(given.mesh, given.up, given.drop))
-    turn = Matrix(((1, 0, 0), (0, 0, -1), (0, 1, 0))) if given.up == "y" else Matrix.Identity(3)
-    eye, target = turn @ Vector(numbers[:3]), turn @ Vector(numbers[3:6])
-    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.location, camera.data.angle, camera.data.clip_start = eye, math.radians(numbers[6]), 1e-3
-    camera.rotation_euler = (target - eye).to_track_quat("-Z", "Y").to_euler()
-    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", "SUN"))
-    sun.data.energy, sun.data.angle = given.sun, math.radians(1)
-    sun.rotation_euler = (math.radians(15), math.radians(20), 0)
-    for item in (camera, sun):
-        scene.collection.objects.link(item)
-    scene.camera = camera
-    scene.world = bpy.data.worlds.new("World")
-    scene.world.use_nodes = True
-    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1, 1, 1, 1)
-    scene.world.node_tree.nodes["Background"].inputs["Strength"].default_value = given.world
+    placed = mesh_object(given.mesh, given.up, given.drop)
+    scene.collection.objects.link(placed)
+    if given.stage:
+        on_a_stage(scene, placed)
+    else:
+        under_the_sky(scene, given)
     scene.render.resolution_x = scene.render.resolution_y = 1280
     bpy.ops.wm.save_as_mainfile(filepath=str(given.out.resolve()))
 

@@ -253,6 +253,7 @@ class Session:
         open_tiles = [t for t in state.tiles if t.items_begun < t.tile.pixel_count * state.sample_count]
         for tile in open_tiles:
             todo.put(tile)
+        total = sum(t.tile.pixel_count * state.sample_count - t.items_begun for t in open_tiles)
         results: queue.SimpleQueue[tuple[TileState, Film] | BaseException] = queue.SimpleQueue()
         stop = threading.Event()
 
@@ -270,7 +271,6 @@ class Session:
         threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in integrators]
         for thread in threads:
             thread.start()
-        total = sum(t.tile.pixel_count * state.sample_count - t.items_begun for t in open_tiles)
         try:
             while any(thread.is_alive() for thread in threads) or not results.empty():
                 if job.cancelled():

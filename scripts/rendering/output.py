@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ class OutputError(RayBatchError):
     """A place that cannot be written."""
 
 
-@contextmanager
+@contextlib.contextmanager
 def own_standard_output(verbose: bool) -> Iterator[Any]:
     """Yield a text file that is the real standard output.
 
@@ -30,16 +30,15 @@ def own_standard_output(verbose: bool) -> Iterator[Any]:
     """
     sys.stdout.flush()
     real = os.dup(1)
-    target = os.dup(2) if verbose else os.open(os.devnull, os.O_WRONLY)
-    os.dup2(target, 1)
-    os.close(target)
-    try:
-        with os.fdopen(os.dup(real), "w", encoding="utf-8") as file:
-            yield file
-    finally:
-        sys.stdout.flush()
-        os.dup2(real, 1)
-        os.close(real)
+    with open(os.devnull, "w", encoding="utf-8") as nowhere:
+        target = sys.stderr if verbose else nowhere
+        os.dup2(2 if verbose else nowhere.fileno(), 1)
+        try:
+            with os.fdopen(os.dup(real), "w", encoding="utf-8") as file, contextlib.redirect_stdout(target):
+                yield file
+        finally:
+            os.dup2(real, 1)
+            os.close(real)
 
 
 class OutputFolders:

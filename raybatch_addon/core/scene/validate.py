@@ -32,6 +32,8 @@ def _check_camera(camera: Camera) -> None:
     numbers = [*np.ravel(camera.transform), *camera.window, camera.clip_start, camera.lens_radius, camera.focus_distance]
     if not np.all(np.isfinite(numbers)) or np.isnan(camera.clip_end):
         raise SceneError("the camera's matrix or lens is not finite; reset its transform and check its constraints and drivers")
+    if np.abs(camera.transform).max() > COORDINATE_MAX:
+        raise SceneError(f"the camera is more than {COORDINATE_MAX:g} m away from the origin; reset its location and check its constraints and drivers")
     if abs(np.linalg.det(np.asarray(camera.transform, np.float64)[:, :3])) < 1e-3:
         raise SceneError("the camera's matrix is singular; set its scale (and its parents') to 1")
     left, right, bottom, top = camera.window
