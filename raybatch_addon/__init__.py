@@ -8,22 +8,29 @@
 
 def register() -> None:
     """Add the engine, its settings and its panels to Blender."""
+    import atexit
+
     import bpy
 
     from . import engine, ui
 
     ui.register()
     bpy.utils.register_class(engine.RayBatchRenderEngine)
+    if bpy.app.module:
+        # Python ends before Blender here, and Blender 4.5 waits for ever on classes that are still registered
+        atexit.register(unregister)
 
 
 def unregister() -> None:
     """Remove everything that `register` added, and give back what is cached."""
+    import atexit
     import sys
 
     import bpy
 
     from . import engine, reports, ui
 
+    atexit.unregister(unregister)
     bpy.utils.unregister_class(engine.RayBatchRenderEngine)
     ui.unregister()
     sessions = sys.modules.get(f"{__name__}.sessions")  # there if something was rendered

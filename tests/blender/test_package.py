@@ -1,0 +1,133 @@
+"""The extension's zip: what is in it, and that a Blender without Warp renders with it."""
+
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import package
+import pytest
+from command_line import ROOT, run_python, run_script
+from PIL import Image
+
+pytest.importorskip("bpy")
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the zip for Linux is installed")
+
+# Installs the zip sys.argv[1] into a fresh Blender where Warp can come from the extension's wheel only, and renders to sys.argv[2]
+INSTALL_AND_RENDER = """
+import importlib.machinery
+import sys
+
+class WarpFromTheExtensionOnly:
+    def find_spec(self, name, path=None, target=None):
+        if name != "warp":
+            return None
+        elsewhere = [entry for entry in sys.path if not entry.startswith(sys.prefix)]
+        spec = importlib.machinery.PathFinder.find_spec(name, elsewhere)
+        if spec is None:
+            raise ModuleNotFoundError("no module named warp (hidden by a test)", name="warp")
+        return spec
+
+sys.meta_path.insert(0, WarpFromTheExtensionOnly())
+sys.path = [entry for entry in sys.path if entry not in ("", sys.argv[3])]  # nor the add-on from the clone
+import bpy
+
+def available(name):
+    try:
+        __import__(name)
+    except ModuleNotFoundError:
+        return False
+    return True
+
+assert not available("warp") and not available("raybatch_addon")
+assert bpy.ops.extensions.package_install_files(filepath=sys.argv[1], repo="user_default", enable_on_install=True) == {"FINISHED"}
+import warp
+assert not warp.__file__.startswith(sys.prefix), warp.__file__
+
+scene = bpy.context.scene
+scene.render.engine = "RAYBATCH"
+scene.render.resolution_x = scene.render.resolution_y = 32
+scene.raybatch.device, scene.raybatch.sample_count = "cpu", 2
+scene.render.filepath = sys.argv[2]
+bpy.ops.render.render(write_still=True)
+reports = sys.modules["bl_ext.user_default.raybatch.reports"]
+print("left", reports.last().errors, reports.last().warnings)
+assert not available("raybatch_addon")
+
+bpy.ops.preferences.addon_disable(module="bl_ext.user_default.raybatch")
+assert not hasattr(bpy.types.Scene, "raybatch")
+"""
+
+
+@pytest.fixture(scope="module")
+def linux_zip(tmp_path_factory) -> Path:
+    """The zip for Linux; wheels are kept in the clone, so that they are downloaded once."""
+    out = tmp_path_factory.mktemp("dist")
+    done = run_script("package.py", "linux-x64", "--out", out)
+    assert done.returncode == 0, done.stderr
+    (made,) = out.iterdir()
+    assert done.stdout.split() == [str(made)]
+    return made
+
+
+def test_the_zip_holds_the_addon_its_manifest_and_warp(linux_zip):
+    with zipfile.ZipFile(linux_zip) as file:
+        names = set(file.namelist())
+        manifest = tomllib.loads(file.read("blender_manifest.toml").decode())
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert manifest["id"] == "raybatch" and manifest["version"] == project["version"]
+    assert manifest["license"] == ["SPDX:GPL-3.0-or-later"] and "files" in manifest["permissions"]
+    assert manifest["platforms"] == ["linux-x64"]
+    (wheel,) = manifest["wheels"]
+    assert wheel.removeprefix("./") in names and "manylinux" in wheel and "warp_lang" in wheel
+    sources = {str(path.relative_to(ROOT / "raybatch_addon")) for path in (ROOT / "raybatch_addon").rglob("*.py")}
+    assert "__init__.py" in sources and sources <= names
+    assert "LICENSE" in names
+    assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
+
+
+def test_blender_without_warp_renders_with_it(linux_zip, tmp_path):
+    out = tmp_path / "out.png"
+    done = run_python(INSTALL_AND_RENDER, linux_zip, out, ROOT, BLENDER_USER_RESOURCES=tmp_path / "blender", RAYBATCH_KERNEL_CACHE="")
+    assert done.returncode == 0, done.stderr
+    assert "left [] []" in done.stdout
+    picture = Image.open(out)
+    assert picture.size == (32, 32)
+    assert len(picture.convert("RGB").getcolors()) > 10  # the cube of the start-up file, lit
+    kernels = tmp_path / "blender/extensions/.user/user_default/raybatch/kernels"
+    assert any(path.name.startswith("wp_") for path in kernels.rglob("*"))  # in the extension's own folder
+
+
+@pytest.mark.parametrize("platform", package.PIP_PLATFORMS)
+def test_each_platform_gets_its_own_manifest(platform, tmp_path):
+    wheel = tmp_path / f"warp_lang-1-py3-none-{package.PIP_PLATFORMS[platform]}.whl"
+    wheel.write_bytes(b"wheel")
+    package.stage(tmp_path / "stage", platform, wheel)
+    manifest = tomllib.loads((tmp_path / "stage/blender_manifest.toml").read_text())
+    assert manifest["platforms"] == [platform]
+    assert manifest["wheels"] == [f"./wheels/{wheel.name}"]
+    assert (tmp_path / "stage" / manifest["wheels"][0]).read_bytes() == b"wheel"
+    assert manifest["permissions"]["files"]
+
+
+def test_a_refused_manifest_leaves_no_zip(tmp_path, monkeypatch):
+    wheel = tmp_path / "warp_lang-1-py3-none-any.whl"
+    wheel.write_bytes(b"wheel")
+    monkeypatch.setattr(package, "fetch_wheel", lambda platform, folder: wheel)
+    original = package.stage
+
+    def stage_without_licence(folder, platform, wheel):
+        original(folder, platform, wheel)
+        manifest = folder / package.MANIFEST
+        manifest.write_text(manifest.read_text().replace("license = ", "# license = "))
+
+    monkeypatch.setattr(package, "stage", stage_without_licence)
+    with pytest.raises(package.PackageError, match="license"):
+        package.build("linux-x64", tmp_path / "dist", tmp_path / "build" / "wheels")
+    assert list((tmp_path / "dist").iterdir()) == []
+
+
+def test_an_unknown_platform_is_named():
+    done = run_script("package.py", "amiga")
+    assert done.returncode == 2
+    assert "amiga" in done.stderr.strip().splitlines()[-1]

@@ -1,0 +1,202 @@
+"""Settings and panels in Blender."""
+
+import types
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from raybatch_addon import reports  # noqa: E402
+from raybatch_addon.core.settings import SETTINGS, RenderSettings  # noqa: E402
+from raybatch_addon.export.settings import settings_from  # noqa: E402
+from raybatch_addon.ui import builtin_panels, last_render  # noqa: E402
+
+ENGINE = "RAYBATCH"
+
+
+def own_panels():
+    return [panel for panel in bpy.types.Panel.__subclasses__() if panel.__name__.startswith(f"{ENGINE}_")]
+
+
+def enabled_panels():
+    return {panel.__name__ for panel in bpy.types.Panel.__subclasses__() if ENGINE in getattr(panel, "COMPAT_ENGINES", ())}
+
+
+class Layout:
+    """A layout that notes what is drawn, and only takes properties that exist."""
+
+    def __init__(self, notes=None):
+        self.notes = [] if notes is None else notes
+
+    def column(self, **_options):
+        return Layout(self.notes)
+
+    row = box = column
+
+    def label(self, text="", icon="NONE"):
+        assert icon in bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items
+        self.notes.append(("label", text, icon))
+
+    def prop(self, owner, name, **_options):
+        assert name in owner.bl_rna.properties, name
+        self.notes.append(("prop", owner.bl_rna.identifier, name))
+
+
+def drawn(panel, context, draw="draw"):
+    layout = Layout()
+    getattr(panel, draw)(types.SimpleNamespace(layout=layout, group=getattr(panel, "group", None)), context)
+    return layout.notes
+
+
+def context_of(scene, **extra):
+    area = types.SimpleNamespace(width=300)
+    preferences = types.SimpleNamespace(system=types.SimpleNamespace(ui_scale=1.0))  # it is 0 without a window
+    own = dict(scene=scene, view_layer=scene.view_layers[0], engine=ENGINE, region=area, object=None, light=None)
+    return types.SimpleNamespace(**{**own, "preferences": preferences, **extra})
+
+
+@pytest.mark.parametrize("name", list(SETTINGS))
+def test_every_setting_is_a_property_made_from_its_definition(scene, name):
+    info = SETTINGS[name]
+    prop = scene.raybatch.bl_rna.properties[name]
+    assert prop.name == info.label
+    assert info.description in prop.description and info.unit in prop.description
+    if info.choices:
+        assert [(item.identifier, item.name) for item in prop.enum_items] == [choice[:2] for choice in info.choices]
+        assert prop.default == info.default
+    elif info.kind is int:
+        assert (prop.default, prop.hard_min, prop.hard_max) == (info.default, info.minimum, info.maximum)
+    elif info.kind is float:
+        assert (prop.default, prop.hard_min, prop.hard_max) == tuple(np.float32([info.default, info.minimum, info.maximum]))
+    else:
+        assert prop.default == info.default
+
+
+def test_settings_of_a_new_scene_are_the_defaults(addon):
+    scene = bpy.data.scenes.new("New")
+    assert settings_from(scene) == RenderSettings()
+
+
+@pytest.mark.parametrize("end", ["minimum", "maximum"])
+def test_the_ends_of_every_range_come_through(scene, end):
+    ends = {name: getattr(info, end) for name, info in SETTINGS.items() if info.kind is not str}
+    ends["ray_high_water"] = max(ends["ray_high_water"], ends["ray_low_water"])
+    for name, value in ends.items():
+        setattr(scene.raybatch, name, SETTINGS[name].kind(value))
+    settings = settings_from(scene)
+    assert {name: getattr(settings, name) for name in ends} == ends
+
+
+def test_fractions_come_through_as_typed(scene):
+    scene.raybatch.filter_width = 1.3
+    assert settings_from(scene).filter_width == 1.3
+
+
+def test_choices_and_devices_by_name(scene):
+    scene.raybatch.nee = "HALF"
+    for device in ("cpu", "AUTO", "cuda:0"):
+        scene.raybatch.device = device
+        assert settings_from(scene) == settings_from(scene).replace(nee="HALF", device=device)
+    with pytest.raises(TypeError):
+        scene.raybatch.nee = "SOMETIMES"
+
+
+def test_settings_are_copied_with_the_scene_and_kept_in_the_file(scene, tmp_path):
+    scene.raybatch.sample_count = 777
+    assert scene.copy().raybatch.sample_count == 777
+    path = str(tmp_path / "kept.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert bpy.context.scene.raybatch.sample_count == 777
+    assert bpy.context.scene.render.engine == ENGINE
+
+
+def test_every_setting_is_in_one_panel(scene):
+    shown = []
+    for panel in own_panels():
+        if panel.__name__.startswith(f"{ENGINE}_RENDER_PT_") and hasattr(panel, "group"):
+            shown += [note[2] for note in drawn(panel, context_of(scene)) if note[:2] == ("prop", "RayBatchSettings")]
+    assert sorted(shown) == sorted(SETTINGS)
+
+
+def test_panels_are_there_for_this_engine_only(scene):
+    for panel in own_panels():
+        assert not panel.poll(context_of(scene, engine="CYCLES"))
+    sampling = next(panel for panel in own_panels() if panel.__name__ == "RAYBATCH_RENDER_PT_sampling")
+    assert sampling.poll(context_of(scene))
+
+
+def test_the_other_panels_draw_what_exists(scene):
+    light = bpy.data.lights.new("Light", "AREA")
+    obj = bpy.data.objects.new("Light", light)
+    context = context_of(scene, object=obj, light=light)
+    drawn_properties = {}
+    for panel in own_panels():
+        if panel.bl_context != "render":
+            assert panel.poll(context)
+            drawn_properties[panel.__name__] = [note[2] for note in drawn(panel, context)]
+    assert "use_pass_normal" in drawn_properties["RAYBATCH_VIEWLAYER_PT_passes"]
+    assert "visible_glossy" in drawn_properties["RAYBATCH_OBJECT_PT_ray_visibility"]
+    assert "spread" in drawn_properties["RAYBATCH_LIGHT_PT_settings"]
+
+
+def test_parents_of_panels_exist_and_are_enabled(addon):
+    enabled = enabled_panels()
+    for panel in bpy.types.Panel.__subclasses__():
+        if panel.__name__ in enabled and getattr(panel, "bl_parent_id", ""):
+            parent = getattr(bpy.types, panel.bl_parent_id)
+            assert ENGINE in getattr(parent, "COMPAT_ENGINES", {ENGINE}), f"{panel.__name__} is inside {panel.bl_parent_id}, which is hidden"
+
+
+def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
+    enabled = enabled_panels()
+    for name in (
+        "RENDER_PT_output", "RENDER_PT_format", "RENDER_PT_frame_range", "RENDER_PT_color_management", "RENDER_PT_simplify",
+        "VIEWLAYER_PT_layer", "DATA_PT_lens", "DATA_PT_camera_dof", "DATA_PT_EEVEE_light", "DATA_PT_spot", "DATA_PT_uv_texture",
+        "EEVEE_MATERIAL_PT_context_material", "EEVEE_MATERIAL_PT_surface", "EEVEE_WORLD_PT_surface", "WORLD_PT_context_world",
+        "OBJECT_PT_visibility", "PARTICLE_PT_render", "TEXTURE_PT_image",
+    ):  # fmt: skip
+        assert hasattr(bpy.types, name) and name in enabled, name
+    for name in ("RENDER_PT_freestyle", "DATA_PT_light", "OBJECT_PT_shading", "VIEWLAYER_PT_eevee_layer_passes_data", "RENDER_PT_stereoscopy"):
+        assert name not in enabled
+    assert not {name for name in enabled if name.startswith(("CYCLES_", "RENDER_PT_eevee", "DATA_PT_lightprobe", "VIEWLAYER_PT_freestyle"))}
+
+
+def test_the_last_render_is_listed_with_errors_first(scene):
+    report = reports.begin("Scene", 7)
+    report.warnings.append("object “Flat” is left out " * 5)
+    report.errors.append("no camera")
+    report.statistics["ViewLayer"] = {
+        "seconds": {"total": 2.5, "render": 2.0}, "rays": {"total": 4_000_000}, "device": {"alias": "cpu"}, "invalid_samples": 3,
+    }  # fmt: skip
+    panel = last_render.RAYBATCH_RENDER_PT_last_render
+    labels = [(text, icon) for _, text, icon in drawn(panel, context_of(scene))]
+    assert labels[0][0] == "Scene, frame 7"
+    assert "2.50 s on cpu, 2.00 Mrays/s" in labels[1][0]
+    assert "3 samples" in labels[2][0]
+    assert labels[3] == ("no camera", "ERROR")
+    assert labels[4][1] == "INFO" and labels[5][1] == "BLANK1", "long texts are broken into lines"
+    assert drawn(panel, context_of(scene), "draw_header")[0][2] == "ERROR"
+
+
+def test_there_is_no_list_before_the_first_render(scene):
+    reports.clear()
+    assert not last_render.RAYBATCH_RENDER_PT_last_render.poll(context_of(scene))
+
+
+def test_unregistering_removes_everything_and_registering_brings_it_back(addon):
+    before = enabled_panels()
+    addon.unregister()
+    try:
+        assert not enabled_panels() - {panel.__name__ for panel in own_panels()}
+        assert not [panel for panel in own_panels() if panel.is_registered]
+        assert not hasattr(bpy.types.Scene, "raybatch")
+        assert builtin_panels._added == []
+        assert not [name for name in dir(bpy.types) if "raybatch" in name.lower()]
+    finally:
+        addon.register()
+    assert enabled_panels() == before
+    bpy.context.scene.render.engine = ENGINE
+    assert hasattr(bpy.context.scene, "raybatch")

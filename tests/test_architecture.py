@@ -1,0 +1,165 @@
+"""The laws of the source itself: who may import whom, how large a file and a kernel may be."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "raybatch_addon"
+FILES = sorted(PACKAGE.rglob("*.py"))
+CORE_FILES = sorted((PACKAGE / "core").rglob("*.py"))
+
+# A file imports only from its own room and from those above it.
+ROOMS = (
+    "core/errors.py",
+    "core/kernel.py",
+    "core/settings.py",
+    "core/device.py",
+    "core/scene",
+    "core/bvh",
+    "core/shading",
+    "core/film.py",
+    "core/report",
+    "core/wavefront",
+    "core/session.py",
+    "core/__init__.py",
+    "export",
+    "reports.py",
+    "kernel_cache.py",
+    "sessions.py",
+    "result.py",
+    "ui",
+    "frame.py",
+    "engine.py",
+    "__init__.py",
+)
+LINES_MAX = 400
+KERNEL_PARAMETERS_MAX = 8
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).as_posix()
+
+
+def room_of(path: Path) -> int:
+    name = name_of(path)
+    for index, room in enumerate(ROOMS):
+        if name == room or name.startswith(f"{room}/"):
+            return index
+    raise AssertionError(f"{name} belongs to no room: give it a place in ROOMS (and in the architecture page)")
+
+
+def parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), str(path))
+
+
+def import_targets(path: Path) -> set[Path]:
+    """Files of the package that `path` imports, wherever in it the import stands."""
+    targets = set()
+    for node in ast.walk(parsed(path)):
+        if not isinstance(node, ast.ImportFrom) or node.level == 0:
+            continue
+        base = path.parent
+        for _ in range(node.level - 1):
+            base = base.parent
+        base = base.joinpath(*(node.module or "").split("."))
+        for name in (alias.name for alias in node.names):
+            found = [p for p in (base / f"{name}.py", base / name / "__init__.py", base.with_suffix(".py"), base / "__init__.py") if p.is_file()]
+            assert found, f"{name_of(path)} imports {name} from {base}, which is not there"
+            targets.add(found[0])
+    return targets - {path}
+
+
+def absolute_imports(path: Path) -> set[str]:
+    """Top-level names of the packages that `path` imports by absolute name."""
+    names = set()
+    for node in ast.walk(parsed(path)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            names.add(node.module.split(".")[0])
+    return names
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_imports_go_up_the_rooms(path):
+    for target in import_targets(path):
+        assert room_of(target) <= room_of(path), f"{name_of(path)} imports {name_of(target)}, which is in a later room"
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_imports_within_the_package_are_relative(path):
+    assert PACKAGE.name not in absolute_imports(path)
+
+
+@pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
+def test_the_core_knows_nothing_of_blender(path):
+    assert not absolute_imports(path) & {"bpy", "mathutils", "bl_ui", "bpy_types"}
+    assert all(PACKAGE / "core" in target.parents for target in import_targets(path))
+
+
+def test_only_export_reads_blenders_scene_and_only_result_writes_its_pixels():
+    for path in FILES:
+        text = path.read_text(encoding="utf-8")
+        room = ROOMS[room_of(path)]
+        if room != "export":
+            assert ".foreach_get(" not in text and "object_instances" not in text, name_of(path)
+        if room != "result.py":
+            assert "begin_result" not in text and ".foreach_set(" not in text, name_of(path)
+
+
+def test_the_core_works_where_bpy_cannot_be_imported():
+    code = """
+import pkgutil, sys
+for name in ("bpy", "mathutils"):
+    sys.modules[name] = None  # importing it raises
+import raybatch_addon.core as core
+for module in pkgutil.walk_packages(core.__path__, core.__name__ + "."):
+    __import__(module.name)
+import numpy as np
+from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, Scene, World
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings import RenderSettings
+camera = Camera(CameraKind.PERSPECTIVE, np.eye(3, 4, dtype=np.float32), (-1, 1, -1, 1))
+film = Session("cpu", RenderSettings(sample_count=1)).render(Scene(camera, Frame(4, 4), world=World((1.0, 0.5, 0.25))))
+assert np.allclose(film.passes["Combined"][..., :3], (1, 0.5, 0.25))
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_files_are_short(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) < LINES_MAX
+
+
+@pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
+def test_kernels_are_declared_with_the_cores_options_and_have_few_parameters(path):
+    for node in ast.walk(parsed(path)):
+        if not isinstance(node, ast.FunctionDef):
+            continue
+        for decorator in node.decorator_list:
+            if "wp.kernel" not in ast.unparse(decorator):
+                continue
+            assert ast.unparse(decorator) == "wp.kernel(**KERNEL_OPTIONS)", f"{name_of(path)}: {node.name}"
+            assert len(node.args.args) <= KERNEL_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
+
+
+@pytest.mark.parametrize("path", FILES, ids=name_of)
+def test_files_and_public_definitions_say_what_they_are(path):
+    tree = parsed(path)
+    assert not tree.body or ast.get_docstring(tree), f"{name_of(path)} does not say what it is for"
+    for node in tree.body:
+        native = any("func_native" in ast.unparse(decorator) for decorator in getattr(node, "decorator_list", []))
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef)) and not node.name.startswith("_") and not native:
+            assert ast.get_docstring(node), f"{name_of(path)}: {node.name}"
+
+
+def test_a_room_that_reaches_down_would_be_found():
+    """The walk itself sees imports in functions and of modules by name."""
+    assert PACKAGE / "engine.py" in import_targets(PACKAGE / "__init__.py")
+    assert PACKAGE / "frame.py" in import_targets(PACKAGE / "engine.py")
+    assert PACKAGE / "core" / "settings.py" in import_targets(PACKAGE / "core" / "session.py")
