@@ -15,6 +15,7 @@ import bpy
 from mathutils import Vector
 
 import raybatch_addon
+from rendering.output import leave
 
 RESOLUTION = (960, 540)
 SAMPLE_COUNT = 32
@@ -240,3 +241,4 @@ if __name__ == "__main__":
     if len(sys.argv) != 2 or not sys.argv[1].endswith(".blend"):
         sys.exit("usage: make_demo.py OUT.blend")
     make_demo(Path(sys.argv[1]).absolute())
+    leave(0)

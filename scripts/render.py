@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.settings import SETTINGS
-from rendering.output import OutputFolders, own_standard_output
+from rendering.output import OutputFolders, leave, own_standard_output
 from rendering.request import ARCHIVE, NPZ, Request, UsageError, kind_of, parse_frames, parse_settings
 
 DESCRIPTION = """\
@@ -138,4 +138,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

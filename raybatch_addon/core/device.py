@@ -91,7 +91,7 @@ def host_memory_peak() -> int:
 
 
 def load_kernels(kernels: Iterable[wp.Kernel], device: wp.Device, on_module: Callable[[int, int], None]) -> list[str]:
-    """Compile or load the modules of `kernels`, two at a time; returns the modules' names.
+    """Compile or load the modules of `kernels`, several at a time; returns the modules' names.
 
     Done before worker threads start, because a launch must find its module loaded.
     `on_module(done, all)` is called after each.

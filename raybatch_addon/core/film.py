@@ -1,11 +1,11 @@
 """The film: exact sums of samples, per pixel and channel.
 
 A pixel's sum is kept as a fixed-point number cut into signed 64-bit *digits* of 32 bits each (a small
-"superaccumulator", Kulisch 1971; Collange et al. 2015). A float32 is split over at most three digits, and
+"superaccumulator", Kulisch 1971; Collange et al. 2015). A float32 is split over at most two digits, and
 adding is integer addition: exact, without carries, and independent of the order of arrival. Films of any
 partition of the samples therefore merge to the bits of one render.
 
-Most pictures need three digits, 2^-64 to 2^32 (the *window*). A sample that does not fit is set aside and added to a
+Most pictures need four digits, 2^-96 to 2^32 (the *window*). A sample that does not fit is set aside and added to a
 second set of ten digits that covers all of float32 (the *wide* digits), which is allocated when the first such sample turns up.
 """
 
@@ -24,9 +24,9 @@ from .scene.description import Frame
 
 # Digit k of the wide digits counts units of 2^(32 k - 160): bits 2^-160 to 2^160 hold 2^31 sums of any float32.
 WIDE_DIGITS = 10
-# The window is the wide digits 3, 4, 5.
-WINDOW_FIRST = 3
-WINDOW_DIGITS = 3
+# The window is the wide digits 2 to 5.
+WINDOW_FIRST = 2
+WINDOW_DIGITS = 4
 
 # Channels of every pass. The first sample alone decides "Depth" and "Position" (an average of them means nothing).
 PASSES: dict[str, int] = {"Combined": 4, "Depth": 1, "Position": 3, "Normal": 3}
@@ -74,19 +74,14 @@ def add_window(digits: wp.array2d(dtype=wp.int64), index: int, value: float) -> 
     if wp.abs(x) >= wp.float64(4294967296.0):
         return False
     # float32 has 24 significant bits, so each step below is exact in float64
-    high = wp.trunc(x)
-    x = (x - high) * wp.float64(4294967296.0)
-    middle = wp.trunc(x)
-    x = (x - middle) * wp.float64(4294967296.0)
-    low = wp.trunc(x)
-    if low != x:
+    rest = x * wp.float64(79228162514264337593543950336.0)  # 2^96
+    if wp.trunc(rest) != rest:
         return False
-    if high != wp.float64(0.0):
-        wp.atomic_add(digits, 2, index, wp.int64(high))
-    if middle != wp.float64(0.0):
-        wp.atomic_add(digits, 1, index, wp.int64(middle))
-    if low != wp.float64(0.0):
-        wp.atomic_add(digits, 0, index, wp.int64(low))
+    for i in range(wp.static(WINDOW_DIGITS)):
+        digit = wp.trunc(x)
+        if digit != wp.float64(0.0):
+            wp.atomic_add(digits, wp.static(WINDOW_DIGITS - 1) - i, index, wp.int64(digit))
+        x = (x - digit) * wp.float64(4294967296.0)
     return True
 
 
@@ -113,12 +108,16 @@ def rounded_sums(window: np.ndarray, wide: np.ndarray) -> np.ndarray:
     Returns:
         float64, shape [n].
     """
-    low, middle, high = normalised(window)
-    # Below 2^20 the two upper digits are exact in float64 together, and adding the lowest rounds once.
+    lowest, low, middle, high = normalised(window)
+    # Below 2^20 the two upper digits are exact in float64 together, and adding the next one rounds once. With at least 55
+    # bits there, the lowest digit matters only by being 0 or not: a sticky bit.
     upper = high.astype(np.float64) * 2.0**32 + middle
-    sums = (upper * 2.0**32 + low) * 2.0**-64
-    large = (np.abs(high) >= 2**20) | (wide != 0).any(0) if len(wide) else np.abs(high) >= 2**20
-    for i in np.flatnonzero(large).tolist():
+    sticky = low | (lowest != 0)
+    sums = (upper * 2.0**32 + sticky) * 2.0**-64
+    hard = (np.abs(high) >= 2**20) | ((lowest != 0) & (np.abs(upper) < 2.0**23))
+    if len(wide):
+        hard |= (wide != 0).any(0)
+    for i in np.flatnonzero(hard).tolist():
         digits = [int(d) for d in wide[:, i]] if len(wide) else [0] * WIDE_DIGITS
         for k in range(WINDOW_DIGITS):
             digits[WINDOW_FIRST + k] += int(window[k, i])
@@ -151,9 +150,9 @@ def split_passes(
     return passes
 
 
-def no_wide(channel_count: int = 0) -> np.ndarray:
+def no_wide() -> np.ndarray:
     """Wide digits of a film that needed none."""
-    return np.zeros((0, channel_count), np.int64)
+    return np.zeros((0, 0), np.int64)
 
 
 @dataclass
@@ -276,8 +275,8 @@ class Film:
             self.width, self.height, self.region, self.pass_names, self.layout,
             sums=self.sums.add(other.sums),
             counts=self.counts + other.counts,
-            # whichever film holds a pixel's first sample; the other one's are 0
-            first={name: self.first[name] + other.first[name] for name in self.first},
+            # of a pixel that has its first sample in both films, this one's counts
+            first={name: np.where(self.first[name] != 0, self.first[name], other.first[name]) for name in self.first},
             complete=self.complete and other.complete,
             statistics=dict(self.statistics),
         )  # fmt: skip

@@ -9,7 +9,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -39,6 +39,15 @@ def own_standard_output(verbose: bool) -> Iterator[Any]:
         finally:
             os.dup2(real, 1)
             os.close(real)
+
+
+def leave(code: int) -> NoReturn:
+    """End the process. Blender's module can hang while it takes itself down, long after the work is done: that is left out."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    if "bpy" in sys.modules:
+        os._exit(code)
+    sys.exit(code)
 
 
 class OutputFolders:

@@ -72,7 +72,8 @@ def picture_of(path):
     image.colorspace_settings.name, image.alpha_mode = "Non-Color", "CHANNEL_PACKED"
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
-    pixels = pixels.reshape(*image.size[::-1], 4)
+    width, height = image.size
+    pixels = pixels.reshape(height, width, 4)
     bpy.data.images.remove(image)
     return pixels
 

@@ -98,7 +98,8 @@ def by_cycles(scene, seed, samples, path):
     image.colorspace_settings.name = "Non-Color"
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
-    pixels = pixels.reshape(*image.size[::-1], -1)[..., :3].astype(float)
+    width, height = image.size
+    pixels = pixels.reshape(height, width, -1)[..., :3].astype(float)
     bpy.data.images.remove(image)
     return pixels
 

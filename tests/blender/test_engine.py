@@ -2,6 +2,7 @@
 
 import os
 import sys
+import types
 
 import numpy as np
 import pytest
@@ -237,7 +238,7 @@ def test_a_failed_render_saves_nothing_and_says_why(lit, monkeypatch, tmp_path, 
         monkeypatch.setattr("raybatch_addon.core.session.Session.render", failing(error))
     else:
         # within an open result
-        monkeypatch.setattr(np, "ascontiguousarray", failing(error), raising=True)
+        monkeypatch.setattr("raybatch_addon.result.np", types.SimpleNamespace(ascontiguousarray=failing(error), float32=np.float32))
     set_format(lit, file_format)
     lit.frame_start, lit.frame_end = 1, 2
     lit.render.filepath = str(tmp_path / "frame")
@@ -249,6 +250,21 @@ def test_a_failed_render_saves_nothing_and_says_why(lit, monkeypatch, tmp_path, 
     (line,) = reports.last().errors
     assert said in line and "\n" not in line
     assert ("Traceback" in capfd.readouterr().err) == (stage != "export"), "a bug's traceback goes to the terminal"
+
+
+def test_a_tile_that_cannot_be_written_is_closed_as_cancelled(lit, watch, monkeypatch):
+    opened, closed = [], []
+
+    def end(engine, result, **options):
+        closed.append(options)
+        return engine.end_result(result, **options)
+
+    watch(begin_result=lambda engine, *args, **options: (opened.append(args), engine.begin_result(*args, **options))[1], end_result=end)
+    monkeypatch.setattr("raybatch_addon.result.np", types.SimpleNamespace(ascontiguousarray=failing(ValueError("no")), float32=np.float32))
+    with pytest.raises(RuntimeError):
+        bpy.ops.render.render()
+    assert len(opened) == 1
+    assert closed == [{"cancel": True}]
 
 
 def test_a_render_after_a_failed_one_works(lit, monkeypatch, films, tmp_path):

@@ -204,8 +204,6 @@ def test_lights_alone_in_an_empty_scene(session):
 
 
 def test_instances_of_nothing(session):
-    empty = scenes.scene(frame=Frame(8, 8), world=WORLD)
-    assert len(empty.instances) == 0 and isinstance(Instances.empty(), Instances)
     nothing = Mesh("nothing", np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
     film = session.render(scenes.scene([(nothing, scenes.IDENTITY, scenes.diffuse())] * 2, frame=Frame(8, 8), world=WORLD), SETTINGS)
     assert film.passes["Combined"][4, 4, :3] == pytest.approx(WORLD, rel=1e-6)

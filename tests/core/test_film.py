@@ -111,7 +111,7 @@ def test_merging_films_of_different_frames_is_refused():
 def test_tiles_land_where_they_belong():
     film = Film.empty(Frame(8, 6, border=(2, 1, 7, 5)))
     tile = Film.empty(Frame(8, 6, border=(3, 2, 5, 3)))
-    tile.sums.window[2] = [1, 2, 3, 4, 5, 6]
+    tile.sums.window[WINDOW_DIGITS - 1] = [1, 2, 3, 4, 5, 6]
     tile.counts[:] = 1
     film.add_tile(3, 2, tile)
     picture = film.passes["Combined"]

@@ -1,7 +1,8 @@
 """The reference tree: Warp's own `wp.Mesh` under a `wp.Bvh` of instances.
 
 The tracer that tests and benchmarks measure others against. Its triangle test is watertight (Woop, Benthin and
-Wald 2013, as implemented by Warp).
+Wald 2013, as implemented by Warp). Of hits at the same distance the lower instance wins; within one mesh it is the one that
+Warp visits first, which depends on the tree but never on the schedule.
 """
 
 from __future__ import annotations
@@ -146,8 +147,10 @@ def make_reference(instancing: bool) -> ReferenceQueries:
     return ReferenceQueries(closest_of_entries, occluded_by_entries)
 
 
-def build_reference(flat: FlatGeometry, instance_visibility: np.ndarray, device: wp.Device) -> BuiltReference:
-    """Build the trees of `flat` on `device`."""
+def build_reference(
+    flat: FlatGeometry, instance_visibility: np.ndarray, instancing: bool, device: wp.Device
+) -> BuiltReference:
+    """Build the trees of `flat` on `device`; `instancing` as the queries that will ask them."""
     positions = wp.array(flat.positions, dtype=wp.vec3, device=device)
     meshes: list[wp.Mesh] = []
     keep: list[wp.array] = [positions]
@@ -204,7 +207,7 @@ def build_reference(flat: FlatGeometry, instance_visibility: np.ndarray, device:
     tree.merged_instance = upload(np.array(merged_instance, np.int32), int)
     tree.merged_triangle_first = upload(np.array(merged_triangle_first, np.int32), int)
     entry_tree = None
-    if len(entry_mesh) > 1 or len(flat.shared):
+    if instancing:
         low, high = (np.array(corner, np.float32).reshape(-1, 3) for corner in zip(*boxes))
         entry_tree = wp.Bvh(upload(low, wp.vec3), upload(high, wp.vec3))
         tree.entry_tree = entry_tree.id

@@ -170,7 +170,8 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
             result.value = mixture.value
             result.pdf = mixture.density
             if wp.static(has_lambert):
-                result.value += mixture.lambert * mixture.diffuse
+                result.diffuse = mixture.lambert * mixture.diffuse
+                result.value += result.diffuse
                 result.pdf += mixture.lambert * mixture.diffuse_selection
             result.pdf = result.pdf / mixture.selection
         return result

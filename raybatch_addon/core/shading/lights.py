@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from ..scene.description import LightKind
+from ..scene.description import LightKind, Visibility
 from ..scene.geometry import Geometry, triangle_vertices
 from .light_shapes import (
     LightSample,
@@ -37,6 +37,7 @@ _POINT = wp.constant(int(LightKind.POINT))
 _SPOT = wp.constant(int(LightKind.SPOT))
 _SUN = wp.constant(int(LightKind.SUN))
 _ELLIPSE = wp.constant(int(LightKind.ELLIPSE))
+_SCATTERED = wp.constant(int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION))
 
 
 @dataclass(frozen=True)
@@ -81,6 +82,14 @@ def mis_weight(bsdf_pdf: float, light_pdf: float) -> float:
     if bsdf_pdf <= 0.0:
         return 1.0
     return power_heuristic(bsdf_pdf, light_pdf)
+
+
+@wp.func
+def is_lit_in_part(visibility: int) -> bool:
+    """Whether a light is seen by some kinds of scattered rays but not by all. Such lights are left to light sampling, which can
+    tell lobes apart; a scattered ray stands for all of them."""
+    kinds = visibility & _SCATTERED
+    return kinds != 0 and kinds != _SCATTERED
 
 
 @wp.func
@@ -338,7 +347,8 @@ def make_lights(features: LightFeatures) -> Lights:
                 while wp.bvh_query_next(query, item, t_max):
                     emitter = table.tree_light[item]
                     light = table.lights[emitter]
-                    if (light.visibility & visibility) != 0:
+                    sampled = bsdf_pdf > 0.0 and is_lit_in_part(light.visibility)
+                    if (light.visibility & visibility) != 0 and not sampled:
                         met = meet_shape(light, origin, direction)
                         if met.pdf > 0.0 and met.distance >= t_min and met.distance < t_max:
                             weight = mis_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter))
@@ -352,7 +362,8 @@ def make_lights(features: LightFeatures) -> Lights:
             for i in range(table.sun_count):
                 emitter = table.suns[i]
                 light = table.lights[emitter]
-                if (light.visibility & visibility) != 0:
+                sampled = bsdf_pdf > 0.0 and is_lit_in_part(light.visibility)
+                if (light.visibility & visibility) != 0 and not sampled:
                     met = meet_sun(light, direction)
                     if met.pdf > 0.0:
                         total += mis_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter)) * light.emission

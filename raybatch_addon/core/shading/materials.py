@@ -86,6 +86,7 @@ class BsdfValue:
     """Sum over the closures without delta lobes."""
 
     value: wp.vec3  # BSDF times |cosine to the shading normal| [1/sr]
+    diffuse: wp.vec3  # the part of `value` that is Lambertian
     pdf: float  # density with which `sample` finds the direction [1/sr]
 
 

@@ -51,7 +51,7 @@ class GeometryCache:
         """Forget it."""
         self._last = None
 
-    def get(self, scene: Scene, device: wp.Device) -> tuple[Geometry, BuiltReference]:
+    def get(self, scene: Scene, instancing: bool, device: wp.Device) -> tuple[Geometry, BuiltReference]:
         """Geometry and tree of `scene`, built unless the last scene had the same geometry."""
         flat = flatten(scene)
         visibility = scene.instances.visibility
@@ -60,11 +60,12 @@ class GeometryCache:
         for array in [*arrays, visibility, scene.instances.slot_first, scene.slot_materials]:
             digest.update(str((array.dtype, array.shape)).encode())
             digest.update(np.ascontiguousarray(array))
+        digest.update(bytes([instancing]))
         key = digest.digest()
         with self._lock:
             if self._last is None or self._last.key != key:
                 self._last = None  # before the new one is built: never hold two
-                self._last = _CachedGeometry(key, upload_geometry(flat, scene, device), build_reference(flat, visibility, device))
+                self._last = _CachedGeometry(key, upload_geometry(flat, scene, device), build_reference(flat, visibility, instancing, device))
             return self._last.geometry, self._last.built
 
 
@@ -79,6 +80,7 @@ class DeviceScene:
     tree: ReferenceTree | None  # None: there is nothing to hit
     transparent_shadows: bool  # some surface lets shadow rays through
     lights: UploadedLights  # keeps the tree of the lights alive
+    shadow_rays: bool  # there is an emitter to aim at, not only code for it
     built: BuiltReference | None
 
     @staticmethod
@@ -87,7 +89,7 @@ class DeviceScene:
         data = SceneData()
         built = None
         if features.surfaces:
-            data.geometry, built = cache.get(scene, device)
+            data.geometry, built = cache.get(scene, features.instancing, device)
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
         lights = upload_lights(scene, device)
         data.lights = lights.table
@@ -103,5 +105,5 @@ class DeviceScene:
         )
         return DeviceScene(
             device, features, data, upload_camera(scene.camera, scene.frame.width, scene.frame.height), built.tree if built else None,
-            lets_through, lights, built,
+            lets_through, lights, features.shadow_rays and lights.emitter_count > 0, built,
         )  # fmt: skip

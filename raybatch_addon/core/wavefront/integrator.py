@@ -78,11 +78,13 @@ class TileIntegrator:
         self._limits = path_limits(settings, frame.width)
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, features, device)
-        self._rays = allocate_rays(count * (2 if features.shadow_rays else 1), device)
-        self._tracer = ReferenceTracer(scene.tree, self._rays, features.instancing, device) if scene.tree else None
+        self._rays = allocate_rays(count * (2 if scene.shadow_rays else 1), device)
+        self._tracer = ReferenceTracer(scene.tree, self._rays, self._kernels.tracing(), device) if scene.tree else None
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._rules = gather_rules(count)
-        self._queues = {name: SlotQueue(count, device) for name in self._rules}
+        unused = set() if scene.shadow_rays else {"shadow"}
+        unused |= set() if features.surfaces else {"surface"}
+        self._queues = {name: SlotQueue(count, device) for name in self._rules if name not in unused}
         self._scratch = Scratch(count, device)
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
         self._alive = 0
@@ -109,7 +111,7 @@ class TileIntegrator:
                 return self._film_of(state.tile, film)
             new_rays = self._submit_new_rays()
             self._trace(new_rays)
-            self._shade(new_rays, work, film)
+            self._shade(work, film)
             self._finish_paths(film)
 
     # --- the steps, in the order of the loop
@@ -139,7 +141,7 @@ class TileIntegrator:
         new_rays = self._gather("rays", self._alive)
         if self._tracer:
             self._tracer.submit(RayKind.CLOSEST, new_rays)
-            if self._kernels.connect:
+            if self._scene.shadow_rays:
                 self._tracer.submit(self._shadow_kind, self._gather("shadow", self._alive))
         return new_rays
 
@@ -159,14 +161,16 @@ class TileIntegrator:
                     self._kernels.connect_transparent, back, self._scene.data, self._limits, self._paths, self._rays
                 )
 
-    def _shade(self, new_rays: SlotList, work: TileWork, film: FilmTile) -> None:
+    def _shade(self, work: TileWork, film: FilmTile) -> None:
         data, limits, paths, rays = self._scene.data, self._limits, self._paths, self._rays
-        if self._kernels.light_hits:
-            self._launch_over(self._kernels.light_hits, new_rays, data, limits, paths, rays)
         miss = self._gather("miss", self._alive)
+        if self._kernels.light_hits:
+            self._launch_over(self._kernels.light_hits, miss, data, limits, paths, rays)
         self._launch_over(self._kernels.background, miss, data, limits, paths, rays, film)
         if self._kernels.surface:
             surface = self._gather("surface", self._alive)
+            if self._kernels.light_hits:
+                self._launch_over(self._kernels.light_hits, surface, data, limits, paths, rays)
             self._launch_over(self._kernels.surface, surface, data, work, limits, paths, rays, film)
 
     def _finish_paths(self, film: FilmTile) -> None:
@@ -179,7 +183,7 @@ class TileIntegrator:
         self._alive -= finished
         self.items_done += finished
         self.rays.extending += self._queues["rays"].length()
-        if self._kernels.connect:
+        if self._scene.shadow_rays:
             self.rays.shadow += self._queues["shadow"].length()
 
     def _give_up(self, state: TileState) -> None:

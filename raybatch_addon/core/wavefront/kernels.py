@@ -63,6 +63,14 @@ class StageKernels:
             accumulate=accumulate_kernel(layout_of(has.passes, has.film_transparent)),
         )  # fmt: skip
 
+    def tracing(self) -> dict[RayKind, wp.Kernel | None]:
+        """The kernels of the reference tracer, by what is asked of a ray."""
+        return {
+            RayKind.CLOSEST: self.trace,
+            RayKind.OCCLUSION: self.trace_shadow,
+            RayKind.TRANSPARENT_SHADOW: self.trace,  # closest hits, in order
+        }
+
     def all(self) -> list[wp.Kernel]:
         """Everything that a render launches."""
         stages = [getattr(self, name) for name in self.__dataclass_fields__]

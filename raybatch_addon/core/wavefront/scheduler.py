@@ -78,7 +78,7 @@ def tiles(region: tuple[int, int, int, int], edge: int) -> Iterator[Rectangle]:
 
 
 def reduced_path_count(path_count: int, bytes_a_path: int, budget: int) -> int:
-    """Largest power-of-two part of `path_count` that fits `budget` bytes; 0 when not even 256 paths fit."""
+    """Largest power-of-two part of `path_count` that fits `budget` bytes; 0 when not even one path fits."""
     while path_count > 1 and path_count * bytes_a_path > budget:
         path_count //= 2
     return path_count if path_count * bytes_a_path <= budget else 0

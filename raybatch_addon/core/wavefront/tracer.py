@@ -9,7 +9,6 @@ import warp as wp
 
 from ..bvh.reference import ReferenceTree
 from .rays import RayKind, Rays
-from .stages.trace import trace_kernel
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,8 @@ class Tracer(Protocol):
     """Resumable ray queries: rays of many bounces, of both kinds, may be under way at once."""
 
     def submit(self, kind: RayKind, rays: SlotList) -> None:
-        """Take rays in; their slots must not be touched until they come back."""
+        """Take rays in. Their slots are the tracer's until they come back; the list itself is overwritten after `advance`, so a
+        tracer that lets rays wait keeps a copy of it."""
 
     def advance(self) -> None:
         """Work on rays that are under way; at least one of them finishes."""
@@ -37,10 +37,10 @@ class Tracer(Protocol):
 class ReferenceTracer:
     """A `Tracer` in which every ray visits the whole tree as soon as it is told to advance."""
 
-    def __init__(self, tree: ReferenceTree, rays: Rays, instancing: bool, device: wp.Device):
+    def __init__(self, tree: ReferenceTree, rays: Rays, kernels: dict[RayKind, wp.Kernel], device: wp.Device):
         self._tree = tree
         self._rays = rays
-        self._instancing = instancing
+        self._kernels = kernels
         self._device = device
         self._under_way: list[tuple[RayKind, SlotList]] = []
         self._finished: list[tuple[RayKind, SlotList]] = []
@@ -51,8 +51,7 @@ class ReferenceTracer:
 
     def advance(self) -> None:
         for kind, rays in self._under_way:
-            kernel = trace_kernel(kind, self._instancing)
-            wp.launch(kernel, rays.bound, [self._tree, self._rays, rays.slots, rays.count], device=self._device)
+            wp.launch(self._kernels[kind], rays.bound, [self._tree, self._rays, rays.slots, rays.count], device=self._device)
         self._finished += self._under_way
         self._under_way = []
 

@@ -69,16 +69,22 @@ def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
         path = slots[i]
         pixel = paths.pixel[path]
         radiance = paths.radiance[path]
-        if wp.isfinite(radiance[0]) and wp.isfinite(radiance[1]) and wp.isfinite(radiance[2]):
+        valid = wp.isfinite(radiance[0]) and wp.isfinite(radiance[1]) and wp.isfinite(radiance[2])
+        if wp.static(layout.transparent):
+            valid = valid and wp.isfinite(paths.alpha[path])
+        if wp.static(layout.normal):
+            normal = paths.normal[path]
+            valid = valid and wp.isfinite(normal[0]) and wp.isfinite(normal[1]) and wp.isfinite(normal[2])
+        if valid:
             for c in range(3):
                 add(film, pixel * channels + c, radiance[c])
+            if wp.static(layout.transparent):
+                add(film, pixel * channels + 3, paths.alpha[path])
+            if wp.static(layout.normal):
+                for c in range(3):
+                    add(film, pixel * channels + wp.static(layout.span("Normal").start) + c, normal[c])
         else:
             wp.atomic_add(film.invalid, 0, 1)
-        if wp.static(layout.transparent):
-            add(film, pixel * channels + 3, paths.alpha[path])
-        if wp.static(layout.normal):
-            for c in range(3):
-                add(film, pixel * channels + wp.static(layout.span("Normal").start) + c, paths.normal[path][c])
         wp.atomic_add(film.counts, pixel, wp.int64(1))
         paths.status[path] = 0
 

@@ -10,7 +10,7 @@ import warp as wp
 from ...kernel import KERNEL_OPTIONS
 from ...scene.description import ClosureKind, LightKind, Visibility
 from ...shading.closures import DELTA, DIFFUSE, TRANSMISSION, TRANSPARENT, ClosureFeatures, ShadingFrame, make_bsdf
-from ...shading.lights import LightFeatures, make_lights, power_heuristic
+from ...shading.lights import LightFeatures, is_lit_in_part, make_lights, power_heuristic
 from ...shading.sampling import (
     BSDF,
     DIMENSIONS_PER_BOUNCE,
@@ -35,7 +35,7 @@ SHADOW_NEW = int(Status.SHADOW_NEW)
 SHADOW_OUT = int(Status.SHADOW_OUT)
 HIT = int(Status.HIT)
 ENDED = int(Status.ENDED)
-# Passes by shadow rays are counted above those of extending rays
+# Passes by the shadow ray are counted above those of the extending ray; both go on from what the path passed before
 SHADOW_PASS = 1 << 16
 
 
@@ -68,8 +68,21 @@ class SurfaceFeatures:
 
 @wp.func
 def is_positive(light: wp.vec3) -> bool:
-    """Whether any channel is above 0."""
-    return light[0] > 0.0 or light[1] > 0.0 or light[2] > 0.0
+    """Whether any channel is above 0, or not a number: that must reach the film, which counts it."""
+    return not (light[0] <= 0.0 and light[1] <= 0.0 and light[2] <= 0.0)
+
+
+@wp.func
+def lit_value(value: wp.vec3, diffuse: wp.vec3, visibility: int, reflected: bool) -> wp.vec3:
+    """What is left of a BSDF's `value`, of which `diffuse` is Lambertian, for a light that only some rays see."""
+    if not reflected:
+        return wp.where((visibility & wp.static(int(Visibility.TRANSMISSION))) != 0, value, wp.vec3(0.0))
+    left = wp.vec3(0.0)
+    if (visibility & wp.static(int(Visibility.DIFFUSE))) != 0:
+        left += diffuse
+    if (visibility & wp.static(int(Visibility.GLOSSY))) != 0:
+        left += value - diffuse
+    return left
 
 
 @wp.func
@@ -114,7 +127,9 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if is_positive(emission):
             weight = float(1.0)
             pdf = paths.pdf[path]
-            if pdf > 0.0:
+            if pdf > 0.0 and is_lit_in_part(data.lights.instance_visibility[rays.hit_instance[path]]):
+                weight = 0.0  # found by light sampling alone
+            elif pdf > 0.0:
                 light_pdf = light_hit_pdf(
                     data.lights, data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.direction[path],
                     seen_from + rays.hit_t[path],
@@ -134,18 +149,17 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         light = light_sample(data.lights, data.geometry, surface.position, u_choice, u)
         if light.pdf <= 0.0:
             return 0
-        seen_by = wp.static(int(Visibility.DIFFUSE | Visibility.GLOSSY))
-        if wp.dot(light.direction, frame.geometric_normal) < 0.0:
-            seen_by = wp.static(int(Visibility.TRANSMISSION))
-        if (light.visibility & seen_by) == 0:
-            return 0
-        value = bsdf_evaluate(data.materials, surface.material, frame, -rays.direction[path], light.direction)
-        if not is_positive(value.value):
-            return 0
+        bsdf = bsdf_evaluate(data.materials, surface.material, frame, -rays.direction[path], light.direction)
+        value = bsdf.value
         weight = 1.0 / light.pdf
-        if light.delta == 0:
-            weight = power_heuristic(light.pdf, value.pdf) / light.pdf
-        contribution = weight * wp.cw_mul(wp.cw_mul(paths.throughput[path], value.value), light.radiance)
+        if is_lit_in_part(light.visibility):
+            # lobes whose rays do not see the light are not lit by it; this strategy alone finds such a light
+            value = lit_value(bsdf.value, bsdf.diffuse, light.visibility, wp.dot(light.direction, frame.geometric_normal) > 0.0)
+        elif light.delta == 0:
+            weight = power_heuristic(light.pdf, bsdf.pdf) / light.pdf
+        if not is_positive(value):
+            return 0
+        contribution = weight * wp.cw_mul(wp.cw_mul(paths.throughput[path], value), light.radiance)
         if wp.static(features.clamping):
             contribution = clamped(limits, contribution, paths.bounce[path] + 1)
         if not is_positive(contribution):
@@ -212,9 +226,12 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             gather_emission(data, limits, paths, rays, path, surface.material, passed_t)
 
         status = paths.status[path] & ~wp.static(HIT)
-        if bounce > limits.bounce_max:
-            paths.status[path] = status | wp.static(ENDED)
-            return
+        # at its last surface a path scatters no more, but still passes what is transparent, as shadow rays do
+        last = bounce > limits.bounce_max
+        if wp.static(not features.transparency):
+            if last:
+                paths.status[path] = status | wp.static(ENDED)
+                return
 
         x = work.x + pixel % work.width
         y = work.y + pixel / work.width
@@ -223,7 +240,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         dimension = wp.uint32(bounce + passed) * wp.uint32(DIMENSIONS_PER_BOUNCE)
 
         if wp.static(features.shadow_rays):
-            if x < limits.nee_end:
+            if x < limits.nee_end and not last:
                 status = status | connect_light(
                     data, limits, paths, rays, path, surface, frame,
                     sample_1d(key, sample, dimension + wp.uint32(LIGHT_CHOICE)), sample_2d(key, sample, dimension + wp.uint32(LIGHT)),
@@ -234,16 +251,16 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             sample_1d(key, sample, dimension + wp.uint32(LOBE)), sample_2d(key, sample, dimension + wp.uint32(BSDF)),
         )  # fmt: skip
         throughput = wp.cw_mul(paths.throughput[path], scattered.weight)
-        goes_on = is_positive(throughput)
+        goes_on = is_positive(throughput) and (not last or (scattered.lobe & TRANSPARENT) != 0)
 
         if wp.static(features.transparency):
             if (scattered.lobe & TRANSPARENT) != 0:
                 # the path goes straight on: it remembers where it last scattered, and how
                 goes_on = goes_on and passed < limits.transparent_bounce_max
-                paths.passed[path] = passed + 1
+                paths.passed[path] = passed + 1 + passed * wp.static(SHADOW_PASS)
                 paths.passed_t[path] = passed_t + hit_t
             else:
-                paths.passed[path] = passed
+                paths.passed[path] = passed + passed * wp.static(SHADOW_PASS)
                 paths.passed_t[path] = 0.0
         if (scattered.lobe & TRANSPARENT) == 0:
             paths.bounce[path] = bounce + 1
@@ -268,7 +285,11 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             paths.throughput[path] = throughput
             rays.origin[path] = spawn_origin(surface.position, surface.error, frame.geometric_normal, scattered.direction)
             rays.direction[path] = scattered.direction
-            rays.t_max[path] = wp.inf
+            t_max = float(wp.inf)
+            if wp.static(features.transparency):
+                if (scattered.lobe & TRANSPARENT) != 0:
+                    t_max = rays.t_max[path] - hit_t  # the camera's far plane stays where it is
+            rays.t_max[path] = t_max
             status = status | wp.static(RAY_NEW)
         else:
             status = status | wp.static(ENDED)
@@ -310,8 +331,6 @@ def transparent_shadow_kernel(features: SurfaceFeatures) -> wp.Kernel:
                 paths.shadow_light[path] = light
                 paths.passed[path] = passed + wp.static(SHADOW_PASS)
                 status = status | wp.static(SHADOW_NEW)
-        if (status & wp.static(SHADOW_NEW)) == 0:
-            paths.passed[path] = passed & wp.static(SHADOW_PASS - 1)
         paths.status[path] = status
 
     return connect_transparent

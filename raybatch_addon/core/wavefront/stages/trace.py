@@ -18,7 +18,7 @@ def trace_kernel(kind: RayKind, instancing: bool) -> wp.Kernel:
     closest = queries.closest
     occluded = queries.occluded
 
-    if kind != RayKind.OCCLUSION:
+    if kind == RayKind.CLOSEST:
 
         @wp.kernel(**KERNEL_OPTIONS)
         def trace_closest(tree: ReferenceTree, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)):
