@@ -6,6 +6,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from .core.device import find_device, start_warp
 from .core.session import Session
 from .core.settings import RenderSettings
 from .kernel_cache import kernel_cache_folder
@@ -18,9 +19,10 @@ _lock = threading.Lock()  # a session renders one picture at a time
 def session_for(settings: RenderSettings) -> Iterator[Session]:
     """The session of the settings' device, to oneself. Raises `DeviceError` for a device that is not there."""
     with _lock:
-        name = settings.device.lower()
+        start_warp(kernel_cache_folder())
+        name = find_device(settings.device).alias
         if name not in _sessions:
-            _sessions[name] = Session(settings.device, settings, kernel_cache_folder())
+            _sessions[name] = Session(name, settings)
         yield _sessions[name]
 
 

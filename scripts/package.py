@@ -2,13 +2,15 @@
 """Build the Blender extension: one zip a platform, with the Warp wheel inside, through Blender's own extension builder.
 
 `package.py` builds all platforms into dist/; `package.py linux-x64` only that one. Wheels are downloaded with pip
-and kept in build/wheels.
+and kept in build/wheels. Exit codes: 0; 3 when a wheel could not be downloaded; 1 for anything else.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.metadata
 import importlib.util
+import re
 import shutil
 import subprocess
 import sys
@@ -18,6 +20,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = "blender_manifest.toml"
+STATISTICS = "raybatch_addon/core/report/statistics.py"
 # the name of pip's platform, by Blender's. Warp's wheels are the same for every Python 3.
 PIP_PLATFORMS = {"linux-x64": "manylinux_2_28_x86_64", "windows-x64": "win_amd64", "macos-arm64": "macosx_11_0_arm64"}
 
@@ -26,36 +29,56 @@ class PackageError(Exception):
     """Why there is no package, in one line."""
 
 
-def warp_requirement() -> str:
-    """The tested range of Warp, as pyproject.toml has it."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    return next(line for line in project["dependencies"] if line.startswith("warp-lang"))
+class DownloadError(PackageError):
+    """Why a wheel could not be had."""
+
+
+def project_version() -> str:
+    """The version that the manifest, pyproject.toml and the statistics agree on; raises `PackageError` when they do not."""
+    statistics = (ROOT / STATISTICS).read_text(encoding="utf-8")
+    said = re.search(r'^VERSION = "(.+)"$', statistics, re.MULTILINE)
+    versions = {
+        MANIFEST: tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8"))["version"],
+        "pyproject.toml": _project()["version"],
+        STATISTICS: said[1] if said else "nothing",
+    }
+    if len(set(versions.values())) > 1:
+        raise PackageError("the versions differ: " + "; ".join(f"{name} says {version}" for name, version in versions.items()))
+    return versions[MANIFEST]
+
+
+def warp_requirement() -> tuple[str, str]:
+    """What to ask pip for, and the version in it: the one that is installed here, in the tested range of pyproject.toml."""
+    tested = next(line for line in _project()["dependencies"] if line.startswith("warp-lang"))
+    try:
+        version = importlib.metadata.version("warp-lang")
+    except importlib.metadata.PackageNotFoundError:
+        raise PackageError("Warp is not installed here: run this with the environment that `make environment` makes") from None
+    return f"{tested},=={version}", version
+
+
+def _project() -> dict:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
 def fetch_wheel(platform: str, folder: Path) -> Path:
     """The Warp wheel of `platform`, in `folder`; downloaded unless the version that is installed here is there already."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        requirement = f"warp-lang=={version('warp-lang')}"  # the one that the tests ran with
-    except PackageNotFoundError:
-        requirement = warp_requirement()
+    requirement, version = warp_requirement()
     folder = folder / platform
-    folder.mkdir(parents=True, exist_ok=True)
-    wanted = requirement.partition("==")[2]
-    for wheel in folder.glob(f"warp_lang-{wanted}-*.whl" if wanted else ""):
+    for wheel in folder.glob(f"warp_lang-{version}-py3-none-*.whl"):
         return wheel
-    shutil.rmtree(folder)
-    command = [
-        sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:", "--no-input", "--disable-pip-version-check",
-        "--platform", PIP_PLATFORMS[platform], "--python-version", "3.13", "--implementation", "py", "--abi", "none", "--dest", str(folder), requirement,
-    ]  # fmt: skip
-    done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    wheels = list(folder.glob("warp_lang-*.whl"))
-    if done.returncode or len(wheels) != 1:
-        lines = [line for line in done.stderr.splitlines() if line.startswith("ERROR")] or ["pip found none"]
-        raise PackageError(f"the Warp wheel for {platform} could not be downloaded: {lines[-1]}")
-    return wheels[0]
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder, prefix="download-") as temporary:  # what is half there is never taken for a wheel
+        command = [
+            sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:", "--no-input", "--disable-pip-version-check",
+            "--platform", PIP_PLATFORMS[platform], "--implementation", "py", "--abi", "none", "--dest", temporary, requirement,
+        ]  # fmt: skip
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        wheels = list(Path(temporary).glob("warp_lang-*.whl"))
+        if done.returncode or len(wheels) != 1:
+            lines = [line for line in done.stderr.splitlines() if line.startswith("ERROR")] or ["pip found none"]
+            raise DownloadError(f"the Warp wheel for {platform} could not be downloaded: {lines[-1]}")
+        return wheels[0].rename(folder / wheels[0].name)
 
 
 def builder() -> Path:
@@ -88,8 +111,8 @@ def stage(folder: Path, platform: str, wheel: Path) -> None:
 
 def build(platform: str, out: Path, wheels: Path) -> Path:
     """The zip of `platform`, in the folder `out`; raises `PackageError`."""
+    version = project_version()
     wheel = fetch_wheel(platform, wheels)
-    version = tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8"))["version"]
     target = out / f"raybatch-{version}-{platform.replace('-', '_')}.zip"
     out.mkdir(parents=True, exist_ok=True)
     wheels.parent.mkdir(parents=True, exist_ok=True)
@@ -118,7 +141,7 @@ def main() -> int:
             print(build(platform, options.out.absolute(), options.wheels.absolute()))
     except PackageError as error:
         print(f"package.py: error: {error}", file=sys.stderr)
-        return 1
+        return 3 if isinstance(error, DownloadError) else 1
     return 0
 
 

@@ -244,3 +244,66 @@ def test_depth_position_and_normal_are_those_of_the_surface(session):
     assert passes["Depth"][4, 4, 0] == pytest.approx(3.0, rel=1e-6) and passes["Depth"][0, 0, 0] == pytest.approx(1e10)
     assert passes["Normal"][4, 4].tolist() == [0, 0, 1]
     assert np.abs(passes["Position"][4, 4]).max() < 0.3 and passes["Position"][4, 4, 2] == 0
+
+
+@pytest.mark.parametrize("bounce_max", [0, 2])
+@pytest.mark.parametrize("veil_count", [1, 4, 8])
+def test_an_invisible_veil_changes_nothing(session, bounce_max, veil_count):
+    """Fully transparent surfaces, as many as may be passed, lie between floor and light: both strategies pass them alike."""
+    veil = scenes.material(Closure(ClosureKind.TRANSPARENT, (1, 1, 1)))
+    view = scenes.camera(eye=(0.0, -1e-3, 0.2), half_width=1e-4)
+    floor = (scenes.plane(size=4), scenes.IDENTITY, scenes.diffuse(1.0))
+    veils = [(scenes.plane(f"veil {i}", 8), scenes.translation(0, 0, 0.3 + 0.05 * i), veil) for i in range(veil_count)]
+    light = scenes.area_light(radiance=3.0, size=1.4, matrix=scenes.translation(0, 0, 0.9))
+    scene = scenes.scene([floor, *veils], lights=[light], view=view, frame=Frame(8, 8))
+    expected = parallel_rectangle_irradiance(3.0, 0.7, 0.9) / math.pi
+    for nee in ("ON", "OFF"):
+        assert_within_4_sigma(session, scene, expected, nee=nee, bounce_max=bounce_max, sample_count=64)
+
+
+def test_the_far_clip_plane_stays_behind_a_veil(session):
+    veil = scenes.material(Closure(ClosureKind.TRANSPARENT, (1, 1, 1)))
+    upright = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0]], np.float32)
+    lamp = upright.copy()
+    lamp[1, 3] = 8
+    scene = scenes.scene(
+        [(scenes.plane("veil", 40), upright, veil), (scenes.plane("lamp", 40), lamp, scenes.emitter(1.0))],
+        view=scenes.camera(eye=(0, -1, 0), clip_end=5.0), frame=Frame(4, 4),
+    )  # fmt: skip
+    assert colour(session.render(scene, RenderSettings(sample_count=2))).max() == 0.0
+
+
+METAL = Closure(ClosureKind.METAL, (0.9, 0.9, 0.9), roughness=0.7)
+LAMBERT = Closure(ClosureKind.DIFFUSE, (0.8, 0.8, 0.8))
+
+
+@pytest.mark.parametrize("closure, kind", [(METAL, Visibility.GLOSSY), (LAMBERT, Visibility.DIFFUSE)])
+@pytest.mark.parametrize("by_mesh", [False, True])
+def test_a_light_lights_only_the_lobes_whose_rays_see_it(session, closure, kind, by_mesh):
+    def lit(visibility, *closures):
+        down = np.array([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.9]], np.float32)
+        base = floor_seen_closely(dataclasses.replace(scenes.area_light(3.0, 1.4, scenes.translation(0, 0, 0.9)), visibility=int(visibility)))
+        floor = (scenes.plane(size=4), scenes.IDENTITY, scenes.material(*closures))
+        lamp = (scenes.plane("lamp", 1.4), down, scenes.emitter(3.0), visibility)
+        return scenes.scene(
+            [floor, lamp] if by_mesh else [floor], lights=() if by_mesh else base.lights, view=base.camera, frame=Frame(8, 8)
+        )  # fmt: skip
+
+    hidden = Visibility.ALL & ~Visibility.CAMERA & ~kind
+    only = Visibility.SHADOW | kind
+    full, _ = mean_and_error(session, lit(Visibility.ALL & ~Visibility.CAMERA, closure), sample_count=512)
+    assert full > 0.05
+    for nee in ("ON", "OFF"):
+        assert mean_and_error(session, lit(hidden, closure), runs=2, nee=nee)[0] == 0.0
+        assert mean_and_error(session, lit(only, closure), nee=nee, sample_count=512)[0] == pytest.approx(full, rel=0.01)
+    # in a mixture the other lobe stays lit
+    other = LAMBERT if closure is METAL else METAL
+    alone, _ = mean_and_error(session, lit(Visibility.ALL & ~Visibility.CAMERA, other), sample_count=512)
+    mixed, _ = mean_and_error(session, lit(hidden, closure, other), sample_count=512)
+    assert mixed == pytest.approx(alone, rel=0.02)
+
+
+def test_all_objects_hidden_from_one_kind_of_ray(session):
+    scene = scenes.scene([(scenes.plane(size=2), scenes.IDENTITY, scenes.diffuse(1.0), Visibility.ALL & ~Visibility.GLOSSY)], world=1.0)
+    picture = colour(session.render(scene, RenderSettings(sample_count=4)))
+    assert np.abs(picture - 1).max() < 1e-6

@@ -17,17 +17,17 @@ import warp as wp
 
 from .device import find_device, free_memory, load_kernels, start_warp, worker_count
 from .errors import OutOfMemoryError, RayBatchError
-from .film import Film
+from .film import WINDOW_DIGITS, Film, layout_of
 from .report.statistics import render_statistics
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features, ordinary_features
 from .scene.validate import checked_scene
-from .settings import RenderSettings
+from .settings import SETTINGS, RenderSettings
 from .wavefront.device_scene import DeviceScene, GeometryCache
 from .wavefront.integrator import TileIntegrator, TileState
 from .wavefront.kernels import StageKernels
 from .wavefront.rays import bytes_per_path
-from .wavefront.scheduler import Rectangle, paths_a_worker, reduced_path_count, tile_edge, tiles, water_marks
+from .wavefront.scheduler import paths_a_worker, reduced_path_count, tile_edge, tiles, water_marks
 
 # How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
 POLL_SECONDS = 0.05
@@ -85,6 +85,7 @@ class _ResumeState:
     sample_first: int
     sample_count: int
     sample_order: str
+    estimator: dict[str, Any]  # the settings that the film depends on
 
 
 class Session:
@@ -144,7 +145,7 @@ class Session:
         integrators: list[TileIntegrator] = []
         if prepared is not None:
             device_scene, modules = prepared
-            integrators = self._integrators(job, device_scene)
+            integrators = self._integrators(job, device_scene, state)
             self._run(job, integrators, state, film)
         left = [t for t in state.tiles if t.items_begun < t.tile.pixel_count * state.sample_count or not t.drained]
         film.complete = not left
@@ -181,7 +182,7 @@ class Session:
         x0, y0, x1, y1 = frame.region
         edge = tile_edge(job.settings, self.device.is_cuda, x1 - x0, y1 - y0)
         states = [TileState(tile) for tile in tiles(frame.region, edge)]
-        return _ResumeState(states, job.sample_first, job.settings.sample_count, job.settings.sample_order)
+        return _ResumeState(states, job.sample_first, job.settings.sample_count, job.settings.sample_order, _estimator(job.settings))
 
     def _prepare(self, job: _Job) -> tuple[DeviceScene, list[str]] | None:
         """Build the tree and compile the kernels, side by side; None when cancelled meanwhile."""
@@ -216,18 +217,24 @@ class Session:
         finally:
             pool.shutdown(wait=False)  # a cancelled render does not wait for the compiler
 
-    def _integrators(self, job: _Job, scene: DeviceScene) -> list[TileIntegrator]:
-        workers = worker_count(self.device, job.settings.thread_count)
+    def _integrators(self, job: _Job, scene: DeviceScene, state: _ResumeState) -> list[TileIntegrator]:
+        areas = [t.tile.pixel_count for t in state.tiles if t.items_begun < t.tile.pixel_count * state.sample_count]
+        if not areas:
+            return []
+        workers = min(worker_count(self.device, job.settings.thread_count), len(areas))
         if job.settings.ray_count:
             workers = min(workers, job.settings.ray_count)
-        asked = paths_a_worker(job.settings, workers, self.device.is_cuda)
+        # no tile needs more paths than it has samples
+        asked = min(paths_a_worker(job.settings, workers, self.device.is_cuda), max(areas) * state.sample_count)
         each = bytes_per_path(job.features)
-        budget = int(free_memory(self.device) * PATH_MEMORY_SHARE) // workers
+        layout = layout_of(job.scene.frame.passes, job.scene.frame.transparent)
+        tile_bytes = max(areas) * layout.count * WINDOW_DIGITS * 8
+        budget = max(0, int(free_memory(self.device) * PATH_MEMORY_SHARE) // workers - tile_bytes)
         count = reduced_path_count(asked, each, budget)
         if count == 0:
             raise OutOfMemoryError(
-                f"{self.device.alias} has {budget * workers:,} bytes left for rays and one path takes {each}; "
-                "close other programs or render a smaller scene"
+                f"{self.device.alias} has {budget * workers:,} bytes left for rays beside the film's tiles, and one path takes {each}; "
+                "close other programs, lower tile_size, or render a smaller scene"
             )
         while True:
             try:
@@ -315,6 +322,9 @@ class Session:
 
     def _statistics(self, job: _Job, film: Film, integrators: list[TileIntegrator], modules: list[str]) -> dict[str, Any]:
         job.seconds["total"] = time.perf_counter() - job.started
+        invalid = sum(integrator.invalid_samples for integrator in integrators)
+        if invalid:
+            job.warnings.append(f"{invalid:,} samples were not finite and count as black; this is a fault, please report the scene")
         camera = sum(i.rays.camera for i in integrators)
         rays = {
             "camera": camera,
@@ -335,7 +345,7 @@ class Session:
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),
                 "lights": len(job.scene.lights),
-                "invalid_samples": sum(integrator.invalid_samples for integrator in integrators),
+                "invalid_samples": invalid,
                 "modules": modules,
                 "warnings": job.warnings,
             },
@@ -352,8 +362,13 @@ def _film_to_fill(job: _Job, resume: Film | None) -> Film:
     if resume.resume_state is None:
         raise RayBatchError("this film cannot be resumed: rays were given up when it was cancelled; render it again")
     state = resume.resume_state
-    if (state.sample_first, state.sample_count) != (job.sample_first, job.settings.sample_count):
-        raise RayBatchError("this film was begun with another range of samples; resume it with the same settings")
+    if state.sample_first != job.sample_first or state.estimator != _estimator(job.settings):
+        raise RayBatchError("this film was begun with other settings or another range of samples; resume it with the same ones")
     film = resume.merge(empty)
     film.resume_state = dataclasses.replace(state, tiles=[dataclasses.replace(tile) for tile in state.tiles])
     return film
+
+
+def _estimator(settings: RenderSettings) -> dict[str, Any]:
+    """The settings that change the film."""
+    return {name: getattr(settings, name) for name, info in SETTINGS.items() if info.effect == "estimator"}

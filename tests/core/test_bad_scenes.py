@@ -185,6 +185,49 @@ def test_what_the_exporter_warned_of_comes_first(session):
     assert_lamp(film)
 
 
+@pytest.mark.parametrize(("name", "values"), [("mesh", [0, 2]), ("mesh", [0, -1]), ("slot_first", [0, 9]), ("slot_first", [-1, 0])])
+def test_an_instance_of_what_does_not_exist(session, name, values):
+    """Kernels trust indices."""
+    scene = lamp_and((scenes.plane("other"), scenes.IDENTITY, scenes.diffuse()))
+    instances = dataclasses.replace(scene.instances, **{name: np.array(values, np.int32)})
+    with pytest.raises(SceneError, match="does not exist; export the scene again"):
+        session.render(dataclasses.replace(scene, instances=instances), SETTINGS)
+
+
+def test_a_slot_without_material(session):
+    with pytest.raises(SceneError, match="material that does not exist"):
+        session.render(dataclasses.replace(lamp_and(), slot_materials=np.array([3], np.int32)), SETTINGS)
+
+
+# --- lights and worlds
+
+
+@pytest.mark.parametrize("value", [*BAD_NUMBERS, -1.0])
+def test_a_light_of_impossible_power_is_named_and_left_out(session, value):
+    floor = (scenes.plane("floor", 0.5), scenes.translation(0, 0, -0.9), scenes.diffuse())
+    bulb = Light("Bulb", LightKind.POINT, scenes.translation(0, -2, 0), (1.0, value, 1.0))
+    film = session.render(lamp_and(floor, lights=[bulb]), SETTINGS)
+    (warning,) = film.statistics["warnings"]
+    assert "“Bulb”" in warning and "not rendered" in warning
+    assert_lamp(film)
+
+
+def test_a_light_that_is_nowhere_is_named_and_left_out(session):
+    bulb = Light("Bulb", LightKind.SUN, np.full((3, 4), np.nan, np.float32), (1.0,) * 3)
+    film = session.render(lamp_and(lights=[bulb]), SETTINGS)
+    assert "“Bulb”" in film.statistics["warnings"][0]
+    assert_lamp(film)
+
+
+@pytest.mark.parametrize("value", [*BAD_NUMBERS, -1.0])
+def test_a_world_of_impossible_light_is_black(session, value):
+    film = session.render(dataclasses.replace(lamp_and(), world=scenes.scene(world=(1.0, value, 1.0)).world), SETTINGS)
+    (warning,) = film.statistics["warnings"]
+    assert "world" in warning and "black" in warning
+    picture = film.passes["Combined"]
+    assert picture[0, 0].tolist() == [0, 0, 0, 1] and picture[8, 8].tolist() == [1, 1, 1, 1]
+
+
 # --- empty scenes
 
 
@@ -258,12 +301,12 @@ def test_cuda_where_there_is_none(monkeypatch):
 
 
 def test_fewer_rays_where_memory_is_short(session, monkeypatch):
-    scene, settings = scenes.mixed(), SETTINGS.replace(ray_count=1 << 16, thread_count=2)
+    scene, settings = scenes.mixed(), SETTINGS.replace(sample_count=64, tile_size=32, ray_count=1 << 14, thread_count=1)
     ample = session.render(scene, settings)
-    monkeypatch.setattr(session_module, "free_memory", lambda device: 10 * 2**20)
+    monkeypatch.setattr(session_module, "free_memory", lambda device: 2**20)
     short = session.render(scene, settings)
     (warning,) = short.statistics["warnings"]
-    assert "ray_count was reduced from 65,536 to" in warning and session.device.alias in warning and "memory" in warning
+    assert "ray_count was reduced from 16,384 to" in warning and session.device.alias in warning and "memory" in warning
     assert short.complete and ample.statistics["warnings"] == []
     assert np.array_equal(short.passes["Combined"], ample.passes["Combined"])
 
@@ -280,7 +323,7 @@ def test_fewer_rays_where_an_allocation_fails(session, monkeypatch):
         make(self, scene, frame, settings, marks)
 
     monkeypatch.setattr(integrator.TileIntegrator, "__init__", allocate)
-    film = session.render(lamp_and(), SETTINGS.replace(ray_count=8192, thread_count=1))
+    film = session.render(lamp_and(), SETTINGS.replace(sample_count=64, tile_size=16, ray_count=8192, thread_count=1))
     assert asked == [8192, 4096, 2048, 1024, 512]
     (warning,) = film.statistics["warnings"]
     assert "reduced from 8,192 to 512" in warning

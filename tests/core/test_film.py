@@ -37,7 +37,7 @@ def fsums(values: np.ndarray) -> np.ndarray:
     return np.array([math.fsum(column.tolist()) for column in values.T])
 
 
-@pytest.mark.parametrize("exponents", [(-5, 5), (-39, 30), (-149, 127)])
+@pytest.mark.parametrize("exponents", [(-5, 5), (-39, 30), (-75, 4), (-149, 127)])
 def test_sums_equal_fsum(exponents):
     rng = np.random.default_rng(7)
     values = (rng.standard_normal((400, 32)) * 2.0 ** rng.integers(*exponents, (400, 32))).astype(np.float32)

@@ -26,7 +26,6 @@ class SceneFeatures:
     closures: tuple[ClosureKind, ...] = ()  # sorted
     lights: tuple[LightKind, ...] = ()  # sorted
     light_sphere: bool = False  # a point or spot light shaped as a sphere
-    light_spread: bool = False  # an area light with a spread below 180 degrees
     light_hits: bool = False  # a light without mesh that rays can meet
     mesh_lights: bool = False  # materials that emit
     world: bool = False  # rays that leave the scene find light
@@ -86,7 +85,6 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         closures=tuple(sorted(kinds)),
         lights=tuple(sorted({light.kind for light in scene.lights})),
         light_sphere=any(l.kind in (LightKind.POINT, LightKind.SPOT) and not l.soft_falloff and l.radius > 0 for l in scene.lights),
-        light_spread=any(l.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE) and l.spread < np.pi for l in scene.lights),
         light_hits=any(_can_be_met(light) for light in scene.lights),
         mesh_lights=ClosureKind.EMISSION in kinds,
         world=any(scene.world.radiance),

@@ -7,10 +7,12 @@ import dataclasses
 import numpy as np
 
 from ..errors import SceneError
-from .description import Camera, Frame, Instances, Mesh, Scene
+from .description import Camera, Frame, Instances, Light, Mesh, Scene, World
 
 # Squares of larger coordinates leave float32
 COORDINATE_MAX = 1e18
+# The passes that a film can hold (`film.PASSES`)
+PASS_NAMES = ("Combined", "Depth", "Position", "Normal")
 
 
 def checked_scene(scene: Scene) -> Scene:
@@ -20,12 +22,19 @@ def checked_scene(scene: Scene) -> Scene:
     """
     _check_camera(scene.camera)
     _check_frame(scene.frame)
+    _check_indices(scene)
     warnings: list[str] = []
     meshes = tuple(_checked_mesh(mesh, warnings) for mesh in scene.meshes)
-    instances = _checked_instances(scene, warnings)
+    checked = dataclasses.replace(
+        scene,
+        meshes=meshes,
+        instances=_checked_instances(dataclasses.replace(scene, meshes=meshes), warnings),
+        lights=tuple(light for light in scene.lights if _is_usable(light, warnings)),
+        world=_checked_world(scene.world, warnings),
+    )
     if not warnings:
         return scene
-    return dataclasses.replace(scene, meshes=meshes, instances=instances, warnings=(*scene.warnings, *warnings))
+    return dataclasses.replace(checked, warnings=(*scene.warnings, *warnings))
 
 
 def _check_camera(camera: Camera) -> None:
@@ -36,6 +45,8 @@ def _check_camera(camera: Camera) -> None:
         raise SceneError(f"the camera is more than {COORDINATE_MAX:g} m away from the origin; reset its location and check its constraints and drivers")
     if abs(np.linalg.det(np.asarray(camera.transform, np.float64)[:, :3])) < 1e-3:
         raise SceneError("the camera's matrix is singular; set its scale (and its parents') to 1")
+    if camera.lens_radius > 0 and not (camera.focus_distance > 0 and camera.lens_ratio > 0):
+        raise SceneError("the camera's focus distance or aperture ratio is 0; give it one above 0, or switch depth of field off")
     left, right, bottom, top = camera.window
     if not (left != right and bottom != top):
         raise SceneError("the camera's window has no area; check its focal length or orthographic scale")
@@ -45,6 +56,50 @@ def _check_frame(frame: Frame) -> None:
     x0, y0, x1, y1 = frame.region
     if not (0 <= x0 < x1 <= frame.width and 0 <= y0 < y1 <= frame.height):
         raise SceneError(f"the rendered region {frame.region} is not inside the frame of {frame.width} x {frame.height} pixels")
+    unknown = [name for name in frame.passes if name not in PASS_NAMES]
+    if unknown or "Combined" not in frame.passes:
+        raise SceneError(f"the passes {', '.join(frame.passes)} cannot be rendered: choose Combined and any of {', '.join(PASS_NAMES)}")
+
+
+def _check_indices(scene: Scene) -> None:
+    """Kernels trust indices, so those of a damaged or hand-made scene are checked here."""
+    instances, slots = scene.instances, scene.slot_materials
+    if len(instances) == 0:
+        return
+    if not _within(instances.mesh, len(scene.meshes)):
+        raise SceneError("an instance names a mesh that does not exist; export the scene again")
+    if not _within(slots, len(scene.materials)):
+        raise SceneError("a material slot names a material that does not exist; export the scene again")
+    slot_counts = np.array([1 if mesh.triangle_slot is None or not len(mesh.triangle_slot) else int(mesh.triangle_slot.max()) + 1 for mesh in scene.meshes])
+    filled = np.array([len(mesh.triangles) > 0 for mesh in scene.meshes])
+    needed = np.where(filled, slot_counts, 0)[instances.mesh]
+    bad = np.flatnonzero((instances.slot_first < 0) | (instances.slot_first + needed > len(slots)))
+    if len(bad):
+        raise SceneError(f"object “{_object_name(scene, bad[0])}” has faces of a material slot that does not exist; export the scene again")
+
+
+def _within(indices: np.ndarray, count: int) -> bool:
+    return not len(indices) or (int(indices.min()) >= 0 and int(indices.max()) < count)
+
+
+def _object_name(scene: Scene, instance: int) -> str:
+    place = int(scene.instances.object[instance]) if len(scene.instances.object) > instance else -1
+    return scene.object_names[place] if 0 <= place < len(scene.object_names) else f"instance {instance}"
+
+
+def _is_usable(light: Light, warnings: list[str]) -> bool:
+    numbers = [*np.ravel(light.transform), *light.emission, *light.size, *light.spot_scale, light.radius, light.angle, light.spread, light.blend]
+    if np.all(np.isfinite(numbers)) and min(light.emission) >= 0:
+        return True
+    warnings.append(f"light “{light.name}” has a place, size or power that is not finite, or a negative power: it is not rendered")
+    return False
+
+
+def _checked_world(world: World, warnings: list[str]) -> World:
+    if np.all(np.isfinite(world.radiance)) and min(world.radiance) >= 0:
+        return world
+    warnings.append("the world's colour or strength is negative or not finite: the world is rendered black")
+    return dataclasses.replace(world, radiance=(0.0, 0.0, 0.0))
 
 
 def _checked_mesh(mesh: Mesh, warnings: list[str]) -> Mesh:
@@ -57,6 +112,10 @@ def _checked_mesh(mesh: Mesh, warnings: list[str]) -> Mesh:
             reason = "has vertices that are not finite"
         elif np.abs(mesh.positions).max() > COORDINATE_MAX:
             reason = f"has coordinates beyond {COORDINATE_MAX:g} m"
+        elif mesh.triangle_slot is not None and (mesh.triangle_slot.shape != (len(mesh.triangles),) or mesh.triangle_slot.min() < 0):
+            reason = "has material slots that do not belong to its faces"
+        elif mesh.corner_normals is not None and mesh.corner_normals.shape != (len(mesh.triangles), 3, 3):
+            reason = "has normals that do not belong to its faces"
     if reason is None:
         return mesh
     warnings.append(f"mesh “{mesh.name}” {reason}: it is not rendered")
@@ -73,11 +132,14 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
     # singular in float32: the smallest singular value is lost in the rounding of the largest
     singular_values = np.linalg.svd(linear, compute_uv=False)
     regular = singular_values[:, 2] > singular_values[:, 0] * np.finfo(np.float32).eps
-    keep = finite & regular
+    extent = np.array([np.abs(mesh.positions).max() if len(mesh.triangles) else 0.0 for mesh in scene.meshes])[instances.mesh]
+    near = extent.astype(np.float64) * singular_values[:, 0] <= COORDINATE_MAX
+    keep = finite & regular & near
     for i in np.flatnonzero(~keep):
-        name = scene.object_names[instances.object[i]] if scene.object_names else f"instance {i}"
-        why = "a matrix that is flat or zero" if finite[i] else "a matrix that is not finite"
-        text = f"object “{name}” has {why}: it is not rendered"
+        why = "a matrix that is not finite"
+        if finite[i]:
+            why = "a matrix that is flat or zero" if near[i] else f"coordinates beyond {COORDINATE_MAX:g} m"
+        text = f"object “{_object_name(scene, i)}” has {why}: it is not rendered"
         if text not in warnings:
             warnings.append(text)
     return Instances(*(getattr(instances, field.name)[keep] for field in dataclasses.fields(Instances)))

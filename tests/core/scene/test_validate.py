@@ -1,0 +1,71 @@
+"""Damaged scenes are refused before a kernel trusts them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scenes
+
+from raybatch_addon.core.errors import SceneError
+from raybatch_addon.core.scene.description import Frame, World
+from raybatch_addon.core.scene.validate import PASS_NAMES, checked_scene
+from raybatch_addon.core.film import PASSES
+
+
+def plain():
+    return scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse())], lights=[scenes.sun()])
+
+
+def with_mesh(**changes):
+    scene = plain()
+    return dataclasses.replace(scene, meshes=(dataclasses.replace(scene.meshes[0], **changes),))
+
+
+def with_instances(**changes):
+    scene = plain()
+    return dataclasses.replace(scene, instances=dataclasses.replace(scene.instances, **changes))
+
+
+@pytest.mark.parametrize(
+    "scene, words",
+    [
+        (with_mesh(triangle_slot=np.array([0, 200_000_000], np.int32)), "object 0.*material slot"),
+        (with_instances(slot_first=np.array([5], np.int32)), "object 0.*material slot"),
+        (with_instances(slot_first=np.array([-1], np.int32)), "object 0.*material slot"),
+        (with_instances(mesh=np.array([3], np.int32)), "mesh that does not exist"),
+        (dataclasses.replace(plain(), slot_materials=np.array([7], np.int32)), "material that does not exist"),
+        (dataclasses.replace(plain(), frame=Frame(4, 4, passes=("Combined", "Mist"))), "Mist"),
+        (dataclasses.replace(plain(), camera=scenes.camera(lens_radius=0.1, focus_distance=0.0)), "focus distance"),
+    ],
+    ids=range(7),
+)
+def test_indices_and_numbers_that_lead_nowhere_are_refused_by_name(scene, words):
+    with pytest.raises(SceneError, match=words):
+        checked_scene(scene)
+
+
+@pytest.mark.parametrize(
+    "scene, words",
+    [
+        (with_mesh(triangle_slot=np.zeros(1, np.int32)), "plane.*material slots"),
+        (with_mesh(corner_normals=np.zeros((1, 3, 3), np.float32)), "plane.*normals"),
+        (with_mesh(triangles=np.array([[0, 1, 9]], np.int32)), "plane.*vertices that do not exist"),
+        (with_instances(transform=scenes.translation(0, 0, 0, 1e18)[None] * 2), "object 0.*beyond"),
+        (dataclasses.replace(plain(), world=World((np.nan, 1, 1))), "world"),
+        (dataclasses.replace(plain(), world=World((-1, 0, 0))), "world"),
+        (dataclasses.replace(plain(), lights=(scenes.sun(np.nan),)), "sun"),
+    ],
+    ids=range(7),
+)
+def test_what_cannot_be_rendered_is_left_out_and_named(scene, words):
+    checked = checked_scene(scene)
+    assert len(checked.warnings) == 1
+    with pytest.raises(AssertionError, match=words):
+        raise AssertionError(checked.warnings[0])
+    assert np.isfinite(checked.world.radiance).all()
+
+
+def test_a_good_scene_is_left_alone():
+    scene = plain()
+    assert checked_scene(scene) is scene
+    assert set(PASS_NAMES) == set(PASSES)
