@@ -18,7 +18,7 @@ def register() -> None:
     bpy.utils.register_class(engine.RayBatchRenderEngine)
     if bpy.app.module:
         # Python ends before Blender here, and Blender 4.5 waits for ever on classes that are still registered
-        atexit.register(unregister)
+        atexit.register(_unregister_at_exit)
 
 
 def unregister() -> None:
@@ -30,10 +30,15 @@ def unregister() -> None:
 
     from . import engine, reports, ui
 
-    atexit.unregister(unregister)
+    atexit.unregister(_unregister_at_exit)
     bpy.utils.unregister_class(engine.RayBatchRenderEngine)
     ui.unregister()
     sessions = sys.modules.get(f"{__name__}.sessions")  # there if something was rendered
     if sessions is not None:
         sessions.close_all()
     reports.clear()
+
+
+def _unregister_at_exit() -> None:
+    if not globals().get("__addon_enabled__"):  # what Blender enabled as an add-on, it disables itself
+        unregister()

@@ -124,7 +124,7 @@ def build(platform: str, out: Path, wheels: Path) -> Path:
             done = subprocess.run([sys.executable, str(builder()), *command], stdin=subprocess.DEVNULL, capture_output=True, text=True)
             if done.returncode:
                 raise PackageError(f"Blender's extension builder refused {platform}: {' '.join((done.stdout + done.stderr).split())}")
-        half.replace(target)
+        shutil.move(half, target)  # may be another file system
     return target
 
 
@@ -139,7 +139,7 @@ def main() -> int:
     try:
         for platform in options.platforms or PIP_PLATFORMS:
             print(build(platform, options.out.absolute(), options.wheels.absolute()))
-    except PackageError as error:
+    except (PackageError, OSError) as error:
         print(f"package.py: error: {error}", file=sys.stderr)
         return 3 if isinstance(error, DownloadError) else 1
     return 0

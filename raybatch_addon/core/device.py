@@ -16,15 +16,24 @@ _warp_lock = threading.Lock()
 
 
 def start_warp(cache_folder: str | Path | None = None) -> None:
-    """Initialise Warp once, without a word on standard output; kernels are cached in `cache_folder`."""
+    """Initialise Warp once, without a word on standard output; kernels are cached in `cache_folder`.
+
+    Raises `DeviceError` for a folder that cannot be made.
+    """
     with _warp_lock:
-        if cache_folder is not None:
-            folder = str(Path(cache_folder) / wp.config.version)
-            if wp.config.kernel_cache_dir != folder:
-                os.makedirs(folder, exist_ok=True)
-                wp.config.kernel_cache_dir = folder
         wp.config.log_level = wp.LOG_ERROR
         wp.init()
+        if cache_folder is not None:
+            # after init, which would put the version behind whatever it finds
+            folder = Path(cache_folder) / wp.config.version
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise DeviceError(
+                    f"compiled kernels cannot be kept in {cache_folder} ({error.strerror}); make it writable, or set "
+                    "RAYBATCH_KERNEL_CACHE to a folder that is"
+                ) from error
+            wp.config.kernel_cache_dir = str(folder)
 
 
 def find_device(name: str) -> wp.Device:

@@ -38,6 +38,8 @@ class SettingInfo:
             return "one of " + ", ".join(identifier for identifier, _, _ in self.choices)
         if self.kind is str:
             return "text"
+        if self.kind is int:
+            return f"{int(self.minimum)} to {int(self.maximum)}"
         return f"{self.minimum:g} to {self.maximum:g}"
 
 

@@ -176,7 +176,7 @@ def test_a_shadow_ray_ends_before_the_light_that_it_aims_at(far, sliver):
     device = wp.get_device(DEVICE)
     flat = flatten(scene)
     lights, geometry = upload_lights(scene, device), upload_geometry(flat, scene, device)
-    built = build_reference(flat, instances.visibility, device)
+    built = build_reference(flat, instances.visibility, True, device)
     position = (world_triangle(scene, 0, 0).mean(0) + 3 * rng.normal(size=(COUNT, 3))).astype(np.float32)
     found, same = wp.zeros(COUNT, dtype=wp.vec3, device=device), wp.zeros(COUNT, dtype=int, device=device)
     inputs = [lights.table, geometry, built.tree, wp.array(position, dtype=wp.vec3, device=device)]
