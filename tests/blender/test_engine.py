@@ -10,6 +10,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from blender_builders import add_object, add_triangle, material_of, node_tree  # noqa: E402
+from blender_watch import watch_engines  # noqa: E402
 
 from raybatch_addon import frame, reports, sessions  # noqa: E402
 from raybatch_addon.core.errors import SceneError  # noqa: E402
@@ -49,29 +50,10 @@ def films(lit):
     frame.film_listeners.remove(listen)
 
 
-class Watched:
-    """Blender's engine with some of its methods replaced: Blender does not let us replace them on its class."""
-
-    def __init__(self, engine, methods):
-        object.__setattr__(self, "engine", engine)
-        object.__setattr__(self, "methods", methods)
-
-    def __getattr__(self, name):
-        if name in self.methods:
-            return lambda *args, **options: self.methods[name](self.engine, *args, **options)
-        return getattr(self.engine, name)
-
-    def __setattr__(self, name, value):
-        setattr(self.engine, name, value)
-
-
 @pytest.fixture
 def watch(monkeypatch):
     """watch(name=function, ...): replaces methods of every engine; the functions get the engine first."""
-    methods = {}
-    original = frame.render_view_layer
-    monkeypatch.setattr(frame, "render_view_layer", lambda engine, depsgraph: original(Watched(engine, methods), depsgraph))
-    return methods.update
+    return lambda **methods: watch_engines(monkeypatch, **methods)
 
 
 @pytest.fixture

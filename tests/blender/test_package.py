@@ -1,5 +1,6 @@
 """The extension's zip: what is in it, and that a Blender without Warp renders with it."""
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -134,6 +135,16 @@ def test_blender_without_warp_renders_with_it(linux_zip, tmp_path):
     assert Image.open(again).tobytes() == picture.tobytes()
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("wp_*") if path.is_file()} == kernels
     assert not list(tmp_path.glob("cache/**/wp_*"))
+
+    # either way of adding it lets Python end by itself
+    for add in (
+        "import addon_utils; addon_utils.enable('bl_ext.user_default.raybatch')",
+        "import sys; sys.path.insert(0, sys.argv[1]); import raybatch_addon; raybatch_addon.register()",
+    ):
+        code = f"import bpy; {add}; assert hasattr(bpy.types.Scene, 'raybatch')"
+        variables = {**os.environ, **{name: str(value) for name, value in environment.items()}}
+        done = subprocess.run([sys.executable, "-c", code, ROOT], capture_output=True, text=True, env=variables, timeout=60)
+        assert done.returncode == 0 and "Error" not in done.stderr, done.stderr
 
 
 @pytest.mark.parametrize("platform", package.PIP_PLATFORMS)
