@@ -1,5 +1,7 @@
 # make render   render the demo scene into out/demo.png (statistics beside it, in out/demo.json)
 # make test     run the whole test suite
+# make package  build the Blender extension's zips into dist/
+# make clean    remove what was rendered, built and cached here, but for the environment
 #
 # PYTHON=...    the Python to use (3.13 or 3.11); the newest usable one is found otherwise
 # VENV=...      the folder of the environment (default .venv)

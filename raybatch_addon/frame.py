@@ -47,6 +47,9 @@ def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsg
         _render(engine, depsgraph, report)
     except RayBatchError as error:
         _fail(engine, report, str(error))
+    except KeyboardInterrupt:
+        report.interrupted = True
+        _fail(engine, report, "stopped from the keyboard")
     except BaseException as error:  # Blender would go on to save a blank frame, or crash
         traceback.print_exc(file=sys.stderr)
         _fail(engine, report, f"the render failed: {type(error).__name__}: {error}")
@@ -80,8 +83,8 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
     with session_for(settings) as session:
         film = session.render(scene, settings, on_tile=writer.write, on_progress=on_progress, cancelled=engine.test_break)
     seconds = film.statistics["seconds"]
-    seconds["export"] = export_seconds
-    seconds["total"] = seconds.get("total", 0.0) + export_seconds
+    seconds["export"] = round(export_seconds, 6)
+    seconds["total"] = round(seconds.get("total", 0.0) + export_seconds, 6)
     report.statistics[layer_name] = film.statistics
     _report_warnings(engine, report, film.statistics["warnings"])
     for listener in film_listeners:

@@ -13,6 +13,7 @@ class RenderReport:
     scene: str
     frame: int
     errors: list[str] = field(default_factory=list)  # the render failed
+    interrupted: bool = False  # by Ctrl-C
     warnings: list[str] = field(default_factory=list)  # it went on
     statistics: dict[str, dict[str, Any]] = field(default_factory=dict)  # by view layer, as documented for `--json`
 

@@ -71,6 +71,9 @@ def request_from(options: argparse.Namespace) -> Request:
         raise UsageError("nothing would be written: give at least one of -o, --film, --json and --save-scene")
     assignments = options.set + ([f"device={options.device}"] if options.device else [])
     settings, resolution = parse_settings(assignments)
+    for name, option, ending in ((options.film, "--film", ".npz"), (options.save_scene, "--save-scene", ".scene.npz")):
+        if name and not name.lower().endswith(ending):
+            raise UsageError(f"{option} {name}: name it with the ending {ending}, by which it is known later")
     frames = (options.frame,) if options.frame is not None else parse_frames(options.frames) if options.frames else None
     return Request(
         source=options.file, kind=kind_of(options.file), out=options.out, frames=frames, view_layers=tuple(options.view_layer),

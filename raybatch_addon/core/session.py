@@ -341,6 +341,7 @@ class Session:
             rays=rays,
             samples=int(film.counts.sum()),
             counts={
+                "schedule": {"workers": len(integrators), "ray_count": sum(i.path_count for i in integrators)},
                 "complete": film.complete,
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),

@@ -71,7 +71,7 @@ def _strength(light: bpy.types.Light, name: str, warnings: list[str]) -> np.ndar
         try:
             strength = strength * constant_emission(light.node_tree)
         except NotUnderstood as reason:
-            warnings.append(f"{name}: {reason}, which is not supported; the light shines as if it had no nodes")
+            warnings.append(f"{name}: {reason}: this is not supported yet; the light shines as if it had no nodes")
     return strength
 
 

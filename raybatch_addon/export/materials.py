@@ -65,7 +65,7 @@ def export_material(material: bpy.types.Material | None) -> tuple[Material, list
         mixture = _surface(material, notes)
     except NotUnderstood as reason:
         mixture = single(ClosureKind.DIFFUSE, tuple(max(float(c), 0.0) for c in material.diffuse_color[:3]))
-        notes = [f"{reason} is not supported yet; rendered in the material's viewport colour"]
+        notes = [f"{reason}: this is not supported yet; rendered in the material's viewport colour"]
     return _material(material.name, mixture), notes
 
 

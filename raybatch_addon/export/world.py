@@ -22,7 +22,7 @@ def export_world(world: bpy.types.World | None, warnings: list[str]) -> World:
         try:
             radiance = constant_emission(world.node_tree)
         except NotUnderstood as reason:
-            warnings.append(f"world “{world.name}”: {reason}, which is not supported; the world has its viewport colour instead")
+            warnings.append(f"world “{world.name}”: {reason}: this is not supported yet; the world has its viewport colour instead")
         if has_volume(world.node_tree):
             warnings.append(f"world “{world.name}”: volumes are not supported; the world's volume is left out")
     return World(radiance=usable_emission(radiance, f"world “{world.name}”", warnings), visibility=_visibility(world))

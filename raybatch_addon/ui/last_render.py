@@ -56,11 +56,25 @@ def report_lines(report: reports.RenderReport) -> list[str]:
     return lines
 
 
+@bpy.app.handlers.persistent
+def _show_at_end(*_) -> None:
+    # the end of a render alone does not make Blender draw the Properties editor again
+    for manager in bpy.data.window_managers:
+        for window in manager.windows:
+            for area in window.screen.areas:
+                if area.type == "PROPERTIES":
+                    area.tag_redraw()
+
+
 def register() -> None:
     """Add the panel."""
     bpy.utils.register_class(RAYBATCH_RENDER_PT_last_render)
+    for handlers in (bpy.app.handlers.render_complete, bpy.app.handlers.render_cancel):
+        handlers.append(_show_at_end)
 
 
 def unregister() -> None:
     """Remove the panel."""
+    for handlers in (bpy.app.handlers.render_complete, bpy.app.handlers.render_cancel):
+        handlers.remove(_show_at_end)
     bpy.utils.unregister_class(RAYBATCH_RENDER_PT_last_render)

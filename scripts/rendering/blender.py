@@ -20,7 +20,7 @@ from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.export.settings import settings_from
 
 from .imported import import_geometry
-from .output import OutputError, OutputFolders, described, numbered, write_film, write_json
+from .output import OutputError, OutputFolders, described, numbered, tell_saved, tell_warnings, write_film, write_json
 from .progress import ProgressBar
 from .request import BLEND, Request, UsageError
 
@@ -80,9 +80,11 @@ class BlenderRender:
             save_scene(Path(self._request.save_scene).absolute(), exported, settings)
             self._scene_saved = True
             if not self._request.renders:
+                tell_warnings(exported.warnings)
                 raise _SceneSaved("the scene is saved")
 
     def _on_film(self, layer: str, _exported: Scene, film: Film) -> None:
+        tell_warnings(film.statistics["warnings"])
         self._statistics.append(described(film, bpy.context.scene.frame_current, layer))
         if self._request.film:
             self._films.append((layer, film))
@@ -129,11 +131,15 @@ class BlenderRender:
             bpy.ops.render.render(**how)
         except RuntimeError as error:
             report = reports.last()
+            if report is not None and report is not before and report.interrupted:
+                raise KeyboardInterrupt from None
             told = report.errors if report is not None and report is not before else []
             if self._scene_saved and not self._request.renders:
                 return
             raise SceneError(told[0] if told else _one_line(error)) from None
         if (report := reports.last()) is not None and report is not before and report.errors and not self._scene_saved:
+            if report.interrupted:
+                raise KeyboardInterrupt
             raise SceneError(report.errors[0])
 
 
@@ -156,7 +162,9 @@ class _Workshop:
         if not made:
             raise OutputError(f"Blender wrote no picture to {place or self._where}; is the disk full?")
         for file in made:
-            os.replace(file, place if place is not None and len(made) == 1 else self._where / file.name)
+            target = place if place is not None and len(made) == 1 else self._where / file.name
+            os.replace(file, target)
+            tell_saved(target)
 
 
 def _open(request: Request) -> None:

@@ -7,7 +7,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -143,3 +143,20 @@ def described(film: Film, frame_number: int | None, view_layer: str | None) -> d
     statistics = dict(film.statistics)
     statistics["frame"] = {**statistics.get("frame", {}), "number": frame_number, "view_layer": view_layer}
     return statistics
+
+
+WARNINGS_SHOWN = 10  # of one picture; all of them are in the statistics
+
+
+def tell_warnings(warnings: Iterable[str]) -> None:
+    """Write what a render did without, or did otherwise, to standard error."""
+    warnings = list(warnings)
+    for text in warnings[:WARNINGS_SHOWN]:
+        print(f"render.py: warning: {text}", file=sys.stderr)
+    if len(warnings) > WARNINGS_SHOWN:
+        print(f"render.py: warning: {len(warnings) - WARNINGS_SHOWN} more; --json lists them", file=sys.stderr)
+
+
+def tell_saved(path: Path) -> None:
+    """Write where a picture went to standard error."""
+    print(f"render.py: saved {path}", file=sys.stderr)

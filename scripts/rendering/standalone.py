@@ -12,7 +12,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.kernel_cache import kernel_cache_folder
 
-from .output import OutputFolders, described, write_film, write_json
+from .output import OutputFolders, described, tell_saved, tell_warnings, write_film, write_json
 from .pictures import picture_path, write_picture
 from .progress import ProgressBar
 from .request import ARCHIVE, RESOLUTION_DEFAULT, Request, UsageError
@@ -32,6 +32,7 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
     if request.save_scene:
         save_scene(Path(request.save_scene).absolute(), scene, settings)
     if not request.renders:
+        tell_warnings(scene.warnings)
         return
     session = Session(settings.device, settings, kernel_cache_folder())
     try:
@@ -39,8 +40,10 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
     finally:
         session.close()
         bar.close()
+    tell_warnings(film.statistics["warnings"])
     if out is not None:
         write_picture(out, film)
+        tell_saved(out)
     if film_path is not None:
         write_film(film_path, [("", film)])
     if request.json:

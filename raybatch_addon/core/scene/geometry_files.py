@@ -22,9 +22,9 @@ from .description import (
 UP_AXES = {"y": np.array([0.0, 1.0, 0.0]), "z": np.array([0.0, 0.0, 1.0])}
 FOV_DEFAULT = math.radians(40)
 # Default light: a sun over the viewer's left shoulder and a sky that fills the shadows
-SUN_IRRADIANCE = 3.0  # [W/m²]
+SUN_IRRADIANCE = 1.7  # [W/m²]
 SUN_ANGLE = math.radians(3)
-SKY_RADIANCE = (0.55, 0.65, 0.8)  # [W/(m² sr)]
+SKY_RADIANCE = (0.3, 0.36, 0.45)  # [W/(m² sr)]
 GOLDEN_RATIO = (1 + math.sqrt(5)) / 2
 
 

@@ -88,6 +88,7 @@ class TileIntegrator:
         self._scratch = Scratch(count, device)
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
         self._alive = 0
+        self.path_count = count  # slots: paths alive at once at most
         self.rays = RayTotals()
         self.invalid_samples = 0
         self.items_done = 0  # paths that came to their end, for progress

@@ -80,7 +80,7 @@ def constant_value(socket, groups: tuple[Any, ...] = ()) -> float | tuple[float,
         return 0.0 if own is None else _plain(own)
     if source.node.bl_idname in ("ShaderNodeValue", "ShaderNodeRGB"):
         return _plain(source.socket)
-    raise NotUnderstood(f"{node_label(source.node)} gives the {socket.name} of {node_label(socket.node)}")
+    raise NotUnderstood(f"{node_label(source.node)}, which gives the {socket.name} of {node_label(socket.node)}")
 
 
 def constant_float(socket, groups: tuple[Any, ...] = ()) -> float:
