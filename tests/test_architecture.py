@@ -21,7 +21,7 @@ ROOMS = (
     "core/scene",
     "core/bvh",
     "core/shading",
-    "core/film.py",
+    "core/film",
     "core/report",
     "core/wavefront",
     "core/session.py",

@@ -17,7 +17,9 @@ import warp as wp
 
 from .device import find_device, free_memory, load_kernels, start_warp, worker_count
 from .errors import OutOfMemoryError, RayBatchError
-from .film import WINDOW_DIGITS, Film, layout_of
+from .film import Film, layout_of
+from .film.sums import WINDOW_DIGITS
+from .film.tile import FinishedTile
 from .report.statistics import render_statistics
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features, ordinary_features
@@ -261,14 +263,14 @@ class Session:
         for tile in open_tiles:
             todo.put(tile)
         total = sum(t.tile.pixel_count * state.sample_count - t.items_begun for t in open_tiles)
-        results: queue.SimpleQueue[tuple[TileState, Film] | BaseException] = queue.SimpleQueue()
+        results: queue.SimpleQueue[FinishedTile | BaseException] = queue.SimpleQueue()
         stop = threading.Event()
 
         def work(integrator: TileIntegrator) -> None:
             try:
                 while not stop.is_set():
                     tile = todo.get_nowait()
-                    results.put((tile, integrator.render(tile, state.sample_first, state.sample_count, stop.is_set)))
+                    results.put(integrator.render(tile, state.sample_first, state.sample_count, stop.is_set))
             except queue.Empty:
                 pass
             except BaseException as error:  # carried to the calling thread, and raised there
@@ -298,10 +300,7 @@ class Session:
             return
         if isinstance(result, BaseException):
             raise result
-        state, part = result
-        tile = state.tile
-        film.add_tile(tile.x, tile.y, part)
-        job.on_tile(Tile(tile.x, tile.y, tile.width, tile.height, film.part(tile.x, tile.y, tile.width, tile.height)))
+        job.on_tile(Tile(result.x, result.y, result.width, result.height, film.add_tile(result)))
 
     def _render_progress(self, job: _Job, integrators: list[TileIntegrator], done: int, total: int, start: float) -> Progress:
         seconds = time.perf_counter() - start
@@ -325,10 +324,9 @@ class Session:
         invalid = sum(integrator.invalid_samples for integrator in integrators)
         if invalid:
             job.warnings.append(f"{invalid:,} samples were not finite and count as black; this is a fault, please report the scene")
-        camera = sum(i.rays.camera for i in integrators)
         rays = {
-            "camera": camera,
-            "bounce": sum(i.rays.extending for i in integrators) - camera,
+            "camera": sum(i.rays.camera for i in integrators),
+            "bounce": sum(i.rays.bounced for i in integrators),
             "shadow": sum(i.rays.shadow for i in integrators),
         }
         x0, y0, x1, y1 = film.region
@@ -339,7 +337,7 @@ class Session:
             frame={"width": film.width, "height": film.height, "region": list(film.region), "passes": list(film.pass_names)},
             seconds={"build": 0.0, "compile": 0.0, "render": 0.0, **job.seconds},
             rays=rays,
-            samples=int(film.counts.sum()),
+            samples=film.sample_total,
             counts={
                 "schedule": {"workers": len(integrators), "ray_count": sum(i.path_count for i in integrators)},
                 "complete": film.complete,

@@ -9,19 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from under_test import DEVICE
 
-from raybatch_addon.core import film as film_module
 from raybatch_addon.core.errors import RayBatchError
-from raybatch_addon.core.film import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, Film
+from raybatch_addon.core.film import Film, layout_of
+from raybatch_addon.core.film import sums as sums_module
+from raybatch_addon.core.film.sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums
+from raybatch_addon.core.film.tile import FilmTile, FilmTiles, FinishedTile, take_spill
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Frame
-from raybatch_addon.core.wavefront.stages.accumulate import FilmTile, add_spill_kernel, allocate_film_tile, take_spill
 
 
 @wp.kernel(**KERNEL_OPTIONS)
 def add_all(window: wp.array2d(dtype=wp.int64), wide: wp.array2d(dtype=wp.int64), values: wp.array2d(dtype=float)):
     i, j = wp.tid()
-    if not film_module.add_window(window, j, values[i, j]):
-        film_module.add_wide(wide, j, values[i, j])
+    if not sums_module.add_window(window, j, values[i, j]):
+        sums_module.add_wide(wide, j, values[i, j])
 
 
 def summed(values: np.ndarray) -> ExactSums:
@@ -73,9 +74,14 @@ def test_any_order_and_partition_gives_the_same_bits(values, random):
     assert total.sums()[0, 0] == whole.sums()[0, 0] == math.fsum(values)
 
 
+def black_tile(pixel_count: int) -> FilmTile:
+    device = wp.get_device(DEVICE)
+    spilled = wp.zeros(1, dtype=int, device=device)
+    return FilmTiles(4, layout_of(("Combined",), False), ("Combined",), device, spilled).begin(pixel_count)
+
+
 def test_a_sample_outside_the_window_is_set_aside_and_kept():
-    layout = film_module.layout_of(("Combined",), False)
-    tile: FilmTile = allocate_film_tile(1, 4, layout, ("Combined",), DEVICE)
+    tile = black_tile(1)
     tile.spill_index.assign(np.array([0, 2] + [0] * 10, np.int32))
     tile.spill_value.assign(np.array([1e30, 1e-30] + [0] * 10, np.float32))
     tile.spill_count.assign([2])
@@ -83,7 +89,6 @@ def test_a_sample_outside_the_window_is_set_aside_and_kept():
     sums = ExactSums(tile.window.numpy(), tile.wide.numpy(), 3).sums()[0]
     assert sums.tolist() == [float(np.float32(1e30)), 0.0, float(np.float32(1e-30))]
     assert tile.spill_count.numpy()[0] == 0
-    assert add_spill_kernel is not None
 
 
 def film_of(samples: np.ndarray, frame: Frame) -> Film:
@@ -108,17 +113,50 @@ def test_merging_films_of_different_frames_is_refused():
         Film.empty(Frame(4, 2)).merge(Film.empty(Frame(2, 4)))
 
 
-def test_tiles_land_where_they_belong():
+def finished(x: int, y: int, values: np.ndarray) -> FinishedTile:
+    """A tile of one row whose pixels have each one sample, `values` [pixels, 3]."""
+    tile = black_tile(len(values))
+    window = np.zeros((WINDOW_DIGITS, values.size), np.int64)
+    window[WINDOW_DIGITS - 1] = values.ravel()
+    tile.window.assign(window)
+    tile.counts.fill_(1)
+    return FinishedTile((x, y, len(values), 1), tile, layout_of(("Combined",), False), ("Combined",), len(values))
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_tiles_land_where_they_belong(resumed):
     film = Film.empty(Frame(8, 6, border=(2, 1, 7, 5)))
-    tile = Film.empty(Frame(8, 6, border=(3, 2, 5, 3)))
-    tile.sums.window[WINDOW_DIGITS - 1] = [1, 2, 3, 4, 5, 6]
-    tile.counts[:] = 1
-    film.add_tile(3, 2, tile)
+    values = np.array([[1, 2, 3], [4, 5, 6]])
+    if resumed:  # a pixel elsewhere has a sample already, so that pictures come from the sums
+        film.counts[0] = 1
+    shown = film.add_tile(finished(3, 2, values))
     picture = film.passes["Combined"]
     assert picture.shape == (4, 5, 4)
-    assert picture[1, 1:3, :3].tolist() == [[1, 2, 3], [4, 5, 6]]
-    assert picture[..., :3].sum() == 21
-    assert np.array_equal(film.part(3, 2, 2, 1)["Combined"][0, :, :3], [[1, 2, 3], [4, 5, 6]])
+    assert picture[1, 1:3, :3].tolist() == values.tolist()
+    assert picture[..., :3].sum() == 21 and (picture[..., 3] == 1).all()
+    assert np.array_equal(shown["Combined"][0, :, :3], values)
+    assert np.array_equal(film.part(3, 2, 2, 1)["Combined"][0, :, :3], values)
+    assert film.sample_total == film.counts.sum() == 2 + resumed
+    assert film.counts.reshape(4, 5)[1, 1:3].tolist() == [1, 1]
+    again = film.merge(Film.empty(Frame(8, 6, border=(2, 1, 7, 5))))
+    assert np.array_equal(again.passes["Combined"], picture)
+
+
+@pytest.mark.parametrize("exponents", [(-5, 5), (-60, 4), (-96, -20), (20, 31)])
+def test_pictures_made_on_the_device_have_the_bits_of_the_sums(exponents):
+    rng = np.random.default_rng(3)
+    digits = rng.integers(-(2**62), 2**62, (WINDOW_DIGITS, 300)) >> rng.integers(0, 62, (WINDOW_DIGITS, 300))
+    digits[-1] >>= 32
+    values = np.ldexp(rng.standard_normal((40, 300)), rng.integers(*exponents, (40, 300))).astype(np.float32)
+    for window in (digits, summed(values).window):
+        tile = black_tile(100)
+        tile.window.assign(window)
+        tile.counts.assign(rng.integers(0, 50, 100))
+        done = FinishedTile((0, 0, 10, 10), tile, layout_of(("Combined",), False), ("Combined",), 0)
+        film = Film.empty(Frame(10, 10))
+        film.add_tile(done)
+        expected = film.merge(Film.empty(Frame(10, 10))).passes["Combined"]
+        assert np.array_equal(done.passes["Combined"].view(np.int32), expected.view(np.int32))
 
 
 def test_npz_holds_the_passes(tmp_path):

@@ -8,19 +8,19 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ..film import FIRST_SAMPLE_PASSES, ExactSums, Film, layout_of, no_wide
+from ..film import layout_of
+from ..film.tile import FilmTile, FilmTiles, FinishedTile, take_spill
 from ..scene.description import Frame
 from ..settings import RenderSettings
 from ..shading.sampling import filter_table
 from .device_scene import DeviceScene
 from .kernels import StageKernels
-from .queues import GatherRule, Scratch, SlotQueue
+from .queues import Counts, GatherRule, PairQueue, Scratch
 from .rays import RayKind, Status, allocate_paths, allocate_rays
 from .scheduler import Rectangle, WaterMarks
-from .stages.accumulate import FilmTile, allocate_film_tile, take_spill
 from .stages.generate import TileWork
 from .stages.limits import path_limits
-from .tracer import ReferenceTracer, SlotList
+from .tracer import NO_SLOTS, ReferenceTracer, SlotList
 
 # A stopped tile whose rays are not at their end after this long gives them up [s]
 DRAIN_SECONDS = 0.25
@@ -43,29 +43,49 @@ class RayTotals:
     """Rays traced so far."""
 
     camera: int = 0
-    extending: int = 0  # camera rays and those that scattered
+    bounced: int = 0  # scattered, or gone on behind a transparent surface
     shadow: int = 0
 
     @property
     def total(self) -> int:
         """Of all kinds."""
-        return self.extending + self.shadow
+        return self.camera + self.bounced + self.shadow
 
 
-def gather_rules(path_count: int) -> dict[str, GatherRule]:
-    """The lists of a turn of the loop, by name."""
-    new_ray, out_ray = int(Status.RAY_NEW), int(Status.RAY_NEW | Status.RAY_OUT)
-    new_shadow, out_shadow = int(Status.SHADOW_NEW), int(Status.SHADOW_NEW | Status.SHADOW_OUT)
-    ended = int(Status.ALIVE | Status.ENDED)
-    shade = ended | int(Status.HIT) | out_ray | out_shadow
-    return {
-        "free": GatherRule(int(Status.ALIVE), 0),
-        "rays": GatherRule(new_ray, new_ray, change=out_ray),
-        "shadow": GatherRule(new_shadow, new_shadow, change=out_shadow, slot_first=path_count),
-        "miss": GatherRule(shade, int(Status.ALIVE)),
-        "surface": GatherRule(shade, int(Status.ALIVE | Status.HIT)),
-        "done": GatherRule(ended | out_ray | out_shadow, ended),
-    }
+# Places of the lists' lengths among the worker's counts
+_BOUNCE, _SHADOW, _MISS, _SURFACE, _DONE, _FREE, _CAMERA, _SPILL, _COUNTS = range(9)
+
+
+class TileLists:
+    """The lists of a turn of the loop."""
+
+    def __init__(self, path_count: int, device: wp.Device):
+        new_ray, out_ray = int(Status.RAY_NEW), int(Status.RAY_NEW | Status.RAY_OUT)
+        new_shadow, out_shadow = int(Status.SHADOW_NEW), int(Status.SHADOW_NEW | Status.SHADOW_OUT)
+        alive, hit, ended = int(Status.ALIVE), int(Status.HIT), int(Status.ALIVE | Status.ENDED)
+        shade = ended | hit | out_ray | out_shadow
+        self.counts = Counts(_COUNTS, device)
+        self._scratch = Scratch(path_count, device)
+
+        def pair(a: GatherRule, b: GatherRule, place: int, b_has_a: bool = False) -> PairQueue:
+            return PairQueue(path_count, a, b, self.counts, place, b_has_a)
+
+        shadow = GatherRule(new_shadow, new_shadow, change=out_shadow, slot_first=path_count)
+        self._new = pair(GatherRule(new_ray, new_ray, change=out_ray), shadow, _BOUNCE)
+        self._back = pair(GatherRule(shade, alive), GatherRule(shade, alive | hit), _MISS)
+        self._over = pair(GatherRule(ended | out_ray | out_shadow, ended), GatherRule(alive, 0), _DONE, b_has_a=True)
+
+    def new_rays(self, status: wp.array, bound: int) -> tuple[SlotList, SlotList]:
+        """Scattered rays and shadow rays that wait to be traced; they count as under way from now on."""
+        return self._new.gather(status, self._scratch, bound)
+
+    def back(self, status: wp.array, bound: int) -> tuple[SlotList, SlotList]:
+        """Paths whose rays are all back: those that left the scene, and those that met a surface."""
+        return self._back.gather(status, self._scratch, bound)
+
+    def over(self, status: wp.array, path_count: int) -> tuple[SlotList, SlotList]:
+        """Paths at their end, and all slots that are free once these are in the film."""
+        return self._over.gather(status, self._scratch, path_count)
 
 
 class TileIntegrator:
@@ -81,11 +101,9 @@ class TileIntegrator:
         self._rays = allocate_rays(count * (2 if scene.shadow_rays else 1), device)
         self._tracer = ReferenceTracer(scene.tree, self._rays, self._kernels.tracing(), device) if scene.tree else None
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
-        self._rules = gather_rules(count)
-        unused = set() if scene.shadow_rays else {"shadow"}
-        unused |= set() if features.surfaces else {"surface"}
-        self._queues = {name: SlotQueue(count, device) for name in self._rules if name not in unused}
-        self._scratch = Scratch(count, device)
+        self._lists = TileLists(count, device)
+        self._film_tiles = FilmTiles(count, self._layout, frame.passes, device, self._lists.counts.at(_SPILL))
+        self._free = NO_SLOTS
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
         self._alive = 0
         self.path_count = count  # slots: paths alive at once at most
@@ -93,27 +111,32 @@ class TileIntegrator:
         self.invalid_samples = 0
         self.items_done = 0  # paths that came to their end, for progress
 
-    def render(self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool]) -> Film:
-        """Render what is left of a tile and return the film of it; `state` is brought up to date.
+    def render(self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool]) -> FinishedTile:
+        """Render what is left of a tile; `state` is brought up to date.
 
         When `stop()` turns true no path is begun any more, and those under way are brought to their end.
         """
         work, film = self._begin_tile(state, sample_first, sample_count)
         items = state.tile.pixel_count * sample_count
-        stopped_at = None
+        done, stopped_at = 0, None
         while True:
             if stopped_at is None and stop():
                 stopped_at = time.perf_counter()
+            camera = NO_SLOTS
             if stopped_at is None:
-                self._generate(state, work, items)
+                camera = self._generate(state, work, items)
             elif self._alive and time.perf_counter() - stopped_at > DRAIN_SECONDS:
                 self._give_up(state)
             if self._alive == 0:
-                return self._film_of(state.tile, film)
-            new_rays = self._submit_new_rays()
-            self._trace(new_rays)
+                break
+            bounced = self._submit_new_rays(camera)
+            self._trace([camera, bounced])
             self._shade(work, film)
-            self._finish_paths(film)
+            done += self._finish_paths(film)
+        tile = state.tile
+        finished = FinishedTile((tile.x, tile.y, tile.width, tile.height), film, self._layout, self._frame.passes, done)
+        self.invalid_samples += finished.invalid
+        return finished
 
     # --- the steps, in the order of the loop
 
@@ -124,32 +147,39 @@ class TileIntegrator:
         work.frame_width = self._frame.width
         work.sample_first, work.sample_count = sample_first, sample_count
         work.filter_table = self._filter
-        film = allocate_film_tile(tile.pixel_count, self._marks.path_count, self._layout, self._frame.passes, self._device)
-        return work, film
+        # every slot is free
+        self._free = self._lists.over(self._paths.status, self._marks.path_count)[1]
+        return work, self._film_tiles.begin(tile.pixel_count)
 
-    def _generate(self, state: TileState, work: TileWork, items: int) -> None:
+    def _generate(self, state: TileState, work: TileWork, items: int) -> SlotList:
         count = self._marks.to_generate(self._alive, items - state.items_begun)
         if count == 0:
-            return
-        free = self._gather("free", self._marks.path_count)
-        work.item_first = state.items_begun
-        self._launch(self._kernels.generate, count, work, self._limits, self._scene.camera, self._paths, self._rays, free.slots)
+            return NO_SLOTS
+        work.item_first, work.item_count = state.items_begun, count
+        lengths = self._lists.counts.at(_CAMERA)
+        self._launch(
+            self._kernels.generate, count, work, self._limits, self._scene.camera, self._paths, self._rays, self._free.slots, lengths
+        )
         state.items_begun += count
         self._alive += count
         self.rays.camera += count
+        return SlotList(self._free.slots, lengths, count)
 
-    def _submit_new_rays(self) -> SlotList:
-        new_rays = self._gather("rays", self._alive)
+    def _submit_new_rays(self, camera: SlotList) -> SlotList:
+        bounced, shadow = self._lists.new_rays(self._paths.status, self._alive)
         if self._tracer:
-            self._tracer.submit(RayKind.CLOSEST, new_rays)
+            for rays in (camera, bounced):
+                if rays.bound:
+                    self._tracer.submit(RayKind.CLOSEST, rays)
             if self._scene.shadow_rays:
-                self._tracer.submit(self._shadow_kind, self._gather("shadow", self._alive))
-        return new_rays
+                self._tracer.submit(self._shadow_kind, shadow)
+        return bounced
 
-    def _trace(self, new_rays: SlotList) -> None:
+    def _trace(self, new_rays: list[SlotList]) -> None:
         if self._tracer is None:
             # nothing to hit: ray slots say so from the start
-            self._launch_over(self._kernels.settle, new_rays, self._paths, self._rays)
+            for rays in new_rays:
+                self._launch_over(self._kernels.settle, rays, self._paths, self._rays)
             return
         self._tracer.advance()
         for kind, back in self._tracer.take_finished():
@@ -164,28 +194,28 @@ class TileIntegrator:
 
     def _shade(self, work: TileWork, film: FilmTile) -> None:
         data, limits, paths, rays = self._scene.data, self._limits, self._paths, self._rays
-        miss = self._gather("miss", self._alive)
+        miss, surface = self._lists.back(paths.status, self._alive)
         if self._kernels.light_hits:
             self._launch_over(self._kernels.light_hits, miss, data, limits, paths, rays)
         self._launch_over(self._kernels.background, miss, data, limits, paths, rays, film)
         if self._kernels.surface:
-            surface = self._gather("surface", self._alive)
             if self._kernels.light_hits:
                 self._launch_over(self._kernels.light_hits, surface, data, limits, paths, rays)
             self._launch_over(self._kernels.surface, surface, data, work, limits, paths, rays, film)
 
-    def _finish_paths(self, film: FilmTile) -> None:
-        done = self._gather("done", self._alive)
-        self._launch_over(self._kernels.accumulate, done, self._paths, film)
-        spilled = int(film.spill_count.numpy()[0])
-        if spilled:
-            take_spill(film, spilled, self._device)
-        finished = self._queues["done"].length()
-        self._alive -= finished
-        self.items_done += finished
-        self.rays.extending += self._queues["rays"].length()
-        if self._scene.shadow_rays:
-            self.rays.shadow += self._queues["shadow"].length()
+    def _finish_paths(self, film: FilmTile) -> int:
+        """Move paths that are over to the film; how many."""
+        done, self._free = self._lists.over(self._paths.status, self._marks.path_count)
+        # the list of the done is no longer than there are paths alive
+        self._launch(self._kernels.accumulate, self._alive, self._paths, film, done.slots, done.count)
+        counts = self._lists.counts.fetch()
+        if counts[_SPILL]:
+            take_spill(film, counts[_SPILL], self._device)
+        self._alive -= counts[_DONE]
+        self.items_done += counts[_DONE]
+        self.rays.bounced += counts[_BOUNCE]
+        self.rays.shadow += counts[_SHADOW]
+        return counts[_DONE]
 
     def _give_up(self, state: TileState) -> None:
         """Leave the rays that are under way; the tile can be shown but not resumed."""
@@ -193,26 +223,11 @@ class TileIntegrator:
         self._paths.status.zero_()
         self._alive = 0
 
-    def _film_of(self, tile: Rectangle, film: FilmTile) -> Film:
-        frame = self._frame
-        self.invalid_samples += int(film.invalid.numpy()[0])
-        channels = self._layout.count
-        wide = film.wide.numpy() if film.wide.shape[0] else no_wide()
-        first = {"Depth": film.depth, "Position": film.position}
-        return Film(
-            frame.width, frame.height, (tile.x, tile.y, tile.x + tile.width, tile.y + tile.height),
-            tuple(frame.passes), self._layout,
-            ExactSums(film.window.numpy(), wide, channels), film.counts.numpy(),
-            {name: first[name].numpy().reshape(-1) for name in frame.passes if name in FIRST_SAMPLE_PASSES},
-        )  # fmt: skip
-
     # --- launching
 
-    def _gather(self, name: str, bound: int) -> SlotList:
-        return self._queues[name].gather(self._paths.status, self._scratch, self._rules[name], bound)
-
     def _launch_over(self, kernel: wp.Kernel, slots: SlotList, *inputs) -> None:
-        self._launch(kernel, slots.bound, *inputs, slots.slots, slots.count)
+        if slots.bound:
+            self._launch(kernel, slots.bound, *inputs, slots.slots, slots.count)
 
     def _launch(self, kernel: wp.Kernel, count: int, *inputs) -> None:
         wp.launch(kernel, count, list(inputs), device=self._device)

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 import warp as wp
 
 from ..film import layout_of
+from ..film.tile import add_spill_kernel, resolve_kernel
 from ..scene.features import SceneFeatures, narrow
 from ..settings import RenderSettings
 from .queues import QUEUE_KERNELS
 from .rays import RayKind
-from .stages.accumulate import accumulate_kernel, add_spill_kernel
+from .stages.accumulate import accumulate_kernel
 from .stages.connect import connect_kernel, settle_kernel
 from .stages.generate import GenerateFeatures, generate_kernel
 from .stages.shade_background import BackgroundFeatures, LightHitFeatures, background_kernel, light_hit_kernel
@@ -33,6 +34,7 @@ class StageKernels:
     background: wp.Kernel
     surface: wp.Kernel | None
     accumulate: wp.Kernel
+    resolve: wp.Kernel
 
     @staticmethod
     def choose(features: SceneFeatures, settings: RenderSettings) -> StageKernels:
@@ -61,6 +63,7 @@ class StageKernels:
             ),
             surface=surface_kernel(surface) if has.surfaces else None,
             accumulate=accumulate_kernel(layout_of(has.passes, has.film_transparent)),
+            resolve=resolve_kernel(layout_of(has.passes, has.film_transparent)),
         )  # fmt: skip
 
     def tracing(self) -> dict[RayKind, wp.Kernel | None]:

@@ -20,6 +20,9 @@ class SlotList:
     bound: int  # at least `count[0]`
 
 
+NO_SLOTS = SlotList(None, None, 0)  # stands for an empty list
+
+
 class Tracer(Protocol):
     """Resumable ray queries: rays of many bounces, of both kinds, may be under way at once."""
 
@@ -46,8 +49,7 @@ class ReferenceTracer:
         self._finished: list[tuple[RayKind, SlotList]] = []
 
     def submit(self, kind: RayKind, rays: SlotList) -> None:
-        if rays.bound:
-            self._under_way.append((kind, rays))
+        self._under_way.append((kind, rays))
 
     def advance(self) -> None:
         for kind, rays in self._under_way:

@@ -14,7 +14,7 @@ from ...shading.sampling import FILTER, LENS, make_sampler, pixel_key, sample_fi
 from ..rays import Paths, Rays, Status
 from .limits import PathLimits
 
-NEW_PATH = int(Status.ALIVE | Status.RAY_NEW)
+NEW_PATH = int(Status.ALIVE | Status.RAY_OUT)
 CAMERA_RAY = int(Visibility.CAMERA)
 
 
@@ -43,21 +43,25 @@ class TileWork:
     sample_first: wp.int64
     sample_count: wp.int64
     item_first: wp.int64  # next item that was not begun
+    item_count: int  # how many to begin
     filter_table: wp.array(dtype=float)
 
 
 @functools.cache
 def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
-    """Kernel (work, limits, camera, paths, rays, slots): item `item_first + i` starts in free slot `slots[i]`."""
+    """Kernel (work, limits, camera, paths, rays, slots, count): item `item_first + i` starts in free slot `slots[i]`; `count` is told."""
     sampler = make_sampler(features.sample_sequence)
     sample_2d = sampler.sample_2d
     camera_ray = make_camera_ray(CameraFeatures(features.camera, features.depth_of_field))
 
     @wp.kernel(**KERNEL_OPTIONS)
     def generate(
-        work: TileWork, limits: PathLimits, camera: CameraData, paths: Paths, rays: Rays, slots: wp.array(dtype=int)
-    ):
+        work: TileWork, limits: PathLimits, camera: CameraData, paths: Paths, rays: Rays, slots: wp.array(dtype=int),
+        count: wp.array(dtype=int)
+    ):  # fmt: skip
         i = wp.tid()
+        if i == 0:
+            count[0] = work.item_count
         path = slots[i]
         item = work.item_first + wp.int64(i)
         pixel_count = wp.int64(work.width) * wp.int64(work.height)

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from ...film.tile import FilmTile
 from ...kernel import KERNEL_OPTIONS
 from ...scene.description import LightKind
 from ...shading.lights import LightFeatures, make_lights
 from ..device_scene import SceneData
 from ..rays import Paths, Rays, Status
-from .accumulate import FilmTile
 from .limits import PathLimits, clamped
 
 ENDED = int(Status.ENDED)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from ...film.tile import FilmTile
 from ...kernel import KERNEL_OPTIONS
 from ...scene.description import ClosureKind, LightKind, Visibility
 from ...shading.closures import DELTA, DIFFUSE, TRANSMISSION, TRANSPARENT, ClosureFeatures, ShadingFrame, make_bsdf
@@ -26,7 +27,6 @@ from ...shading.sampling import (
 from ...shading.surface import SurfacePoint, make_surface, spawn_origin
 from ..device_scene import SceneData
 from ..rays import Paths, Rays, Status
-from .accumulate import FilmTile
 from .generate import TileWork
 from .limits import PathLimits, clamped
 

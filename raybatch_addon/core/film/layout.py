@@ -1,0 +1,51 @@
+"""Which passes a film has, and where they lie among the channels of a pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Channels of every pass. The first sample alone decides "Depth" and "Position" (an average of them means nothing).
+PASSES: dict[str, int] = {"Combined": 4, "Depth": 1, "Position": 3, "Normal": 3}
+FIRST_SAMPLE_PASSES = ("Depth", "Position")
+
+
+@dataclass(frozen=True)
+class ChannelLayout:
+    """Where the summed passes lie among the channels of a pixel's sums."""
+
+    transparent: bool  # alpha is summed too; otherwise it is 1
+    normal: bool
+
+    @property
+    def count(self) -> int:
+        """Channels of a pixel."""
+        return 3 + self.transparent + 3 * self.normal
+
+    def span(self, name: str) -> slice:
+        """Channels of the pass `name`."""
+        colour = 3 + self.transparent
+        return slice(0, colour) if name == "Combined" else slice(colour, colour + 3)
+
+
+def layout_of(passes: tuple[str, ...], transparent: bool) -> ChannelLayout:
+    """The layout for these passes."""
+    return ChannelLayout(transparent, "Normal" in passes)
+
+
+def split_passes(
+    names: tuple[str, ...], layout: ChannelLayout, means: np.ndarray, first: dict[str, np.ndarray], shape: tuple[int, int]
+) -> dict[str, np.ndarray]:
+    """Passes by name, shape [height, width, channels], from the means of the summed channels."""
+    means = means.reshape(*shape, layout.count)
+    passes = {}
+    for name in names:
+        if name in first:
+            passes[name] = first[name].reshape(*shape, PASSES[name])
+            continue
+        values = means[..., layout.span(name)]
+        if name == "Combined" and not layout.transparent:
+            values = np.concatenate([values, np.ones((*shape, 1), np.float32)], axis=-1)
+        passes[name] = np.ascontiguousarray(values)
+    return passes
