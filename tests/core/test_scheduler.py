@@ -21,9 +21,14 @@ def test_tiles_cover_a_region_exactly_once(x0, y0, width, height, edge):
 @pytest.mark.parametrize("is_cuda", [False, True])
 @pytest.mark.parametrize("size", [(2, 2), (32, 24), (1920, 1080), (5000, 3)])
 def test_a_frame_that_can_be_cut_is_shown_in_four_tiles_at_least(is_cuda, size):
-    edge = tile_edge(RenderSettings(), is_cuda, *size)
+    edge = tile_edge(RenderSettings(sample_count=1 << 24), is_cuda, *size)
     assert len(list(tiles((0, 0, *size), edge))) >= 4
     assert tile_edge(RenderSettings(tile_size=77), is_cuda, *size) == 77
+
+
+def test_little_work_is_one_tile_on_a_gpu_and_long_work_comes_in_many():
+    assert len(list(tiles((0, 0, 1280, 1280), tile_edge(RenderSettings(sample_count=2), True, 1280, 1280)))) == 1
+    assert len(list(tiles((0, 0, 1280, 1280), tile_edge(RenderSettings(sample_count=4096), True, 1280, 1280)))) == 25
 
 
 @given(st.integers(1, 10_000), st.floats(0, 1), st.floats(0, 1), st.integers(0, 10_000), st.integers(0, 10_000))

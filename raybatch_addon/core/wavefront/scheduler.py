@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -10,10 +11,12 @@ from ..settings import RenderSettings
 # Paths alive at once, by device, where `ray_count` is 0. A CPU wave stays within a core's share of the outer caches; a GPU
 # needs some ten thousand threads many times over, so that a wave's tail does not leave it idle.
 CPU_RAYS_A_WORKER = 1 << 15
-CUDA_RAYS = 1 << 21
+CUDA_RAYS = 1 << 22
 # Edges of tiles where `tile_size` is 0
 CPU_TILE = 128
-CUDA_TILE = 1024
+CUDA_TILE = 2048
+# Where a tile's last paths come to their end a GPU has little to do, so its tiles have this many paths if they can
+CUDA_TILE_PATHS = 1 << 24
 
 
 @dataclass(frozen=True)
@@ -61,11 +64,19 @@ def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool) -> int
 
 
 def tile_edge(settings: RenderSettings, is_cuda: bool, width: int, height: int) -> int:
-    """Edge of the tiles [pixels]; where it is chosen here, at least four tiles cover a frame that can be cut so."""
+    """Edge of the tiles [pixels]. Where it is chosen here, at least four tiles cover a frame that can be cut so.
+
+    On CUDA small work is one tile, and tiles shrink with the samples so that they come at some pace.
+    """
     if settings.tile_size:
         return settings.tile_size
-    edge = CUDA_TILE if is_cuda else CPU_TILE
-    return max(1, min(edge, -(-max(width, height) // 2), -(-min(width, height) // 2) if min(width, height) > 1 else 1 << 30))
+    quarter = max(1, min(-(-max(width, height) // 2), -(-min(width, height) // 2) if min(width, height) > 1 else 1 << 30))
+    if not is_cuda:
+        return min(CPU_TILE, quarter)
+    if width * height * settings.sample_count <= CUDA_TILE_PATHS:
+        return min(CUDA_TILE, max(width, height))
+    paced = math.ceil(math.sqrt(4 * CUDA_TILE_PATHS / settings.sample_count))
+    return min(CUDA_TILE, quarter, max(256, paced))
 
 
 def tiles(region: tuple[int, int, int, int], edge: int) -> Iterator[Rectangle]:

@@ -47,6 +47,18 @@ class TileWork:
     filter_table: wp.array(dtype=float)
 
 
+@wp.func
+def pixel_in_blocks(number: int, width: int, height: int) -> wp.vec2i:
+    """Column and row of pixel `number` of a tile that is walked in blocks of 8 x 8, so that rays beside each other are alike."""
+    strip = number / (8 * width)
+    rows = wp.min(8, height - 8 * strip)
+    rest = number - 8 * width * strip
+    block = rest / (8 * rows)
+    columns = wp.min(8, width - 8 * block)
+    rest -= 8 * rows * block
+    return wp.vec2i(8 * block + rest % columns, 8 * strip + rest / columns)
+
+
 @functools.cache
 def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
     """Kernel (work, limits, camera, paths, rays, slots, count): item `item_first + i` starts in free slot `slots[i]`; `count` is told."""
@@ -73,8 +85,10 @@ def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
         else:
             pixel = int(item % pixel_count)
             sample = work.sample_first + item / pixel_count
-        x = work.x + pixel % work.width
-        y = work.y + pixel / work.width
+        place = pixel_in_blocks(pixel, work.width, work.height)
+        pixel = place[1] * work.width + place[0]
+        x = work.x + place[0]
+        y = work.y + place[1]
 
         key = pixel_key(limits.seed, wp.uint32(y) * wp.uint32(work.frame_width) + wp.uint32(x))
         index = wp.uint32(sample)
