@@ -1,0 +1,232 @@
+"""Native text of the builder that all its stages share: records, bins, the choice of a split, partition.
+
+Binned SAH (Wald 2007) in C++ with Clang's vector types, CPU only. A reference is a *record* of eight floats: the negated low
+corner, the triangle, the high corner, 0; so that one maximum joins two boxes. Lane 3 holds the triangle's index plus 2^23,
+whose bits are a normal float: denormal lanes would make the arithmetic beside them slow.
+
+Areas are of boxes scaled by a power of two, exactly, to a largest extent of 1 to 2: no square leaves float32.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+INDEX_BIAS = 1 << 23
+BINS_BYTES = 3 * 16 * (32 + 4)
+
+# A node on its way: references `first`.. of `buffer`, the split that was chosen, and what a finished subtree has.
+TASK = np.dtype(
+    [
+        ("first", "i8"), ("count", "i8"), ("capacity", "i8"), ("left_count", "i8"), ("right_count", "i8"),
+        ("node_count", "i8"), ("reference_count", "i8"), ("node_first", "i8"), ("reference_first", "i8"),
+        ("job_first", "i4"), ("job_end", "i4"), ("depth", "i4"), ("buffer", "i4"), ("node", "i4"),
+        ("kind", "i4"), ("axis", "i4"), ("bin", "i4"), ("leaf_count", "i4"), ("leaf_largest", "i4"), ("depth_max", "i4"), ("position", "f4"),
+        ("box", "f4", 8), ("middle", "f4", 8), ("left_box", "f4", 8), ("right_box", "f4", 8),
+    ]
+)  # fmt: skip
+
+# A chunk of a task's references; `bounds` are box and middle of its left and right part.
+JOB = np.dtype(
+    [
+        ("first", "i8"), ("count", "i8"), ("left", "i8"), ("right", "i8"), ("left_count", "i8"), ("right_count", "i8"),
+        ("task", "i8"), ("bounds", "f4", (4, 8)),
+    ]
+)  # fmt: skip
+
+NATIVE_TYPES = r"""
+typedef float f4 __attribute__((vector_size(16)));
+typedef int i4 __attribute__((vector_size(16)));
+typedef float f8 __attribute__((vector_size(32)));
+typedef float f8u __attribute__((vector_size(32), aligned(4)));  // wherever NumPy put it
+enum { BINS = 16, LEAF = 0, HALF = 1, OBJECT = 2, SPATIAL = 3, DEPTH_MAX = 63, INDEX_BIAS = 1 << 23 };
+
+struct Task {
+    long long first, count, capacity, left_count, right_count, node_count, reference_count, node_first, reference_first;
+    int job_first, job_end, depth, buffer, node, kind, axis, bin, leaf_count, leaf_largest, depth_max;
+    float position;
+    f8u box, middle, left_box, right_box;
+};
+struct Job {
+    long long first, count, left, right, left_count, right_count, task;
+    f8u bounds[4];
+};
+struct Bins {
+    f8u box[3][BINS];
+    int count[3][BINS];
+};
+struct Options {
+    int leaf_group, leaf_max;
+    float traversal_cost;
+};
+
+struct Sah {
+    static f8 larger(f8 a, f8 b) { return a > b ? a : b; }
+    static f4 low4(f8 v) { return __builtin_shufflevector(v, v, 0, 1, 2, 3); }
+    static f4 high4(f8 v) { return __builtin_shufflevector(v, v, 4, 5, 6, 7); }
+    static f8 join(f4 a, f4 b) { return __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7); }
+    static f8 nothing() { f8 v = {}; return v - __builtin_inff(); }
+    static f4 extent(f8 box) { f4 e = high4(box) + low4(box); e[3] = 0; return e; }
+    // twice the middle of a box, negated and as it is
+    static f8 middle(f8 record) { f4 m = high4(record) - low4(record); return join(-m, m); }
+    // by value: Clang's bit cast of a vector's element reads lane 0
+    static int bits(float value) { return __builtin_bit_cast(int, value); }
+    static float from_bits(int value) { return __builtin_bit_cast(float, value); }
+    static int index(f8 record) { return bits(record[3]) - INDEX_BIAS; }
+    static float index_lane(int index) { return from_bits(index + INDEX_BIAS); }
+
+    // Measures boxes within one node: half the surface area, or the sum of the extents where the node has no area.
+    struct Measure {
+        float scale, flat;
+        explicit Measure(f8 box) {
+            f4 e = extent(box);
+            float largest = e[0] > e[1] ? e[0] : e[1];
+            largest = largest > e[2] ? largest : e[2];
+            int exponent = (bits(largest) >> 23) & 255;
+            scale = from_bits((exponent < 1 ? 253 : exponent > 253 ? 1 : 254 - exponent) << 23);
+            flat = 0;
+            flat = (*this)(box) > 0 ? 0 : 1;
+        }
+        float operator()(f8 box) const {
+            f4 e = (high4(box) + low4(box)) * scale;
+            f4 product = e * __builtin_shufflevector(e, e, 1, 2, 0, 3);
+            return product[0] + product[1] + product[2] + flat * (e[0] + e[1] + e[2]);
+        }
+    };
+
+    // Which bin a record's middle falls into, by axis.
+    struct Binning {
+        f4 origin, scale;
+        explicit Binning(f8 middles) {
+            origin = -low4(middles);
+            f4 e = extent(middles);
+            origin[3] = 0;
+            scale = e > 0 ? (float)BINS / e : f4{};
+        }
+        i4 operator()(f8 record) const {
+            f4 bin = (high4(record) - low4(record) - origin) * scale;
+            bin = bin > 0 ? bin : f4{};  // not a number: 0
+            f4 last = f4{} + (float)(BINS - 1);
+            bin = bin < last ? bin : last;
+            return __builtin_convertvector(bin, i4);
+        }
+    };
+
+    static void clear(Bins& bins) {
+        for (int k = 0; k < 3; k++)
+            for (int b = 0; b < BINS; b++) { bins.box[k][b] = nothing(); bins.count[k][b] = 0; }
+    }
+    static void bin(const f8u* records, long long first, long long count, const Binning& binning, Bins& bins) {
+        for (long long i = first; i < first + count; i++) {
+            f8 record = records[i];
+            i4 place = binning(record);
+            for (int k = 0; k < 3; k++) {
+                bins.box[k][place[k]] = larger(bins.box[k][place[k]], record);
+                bins.count[k][place[k]]++;
+            }
+        }
+    }
+    static void merge(Bins& bins, const Bins& more) {
+        for (int k = 0; k < 3; k++)
+            for (int b = 0; b < BINS; b++) {
+                bins.box[k][b] = larger(bins.box[k][b], more.box[k][b]);
+                bins.count[k][b] += more.count[k][b];
+            }
+    }
+
+    // The tests that `count` triangles cost: a division by 1..8 as a product, exact below 2^29.
+    static float groups(const Options& options, long long count) {
+        unsigned long long inverse = (1ull << 32) / options.leaf_group + 1;
+        return (float)(int)(((unsigned long long)(count + options.leaf_group - 1) * inverse) >> 32);
+    }
+
+    // The cheapest split between two bins into `task`; returns its cost without the step itself, infinite when no plane separates.
+    static float choose_object(const Bins& bins, const Options& options, const Measure& measure, Task& task) {
+        float best = __builtin_inff();
+        for (int k = 0; k < 3; k++) {
+            float right_cost[BINS];
+            int right_count[BINS];
+            f8 box = nothing();
+            int count = 0;
+            for (int b = BINS - 1; b > 0; b--) {
+                box = larger(box, bins.box[k][b]);
+                count += bins.count[k][b];
+                right_cost[b] = measure(box) * groups(options, count);
+                right_count[b] = count;
+            }
+            box = nothing();
+            count = 0;
+            for (int b = 0; b < BINS - 1; b++) {
+                box = larger(box, bins.box[k][b]);
+                count += bins.count[k][b];
+                if (count == 0 || right_count[b + 1] == 0) continue;
+                float cost = measure(box) * groups(options, count) + right_cost[b + 1];
+                if (cost < best) {
+                    best = cost;
+                    task.kind = OBJECT;
+                    task.axis = k;
+                    task.bin = b;
+                    task.left_count = count;
+                    task.right_count = right_count[b + 1];
+                }
+            }
+        }
+        return best;
+    }
+
+    // Halving by index from here on ends at DEPTH_MAX at the latest.
+    static bool must_halve(const Task& task) {
+        return task.count > 1 && task.depth + 64 - __builtin_clzll(task.count - 1) >= DEPTH_MAX;
+    }
+    static void halve(Task& task) {
+        task.kind = HALF;
+        task.left_count = (task.count + 1) / 2;
+        task.right_count = task.count - task.left_count;
+    }
+
+    struct Bounds {
+        f8 box = nothing(), middles = nothing();
+        void add(f8 record) { box = larger(box, record); middles = larger(middles, middle(record)); }
+    };
+
+    // Copies records first..first + count of `from` to the sides of the split, in order; a HALF counts from the task's first.
+    static void partition(const f8u* from, f8u* to, const Task& task, long long first, long long count, long long left, long long right, Bounds* bounds) {
+        Binning binning(task.middle);
+        float origin = binning.origin[task.axis], scale = binning.scale[task.axis];
+        long long end[2] = {left, right};
+        long long half = task.first + task.left_count;
+        for (long long i = first; i < first + count; i++) {
+            const float* lane = (const float*)&from[i] + task.axis;
+            int side = task.kind == HALF ? i >= half : (lane[4] - lane[0] - origin) * scale >= task.bin + 1;  // as Binning rounds
+            f8 record = from[i];
+            to[end[side]++] = record;
+            bounds[side].add(record);
+        }
+    }
+    // How many of these records go left.
+    static long long count_left(const f8u* records, const Task& task, long long first, long long count) {
+        Binning binning(task.middle);
+        float origin = binning.origin[task.axis], scale = binning.scale[task.axis];
+        long long half = task.first + task.left_count, left = 0;
+        for (long long i = first; i < first + count; i++) {
+            const float* lane = (const float*)&records[i] + task.axis;
+            left += !(task.kind == HALF ? i >= half : (lane[4] - lane[0] - origin) * scale >= task.bin + 1);
+        }
+        return left;
+    }
+
+    // The children of a task whose references were counted: slack for later splits is shared by their counts.
+    static void children(const Task& task, Task& left, Task& right) {
+        long long slack = task.capacity - task.left_count - task.right_count;
+        left.count = task.left_count;
+        right.count = task.right_count;
+        left.capacity = left.count + slack * left.count / (left.count + right.count);
+        right.capacity = task.capacity - left.capacity;
+        left.first = task.first;
+        right.first = task.first + left.capacity;
+        left.depth = right.depth = task.depth + 1;
+        left.buffer = right.buffer = 1 - task.buffer;
+    }
+};
+""" + f"""
+static_assert(sizeof(Task) == {TASK.itemsize} && sizeof(Job) == {JOB.itemsize} && sizeof(Bins) == {BINS_BYTES}, "as NumPy has them");
+"""

@@ -1,0 +1,203 @@
+"""Stages of the CPU builder as one kernel: each does one step for some of the build's tasks or jobs, on one thread.
+
+One kernel, because the text that stages share is compiled once that way. CPU only: CUDA devices have a builder of their own.
+"""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ..kernel import KERNEL_OPTIONS
+from .build_native import NATIVE_TYPES
+
+# In the order of the native switch below
+RECORDS, BIN, CHOOSE, COUNT, PARTITION, SUBTREE, GATHER = range(7)
+
+
+@wp.struct
+class BuildArrays:
+    """All arrays of a build; `capacity` is the references that there is room for."""
+
+    positions: wp.array2d(dtype=float)  # [vertex_count, 3]
+    triangles: wp.array2d(dtype=int)  # [triangle_count, 3]
+    records_0: wp.array2d(dtype=float)  # [capacity, 8]
+    records_1: wp.array2d(dtype=float)  # [capacity, 8]
+    nodes: wp.array2d(dtype=float)  # a subtree's begin at twice its first reference, [2 * capacity, 8]
+    references: wp.array(dtype=int)  # [capacity]
+    bins: wp.array(dtype=float)  # those of each job
+    tree_nodes: wp.array2d(dtype=float)  # the result
+    tree_references: wp.array(dtype=int)
+
+
+@wp.struct
+class BuildNumbers:
+    """The options that native code reads."""
+
+    leaf_group: int
+    leaf_max: int
+    traversal_cost: float
+
+
+@wp.func_native(
+    NATIVE_TYPES
+    + r"""
+#if !defined(__CUDA_ARCH__)
+Task* tasks = (Task*)task_bytes.data;
+Job* jobs = (Job*)job_bytes.data;
+Bins* all_bins = (Bins*)arrays.bins.data;
+f8u* records[2] = {(f8u*)arrays.records_0.data, (f8u*)arrays.records_1.data};
+f8u* nodes = (f8u*)arrays.nodes.data;
+Options options = {numbers.leaf_group, numbers.leaf_max, numbers.traversal_cost};
+
+auto write_node = [&](f8u* node, f8 box, int a, int count) {
+    f4 low = -Sah::low4(box), high = Sah::high4(box);
+    low += 0.0f;  // never -0
+    low[3] = Sah::from_bits(a);
+    high[3] = Sah::from_bits(count);
+    *node = Sah::join(low, high);
+};
+
+auto make_records = [&](Job& job) {
+    Sah::Bounds bounds;
+    for (long long i = job.first; i < job.first + job.count; i++) {
+        f4 low = {}, high = {};
+        for (int c = 0; c < 3; c++) {
+            const float* corner = arrays.positions.data + 3ll * arrays.triangles.data[3 * i + c];
+            f4 p = {corner[0], corner[1], corner[2], 0};
+            p += 0.0f;  // never -0, so that no order of comparisons shows
+            low = c == 0 || p < low ? p : low;
+            high = c == 0 || p > high ? p : high;
+        }
+        low = 0.0f - low;
+        low[3] = Sah::index_lane(i);
+        f8 record = Sah::join(low, high);
+        records[0][i] = record;
+        bounds.add(record);
+    }
+    job.bounds[0] = bounds.box;
+    job.bounds[1] = bounds.middles;
+};
+
+auto partition = [&](Job& job) {
+    Sah::Bounds bounds[2];
+    const Task& task = tasks[job.task];
+    Sah::partition(records[task.buffer], records[1 - task.buffer], task, job.first, job.count, job.left, job.right, bounds);
+    for (int side = 0; side < 2; side++) {
+        job.bounds[2 * side] = bounds[side].box;
+        job.bounds[2 * side + 1] = bounds[side].middles;
+    }
+};
+
+// Splits a node in two, or says that it is a leaf
+auto decide = [&](Task& task) {
+    bool may_be_leaf = task.count <= options.leaf_max;
+    // a split costs a step at least
+    if (may_be_leaf && (task.count == 1 || Sah::groups(options, task.count) <= options.traversal_cost || Sah::must_halve(task))) {
+        task.kind = LEAF;
+        return;
+    }
+    Sah::halve(task);
+    if (Sah::must_halve(task)) return;
+    Bins bins;
+    Sah::clear(bins);
+    Sah::bin(records[task.buffer], task.first, task.count, Sah::Binning(task.middle), bins);
+    Sah::Measure measure(task.box);
+    float cost = Sah::choose_object(bins, options, measure, task);
+    float area = measure(task.box);
+    if (may_be_leaf && !(options.traversal_cost * area + cost < area * Sah::groups(options, task.count))) task.kind = LEAF;
+};
+
+auto subtree = [&](Task& root) {
+    f8u* own = nodes + 2 * root.first;
+    int* list = arrays.references.data + root.first;
+    long long node_count = 1, listed = 0;
+    root.leaf_count = root.leaf_largest = root.depth_max = 0;
+    Task stack[DEPTH_MAX + 2];
+    int top = 0;
+    stack[top] = root;
+    stack[top++].node = 0;
+    while (top) {
+        Task task = stack[--top];
+        decide(task);
+        if (task.kind == LEAF) {
+            write_node(own + task.node, task.box, listed, task.count);
+            for (long long i = 0; i < task.count; i++) list[listed++] = Sah::index(records[task.buffer][task.first + i]);
+            root.leaf_count++;
+            if (task.count > root.leaf_largest) root.leaf_largest = task.count;
+            if (task.depth > root.depth_max) root.depth_max = task.depth;
+            continue;
+        }
+        Task& right = stack[top++];
+        Task& left = stack[top++];
+        Sah::children(task, left, right);
+        Sah::Bounds bounds[2];
+        Sah::partition(records[task.buffer], records[1 - task.buffer], task, task.first, task.count, left.first, right.first, bounds);
+        left.box = bounds[0].box;
+        left.middle = bounds[0].middles;
+        right.box = bounds[1].box;
+        right.middle = bounds[1].middles;
+        write_node(own + task.node, task.box, node_count, 0);
+        left.node = node_count++;
+        right.node = node_count++;
+    }
+    root.node_count = node_count;
+    root.reference_count = listed;
+};
+
+// A subtree into its place in the result: its root takes a place that its parent gave it
+auto gather = [&](const Task& task) {
+    const f8u* own = nodes + 2 * task.first;
+    f8u* tree = (f8u*)arrays.tree_nodes.data;
+    for (long long i = 0; i < task.node_count; i++) {
+        f8 node = own[i];
+        int a = Sah::bits(node[3]);
+        bool leaf = Sah::bits(node[7]) > 0;
+        node[3] = Sah::from_bits((int)(a + (leaf ? task.reference_first : task.node_first - 1)));
+        tree[i == 0 ? task.node : task.node_first + i - 1] = node;
+    }
+    const int* list = arrays.references.data + task.first;
+    for (long long i = 0; i < task.reference_count; i++) arrays.tree_references.data[task.reference_first + i] = list[i];
+};
+
+auto choose = [&](Task& task) {
+    Sah::halve(task);
+    if (!Sah::must_halve(task)) {
+        Bins& bins = all_bins[task.job_first];
+        for (int j = task.job_first + 1; j < task.job_end; j++) Sah::merge(bins, all_bins[j]);
+        Sah::choose_object(bins, options, Sah::Measure(task.box), task);
+    }
+};
+
+for (long long i = first; i < end; i++) switch (stage) {
+    case 0: make_records(jobs[i]); break;
+    case 1: {
+        const Task& task = tasks[jobs[i].task];
+        Sah::clear(all_bins[i]);
+        Sah::bin(records[task.buffer], jobs[i].first, jobs[i].count, Sah::Binning(task.middle), all_bins[i]);
+        break;
+    }
+    case 2: choose(tasks[i]); break;
+    case 3: {
+        const Task& task = tasks[jobs[i].task];
+        jobs[i].left_count = Sah::count_left(records[task.buffer], task, jobs[i].first, jobs[i].count);
+        jobs[i].right_count = jobs[i].count - jobs[i].left_count;
+        break;
+    }
+    case 4: partition(jobs[i]); break;
+    case 5: subtree(tasks[i]); break;
+    case 6: gather(tasks[i]); break;
+}
+#endif
+"""
+)
+def build_items(
+    arrays: BuildArrays, numbers: BuildNumbers, task_bytes: wp.array(dtype=wp.uint8), job_bytes: wp.array(dtype=wp.uint8), stage: int, first: int, end: int
+): ...
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def build_kernel(
+    arrays: BuildArrays, numbers: BuildNumbers, task_bytes: wp.array(dtype=wp.uint8), job_bytes: wp.array(dtype=wp.uint8), stage: int, first: int, end: int
+):
+    """One stage of the build for tasks or jobs first..end, on one thread."""
+    build_items(arrays, numbers, task_bytes, job_bytes, stage, first, end)
