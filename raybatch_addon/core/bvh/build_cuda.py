@@ -1,0 +1,200 @@
+"""The build of wide trees on the device that traces them: from arrays of triangles to the layout QUANTISED.
+
+Boxes in Morton order, merged to a binary tree (`build_cuda_clusters.py`), which is collapsed to wide nodes
+(`build_cuda_collapse.py`). The host reads a few counts and never sees a triangle. Two builds of the same input give the same
+bits. Everything also runs on the CPU, where tests compare it with the CPU's own builder.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ..device import free_memory
+from ..errors import OutOfMemoryError
+from ..kernel import KERNEL_OPTIONS
+from .build_cuda_clusters import CLUSTER_KERNELS, ROUND_LIMIT, merge_leaves, sort_leaves, triangle_boxes
+from .build_cuda_collapse import COLLAPSE_KERNELS, VECTORS_PER_NODE, WideNodes, collapse
+from .collapse import QUANTISED_COST, TOP_COST, CollapseCost
+from .node import TRIANGLES_MAX_QUANTISED
+
+# Levels of nodes that a traversal stack has room for
+DEPTH_MAX = 64
+# A tree that came out deeper is built again with so many rounds: with forced pairs, whose number of rounds is that of the
+# bits of the count, no binary node is then as deep as DEPTH_MAX
+ROUND_LIMIT_DEEP = DEPTH_MAX - 32
+# Most memory at any time of a build, its result included [bytes per triangle]: see `build_mesh`
+BYTES_PER_TRIANGLE = 125
+BYTES_PER_BOX = 165
+VECTORS_PER_TRIANGLE = 3
+
+
+@dataclass(frozen=True)
+class DeviceBuildStatistics:
+    """What a build did."""
+
+    node_steps: float  # wide nodes that a random ray through the root's box meets, by the surface area heuristic
+    unit_tests: float  # triangles or entries in the leaves that it meets
+    round_count: int  # of merging
+    rebuilt: bool  # whether the first tree was too deep
+    seconds: dict[str, float]  # by step: order, merge, collapse, write
+
+
+@dataclass(frozen=True)
+class DeviceTree:
+    """A wide tree of the layout QUANTISED on a device; no nodes over nothing. The host's is `node.WideTree`."""
+
+    nodes: wp.array  # wp.vec4, shape [5 * node_count]; indices are relative to the first node
+    centre: np.ndarray  # float32, shape [3]: what box coordinates are relative to
+    box: np.ndarray  # float32, shape [2, 3]: lowest and highest corner of everything below, not grown
+    level_first: list[int]  # first node of each level, then the node count; a node's children are in the next level
+    leaf_count: int
+    sah: float  # expected cost of a random ray that meets the root's box, in node steps
+    statistics: DeviceBuildStatistics
+
+    @property
+    def node_count(self) -> int:
+        """Nodes of the tree."""
+        return self.level_first[-1]
+
+    @property
+    def depth(self) -> int:
+        """Levels of nodes."""
+        return len(self.level_first) - 1
+
+
+@dataclass(frozen=True)
+class DeviceMesh(DeviceTree):
+    """The tree of one mesh with its triangles."""
+
+    triangles: wp.array  # wp.vec4, shape [3 * triangle_count]
+    triangle_count: int
+
+    @property
+    def byte_count(self) -> int:
+        """Memory of nodes and triangles [bytes]."""
+        return 16 * (self.nodes.size + self.triangles.size)
+
+
+@dataclass(frozen=True)
+class DeviceTop(DeviceTree):
+    """A tree over entries, in whose leaves each is alone."""
+
+    order: wp.array  # int32: entries as leaves list them; a leaf counts from `triangle_base`
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def triangles_kernel(
+    positions: wp.array(dtype=wp.vec3),
+    triangles: wp.array(dtype=wp.vec3i),
+    triangle_first: int,
+    order: wp.array(dtype=int),
+    out: wp.array(dtype=wp.vec4),
+):
+    """Triangles in the order of leaves: three corners, the number of the triangle behind the first."""
+    i = wp.tid()
+    face = order[i]
+    triangle = triangles[triangle_first + face]
+    a, b, c = positions[triangle[0]], positions[triangle[1]], positions[triangle[2]]
+    out[3 * i] = wp.vec4(a[0], a[1], a[2], wp.cast(face, wp.float32))
+    out[3 * i + 1] = wp.vec4(b[0], b[1], b[2], 0.0)
+    out[3 * i + 2] = wp.vec4(c[0], c[1], c[2], 0.0)
+
+
+DEVICE_BUILD_KERNELS = (*CLUSTER_KERNELS, *COLLAPSE_KERNELS, triangles_kernel)
+
+
+def build_mesh(
+    positions: wp.array, triangles: wp.array, first: int, count: int, cost: CollapseCost = QUANTISED_COST
+) -> DeviceMesh:
+    """The tree over triangles [first, first + count), which it calls 0 .. count - 1.
+
+    Args:
+        positions: [m], wp.vec3, finite.
+        triangles: wp.vec3i, on the same device.
+        cost: weights of a node and of a triangle.
+
+    Raises `OutOfMemoryError` where the build does not fit. At its peak it holds, by triangle: boxes of binary nodes (48 bytes),
+    their children (8), leaves (4) and choices (8), then wide nodes twice (20) beside their levels (15) and the order (4); or, earlier, the
+    clusters (20) and first boxes (24) beside the nodes.
+    """
+    device = positions.device
+    _check_memory(device, count, BYTES_PER_TRIANGLE, "triangles")
+    clock = _Clock(device)
+    if count == 0:
+        none = wp.empty(0, dtype=wp.vec4, device=device)
+        return DeviceMesh(none, *_nothing(), none, 0)
+    wide, common = _build(lambda: triangle_boxes(positions, triangles, first, count), cost, TRIANGLES_MAX_QUANTISED, clock)
+    blocks = wp.empty(VECTORS_PER_TRIANGLE * count, dtype=wp.vec4, device=device)
+    wp.launch(triangles_kernel, count, [positions, triangles, first, wide.order, blocks], device=device)
+    clock.end("write")
+    return DeviceMesh(wide.nodes, *common, blocks, count)
+
+
+def build_top(low: wp.array, high: wp.array, cost: CollapseCost = TOP_COST) -> DeviceTop:
+    """The tree over entries whose boxes have the corners `low` and `high` [m], wp.vec3, finite; raises as `build_mesh`."""
+    device, count = low.device, low.size
+    _check_memory(device, count, BYTES_PER_BOX, "entries")
+    if count == 0:
+        nodes, order = wp.empty(0, dtype=wp.vec4, device=device), wp.empty(0, dtype=int, device=device)
+        return DeviceTop(nodes, *_nothing(), order)
+    wide, common = _build(lambda: (low, high), cost, 1, _Clock(device))
+    return DeviceTop(wide.nodes, *common, wide.order)
+
+
+class _Clock:
+    """Seconds by step, the device's work included."""
+
+    def __init__(self, device: wp.Device):
+        self._device = device
+        self.seconds: dict[str, float] = {}
+        wp.synchronize_device(device)
+        self._last = time.perf_counter()
+
+    def end(self, step: str) -> None:
+        wp.synchronize_device(self._device)
+        now = time.perf_counter()
+        self.seconds[step] = self.seconds.get(step, 0.0) + now - self._last
+        self._last = now
+
+
+def _build(
+    boxes: Callable[[], tuple[wp.array, wp.array]], cost: CollapseCost, leaf_max: int, clock: _Clock
+) -> tuple[WideNodes, tuple]:
+    """Wide nodes over `boxes`, and the fields of `DeviceTree` behind `nodes`."""
+    for limit in (ROUND_LIMIT, ROUND_LIMIT_DEEP):
+        # boxes are asked for here, and again, so that they need not be kept
+        tree, clusters = sort_leaves(*boxes())
+        clock.end("order")
+        merge_leaves(tree, clusters, limit)
+        del clusters
+        clock.end("merge")
+        centre = 0.5 * tree.box[0] + 0.5 * tree.box[1]
+        wide = collapse(tree, centre, cost, leaf_max)
+        clock.end("collapse")
+        if len(wide.level_first) - 1 <= DEPTH_MAX:
+            break
+    statistics = DeviceBuildStatistics(
+        wide.node_steps, wide.unit_tests, len(tree.node_first) - 1, limit != ROUND_LIMIT, clock.seconds
+    )
+    sah = cost.node * wide.node_steps + cost.unit * wide.unit_tests
+    return wide, (centre, tree.box, wide.level_first, wide.leaf_count, sah, statistics)
+
+
+def _nothing() -> tuple:
+    """The fields of `DeviceTree` behind `nodes` of a tree over nothing."""
+    zero = np.zeros(3, np.float32)
+    return zero, np.stack([zero, zero]), [0], 0, 0.0, DeviceBuildStatistics(0.0, 0.0, 0, False, {})
+
+
+def _check_memory(device: wp.Device, count: int, bytes_each: int, what: str) -> None:
+    needed, free = count * bytes_each, free_memory(device)
+    if needed > free:
+        raise OutOfMemoryError(
+            f"the tree over {count:,} {what} needs {needed / 1e9:.2f} GB while it is built, and {device.name} has {free / 1e9:.2f} GB "
+            "free; use fewer triangles, or a device with more memory"
+        )
