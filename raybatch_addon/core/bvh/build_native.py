@@ -37,8 +37,10 @@ NATIVE_TYPES = r"""
 typedef float f4 __attribute__((vector_size(16)));
 typedef int i4 __attribute__((vector_size(16)));
 typedef float f8 __attribute__((vector_size(32)));
+typedef float f16 __attribute__((vector_size(64)));
+typedef int i16 __attribute__((vector_size(64)));
 typedef float f8u __attribute__((vector_size(32), aligned(4)));  // wherever NumPy put it
-enum { BINS = 16, LEAF = 0, HALF = 1, OBJECT = 2, SPATIAL = 3, DEPTH_MAX = 63, INDEX_BIAS = 1 << 23 };
+enum { BINS = 16, EXACT_MAX = 16, LEAF = 0, HALF = 1, OBJECT = 2, LISTED = 3, DEPTH_MAX = 63, INDEX_BIAS = 1 << 23 };
 
 struct Task {
     long long first, count, capacity, left_count, right_count, node_count, reference_count, node_first, reference_first;
@@ -57,6 +59,7 @@ struct Bins {
 struct Options {
     int leaf_group, leaf_max;
     float traversal_cost;
+    float group_inverse;  // 1 / leaf_group, rounded upwards
 };
 
 struct Sah {
@@ -88,8 +91,8 @@ struct Sah {
         }
         float operator()(f8 box) const {
             f4 e = (high4(box) + low4(box)) * scale;
-            f4 product = e * __builtin_shufflevector(e, e, 1, 2, 0, 3);
-            return product[0] + product[1] + product[2] + flat * (e[0] + e[1] + e[2]);
+            f4 terms = e * __builtin_shufflevector(e, e, 1, 2, 0, 3) + e * flat;
+            return terms[0] + terms[1] + terms[2];
         }
     };
 
@@ -133,10 +136,9 @@ struct Sah {
             }
     }
 
-    // The tests that `count` triangles cost: a division by 1..8 as a product, exact below 2^29.
+    // The tests that `count` triangles cost; exact for small counts, for others within a few roundings
     static float groups(const Options& options, long long count) {
-        unsigned long long inverse = (1ull << 32) / options.leaf_group + 1;
-        return (float)(int)(((unsigned long long)(count + options.leaf_group - 1) * inverse) >> 32);
+        return __builtin_truncf((count + options.leaf_group - 1) * options.group_inverse);
     }
 
     // The cheapest split between two bins into `task`; returns its cost without the step itself, infinite when no plane separates.
@@ -173,6 +175,42 @@ struct Sah {
         return best;
     }
 
+    // The same among all orders of at most EXACT_MAX records by middle, without bins; `bin` lists the right side, a bit each.
+    static float choose_exact(const f8u* records, const Options& options, const Measure& measure, Task& task) {
+        const f8u* own = records + task.first;
+        int count = task.count, best_left = 0;
+        i16 rank[3], lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+        float best = __builtin_inff();
+        for (int k = 0; k < 3; k++) {
+            f16 middle = {};
+            middle += __builtin_inff();
+            for (int i = 0; i < count; i++) middle[i] = own[i][4 + k] - own[i][k];
+            rank[k] = i16{};
+            for (int j = 0; j < count; j++) rank[k] -= (middle > middle[j]) | ((middle == middle[j]) & (lane > j));
+            int order[EXACT_MAX] = {};
+            for (int i = 0; i < count; i++) order[rank[k][i]] = i;
+            float right_cost[EXACT_MAX];
+            f8 box = nothing();
+            for (int r = count - 1; r > 0; r--) {
+                box = larger(box, own[order[r]]);
+                right_cost[r] = measure(box) * groups(options, count - r);
+            }
+            box = nothing();
+            for (int r = 1; r < count; r++) {
+                box = larger(box, own[order[r - 1]]);
+                float cost = measure(box) * groups(options, r) + right_cost[r];
+                if (cost < best) { best = cost; task.axis = k; best_left = r; }
+            }
+        }
+        if (best_left == 0) return best;
+        task.kind = LISTED;
+        task.bin = 0;
+        for (int i = 0; i < count; i++) task.bin |= (rank[task.axis][i] >= best_left) << i;
+        task.left_count = best_left;
+        task.right_count = count - best_left;
+        return best;
+    }
+
     // Halving by index from here on ends at DEPTH_MAX at the latest.
     static bool must_halve(const Task& task) {
         return task.count > 1 && task.depth + 64 - __builtin_clzll(task.count - 1) >= DEPTH_MAX;
@@ -188,30 +226,25 @@ struct Sah {
         void add(f8 record) { box = larger(box, record); middles = larger(middles, middle(record)); }
     };
 
-    // Copies records first..first + count of `from` to the sides of the split, in order; a HALF counts from the task's first.
+    // Copies records first..first + count of `from` to the sides of the split, in order; HALF and LISTED count from the task's first.
     static void partition(const f8u* from, f8u* to, const Task& task, long long first, long long count, long long left, long long right, Bounds* bounds) {
-        Binning binning(task.middle);
-        float origin = binning.origin[task.axis], scale = binning.scale[task.axis];
         long long end[2] = {left, right};
-        long long half = task.first + task.left_count;
-        for (long long i = first; i < first + count; i++) {
-            const float* lane = (const float*)&from[i] + task.axis;
-            int side = task.kind == HALF ? i >= half : (lane[4] - lane[0] - origin) * scale >= task.bin + 1;  // as Binning rounds
+        auto move = [&](long long i, int side) {
             f8 record = from[i];
             to[end[side]++] = record;
             bounds[side].add(record);
-        }
-    }
-    // How many of these records go left.
-    static long long count_left(const f8u* records, const Task& task, long long first, long long count) {
+        };
         Binning binning(task.middle);
         float origin = binning.origin[task.axis], scale = binning.scale[task.axis];
-        long long half = task.first + task.left_count, left = 0;
-        for (long long i = first; i < first + count; i++) {
-            const float* lane = (const float*)&records[i] + task.axis;
-            left += !(task.kind == HALF ? i >= half : (lane[4] - lane[0] - origin) * scale >= task.bin + 1);
-        }
-        return left;
+        if (task.kind == OBJECT)
+            for (long long i = first; i < first + count; i++) {
+                const float* lane = (const float*)&from[i] + task.axis;
+                move(i, (lane[4] - lane[0] - origin) * scale >= task.bin + 1);  // the bin, as Binning rounds
+            }
+        else if (task.kind == LISTED)
+            for (long long i = first; i < first + count; i++) move(i, task.bin >> (i - task.first) & 1);
+        else
+            for (long long i = first; i < first + count; i++) move(i, i - task.first >= task.left_count);
     }
 
     // The children of a task whose references were counted: slack for later splits is shared by their counts.

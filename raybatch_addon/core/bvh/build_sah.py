@@ -21,7 +21,7 @@ from ..device import free_memory, worker_count
 from ..errors import OutOfMemoryError
 from .binary import BinaryTree, BuildOptions, BuildStatistics, expected_visits
 from .build_native import BINS_BYTES, INDEX_BIAS, JOB, TASK
-from .build_stages import BIN, CHOOSE, COUNT, GATHER, PARTITION, RECORDS, SUBTREE, BuildArrays, BuildNumbers, build_kernel
+from .build_stages import BIN, CHOOSE, GATHER, PARTITION, RECORDS, SUBTREE, BuildArrays, BuildNumbers, build_kernel
 
 # Records of a chunk, and of the largest subtree: this, or a share of all for large meshes
 CHUNK_MIN = 1 << 13
@@ -44,7 +44,7 @@ def build_binary(positions: np.ndarray, triangles: np.ndarray, options: BuildOpt
         build.arrays.positions = _device_array(positions, float)
         build.arrays.triangles = _device_array(triangles, int)
         jobs = build.jobs(np.zeros(1, np.int64), np.array([len(triangles)]))
-        build.run(RECORDS, _no_tasks(), jobs)
+        build.run(RECORDS, _no_tasks(), jobs, len(jobs))
         bounds = jobs["bounds"].max(0)
         return build.tree(bounds[0], bounds[1], start)
 
@@ -85,6 +85,7 @@ class _Build:
         self.numbers = BuildNumbers()
         self.numbers.leaf_group, self.numbers.leaf_max = options.leaf_group, options.leaf_max
         self.numbers.traversal_cost = options.traversal_cost
+        self.numbers.group_inverse = float(np.nextafter(np.float32(1 / options.leaf_group), np.float32(2)))
         build_kernel.module.load(wp.get_device("cpu"), 1)
         large = self.threads > 1 and count > self.chunk
         self.pool = ThreadPoolExecutor(self.threads) if large else None
@@ -129,9 +130,8 @@ class _Build:
         jobs["count"] = np.minimum(count[jobs["task"]] - offset, self.chunk)
         return jobs
 
-    def run(self, stage: int, tasks: np.ndarray, jobs: np.ndarray, order: np.ndarray | None = None) -> None:
-        """Do `stage` for all jobs, or for all tasks where `jobs` has none; in slices, or one by one in `order`."""
-        count = len(jobs) or len(tasks)
+    def run(self, stage: int, tasks: np.ndarray, jobs: np.ndarray, count: int, order: np.ndarray | None = None) -> None:
+        """Do `stage` for the `count` jobs or tasks that it is about: in slices, or one by one in `order`."""
         inputs = [self.arrays, self.numbers, _device_array(_as_bytes(tasks), wp.uint8), _device_array(_as_bytes(jobs), wp.uint8), stage]
 
         def launch(part: tuple[int, int]) -> None:
@@ -166,7 +166,7 @@ class _Build:
             above.append(tasks)
             node_count += len(frontier)
         subtrees = np.concatenate(below)
-        self.run(SUBTREE, subtrees, _no_jobs(), np.argsort(-subtrees["count"], kind="stable"))
+        self.run(SUBTREE, subtrees, _no_jobs(), len(subtrees), np.argsort(-subtrees["count"], kind="stable"))
         return self._joined(np.concatenate([np.zeros(0, TASK), *above]), subtrees, node_count, start)
 
     def _split(self, tasks: np.ndarray) -> np.ndarray:
@@ -176,11 +176,9 @@ class _Build:
         tasks["job_first"], tasks["job_end"] = first, np.append(first[1:], len(jobs))
         bins = np.empty(len(jobs) * BINS_BYTES // 4, np.float32)
         self.arrays.bins = _device_array(bins, float)
-        self.run(BIN, tasks, jobs)
-        self.run(CHOOSE, tasks, _no_jobs())
-        self.run(COUNT, tasks, jobs)
-        left, right = (np.add.reduceat(jobs[name], first) for name in ("left_count", "right_count"))
-        tasks["left_count"], tasks["right_count"] = left, right
+        self.run(BIN, tasks, jobs, len(jobs))
+        self.run(CHOOSE, tasks, jobs, len(tasks))
+        left, right = tasks["left_count"], tasks["right_count"]
         children = np.zeros(2 * len(tasks), TASK)
         slack = tasks["capacity"] - left - right
         a, b = children[::2], children[1::2]
@@ -190,7 +188,7 @@ class _Build:
             scan = np.cumsum(jobs[count]) - jobs[count]
             jobs[side] = (child["first"] - scan[first])[jobs["task"]] + scan
             child["depth"], child["buffer"] = tasks["depth"] + 1, 1 - tasks["buffer"]
-        self.run(PARTITION, tasks, jobs)
+        self.run(PARTITION, tasks, jobs, len(jobs))
         bounds = np.maximum.reduceat(jobs["bounds"], first, axis=0)
         a["box"], a["middle"], b["box"], b["middle"] = bounds[:, 0], bounds[:, 1], bounds[:, 2], bounds[:, 3]
         return children
@@ -207,7 +205,7 @@ class _Build:
         nodes[above["node"], 4:7] = above["box"][:, 4:7]
         bits[above["node"], 3], bits[above["node"], 7] = above["node_first"], 0
         self.arrays.tree_nodes, self.arrays.tree_references = _device_array(nodes, float), _device_array(references, int)
-        self.run(GATHER, subtrees, _no_jobs())
+        self.run(GATHER, subtrees, _no_jobs(), len(subtrees))
         steps, groups = expected_visits(nodes, self.options.leaf_group)
         statistics = BuildStatistics(
             triangle_count=self.count,

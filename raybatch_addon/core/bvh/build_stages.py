@@ -11,7 +11,7 @@ from ..kernel import KERNEL_OPTIONS
 from .build_native import NATIVE_TYPES
 
 # In the order of the native switch below
-RECORDS, BIN, CHOOSE, COUNT, PARTITION, SUBTREE, GATHER = range(7)
+RECORDS, BIN, CHOOSE, PARTITION, SUBTREE, GATHER = range(6)
 
 
 @wp.struct
@@ -36,6 +36,7 @@ class BuildNumbers:
     leaf_group: int
     leaf_max: int
     traversal_cost: float
+    group_inverse: float
 
 
 @wp.func_native(
@@ -47,7 +48,7 @@ Job* jobs = (Job*)job_bytes.data;
 Bins* all_bins = (Bins*)arrays.bins.data;
 f8u* records[2] = {(f8u*)arrays.records_0.data, (f8u*)arrays.records_1.data};
 f8u* nodes = (f8u*)arrays.nodes.data;
-Options options = {numbers.leaf_group, numbers.leaf_max, numbers.traversal_cost};
+Options options = {numbers.leaf_group, numbers.leaf_max, numbers.traversal_cost, numbers.group_inverse};
 
 auto write_node = [&](f8u* node, f8 box, int a, int count) {
     f4 low = -Sah::low4(box), high = Sah::high4(box);
@@ -98,11 +99,16 @@ auto decide = [&](Task& task) {
     }
     Sah::halve(task);
     if (Sah::must_halve(task)) return;
-    Bins bins;
-    Sah::clear(bins);
-    Sah::bin(records[task.buffer], task.first, task.count, Sah::Binning(task.middle), bins);
     Sah::Measure measure(task.box);
-    float cost = Sah::choose_object(bins, options, measure, task);
+    float cost;
+    if (task.count <= EXACT_MAX) {
+        cost = Sah::choose_exact(records[task.buffer], options, measure, task);
+    } else {
+        Bins bins;
+        Sah::clear(bins);
+        Sah::bin(records[task.buffer], task.first, task.count, Sah::Binning(task.middle), bins);
+        cost = Sah::choose_object(bins, options, measure, task);
+    }
     float area = measure(task.box);
     if (may_be_leaf && !(options.traversal_cost * area + cost < area * Sah::groups(options, task.count))) task.kind = LEAF;
 };
@@ -159,12 +165,22 @@ auto gather = [&](const Task& task) {
     for (long long i = 0; i < task.reference_count; i++) arrays.tree_references.data[task.reference_first + i] = list[i];
 };
 
+// The split of a large node, and how many of each job's records go to which side
 auto choose = [&](Task& task) {
     Sah::halve(task);
     if (!Sah::must_halve(task)) {
-        Bins& bins = all_bins[task.job_first];
+        Bins bins = all_bins[task.job_first];
         for (int j = task.job_first + 1; j < task.job_end; j++) Sah::merge(bins, all_bins[j]);
         Sah::choose_object(bins, options, Sah::Measure(task.box), task);
+    }
+    for (int j = task.job_first; j < task.job_end; j++) {
+        Job& job = jobs[j];
+        job.left_count = 0;
+        if (task.kind == OBJECT)
+            for (int b = 0; b <= task.bin; b++) job.left_count += all_bins[j].count[task.axis][b];
+        else if (task.left_count > job.first - task.first)
+            job.left_count = task.left_count - (job.first - task.first) < job.count ? task.left_count - (job.first - task.first) : job.count;
+        job.right_count = job.count - job.left_count;
     }
 };
 
@@ -177,15 +193,9 @@ for (long long i = first; i < end; i++) switch (stage) {
         break;
     }
     case 2: choose(tasks[i]); break;
-    case 3: {
-        const Task& task = tasks[jobs[i].task];
-        jobs[i].left_count = Sah::count_left(records[task.buffer], task, jobs[i].first, jobs[i].count);
-        jobs[i].right_count = jobs[i].count - jobs[i].left_count;
-        break;
-    }
-    case 4: partition(jobs[i]); break;
-    case 5: subtree(tasks[i]); break;
-    case 6: gather(tasks[i]); break;
+    case 3: partition(jobs[i]); break;
+    case 4: subtree(tasks[i]); break;
+    case 5: gather(tasks[i]); break;
 }
 #endif
 """
