@@ -1,0 +1,211 @@
+"""Counters of the work that rays cause: on the device for each ray, summed by kind of ray and bounce, and for each pixel.
+
+Every worker has its own. What is counted on a CUDA device is summed there with integer atomics, spread over many copies so that
+they seldom meet; sums do not depend on their order. A render without counters makes none of this: no arrays, no launches, and
+kernels that are compiled without the lines that fill `RayWork`.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..kernel import KERNEL_OPTIONS
+from .timing import StageTimer, clock_of
+
+# Numbered like `RayKind`
+RAY_KINDS = ("closest", "occlusion", "transparent_shadow")
+QUANTITIES = ("rays", "node_steps", "box_tests", "triangle_tests")
+# Passes that show cost, one channel each: the mean of a quantity over a pixel's samples
+COST_PASSES = {"Rays": "rays", "Node Steps": "node_steps", "Triangle Tests": "triangle_tests"}
+# Bounces that are counted apart at most; the last collects the rest
+BOUNCE_BINS_MAX = 32
+# Bytes of a ray that tracing reads (slot, origin, direction, t_max, visibility) and writes (t, instance, primitive, barycentrics;
+# or only whether something was hit)
+RAY_BYTES_READ = 4 + 12 + 12 + 4 + 4
+RAY_BYTES_WRITTEN = {"closest": 20, "occlusion": 4, "transparent_shadow": 20}
+UNAVAILABLE = "unavailable"
+_CUDA_COPIES = 256
+
+
+@dataclass(frozen=True)
+class CounterFeatures:
+    """What the counters of a render are made for."""
+
+    steps: bool  # the tracer tells what each ray did; otherwise rays alone are counted
+    cost_passes: tuple[str, ...]  # of `COST_PASSES`
+
+    @staticmethod
+    def choose(counters: str, pass_names: tuple[str, ...], steps: bool) -> CounterFeatures | None:
+        """For the setting `counters` (ON or OFF) and the passes of a frame; None: nothing is counted."""
+        passes = tuple(name for name in pass_names if name in COST_PASSES)
+        return CounterFeatures(steps, passes) if passes or counters == "ON" else None
+
+
+@wp.struct
+class RayWork:
+    """What tracing tells of its work; the first three arrays hold the last trace of each ray slot."""
+
+    node_steps: wp.array(dtype=int)  # nodes visited
+    box_tests: wp.array(dtype=int)  # boxes of children tested, those of empty places not counted
+    triangle_tests: wp.array(dtype=int)  # triangles tested
+    # Turns of the lanes of warps by kind of ray: [2 * kind] with a ray, [2 * kind + 1] all. Added to, not set
+    lane_turns: wp.array(dtype=wp.int64)
+
+
+@wp.struct
+class CounterSums:
+    """Sums over all rays so far."""
+
+    work: RayWork
+    by_bounce: wp.array2d(dtype=wp.int64)  # shape [kinds * bins * quantities, copies]
+    bins: int
+
+
+@functools.cache
+def count_kernel(features: CounterFeatures) -> wp.Kernel:
+    """Kernel (sums, bounce, pixel, kind, slots, count, cost): count rays of one kind that were just traced.
+
+    `bounce` and `pixel` are those of each path; `cost`, int64, shape [cost passes, pixels of the tile], is that of the tile.
+    """
+    steps, passes = features.steps, features.cost_passes
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def count_rays(
+        sums: CounterSums, bounce: wp.array(dtype=int), pixel: wp.array(dtype=int), kind: int,
+        slots: wp.array(dtype=int), count: wp.array(dtype=int), cost: wp.array2d(dtype=wp.int64),
+    ):  # fmt: skip
+        i = wp.tid()
+        if i >= count[0]:
+            return
+        slot = slots[i]
+        path = slot
+        if path >= bounce.shape[0]:
+            path = path - bounce.shape[0]  # a shadow ray
+        copy = i % sums.by_bounce.shape[1]  # neighbours write side by side
+        cell = (kind * sums.bins + wp.min(bounce[path], sums.bins - 1)) * wp.static(len(QUANTITIES))
+        wp.atomic_add(sums.by_bounce, cell, copy, wp.int64(1))
+        if wp.static(steps):
+            wp.atomic_add(sums.by_bounce, cell + 1, copy, wp.int64(sums.work.node_steps[slot]))
+            wp.atomic_add(sums.by_bounce, cell + 2, copy, wp.int64(sums.work.box_tests[slot]))
+            wp.atomic_add(sums.by_bounce, cell + 3, copy, wp.int64(sums.work.triangle_tests[slot]))
+        if wp.static("Rays" in passes):
+            wp.atomic_add(cost, wp.static(_row(passes, "Rays")), pixel[path], wp.int64(1))
+        if wp.static(steps and "Node Steps" in passes):
+            wp.atomic_add(cost, wp.static(_row(passes, "Node Steps")), pixel[path], wp.int64(sums.work.node_steps[slot]))
+        if wp.static(steps and "Triangle Tests" in passes):
+            wp.atomic_add(cost, wp.static(_row(passes, "Triangle Tests")), pixel[path], wp.int64(sums.work.triangle_tests[slot]))
+
+    return count_rays
+
+
+def _row(passes: tuple[str, ...], name: str) -> int:
+    """Row of a pass among the cost passes; any where it is not asked for, because `wp.static` computes that too."""
+    return passes.index(name) if name in passes else 0
+
+
+def cost_picture(cost: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """A cost pass: int64 sums of some pixels over their samples' `counts`, float32; 0 where a pixel has none."""
+    return (cost / np.maximum(counts, 1)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class TreeBytes:
+    """What a visit reads, of the layout that is traced [bytes]."""
+
+    node: int
+    triangle: int  # of one triangle test
+
+
+@dataclass
+class CounterTotals:
+    """Counts on the host, of one worker or of several."""
+
+    by_bounce: np.ndarray  # int64, shape [kinds, bins, quantities]
+    lane_turns: np.ndarray  # int64, shape [kinds, 2]: with a ray, all
+    steps: bool  # whether more than rays was counted
+    seconds: dict[str, float] = field(default_factory=dict)  # by stage
+
+    def merge(self, other: CounterTotals) -> CounterTotals:
+        """The sums of both."""
+        seconds = {stage: self.seconds.get(stage, 0.0) + other.seconds.get(stage, 0.0) for stage in self.seconds | other.seconds}
+        return CounterTotals(self.by_bounce + other.by_bounce, self.lane_turns + other.lane_turns, self.steps and other.steps, seconds)
+
+    def quantity(self, name: str) -> np.ndarray:
+        """One of `QUANTITIES`, int64, shape [kinds, bins]."""
+        return self.by_bounce[..., QUANTITIES.index(name)]
+
+    def report(self, tree: TreeBytes | None, hardware: dict[str, Any] | None = None) -> dict[str, Any]:
+        """For statistics (see docs/statistics.md); `tree` is None for a tracer whose nodes are not known."""
+        counted = {name: self._by_kind(name) if self.steps or name == "rays" else UNAVAILABLE for name in QUANTITIES}
+        return {
+            **counted,
+            "lanes_idle": {kind: self._lanes_idle(k) for k, kind in enumerate(RAY_KINDS)},
+            "seconds": {stage: round(value, 6) for stage, value in self.seconds.items()},
+            "bytes": self._bytes(tree),
+            "hardware": hardware or {},
+        }
+
+    def _by_kind(self, name: str) -> dict[str, list[int]]:
+        return dict(zip(RAY_KINDS, self.quantity(name).tolist(), strict=True))
+
+    def _lanes_idle(self, kind: int) -> float | str:
+        active, turns = self.lane_turns[kind].tolist()
+        return round(1.0 - active / turns, 4) if turns else UNAVAILABLE
+
+    def _bytes(self, tree: TreeBytes | None) -> dict[str, int] | str:
+        if tree is None or not self.steps:
+            return UNAVAILABLE
+        per_kind = np.array([RAY_BYTES_READ + RAY_BYTES_WRITTEN[kind] for kind in RAY_KINDS])
+        nodes = int(self.quantity("node_steps").sum()) * tree.node
+        triangles = int(self.quantity("triangle_tests").sum()) * tree.triangle
+        rays = int((self.quantity("rays").sum(1) * per_kind).sum())
+        return {"nodes": nodes, "triangles": triangles, "rays": rays, "total": nodes + triangles + rays}
+
+
+class Counters:
+    """The counters of one worker."""
+
+    def __init__(self, features: CounterFeatures, slot_count: int, bounce_max: int, device: wp.Device):
+        """For `slot_count` ray slots; extending rays come up to bounce `bounce_max` + 1."""
+        self.features, self._device = features, device
+        self.timer = StageTimer(clock_of(device))
+        self._kernel = count_kernel(features)
+        self.work = work = RayWork()  # what the tracer fills
+        self._sums = sums = CounterSums()
+        sums.bins = min(bounce_max + 2, BOUNCE_BINS_MAX)
+        cells, copies = len(RAY_KINDS) * sums.bins * len(QUANTITIES), _CUDA_COPIES if device.is_cuda else 1
+        slots = slot_count if features.steps else 0
+        work.node_steps, work.box_tests, work.triangle_tests = (wp.zeros(slots, dtype=int, device=device) for _ in range(3))
+        work.lane_turns = wp.zeros(2 * len(RAY_KINDS), dtype=wp.int64, device=device)
+        sums.by_bounce = wp.zeros((cells, copies), dtype=wp.int64, device=device)
+        sums.work = work
+
+    def begin_tile(self, pixel_count: int) -> wp.array:
+        """Costs of a tile, all 0, int64, shape [cost passes, pixels]."""
+        return wp.zeros((len(self.features.cost_passes), pixel_count), dtype=wp.int64, device=self._device)
+
+    def add(self, kind: int, listed: Any, bounce: wp.array, pixel: wp.array, cost: wp.array) -> None:
+        """Count the rays of the `SlotList` `listed`, of `RayKind` `kind`, that were just traced.
+
+        `bounce` and `pixel` are those of each path, `cost` comes from `begin_tile`. Shadow rays are counted at their path's
+        bounce too: 1 is a shadow ray from the first surface, unless the path went straight on through it.
+        """
+        if listed.bound:
+            inputs = [self._sums, bounce, pixel, kind, listed.slots, listed.count, cost]
+            wp.launch(self._kernel, listed.bound, inputs, device=self._device)
+
+    def totals(self) -> CounterTotals:
+        """All that was counted so far; waits for the device."""
+        sums = self._sums
+        by_bounce = sums.by_bounce.numpy().sum(1).reshape(len(RAY_KINDS), sums.bins, len(QUANTITIES))
+        return CounterTotals(by_bounce, self.work.lane_turns.numpy().reshape(-1, 2).copy(), self.features.steps, self.timer.totals())
+
+
+def counter_bytes_per_path(features: CounterFeatures | None, shadow_rays: bool) -> int:
+    """Device memory of the counters for each path alive [bytes]."""
+    return 3 * 4 * (1 + shadow_rays) if features and features.steps else 0

@@ -1,0 +1,145 @@
+"""What is counted on the device, against the same sums by NumPy."""
+
+import json
+
+import numpy as np
+import pytest
+import warp as wp
+from under_test import DEVICE
+
+from raybatch_addon.core.report.counters import (
+    BOUNCE_BINS_MAX,
+    COST_PASSES,
+    QUANTITIES,
+    RAY_BYTES_READ,
+    RAY_BYTES_WRITTEN,
+    RAY_KINDS,
+    UNAVAILABLE,
+    CounterFeatures,
+    Counters,
+    TreeBytes,
+    cost_picture,
+    count_kernel,
+    counter_bytes_per_path,
+)
+from raybatch_addon.core.report.timing import STAGES
+from raybatch_addon.core.wavefront.rays import RayKind
+from raybatch_addon.core.wavefront.tracer import NO_SLOTS, SlotList
+
+PATHS, PIXELS, BOUNCE_MAX = 400, 30, 3
+BINS = BOUNCE_MAX + 2
+
+
+class Work:
+    """Paths with random bounces and pixels, and waves of rays with random work."""
+
+    def __init__(self, features, seed=1):
+        self.rng = np.random.default_rng(seed)
+        self.counters = Counters(features, 2 * PATHS, BOUNCE_MAX, wp.get_device(DEVICE))
+        self.cost = self.counters.begin_tile(PIXELS)
+        self.sums = np.zeros((len(RAY_KINDS), BINS, len(QUANTITIES)), np.int64)
+        self.pixels = {name: np.zeros(PIXELS, np.int64) for name in COST_PASSES}
+
+    def wave(self, kind, count, bound):
+        rng, work = self.rng, self.counters.work
+        bounce, pixel = rng.integers(0, 9, PATHS).astype(np.int32), rng.integers(0, PIXELS, PATHS).astype(np.int32)
+        slots = rng.permutation(PATHS)[:bound].astype(np.int32)
+        did = np.ones((2 * PATHS, len(QUANTITIES)), np.int64)
+        did[:, 1:] = rng.integers(0, 2**31, (2 * PATHS, 3))
+        if self.counters.features.steps:
+            for column, array in enumerate((work.node_steps, work.box_tests, work.triangle_tests), 1):
+                array.assign(did[:, column].astype(np.int32))
+        rays = slots + PATHS * (kind != RayKind.CLOSEST)
+        listed = SlotList(wp.array(rays, dtype=int, device=DEVICE), wp.array([count], dtype=int, device=DEVICE), bound)
+        arrays = (wp.array(each, dtype=int, device=DEVICE) for each in (bounce, pixel))
+        self.counters.add(kind, listed, *arrays, self.cost)
+        paths, did = slots[:count], did[rays[:count]]
+        np.add.at(self.sums[kind], np.minimum(bounce[paths], BINS - 1), did)
+        for name, quantity in COST_PASSES.items():
+            np.add.at(self.pixels[name], pixel[paths], did[:, QUANTITIES.index(quantity)])
+
+
+@pytest.mark.parametrize("passes", [(), ("Triangle Tests", "Rays"), tuple(COST_PASSES)])
+def test_sums_by_kind_bounce_and_pixel(passes):
+    work = Work(CounterFeatures(True, passes))
+    for kind in RayKind:
+        for count, bound in ((300, 400), (0, 100), (1, 1)):
+            work.wave(kind, count, bound)
+    work.counters.add(0, NO_SLOTS, None, None, work.cost)
+    totals = work.counters.totals()
+    assert np.array_equal(totals.by_bounce, work.sums) and totals.quantity("rays").sum() == 903
+    cost = work.cost.numpy()
+    assert cost.shape == (len(passes), PIXELS)
+    for row, name in enumerate(passes):
+        assert np.array_equal(cost[row], work.pixels[name]), name
+
+
+def test_a_tracer_that_does_not_tell_its_steps_has_its_rays_counted():
+    work = Work(CounterFeatures(False, ("Rays", "Node Steps")))
+    work.wave(RayKind.OCCLUSION, 200, 300)
+    assert work.counters.work.node_steps.shape == work.counters.work.box_tests.shape == work.counters.work.triangle_tests.shape == (0,)
+    totals = work.counters.totals()
+    assert np.array_equal(totals.quantity("rays"), work.sums[..., 0])
+    assert np.array_equal(work.cost.numpy(), [work.pixels["Rays"], np.zeros(PIXELS)])
+    report = totals.report(TreeBytes(256, 40))
+    assert report["rays"]["occlusion"] == work.sums[1, :, 0].tolist()
+    assert report["node_steps"] == report["box_tests"] == report["triangle_tests"] == report["bytes"] == UNAVAILABLE
+
+
+def test_counters_are_made_only_where_they_are_asked_for():
+    assert CounterFeatures.choose("OFF", ("Combined", "Depth"), True) is None
+    assert CounterFeatures.choose("ON", ("Combined",), False) == CounterFeatures(False, ())
+    assert CounterFeatures.choose("OFF", ("Combined", "Rays"), True) == CounterFeatures(True, ("Rays",))
+    assert counter_bytes_per_path(None, True) == counter_bytes_per_path(CounterFeatures(False, ()), True) == 0
+    assert counter_bytes_per_path(CounterFeatures(True, ()), True) == 2 * counter_bytes_per_path(CounterFeatures(True, ()), False) > 0
+
+
+def test_what_is_not_counted_is_not_compiled(tmp_path):
+    def source(features):
+        kernel = count_kernel(features)
+        wp.compile_aot_module(kernel.module, device=DEVICE, module_dir=tmp_path)
+        return next(tmp_path.glob(f"wp_{kernel.module.name}*.c*")).read_text()
+
+    everything, rays = source(CounterFeatures(True, tuple(COST_PASSES))), source(CounterFeatures(False, ()))
+    assert everything.count("= wp::atomic_add(") == 7 and rays.count("= wp::atomic_add(") == 1
+
+
+def test_kinds_are_numbered_like_those_of_rays():
+    assert [kind.name.lower() for kind in RayKind] == list(RAY_KINDS)
+
+
+def test_the_last_bin_takes_what_is_beyond():
+    counters = Counters(CounterFeatures(False, ()), 0, 100_000, wp.get_device(DEVICE))
+    assert counters.totals().by_bounce.shape == (3, BOUNCE_BINS_MAX, 4)
+
+
+def test_the_report_is_json_and_sums_bytes():
+    work = Work(CounterFeatures(True, ()))
+    work.wave(RayKind.CLOSEST, 300, 300)
+    work.wave(RayKind.OCCLUSION, 100, 100)
+    work.counters.work.lane_turns.assign(np.array([30, 40, 0, 0, 0, 0]))
+    with work.counters.timer.stage("trace"):
+        pass
+    report = work.counters.totals().report(TreeBytes(80, 48), {"cycles": 5})
+    assert json.loads(json.dumps(report)) == report
+    nodes, triangles = 80 * work.sums[..., 1].sum(), 48 * work.sums[..., 3].sum()
+    rays = 400 * RAY_BYTES_READ + 300 * RAY_BYTES_WRITTEN["closest"] + 100 * RAY_BYTES_WRITTEN["occlusion"]
+    assert report["bytes"] == {"nodes": nodes, "triangles": triangles, "rays": rays, "total": nodes + triangles + rays}
+    assert report["lanes_idle"] == {"closest": 0.25, "occlusion": UNAVAILABLE, "transparent_shadow": UNAVAILABLE}
+    assert list(report["seconds"]) == list(STAGES) and report["hardware"] == {"cycles": 5}
+
+
+def test_workers_are_added_up():
+    one, other = Work(CounterFeatures(True, ()), 1), Work(CounterFeatures(True, ()), 2)
+    for work in (one, other):
+        work.wave(RayKind.CLOSEST, 300, 300)
+        work.counters.work.lane_turns.fill_(3)
+    totals, others = one.counters.totals(), other.counters.totals()
+    totals.seconds["trace"], others.seconds["trace"] = 1.0, 2.0
+    both = totals.merge(others)
+    assert np.array_equal(both.by_bounce, one.sums + other.sums) and (both.lane_turns == 6).all() and both.steps
+    assert both.seconds["trace"] == 3.0
+
+
+def test_pictures_of_cost_are_means_over_samples():
+    assert cost_picture(np.array([6, 5, 0]), np.array([4, 2, 0])).tolist() == [1.5, 2.5, 0.0]
