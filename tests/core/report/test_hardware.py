@@ -4,6 +4,7 @@ import errno
 import os
 import struct
 import threading
+import time
 
 import pytest
 
@@ -13,15 +14,31 @@ from raybatch_addon.core.report.hardware import EVENTS, UNAVAILABLE, HardwareCou
 
 def test_every_event_is_a_number_or_unavailable():
     with hardware_counters(False) as counters:
-        thread = threading.Thread(target=sum, args=(range(200_000),))
-        thread.start()
-        thread.join()
+        sum(range(200_000))
     report = counters.report()
     for name in EVENTS:
         assert report[name] == UNAVAILABLE or (isinstance(report[name], int) and report[name] >= 0), name
     assert ("reason" in report) == (UNAVAILABLE in report.values())
     if report["instructions"] != UNAVAILABLE:
-        assert report["instructions"] > 200_000, "threads that were started meanwhile are counted"
+        assert report["instructions"] > 200_000
+
+
+def test_threads_that_start_meanwhile_are_counted(monkeypatch):
+    monkeypatch.setattr(hardware, "EVENTS", {"task_clock": (1, 1)})  # of the kernel's own, which needs no register
+    spent = []
+
+    def work():
+        sum(range(1_000_000))
+        spent.append(time.thread_time_ns())
+
+    with HardwareCounters() as counters:
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+    found = counters.report()["task_clock"]
+    if found == UNAVAILABLE:
+        pytest.skip(counters.report()["reason"])
+    assert found > 0.5 * spent[0]
 
 
 @pytest.mark.parametrize("number, word", [(errno.EACCES, "perf_event_paranoid"), (errno.ENOENT, "machine"), (errno.EINVAL, "Invalid")])
