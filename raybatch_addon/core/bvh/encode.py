@@ -1,7 +1,7 @@
 """Writing the blocks of a tree, for CPU and CUDA: child boxes become nodes, vertices are placed in triangle blocks.
 
-The text of `ENCODE_BOXES` and `ENCODE_QUANTISED` is put inside native functions that have found the boxes: of a binary tree when a tree is made, of triangles and nodes below
-when it is refitted. It reads
+The text of `ENCODE_BOXES` and `ENCODE_QUANTISED` is put inside native functions that have found the boxes: of a binary
+tree when a tree is made, of the triangles and nodes below when it is refitted. It reads
 
     float box[8][6]     lower and upper corner of each child, absolute
     bool there[8]       whether the slot has a child
@@ -31,7 +31,8 @@ auto above = [&](double x) { return -below(-x); };
 # -> float* node: the planes (words 0 to 47) of a node of BOXES
 ENCODE_BOXES = rf"""{{
     const double grow = {SLAB_MARGIN!r} * reach;
-    const Bits infinity = {{ .bits = 0x7f800000u }};
+    Bits infinity;
+    infinity.bits = 0x7f800000u;
     for (int k = 0; k < 3; ++k)
         for (int s = 0; s < 8; ++s) {{
             node[16 * k + s] = there[s] ? below((double)box[s][k] - centre[k] - grow) : infinity.value;
@@ -59,6 +60,7 @@ ENCODE_QUANTISED = rf"""{{
         int exponent = (int)((step.bits + 0x7fffffu) >> 23);
         exponent = exponent < 1 ? 1 : exponent > 254 ? 254 : exponent;
         Bits scale; scale.bits = (unsigned int)exponent << 23;
+        if (exponent < 254 && origin + 255.0f * scale.value < top) scale.bits = (unsigned int)++exponent << 23; // by rounding
         const double steps_per_unit = 1.0 / (double)scale.value;
         exponents |= (unsigned int)exponent << (8 * k);
         for (int half = 0; half < 2; ++half) {{

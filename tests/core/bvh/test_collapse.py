@@ -161,6 +161,16 @@ def test_leaves_that_do_not_fit_are_refused():
         collapse_mesh(build_binary(positions, triangles, BuildOptions()), positions, triangles, Layout.QUANTISED)
 
 
+def test_a_child_before_its_parent_is_refused():
+    positions, triangles = soup(300)
+    binary = build_binary(positions, triangles, BuildOptions())
+    first, count = binary.links
+    inner = np.flatnonzero(count == 0)[-1]
+    first[inner] = inner - 1
+    with pytest.raises(ValueError, match="come after"):
+        collapse_mesh(binary, positions, triangles, Layout.BOXES)
+
+
 @both
 @settings(max_examples=40, deadline=None)
 @given(data=st.data())
