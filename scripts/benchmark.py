@@ -1,175 +1,166 @@
-"""Measure RayBatch.
-
-python scripts/benchmark.py render SCENE [--samples N] [--bounces N] [--size WxH] [--runs R] [--device D] [--against cycles] [--json [FILE]] [--picture PNG]
-
-SCENE is a .blend (needs bpy) or a .scene.npz (does not). Runs of RayBatch and of Cycles alternate; medians are reported, with the
-spread (largest less smallest, over the median). RayBatch's first run, with compilation, is reported apart. Cycles renders with the
-same samples and bounces, without adaptive sampling, denoising, clamping or any other bias, and on the CPU. Its time is that of
-the whole render call; RayBatch's is given likewise, and for its stages.
-"""
+#!/usr/bin/env python3
+"""Measure RayBatch: whole renders, and traversal alone. `benchmark.py render --help` and `benchmark.py traversal --help` say how."""
 
 from __future__ import annotations
 
 import argparse
-import json
-import statistics
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from raybatch_addon.core.errors import RayBatchError
-from raybatch_addon.core.scene.archive import load_scene
-from raybatch_addon.core.scene.description import Scene
-from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import RenderSettings
+from rendering.output import OutputFolders, leave, own_standard_output, write_json
+from rendering.request import UsageError, parse_settings
+
+RENDER = """\
+Measure whole renders of SCENE: a .blend (needs bpy) or a .scene.npz (does not).
+
+Runs of RayBatch and of Cycles alternate; medians are told, with the spread (largest less smallest, over the median). A
+whole render is everything but reading the file: the tree is built anew each time. RayBatch's first render, with
+compilation, is told apart.
+
+Cycles renders the same file on the same device, with the same samples, bounces and pixel filter, without adaptive
+sampling, denoising, clamping or any other bias. Its time is that of the whole render call.
+
+--equal-error: both engines are unbiased, so their error is noise. Each renders the picture twice more, with other
+seeds and the samples of the timed runs. relMSE is half the squared difference of the two, divided by the pixel's squared
+brightness (+ 0.01), and averaged over pixels and channels. Error and time are taken as inversely proportional: what is
+compared is time x relMSE, and its inverse is told as efficiency. Set-up counts as time, so take samples enough that it
+does not matter; a few very bright samples can rule the figure, so take samples enough for that too.
+"""
+TRAVERSAL = """\
+Measure how fast tracers find hits, all on the same rays of real paths.
+
+FILE is geometry (.npz, arrays v, f and, if wanted, m), or a scene written by render.py --save-scene (.scene.npz). It is
+rendered, in a frame of about as many pixels as rays of a kind are wanted, until there are enough rays of every kind, or
+32 times as many camera rays: rays are taken in the order in which the integrator hands them to its tracer. Paths go no
+farther than is asked for, and without Russian roulette. Where a scene has no light a sun is added, and where nothing
+scatters light all becomes white.
+
+rays     primary; bounceN: rays that go on from the Nth hit of a path; shadowN: its shadow rays (any hit)
+orders   natural (the integrator's), shuffled, sorted (by octant and Morton code, before the clock starts)
+tracers  off: RayBatch's own tree without queues; off-sorted: the same, and sorts its rays first; reference: Warp's
+         tree; embree and embree-robust: Intel's Embree through the package embreex, on the CPU. Default: all that
+         can be measured here
+
+Hits are compared before anything is timed; where tracers disagree, every triangle is asked in float64, and answers
+beyond the error bound of float32 are told as faults. Then tracers take turns, run by run. One CPU thread is timed by its
+own clock, several by the wall's, CUDA devices by their events. Mrays/s are medians and include the time of sorting.
+"""
 
 
-def summary(seconds: list[float]) -> dict[str, Any]:
-    """Median and spread of several runs."""
-    middle = statistics.median(seconds)
-    return {"seconds": round(middle, 4), "spread": round((max(seconds) - min(seconds)) / middle, 3), "runs": len(seconds)}
-
-
-def make_cycles_unbiased(scene, samples: int, bounces: int) -> None:
-    """Cycles without shortcuts: what is left is noise."""
-    cycles = scene.cycles
-    cycles.device = "CPU"
-    cycles.samples = samples
-    cycles.use_adaptive_sampling = cycles.use_denoising = False
-    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
-    cycles.blur_glossy = cycles.light_sampling_threshold = 0
-    cycles.caustics_reflective = cycles.caustics_refractive = True
-    for name in ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces"):
-        setattr(cycles, name, bounces)
-
-
-class BlendFile:
-    """A .blend, exported once; Cycles renders it as it is."""
-
-    def __init__(self, path: Path, given: argparse.Namespace):
-        import bpy
-
-        import raybatch_addon
-        from raybatch_addon.export.scene import export_scene
-        from raybatch_addon.export.settings import settings_from
-
-        raybatch_addon.register()
-        bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
-        self._bpy, self._scene = bpy, bpy.context.scene
-        if given.size:
-            self._scene.render.resolution_x, self._scene.render.resolution_y = given.size
-            self._scene.render.resolution_percentage = 100
-        self._scene.render.engine = "RAYBATCH"
-        depsgraph = bpy.context.evaluated_depsgraph_get()
-        start = time.perf_counter()
-        self.scene = export_scene(depsgraph)
-        self.export_seconds = time.perf_counter() - start
-        self.settings = settings_from(self._scene)
-
-    def cycles(self, samples: int, bounces: int) -> float:
-        """Seconds of one render by Cycles."""
-        make_cycles_unbiased(self._scene, samples, bounces)
-        self._scene.render.engine = "CYCLES"
-        start = time.perf_counter()
-        self._bpy.ops.render.render()
-        return time.perf_counter() - start
-
-
-def measure_render(given: argparse.Namespace) -> dict[str, Any]:
-    """The report of `benchmark.py render`."""
-    blend = None
-    if given.scene.suffix == ".blend":
-        blend = BlendFile(given.scene, given)
-        scene, settings = blend.scene, blend.settings
-    else:
-        scene, settings = load_scene(given.scene)
-    settings = settings.replace(sample_count=given.samples, bounce_max=given.bounces)
-    if given.against and blend is None:
-        raise RayBatchError("--against cycles needs a .blend")
-    session = Session(given.device, settings)
-    cold = timed_render(session, scene, settings)
-    runs, cycles = [], []
-    for _ in range(given.runs):
-        runs.append(timed_render(session, scene, settings))
-        if given.against:
-            cycles.append(blend.cycles(given.samples, given.bounces))
-    if given.picture:
-        save_picture(cold["film"], given.picture)
-    statistics_of = runs[-1]["film"].statistics
-    report = {
-        "scene": given.scene.name,
-        "device": statistics_of["device"],
-        "versions": statistics_of["versions"],
-        "frame": statistics_of["frame"],
-        "triangles": statistics_of["triangles"],
-        "samples_per_pixel": given.samples,
-        "bounces": given.bounces,
-        "rays": statistics_of["rays"],
-        "invalid_samples": statistics_of["invalid_samples"],
-        "export_s": round(blend.export_seconds, 4) if blend else None,
-        "cold": {"seconds": round(cold["seconds"], 3), "stages": cold["film"].statistics["seconds"]},
-        "raybatch": summary([run["seconds"] for run in runs])
-        | {stage: summary([run["film"].statistics["seconds"][stage] for run in runs]) for stage in ("build", "render")},
-    }
-    if cycles:
-        report["cycles"] = summary(cycles)
-        ratios = [run["seconds"] / other for run, other in zip(runs, cycles)]
-        report["raybatch_over_cycles"] = round(statistics.median(ratios), 3)
-    return report
-
-
-def timed_render(session: Session, scene: Scene, settings: RenderSettings) -> dict[str, Any]:
-    """One whole render, tree included: caches of geometry are given back first."""
-    session.close()
-    start = time.perf_counter()
-    film = session.render(scene, settings)
-    return {"seconds": time.perf_counter() - start, "film": film}
-
-
-def save_picture(film, path: Path) -> None:
-    """The combined pass as an 8-bit sRGB picture."""
-    import numpy as np
-    from PIL import Image
-
-    linear = np.clip(np.flipud(film.passes["Combined"][..., :3]), 0, 1)
-    srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    Image.fromarray(np.round(srgb * 255).astype(np.uint8)).save(path)
-
-
-def size(text: str) -> tuple[int, int]:
-    """WxH in pixels."""
-    width, _, height = text.partition("x")
-    return int(width), int(height)
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def argument_parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(prog="benchmark.py", description=__doc__.splitlines()[0])
     commands = parser.add_subparsers(dest="command", required=True)
-    render = commands.add_parser("render", help="whole renders, beside Cycles when asked")
-    render.add_argument("scene", type=Path)
-    render.add_argument("--samples", type=int, default=16)
-    render.add_argument("--bounces", type=int, default=7)
-    render.add_argument("--size", type=size, help="WxH; default: the file's")
-    render.add_argument("--runs", type=int, default=3)
-    render.add_argument("--device", default="AUTO")
-    render.add_argument("--against", choices=("cycles",))
-    render.add_argument("--json", nargs="?", const="-", help="write the report as JSON; without FILE to standard output, and nothing else there")
-    render.add_argument("--picture", type=Path, help="save the picture as PNG")
-    given = parser.parse_args()
-    try:
-        report = measure_render(given)
-    except RayBatchError as error:
-        print(f"benchmark.py: {error}", file=sys.stderr)
-        return 1
-    text = json.dumps(report, indent=1)
-    if given.json and given.json != "-":
-        Path(given.json).write_text(text + "\n", encoding="utf-8")
-    print(text)
+
+    def command(name: str, description: str) -> argparse.ArgumentParser:
+        added = commands.add_parser(
+            name, help=description.splitlines()[0], description=description, allow_abbrev=False,
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )  # fmt: skip
+        added.add_argument("--device", default="AUTO", help="AUTO, cpu or cuda:N")
+        added.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="change a render setting (may be repeated); render.py --help lists them")
+        added.add_argument("--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there")
+        added.add_argument("--verbose", action="store_true", help="pass on what Blender and Warp print, to standard error")
+        return added
+
+    render = command("render", RENDER)
+    render.add_argument("scene", type=Path, metavar="SCENE")
+    render.add_argument("--samples", type=int, default=16, help="per pixel (default: 16)")
+    render.add_argument("--bounces", type=int, default=7, help="default: 7")
+    render.add_argument("--size", metavar="WxH", help="pixels; default: the file's")
+    render.add_argument("--threads", type=int, default=0, help="of the CPU, for both engines; default: every core")
+    render.add_argument("--runs", type=int, default=3, help="timed runs (default: 3)")
+    render.add_argument("--against", choices=("cycles",), help="measure this engine beside RayBatch")
+    render.add_argument("--equal-error", action="store_true", help="compare at equal error too; see above")
+    render.add_argument("--picture", type=Path, metavar="FILE", help="save the picture as .png or .exr")
+
+    traversal = command("traversal", TRAVERSAL)
+    traversal.add_argument("--scene", type=Path, required=True, metavar="FILE")
+    traversal.add_argument("--grid", type=int, default=1, metavar="N", help="repeat the mesh N x N times as triangles of their own, seen from above")
+    traversal.add_argument("--camera", metavar="EX,EY,EZ,TX,TY,TZ,FOV", help="of geometry: eye, target and field of view [degrees] (write --camera=-1,... for a negative first number); default: shows all of it")
+    traversal.add_argument("--up", choices=("y", "z"), help="of geometry: the axis that points up (default: z)")
+    traversal.add_argument("--threads", default="1", metavar="T[,T]", help="threads of the CPU (default: 1)")
+    traversal.add_argument("--tracers", default="", metavar="NAME[,NAME]")
+    traversal.add_argument("--rays", default="primary,bounce1,bounce4,shadow1", metavar="KIND[,KIND]", help="default: %(default)s")
+    traversal.add_argument("--orders", default="natural,shuffled,sorted", metavar="ORDER[,ORDER]", help="default: %(default)s")
+    traversal.add_argument("--runs", type=int, default=5, help="timed runs (default: 5)")
+    traversal.add_argument("--ray-count", type=int, metavar="N", help="rays of each kind (default: 1,000,000 on the CPU, 4,000,000 on CUDA)")
+    return parser
+
+
+def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
+    """The report that was asked for, and the same in words; raises `RayBatchError`."""
+    from benchmarking.tables import render_text, traversal_text
+
+    for name in ("runs", "ray_count", "samples"):
+        value = getattr(options, name, None)
+        if value is not None and value < 1:
+            raise UsageError(f"--{name.replace('_', '-')} {value} is not valid: it must be 1 or more")
+    changes, resolution = parse_settings(options.set)
+    if options.command == "render":
+        from benchmarking.render import RenderRequest, measure_render
+
+        if options.size:
+            resolution = parse_settings([f"resolution={options.size}"])[1]
+        request = RenderRequest(
+            options.scene, options.device, options.samples, options.bounces, options.threads, options.runs, resolution,
+            options.against, options.equal_error, options.picture, changes,
+        )  # fmt: skip
+        report = measure_render(request)
+        return report, render_text(report)
+
+    from benchmarking.orders import parse_orders
+    from benchmarking.rays import parse_ray_types
+    from benchmarking.scenes import SceneRequest
+    from benchmarking.traversal import TraversalRequest, measure_traversal
+
+    if resolution:
+        raise UsageError("--set resolution has no use here: the frame has about as many pixels as there are rays (--ray-count)")
+    request = TraversalRequest(
+        SceneRequest(options.scene, options.grid, options.camera, options.up), options.device,
+        [name.strip() for name in options.tracers.split(",") if name.strip()], parse_ray_types(options.rays),
+        parse_orders(options.orders), parse_threads(options.threads), options.runs, options.ray_count, changes,
+    )  # fmt: skip
+    report = measure_traversal(request)
+    return report, traversal_text(report)
+
+
+def parse_threads(text: str) -> list[int]:
+    """Counts of threads, such as `1,2`; raises `UsageError`."""
+    parts = [part.strip() for part in text.split(",")]
+    if not all(part.isdecimal() and 1 <= int(part) <= 1024 for part in parts):
+        raise UsageError(f"--threads {text} is not valid: give counts of 1 to 1024, such as 1,2")
+    return list(dict.fromkeys(map(int, parts)))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The exit code."""
+    options = argument_parser().parse_args(arguments)
+    folders = OutputFolders()
+    with own_standard_output(options.verbose) as standard_output:
+        try:
+            for target in (options.json if options.json != "-" else None, getattr(options, "picture", None)):
+                if target:
+                    folders.prepare(Path(target).absolute())
+            report, text = measured(options)
+            if options.json:
+                write_json(options.json, [report], standard_output)
+            if options.json != "-":
+                standard_output.write(text + "\n")
+        except RayBatchError as error:
+            folders.take_back()
+            print(f"benchmark.py: error: {' '.join(str(error).split())}", file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            folders.take_back()
+            print("benchmark.py: stopped", file=sys.stderr)
+            return 130
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    leave(main())

@@ -5,8 +5,6 @@ from __future__ import annotations
 import sys
 import time
 
-from tqdm import tqdm
-
 from raybatch_addon.core.session import Progress
 
 PLAIN_SECONDS = 5.0  # between lines where standard error is no terminal
@@ -17,7 +15,7 @@ class ProgressBar:
 
     def __init__(self) -> None:
         self.label = ""
-        self._bar: tqdm | None = None
+        self._bar = None
         self._terminal = sys.stderr.isatty()
         self._shown = time.perf_counter()
 
@@ -30,6 +28,8 @@ class ProgressBar:
                 print(f"{self.label}{text}", file=sys.stderr, flush=True)
             return
         if self._bar is None:
+            from tqdm import tqdm  # not needed where there is no terminal
+
             self._bar = tqdm(total=1.0, file=sys.stderr, leave=False, dynamic_ncols=True, bar_format="{desc} |{bar}| {percentage:3.0f} %")
         self._bar.n = progress.fraction
         self._bar.set_description_str(f"{self.label}{text}", refresh=True)

@@ -1,0 +1,101 @@
+"""Cycles as a peer: the same .blend, in the same process, made unbiased."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+from rendering.request import UsageError
+
+from raybatch_addon.core.settings import RenderSettings
+
+GPU_KINDS = ("OPTIX", "CUDA")  # the first that the device offers is taken
+
+
+class CyclesPeer:
+    """Renders the open .blend with Cycles."""
+
+    def __init__(self, scene, device: wp.Device, settings: RenderSettings, thread_count: int):
+        """`scene` is Blender's; samples, bounces and filter are those of `settings`. Raises `UsageError`."""
+        self._scene = scene
+        self._unbiased(settings)
+        if thread_count:
+            scene.render.threads_mode, scene.render.threads = "FIXED", thread_count
+        else:
+            scene.render.threads_mode = "AUTO"
+        self.device = use_device(scene, device)  # as Cycles calls it
+
+    def render(self) -> float:
+        """Seconds of one render."""
+        self._scene.render.engine = "CYCLES"
+        return self._operate()
+
+    def picture(self, seed: int) -> np.ndarray:
+        """The linear picture rendered with `seed`, float64, shape [height, width, 3], bottom row first."""
+        import bpy
+
+        scene = self._scene
+        scene.render.engine, scene.cycles.seed = "CYCLES", seed
+        image = scene.render.image_settings
+        if hasattr(image, "media_type"):
+            image.media_type = "IMAGE"
+        image.file_format, image.color_mode, image.color_depth, image.exr_codec = "OPEN_EXR", "RGB", "32", "ZIP"
+        with tempfile.TemporaryDirectory() as folder:
+            scene.render.filepath = os.path.join(folder, "picture.exr")
+            self._operate(write_still=True)
+            (path,) = Path(folder).iterdir()
+            loaded = bpy.data.images.load(str(path))
+            loaded.colorspace_settings.name = "Non-Color"
+            pixels = np.empty(len(loaded.pixels), np.float32)
+            loaded.pixels.foreach_get(pixels)
+            width, height = loaded.size
+            bpy.data.images.remove(loaded)
+        return pixels.reshape(height, width, -1)[..., :3].astype(np.float64)
+
+    def _operate(self, **how: bool) -> float:
+        import bpy
+
+        start = time.perf_counter()
+        bpy.ops.render.render(**how)
+        return time.perf_counter() - start
+
+    def _unbiased(self, settings: RenderSettings) -> None:
+        """Leave Cycles without shortcuts: what is left is noise."""
+        cycles = self._scene.cycles
+        cycles.samples = settings.sample_count
+        cycles.use_adaptive_sampling = cycles.use_denoising = False
+        cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
+        cycles.blur_glossy = cycles.light_sampling_threshold = 0
+        cycles.caustics_reflective = cycles.caustics_refractive = True
+        cycles.time_limit = 0
+        cycles.pixel_filter_type, cycles.filter_width = settings.pixel_filter, settings.filter_width
+        for name in ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces"):
+            setattr(cycles, name, settings.bounce_max)
+        cycles.transparent_max_bounces = settings.transparent_bounce_max
+
+
+def use_device(scene, device: wp.Device) -> str:
+    """Let Cycles render where RayBatch does; returns the device in Cycles' words. Raises `UsageError` where it cannot."""
+    if not device.is_cuda:
+        scene.cycles.device = "CPU"
+        return "CPU"
+    import bpy
+
+    preferences = bpy.context.preferences.addons["cycles"].preferences
+    for kind in GPU_KINDS:
+        try:
+            preferences.compute_device_type = kind
+        except TypeError:  # this Blender was built without it
+            continue
+        preferences.get_devices()
+        usable = [each for each in preferences.devices if each.type == kind]
+        if usable:
+            for each in preferences.devices:
+                each.use = each is usable[device.ordinal % len(usable)]
+            scene.cycles.device = "GPU"
+            return kind
+    raise UsageError(f"Cycles finds no GPU here, and RayBatch renders on {device.alias}: use --device cpu, or leave --against out")

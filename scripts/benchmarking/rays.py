@@ -1,0 +1,178 @@
+"""Rays of real paths: a render is watched, and the rays that it hands to its tracer are copied in the order in which it does."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+from rendering.request import UsageError
+
+from raybatch_addon.core import session as session_module
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.wavefront.integrator import TileIntegrator
+from raybatch_addon.core.wavefront.rays import Paths, RayKind, Rays
+from raybatch_addon.core.wavefront.tracer import SlotList, Tracer
+from raybatch_addon.kernel_cache import kernel_cache_folder
+
+from .scenes import BenchmarkScene
+
+CAMERA_RAYS_MAX = 32  # camera rays that are spent at most, for each ray of a kind that is wanted
+TILE_MAX = 65_536  # one tile for the whole frame, so that rays come from all of it
+
+
+@dataclass(frozen=True)
+class RayType:
+    """Rays of one kind and bounce."""
+
+    name: str
+    shadow: bool
+    bounce: int  # scattering events of the path before an extending ray; of a shadow ray, the number of the hit it starts at
+
+
+@dataclass(frozen=True)
+class CapturedRays:
+    """Rays of one type, on the host."""
+
+    type: RayType
+    origin: np.ndarray  # [m], float32, shape [n, 3]
+    direction: np.ndarray  # unit length, float32, shape [n, 3]
+    t_max: np.ndarray  # [m], float32, shape [n]
+    visibility: np.ndarray  # `Visibility` bit, int32, shape [n]
+
+    def __len__(self) -> int:
+        return len(self.t_max)
+
+    def taken(self, order: np.ndarray) -> CapturedRays:
+        """The rays `order`, indices, in that order."""
+        parts = (np.ascontiguousarray(part[order]) for part in (self.origin, self.direction, self.t_max, self.visibility))
+        return CapturedRays(self.type, *parts)
+
+
+def parse_ray_types(text: str) -> list[RayType]:
+    """The types of a list such as `primary,bounce1,shadow1`; raises `UsageError`."""
+    types = []
+    for name in text.split(","):
+        match = re.fullmatch(r"primary|(bounce|shadow)([1-9]\d?)", name.strip())
+        if not match:
+            raise UsageError(f"--rays {name.strip()!r} is not known: choose of primary, bounce1, bounce2 ... and shadow1, shadow2 ...")
+        ray_type = RayType(match[0], match[1] == "shadow", int(match[2] or 0))
+        if ray_type not in types:
+            types.append(ray_type)
+    return types
+
+
+@dataclass
+class RayCollector:
+    """Keeps the first `ray_count` rays of each type."""
+
+    types: list[RayType]
+    ray_count: int
+    camera_rays: int = 0  # seen so far
+    _parts: dict[str, list[tuple[np.ndarray, ...]]] = field(default_factory=dict)
+    _counts: dict[str, int] = field(default_factory=dict)
+
+    def enough(self) -> bool:
+        """Whether all types are complete."""
+        return all(self._counts.get(each.name, 0) >= self.ray_count for each in self.types)
+
+    def take(self, kind: RayKind, submitted: SlotList, paths: Paths, rays: Rays) -> None:
+        """Copy what is wanted of rays that are handed to a tracer."""
+        slots = submitted.slots.numpy()[: int(submitted.count.numpy()[0])]
+        shadow = kind != RayKind.CLOSEST
+        path = slots - paths.status.shape[0] if shadow else slots
+        bounce = paths.bounce.numpy()[path]
+        if shadow:
+            bounce = np.maximum(bounce, 1)  # a path that passed straight through its first surface has not scattered yet
+        else:
+            self.camera_rays += int(np.count_nonzero(bounce == 0))
+        for wanted in self.types:
+            left = self.ray_count - self._counts.get(wanted.name, 0)
+            if wanted.shadow != shadow or left <= 0:
+                continue
+            chosen = slots[bounce == wanted.bounce][:left]
+            if len(chosen):
+                indices = wp.array(chosen, dtype=int, device=rays.origin.device)
+                columns = (rays.origin, rays.direction, rays.t_max, rays.visibility)
+                self._parts.setdefault(wanted.name, []).append(tuple(_gathered(column, indices) for column in columns))
+                self._counts[wanted.name] = self._counts.get(wanted.name, 0) + len(chosen)
+
+    def captured(self) -> list[CapturedRays]:
+        """The rays by type, in the order of `types`; raises `UsageError` for a type of which there are none."""
+        found = []
+        for wanted in self.types:
+            if wanted.name not in self._parts:
+                raise UsageError(f"the paths of this scene have no rays {wanted.name} (in {self.camera_rays:,} camera rays); leave them out of --rays")
+            found.append(CapturedRays(wanted, *(np.concatenate(column) for column in zip(*self._parts[wanted.name], strict=True))))
+        return found
+
+
+def _gathered(array: wp.array, indices: wp.array) -> np.ndarray:
+    # a copy: on the CPU the integrator's own memory is not to be kept
+    return np.array(wp.indexedarray(array, [indices]).contiguous().numpy())
+
+
+class ObservedTracer:
+    """The integrator's own tracer, with every ray that is handed to it shown to a collector first."""
+
+    def __init__(self, tracer: Tracer, paths: Paths, rays: Rays, collector: RayCollector):
+        self._tracer, self._paths, self._rays, self._collector = tracer, paths, rays, collector
+
+    def submit(self, kind: RayKind, rays: SlotList) -> None:
+        """As `Tracer.submit`."""
+        if rays.bound and not self._collector.enough():
+            self._collector.take(kind, rays, self._paths, self._rays)
+        self._tracer.submit(kind, rays)
+
+    def __getattr__(self, name: str):
+        return getattr(self._tracer, name)
+
+
+@contextlib.contextmanager
+def observed(collector: RayCollector) -> Iterator[None]:
+    """Meanwhile every render shows its rays to `collector`."""
+
+    class ObservedIntegrator(TileIntegrator):
+        """Wraps its tracer."""
+
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            if self._tracer is not None:
+                self._tracer = ObservedTracer(self._tracer, self._paths, self._rays, collector)
+
+    original = session_module.TileIntegrator
+    session_module.TileIntegrator = ObservedIntegrator
+    try:
+        yield
+    finally:
+        session_module.TileIntegrator = original
+
+
+def capture_rays(
+    scene: BenchmarkScene, settings: RenderSettings, types: list[RayType], ray_count: int, device: str
+) -> list[CapturedRays]:
+    """`ray_count` rays of each type, or as many as there are, from a render of `scene` by one worker."""
+    collector = RayCollector(types, ray_count)
+    pixels = scene.scene.frame.width * scene.scene.frame.height
+    samples = -(-CAMERA_RAYS_MAX * ray_count // pixels)
+    # paths go no farther than is asked for, and without roulette, so that late bounces are less rare
+    bounces = max(0, *(each.bounce - 1 for each in types))
+    settings = settings.replace(
+        sample_count=samples, tile_size=TILE_MAX, thread_count=1, sample_order="FRAME_FIRST", bounce_max=bounces, roulette_bounce=bounces + 1
+    )
+    session = Session(device, settings, kernel_cache_folder())
+    try:
+        with observed(collector):
+            session.render(scene.scene, settings, cancelled=collector.enough)
+    finally:
+        session.close()
+    captured = collector.captured()
+    for rays in captured:
+        if len(rays) < ray_count:
+            print(f"benchmark.py: {rays.type.name}: {len(rays):,} rays of the {ray_count:,} that were asked for", file=sys.stderr)
+    return captured

@@ -1,0 +1,76 @@
+"""Reports as a person reads them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def table(heads: list[str], rows: list[list[str]]) -> str:
+    """Rows in columns: the first two to the left, figures to the right."""
+    widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
+    lines = []
+    for row in [heads, ["-" * width for width in widths], *rows]:
+        cells = [cell.ljust(width) if place < 2 else cell.rjust(width) for place, (cell, width) in enumerate(zip(row, widths, strict=True))]
+        lines.append("  ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def traversal_text(report: dict[str, Any]) -> str:
+    """The report of `benchmark.py traversal`."""
+    names = list(report["trees"])
+    lines = [f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}"]
+    for name, tree in report["trees"].items():
+        size = "" if tree["bvh_bytes"] is None else f", {tree['bvh_bytes'] / max(1, report['triangles']):.0f} bytes a triangle"
+        lines.append(f"tree of {name}: built in {tree['build_s']:.2f} s{size}")
+    cases: dict[tuple, dict[str, dict[str, Any]]] = {}
+    for result in report["results"]:
+        cases.setdefault((result["rays"], result["order"], result["threads"]), {})[result["tracer"]] = result
+    rows = []
+    for (rays, order, threads), by_name in cases.items():
+        first = by_name[names[0]]
+        row = [rays, order, "" if threads is None else str(threads), f"{first['ray_count']:,}"]
+        for name in names:
+            result = by_name[name]
+            sort = f" ({result['mrays_per_s_without_sort']:.2f})" if result["sort_s"] else ""
+            row.append(f"{result['mrays_per_s']:.2f}{sort} ±{50 * result['spread']:.0f} %")
+        row += [f"{first['mrays_per_s'] / by_name[name]['mrays_per_s']:.2f}" for name in names[1:]]
+        rows.append(row)
+    heads = ["rays", "order", "threads", "count", *(f"{name}" for name in names), *(f"{names[0]} / {name}" for name in names[1:])]
+    lines += ["", table(heads, rows), "Mrays/s, medians, ± half the spread; in brackets without the time of sorting"]
+    for (rays, order, _), by_name in cases.items():
+        for name, result in by_name.items():
+            if order == report["results"][0]["order"] and (result["disagreements"] or result["faults"]):
+                lines.append(f"hits of {name}, {rays}: {result['disagreements']:,} differ from another's, {result['judged']:,} judged, {result['faults']:,} faults")
+    return "\n".join(dict.fromkeys(lines))
+
+
+def render_text(report: dict[str, Any]) -> str:
+    """The report of `benchmark.py render`."""
+    frame, ours = report["frame"], report["raybatch"]
+    rate = report["rays"]["total"] / ours["render"]["seconds"] / 1e6 if ours["render"]["seconds"] else 0.0
+    lines = [
+        f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}",
+        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, {report['bounces']} bounces, "
+        f"{report['rays']['total']:,} rays",
+        f"first render, with compilation  {report['cold']['seconds']:9.3f} s",
+        f"whole render                    {_time(ours)}",
+        f"  tree                          {_time(ours['build'])}",
+        f"  render                        {_time(ours['render'])}, {rate:.2f} Mrays/s",
+    ]
+    if "cycles" in report:
+        lines.append(f"Cycles, whole render            {_time(report['cycles'])} ({report['cycles']['device']})")
+        lines.append(f"RayBatch over Cycles, at equal samples: {report['raybatch_over_cycles']:.2f} of its time")
+    if "equal_error" in report:
+        equal = report["equal_error"]
+        lines.append(f"relMSE of RayBatch {equal['relmse']['raybatch']:.3g}, of Cycles {equal['relmse']['cycles']:.3g}; brightness {equal['mean_ratio']:.4f} of Cycles'")
+        lines.append(
+            f"RayBatch over Cycles, at equal error: {equal['raybatch_over_cycles']:.2f} of its time "
+            f"({equal['raybatch_seconds_to_cycles_error']:.2f} s to the error of Cycles)"
+        )
+    if report["invalid_samples"]:
+        lines.append(f"{report['invalid_samples']:,} samples were not finite")
+    return "\n".join(lines)
+
+
+def _time(part: dict[str, Any]) -> str:
+    return f"{part['seconds']:9.3f} s ±{50 * part['spread']:.0f} %"

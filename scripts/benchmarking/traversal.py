@@ -1,0 +1,155 @@
+"""How fast tracers find hits: the same rays of real paths for all of them, in one run, in turns."""
+
+from __future__ import annotations
+
+import statistics
+from dataclasses import dataclass, field
+from typing import Any
+
+import warp as wp
+from rendering.request import UsageError
+
+from raybatch_addon.core.device import device_description, find_device
+from raybatch_addon.core.report.statistics import versions
+
+from .embree import PACKAGE, EmbreeTracer, embree_version
+from .judge import Judge, Verdict
+from .orders import ordered
+from .progress import Steps
+from .rays import CapturedRays, RayType, capture_rays
+from .scenes import SceneRequest, load_benchmark_scene
+from .timing import spread
+from .tracers import MeasuredTracer, ReferenceTracer, Timing, Tree
+
+EMBREE = ("embree", "embree-robust")
+TRACERS = ("reference", *EMBREE)
+RAY_COUNT = {"cpu": 1_000_000, "cuda": 4_000_000}  # where --ray-count is not given
+WARM_UPS = 1  # runs before those that are timed
+
+
+@dataclass(frozen=True)
+class TraversalRequest:
+    """One call of `benchmark.py traversal`."""
+
+    scene: SceneRequest
+    device: str
+    tracers: list[str]  # empty: all that can be measured here
+    ray_types: list[RayType]
+    orders: list[str]
+    threads: list[int]  # CPU only
+    runs: int
+    ray_count: int | None = None
+    settings: dict[str, Any] = field(default_factory=dict)  # of the render that the rays are taken from
+
+
+def chosen_tracers(names: list[str], device: wp.Device) -> list[MeasuredTracer]:
+    """The tracers called `names`, or all that can be measured on `device`; raises `UsageError`."""
+    for name in names:
+        if name not in TRACERS:
+            raise UsageError(f"--tracers {name!r} is not known: choose of {', '.join(TRACERS)}")
+        if name in EMBREE and device.is_cuda:
+            raise UsageError(f"{name} runs on the CPU alone: leave it out of --tracers, or measure with --device cpu")
+        if name in EMBREE and embree_version() is None:
+            raise UsageError(f"{name} needs the Python package {PACKAGE}, which is not installed: pip install 'raybatch[benchmark]'")
+    if not names:
+        names = [name for name in TRACERS if name not in EMBREE or (embree_version() and not device.is_cuda)]
+    made = []
+    for name in dict.fromkeys(names):
+        made.append(EmbreeTracer(name == "embree-robust") if name in EMBREE else ReferenceTracer(device))
+    return made
+
+
+def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
+    """The report of `benchmark.py traversal`; raises `RayBatchError`."""
+    device = find_device(request.device)
+    if device.is_cuda and request.threads != [1]:
+        raise UsageError("--threads is for the CPU: one thread drives a CUDA device")
+    tracers = chosen_tracers(request.tracers, device)
+    ray_count = request.ray_count or RAY_COUNT["cuda" if device.is_cuda else "cpu"]
+    scene = load_benchmark_scene(request.scene, ray_count)
+    steps = Steps(1 + len(tracers) + len(request.ray_types) * (1 + len(request.orders) * len(request.threads)))
+    try:
+        steps.begin(f"taking rays from a render of {scene.name}")
+        captured = capture_rays(scene, scene.settings.replace(**request.settings), request.ray_types, ray_count, device.alias)
+        steps.end()
+        trees: dict[str, Tree] = {}
+        for tracer in tracers:
+            steps.begin(f"building the tree of {tracer.name}")
+            trees[tracer.name] = tracer.build(scene)
+            steps.end()
+        judge = Judge(scene.flat, scene.scene.instances.visibility, device)
+        results = []
+        for rays in captured:
+            steps.begin(f"checking the hits of {rays.type.name}")
+            verdicts = check_hits(tracers, rays, judge)
+            steps.end()
+            for order in request.orders:
+                in_order = ordered(rays, order)
+                for threads in request.threads:
+                    steps.begin(f"timing {rays.type.name}, {order}")
+                    timings = timed_in_turns(tracers, in_order, threads, request.runs)
+                    for tracer in tracers:
+                        case = {"tracer": tracer.name, "rays": rays.type.name, "order": order, "threads": None if device.is_cuda else threads}
+                        results.append(case | figures(timings[tracer.name], len(rays)) | tracer.work() | described(verdicts[tracer.name]))
+                    steps.end()
+    finally:
+        steps.close()
+    own = trees[tracers[0].name]
+    return {
+        "device": device_description(device),
+        "versions": versions() | ({"embree": embree_version()} if set(EMBREE) & set(trees) else {}),
+        "scene": scene.name,
+        "triangles": scene.triangle_count,
+        "build_s": round(own.build_seconds, 4),
+        "bvh_bytes": own.bytes,
+        "trees": {name: {"build_s": round(tree.build_seconds, 4), "bvh_bytes": tree.bytes} for name, tree in trees.items()},
+        "results": results,
+    }
+
+
+def check_hits(tracers: list[MeasuredTracer], rays: CapturedRays, judge: Judge) -> dict[str, Verdict]:
+    """Trace `rays` with each tracer; where one disagrees with the first of them, both answers are judged."""
+    found = {}
+    for tracer in tracers:
+        tracer.load(rays, 1)
+        tracer.trace()
+        found[tracer.name] = tracer.hits()
+    first = tracers[0].name
+    verdicts = {tracer.name: judge.compare(rays, found[tracer.name], found[first]) for tracer in tracers}
+    for tracer in tracers[1:]:
+        # what the first is told of is where any other differs from it
+        against = judge.compare(rays, found[first], found[tracer.name])
+        verdicts[first] = max(verdicts[first], against, key=lambda verdict: (verdict.faults, verdict.disagreements))
+    return verdicts
+
+
+def timed_in_turns(tracers: list[MeasuredTracer], rays: CapturedRays, threads: int, runs: int) -> dict[str, list[Timing]]:
+    """`runs` timings of each tracer; they take turns, so that what disturbs the machine meets all of them."""
+    timings: dict[str, list[Timing]] = {tracer.name: [] for tracer in tracers}
+    for tracer in tracers:
+        tracer.load(rays, threads)
+    for run in range(WARM_UPS + runs):
+        for tracer in tracers:
+            timing = tracer.trace()
+            if run >= WARM_UPS:
+                timings[tracer.name].append(timing)
+    return timings
+
+
+def figures(timings: list[Timing], ray_count: int) -> dict[str, Any]:
+    """What is told of several runs over the same rays."""
+    seconds = [timing.seconds for timing in timings]
+    traced = [timing.seconds - timing.sort_seconds for timing in timings]
+    return {
+        "ray_count": ray_count,
+        "mrays_per_s": round(ray_count / statistics.median(seconds) / 1e6, 3),
+        "spread": round(spread(seconds), 3),
+        "runs": len(timings),
+        "mrays_per_s_without_sort": round(ray_count / statistics.median(traced) / 1e6, 3),
+        "sort_s": round(statistics.median(timing.sort_seconds for timing in timings), 6),
+    }
+
+
+def described(verdict: Verdict) -> dict[str, int]:
+    """A verdict as it stands in the report."""
+    return {"disagreements": verdict.disagreements, "judged": verdict.judged, "faults": verdict.faults}

@@ -1,0 +1,37 @@
+"""scripts/benchmark.py on a .blend, beside Cycles."""
+
+import json
+
+import pytest
+from command_line import run_script
+
+bpy = pytest.importorskip("bpy")
+
+from blender_builders import add_grid, add_object  # noqa: E402
+
+
+@pytest.fixture
+def blend(scene, tmp_path):
+    """A white floor under a lamp."""
+    add_grid("Floor", 4)
+    lamp = bpy.data.lights.new("Lamp", "AREA")
+    lamp.energy = 100
+    add_object("Lamp", lamp).location = (0, 0, 3)
+    path = tmp_path / "floor.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+def test_both_engines_render_the_same_picture_with_about_the_same_noise(blend):
+    options = ("--device", "cpu", "--samples", "16", "--bounces", "2", "--runs", "1", "--threads", "1", "--against", "cycles", "--equal-error", "--json")
+    done = run_script("benchmark.py", "render", blend, *options)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["export_s"] > 0 and report["triangles"] == 32
+    assert report["cycles"]["device"] == "CPU" and report["cycles"]["seconds"] > 0 and report["raybatch_over_cycles"] > 0
+    equal = report["equal_error"]
+    assert equal["mean_ratio"] == pytest.approx(1, abs=0.05)
+    assert 0 < equal["relmse"]["raybatch"] < 0.1 and 0.1 < equal["relmse"]["raybatch"] / equal["relmse"]["cycles"] < 10
+    cost = report["raybatch"]["seconds"] * equal["relmse"]["raybatch"]
+    assert equal["raybatch_seconds_to_cycles_error"] == pytest.approx(cost / equal["relmse"]["cycles"], rel=1e-4)
+    assert equal["efficiency"]["raybatch"] == pytest.approx(1 / cost, rel=1e-4)
