@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -38,9 +38,13 @@ class Clock(Protocol):
 class HostClock:
     """The clock of the CPU, where a launch returns when its work is done."""
 
+    def __init__(self, now: Callable[[], float] = time.perf_counter):
+        """`now` tells the time [s]."""
+        self._now = now
+
     def mark(self) -> float:
         """Now [s]."""
-        return time.perf_counter()
+        return self._now()
 
     def is_past(self, mark: float) -> bool:
         """Always."""
@@ -80,8 +84,16 @@ class CudaClock:
 
 
 def clock_of(device: wp.Device) -> Clock:
-    """The clock that belongs to `device`."""
+    """The clock that belongs to `device`; on the CPU that on the wall."""
     return CudaClock(device) if device.is_cuda else HostClock()
+
+
+def cost_clock_of(device: wp.Device) -> Clock:
+    """A clock that tells what work costs. On the CPU it runs while the calling thread does: waiting for other threads, or for
+    Python's lock after a launch, is no cost. Where the system tells that too coarsely, time on the wall stands for it."""
+    if device.is_cuda:
+        return CudaClock(device)
+    return HostClock(time.thread_time if time.get_clock_info("thread_time").resolution < 1e-6 else time.perf_counter)
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,12 @@
 """Intervals are timed without waiting, by a clock that is made up here and by the device's own."""
 
+import time
+
 import pytest
 import warp as wp
 from under_test import DEVICE
 
-from raybatch_addon.core.report.timing import PENDING_MAX, STAGES, HostClock, NoTimer, StageTimer, Stopwatch, clock_of
+from raybatch_addon.core.report.timing import PENDING_MAX, STAGES, HostClock, NoTimer, StageTimer, Stopwatch, clock_of, cost_clock_of
 
 
 class SlowClock:
@@ -84,3 +86,16 @@ def test_the_devices_own_clock_tells_how_long_work_takes():
             array.fill_(1.0)
     seconds = timer.totals()
     assert 3e-6 < seconds["film"] < 60 and seconds["trace"] == 0.0
+
+
+@pytest.mark.skipif(time.get_clock_info("thread_time").resolution > 1e-6, reason="this system tells a thread's time too coarsely")
+def test_waiting_is_no_cost_on_the_cpu():
+    watch = Stopwatch(cost_clock_of(wp.get_device("cpu")))
+    watch.start("slept")
+    time.sleep(0.1)
+    watch.stop()
+    watch.start("worked")
+    sum(range(300_000))
+    watch.stop()
+    (_, slept), (_, worked) = watch.take()
+    assert slept < 0.05 and worked > 1e-4
