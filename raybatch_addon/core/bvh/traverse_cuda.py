@@ -1,0 +1,238 @@
+"""Traversal of quantised trees: closest hit and any hit, for CUDA (and, one ray at a time, for CPUs).
+
+The nodes are those of Ylitie, Karras and Laine 2017 ("Efficient incoherent ray traversal on GPUs through compressed
+wide BVHs"). Warps are persistent: a lane whose ray is done takes the next one from the list as soon as enough lanes
+wait for that (Aila and Laine 2009, "Understanding the efficiency of ray traversal on GPUs"). In each turn of the loop
+a lane tests one triangle and visits one node; a second group of triangles may wait, so that lanes with many triangles
+do not hold up the others. Which lane takes which ray, and when, changes nothing: a ray's closest hit is the lexicographic
+minimum of (t, instance, primitive) over all triangles, whatever the order of visits.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from string import Template
+
+import warp as wp
+
+from .intersect import TRIANGLE_TEXT
+from .traverse_cuda_text import DEVICE_TEXT, LANE_TEXT, NODE_TEXT, RAY_TEXT
+from .tree import Tree
+
+BLOCK_SIZE = 128
+"""Threads of a block; `wp.launch` is told so with every launch."""
+
+# Levels of a mesh tree and of the top level: each has at most one group of nodes on the stack, the top level one of entries too
+_STACK_MESH, _STACK_ALL = 64, 129
+
+
+@dataclass(frozen=True)
+class TraceOptions:
+    """What a traversal is compiled for."""
+
+    any_hit: bool  # whether anything is hit, instead of the closest hit
+    instancing: bool  # a top level over many entries, instead of one entry in world space
+    counters: bool = False  # count steps (`TraceCounts`)
+    refill: int = 4  # lanes that must wait before a warp takes new rays, 1..32; 0: one thread a ray, never refilled
+    leaf_groups: int = 2  # groups of triangles that may wait while nodes are visited, 1 or 2
+    every_triangle: bool = False  # test all waiting triangles in each turn, instead of one
+    overlap: bool = False  # read the next node before a triangle is tested: fewer waits, more registers
+    stack_shared: int = 0  # groups of each lane's stack that are in shared memory
+
+
+@wp.struct
+class TraceCounts:
+    """What a traversal with counters writes."""
+
+    node_steps: wp.array(dtype=int)  # nodes visited, by ray slot
+    box_tests: wp.array(dtype=int)  # child boxes tested, by ray slot
+    triangle_tests: wp.array(dtype=int)  # triangles tested, by ray slot
+    # Added up over all lanes, int64: lanes that had a ray and lanes there were in each turn of the loop; the same of lanes
+    # that visited a node where any of the warp did; of lanes that tested a triangle
+    lanes: wp.array(dtype=wp.int64)  # shape [6]
+
+
+_LOOP_TEXT = """
+    const int ray_count = count.data[0];
+    bool more = true;  // the list has rays that no lane has taken
+    for (;;) {
+        if (REFILL > 0) {
+            const unsigned idle = ballot(!alive);
+            const int wanted = bit_count(idle);
+            if (more ? wanted >= REFILL || idle == ALL_LANES : idle == ALL_LANES) {
+                if (!alive && slot >= 0) finish();
+                if (!more) break;
+                int first = 0;
+    #if defined(__CUDA_ARCH__)
+                if (lane == 0u) first = atomicAdd(cursor.data, wanted);
+                first = __shfl_sync(ALL_LANES, first, 0);
+    #else
+                first = cursor.data[0];
+                cursor.data[0] += wanted;
+    #endif
+                const int mine = first + bit_count(idle & ((1u << lane) - 1u));
+                if (!alive && mine < ray_count) take(slots.data[mine]);
+                more = first + wanted < ray_count;
+            }
+        } else if (!alive) {
+            if (slot >= 0) finish();
+            else if (thread < ray_count) take(slots.data[thread]);
+            if (slot < 0) break;
+        }
+        $count_turn
+        if (!alive) continue;
+        if (TWO_LEVEL && entry < 0 && leaf.y) enter();
+        if (turned) make_ray();
+        const bool in_mesh = !TWO_LEVEL || entry >= 0;
+        $turn
+        if (alive) go_on();
+    }
+    $count_end
+"""
+
+
+def _stack_text(options: TraceOptions) -> str:
+    size = _STACK_ALL if options.instancing else _STACK_MESH
+    shared = options.stack_shared
+    local = f"""
+    Group stack[{size}];
+    auto push = [&](const Group& g) {{ stack[depth++] = g; }};
+    auto pop = [&]() -> Group {{ return stack[--depth]; }};
+    """
+    if not shared:
+        return local
+    return f"""
+#if defined(__CUDA_ARCH__)
+    __shared__ Group shared_stack[{shared * BLOCK_SIZE}];
+    Group stack[{size - shared}];
+    auto push = [&](const Group& g) {{
+        if (depth < {shared}) shared_stack[depth * {BLOCK_SIZE} + threadIdx.x] = g; else stack[depth - {shared}] = g;
+        ++depth;
+    }};
+    auto pop = [&]() -> Group {{
+        --depth;
+        return depth < {shared} ? shared_stack[depth * {BLOCK_SIZE} + threadIdx.x] : stack[depth - {shared}];
+    }};
+#else
+    {local}
+#endif
+    """
+
+
+def _turn_text(options: TraceOptions) -> str:
+    waiting = "later.y == 0u" if options.leaf_groups == 2 else "leaf.y == 0u"
+    if options.overlap:
+        waiting += " || single_bit(leaf.y)"
+    visiting = f"const bool visiting = is_nodes(inner) && (in_mesh ? {waiting} : leaf.y == 0u);"
+    repeat = "while" if options.every_triangle else "if"
+    test = f"{repeat} (in_mesh && leaf.y{' && alive' * options.any_hit}) test();"
+    if options.overlap:
+        return f"{visiting} if (visiting) fetch(); {test} if (visiting) visit();"
+    return f"{visiting} if (visiting) {{ fetch(); visit(); }} {test}"
+
+
+# Pieces of counting code, put in for kernels with counters alone
+_COUNTING = {
+    "counters": """int visits = 0, boxes = 0, tests = 0;
+    unsigned lanes_busy[3] = {0u, 0u, 0u}, lanes_there[3] = {0u, 0u, 0u};
+    // every lane that comes here is busy; one of them counts all lanes of the warp
+    auto count_lanes = [&](int what, bool busy) {
+    #if defined(__CUDA_ARCH__)
+        const unsigned together = __activemask();
+        lanes_there[what] += lane == 31u - __clz(together) ? 32u : 0u;
+    #else
+        lanes_there[what] += 1u;
+    #endif
+        lanes_busy[what] += busy ? 1u : 0u;
+    };""",
+    "count_begin": "visits = boxes = tests = 0;",
+    "count_ray": "counts.node_steps.data[slot] = visits; counts.box_tests.data[slot] = boxes; counts.triangle_tests.data[slot] = tests;",
+    "count_turn": "count_lanes(0, alive);",
+    "count_visit": "count_lanes(1, true); ++visits; boxes += bit_count((b.z >> 5) & 0x01010101u) + bit_count((b.w >> 5) & 0x01010101u);",
+    "count_test": "count_lanes(2, true); ++tests;",
+    "count_end": """for (int k = 0; k < 3; ++k) {
+    #if defined(__CUDA_ARCH__)
+        atomicAdd((unsigned long long*)counts.lanes.data + 2 * k, (unsigned long long)lanes_busy[k]);
+        atomicAdd((unsigned long long*)counts.lanes.data + 2 * k + 1, (unsigned long long)lanes_there[k]);
+    #else
+        counts.lanes.data[2 * k] += lanes_busy[k];
+        counts.lanes.data[2 * k + 1] += lanes_there[k];
+    #endif
+    }""",
+}
+
+
+def trace_text(options: TraceOptions) -> str:
+    """The body of the native function for `options`."""
+    constants = f"""
+    constexpr bool ANY_HIT = {str(options.any_hit).lower()}, TWO_LEVEL = {str(options.instancing).lower()};
+    constexpr int REFILL = {options.refill};
+    """
+    text = constants + TRIANGLE_TEXT + DEVICE_TEXT + RAY_TEXT + NODE_TEXT + LANE_TEXT + _LOOP_TEXT
+    counting = {name: piece if options.counters else "" for name, piece in _COUNTING.items()}
+    return Template(text).substitute(stack=_stack_text(options), turn=_turn_text(options), **counting)
+
+
+@functools.cache
+def trace_function(options: TraceOptions) -> wp.Function:
+    """Native function (tree, origin, direction, t_max, visibility, hit_t, hit_instance, hit_primitive, hit_uv, slots, count, cursor,
+    thread), with counters also `counts` at the end.
+
+    Traces the rays `slots[0 : count[0]]` of the arrays, which are those of `Rays`, and writes their hits. Of any hit only
+    `hit_instance` is written: 0, or -1 for nothing. All threads of all warps call it, with their numbers. `cursor[0]` is 0 before.
+    """
+    text = trace_text(options)
+    if options.counters:
+
+        @wp.func_native(text)
+        def trace_counted(
+            tree: Tree,
+            origin: wp.array(dtype=wp.vec3),
+            direction: wp.array(dtype=wp.vec3),
+            t_max: wp.array(dtype=float),
+            visibility: wp.array(dtype=int),
+            hit_t: wp.array(dtype=float),
+            hit_instance: wp.array(dtype=int),
+            hit_primitive: wp.array(dtype=int),
+            hit_uv: wp.array(dtype=wp.vec2),
+            slots: wp.array(dtype=int),
+            count: wp.array(dtype=int),
+            cursor: wp.array(dtype=int),
+            thread: int,
+            counts: TraceCounts,
+        ): ...
+
+        return trace_counted
+
+    @wp.func_native(text)
+    def trace(
+        tree: Tree,
+        origin: wp.array(dtype=wp.vec3),
+        direction: wp.array(dtype=wp.vec3),
+        t_max: wp.array(dtype=float),
+        visibility: wp.array(dtype=int),
+        hit_t: wp.array(dtype=float),
+        hit_instance: wp.array(dtype=int),
+        hit_primitive: wp.array(dtype=int),
+        hit_uv: wp.array(dtype=wp.vec2),
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
+        cursor: wp.array(dtype=int),
+        thread: int,
+    ): ...
+
+    return trace
+
+
+def thread_count(ray_bound: int, options: TraceOptions, device: wp.Device, blocks: int = 16) -> int:
+    """Threads to launch for at most `ray_bound` rays: `blocks` persistent blocks a multiprocessor, or one thread a ray.
+
+    On a CPU one thread traces all rays.
+    """
+    if not options.refill:
+        return ray_bound
+    if not device.is_cuda:
+        return 1
+    needed = -(-ray_bound // BLOCK_SIZE)
+    return min(needed, device.sm_count * blocks) * BLOCK_SIZE
