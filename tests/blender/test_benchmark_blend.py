@@ -7,13 +7,14 @@ from command_line import run_script
 
 bpy = pytest.importorskip("bpy")
 
-from blender_builders import add_grid, add_object  # noqa: E402
+from blender_builders import add_grid, add_object, material_of, node_tree  # noqa: E402
 
 
 @pytest.fixture
 def blend(scene, tmp_path):
     """A white floor under a lamp."""
-    add_grid("Floor", 4)
+    tree, surface = node_tree(material_of(add_grid("Floor", 4)))
+    tree.links.new(tree.nodes.new("ShaderNodeBsdfDiffuse").outputs[0], surface)
     lamp = bpy.data.lights.new("Lamp", "AREA")
     lamp.energy = 100
     add_object("Lamp", lamp).location = (0, 0, 3)
