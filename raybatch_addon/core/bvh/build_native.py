@@ -1,8 +1,8 @@
 """Native text of the builder that all its stages share: records, bins, the choice of a split, partition.
 
 Binned SAH (Wald 2007) in C++ with Clang's vector types, CPU only. A reference is a *record* of eight floats: the negated low
-corner, the triangle, the high corner, 0; so that one maximum joins two boxes. Lane 3 holds the triangle's index plus 2^23,
-whose bits are a normal float: denormal lanes would make the arithmetic beside them slow.
+corner, the triangle, the high corner, 0; so that one maximum joins two boxes. Lane 3 holds the triangle's index plus the bits
+of 1, which is a float above 1: small numbers' squares are denormal, and would make the arithmetic beside them slow.
 
 Areas are of boxes scaled by a power of two, exactly, to a largest extent of 1 to 2: no square leaves float32.
 """
@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-INDEX_BIAS = 1 << 23
+INDEX_BIAS = 127 << 23
 BINS_BYTES = 3 * 16 * (32 + 4)
+# The kind of a task whose split cuts triangles
+SPATIAL = 4
 
 # A node on its way: references `first`.. of `buffer`, the split that was chosen, and what a finished subtree has.
 TASK = np.dtype(
@@ -20,8 +22,8 @@ TASK = np.dtype(
         ("first", "i8"), ("count", "i8"), ("capacity", "i8"), ("left_count", "i8"), ("right_count", "i8"),
         ("node_count", "i8"), ("reference_count", "i8"), ("node_first", "i8"), ("reference_first", "i8"),
         ("job_first", "i4"), ("job_end", "i4"), ("depth", "i4"), ("buffer", "i4"), ("node", "i4"),
-        ("kind", "i4"), ("axis", "i4"), ("bin", "i4"), ("leaf_count", "i4"), ("leaf_largest", "i4"), ("depth_max", "i4"), ("position", "f4"),
-        ("box", "f4", 8), ("middle", "f4", 8), ("left_box", "f4", 8), ("right_box", "f4", 8),
+        ("kind", "i4"), ("axis", "i4"), ("bin", "i4"), ("leaf_count", "i4"), ("leaf_largest", "i4"), ("depth_max", "i4"),
+        ("spatial", "i4"), ("cost", "f4"), ("position", "f4"), ("left_weight", "f4"), ("right_weight", "f4"), ("box", "f4", 8), ("middle", "f4", 8), ("left_box", "f4", 8), ("right_box", "f4", 8),
     ]
 )  # fmt: skip
 
@@ -40,12 +42,12 @@ typedef float f8 __attribute__((vector_size(32)));
 typedef float f16 __attribute__((vector_size(64)));
 typedef int i16 __attribute__((vector_size(64)));
 typedef float f8u __attribute__((vector_size(32), aligned(4)));  // wherever NumPy put it
-enum { BINS = 16, EXACT_MAX = 16, LEAF = 0, HALF = 1, OBJECT = 2, LISTED = 3, DEPTH_MAX = 63, INDEX_BIAS = 1 << 23 };
+enum { BINS = 16, EXACT_MAX = 16, LEAF = 0, HALF = 1, OBJECT = 2, LISTED = 3, SPATIAL = 4, DEPTH_MAX = 63, INDEX_BIAS = 127 << 23 };
 
 struct Task {
     long long first, count, capacity, left_count, right_count, node_count, reference_count, node_first, reference_first;
-    int job_first, job_end, depth, buffer, node, kind, axis, bin, leaf_count, leaf_largest, depth_max;
-    float position;
+    int job_first, job_end, depth, buffer, node, kind, axis, bin, leaf_count, leaf_largest, depth_max, spatial;
+    float cost, position, left_weight, right_weight;
     f8u box, middle, left_box, right_box;
 };
 struct Job {
@@ -141,8 +143,8 @@ struct Sah {
         return __builtin_truncf((count + options.leaf_group - 1) * options.group_inverse);
     }
 
-    // The cheapest split between two bins into `task`; returns its cost without the step itself, infinite when no plane separates.
-    static float choose_object(const Bins& bins, const Options& options, const Measure& measure, Task& task) {
+    // The cheapest split between two bins into `task`, where a plane separates. Its cost is that of its parts, without the step.
+    static void choose_object(const Bins& bins, const Options& options, const Measure& measure, Task& task) {
         float best = __builtin_inff();
         for (int k = 0; k < 3; k++) {
             float right_cost[BINS];
@@ -172,11 +174,17 @@ struct Sah {
                 }
             }
         }
-        return best;
+        if (task.kind != OBJECT) return;
+        task.cost = best;
+        task.left_box = task.right_box = nothing();
+        for (int b = 0; b < BINS; b++) {
+            f8u& side = b <= task.bin ? task.left_box : task.right_box;
+            side = larger(side, bins.box[task.axis][b]);
+        }
     }
 
     // The same among all orders of at most EXACT_MAX records by middle, without bins; `bin` lists the right side, a bit each.
-    static float choose_exact(const f8u* records, const Options& options, const Measure& measure, Task& task) {
+    static void choose_exact(const f8u* records, const Options& options, const Measure& measure, Task& task) {
         const f8u* own = records + task.first;
         int count = task.count, best_left = 0;
         i16 rank[3], lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
@@ -202,23 +210,31 @@ struct Sah {
                 if (cost < best) { best = cost; task.axis = k; best_left = r; }
             }
         }
-        if (best_left == 0) return best;
+        if (best_left == 0) return;
         task.kind = LISTED;
+        task.cost = best;
         task.bin = 0;
-        for (int i = 0; i < count; i++) task.bin |= (rank[task.axis][i] >= best_left) << i;
+        task.left_box = task.right_box = nothing();
+        for (int i = 0; i < count; i++) {
+            bool right = rank[task.axis][i] >= best_left;
+            f8u& side = right ? task.right_box : task.left_box;
+            side = larger(side, own[i]);
+            task.bin |= right << i;
+        }
         task.left_count = best_left;
         task.right_count = count - best_left;
-        return best;
     }
 
     // Halving by index from here on ends at DEPTH_MAX at the latest.
     static bool must_halve(const Task& task) {
         return task.count > 1 && task.depth + 64 - __builtin_clzll(task.count - 1) >= DEPTH_MAX;
     }
-    static void halve(Task& task) {
+    static void halve(Task& task, const Options& options, const Measure& measure) {
         task.kind = HALF;
         task.left_count = (task.count + 1) / 2;
         task.right_count = task.count - task.left_count;
+        task.left_box = task.right_box = task.box;
+        task.cost = measure(task.box) * (groups(options, task.left_count) + groups(options, task.right_count));
     }
 
     struct Bounds {

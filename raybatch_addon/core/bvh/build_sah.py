@@ -20,8 +20,22 @@ import warp as wp
 from ..device import free_memory, worker_count
 from ..errors import OutOfMemoryError
 from .binary import BinaryTree, BuildOptions, BuildStatistics, expected_visits
-from .build_native import BINS_BYTES, INDEX_BIAS, JOB, TASK
-from .build_stages import BIN, CHOOSE, GATHER, PARTITION, RECORDS, SUBTREE, BuildArrays, BuildNumbers, build_kernel
+from .build_native import BINS_BYTES, INDEX_BIAS, JOB, SPATIAL, TASK
+from .build_spatial import SPATIAL_BINS_BYTES
+from .build_stages import (
+    BIN,
+    CHOOSE,
+    GATHER,
+    PARTITION,
+    RECORDS,
+    SPATIAL_BIN,
+    SPATIAL_CHOOSE,
+    SPATIAL_COUNT,
+    SUBTREE,
+    BuildArrays,
+    BuildNumbers,
+    build_kernel,
+)
 
 # Records of a chunk, and of the largest subtree: this, or a share of all for large meshes
 CHUNK_MIN = 1 << 13
@@ -86,6 +100,7 @@ class _Build:
         self.numbers.leaf_group, self.numbers.leaf_max = options.leaf_group, options.leaf_max
         self.numbers.traversal_cost = options.traversal_cost
         self.numbers.group_inverse = float(np.nextafter(np.float32(1 / options.leaf_group), np.float32(2)))
+        self.numbers.split_overlap = options.split_overlap
         build_kernel.module.load(wp.get_device("cpu"), 1)
         large = self.threads > 1 and count > self.chunk
         self.pool = ThreadPoolExecutor(self.threads) if large else None
@@ -149,6 +164,8 @@ class _Build:
 
     def tree(self, box: np.ndarray, middles: np.ndarray, start: float) -> BinaryTree:
         """The tree over `records`, whose bounds are these; `start` is when the build began."""
+        x, y, z = box[4:7].astype(np.float64) + box[:3]
+        self.numbers.root_area = x * y + y * z + z * x
         frontier = np.zeros(1, TASK)
         frontier["count"], frontier["capacity"], frontier["box"], frontier["middle"] = self.count, self.capacity, box, middles
         node_count = 1
@@ -171,13 +188,11 @@ class _Build:
 
     def _split(self, tasks: np.ndarray) -> np.ndarray:
         """The children of `tasks`, left and right in turn."""
-        jobs = self.jobs(tasks["first"], tasks["count"])
-        first = np.flatnonzero(np.diff(jobs["task"], prepend=-1))
-        tasks["job_first"], tasks["job_end"] = first, np.append(first[1:], len(jobs))
-        bins = np.empty(len(jobs) * BINS_BYTES // 4, np.float32)
-        self.arrays.bins = _device_array(bins, float)
+        jobs, first = self._job_table(tasks, BINS_BYTES)
         self.run(BIN, tasks, jobs, len(jobs))
         self.run(CHOOSE, tasks, jobs, len(tasks))
+        if tasks["spatial"].any():
+            self._try_spatial(tasks, jobs)
         left, right = tasks["left_count"], tasks["right_count"]
         children = np.zeros(2 * len(tasks), TASK)
         slack = tasks["capacity"] - left - right
@@ -192,6 +207,31 @@ class _Build:
         bounds = np.maximum.reduceat(jobs["bounds"], first, axis=0)
         a["box"], a["middle"], b["box"], b["middle"] = bounds[:, 0], bounds[:, 1], bounds[:, 2], bounds[:, 3]
         return children
+
+    def _job_table(self, tasks: np.ndarray, bins_bytes: int) -> tuple[np.ndarray, np.ndarray]:
+        """Jobs of `tasks`, with room for the bins of each, and the first job of each task."""
+        jobs = self.jobs(tasks["first"], tasks["count"])
+        first = np.flatnonzero(np.diff(jobs["task"], prepend=-1))
+        tasks["job_first"], tasks["job_end"] = first, np.append(first[1:], len(jobs))
+        self.arrays.bins = _device_array(np.empty(len(jobs) * bins_bytes // 4, np.float32), float)
+        return jobs, first
+
+    def _try_spatial(self, tasks: np.ndarray, jobs: np.ndarray) -> None:
+        """Spatial splits instead of those chosen, for the tasks where they cost less."""
+        tried = np.flatnonzero(tasks["spatial"])
+        trial = tasks[tried]
+        trial_jobs, first = self._job_table(trial, SPATIAL_BINS_BYTES)
+        self.run(SPATIAL_BIN, trial, trial_jobs, len(trial_jobs))
+        self.run(SPATIAL_CHOOSE, trial, trial_jobs, len(trial))
+        self.run(SPATIAL_COUNT, trial, trial_jobs, len(trial_jobs))
+        left, right = (np.add.reduceat(trial_jobs[name], first) for name in ("left_count", "right_count"))
+        better = (trial["kind"] == SPATIAL) & (left > 0) & (right > 0) & (left + right <= trial["capacity"])
+        trial["left_count"], trial["right_count"] = left, right
+        trial["job_first"], trial["job_end"] = tasks["job_first"][tried], tasks["job_end"][tried]
+        tasks[tried[better]] = trial[better]
+        changed = np.isin(jobs["task"], tried[better])
+        for name in ("left_count", "right_count"):
+            jobs[name][changed] = trial_jobs[name][better[trial_jobs["task"]]]
 
     def _joined(self, above: np.ndarray, subtrees: np.ndarray, node_count: int, start: float) -> BinaryTree:
         """One tree of the nodes above and the subtrees, whose roots have their places among them."""

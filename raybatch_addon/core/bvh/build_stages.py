@@ -9,9 +9,10 @@ import warp as wp
 
 from ..kernel import KERNEL_OPTIONS
 from .build_native import NATIVE_TYPES
+from .build_spatial import NATIVE_SPATIAL
 
 # In the order of the native switch below
-RECORDS, BIN, CHOOSE, PARTITION, SUBTREE, GATHER = range(6)
+RECORDS, BIN, CHOOSE, SPATIAL_BIN, SPATIAL_CHOOSE, SPATIAL_COUNT, PARTITION, SUBTREE, GATHER = range(9)
 
 
 @wp.struct
@@ -36,11 +37,14 @@ class BuildNumbers:
     leaf_group: int
     leaf_max: int
     traversal_cost: float
-    group_inverse: float
+    group_inverse: float  # 1 / leaf_group, rounded upwards
+    split_overlap: float
+    root_area: wp.float64
 
 
 @wp.func_native(
     NATIVE_TYPES
+    + NATIVE_SPATIAL
     + r"""
 #if !defined(__CUDA_ARCH__)
 Task* tasks = (Task*)task_bytes.data;
@@ -49,6 +53,13 @@ Bins* all_bins = (Bins*)arrays.bins.data;
 f8u* records[2] = {(f8u*)arrays.records_0.data, (f8u*)arrays.records_1.data};
 f8u* nodes = (f8u*)arrays.nodes.data;
 Options options = {numbers.leaf_group, numbers.leaf_max, numbers.traversal_cost, numbers.group_inverse};
+const Spatial spatial = {arrays.positions.data, arrays.triangles.data};
+SpatialBins* all_spatial_bins = (SpatialBins*)arrays.bins.data;
+
+// Where there is room for more references: does a spatial split promise anything?
+auto is_spatial = [&](const Task& task) {
+    return task.capacity > task.count && Spatial::is_worthwhile(task, numbers.split_overlap, numbers.root_area);
+};
 
 auto write_node = [&](f8u* node, f8 box, int a, int count) {
     f4 low = -Sah::low4(box), high = Sah::high4(box);
@@ -79,10 +90,16 @@ auto make_records = [&](Job& job) {
     job.bounds[1] = bounds.middles;
 };
 
+auto move = [&](const Task& task, long long first, long long count, long long left, long long right, Sah::Bounds* bounds) {
+    const f8u* from = records[task.buffer];
+    f8u* to = records[1 - task.buffer];
+    if (task.kind == SPATIAL) spatial.partition(from, to, task, first, count, left, right, bounds);
+    else Sah::partition(from, to, task, first, count, left, right, bounds);
+};
+
 auto partition = [&](Job& job) {
     Sah::Bounds bounds[2];
-    const Task& task = tasks[job.task];
-    Sah::partition(records[task.buffer], records[1 - task.buffer], task, job.first, job.count, job.left, job.right, bounds);
+    move(tasks[job.task], job.first, job.count, job.left, job.right, bounds);
     for (int side = 0; side < 2; side++) {
         job.bounds[2 * side] = bounds[side].box;
         job.bounds[2 * side + 1] = bounds[side].middles;
@@ -91,26 +108,36 @@ auto partition = [&](Job& job) {
 
 // Splits a node in two, or says that it is a leaf
 auto decide = [&](Task& task) {
+    const f8u* own = records[task.buffer];
     bool may_be_leaf = task.count <= options.leaf_max;
     // a split costs a step at least
     if (may_be_leaf && (task.count == 1 || Sah::groups(options, task.count) <= options.traversal_cost || Sah::must_halve(task))) {
         task.kind = LEAF;
         return;
     }
-    Sah::halve(task);
-    if (Sah::must_halve(task)) return;
     Sah::Measure measure(task.box);
-    float cost;
+    Sah::halve(task, options, measure);
+    if (Sah::must_halve(task)) return;
     if (task.count <= EXACT_MAX) {
-        cost = Sah::choose_exact(records[task.buffer], options, measure, task);
+        Sah::choose_exact(own, options, measure, task);
     } else {
         Bins bins;
         Sah::clear(bins);
-        Sah::bin(records[task.buffer], task.first, task.count, Sah::Binning(task.middle), bins);
-        cost = Sah::choose_object(bins, options, measure, task);
+        Sah::bin(own, task.first, task.count, Sah::Binning(task.middle), bins);
+        Sah::choose_object(bins, options, measure, task);
+    }
+    if (is_spatial(task)) {
+        Task trial = task;
+        SpatialBins bins;
+        Spatial::clear(bins);
+        spatial.bin(own, task.first, task.count, task.box, bins);
+        if (Spatial::choose(bins, options, measure, trial)) {
+            spatial.count(own, trial, trial.first, trial.count, trial.left_count, trial.right_count);
+            if (trial.left_count && trial.right_count && trial.left_count + trial.right_count <= trial.capacity) task = trial;
+        }
     }
     float area = measure(task.box);
-    if (may_be_leaf && !(options.traversal_cost * area + cost < area * Sah::groups(options, task.count))) task.kind = LEAF;
+    if (may_be_leaf && !(options.traversal_cost * area + task.cost < area * Sah::groups(options, task.count))) task.kind = LEAF;
 };
 
 auto subtree = [&](Task& root) {
@@ -137,7 +164,7 @@ auto subtree = [&](Task& root) {
         Task& left = stack[top++];
         Sah::children(task, left, right);
         Sah::Bounds bounds[2];
-        Sah::partition(records[task.buffer], records[1 - task.buffer], task, task.first, task.count, left.first, right.first, bounds);
+        move(task, task.first, task.count, left.first, right.first, bounds);
         left.box = bounds[0].box;
         left.middle = bounds[0].middles;
         right.box = bounds[1].box;
@@ -167,11 +194,13 @@ auto gather = [&](const Task& task) {
 
 // The split of a large node, and how many of each job's records go to which side
 auto choose = [&](Task& task) {
-    Sah::halve(task);
+    Sah::Measure measure(task.box);
+    Sah::halve(task, options, measure);
     if (!Sah::must_halve(task)) {
         Bins bins = all_bins[task.job_first];
         for (int j = task.job_first + 1; j < task.job_end; j++) Sah::merge(bins, all_bins[j]);
-        Sah::choose_object(bins, options, Sah::Measure(task.box), task);
+        Sah::choose_object(bins, options, measure, task);
+        task.spatial = is_spatial(task);
     }
     for (int j = task.job_first; j < task.job_end; j++) {
         Job& job = jobs[j];
@@ -184,6 +213,12 @@ auto choose = [&](Task& task) {
     }
 };
 
+auto choose_spatial = [&](Task& task) {
+    SpatialBins bins = all_spatial_bins[task.job_first];
+    for (int j = task.job_first + 1; j < task.job_end; j++) Spatial::merge(bins, all_spatial_bins[j]);
+    Spatial::choose(bins, options, Sah::Measure(task.box), task);
+};
+
 for (long long i = first; i < end; i++) switch (stage) {
     case 0: make_records(jobs[i]); break;
     case 1: {
@@ -193,9 +228,22 @@ for (long long i = first; i < end; i++) switch (stage) {
         break;
     }
     case 2: choose(tasks[i]); break;
-    case 3: partition(jobs[i]); break;
-    case 4: subtree(tasks[i]); break;
-    case 5: gather(tasks[i]); break;
+    case 3: {
+        const Task& task = tasks[jobs[i].task];
+        Spatial::clear(all_spatial_bins[i]);
+        spatial.bin(records[task.buffer], jobs[i].first, jobs[i].count, task.box, all_spatial_bins[i]);
+        break;
+    }
+    case 4: choose_spatial(tasks[i]); break;
+    case 5: {
+        const Task& task = tasks[jobs[i].task];
+        if (task.kind == SPATIAL)
+            spatial.count(records[task.buffer], task, jobs[i].first, jobs[i].count, jobs[i].left_count, jobs[i].right_count);
+        break;
+    }
+    case 6: partition(jobs[i]); break;
+    case 7: subtree(tasks[i]); break;
+    case 8: gather(tasks[i]); break;
 }
 #endif
 """

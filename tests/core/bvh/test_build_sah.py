@@ -1,5 +1,6 @@
 """The CPU builder: sound trees for any mesh, the same for any number of threads, no worse than a plain builder's."""
 
+import dataclasses
 import threading
 
 import numpy as np
@@ -40,7 +41,7 @@ def check_tree(tree: BinaryTree, low: np.ndarray, high: np.ndarray, options: Bui
     listed = np.bincount(tree.references, minlength=len(low))
     assert len(listed) == len(low) and listed.min() >= 1
 
-    below_low, below_high = (np.where(inner_of := (count == 0)[:, None], 0, tree.nodes[:, k : k + 3]) for k in (0, 4))
+    below_low, below_high = tree.nodes[:, :3].copy(), tree.nodes[:, 4:7].copy()
     below_low[inner] = np.minimum(tree.nodes[a[inner], :3], tree.nodes[a[inner] + 1, :3])
     below_high[inner] = np.maximum(tree.nodes[a[inner], 4:7], tree.nodes[a[inner] + 1, 4:7])
     assert np.array_equal(below_low, tree.nodes[:, :3]) and np.array_equal(below_high, tree.nodes[:, 4:7])
@@ -70,6 +71,35 @@ def checked(positions: np.ndarray, triangles: np.ndarray, options: BuildOptions 
     corners = np.asarray(positions, np.float32)[triangles]
     check_tree(tree, corners.min(1), corners.max(1), options)
     return tree
+
+
+def diagonals(count: int, specks: int = 0, seed: int = 5) -> tuple[np.ndarray, np.ndarray]:
+    """Long thin triangles in all directions among many small ones, in a cube of size 1."""
+    random = np.random.default_rng(seed)
+    along = random.normal(size=(count, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    start = random.random((count, 3))
+    corners = np.stack([start, start + along, start + 0.01 * random.normal(size=(count, 3))], 1)
+    positions, triangles = soup(specks, seed, size=0.01)
+    return np.concatenate([corners.reshape(-1, 3).astype(np.float32), positions]), np.arange(3 * (count + specks), dtype=np.int32).reshape(-1, 3)
+
+
+def check_coverage(tree: BinaryTree, positions: np.ndarray, triangles: np.ndarray, samples: int = 60) -> None:
+    """Every point of a triangle lies in the box of a leaf that lists the triangle."""
+    a, count = tree.links
+    leaf = np.flatnonzero(count > 0)
+    leaf = np.repeat(leaf[order := np.argsort(a[leaf])], count[leaf][order])
+    by_triangle = np.argsort(tree.references, kind="stable")
+    triangle, boxes = tree.references[by_triangle], tree.nodes[leaf[by_triangle]].astype(np.float64)
+    weights = np.random.default_rng(2).dirichlet((0.5, 0.5, 0.5), samples)
+    weights[:3] = np.eye(3)
+    weights[3:9, 0] = 0  # along an edge
+    weights[3:9] /= weights[3:9].sum(1, keepdims=True)
+    points = np.einsum("sc,tck->tsk", weights, positions.astype(np.float64)[triangles])
+    rounding = 2.0**-50 * np.abs(positions.astype(np.float64)[triangles]).max((1, 2))[triangle, None, None]  # of the points
+    inside = ((points[triangle] >= boxes[:, None, :3] - rounding) & (points[triangle] <= boxes[:, None, 4:7] + rounding)).all(-1)
+    covered = np.logical_or.reduceat(inside, np.searchsorted(triangle, np.arange(len(triangles))))
+    assert covered.all(), np.argwhere(~covered)[:5]
 
 
 def plain_cost(low: np.ndarray, high: np.ndarray, options: BuildOptions) -> float:
@@ -214,8 +244,69 @@ def test_any_small_mesh(data):
     numbers = data.draw(st.lists(st.integers(-grid, grid), min_size=9 * count, max_size=9 * count))
     scale = data.draw(st.sampled_from([1e-18, 1e-6, 1.0, 1e15]))
     positions = (np.array(numbers).reshape(-1, 3) * scale).astype(np.float32)
-    options = BuildOptions(data.draw(st.integers(1, 8)), data.draw(st.integers(1, 8)), data.draw(st.sampled_from([0.1, 1.0, 3.0])))
-    checked(positions, np.arange(3 * count, dtype=np.int32).reshape(-1, 3), options)
+    options = BuildOptions(
+        data.draw(st.integers(1, 8)), data.draw(st.integers(1, 8)), data.draw(st.sampled_from([0.1, 1.0, 3.0])),
+        spatial_splits=data.draw(st.booleans()), split_budget=data.draw(st.sampled_from([0.1, 2.0])), split_overlap=0.0,
+    )  # fmt: skip
+    triangles = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    check_coverage(checked(positions, triangles, options), positions, triangles)
+
+
+SPATIAL = BuildOptions(spatial_splits=True)
+SPATIAL_NARROW = BuildOptions(leaf_group=1, leaf_max=3, spatial_splits=True)
+
+
+@pytest.mark.parametrize("options", [SPATIAL, SPATIAL_NARROW], ids=["wide", "narrow"])
+def test_spatial_splits_lower_the_cost_of_long_thin_triangles_within_their_budget(options):
+    mesh = diagonals(100, 3000)
+    costs = [checked(*mesh, dataclasses.replace(options, spatial_splits=False)).statistics.sah_cost]
+    for budget in (0.0, 0.03, 0.1, 0.3):
+        tree = checked(*mesh, dataclasses.replace(options, split_budget=budget))
+        check_coverage(tree, *mesh)
+        assert tree.statistics.duplicate_count <= int(budget * 3100)
+        costs.append(tree.statistics.sah_cost)
+    assert costs[0] == costs[1] > costs[2] > costs[3] > costs[4]
+    assert costs[4] < 0.7 * costs[0]
+
+
+@pytest.mark.parametrize("scale, offset", [(1, 0), (1e-18, 0), (1e18, 0), (1e-3, 1e4), (1e-30, 0), (1.0, 1e6)])
+def test_every_point_of_a_triangle_that_was_cut_is_in_a_box_of_its_references(scale, offset):
+    positions, triangles = diagonals(400, seed=int(offset))
+    positions = (positions * np.float32(scale) + np.array([offset, -offset, 0], np.float32)).astype(np.float32)
+    options = BuildOptions(leaf_max=2, leaf_group=1, spatial_splits=True, split_budget=2.0, split_overlap=0.0)
+    tree = checked(positions, triangles, options)
+    assert tree.statistics.duplicate_count > 0
+    check_coverage(tree, positions, triangles)
+
+
+def test_cuts_through_corners_and_edges_lose_nothing():
+    """Corners on a coarse grid lie on the planes of many bins."""
+    random = np.random.default_rng(9)
+    positions = random.integers(0, 9, (900, 3)).astype(np.float32) * np.float32(0.125)
+    triangles = random.integers(0, 900, (600, 3)).astype(np.int32)
+    options = BuildOptions(leaf_max=1, leaf_group=1, spatial_splits=True, split_budget=3.0, split_overlap=0.0)
+    check_coverage(checked(positions, triangles, options), positions, triangles, samples=200)
+
+
+def test_threads_do_not_change_a_bit_of_a_tree_with_spatial_splits():
+    mesh = diagonals(500, 5 * CHUNK_MIN)
+    trees = [build_binary(*mesh, dataclasses.replace(SPATIAL, thread_count=n)) for n in (1, 2, 5)]
+    assert trees[0].statistics.duplicate_count > 0.1 * len(mesh[1])
+    corners = mesh[0][mesh[1]]
+    check_tree(trees[0], corners.min(1), corners.max(1), SPATIAL)
+    check_coverage(trees[0], *mesh, samples=12)
+    for tree in trees[1:]:
+        assert tree.nodes.tobytes() == trees[0].nodes.tobytes()
+        assert tree.references.tobytes() == trees[0].references.tobytes()
+
+
+@pytest.mark.parametrize("name", DEGENERATE)
+def test_spatial_splits_of_degenerate_meshes(name):
+    positions, triangles = DEGENERATE[name]
+    for options in (SPATIAL, dataclasses.replace(SPATIAL_NARROW, split_overlap=0.0)):
+        tree = checked(positions, triangles, options)
+        assert tree.statistics.duplicate_count <= 0.3 * len(triangles)
+        check_coverage(tree, positions, triangles, samples=10)
 
 
 @pytest.mark.parametrize("leaf_max", [1, 4, 8])
