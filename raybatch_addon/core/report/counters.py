@@ -2,7 +2,7 @@
 
 Every worker has its own. What is counted on a CUDA device is summed there with integer atomics, spread over many copies so that
 they seldom meet; sums do not depend on their order. A render without counters makes none of this: no arrays, no launches, and
-kernels that are compiled without the lines that fill `RayWork`.
+traversals that are compiled without the lines that fill `TraceCounts`.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..bvh.trace_counts import LANE_PARTS, TraceCounts
 from ..kernel import KERNEL_OPTIONS
 from .timing import StageTimer, clock_of
 
@@ -47,21 +48,12 @@ class CounterFeatures:
 
 
 @wp.struct
-class RayWork:
-    """What tracing tells of its work; the first three arrays hold the last trace of each ray slot."""
-
-    node_steps: wp.array(dtype=int)  # nodes visited
-    box_tests: wp.array(dtype=int)  # boxes of children tested, those of empty places not counted
-    triangle_tests: wp.array(dtype=int)  # triangles tested
-    # Turns of the lanes of warps by kind of ray: [2 * kind] with a ray, [2 * kind + 1] all. Added to, not set
-    lane_turns: wp.array(dtype=wp.int64)
-
-
-@wp.struct
 class CounterSums:
-    """Sums over all rays so far."""
+    """What was told of each ray, and sums over all rays so far."""
 
-    work: RayWork
+    node_steps: wp.array(dtype=int)  # by ray slot, those of its last trace
+    box_tests: wp.array(dtype=int)
+    triangle_tests: wp.array(dtype=int)
     by_bounce: wp.array2d(dtype=wp.int64)  # shape [kinds * bins * quantities, copies]
     bins: int
 
@@ -90,15 +82,15 @@ def count_kernel(features: CounterFeatures) -> wp.Kernel:
         cell = (kind * sums.bins + wp.min(bounce[path], sums.bins - 1)) * wp.static(len(QUANTITIES))
         wp.atomic_add(sums.by_bounce, cell, copy, wp.int64(1))
         if wp.static(steps):
-            wp.atomic_add(sums.by_bounce, cell + 1, copy, wp.int64(sums.work.node_steps[slot]))
-            wp.atomic_add(sums.by_bounce, cell + 2, copy, wp.int64(sums.work.box_tests[slot]))
-            wp.atomic_add(sums.by_bounce, cell + 3, copy, wp.int64(sums.work.triangle_tests[slot]))
+            wp.atomic_add(sums.by_bounce, cell + 1, copy, wp.int64(sums.node_steps[slot]))
+            wp.atomic_add(sums.by_bounce, cell + 2, copy, wp.int64(sums.box_tests[slot]))
+            wp.atomic_add(sums.by_bounce, cell + 3, copy, wp.int64(sums.triangle_tests[slot]))
         if wp.static("Rays" in passes):
             wp.atomic_add(cost, wp.static(_row(passes, "Rays")), pixel[path], wp.int64(1))
         if wp.static(steps and "Node Steps" in passes):
-            wp.atomic_add(cost, wp.static(_row(passes, "Node Steps")), pixel[path], wp.int64(sums.work.node_steps[slot]))
+            wp.atomic_add(cost, wp.static(_row(passes, "Node Steps")), pixel[path], wp.int64(sums.node_steps[slot]))
         if wp.static(steps and "Triangle Tests" in passes):
-            wp.atomic_add(cost, wp.static(_row(passes, "Triangle Tests")), pixel[path], wp.int64(sums.work.triangle_tests[slot]))
+            wp.atomic_add(cost, wp.static(_row(passes, "Triangle Tests")), pixel[path], wp.int64(sums.triangle_tests[slot]))
 
     return count_rays
 
@@ -126,14 +118,14 @@ class CounterTotals:
     """Counts on the host, of one worker or of several."""
 
     by_bounce: np.ndarray  # int64, shape [kinds, bins, quantities]
-    lane_turns: np.ndarray  # int64, shape [kinds, 2]: with a ray, all
+    lanes: np.ndarray  # int64, shape [kinds, len(LANE_PARTS), 2]: busy lanes, all lanes
     steps: bool  # whether more than rays was counted
     seconds: dict[str, float] = field(default_factory=dict)  # by stage
 
     def merge(self, other: CounterTotals) -> CounterTotals:
         """The sums of both."""
         seconds = {stage: self.seconds.get(stage, 0.0) + other.seconds.get(stage, 0.0) for stage in self.seconds | other.seconds}
-        return CounterTotals(self.by_bounce + other.by_bounce, self.lane_turns + other.lane_turns, self.steps and other.steps, seconds)
+        return CounterTotals(self.by_bounce + other.by_bounce, self.lanes + other.lanes, self.steps and other.steps, seconds)
 
     def quantity(self, name: str) -> np.ndarray:
         """One of `QUANTITIES`, int64, shape [kinds, bins]."""
@@ -153,9 +145,9 @@ class CounterTotals:
     def _by_kind(self, name: str) -> dict[str, list[int]]:
         return dict(zip(RAY_KINDS, self.quantity(name).tolist(), strict=True))
 
-    def _lanes_idle(self, kind: int) -> float | str:
-        active, turns = self.lane_turns[kind].tolist()
-        return round(1.0 - active / turns, 4) if turns else UNAVAILABLE
+    def _lanes_idle(self, kind: int) -> dict[str, float] | str:
+        parts = {part: round(1.0 - busy / there, 4) for part, (busy, there) in zip(LANE_PARTS, self.lanes[kind].tolist(), strict=True) if there}
+        return parts or UNAVAILABLE
 
     def _bytes(self, tree: TreeBytes | None) -> dict[str, int] | str:
         if tree is None or not self.steps:
@@ -175,15 +167,21 @@ class Counters:
         self.features, self._device = features, device
         self.timer = StageTimer(clock_of(device))
         self._kernel = count_kernel(features)
-        self.work = work = RayWork()  # what the tracer fills
         self._sums = sums = CounterSums()
         sums.bins = min(bounce_max + 2, BOUNCE_BINS_MAX)
         cells, copies = len(RAY_KINDS) * sums.bins * len(QUANTITIES), _CUDA_COPIES if device.is_cuda else 1
-        slots = slot_count if features.steps else 0
-        work.node_steps, work.box_tests, work.triangle_tests = (wp.zeros(slots, dtype=int, device=device) for _ in range(3))
-        work.lane_turns = wp.zeros(2 * len(RAY_KINDS), dtype=wp.int64, device=device)
         sums.by_bounce = wp.zeros((cells, copies), dtype=wp.int64, device=device)
-        sums.work = work
+        slots = slot_count if features.steps else 0
+        for name in QUANTITIES[1:]:
+            setattr(sums, name, wp.zeros(slots, dtype=int, device=device))
+        self.work = [self._work() for _ in RAY_KINDS]  # what traversals fill, by kind of ray
+
+    def _work(self) -> TraceCounts:
+        work = TraceCounts()
+        for name in QUANTITIES[1:]:
+            setattr(work, name, getattr(self._sums, name))
+        work.lanes = wp.zeros(2 * len(LANE_PARTS), dtype=wp.int64, device=self._device)
+        return work
 
     def begin_tile(self, pixel_count: int) -> wp.array:
         """Costs of a tile, all 0, int64, shape [cost passes, pixels]."""
@@ -203,7 +201,8 @@ class Counters:
         """All that was counted so far; waits for the device."""
         sums = self._sums
         by_bounce = sums.by_bounce.numpy().sum(1).reshape(len(RAY_KINDS), sums.bins, len(QUANTITIES))
-        return CounterTotals(by_bounce, self.work.lane_turns.numpy().reshape(-1, 2).copy(), self.features.steps, self.timer.totals())
+        lanes = np.stack([work.lanes.numpy().reshape(len(LANE_PARTS), 2) for work in self.work])
+        return CounterTotals(by_bounce, lanes, self.features.steps, self.timer.totals())
 
 
 def counter_bytes_per_path(features: CounterFeatures | None, shadow_rays: bool) -> int:

@@ -41,7 +41,7 @@ class Work:
         self.pixels = {name: np.zeros(PIXELS, np.int64) for name in COST_PASSES}
 
     def wave(self, kind, count, bound):
-        rng, work = self.rng, self.counters.work
+        rng, work = self.rng, self.counters.work[kind]
         bounce, pixel = rng.integers(0, 9, PATHS).astype(np.int32), rng.integers(0, PIXELS, PATHS).astype(np.int32)
         slots = rng.permutation(PATHS)[:bound].astype(np.int32)
         did = np.ones((2 * PATHS, len(QUANTITIES)), np.int64)
@@ -77,7 +77,8 @@ def test_sums_by_kind_bounce_and_pixel(passes):
 def test_a_tracer_that_does_not_tell_its_steps_has_its_rays_counted():
     work = Work(CounterFeatures(False, ("Rays", "Node Steps")))
     work.wave(RayKind.OCCLUSION, 200, 300)
-    assert work.counters.work.node_steps.shape == work.counters.work.box_tests.shape == work.counters.work.triangle_tests.shape == (0,)
+    for each in work.counters.work:
+        assert each.node_steps.shape == each.box_tests.shape == each.triangle_tests.shape == (0,)
     totals = work.counters.totals()
     assert np.array_equal(totals.quantity("rays"), work.sums[..., 0])
     assert np.array_equal(work.cost.numpy(), [work.pixels["Rays"], np.zeros(PIXELS)])
@@ -117,7 +118,7 @@ def test_the_report_is_json_and_sums_bytes():
     work = Work(CounterFeatures(True, ()))
     work.wave(RayKind.CLOSEST, 300, 300)
     work.wave(RayKind.OCCLUSION, 100, 100)
-    work.counters.work.lane_turns.assign(np.array([30, 40, 0, 0, 0, 0]))
+    work.counters.work[RayKind.CLOSEST].lanes.assign(np.array([30, 40, 1, 4, 0, 0]))
     with work.counters.timer.stage("trace"):
         pass
     report = work.counters.totals().report(TreeBytes(80, 48), {"cycles": 5})
@@ -125,7 +126,7 @@ def test_the_report_is_json_and_sums_bytes():
     nodes, triangles = 80 * work.sums[..., 1].sum(), 48 * work.sums[..., 3].sum()
     rays = 400 * RAY_BYTES_READ + 300 * RAY_BYTES_WRITTEN["closest"] + 100 * RAY_BYTES_WRITTEN["occlusion"]
     assert report["bytes"] == {"nodes": nodes, "triangles": triangles, "rays": rays, "total": nodes + triangles + rays}
-    assert report["lanes_idle"] == {"closest": 0.25, "occlusion": UNAVAILABLE, "transparent_shadow": UNAVAILABLE}
+    assert report["lanes_idle"] == {"closest": {"turns": 0.25, "nodes": 0.75}, "occlusion": UNAVAILABLE, "transparent_shadow": UNAVAILABLE}
     assert list(report["seconds"]) == list(STAGES) and report["hardware"] == {"cycles": 5}
 
 
@@ -133,11 +134,12 @@ def test_workers_are_added_up():
     one, other = Work(CounterFeatures(True, ()), 1), Work(CounterFeatures(True, ()), 2)
     for work in (one, other):
         work.wave(RayKind.CLOSEST, 300, 300)
-        work.counters.work.lane_turns.fill_(3)
+        work.counters.work[RayKind.OCCLUSION].lanes.fill_(3)
     totals, others = one.counters.totals(), other.counters.totals()
     totals.seconds["trace"], others.seconds["trace"] = 1.0, 2.0
     both = totals.merge(others)
-    assert np.array_equal(both.by_bounce, one.sums + other.sums) and (both.lane_turns == 6).all() and both.steps
+    assert np.array_equal(both.by_bounce, one.sums + other.sums) and both.steps
+    assert both.lanes.tolist() == [[[0, 0]] * 3, [[6, 6]] * 3, [[0, 0]] * 3]
     assert both.seconds["trace"] == 3.0
 
 

@@ -1,0 +1,20 @@
+"""What traversals tell of their work, those that are compiled with counters."""
+
+from __future__ import annotations
+
+import warp as wp
+
+# Pairs of `TraceCounts.lanes`
+LANE_PARTS = ("turns", "nodes", "triangles")
+
+
+@wp.struct
+class TraceCounts:
+    """Written by traversals: of each ray as it ends, and of the lanes of warps."""
+
+    node_steps: wp.array(dtype=int)  # nodes visited, by ray slot
+    box_tests: wp.array(dtype=int)  # child boxes tested, by ray slot; empty places of a node do not count
+    triangle_tests: wp.array(dtype=int)  # triangles tested, by ray slot
+    # Added up over all warps (CUDA), int64: lanes that had a ray, and lanes there were, in each turn of the loop; lanes that
+    # visited a node, and all lanes of warps in which any did; the same of triangle tests
+    lanes: wp.array(dtype=wp.int64)  # shape [2 * len(LANE_PARTS)]
