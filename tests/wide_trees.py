@@ -44,6 +44,14 @@ def soup(count: int, seed: int = 0, size: float = 0.1) -> tuple[np.ndarray, np.n
     return positions.reshape(-1, 3).astype(np.float32), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
 
 
+def needles(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Long thin triangles in all directions, which spatial splits cut."""
+    rng = np.random.default_rng(seed)
+    start, along, aside = rng.uniform(-1, 1, (count, 3)), rng.normal(size=(count, 3)), 0.01 * rng.normal(size=(count, 3))
+    positions = np.stack([start, start + along, start + aside], 1)
+    return positions.reshape(-1, 3).astype(np.float32), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+
+
 def wide(positions: np.ndarray, triangles: np.ndarray, layout: Layout) -> WideMesh:
     """The tree of a mesh as the core makes it."""
     return collapse_mesh(build_binary(positions, triangles, OPTIONS[layout]), positions, triangles, layout)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from wide_trees import OPTIONS, check_blocks, check_parts, check_whole, soup, sphere, wide
+from wide_trees import OPTIONS, check_blocks, check_parts, check_whole, needles, soup, sphere, wide
 
-from raybatch_addon.core.bvh.binary import BuildOptions
+from raybatch_addon.core.bvh.binary import BinaryTree, BuildOptions
 from raybatch_addon.core.bvh.build_sah import build_binary, build_binary_from_boxes
 from raybatch_addon.core.bvh.collapse import CollapseCost, collapse_entries, collapse_mesh
 from raybatch_addon.core.bvh.margin import SLAB_MARGIN
@@ -111,19 +111,48 @@ def test_a_strip_whose_triangles_grow(layout):
 
 @both
 def test_split_triangles(layout):
-    positions, triangles = soup(200, size=1.0)
+    positions, triangles = needles(2000)
     options = replace(OPTIONS[layout], spatial_splits=True, split_budget=1.0)
     binary = build_binary(positions, triangles, options)
     mesh = collapse_mesh(binary, positions, triangles, layout)
     check_parts(mesh, positions, triangles)
     faces = triangle_faces(layout, mesh.triangles).reshape(len(mesh.triangles), -1)
-    if binary.statistics.duplicate_count:
-        assert mesh.reference_count > len(triangles)
+    assert mesh.reference_count > 1.05 * len(triangles)
     walk = walk_tree(layout, mesh.nodes)
     for first, count in zip(walk.leaf_first, walk.leaf_count):
         listed = faces[first : first + count]
         listed = listed[listed >= 0]
         assert len(np.unique(listed)) == len(listed)
+
+
+@both
+def test_margins_of_parts_are_those_of_the_whole_triangle(layout):
+    """A large triangle in the plane z = 0, cut into cells: even a node over small boxes near the centre needs a large margin."""
+    size = np.float32(1024)
+    positions = size * np.array([[-1, -1, 0], [1, -1, 0], [-1, 1, 0], [1, 1, 0]], np.float32)
+    triangles = np.array([[0, 1, 2], [1, 3, 2]], np.int32)
+    nodes, references, waiting = [np.zeros(8, np.float32)], [], [(0, -size, size, -size, size, 0)]
+    while waiting:
+        i, x0, x1, y0, y1, level = waiting.pop()
+        nodes[i][[0, 1, 4, 5]] = [x0, y0, x1, y1]
+        links = nodes[i].view(np.int32)
+        if level == 10:
+            links[3], links[7] = len(references), 2
+            references += [0, 1]
+            continue
+        links[3] = len(nodes)
+        x, y = ((x0 + x1) / 2, y1) if level % 2 else (x1, (y0 + y1) / 2)
+        waiting += [(len(nodes), x0, x, y0, y, level + 1)]
+        waiting += [(len(nodes) + 1, x if level % 2 else x0, x1, y0 if level % 2 else y, y1, level + 1)]
+        nodes += [np.zeros(8, np.float32), np.zeros(8, np.float32)]
+    built = build_binary(positions, triangles).statistics
+    binary = BinaryTree(np.array(nodes), np.array(references, np.int32), replace(built, duplicate_count=len(references) - 2))
+    mesh = collapse_mesh(binary, positions, triangles, layout, CollapseCost(node=1e-6, unit=1.0))
+    check_parts(mesh, positions, triangles)
+    children = decode_children(layout, mesh.nodes)
+    there = np.isfinite(children.low[..., 2])
+    assert mesh.node_count > 30
+    assert (children.low[there][:, 2] <= -SLAB_MARGIN * 1024).all() and (children.high[there][:, 2] >= SLAB_MARGIN * 1024).all()
 
 
 def test_slots_follow_the_octants():

@@ -8,7 +8,7 @@ import warp as wp
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from under_test import DEVICE
-from wide_trees import OPTIONS, check_whole, soup, sphere, wide
+from wide_trees import OPTIONS, check_whole, needles, soup, sphere, wide
 
 from raybatch_addon.core.bvh.build_sah import build_binary
 from raybatch_addon.core.bvh.collapse import collapse_mesh
@@ -54,11 +54,13 @@ def test_cost_grows_when_triangles_mix(layout):
 
 @both
 def test_split_triangles_become_whole(layout):
-    positions, triangles = soup(200, size=1.0)
+    positions, triangles = needles(2000)
     options = replace(OPTIONS[layout], spatial_splits=True, split_budget=1.0)
     mesh = collapse_mesh(build_binary(positions, triangles, options), positions, triangles, layout)
+    assert mesh.reference_count > 1.05 * len(triangles)
     refitted = refit_mesh(mesh, positions, triangles)
     check_whole(refitted, positions, triangles, once=False)
+    assert refitted.sah > mesh.sah
     assert np.array_equal(triangle_faces(layout, refitted.triangles), triangle_faces(layout, mesh.triangles))
 
 
