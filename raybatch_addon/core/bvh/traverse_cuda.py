@@ -37,7 +37,7 @@ class TraceOptions:
     refill: int = 4  # lanes that must wait before a warp takes new rays, 1..32; 0: one thread a ray, never refilled
     leaf_groups: int = 2  # groups of triangles that may wait while nodes are visited, 1 or 2
     every_triangle: bool = False  # test all waiting triangles in each turn, instead of one
-    overlap: bool = False  # read the next node before a triangle is tested: fewer waits, more registers
+    read_ahead: str = ""  # how a node is asked for before a triangle is tested: not at all, PREFETCH, COPY, COPY_TOGETHER
     stack_shared: int = 0  # groups of each lane's stack that are in shared memory
 
 
@@ -56,40 +56,107 @@ class TraceCounts:
 _LOOP_TEXT = """
     const int ray_count = count.data[0];
     bool more = true;  // the list has rays that no lane has taken
+    auto is_alive = [&]() -> bool { return node != NONE || leaf.y != 0u; };
     for (;;) {
         if (REFILL > 0) {
-            const unsigned idle = ballot(!alive);
+            const unsigned idle = ballot(!is_alive());
             const int wanted = bit_count(idle);
-            if (more ? wanted >= REFILL || idle == ALL_LANES : idle == ALL_LANES) {
-                if (!alive && slot >= 0) finish();
+            if (idle == ALL_LANES || (more && wanted >= REFILL)) {
+                if (!is_alive() && slot >= 0) finish();
                 if (!more) break;
                 int first = 0;
     #if defined(__CUDA_ARCH__)
-                if (lane == 0u) first = atomicAdd(cursor.data, wanted);
+                if (lanes_below() == 0u) first = atomicAdd(cursor.data, wanted);
                 first = __shfl_sync(ALL_LANES, first, 0);
     #else
                 first = cursor.data[0];
                 cursor.data[0] += wanted;
     #endif
-                const int mine = first + bit_count(idle & ((1u << lane) - 1u));
-                if (!alive && mine < ray_count) take(slots.data[mine]);
+                const int mine = first + bit_count(idle & lanes_below());
+                if (!is_alive() && mine < ray_count) take(slots.data[mine]);
                 more = first + wanted < ray_count;
             }
-        } else if (!alive) {
-            if (slot >= 0) finish();
-            else if (thread < ray_count) take(slots.data[thread]);
-            if (slot < 0) break;
+        } else if (!is_alive()) {
+            if (slot >= 0) { finish(); break; }
+            if (thread >= ray_count) break;
+            take(slots.data[thread]);
         }
         $count_turn
-        if (!alive) continue;
-        if (TWO_LEVEL && entry < 0 && leaf.y) enter();
-        if (turned) make_ray();
+        if (TWO_LEVEL && is_alive()) {
+            if (entry < 0 && leaf.y) enter();
+            if (turned) make_ray();
+            turned = false;
+        }
         const bool in_mesh = !TWO_LEVEL || entry >= 0;
         $turn
-        if (alive) go_on();
+        if (node == NONE) choose();
     }
     $count_end
 """
+
+# How a node gets from memory to a lane: pieces that ask for it before a triangle is tested, wait for it, and read it
+_READ_AHEAD = {
+    "": ("", "", "const Words* p = nodes + 5ull * node; const Words a = read(p), b = read(p + 1), c = read(p + 2), d = read(p + 3), e = read(p + 4);"),
+}
+_READ_AHEAD["PREFETCH"] = (
+    """
+    #if defined(__CUDA_ARCH__)
+        if (visiting) {
+            const char* p = (const char*)(nodes + 5ull * node);
+            asm volatile("prefetch.global.L1 [%0];" :: "l"(p));
+            asm volatile("prefetch.global.L1 [%0];" :: "l"(p + 64));
+        }
+    #endif""",
+    "",
+    _READ_AHEAD[""][2],
+)
+# Each lane has its place in shared memory; five words of 16 bytes are a stride without bank conflicts
+_READ_AHEAD["COPY"] = (
+    """
+    #if defined(__CUDA_ARCH__)
+        if (visiting) {
+            const unsigned to = (unsigned)__cvta_generic_to_shared(staged + 5u * threadIdx.x);
+            const Words* p = nodes + 5ull * node;
+            for (int k = 0; k < 5; ++k) asm volatile("cp.async.ca.shared.global [%0], [%1], 16;" :: "r"(to + 16u * k), "l"(p + k) : "memory");
+        }
+    #endif""",
+    """
+    #if defined(__CUDA_ARCH__)
+        asm volatile("cp.async.wait_all;" ::: "memory");
+    #endif""",
+    """
+    #if defined(__CUDA_ARCH__)
+        const Words* p = staged + 5u * threadIdx.x;
+        const Words a = p[0], b = p[1], c = p[2], d = p[3], e = p[4];
+    #else
+        const Words* p = nodes + 5ull * node;
+        const Words a = p[0], b = p[1], c = p[2], d = p[3], e = p[4];
+    #endif""",
+)
+# Lanes copy for one another, five of them one node: fewer cache lines are looked up
+_READ_AHEAD["COPY_TOGETHER"] = (
+    """
+    #if defined(__CUDA_ARCH__)
+        {
+            const unsigned lane = threadIdx.x & 31u, asked = visiting ? node : NONE;
+            const unsigned to = (unsigned)__cvta_generic_to_shared(staged + 5u * (threadIdx.x - lane) + lane);
+            for (unsigned k = 0u; k < 5u; ++k) {
+                // piece 32 k + lane is word `part` of the node of lane 6 k + fifth
+                const unsigned fifth = (lane + 2u * k) * 13u >> 6, part = lane + 2u * k - 5u * fifth;
+                const unsigned other = __shfl_sync(ALL_LANES, asked, 6u * k + fifth);
+                if (other != NONE) {
+                    asm volatile("cp.async.ca.shared.global [%0], [%1], 16;" :: "r"(to + 512u * k), "l"(nodes + 5ull * other + part) : "memory");
+                }
+            }
+        }
+    #endif""",
+    """
+    #if defined(__CUDA_ARCH__)
+        asm volatile("cp.async.wait_all;" ::: "memory");
+        __syncwarp();
+    #endif""",
+    _READ_AHEAD["COPY"][2],
+)
 
 
 def _stack_text(options: TraceOptions) -> str:
@@ -121,15 +188,15 @@ def _stack_text(options: TraceOptions) -> str:
 
 
 def _turn_text(options: TraceOptions) -> str:
-    waiting = "later.y == 0u" if options.leaf_groups == 2 else "leaf.y == 0u"
-    if options.overlap:
-        waiting += " || single_bit(leaf.y)"
-    visiting = f"const bool visiting = is_nodes(inner) && (in_mesh ? {waiting} : leaf.y == 0u);"
-    repeat = "while" if options.every_triangle else "if"
-    test = f"{repeat} (in_mesh && leaf.y{' && alive' * options.any_hit}) test();"
-    if options.overlap:
-        return f"{visiting} if (visiting) fetch(); {test} if (visiting) visit();"
-    return f"{visiting} if (visiting) {{ fetch(); visit(); }} {test}"
+    ask, wait, _ = _READ_AHEAD[options.read_ahead]
+    room = "later.y == 0u" if options.leaf_groups == 2 else "leaf.y == 0u"
+    if options.read_ahead:
+        room += " || (leaf.y & (leaf.y - 1u)) == 0u"  # the last of the group is tested first
+    visiting = f"const bool visiting = node != NONE && (in_mesh ? {room} : leaf.y == 0u);"
+    test = f"{'while' if options.every_triangle else 'if'} (in_mesh && leaf.y) test();"
+    if options.read_ahead:
+        return f"{visiting} {ask}\n{test} {wait}\nif (visiting{' && node != NONE' * options.any_hit}) visit();"
+    return f"{visiting} if (visiting) visit(); {test}"
 
 
 # Pieces of counting code, put in for kernels with counters alone
@@ -148,7 +215,7 @@ _COUNTING = {
     };""",
     "count_begin": "visits = boxes = tests = 0;",
     "count_ray": "counts.node_steps.data[slot] = visits; counts.box_tests.data[slot] = boxes; counts.triangle_tests.data[slot] = tests;",
-    "count_turn": "count_lanes(0, alive);",
+    "count_turn": "count_lanes(0, is_alive());",
     "count_visit": "count_lanes(1, true); ++visits; boxes += bit_count((b.z >> 5) & 0x01010101u) + bit_count((b.w >> 5) & 0x01010101u);",
     "count_test": "count_lanes(2, true); ++tests;",
     "count_end": """for (int k = 0; k < 3; ++k) {
@@ -171,7 +238,10 @@ def trace_text(options: TraceOptions) -> str:
     """
     text = constants + TRIANGLE_TEXT + DEVICE_TEXT + RAY_TEXT + NODE_TEXT + LANE_TEXT + _LOOP_TEXT
     counting = {name: piece if options.counters else "" for name, piece in _COUNTING.items()}
-    return Template(text).substitute(stack=_stack_text(options), turn=_turn_text(options), **counting)
+    staged = f"\n#if defined(__CUDA_ARCH__)\n    __shared__ Words staged[{5 * BLOCK_SIZE}];\n#endif\n" if "COPY" in options.read_ahead else ""
+    return Template(text).substitute(
+        stack=_stack_text(options) + staged, turn=_turn_text(options), read_node=_READ_AHEAD[options.read_ahead][2], **counting
+    )
 
 
 @functools.cache

@@ -14,13 +14,20 @@ DEVICE_TEXT = """
     typedef uint4 Words;
     typedef uint2 Group;
     constexpr unsigned ALL_LANES = 0xffffffffu;
-    const unsigned lane = threadIdx.x & 31u;
+    auto lanes_below = []() -> unsigned { unsigned r; asm volatile("mov.u32 %0, %%lanemask_lt;" : "=r"(r)); return r; };
     auto as_float = [](unsigned x) -> float { return __uint_as_float(x); };
     auto as_bits = [](float x) -> int { return __float_as_int(x); };
     auto highest_bit = [](unsigned x) -> unsigned { return 31u - __clz(x); };
     auto bit_count = [](unsigned x) -> int { return __popc(x); };
     auto fused = [](float a, float b, float c) -> float { return __fmaf_rn(a, b, c); };
-    auto byte = [](unsigned x, int j) -> float { return __uint_as_float(__byte_perm(x, 0x4b000000u, 0x7440 + j)) - 8388608.0f; };
+    // The four bytes of a word, times 2^-24: that is what a byte says in the last place of a float16, below the normal ones
+    constexpr float BYTE_UNIT = 16777216.0f;
+    auto unpack = [](unsigned x, float* q) {
+        const unsigned even = x & 0x00ff00ffu, odd = __byte_perm(x, 0u, 0x4341);
+        asm("{ .reg .b16 l, h; mov.b32 {l, h}, %2; cvt.f32.f16 %0, l; cvt.f32.f16 %1, h; }" : "=f"(q[0]), "=f"(q[2]) : "r"(even));
+        asm("{ .reg .b16 l, h; mov.b32 {l, h}, %2; cvt.f32.f16 %0, l; cvt.f32.f16 %1, h; }" : "=f"(q[1]), "=f"(q[3]) : "r"(odd));
+    };
+    auto byte_bits = [](unsigned x, int j) -> unsigned { return __byte_perm(x, 0u, 0x4440 + j); };
     auto larger = [](float a, float b) -> float { return fmaxf(a, b); };
     auto ballot = [](bool p) -> unsigned { return __ballot_sync(0xffffffffu, p); };
     auto read = [](const Words* p) -> Words { return __ldg(p); };
@@ -31,13 +38,17 @@ DEVICE_TEXT = """
     struct Words { unsigned x, y, z, w; };
     struct Group { unsigned x, y; };
     constexpr unsigned ALL_LANES = 1u;
-    const unsigned lane = 0u;
+    auto lanes_below = []() -> unsigned { return 0u; };
     auto as_float = [](unsigned x) -> float { float r; __builtin_memcpy(&r, &x, 4); return r; };
     auto as_bits = [](float x) -> int { int r; __builtin_memcpy(&r, &x, 4); return r; };
     auto highest_bit = [](unsigned x) -> unsigned { return 31u - __builtin_clz(x); };
     auto bit_count = [](unsigned x) -> int { return __builtin_popcount(x); };
     auto fused = [](float a, float b, float c) -> float { return __builtin_fmaf(a, b, c); };
-    auto byte = [](unsigned x, int j) -> float { return (float)((x >> (8 * j)) & 255u); };
+    constexpr float BYTE_UNIT = 1.0f;
+    auto unpack = [](unsigned x, float* q) {
+        for (int j = 0; j < 4; ++j) q[j] = (float)((x >> (8 * j)) & 255u);
+    };
+    auto byte_bits = [](unsigned x, int j) -> unsigned { return (x >> (8 * j)) & 255u; };
     auto larger = [](float a, float b) -> float { return a > b ? a : b; };
     auto smaller = [](float a, float b) -> float { return a < b ? a : b; };
     auto ballot = [](bool p) -> unsigned { return p ? 1u : 0u; };
@@ -83,13 +94,13 @@ RAY_TEXT = """
 # Which children of a node (words a to e) a ray meets before `limit`: in bits 24 to 31 inner nodes, the one to visit first
 # highest; in bits 0 to 23 triangles of leaves.
 #
-# A byte becomes a float as the lowest byte of 2^23 + byte, less 2^23: both are exact. On CUDA distances are compared as
-# integers, three at once: below 0 their order is another, but anything below 0 is a miss as an exit, and 0 as an entry.
+# On CUDA distances are compared as integers, three at once: below 0 their order is another, but anything below 0 is a miss as an
+# exit, and 0 as an entry.
 NODE_TEXT = """
     auto meet_node = [&](const Ray& r, float limit, const Words& a, const Words& b, const Words& c, const Words& d, const Words& e) -> unsigned {
-        const float sx = as_float((a.w << 23) & 0x7f800000u) * r.ix;
-        const float sy = as_float((a.w << 15) & 0x7f800000u) * r.iy;
-        const float sz = as_float((a.w << 7) & 0x7f800000u) * r.iz;
+        const float sx = as_float((a.w << 23) & 0x7f800000u) * r.ix * BYTE_UNIT;
+        const float sy = as_float((a.w << 15) & 0x7f800000u) * r.iy * BYTE_UNIT;
+        const float sz = as_float((a.w << 7) & 0x7f800000u) * r.iz * BYTE_UNIT;
         const float nx = fused(as_float(a.x), r.ix, r.nx), fx = fused(as_float(a.x), r.ix, r.fx);
         const float ny = fused(as_float(a.y), r.iy, r.ny), fy = fused(as_float(a.y), r.iy, r.fy);
         const float nz = fused(as_float(a.z), r.iz, r.nz), fz = fused(as_float(a.z), r.iz, r.fz);
@@ -98,9 +109,10 @@ NODE_TEXT = """
         for (int half = 0; half < 2; ++half) {
             const unsigned low_x = half ? c.y : c.x, low_y = half ? c.w : c.z, low_z = half ? d.y : d.x;
             const unsigned high_x = half ? d.w : d.z, high_y = half ? e.y : e.x, high_z = half ? e.w : e.z;
-            const unsigned near_x = r.ix < 0.0f ? high_x : low_x, far_x = r.ix < 0.0f ? low_x : high_x;
-            const unsigned near_y = r.iy < 0.0f ? high_y : low_y, far_y = r.iy < 0.0f ? low_y : high_y;
-            const unsigned near_z = r.iz < 0.0f ? high_z : low_z, far_z = r.iz < 0.0f ? low_z : high_z;
+            float near_x[4], near_y[4], near_z[4], far_x[4], far_y[4], far_z[4];
+            unpack(r.ix < 0.0f ? high_x : low_x, near_x); unpack(r.ix < 0.0f ? low_x : high_x, far_x);
+            unpack(r.iy < 0.0f ? high_y : low_y, near_y); unpack(r.iy < 0.0f ? low_y : high_y, far_y);
+            unpack(r.iz < 0.0f ? high_z : low_z, near_z); unpack(r.iz < 0.0f ? low_z : high_z, far_z);
             const unsigned meta = half ? b.w : b.z;
             // only an inner node has bits 3 and 4 of its place set: its slot becomes its rank in the ray's order
             const unsigned inner = (meta & (meta << 1)) & 0x10101010u;
@@ -108,9 +120,9 @@ NODE_TEXT = """
             const unsigned count = (meta >> 5) & 0x07070707u;
     #pragma unroll
             for (int j = 0; j < 4; ++j) {
-                const float x0 = fused(byte(near_x, j), sx, nx), x1 = fused(byte(far_x, j), sx, fx);
-                const float y0 = fused(byte(near_y, j), sy, ny), y1 = fused(byte(far_y, j), sy, fy);
-                const float z0 = fused(byte(near_z, j), sz, nz), z1 = fused(byte(far_z, j), sz, fz);
+                const float x0 = fused(near_x[j], sx, nx), x1 = fused(far_x[j], sx, fx);
+                const float y0 = fused(near_y[j], sy, ny), y1 = fused(far_y[j], sy, fy);
+                const float z0 = fused(near_z[j], sz, nz), z1 = fused(far_z[j], sz, fz);
     #if defined(__CUDA_ARCH__)
                 const int enter = __vimax3_s32_relu(as_bits(x0), as_bits(y0), as_bits(z0));
                 const int leave = __vimin3_s32(as_bits(x1), as_bits(y1), min(as_bits(z1), as_bits(limit)));
@@ -118,37 +130,37 @@ NODE_TEXT = """
                 const float enter = larger(larger(x0, y0), larger(z0, 0.0f));
                 const float leave = smaller(smaller(x1, y1), smaller(z1, limit));
     #endif
-                if (enter <= leave) hits |= ((count >> (8 * j)) & 7u) << ((place >> (8 * j)) & 31u);
+                if (enter <= leave) hits += byte_bits(count, j) << ((place >> (8 * j)) & 31u);
             }
         }
         return hits;
     };
 """
 
-# What a lane holds: a ray, a group of nodes to visit (the first of them, and from bit 24 which; below, which of the node's
-# slots are inner) with more of them on its stack, and one or two groups of triangles to test (the first, and which).
-# In the top level the triangles are entries, and such groups may be on the stack too.
+# What a lane holds: a ray; the node that it visits next; the group of nodes that come after (the first of them, and from bit
+# 24 which; below, which of the slots of their parent are inner) with more such groups on its stack; one or two groups of
+# triangles to test (the first, and which). In the top level the triangles are entries, and such groups may be on the stack too.
+# The triangle of the closest hit so far is in `hit_primitive`, its entry in `hit_instance`, until `finish` looks them up.
 LANE_TEXT = """
+    constexpr unsigned NONE = 0xffffffffu;
     const Words* nodes = (const Words*)tree.nodes.data;
     const Words* triangles = (const Words*)tree.triangles.data;
     auto is_nodes = [](const Group& g) -> bool { return g.y > 0x00ffffffu; };
-    auto single_bit = [](unsigned x) -> bool { return (x & (x - 1u)) == 0u; };
 
-    int depth = 0;                            // groups on the stack
-    $stack
-    $counters
-    Group inner = {0u, 0u}, leaf = {0u, 0u};  // in hand
-    Group later = {0u, 0u};                   // triangles of an earlier node; none unless `leaf` has some
-    Ray ray = {};
     int slot = -1;                            // of the ray, -1: none
-    bool alive = false;                       // the ray is under way
-    bool turned = false;                      // it is new, or has come to another tree: `ray` is not made yet
+    Ray ray = {};
     float best = 0.0f;                        // distance of the closest hit so far, or t_max
-    int best_face = -1, best_entry = -1;      // its triangle; -1: no hit
+    unsigned node = NONE;
+    Group inner = {0u, 0u}, leaf = {0u, 0u};
+    Group later = {0u, 0u};                   // triangles of an earlier node; none unless `leaf` has some
+    int depth = 0;                            // groups on the stack
     int entry = -1;                           // the tree that the ray is in, -1: the top level
     int bottom = 0;                           // groups on the stack that belong to the top level
+    bool turned = false;                      // the ray has come to another tree, for which `ray` is not made yet
     unsigned first_node = 0u, first_triangle = 0u;
-
+    unsigned top_order = 0u;                  // `ray.order` in the top level
+    $stack
+    $counters
     // instance and primitive of triangle `face` of entry `e`
     auto identify = [&](int e, int face, int& instance, int& primitive) {
         instance = tree.entry_instance.data[e];
@@ -162,48 +174,7 @@ LANE_TEXT = """
         instance = tree.merged_instance.data[low];
         primitive = face - tree.merged_triangle_first.data[low];
     };
-    auto take = [&](int ray_slot) {
-        slot = ray_slot;
-        best = t_max.data[slot];
-        best_face = best_entry = entry = -1;
-        depth = bottom = 0;
-        leaf.y = later.y = 0u;
-        inner.x = TWO_LEVEL ? tree.top_node : 0u;
-        inner.y = tree.entry_count > 0 ? 0x80000000u : 0u;
-        turned = alive = true;
-        $count_begin
-    };
-    auto finish = [&]() {
-        if (ANY_HIT) {
-            hit_instance.data[slot] = best_face;
-        } else {
-            int instance = -1, primitive = -1;
-            if (best_face >= 0) identify(TWO_LEVEL ? best_entry : 0, best_face, instance, primitive);
-            else hit_uv.data[slot] = wp::vec_t<2, float>(0.0f, 0.0f);
-            hit_t.data[slot] = best;
-            hit_instance.data[slot] = instance;
-            hit_primitive.data[slot] = primitive;
-        }
-        $count_ray
-        slot = -1;
-    };
-    // into the tree of an entry, what is left of the top level for later
-    auto enter = [&]() {
-        const unsigned bit = highest_bit(leaf.y);
-        leaf.y ^= 1u << bit;
-        const int e = tree.top_entry.data[leaf.x + bit];
-        if ((tree.entry_visibility.data[e] & visibility.data[slot]) == 0) return;
-        if (is_nodes(inner)) push(inner);
-        if (leaf.y) push(leaf);
-        leaf.y = 0u;
-        bottom = depth;
-        entry = e;
-        inner.x = tree.entry_node.data[e];
-        inner.y = 0x80000000u;
-        turned = true;
-    };
     auto make_ray = [&]() {
-        turned = false;
         const auto o = origin.data[slot];
         const auto d = direction.data[slot];
         if (!TWO_LEVEL) {
@@ -212,6 +183,7 @@ LANE_TEXT = """
         } else if (entry < 0) {
             const auto c = tree.top_centre;
             ray = begin_ray(o[0], o[1], o[2], d[0], d[1], d[2], c[0], c[1], c[2], tree.top_margin);
+            top_order = ray.order;
             first_node = tree.top_node;
             first_triangle = 0u;
         } else {
@@ -227,6 +199,41 @@ LANE_TEXT = """
             first_triangle = tree.entry_triangle.data[entry];
         }
     };
+    auto take = [&](int ray_slot) {
+        slot = ray_slot;
+        best = t_max.data[slot];
+        if (ANY_HIT) hit_instance.data[slot] = -1; else hit_primitive.data[slot] = -1;
+        node = tree.entry_count > 0 ? TWO_LEVEL ? tree.top_node : 0u : NONE;
+        if (TWO_LEVEL) turned = true; else make_ray();
+        $count_begin
+    };
+    auto finish = [&]() {
+        if (!ANY_HIT) {
+            const int face = hit_primitive.data[slot];
+            int instance = -1, primitive = -1;
+            if (face >= 0) identify(TWO_LEVEL ? hit_instance.data[slot] : 0, face, instance, primitive);
+            else hit_uv.data[slot] = wp::vec_t<2, float>(0.0f, 0.0f);
+            hit_t.data[slot] = best;
+            hit_instance.data[slot] = instance;
+            hit_primitive.data[slot] = primitive;
+        }
+        $count_ray
+        slot = -1;
+    };
+    // into the tree of an entry; what is left of the top level comes later
+    auto enter = [&]() {
+        const unsigned bit = highest_bit(leaf.y);
+        leaf.y ^= 1u << bit;
+        const int e = tree.top_entry.data[leaf.x + bit];
+        if ((tree.entry_visibility.data[e] & visibility.data[slot]) == 0) return;
+        if (is_nodes(inner)) push(inner);
+        if (leaf.y) push(leaf);
+        inner.y = leaf.y = 0u;
+        bottom = depth;
+        entry = e;
+        node = tree.entry_node.data[e];
+        turned = true;
+    };
     // one triangle of the group in hand
     auto test = [&]() {
         const unsigned bit = highest_bit(leaf.y);
@@ -240,43 +247,44 @@ LANE_TEXT = """
         float t, v, w;
         if (!meet_triangle(sheared, as_float(a.x), as_float(a.y), as_float(a.z), as_float(b.x), as_float(b.y), as_float(b.z),
                            as_float(c.x), as_float(c.y), as_float(c.z), t, v, w)) return;
-        const int face = (int)a.w;
-        bool nearer = t < best;
         if (ANY_HIT) {
-            if (nearer) { best_face = 0; alive = false; }
+            if (t < best) {
+                hit_instance.data[slot] = 0;
+                inner.y = leaf.y = later.y = 0u;
+                depth = bottom = 0;
+                entry = -1;
+                node = NONE;
+            }
             return;
         }
+        const int face = (int)a.w;
+        bool nearer = t < best;
         if (t == best) {
-            if (!TWO_LEVEL || entry == best_entry) {
-                nearer = face < best_face;
-            } else if (best_entry >= 0) {
+            const int other = hit_primitive.data[slot];
+            if (other < 0) {
+            } else if (!TWO_LEVEL || entry == hit_instance.data[slot]) {
+                nearer = face < other;
+            } else {
                 int instance, primitive, best_instance, best_primitive;
                 identify(entry, face, instance, primitive);
-                identify(best_entry, best_face, best_instance, best_primitive);
+                identify(hit_instance.data[slot], other, best_instance, best_primitive);
                 nearer = instance < best_instance || (instance == best_instance && primitive < best_primitive);
             }
         }
         if (nearer) {
             best = t;
-            best_face = face;
-            best_entry = entry;
+            hit_primitive.data[slot] = face;
+            if (TWO_LEVEL) hit_instance.data[slot] = entry;
             hit_uv.data[slot] = wp::vec_t<2, float>(v, w);
         }
     };
-    Words a, b, c, d, e;
-    // the next node of the group in hand is read,
-    auto fetch = [&]() {
-        const unsigned bit = highest_bit(inner.y), mask = inner.y;
-        inner.y ^= 1u << bit;
-        if (is_nodes(inner)) push(inner);
-        const unsigned child = (bit ^ ray.order) & 7u;
-        const Words* p = nodes + 5ull * (inner.x + bit_count(mask & ((1u << child) - 1u)));
-        a = read(p); b = read(p + 1); c = read(p + 2); d = read(p + 3); e = read(p + 4);
-    };
-    // and what the ray meets in it is in hand
+    // the node
     auto visit = [&]() {
+        if (is_nodes(inner)) push(inner);
+        $read_node
         $count_visit
         const unsigned hits = meet_node(ray, best, a, b, c, d, e);
+        node = NONE;
         inner.x = b.x + first_node;
         inner.y = (hits & 0xff000000u) | a.w >> 24;
         if (hits & 0x00ffffffu) {
@@ -285,16 +293,27 @@ LANE_TEXT = """
             leaf.y = hits & 0x00ffffffu;
         }
     };
-    // on with what is on the stack; a tree that is done is left, and the ray ends in the top level
-    auto go_on = [&]() {
+    // the next node: of the group, else of the stack; a tree that is done is left, and the ray is done where the top level is
+    auto choose = [&]() {
         const bool in_mesh = !TWO_LEVEL || entry >= 0;
-        if (is_nodes(inner) || (!in_mesh && leaf.y)) return;
-        if (depth == bottom) {
-            if (leaf.y) return;
-            if (TWO_LEVEL && in_mesh) { entry = -1; bottom = 0; turned = true; }
-            if (depth == 0) { alive = false; return; }
+        if (!in_mesh && leaf.y) return;
+        if (!is_nodes(inner)) {
+            if (depth == bottom) {
+                if (leaf.y) return;
+                if (TWO_LEVEL && in_mesh) {
+                    entry = -1;
+                    bottom = 0;
+                    turned = true;
+                }
+                if (depth == 0) return;
+            }
+            const Group g = pop();
+            if (TWO_LEVEL && !is_nodes(g)) { leaf = g; return; }
+            inner = g;
         }
-        const Group g = pop();
-        if (!TWO_LEVEL || is_nodes(g)) inner = g; else leaf = g;
+        const unsigned bit = highest_bit(inner.y), mask = inner.y;
+        inner.y ^= 1u << bit;
+        const unsigned child = (bit ^ (TWO_LEVEL && entry < 0 ? top_order : ray.order)) & 7u;
+        node = inner.x + bit_count(mask & ((1u << child) - 1u));
     };
 """.replace("SLAB_MARGIN", f"{SLAB_MARGIN.hex()}f")

@@ -218,7 +218,7 @@ VARIANTS = [
     CLOSEST,
     dataclasses.replace(CLOSEST, refill=0),
     dataclasses.replace(CLOSEST, leaf_groups=1),
-    dataclasses.replace(CLOSEST, overlap=True),
+    dataclasses.replace(CLOSEST, read_ahead="COPY"),
     dataclasses.replace(CLOSEST, leaf_groups=1, every_triangle=True, stack_shared=4),
 ]
 
