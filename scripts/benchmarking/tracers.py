@@ -13,7 +13,7 @@ import warp as wp
 from raybatch_addon.core.bvh.reference import build_reference
 from raybatch_addon.core.device import load_kernels
 from raybatch_addon.core.wavefront.rays import RayKind, Rays, allocate_rays
-from raybatch_addon.core.wavefront.stages.trace import trace_kernel
+from raybatch_addon.core.wavefront.stages.trace import reference_kernel
 
 from .rays import CapturedRays
 from .scenes import BenchmarkScene
@@ -95,14 +95,14 @@ class ReferenceTracer(MeasuredTracer):
         self._tasks: list[Callable[[], object]] = []
 
     def build(self, scene: BenchmarkScene) -> Tree:
-        used = _device_memory(self._device)
         wp.synchronize_device(self._device)
+        used = device_memory(self._device)
         start = time.perf_counter()
         self._built = build_reference(scene.flat, scene.scene.instances.visibility, scene.instancing, self._device)
         wp.synchronize_device(self._device)
         seconds = time.perf_counter() - start
-        grown = _device_memory(self._device) - used
-        self._kernels = {kind: trace_kernel(kind, scene.instancing) for kind in (RayKind.CLOSEST, RayKind.OCCLUSION)}
+        grown = device_memory(self._device) - used
+        self._kernels = {kind: reference_kernel(kind == RayKind.OCCLUSION, scene.instancing) for kind in (RayKind.CLOSEST, RayKind.OCCLUSION)}
         load_kernels(self._kernels.values(), self._device, lambda done, total: None)
         return Tree(seconds, grown if self._device.is_cuda else None)
 
@@ -124,6 +124,8 @@ class ReferenceTracer(MeasuredTracer):
         return hits_of(self._rays, self._shadow)
 
 
-def _device_memory(device: wp.Device) -> int:
-    """Memory taken on a CUDA device [bytes]; 0 on the CPU."""
-    return int(device.total_memory - device.free_memory) if device.is_cuda else 0
+def device_memory(device: wp.Device) -> int:
+    """Memory that Warp holds on a CUDA device [bytes]; 0 on the CPU."""
+    if not device.is_cuda:
+        return 0
+    return int(wp.get_mempool_used_mem_current(device) if wp.is_mempool_enabled(device) else device.total_memory - device.free_memory)
