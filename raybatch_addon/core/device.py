@@ -11,6 +11,7 @@ from pathlib import Path
 import warp as wp
 
 from .errors import DeviceError
+from .kernel import block_size_of
 
 _warp_lock = threading.Lock()
 
@@ -108,9 +109,8 @@ def load_kernels(kernels: Iterable[wp.Kernel], device: wp.Device, on_module: Cal
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
     unique = {kernel.module.name: kernel for kernel in kernels}
-    block_dim = 256 if device.is_cuda else 1
     with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
-        tasks = [pool.submit(kernel.module.load, device, block_dim) for kernel in unique.values()]
+        tasks = [pool.submit(kernel.module.load, device, block_size_of(kernel) if device.is_cuda else 1) for kernel in unique.values()]
         for done, task in enumerate(as_completed(tasks), 1):
             if task.result() is None:
                 raise DeviceError(f"a kernel could not be compiled for {device.alias}; see the log above")

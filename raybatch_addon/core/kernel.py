@@ -1,5 +1,6 @@
 """How every kernel of the core is compiled."""
 
+import weakref
 from typing import Any
 
 # Fused multiply-adds and fast math would make results depend on the compiler's choices, and adjoints
@@ -7,3 +8,17 @@ from typing import Any
 # kernel is declared as `@wp.kernel(**KERNEL_OPTIONS)`; a test looks at every loaded module.
 MODULE_OPTIONS: dict[str, Any] = {"enable_backward": False, "fuse_fp": False, "fast_math": False, "cpu_compiler_flags": "-march=native -Wno-constant-conversion"}
 KERNEL_OPTIONS: dict[str, Any] = {"module": "unique", "module_options": MODULE_OPTIONS, "enable_backward": False}
+
+_BLOCK_SIZES: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
+BLOCK_SIZE = 256  # threads of a CUDA block where a kernel does not ask for another
+
+
+def with_block_size(kernel, threads: int):
+    """`kernel`, which will be launched on CUDA with blocks of `threads`: it is compiled for that."""
+    _BLOCK_SIZES[kernel] = threads
+    return kernel
+
+
+def block_size_of(kernel) -> int:
+    """Threads of a CUDA block of `kernel`."""
+    return _BLOCK_SIZES.get(kernel, BLOCK_SIZE)

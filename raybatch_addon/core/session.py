@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from .bvh.build import layout_for
 from .device import find_device, free_memory, load_kernels, start_warp, worker_count
 from .errors import OutOfMemoryError, RayBatchError
 from .film import Film, layout_of
@@ -27,9 +28,10 @@ from .scene.validate import checked_scene
 from .settings import SETTINGS, RenderSettings
 from .wavefront.device_scene import DeviceScene, GeometryCache
 from .wavefront.integrator import TileIntegrator, TileState
-from .wavefront.kernels import StageKernels
+from .wavefront.kernels import StageKernels, tracing_kernels
 from .wavefront.rays import bytes_per_path
 from .wavefront.scheduler import paths_a_worker, reduced_path_count, tile_edge, tiles, water_marks
+from .wavefront.stages.trace import Traversal
 
 # How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
 POLL_SECONDS = 0.05
@@ -101,6 +103,7 @@ class Session:
         self.settings = settings or RenderSettings()
         start_warp(cache_folder)
         self.device = find_device(device or self.settings.device)
+        self.layout = layout_for(self.device)  # of trees
         self._geometry = GeometryCache()
 
     def close(self) -> None:
@@ -109,8 +112,12 @@ class Session:
 
     def prewarm(self, features: Sequence[SceneFeatures] | None = None, on_progress: Callable[[int, int], None] | None = None) -> list[str]:
         """Compile ahead for `features` (default: those of ordinary scenes); returns the names of the modules."""
-        kernels = [k for f in features or ordinary_features() for k in StageKernels.choose(f, self.settings).all()]
+        kernels = [k for f in features or ordinary_features() for k in self._kernels(f, self.settings)]
         return load_kernels(kernels, self.device, on_progress or (lambda done, total: None))
+
+    def _kernels(self, features: SceneFeatures, settings: RenderSettings) -> list[wp.Kernel]:
+        traversal = Traversal.of(settings.batching, self.layout)
+        return StageKernels.choose(features, settings).all() + tracing_kernels(features, traversal, settings.counters == "ON")
 
     def render(
         self,
@@ -188,7 +195,7 @@ class Session:
 
     def _prepare(self, job: _Job) -> tuple[DeviceScene, list[str]] | None:
         """Build the tree and compile the kernels, side by side; None when cancelled meanwhile."""
-        kernels = StageKernels.choose(job.features, job.settings).all()
+        kernels = self._kernels(job.features, job.settings)
         done_modules = [0, max(1, len(kernels))]
 
         def compile_kernels() -> list[str]:
@@ -199,7 +206,7 @@ class Session:
 
         def build() -> DeviceScene:
             start = time.perf_counter()
-            built = DeviceScene.build(job.scene, job.features, self.device, self._geometry)
+            built = DeviceScene.build(job.scene, job.features, job.settings, self.layout, self.device, self._geometry)
             wp.synchronize_device(self.device)
             job.seconds["build"] = time.perf_counter() - start
             return built

@@ -152,6 +152,33 @@ class RenderSettings:
             ("PIXEL_FIRST", "Pixel first", "All samples of a pixel, then the next pixel"),
         ),
     )
+    batching: str = _setting(
+        "OFF", "Batching", "How rays visit the scene's tree",
+        group="SCHEDULE", effect="schedule",
+        choices=(
+            ("OFF", "Off", "Each ray visits the whole tree at once: fastest where the scene fits in memory"),
+            ("REFERENCE", "Reference", "As off, with Warp's own tree: what the others are measured against"),
+        ),
+    )
+    spatial_splits: str = _setting(
+        "OFF", "Spatial Splits", "Split triangles among the boxes of the tree: a slower build for faster rays where large or long triangles overlap",
+        group="SCHEDULE", effect="schedule",
+        choices=(("OFF", "Off", "Each triangle is in one box"), ("ON", "On", "Triangles may be in several boxes (Stich et al. 2009)")),
+    )
+    ray_sort: str = _setting(
+        "AUTO", "Sort Rays", "Sort rays by direction and origin before they are traced",
+        group="SCHEDULE", effect="schedule",
+        choices=(
+            ("AUTO", "Automatic", "Where that was measured to save time, by kind of ray"),
+            ("ON", "On", "Always"),
+            ("OFF", "Off", "Never"),
+        ),
+    )
+    counters: str = _setting(
+        "OFF", "Counters", "Count the steps of every ray, by kind and bounce, and time each stage; the render takes longer",
+        group="SCHEDULE", effect="schedule",
+        choices=(("OFF", "Off", "Nothing is counted, and nothing is paid for it"), ("ON", "On", "For the statistics and the passes that show cost")),
+    )
 
     def __post_init__(self):
         for info in SETTINGS.values():

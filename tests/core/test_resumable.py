@@ -7,17 +7,17 @@ import warp as wp
 
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.wavefront import integrator
-from raybatch_addon.core.wavefront.tracer import ReferenceTracer, SlotList
+from raybatch_addon.core.wavefront.tracer import SlotList, UnbatchedTracer
 
 
-class HesitantTracer(ReferenceTracer):
+class HesitantTracer(UnbatchedTracer):
     """Traces a random half of the rays that are under way, and keeps the others waiting."""
 
     waited = 0
 
-    def __init__(self, tree, rays, kernels, device):
-        super().__init__(tree, rays, kernels, device)
-        self._where = device
+    def __init__(self, tree, rays, stages):
+        super().__init__(tree, rays, stages)
+        self._where = rays.origin.device
         self._waiting = {}
         self._random = np.random.default_rng(5)
 
@@ -42,7 +42,7 @@ def test_rays_that_wait_do_not_change_the_film(session, monkeypatch, features):
     frame = scenes.Frame(16, 12, passes=("Combined", "Depth", "Normal"), transparent=features != "everything")
     settings = RenderSettings(sample_count=4, ray_count=300, bounce_max=5, roulette_bounce=1)
     expected = session.render(scenes.mixed(frame), settings).passes
-    monkeypatch.setattr(integrator, "ReferenceTracer", HesitantTracer)
+    monkeypatch.setattr(integrator, "UnbatchedTracer", HesitantTracer)
     held = session.render(scenes.mixed(frame), settings)
     assert HesitantTracer.waited > 1000
     for name, values in expected.items():

@@ -10,14 +10,19 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ..bvh.build import BuiltTree, build_scene_tree
+from ..bvh.node import Layout
 from ..bvh.reference import BuiltReference, ReferenceTree, build_reference
+from ..bvh.tree import Tree
 from ..scene.description import ClosureKind, Scene
 from ..scene.features import SceneFeatures
 from ..scene.flatten import flatten
 from ..scene.geometry import Geometry, upload_geometry
+from ..settings import RenderSettings
 from ..shading.camera import CameraData, upload_camera
 from ..shading.closures import ClosureFeatures, MaterialTable, upload_materials
 from ..shading.light_table import LightTable, UploadedLights, upload_lights
+from .stages.trace import Traversal
 
 
 @wp.struct
@@ -37,7 +42,7 @@ class SceneData:
 class _CachedGeometry:
     key: bytes
     geometry: Geometry
-    built: BuiltReference
+    built: BuiltReference | BuiltTree
 
 
 class GeometryCache:
@@ -51,7 +56,9 @@ class GeometryCache:
         """Forget it."""
         self._last = None
 
-    def get(self, scene: Scene, instancing: bool, device: wp.Device) -> tuple[Geometry, BuiltReference]:
+    def get(
+        self, scene: Scene, instancing: bool, settings: RenderSettings, layout: Layout, device: wp.Device
+    ) -> tuple[Geometry, BuiltReference | BuiltTree]:
         """Geometry and tree of `scene`, built unless the last scene had the same geometry."""
         flat = flatten(scene)
         visibility = scene.instances.visibility
@@ -60,12 +67,17 @@ class GeometryCache:
         for array in [*arrays, visibility, scene.instances.slot_first, scene.slot_materials]:
             digest.update(str((array.dtype, array.shape)).encode())
             digest.update(np.ascontiguousarray(array))
-        digest.update(bytes([instancing]))
+        digest.update(repr((instancing, settings.batching, settings.spatial_splits, layout)).encode())
         key = digest.digest()
         with self._lock:
             if self._last is None or self._last.key != key:
                 self._last = None  # before the new one is built: never hold two
-                self._last = _CachedGeometry(key, upload_geometry(flat, scene, device), build_reference(flat, visibility, instancing, device))
+                geometry = upload_geometry(flat, scene, device)
+                if settings.batching == "REFERENCE":
+                    built = build_reference(flat, visibility, instancing, device)
+                else:
+                    built = build_scene_tree(flat, geometry, visibility, instancing, device, layout, settings.spatial_splits == "ON")
+                self._last = _CachedGeometry(key, geometry, built)
             return self._last.geometry, self._last.built
 
 
@@ -77,19 +89,22 @@ class DeviceScene:
     features: SceneFeatures
     data: SceneData
     camera: CameraData
-    tree: ReferenceTree | None  # None: there is nothing to hit
+    tree: Tree | ReferenceTree | None  # None: there is nothing to hit
+    traversal: Traversal
     transparent_shadows: bool  # some surface lets shadow rays through
     lights: UploadedLights  # keeps the tree of the lights alive
     shadow_rays: bool  # there is an emitter to aim at, not only code for it
-    built: BuiltReference | None
+    built: BuiltReference | BuiltTree | None
 
     @staticmethod
-    def build(scene: Scene, features: SceneFeatures, device: wp.Device, cache: GeometryCache) -> DeviceScene:
+    def build(
+        scene: Scene, features: SceneFeatures, settings: RenderSettings, layout: Layout, device: wp.Device, cache: GeometryCache
+    ) -> DeviceScene:
         """Upload `scene` and build its tree."""
         data = SceneData()
         built = None
         if features.surfaces:
-            data.geometry, built = cache.get(scene, features.instancing, device)
+            data.geometry, built = cache.get(scene, features.instancing, settings, layout, device)
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
         lights = upload_lights(scene, device)
         data.lights = lights.table
@@ -105,5 +120,6 @@ class DeviceScene:
         )
         return DeviceScene(
             device, features, data, upload_camera(scene.camera, scene.frame.width, scene.frame.height), built.tree if built else None,
+            Traversal.of(settings.batching, layout),
             lets_through, lights, features.shadow_rays and lights.emitter_count > 0, built,
         )  # fmt: skip

@@ -20,7 +20,8 @@ from .rays import RayKind, Status, allocate_paths, allocate_rays
 from .scheduler import Rectangle, WaterMarks
 from .stages.generate import TileWork
 from .stages.limits import path_limits
-from .tracer import NO_SLOTS, ReferenceTracer, SlotList
+from .stages.trace import tracing_stages
+from .tracer import NO_SLOTS, SlotList, UnbatchedTracer
 
 # A stopped tile whose rays are not at their end after this long gives them up [s]
 DRAIN_SECONDS = 0.25
@@ -99,7 +100,10 @@ class TileIntegrator:
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, features, device)
         self._rays = allocate_rays(count * (2 if scene.shadow_rays else 1), device)
-        self._tracer = ReferenceTracer(scene.tree, self._rays, self._kernels.tracing(), device) if scene.tree else None
+        self._tracer = None
+        if scene.tree:
+            stages = tracing_stages(scene.traversal, features.instancing, settings.counters == "ON")
+            self._tracer = UnbatchedTracer(scene.tree, self._rays, stages)
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = TileLists(count, device)
         self._film_tiles = FilmTiles(count, self._layout, frame.passes, device, self._lists.counts.at(_SPILL))
@@ -163,7 +167,7 @@ class TileIntegrator:
         state.items_begun += count
         self._alive += count
         self.rays.camera += count
-        return SlotList(self._free.slots, lengths, count)
+        return SlotList(self._free.slots, lengths, count, coherent=True)
 
     def _submit_new_rays(self, camera: SlotList) -> SlotList:
         bounced, shadow = self._lists.new_rays(self._paths.status, self._alive)

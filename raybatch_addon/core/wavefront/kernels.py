@@ -17,7 +17,7 @@ from .stages.connect import connect_kernel, settle_kernel
 from .stages.generate import GenerateFeatures, generate_kernel
 from .stages.shade_background import BackgroundFeatures, LightHitFeatures, background_kernel, light_hit_kernel
 from .stages.shade_surface import SurfaceFeatures, surface_kernel, transparent_shadow_kernel
-from .stages.trace import trace_kernel
+from .stages.trace import Traversal, tracing_stages
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,6 @@ class StageKernels:
     """Kernels by stage; None: the scene has nothing for that stage to do."""
 
     generate: wp.Kernel
-    trace: wp.Kernel | None
-    trace_shadow: wp.Kernel | None
     settle: wp.Kernel
     connect: wp.Kernel | None
     connect_transparent: wp.Kernel | None
@@ -50,8 +48,6 @@ class StageKernels:
                     "Normal" in has.passes, settings.sample_order == "PIXEL_FIRST",
                 )  # fmt: skip
             ),
-            trace=trace_kernel(RayKind.CLOSEST, has.instancing) if has.surfaces else None,
-            trace_shadow=trace_kernel(RayKind.OCCLUSION, has.instancing) if has.shadow_rays else None,
             settle=settle_kernel,
             connect=connect_kernel if has.shadow_rays else None,
             connect_transparent=transparent_shadow_kernel(surface) if has.shadow_rays and has.transparency else None,
@@ -66,15 +62,13 @@ class StageKernels:
             resolve=resolve_kernel(layout_of(has.passes, has.film_transparent)),
         )  # fmt: skip
 
-    def tracing(self) -> dict[RayKind, wp.Kernel | None]:
-        """The kernels of the reference tracer, by what is asked of a ray."""
-        return {
-            RayKind.CLOSEST: self.trace,
-            RayKind.OCCLUSION: self.trace_shadow,
-            RayKind.TRANSPARENT_SHADOW: self.trace,  # closest hits, in order
-        }
-
     def all(self) -> list[wp.Kernel]:
-        """Everything that a render launches."""
+        """Everything that shading launches."""
         stages = [getattr(self, name) for name in self.__dataclass_fields__]
         return [kernel for kernel in stages if kernel is not None] + [*QUEUE_KERNELS, add_spill_kernel]
+
+
+def tracing_kernels(features: SceneFeatures, traversal: Traversal, counters: bool) -> list[wp.Kernel]:
+    """Everything that tracing launches."""
+    stages = tracing_stages(traversal, features.instancing, counters) if features.surfaces else {}
+    return [kernel for kind, stage in stages.items() if features.shadow_rays or kind == RayKind.CLOSEST for kernel in stage.kernels]

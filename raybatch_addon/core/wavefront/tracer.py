@@ -1,13 +1,12 @@
-"""What the integrator asks of a tracer, and the reference tracer."""
+"""What the integrator asks of a tracer, and the tracer that does not batch."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import warp as wp
 
-from ..bvh.reference import ReferenceTree
 from .rays import RayKind, Rays
 
 
@@ -18,6 +17,7 @@ class SlotList:
     slots: wp.array  # int32, shape [>= bound]
     count: wp.array  # int32, shape [1]
     bound: int  # at least `count[0]`
+    coherent: bool = False  # camera rays: neighbours in the list visit the same nodes
 
 
 NO_SLOTS = SlotList(None, None, 0)  # stands for an empty list
@@ -37,14 +37,14 @@ class Tracer(Protocol):
         """Rays that are done since the last call, their hits written to their slots."""
 
 
-class ReferenceTracer:
+class UnbatchedTracer:
     """A `Tracer` in which every ray visits the whole tree as soon as it is told to advance."""
 
-    def __init__(self, tree: ReferenceTree, rays: Rays, kernels: dict[RayKind, wp.Kernel], device: wp.Device):
+    def __init__(self, tree: Any, rays: Rays, stages: dict[RayKind, Any]):
+        """`stages` trace lists of rays by kind (`stages/trace.py`) in `tree`."""
         self._tree = tree
         self._rays = rays
-        self._kernels = kernels
-        self._device = device
+        self._stages = stages
         self._under_way: list[tuple[RayKind, SlotList]] = []
         self._finished: list[tuple[RayKind, SlotList]] = []
 
@@ -53,7 +53,7 @@ class ReferenceTracer:
 
     def advance(self) -> None:
         for kind, rays in self._under_way:
-            wp.launch(self._kernels[kind], rays.bound, [self._tree, self._rays, rays.slots, rays.count], device=self._device)
+            self._stages[kind].launch(self._tree, self._rays, rays, None)
         self._finished += self._under_way
         self._under_way = []
 

@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 import scenes
 
+from raybatch_addon.core.bvh.build import layout_for
 from raybatch_addon.core.device import find_device
 from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame, Light, LightKind, Visibility
 from raybatch_addon.core.scene.features import SceneFeatures, derive_features, ordinary_features
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.wavefront.device_scene import DeviceScene, GeometryCache
-from raybatch_addon.core.wavefront.kernels import StageKernels
+from raybatch_addon.core.wavefront.kernels import StageKernels, tracing_kernels
 from raybatch_addon.core.wavefront.rays import allocate_paths, bytes_per_path
+from raybatch_addon.core.wavefront.stages.trace import Traversal
 
 SETTINGS = RenderSettings()
 
@@ -34,7 +36,8 @@ def with_material(kind):
 def source(features: SceneFeatures) -> str:
     """All code that is compiled for `features`."""
     text = []
-    for kernel in StageKernels.choose(features, SETTINGS).all():
+    tracing = tracing_kernels(features, Traversal.QUANTISED, counters=False)
+    for kernel in StageKernels.choose(features, SETTINGS).all() + tracing:
         builder = __import__("warp")._src.context.ModuleBuilder(kernel.module, {**kernel.module.options, "block_dim": 1, "mode": "release"})
         text.append(builder.codegen("cpu"))
     return "\n".join(text)
@@ -58,9 +61,9 @@ CODE = {
     "depth of field": (plain(view=scenes.camera(lens_radius=0.1)), "lens_point"),
     "instancing": (
         (lambda m: scenes.scene([(m, scenes.IDENTITY, scenes.diffuse()), (m, scenes.translation(3, 0, 0), scenes.diffuse())]))(scenes.plane()),
-        "bvh_query_ray",
+        "TWO_LEVEL = true",
     ),
-    "hidden objects": (scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse(), Visibility.CAMERA)]), "closest_of_entries"),
+    "hidden objects": (scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse(), Visibility.CAMERA)]), "TWO_LEVEL = true"),
     "smooth normals": (scenes.scene([(scenes.sphere(smooth=True), scenes.IDENTITY, scenes.diffuse())]), "corner_normals["),
 }  # fmt: skip
 
@@ -79,7 +82,7 @@ def test_code_of_a_feature_is_compiled_only_for_scenes_that_have_it(feature, pla
 
 def test_a_scene_without_surfaces_compiles_no_surface_code():
     empty = source(derive_features(scenes.scene(world=1.0), SETTINGS))
-    for word in ("mesh_query_ray", "connect", "bsdf", "surface_point"):
+    for word in ("ShearedRay", "connect", "bsdf", "surface_point"):
         assert word not in empty
 
 
@@ -108,7 +111,8 @@ def test_arrays_of_a_feature_are_allocated_only_for_scenes_that_have_it(device):
 
 def test_a_flat_scene_of_one_material_uploads_no_normals_and_no_slots(device):
     scene = plain()
-    built = DeviceScene.build(scene, derive_features(scene, SETTINGS), find_device(device), GeometryCache())
+    where = find_device(device)
+    built = DeviceScene.build(scene, derive_features(scene, SETTINGS), SETTINGS, layout_for(where), where, GeometryCache())
     assert built.data.geometry.corner_normals.size == 0 and built.data.geometry.triangle_slot.size == 0
     assert built.built.entry_tree is None and len(built.built.meshes) == 1
 

@@ -3,22 +3,148 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any, Protocol
 
 import warp as wp
 
+from ...bvh.node import Layout
 from ...bvh.reference import ReferenceTree, make_reference
-from ...kernel import KERNEL_OPTIONS
+from ...bvh.trace_counts import TraceCounts
+from ...bvh.traverse_cuda import BLOCK_SIZE, TraceOptions, thread_count, trace_function
+from ...bvh.tree import Tree
+from ...kernel import KERNEL_OPTIONS, with_block_size
 from ..rays import RayKind, Rays
+from ..tracer import SlotList
+
+
+class Traversal(Enum):
+    """Which tree rays visit, and how."""
+
+    REFERENCE = "Warp's tree, one thread a ray"
+    BOXES = "the own tree, several rays at a time on one thread"
+    QUANTISED = "the own tree, persistent warps"
+
+    @staticmethod
+    def of(batching: str, layout: Layout) -> Traversal:
+        """The traversal for the setting `batching` and the layout of the tree."""
+        if batching == "REFERENCE":
+            return Traversal.REFERENCE
+        return Traversal.BOXES if layout is Layout.BOXES else Traversal.QUANTISED
+
+
+@dataclass(frozen=True)
+class TraceFeatures:
+    """What the stage is specialised on."""
+
+    traversal: Traversal
+    any_hit: bool  # whether anything is hit, instead of the closest hit
+    instancing: bool
+    counters: bool
+
+
+class TraceStage(Protocol):
+    """Traces lists of rays of one kind."""
+
+    kernels: tuple[wp.Kernel, ...]
+
+    def launch(self, tree: Any, rays: Rays, listed: SlotList, counts: TraceCounts | None) -> None:
+        """Trace the rays of `listed`; hits go to their slots, what was counted to `counts`."""
+
+
+def trace_stage(features: TraceFeatures) -> TraceStage:
+    """How rays are traced."""
+    stages = {Traversal.REFERENCE: ReferenceStage, Traversal.QUANTISED: QuantisedStage}
+    return stages[features.traversal](features)
+
+
+def tracing_stages(traversal: Traversal, instancing: bool, counters: bool) -> dict[RayKind, TraceStage]:
+    """The stages by what is asked of a ray."""
+    closest = trace_stage(TraceFeatures(traversal, False, instancing, counters))
+    return {
+        RayKind.CLOSEST: closest,
+        RayKind.OCCLUSION: trace_stage(TraceFeatures(traversal, True, instancing, counters)),
+        RayKind.TRANSPARENT_SHADOW: closest,  # closest hits, in order
+    }
+
+
+# --- the own tree
+
+
+class QuantisedStage:
+    """Persistent warps; on the CPU one ray at a time, for tests."""
+
+    def __init__(self, features: TraceFeatures):
+        self._options = TraceOptions(features.any_hit, features.instancing, features.counters)
+        self._kernel = quantised_kernel(self._options)
+        self._cursor: wp.array | None = None
+        self.kernels = (self._kernel,)
+
+    def launch(self, tree: Tree, rays: Rays, listed: SlotList, counts: TraceCounts | None) -> None:
+        device = rays.origin.device
+        if self._cursor is None:
+            self._cursor = wp.zeros(1, dtype=int, device=device)
+        else:
+            self._cursor.zero_()
+        inputs = [tree, rays, listed.slots, listed.count, self._cursor]
+        if self._options.counters:
+            inputs.append(counts)
+        threads = thread_count(listed.bound, self._options, device)
+        wp.launch(self._kernel, threads, inputs, device=device, block_dim=BLOCK_SIZE if device.is_cuda else 1)
 
 
 @functools.cache
-def trace_kernel(kind: RayKind, instancing: bool) -> wp.Kernel:
+def quantised_kernel(options: TraceOptions) -> wp.Kernel:
+    """Kernel (tree, rays, slots, count, cursor), with counters also (counts): trace the first `count[0]` of `slots`."""
+    trace = trace_function(options)
+    if options.counters:
+
+        @wp.kernel(**KERNEL_OPTIONS)
+        def trace_counted(
+            tree: Tree, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int), cursor: wp.array(dtype=int), counts: TraceCounts
+        ):
+            trace(
+                tree, rays.origin, rays.direction, rays.t_max, rays.visibility, rays.hit_t, rays.hit_instance, rays.hit_primitive,
+                rays.hit_uv, slots, count, cursor, wp.tid(), counts,
+            )  # fmt: skip
+
+        return with_block_size(trace_counted, BLOCK_SIZE)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def trace_quantised(
+        tree: Tree, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int), cursor: wp.array(dtype=int)
+    ):
+        trace(
+            tree, rays.origin, rays.direction, rays.t_max, rays.visibility, rays.hit_t, rays.hit_instance, rays.hit_primitive,
+            rays.hit_uv, slots, count, cursor, wp.tid(),
+        )  # fmt: skip
+
+    return with_block_size(trace_quantised, BLOCK_SIZE)
+
+
+# --- Warp's tree
+
+
+class ReferenceStage:
+    """One thread a ray; nothing is counted."""
+
+    def __init__(self, features: TraceFeatures):
+        self._kernel = reference_kernel(features.any_hit, features.instancing)
+        self.kernels = (self._kernel,)
+
+    def launch(self, tree: ReferenceTree, rays: Rays, listed: SlotList, counts: TraceCounts | None) -> None:
+        wp.launch(self._kernel, listed.bound, [tree, rays, listed.slots, listed.count], device=rays.origin.device)
+
+
+@functools.cache
+def reference_kernel(any_hit: bool, instancing: bool) -> wp.Kernel:
     """Kernel (tree, rays, slots, count): trace the rays of the first `count[0]` of `slots`."""
     queries = make_reference(instancing)
     closest = queries.closest
     occluded = queries.occluded
 
-    if kind == RayKind.CLOSEST:
+    if not any_hit:
 
         @wp.kernel(**KERNEL_OPTIONS)
         def trace_closest(tree: ReferenceTree, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)):
