@@ -114,7 +114,7 @@ def test_a_flat_scene_of_one_material_uploads_no_normals_and_no_slots(device):
     where = find_device(device)
     built = DeviceScene.build(scene, derive_features(scene, SETTINGS), SETTINGS, layout_for(where), where, GeometryCache())
     assert built.data.geometry.corner_normals.size == 0 and built.data.geometry.triangle_slot.size == 0
-    assert built.built.entry_tree is None and len(built.built.meshes) == 1
+    assert built.tree.top_entry.size == 0
 
 
 def test_what_is_left_out_is_told_by_name():
