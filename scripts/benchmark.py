@@ -87,6 +87,7 @@ def argument_parser() -> argparse.ArgumentParser:
     traversal.add_argument("--tracers", default="", metavar="NAME[,NAME]")
     traversal.add_argument("--rays", default="primary,bounce1,bounce4,shadow1", metavar="KIND[,KIND]", help="default: %(default)s")
     traversal.add_argument("--orders", default="natural,shuffled,sorted", metavar="ORDER[,ORDER]", help="default: %(default)s")
+    traversal.add_argument("--no-counters", action="store_true", help="leave out node steps and triangle tests, which cost a compilation and a run")
     traversal.add_argument("--runs", type=int, default=5, help="timed runs (default: 5)")
     traversal.add_argument("--ray-count", type=int, metavar="N", help="rays of each kind (default: 1,000,000 on the CPU, 4,000,000 on CUDA)")
     return parser
@@ -123,7 +124,8 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     request = TraversalRequest(
         SceneRequest(options.scene, options.grid, options.camera, options.up), options.device,
         [name.strip() for name in options.tracers.split(",") if name.strip()], parse_ray_types(options.rays),
-        parse_orders(options.orders), parse_threads(options.threads), options.runs, options.ray_count, changes,
+        parse_orders(options.orders), parse_threads(options.threads), options.runs, options.ray_count,
+        not options.no_counters, changes,
     )  # fmt: skip
     report = measure_traversal(request)
     return report, traversal_text(report)

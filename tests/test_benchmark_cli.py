@@ -207,6 +207,9 @@ def test_every_tracer_finds_the_hits_of_a_small_scene(geometry, tracer, capfd):
         assert set(result) >= {"mrays_per_s", "spread", "mrays_per_s_without_sort", "sort_s", "node_steps", "triangle_tests"}
         assert result["ray_count"] == 500 and result["runs"] == 2 and result["mrays_per_s"] > 0 and result["spread"] >= 0
         assert result["mrays_per_s_without_sort"] >= result["mrays_per_s"]
+        assert (result["sort_s"] > 0) == (result["tracer"] == "off-sorted")
+        counted = result["tracer"].startswith("off")
+        assert all((result[name] is not None and result[name] >= 1) == counted for name in ("node_steps", "box_tests", "triangle_tests"))
         if result["tracer"] not in ("embree",):  # which is not watertight
             assert result["faults"] == 0
 
@@ -214,9 +217,10 @@ def test_every_tracer_finds_the_hits_of_a_small_scene(geometry, tracer, capfd):
 def test_whole_scenes_and_grids_are_measured_and_told_in_words(geometry, tmp_path, capfd):
     archive = tmp_path / "mixed.scene.npz"
     save_scene(archive, scenes.mixed(scenes.Frame(16, 12)), RenderSettings())
-    options = [*SMALL, "--tracers", "reference", "--orders", "natural"]
+    options = [*SMALL, "--tracers", "reference,off", "--orders", "natural", "--no-counters"]
+    assert np.array(load_benchmark_scene(SceneRequest(archive), 500).box()) == pytest.approx(np.array([[-6, -6, -1], [6, 6, 2.2]]), abs=1e-5)
     assert benchmark.main(["traversal", "--scene", str(archive), *options]) == 0
-    assert re.search(r"^bounce2 +natural +1 +500 +\d+\.\d\d ±\d+ %$", capfd.readouterr().out, re.M)
+    assert re.search(r"^bounce2 +natural +1 +500 +\d+\.\d\d ±\d+ % +\d+\.\d\d ±\d+ % +\d+\.\d\d$", capfd.readouterr().out, re.M)
     assert benchmark.main(["traversal", "--scene", str(geometry), "--grid", "2", "--up", "z", *options, "--json", str(tmp_path / "r.json")]) == 0
     said = capfd.readouterr()
     assert f"bowl.npz 2 x 2, {4 * len(bowl().triangles):,} triangles" in said.out
@@ -261,7 +265,7 @@ def test_whole_renders_are_told_in_words_or_as_json(tmp_path, capfd):
     [
         (["--scene", "{folder}/none.npz"], "no file .*none.npz"),
         (["--scene", "{folder}/a.blend"], "a.blend cannot be measured"),
-        (["--scene", "{bowl}", "--tracers", "of"], "'of' is not known: choose of .*reference"),
+        (["--scene", "{bowl}", "--tracers", "of"], "'of' is not known: choose of off, off-sorted, reference"),
         (["--scene", "{bowl}", "--rays", "primary,bounce"], "'bounce' is not known: choose of primary"),
         (["--scene", "{bowl}", "--rays", "bounce0"], "'bounce0' is not known"),
         (["--scene", "{bowl}", "--orders", "random"], "'random' is not known: choose of natural, shuffled, sorted"),

@@ -49,6 +49,22 @@ class BenchmarkScene:
         """Triangles as they are placed: those of a mesh count once for each of its instances."""
         return sum(len(self.scene.meshes[i].triangles) for i in self.scene.instances.mesh)
 
+    def box(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Least and largest world coordinates of all placed triangles [m]."""
+        flat, corners = self.flat, []
+        baked = flat.positions
+        if len(flat.shared):  # shared meshes are not in their places
+            parts = [flat.triangles[group.triangle_first : group.triangle_first + group.triangle_count] for group in flat.merged]
+            baked = flat.positions[np.concatenate([*parts, np.zeros((0, 3), np.int32)])].reshape(-1, 3)
+        if len(baked):
+            corners += [baked.min(0), baked.max(0)]
+        for i in flat.shared.tolist():
+            first, end = flat.mesh_triangle_first[flat.instance_mesh[i] : flat.instance_mesh[i] + 2]
+            used = flat.positions[flat.triangles[first:end]].reshape(-1, 3)
+            placed = used @ flat.instance_transform[i][:, :3].T + flat.instance_transform[i][:, 3]
+            corners += [placed.min(0), placed.max(0)]
+        return tuple(np.min(corners, 0).tolist()), tuple(np.max(corners, 0).tolist())
+
 
 def load_benchmark_scene(request: SceneRequest, pixel_count: int) -> BenchmarkScene:
     """The scene of `request`, in a frame of about `pixel_count` pixels; raises `RayBatchError`."""

@@ -25,7 +25,7 @@ def traversal_text(report: dict[str, Any]) -> str:
     cases: dict[tuple, dict[str, dict[str, Any]]] = {}
     for result in report["results"]:
         cases.setdefault((result["rays"], result["order"], result["threads"]), {})[result["tracer"]] = result
-    rows = []
+    rows, counted = [], report["results"][0]["node_steps"] is not None
     for (rays, order, threads), by_name in cases.items():
         first = by_name[names[0]]
         row = [rays, order, "" if threads is None else str(threads), f"{first['ray_count']:,}"]
@@ -34,8 +34,11 @@ def traversal_text(report: dict[str, Any]) -> str:
             sort = f" ({result['mrays_per_s_without_sort']:.2f})" if result["sort_s"] else ""
             row.append(f"{result['mrays_per_s']:.2f}{sort} ±{50 * result['spread']:.0f} %")
         row += [f"{first['mrays_per_s'] / by_name[name]['mrays_per_s']:.2f}" for name in names[1:]]
+        if counted:
+            row += [f"{first['node_steps']:.1f}", f"{first['triangle_tests']:.1f}"]
         rows.append(row)
-    heads = ["rays", "order", "threads", "count", *(f"{name}" for name in names), *(f"{names[0]} / {name}" for name in names[1:])]
+    heads = ["rays", "order", "threads", "count", *names, *(f"{names[0]} / {name}" for name in names[1:])]
+    heads += [f"steps of {names[0]}", "triangle tests"] if counted else []
     lines += ["", table(heads, rows), "Mrays/s, medians, ± half the spread; in brackets without the time of sorting"]
     for (rays, order, _), by_name in cases.items():
         for name, result in by_name.items():

@@ -11,6 +11,7 @@ from rendering.request import UsageError
 
 from raybatch_addon.core.device import device_description, find_device
 from raybatch_addon.core.report.statistics import versions
+from raybatch_addon.core.settings import RenderSettings
 
 from .embree import PACKAGE, EmbreeTracer, embree_version
 from .judge import Judge, Verdict
@@ -18,11 +19,12 @@ from .orders import ordered
 from .progress import Steps
 from .rays import CapturedRays, RayType, capture_rays
 from .scenes import SceneRequest, load_benchmark_scene
+from .stage_tracers import SceneTrees, StageTracer
 from .timing import spread
-from .tracers import MeasuredTracer, ReferenceTracer, Timing, Tree
+from .tracers import MeasuredTracer, Timing, Tree
 
 EMBREE = ("embree", "embree-robust")
-TRACERS = ("reference", *EMBREE)
+TRACERS = ("off", "off-sorted", "reference", *EMBREE)
 RAY_COUNT = {"cpu": 1_000_000, "cuda": 4_000_000}  # where --ray-count is not given
 WARM_UPS = 1  # runs before those that are timed
 
@@ -39,10 +41,11 @@ class TraversalRequest:
     threads: list[int]  # CPU only
     runs: int
     ray_count: int | None = None
-    settings: dict[str, Any] = field(default_factory=dict)  # of the render that the rays are taken from
+    counters: bool = True  # tell node steps and triangle tests where the tracer can
+    settings: dict[str, Any] = field(default_factory=dict)  # of the render that the rays are taken from, and of the tree
 
 
-def chosen_tracers(names: list[str], device: wp.Device) -> list[MeasuredTracer]:
+def chosen_tracers(names: list[str], device: wp.Device, settings: RenderSettings, counts: bool) -> list[MeasuredTracer]:
     """The tracers called `names`, or all that can be measured on `device`; raises `UsageError`."""
     for name in names:
         if name not in TRACERS:
@@ -53,10 +56,15 @@ def chosen_tracers(names: list[str], device: wp.Device) -> list[MeasuredTracer]:
             raise UsageError(f"{name} needs the Python package {PACKAGE}, which is not installed: pip install 'raybatch[benchmark]'")
     if not names:
         names = [name for name in TRACERS if name not in EMBREE or (embree_version() and not device.is_cuda)]
-    made = []
-    for name in dict.fromkeys(names):
-        made.append(EmbreeTracer(name == "embree-robust") if name in EMBREE else ReferenceTracer(device))
-    return made
+    trees = SceneTrees(device, settings)
+    makers = {
+        "off": lambda: StageTracer("off", trees, device, "OFF", counts=counts),
+        "off-sorted": lambda: StageTracer("off-sorted", trees, device, "OFF", sorts=True, counts=counts),
+        "reference": lambda: StageTracer("reference", trees, device, "REFERENCE"),
+        "embree": lambda: EmbreeTracer(robust=False),
+        "embree-robust": lambda: EmbreeTracer(robust=True),
+    }
+    return [makers[name]() for name in dict.fromkeys(names)]
 
 
 def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
@@ -64,7 +72,7 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
     device = find_device(request.device)
     if device.is_cuda and request.threads != [1]:
         raise UsageError("--threads is for the CPU: one thread drives a CUDA device")
-    tracers = chosen_tracers(request.tracers, device)
+    tracers = chosen_tracers(request.tracers, device, RenderSettings().replace(**request.settings), request.counters)
     ray_count = request.ray_count or RAY_COUNT["cuda" if device.is_cuda else "cpu"]
     scene = load_benchmark_scene(request.scene, ray_count)
     steps = Steps(1 + len(tracers) + len(request.ray_types) * (1 + len(request.orders) * len(request.threads)))
@@ -94,7 +102,7 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
                     steps.end()
     finally:
         steps.close()
-    own = trees[tracers[0].name]
+    own = trees.get("off") or trees.get("off-sorted") or trees[tracers[0].name]
     return {
         "device": device_description(device),
         "versions": versions() | ({"embree": embree_version()} if set(EMBREE) & set(trees) else {}),
