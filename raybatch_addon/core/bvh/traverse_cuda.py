@@ -17,6 +17,7 @@ from string import Template
 import warp as wp
 
 from .intersect import TRIANGLE_TEXT
+from .trace_counts import TraceCounts
 from .traverse_cuda_text import DEVICE_TEXT, LANE_TEXT, NODE_TEXT, RAY_TEXT
 from .tree import Tree
 
@@ -38,19 +39,13 @@ class TraceOptions:
     leaf_groups: int = 2  # groups of triangles that may wait while nodes are visited, 1 or 2
     every_triangle: bool = False  # test all waiting triangles in each turn, instead of one
     read_ahead: str = ""  # how a node is asked for before a triangle is tested: not at all, PREFETCH, COPY, COPY_TOGETHER
-    stack_shared: int = 0  # groups of each lane's stack that are in shared memory
+    stack_shared: int = 0  # groups of each lane's stack that are in shared memory, 0..16
 
-
-@wp.struct
-class TraceCounts:
-    """What a traversal with counters writes."""
-
-    node_steps: wp.array(dtype=int)  # nodes visited, by ray slot
-    box_tests: wp.array(dtype=int)  # child boxes tested, by ray slot
-    triangle_tests: wp.array(dtype=int)  # triangles tested, by ray slot
-    # Added up over all lanes, int64: lanes that had a ray and lanes there were in each turn of the loop; the same of lanes
-    # that visited a node where any of the warp did; of lanes that tested a triangle
-    lanes: wp.array(dtype=wp.int64)  # shape [6]
+    def __post_init__(self) -> None:
+        if not (0 <= self.refill <= 32 and self.leaf_groups in (1, 2) and 0 <= self.stack_shared <= 16):
+            raise ValueError("refill is 0..32, leaf_groups 1 or 2, stack_shared 0..16")
+        if self.read_ahead not in _READ_AHEAD or (self.read_ahead == "COPY_TOGETHER" and not self.refill):
+            raise ValueError(f"read_ahead is one of {', '.join(map(repr, _READ_AHEAD))}; lanes copy together only where they are refilled together")
 
 
 _LOOP_TEXT = """
@@ -207,7 +202,7 @@ _COUNTING = {
     auto count_lanes = [&](int what, bool busy) {
     #if defined(__CUDA_ARCH__)
         const unsigned together = __activemask();
-        lanes_there[what] += lane == 31u - __clz(together) ? 32u : 0u;
+        lanes_there[what] += (together & lanes_below()) == 0u ? 32u : 0u;
     #else
         lanes_there[what] += 1u;
     #endif

@@ -27,7 +27,6 @@ DEVICE_TEXT = """
         asm("{ .reg .b16 l, h; mov.b32 {l, h}, %2; cvt.f32.f16 %0, l; cvt.f32.f16 %1, h; }" : "=f"(q[0]), "=f"(q[2]) : "r"(even));
         asm("{ .reg .b16 l, h; mov.b32 {l, h}, %2; cvt.f32.f16 %0, l; cvt.f32.f16 %1, h; }" : "=f"(q[1]), "=f"(q[3]) : "r"(odd));
     };
-    auto byte_bits = [](unsigned x, int j) -> unsigned { return __byte_perm(x, 0u, 0x4440 + j); };
     auto larger = [](float a, float b) -> float { return fmaxf(a, b); };
     auto ballot = [](bool p) -> unsigned { return __ballot_sync(0xffffffffu, p); };
     auto read = [](const Words* p) -> Words { return __ldg(p); };
@@ -48,7 +47,6 @@ DEVICE_TEXT = """
     auto unpack = [](unsigned x, float* q) {
         for (int j = 0; j < 4; ++j) q[j] = (float)((x >> (8 * j)) & 255u);
     };
-    auto byte_bits = [](unsigned x, int j) -> unsigned { return (x >> (8 * j)) & 255u; };
     auto larger = [](float a, float b) -> float { return a > b ? a : b; };
     auto smaller = [](float a, float b) -> float { return a < b ? a : b; };
     auto ballot = [](bool p) -> unsigned { return p ? 1u : 0u; };
@@ -64,7 +62,7 @@ RAY_TEXT = """
         float ox, oy, oz;  // origin
         float ix, iy, iz;  // 1 / direction, no component of which is near 0
         float nx, ny, nz;  // a plane at p is met at fma(p, i, n) at the earliest,
-        float fx, fy, fz;  // and at fma(p, i, f) at the latest
+        float late;        // and |i| late later at the latest
         float sx, sy;      // shear of the triangle test
         unsigned order;    // in each byte the octant that is visited first; in bits 5 and 6 the axis of the triangle test
     };
@@ -84,7 +82,7 @@ RAY_TEXT = """
         const float reach = margin * larger(larger(fabsf(x), fabsf(y)), fabsf(z));
         const float ex = reach * fabsf(r.ix), ey = reach * fabsf(r.iy), ez = reach * fabsf(r.iz);
         r.nx = fused(-x, r.ix, -ex); r.ny = fused(-y, r.iy, -ey); r.nz = fused(-z, r.iz, -ez);
-        r.fx = fused(-x, r.ix, ex); r.fy = fused(-y, r.iy, ey); r.fz = fused(-z, r.iz, ez);
+        r.late = 2.0f * reach;
         // slot bits: 4, 2, 1 towards +x, +y, +z
         r.order = (7u ^ ((r.ix < 0.0f ? 4u : 0u) | (r.iy < 0.0f ? 2u : 0u) | (r.iz < 0.0f ? 1u : 0u))) * 0x01010101u | axis << 5;
         return r;
@@ -101,9 +99,9 @@ NODE_TEXT = """
         const float sx = as_float((a.w << 23) & 0x7f800000u) * r.ix * BYTE_UNIT;
         const float sy = as_float((a.w << 15) & 0x7f800000u) * r.iy * BYTE_UNIT;
         const float sz = as_float((a.w << 7) & 0x7f800000u) * r.iz * BYTE_UNIT;
-        const float nx = fused(as_float(a.x), r.ix, r.nx), fx = fused(as_float(a.x), r.ix, r.fx);
-        const float ny = fused(as_float(a.y), r.iy, r.ny), fy = fused(as_float(a.y), r.iy, r.fy);
-        const float nz = fused(as_float(a.z), r.iz, r.nz), fz = fused(as_float(a.z), r.iz, r.fz);
+        const float nx = fused(as_float(a.x), r.ix, r.nx), fx = nx + fabsf(r.ix * r.late);
+        const float ny = fused(as_float(a.y), r.iy, r.ny), fy = ny + fabsf(r.iy * r.late);
+        const float nz = fused(as_float(a.z), r.iz, r.nz), fz = nz + fabsf(r.iz * r.late);
         unsigned hits = 0u;
     #pragma unroll
         for (int half = 0; half < 2; ++half) {
@@ -126,11 +124,16 @@ NODE_TEXT = """
     #if defined(__CUDA_ARCH__)
                 const int enter = __vimax3_s32_relu(as_bits(x0), as_bits(y0), as_bits(z0));
                 const int leave = __vimin3_s32(as_bits(x1), as_bits(y1), min(as_bits(z1), as_bits(limit)));
+                // added where enter <= leave, by the units for products: those for integers have more to do than any other
+                unsigned shift;
+                asm("shf.l.wrap.b32 %0, 0, 1, %1;" : "=r"(shift) : "r"(place >> (8 * j)));
+                asm("{ .reg .pred met; setp.le.s32 met, %1, %2; @met mad.lo.u32 %0, %3, %4, %0; }"
+                    : "+r"(hits) : "r"(enter), "r"(leave), "r"(__byte_perm(count, 0u, 0x4440 + j)), "r"(shift));
     #else
                 const float enter = larger(larger(x0, y0), larger(z0, 0.0f));
                 const float leave = smaller(smaller(x1, y1), smaller(z1, limit));
+                if (enter <= leave) hits += ((count >> (8 * j)) & 255u) << ((place >> (8 * j)) & 31u);
     #endif
-                if (enter <= leave) hits += byte_bits(count, j) << ((place >> (8 * j)) & 31u);
             }
         }
         return hits;

@@ -16,7 +16,8 @@ from raybatch_addon.core.bvh.encode import as_vectors
 from raybatch_addon.core.bvh.intersect import TRIANGLE_TEXT
 from raybatch_addon.core.bvh.margin import SLAB_MARGIN
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.bvh.traverse_cuda import BLOCK_SIZE, TraceCounts, TraceOptions, thread_count, trace_function
+from raybatch_addon.core.bvh.trace_counts import TraceCounts
+from raybatch_addon.core.bvh.traverse_cuda import BLOCK_SIZE, TraceOptions, thread_count, trace_function
 from raybatch_addon.core.bvh.traverse_cuda_text import DEVICE_TEXT, RAY_TEXT
 from raybatch_addon.core.bvh.tree import Tree
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
@@ -395,3 +396,19 @@ def test_counters(device, refill):
     assert (tests[expected.instance >= 0] >= 1).all()
     assert busy[1] == nodes.sum() and busy[2] == tests.sum()
     assert (busy <= there).all() and busy[0] >= busy[1]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        *VARIANTS,
+        dataclasses.replace(CLOSEST, read_ahead="PREFETCH"),
+        dataclasses.replace(CLOSEST, read_ahead="COPY_TOGETHER"),
+        dataclasses.replace(CLOSEST, instancing=True, counters=True),
+        dataclasses.replace(ANY, instancing=True),
+    ],
+    ids=str,
+)
+def test_the_text_for_cuda_compiles(options, tmp_path):
+    """Also on machines without a device."""
+    assert wp.compile_aot_module(trace_kernel(options).module, arch=90, module_dir=tmp_path, use_ptx=True)
