@@ -15,7 +15,7 @@ from .node import EMPTY_CHILD
 class CollapseWork:
     """What the passes share."""
 
-    nodes: wp.array(dtype=float)  # binary nodes, 8 words each
+    nodes: wp.array2d(dtype=float)  # binary nodes, shape [n, 8]
     node_count: int
     references: wp.array(dtype=int)
     positions: wp.array(dtype=wp.vec3)
@@ -25,15 +25,16 @@ class CollapseWork:
     reach: wp.array(dtype=float)  # if clipped: largest |vertex - centre| below each binary node
     node_cost: float
     unit_cost: float
+    size_cost: float  # added to the chance that a node or a unit is met, for the memory that it takes
     unit: int  # references of a unit of a leaf
     leaf_max: int  # most references of a merged leaf
-    cost: wp.array(dtype=float)  # of at most 1 to 7 parts, 8 words a binary node
-    choice: wp.array(dtype=wp.uint8)  # 8 a binary node; [0]: whether one part is a leaf; [j]: of j + 1 parts, those of the first child;
+    cost: wp.array2d(dtype=float)  # of at most 1 to 7 parts, shape [n, 8]
+    choice: wp.array2d(dtype=wp.uint8)  # shape [n, 8]; [0]: whether one part is a leaf; [j]: of j + 1 parts, those of the first child;
     # 0: j parts are as good
     below: wp.array(dtype=int)  # references below each binary node
-    plan: wp.array(dtype=int)  # 16 words a wide node: binary node of each slot or -1, then BOXES: the word of each child; QUANTISED:
+    plan: wp.array2d(dtype=int)  # shape [wide nodes or more, 16]: binary node of each slot or -1, then BOXES: the word of each child; QUANTISED:
     # first child, first triangle, meta (2 words), mask
-    order: wp.array(dtype=int)  # what leaves list; -1 fills up groups
+    order: wp.array2d(dtype=int)  # what leaves list, shape [units or more, references of a unit]; -1 fills units up
     found: wp.array(dtype=int)  # error, wide nodes, words of `order`, levels, leaves, references in leaves
     sah: wp.array(dtype=wp.float64)
 
@@ -51,7 +52,8 @@ auto chance_of = [&](int i) { return root_area > 0.0 ? area_of(i) / root_area : 
 """
 
 
-@wp.func_native(f"""
+@wp.func_native(
+    f"""
 #if defined(__CUDA_ARCH__)
 return 0;
 #else
@@ -62,8 +64,7 @@ return 0;
 const int* T = (const int*)work.triangles.data;
 const float* V = (const float*)work.positions.data;
 for (int i = work.node_count - 1; i >= 0; --i) {
-    // a little more than the chance: among boxes that are equal or empty, fewer nodes are cheaper
-    const float chance = (float)(chance_of(i) + 1e-9);
+    const float chance = (float)(chance_of(i) + work.size_cost);
     float* C = work.cost.data + 8ll * i;
     unsigned char* D = work.choice.data + 8ll * i;
     if (N[i].count > 0) {
@@ -121,7 +122,8 @@ for (int i = work.node_count - 1; i >= 0; --i) {
 }
 return 0;
 #endif
-""")
+"""
+)
 def choose(work: CollapseWork) -> int: ...
 
 
@@ -172,7 +174,7 @@ auto list_leaf = [&](int b) {
     sah += chance_of(b) * work.unit_cost * units;
     return count;
 };
-struct Wide { int binary, link, level; };
+struct Wide { int binary, level, node, slot; };
 // each level leaves at most seven siblings waiting
 const int STACK = 512;
 Wide stack[STACK];
@@ -188,7 +190,8 @@ return 0;
 """
 
 
-@wp.func_native(f"""
+@wp.func_native(
+    f"""
 #if defined(__CUDA_ARCH__)
 return 0;
 #else
@@ -197,13 +200,14 @@ return 0;
 const int EMPTY = {EMPTY_CHILD};
 """
     + r"""
-stack[open++] = {0, -1, 1}; // link: the word of the plan that takes the number of the node
+stack[open++] = {0, 1, -1, 0}; // node and slot that hold it
 while (open) {
     const Wide w = stack[--open];
     int child[8];
     const int count = children_of(w.binary, child);
     int* P = work.plan.data + 16ll * node_count;
-    if (w.link >= 0) work.plan.data[w.link] = node_count;
+    if (8ll * listed > 0x7fffff00ll * work.unit) return 4;
+    if (w.node >= 0) work.plan.data[16ll * w.node + 8 + w.slot] = node_count;
     levels = w.level > levels ? w.level : levels;
     sah += chance_of(w.binary) * work.node_cost;
     for (int s = 0; s < 8; ++s) {
@@ -218,16 +222,18 @@ while (open) {
     for (int s = count - 1; s >= 0; --s)
         if (!D[8ll * child[s]]) {
             if (open == STACK) return 3;
-            stack[open++] = {child[s], 16 * node_count + 8 + s, w.level + 1};
+            stack[open++] = {child[s], w.level + 1, node_count, s};
         }
     ++node_count;
 }
 """
-    + _ARRANGED)
+    + _ARRANGED
+)
 def arrange_boxes(work: CollapseWork) -> int: ...
 
 
-@wp.func_native(f"""
+@wp.func_native(
+    f"""
 #if defined(__CUDA_ARCH__)
 return 0;
 #else
@@ -235,13 +241,13 @@ return 0;
 {_ARRANGE}
 """
     + r"""
-stack[open++] = {0, 0, 1}; // link: the number of the node
+stack[open++] = {0, 1, 0, 0}; // its own node
 node_count = 1;
 while (open) {
     const Wide w = stack[--open];
     int child[8];
     const int count = children_of(w.binary, child);
-    int* P = work.plan.data + 16ll * w.link;
+    int* P = work.plan.data + 16ll * w.node;
     levels = w.level > levels ? w.level : levels;
     sah += chance_of(w.binary) * work.node_cost;
     // Slots by octant (section 3.2 of the paper): a child is the better placed the farther it lies towards the slot's corner of the
@@ -284,10 +290,11 @@ while (open) {
     if (open + inner > STACK) return 3;
     node_count += inner;
     for (int s = 7, i = node_count; s >= 0; --s)
-        if (mask >> s & 1) stack[open++] = {P[s], --i, w.level + 1};
+        if (mask >> s & 1) stack[open++] = {P[s], w.level + 1, --i, s};
 }
 """
-    + _ARRANGED)
+    + _ARRANGED
+)
 def arrange_quantised(work: CollapseWork) -> int: ...
 
 
@@ -314,7 +321,8 @@ for (int i = 0; i < work.found.data[1]; ++i) {
 """
 
 
-@wp.func_native(f"""
+@wp.func_native(
+    f"""
 #if !defined(__CUDA_ARCH__)
 {ROUNDING}
 {_BINARY}
@@ -327,11 +335,13 @@ for (int i = 0; i < work.found.data[1]; ++i) {
     }}
 }}
 #endif
-""")
+"""
+)
 def fill_boxes(work: CollapseWork, nodes: wp.array(dtype=wp.vec4)): ...
 
 
-@wp.func_native(f"""
+@wp.func_native(
+    f"""
 #if !defined(__CUDA_ARCH__)
 {ROUNDING}
 {_BINARY}
@@ -342,5 +352,6 @@ def fill_boxes(work: CollapseWork, nodes: wp.array(dtype=wp.vec4)): ...
     {ENCODE_QUANTISED}
 }}
 #endif
-""")
+"""
+)
 def fill_quantised(work: CollapseWork, nodes: wp.array(dtype=wp.vec4)): ...
