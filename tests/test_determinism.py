@@ -139,3 +139,23 @@ def test_instances_that_are_shared_shade_like_meshes_of_their_own(session):
     )  # fmt: skip
     a, b = (session.render(s, RenderSettings(sample_count=32)).passes["Combined"] for s in (shared, apart))
     assert np.abs(a - b).mean() < 1e-3 and np.quantile(np.abs(a - b), 0.99) < 2e-2
+
+
+PASSES_WITH_COST = ("Combined", "Depth", "Normal", "Position", "Rays", "Node Steps", "Triangle Tests")
+
+
+@pytest.mark.parametrize("change", [dict(ray_sort="ON"), dict(ray_sort="OFF"), dict(ray_sort="AUTO", ray_count=3000), dict(counters="ON"), dict(spatial_splits="ON")], ids=str)
+def test_neither_order_nor_counters_nor_another_tree_change_the_film(session, reference, change):
+    assert_same(session.render(scenes.mixed(), SETTINGS.replace(**change)).passes, reference)
+
+
+def test_cost_passes_add_up_to_the_rays_and_merge(session, reference):
+    frame = Frame(24, 20, passes=PASSES_WITH_COST)
+    film = session.render(scenes.mixed(frame), SETTINGS)
+    assert_same({name: film.passes[name] for name in reference}, reference)
+    assert round(film.passes["Rays"].sum(dtype=float) * SETTINGS.sample_count) == film.statistics["rays"]["total"]
+    counted = film.statistics["counters"]
+    steps = sum(sum(bounces) for bounces in counted["node_steps"].values())
+    assert round(film.passes["Node Steps"].sum(dtype=float) * SETTINGS.sample_count) == steps > 0
+    parts = [session.render(scenes.mixed(frame), SETTINGS.replace(sample_count=n), sample_first=first) for n, first in ((2, 0), (4, 2))]
+    assert_same(parts[0].merge(parts[1]).passes, film.passes)

@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ from .errors import OutOfMemoryError, RayBatchError
 from .film import Film, layout_of
 from .film.sums import WINDOW_DIGITS
 from .film.tile import FinishedTile
+from .report.counters import counter_bytes_per_path
+from .report.hardware import hardware_counters
 from .report.statistics import render_statistics
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features, ordinary_features
@@ -29,9 +31,11 @@ from .settings import SETTINGS, RenderSettings
 from .wavefront.device_scene import DeviceScene, GeometryCache
 from .wavefront.integrator import TileIntegrator, TileState
 from .wavefront.kernels import StageKernels, tracing_kernels
+from .wavefront.ray_order import order_bytes_per_path
 from .wavefront.rays import bytes_per_path
 from .wavefront.scheduler import paths_a_worker, reduced_path_count, tile_edge, tiles, water_marks
-from .wavefront.stages.trace import Traversal
+from .wavefront.stages.trace import Traversal, counter_features
+from .wavefront.summary import ray_totals, workers_summary
 
 # How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
 POLL_SECONDS = 0.05
@@ -79,6 +83,7 @@ class _Job:
     started: float
     seconds: dict[str, float]
     warnings: list[str]
+    hardware: dict[str, Any] = field(default_factory=dict)  # what the processor counted
 
 
 @dataclass
@@ -117,7 +122,7 @@ class Session:
 
     def _kernels(self, features: SceneFeatures, settings: RenderSettings) -> list[wp.Kernel]:
         traversal = Traversal.of(settings.batching, self.layout)
-        return StageKernels.choose(features, settings).all() + tracing_kernels(features, traversal, settings.counters == "ON")
+        return StageKernels.choose(features, settings).all() + tracing_kernels(features, settings, traversal, self.device)
 
     def render(
         self,
@@ -155,12 +160,18 @@ class Session:
         if prepared is not None:
             device_scene, modules = prepared
             integrators = self._integrators(job, device_scene, state)
-            self._run(job, integrators, state, film)
+            if any(each.is_counting for each in integrators):
+                with hardware_counters(self.device.is_cuda) as counters:
+                    self._run(job, integrators, state, film)
+                job.hardware = counters.report()
+            else:
+                self._run(job, integrators, state, film)
         left = [t for t in state.tiles if t.items_begun < t.tile.pixel_count * state.sample_count or not t.drained]
         film.complete = not left
         if left and all(t.drained for t in left):
             film.resume_state = state
-        film.statistics = self._statistics(job, film, integrators, modules if prepared else [])
+        device_scene, modules = prepared or (None, [])
+        film.statistics = self._statistics(job, film, integrators, modules, device_scene)
         return film
 
     # --- before
@@ -235,7 +246,9 @@ class Session:
             workers = min(workers, job.settings.ray_count)
         # no tile needs more paths than it has samples
         asked = min(paths_a_worker(job.settings, workers, self.device.is_cuda), max(areas) * state.sample_count)
-        each = bytes_per_path(job.features)
+        counting = counter_features(job.settings, job.features.passes, scene.traversal)
+        each = bytes_per_path(job.features) + order_bytes_per_path(job.settings.ray_sort, self.device.is_cuda)
+        each += counter_bytes_per_path(counting, job.features.shadow_rays)
         layout = layout_of(job.scene.frame.passes, job.scene.frame.transparent)
         tile_bytes = max(areas) * layout.count * WINDOW_DIGITS * 8
         budget = max(0, int(free_memory(self.device) * PATH_MEMORY_SHARE) // workers - tile_bytes)
@@ -326,27 +339,23 @@ class Session:
 
     # --- after
 
-    def _statistics(self, job: _Job, film: Film, integrators: list[TileIntegrator], modules: list[str]) -> dict[str, Any]:
+    def _statistics(
+        self, job: _Job, film: Film, integrators: list[TileIntegrator], modules: list[str], device_scene: DeviceScene | None
+    ) -> dict[str, Any]:
         job.seconds["total"] = time.perf_counter() - job.started
         invalid = sum(integrator.invalid_samples for integrator in integrators)
         if invalid:
             job.warnings.append(f"{invalid:,} samples were not finite and count as black; this is a fault, please report the scene")
-        rays = {
-            "camera": sum(i.rays.camera for i in integrators),
-            "bounce": sum(i.rays.bounced for i in integrators),
-            "shadow": sum(i.rays.shadow for i in integrators),
-        }
-        x0, y0, x1, y1 = film.region
         return render_statistics(
             device=self.device,
             settings=job.settings,
             features=job.features,
             frame={"width": film.width, "height": film.height, "region": list(film.region), "passes": list(film.pass_names)},
             seconds={"build": 0.0, "compile": 0.0, "render": 0.0, **job.seconds},
-            rays=rays,
+            rays=ray_totals(integrators),
             samples=film.sample_total,
             counts={
-                "schedule": {"workers": len(integrators), "ray_count": sum(i.path_count for i in integrators)},
+                **workers_summary(integrators, device_scene, job.hardware),
                 "complete": film.complete,
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),

@@ -15,8 +15,8 @@ class HesitantTracer(UnbatchedTracer):
 
     waited = 0
 
-    def __init__(self, tree, rays, stages):
-        super().__init__(tree, rays, stages)
+    def __init__(self, tree, rays, stages, trace):
+        super().__init__(tree, rays, stages, trace)
         self._where = rays.origin.device
         self._waiting = {}
         self._random = np.random.default_rng(5)

@@ -49,6 +49,7 @@ class BuiltTree:
 
     tree: Tree
     layout: Layout
+    box: np.ndarray  # two corners that hold all surfaces [m], float64, shape [2, 3]
     statistics: dict[str, Any]
     keep: list[Any] = field(default_factory=list, repr=False)
 
@@ -155,9 +156,10 @@ def _assembled(maker: _MeshTrees, entries: _Entries, instancing: bool, device: w
     to_world = np.array(entries.to_world, np.float64).reshape(-1, 3, 4)
     from_world = inverse_transforms(to_world)
     tree = Tree()
+    boxes = [_transformed_box(matrix, trees[i].box.astype(np.float64)) for i, matrix in zip(entries.mesh, to_world)]
     top = None
     if instancing:
-        top, tree.top_margin = _top_level([trees[i].box for i in entries.mesh], to_world, from_world, layout)
+        top, tree.top_margin = _top_level(boxes, to_world, from_world, layout)
         tree.top_centre = wp.vec3(*top.centre.tolist())
     node_first = np.cumsum([0, *(mesh.node_count for mesh in trees)])
     triangle_first = np.cumsum([0, *(mesh.triangle_places for mesh in trees)])
@@ -192,7 +194,8 @@ def _assembled(maker: _MeshTrees, entries: _Entries, instancing: bool, device: w
         "sah": round(float(max((mesh.sah for mesh in trees), default=0.0)), 4),
         "seconds": round(time.perf_counter() - start, 6),
     }
-    return BuiltTree(tree, layout, statistics, [kept, kept_triangles])
+    box = np.array(boxes)
+    return BuiltTree(tree, layout, np.stack([box[:, 0].min(0), box[:, 1].max(0)]), statistics, [kept, kept_triangles])
 
 
 def _joined(blocks: list[Any], device: wp.Device) -> tuple[wp.array, list[Any]]:
@@ -220,7 +223,7 @@ def _joined(blocks: list[Any], device: wp.Device) -> tuple[wp.array, list[Any]]:
 
 
 def _top_level(boxes: list[np.ndarray], to_world: np.ndarray, from_world: np.ndarray, layout: Layout) -> tuple[WideTop, float]:
-    """The tree over the entries, and the margin of rays against it.
+    """The tree over the entries, whose world boxes are `boxes`, and the margin of rays against it.
 
     A ray that is carried to object space by nine products and sums of float32 meets there what it would meet, carried exactly,
     within 8u |A| (|M| |o| + |m|), coordinate by coordinate, where x -> M x + m is the entry's map from the world and A the inverse of M;
@@ -229,9 +232,8 @@ def _top_level(boxes: list[np.ndarray], to_world: np.ndarray, from_world: np.nda
     """
     grown = []
     condition = (np.abs(to_world[:, :, :3]) @ np.abs(from_world[:, :, :3])).sum(2).max(1)
-    world = [_transformed_box(matrix, box.astype(np.float64)) for matrix, box in zip(to_world, boxes)]
-    centre = np.abs([corner for box in world for corner in box]).max()  # no coordinate of the top level's centre is larger
-    for box, matrix, k in zip(world, to_world, condition):
+    centre = np.abs(boxes).max()  # no coordinate of the top level's centre is larger
+    for box, matrix, k in zip(boxes, to_world, condition):
         reach = max(np.abs(box).max(), np.abs(matrix[:, 3]).max()) + centre
         margin = 2 * SLAB_MARGIN * k * reach
         grown.append((box[0] - margin, box[1] + margin))
@@ -247,9 +249,9 @@ def inverse_transforms(matrices: np.ndarray) -> np.ndarray:
     return np.concatenate([inverse, -inverse @ matrices[:, :, 3:]], axis=2)
 
 
-def _transformed_box(matrix: np.ndarray, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _transformed_box(matrix: np.ndarray, box: np.ndarray) -> np.ndarray:
     """World box of an object-space box (Arvo 1990)."""
     centre, half = box.mean(0), (box[1] - box[0]) / 2
     middle = matrix[:, :3] @ centre + matrix[:, 3]
     reach = np.abs(matrix[:, :3]) @ half
-    return middle - reach, middle + reach
+    return np.stack([middle - reach, middle + reach])

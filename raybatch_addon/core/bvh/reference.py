@@ -57,6 +57,7 @@ class BuiltReference:
     meshes: list[wp.Mesh]
     entry_tree: wp.Bvh | None
     keep: list[wp.array]
+    box: np.ndarray  # two corners that hold all surfaces [m], float64, shape [2, 3]
 
 
 @wp.func
@@ -211,7 +212,8 @@ def build_reference(
         low, high = (np.array(corner, np.float32).reshape(-1, 3) for corner in zip(*boxes))
         entry_tree = wp.Bvh(upload(low, wp.vec3), upload(high, wp.vec3))
         tree.entry_tree = entry_tree.id
-    return BuiltReference(tree, meshes, entry_tree, keep)
+    low, high = (np.array(corners) for corners in zip(*boxes))
+    return BuiltReference(tree, meshes, entry_tree, keep, np.stack([low.min(0), high.max(0)]))
 
 
 def _transformed_box(matrix: np.ndarray, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import RayBatchError
 from ..scene.description import Frame
-from .layout import FIRST_SAMPLE_PASSES, PASSES, ChannelLayout, layout_of, split_passes
+from .layout import COST_PASSES, FIRST_SAMPLE_PASSES, PASSES, ChannelLayout, layout_of, split_passes
 from .sums import WIDE_DIGITS, ExactSums, means_of, no_wide, normalised
 from .tile import FinishedTile, HostSamples
 
@@ -42,7 +42,8 @@ class Film:
         layout = layout_of(frame.passes, frame.transparent)
         pixel_count = (x1 - x0) * (y1 - y0)
         first = {n: np.zeros(pixel_count * PASSES[n], np.float32) for n in frame.passes if n in FIRST_SAMPLE_PASSES}
-        samples = HostSamples(ExactSums.zeros(pixel_count, layout.count), np.zeros(pixel_count, np.int64), first)
+        cost = {name: np.zeros(pixel_count, np.int64) for name in frame.passes if name in COST_PASSES}
+        samples = HostSamples(ExactSums.zeros(pixel_count, layout.count), np.zeros(pixel_count, np.int64), first, cost)
         return Film(frame.width, frame.height, frame.region, tuple(frame.passes), layout, samples)
 
     @property
@@ -82,7 +83,7 @@ class Film:
         if self.picture is not None:
             return dict(self.picture)
         means = means_of(self.sums.window, self.sums.wide, self.counts, self.layout.count)
-        return split_passes(self.pass_names, self.layout, means, self.first, self.shape)
+        return split_passes(self.pass_names, self.layout, means, self._fetched().single, self.shape)
 
     def add_tile(self, tile: FinishedTile) -> dict[str, np.ndarray]:
         """Add the samples of `tile`; returns the passes of its rectangle."""
@@ -105,8 +106,8 @@ class Film:
 
         wide = cells(self.sums.wide) if len(self.sums.wide) else no_wide()
         means = means_of(cells(self.sums.window), wide, self.counts[place], channels)
-        first = {name: values.reshape(-1, PASSES[name])[place] for name, values in self.first.items()}
-        return split_passes(self.pass_names, self.layout, means, first, (height, width))
+        single = {name: values.reshape(-1, PASSES[name])[place] for name, values in self._fetched().single.items()}
+        return split_passes(self.pass_names, self.layout, means, single, (height, width))
 
     def merge(self, other: Film) -> Film:
         """The film of both films' samples, bit for bit that of one render; they must show the same region and passes."""
@@ -119,6 +120,7 @@ class Film:
             self.counts + other.counts,
             # of a pixel that has its first sample in both films, this one's counts
             {name: np.where(self.first[name] != 0, self.first[name], other.first[name]) for name in self.first},
+            {name: sums + other.samples.cost[name] for name, sums in self.samples.cost.items()},
         )
         return Film(
             self.width, self.height, self.region, self.pass_names, self.layout, samples,
@@ -162,6 +164,8 @@ class Film:
         self.samples.counts[place] += samples.counts
         for name, values in samples.first.items():
             self.samples.first[name].reshape(-1, PASSES[name])[place] += values.reshape(-1, PASSES[name])
+        for name, values in samples.cost.items():
+            self.samples.cost[name][place] += values
 
     def _place(self, x: int, y: int, width: int, height: int) -> np.ndarray:
         rows = np.arange(y - self.region[1], y - self.region[1] + height)

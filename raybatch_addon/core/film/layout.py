@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 # Channels of every pass. The first sample alone decides "Depth" and "Position" (an average of them means nothing).
-PASSES: dict[str, int] = {"Combined": 4, "Depth": 1, "Position": 3, "Normal": 3}
+PASSES: dict[str, int] = {"Combined": 4, "Depth": 1, "Position": 3, "Normal": 3, "Rays": 1, "Node Steps": 1, "Triangle Tests": 1}
 FIRST_SAMPLE_PASSES = ("Depth", "Position")
+# Passes that show what a pixel's paths cost, as the mean over its samples
+COST_PASSES = ("Rays", "Node Steps", "Triangle Tests")
 
 
 @dataclass(frozen=True)
@@ -35,17 +37,22 @@ def layout_of(passes: tuple[str, ...], transparent: bool) -> ChannelLayout:
 
 
 def split_passes(
-    names: tuple[str, ...], layout: ChannelLayout, means: np.ndarray, first: dict[str, np.ndarray], shape: tuple[int, int]
+    names: tuple[str, ...], layout: ChannelLayout, means: np.ndarray, single: dict[str, np.ndarray], shape: tuple[int, int]
 ) -> dict[str, np.ndarray]:
-    """Passes by name, shape [height, width, channels], from the means of the summed channels."""
+    """Passes by name, shape [height, width, channels], from the means of the summed channels and from passes of their own."""
     means = means.reshape(*shape, layout.count)
     passes = {}
     for name in names:
-        if name in first:
-            passes[name] = first[name].reshape(*shape, PASSES[name])
+        if name in single:
+            passes[name] = single[name].reshape(*shape, PASSES[name])
             continue
         values = means[..., layout.span(name)]
         if name == "Combined" and not layout.transparent:
             values = np.concatenate([values, np.ones((*shape, 1), np.float32)], axis=-1)
         passes[name] = np.ascontiguousarray(values)
     return passes
+
+
+def mean_costs(cost: dict[str, np.ndarray], counts: np.ndarray) -> dict[str, np.ndarray]:
+    """Cost passes, float32, from sums over `counts` samples, all int64, shape [pixels]; 0 where a pixel has none."""
+    return {name: (sums / np.maximum(counts, 1)).astype(np.float32) for name, sums in cost.items()}

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from ..kernel import KERNEL_OPTIONS
-from .layout import FIRST_SAMPLE_PASSES, PASSES, ChannelLayout, split_passes
+from .layout import COST_PASSES, FIRST_SAMPLE_PASSES, PASSES, ChannelLayout, mean_costs, split_passes
 from .sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, add_wide, means_of, no_wide
 
 
@@ -149,15 +149,25 @@ class HostSamples:
     sums: ExactSums
     counts: np.ndarray  # int64, shape [pixels]
     first: dict[str, np.ndarray]  # float32, shape [pixels * channels]
+    cost: dict[str, np.ndarray]  # sums of cost passes, int64, shape [pixels]
+
+    @property
+    def single(self) -> dict[str, np.ndarray]:
+        """Passes that are no means of summed channels, float32, shape [pixels * channels]."""
+        return self.first | mean_costs(self.cost, self.counts)
 
 
 class FinishedTile:
     """A tile whose samples are all there."""
 
     def __init__(
-        self, place: tuple[int, int, int, int], film: FilmTile, layout: ChannelLayout, pass_names: tuple[str, ...], sample_count: int
-    ):
-        """`place` is x, y, width, height in the frame [pixels], `sample_count` the paths in it; its picture is fetched at once."""
+        self, place: tuple[int, int, int, int], film: FilmTile, layout: ChannelLayout, pass_names: tuple[str, ...], sample_count: int,
+        cost: wp.array | None = None,
+    ):  # fmt: skip
+        """`place` is x, y, width, height in the frame [pixels], `sample_count` the paths in it, `cost` (int64, shape [cost passes, pixels])
+        the sums of those cost passes that are in `pass_names`, in their order. The picture is fetched at once."""
+        self._cost = cost
+        self._cost_names = tuple(name for name in pass_names if name in COST_PASSES)
         self.sample_count = sample_count
         self.x, self.y, self.width, self.height = place
         self.invalid = int(film.invalid.numpy()[0])
@@ -167,9 +177,12 @@ class FinishedTile:
 
     def fetch(self) -> HostSamples:
         """What the pictures are made of."""
-        film, first = self._film, self._first()
+        film = self._film
         wide = film.wide.numpy() if film.wide.shape[0] else no_wide()
-        return HostSamples(ExactSums(film.window.numpy(), wide, self._layout.count), film.counts.numpy(), first)
+        return HostSamples(ExactSums(film.window.numpy(), wide, self._layout.count), film.counts.numpy(), self._first(), self._costs())
+
+    def _costs(self) -> dict[str, np.ndarray]:
+        return dict(zip(self._cost_names, self._cost.numpy())) if self._cost_names else {}
 
     def _first(self) -> dict[str, np.ndarray]:
         arrays = {"Depth": self._film.depth, "Position": self._film.position}
@@ -185,11 +198,13 @@ class FinishedTile:
             wp.launch(resolve_kernel(self._layout), pixels, [film, combined, normal, beyond], device=device)
             if beyond.numpy()[0] == 0:
                 means = {"Combined": combined, "Normal": normal}
-                first = self._first()
+                single = self._first()
+                if self._cost_names:
+                    single |= mean_costs(self._costs(), film.counts.numpy())
                 return {
-                    name: (first[name] if name in first else means[name].numpy()).reshape(*shape, PASSES[name]) for name in pass_names
+                    name: (single[name] if name in single else means[name].numpy()).reshape(*shape, PASSES[name]) for name in pass_names
                 }
         # sums of more bits than the kernel handles
         samples = self.fetch()
         means = means_of(samples.sums.window, samples.sums.wide, samples.counts, self._layout.count)
-        return split_passes(pass_names, self._layout, means, samples.first, shape)
+        return split_passes(pass_names, self._layout, means, samples.single, shape)

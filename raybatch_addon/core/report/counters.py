@@ -15,14 +15,15 @@ import numpy as np
 import warp as wp
 
 from ..bvh.trace_counts import LANE_PARTS, TraceCounts
+from ..film.layout import COST_PASSES
 from ..kernel import KERNEL_OPTIONS
 from .timing import StageTimer, clock_of
 
 # Numbered like `RayKind`
 RAY_KINDS = ("closest", "occlusion", "transparent_shadow")
 QUANTITIES = ("rays", "node_steps", "box_tests", "triangle_tests")
-# Passes that show cost, one channel each: the mean of a quantity over a pixel's samples
-COST_PASSES = {"Rays": "rays", "Node Steps": "node_steps", "Triangle Tests": "triangle_tests"}
+# What each of the film's `COST_PASSES` shows
+COST_QUANTITIES = dict(zip(COST_PASSES, ("rays", "node_steps", "triangle_tests"), strict=True))
 # Bounces that are counted apart at most; the last collects the rest
 BOUNCE_BINS_MAX = 32
 # Bytes of a ray that tracing reads (slot, origin, direction, t_max, visibility) and writes (t, instance, primitive, barycentrics;
@@ -98,11 +99,6 @@ def count_kernel(features: CounterFeatures) -> wp.Kernel:
 def _row(passes: tuple[str, ...], name: str) -> int:
     """Row of a pass among the cost passes; any where it is not asked for, because `wp.static` computes that too."""
     return passes.index(name) if name in passes else 0
-
-
-def cost_picture(cost: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """A cost pass: int64 sums of some pixels over their samples' `counts`, float32; 0 where a pixel has none."""
-    return (cost / np.maximum(counts, 1)).astype(np.float32)
 
 
 @dataclass(frozen=True)

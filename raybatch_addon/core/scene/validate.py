@@ -12,7 +12,7 @@ from .description import Camera, Frame, Instances, Light, Mesh, Scene, World
 # Squares of larger coordinates leave float32
 COORDINATE_MAX = 1e18
 # The passes that a film can hold (`film.PASSES`)
-PASS_NAMES = ("Combined", "Depth", "Position", "Normal")
+PASS_NAMES = ("Combined", "Depth", "Position", "Normal", "Rays", "Node Steps", "Triangle Tests")
 
 
 def checked_scene(scene: Scene) -> Scene:

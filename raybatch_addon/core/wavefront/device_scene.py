@@ -91,6 +91,7 @@ class DeviceScene:
     camera: CameraData
     tree: Tree | ReferenceTree | None  # None: there is nothing to hit
     traversal: Traversal
+    box: np.ndarray | None  # two corners that hold all surfaces [m], float64, shape [2, 3]
     transparent_shadows: bool  # some surface lets shadow rays through
     lights: UploadedLights  # keeps the tree of the lights alive
     shadow_rays: bool  # there is an emitter to aim at, not only code for it
@@ -120,6 +121,5 @@ class DeviceScene:
         )
         return DeviceScene(
             device, features, data, upload_camera(scene.camera, scene.frame.width, scene.frame.height), built.tree if built else None,
-            Traversal.of(settings.batching, layout),
-            lets_through, lights, features.shadow_rays and lights.emitter_count > 0, built,
+            Traversal.of(settings.batching, layout), built.box if built else None, lets_through, lights, features.shadow_rays and lights.emitter_count > 0, built,
         )  # fmt: skip

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import warp as wp
 
 from ..film import layout_of
 from ..film.tile import FilmTile, FilmTiles, FinishedTile, take_spill
+from ..report.counters import Counters, CounterTotals
+from ..report.timing import NoTimer
 from ..scene.description import Frame
 from ..settings import RenderSettings
 from ..shading.sampling import filter_table
 from .device_scene import DeviceScene
 from .kernels import StageKernels
 from .queues import Counts, GatherRule, PairQueue, Scratch
+from .ray_order import RayOrder
 from .rays import RayKind, Status, allocate_paths, allocate_rays
 from .scheduler import Rectangle, WaterMarks
 from .stages.generate import TileWork
 from .stages.limits import path_limits
-from .stages.trace import tracing_stages
+from .stages.trace import counter_features, tracing_stages
 from .tracer import NO_SLOTS, SlotList, UnbatchedTracer
 
 # A stopped tile whose rays are not at their end after this long gives them up [s]
@@ -54,7 +59,7 @@ class RayTotals:
 
 
 # Places of the lists' lengths among the worker's counts
-_BOUNCE, _SHADOW, _MISS, _SURFACE, _DONE, _FREE, _CAMERA, _SPILL, _COUNTS = range(9)
+_BOUNCE, _SHADOW, _MISS, _SURFACE, _DONE, _FREE, _CAMERA, _SPILL, _SPLIT, _SPLIT_2, _SPLIT_3, _COUNTS = range(12)
 
 
 class TileLists:
@@ -100,14 +105,19 @@ class TileIntegrator:
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, features, device)
         self._rays = allocate_rays(count * (2 if scene.shadow_rays else 1), device)
-        self._tracer = None
-        if scene.tree:
-            stages = tracing_stages(scene.traversal, features.instancing, settings.counters == "ON")
-            self._tracer = UnbatchedTracer(scene.tree, self._rays, stages)
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = TileLists(count, device)
         self._film_tiles = FilmTiles(count, self._layout, frame.passes, device, self._lists.counts.at(_SPILL))
-        self._free = NO_SLOTS
+        self._free = self._bounced = self._shadow = NO_SLOTS
+        counting = counter_features(settings, frame.passes, scene.traversal)
+        self._counters = Counters(counting, self._rays.origin.size, settings.bounce_max, device) if counting else None
+        self._counts_steps = bool(counting and counting.steps)
+        self._timer = self._counters.timer if self._counters else NoTimer()
+        self._order = None
+        if scene.tree and settings.ray_sort != "OFF":
+            self._order = RayOrder(settings.ray_sort, count, scene.box, self._lists.counts, _SPLIT, self._timer)
+        self._tracer = self._new_tracer() if scene.tree else None
+        self._cost: wp.array | None = None
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
         self._alive = 0
         self.path_count = count  # slots: paths alive at once at most
@@ -133,12 +143,14 @@ class TileIntegrator:
                 self._give_up(state)
             if self._alive == 0:
                 break
-            bounced = self._submit_new_rays(camera)
-            self._trace([camera, bounced])
+            self._trace(camera)
             self._shade(work, film)
             done += self._finish_paths(film)
         tile = state.tile
-        finished = FinishedTile((tile.x, tile.y, tile.width, tile.height), film, self._layout, self._frame.passes, done)
+        with self._timer.stage("transfer"):
+            finished = FinishedTile(
+                (tile.x, tile.y, tile.width, tile.height), film, self._layout, self._frame.passes, done, self._cost
+            )  # fmt: skip
         self.invalid_samples += finished.invalid
         return finished
 
@@ -153,6 +165,8 @@ class TileIntegrator:
         work.filter_table = self._filter
         # every slot is free
         self._free = self._lists.over(self._paths.status, self._marks.path_count)[1]
+        if self._counters:
+            self._cost = self._counters.begin_tile(tile.pixel_count)
         return work, self._film_tiles.begin(tile.pixel_count)
 
     def _generate(self, state: TileState, work: TileWork, items: int) -> SlotList:
@@ -161,57 +175,63 @@ class TileIntegrator:
             return NO_SLOTS
         work.item_first, work.item_count = state.items_begun, count
         lengths = self._lists.counts.at(_CAMERA)
-        self._launch(
-            self._kernels.generate, count, work, self._limits, self._scene.camera, self._paths, self._rays, self._free.slots, lengths
-        )
+        with self._timer.stage("generate"):
+            self._launch(
+                self._kernels.generate, count, work, self._limits, self._scene.camera, self._paths, self._rays, self._free.slots, lengths
+            )
         state.items_begun += count
         self._alive += count
         self.rays.camera += count
         return SlotList(self._free.slots, lengths, count, coherent=True)
 
-    def _submit_new_rays(self, camera: SlotList) -> SlotList:
-        bounced, shadow = self._lists.new_rays(self._paths.status, self._alive)
-        if self._tracer:
-            for rays in (camera, bounced):
-                if rays.bound:
-                    self._tracer.submit(RayKind.CLOSEST, rays)
-            if self._scene.shadow_rays:
-                self._tracer.submit(self._shadow_kind, shadow)
-        return bounced
-
-    def _trace(self, new_rays: list[SlotList]) -> None:
+    def _trace(self, camera: SlotList) -> None:
+        waves = [(RayKind.CLOSEST, camera), (RayKind.CLOSEST, self._bounced), (self._shadow_kind, self._shadow)]
+        waves = [(kind, rays) for kind, rays in waves if rays.bound]
         if self._tracer is None:
             # nothing to hit: ray slots say so from the start
-            for rays in new_rays:
+            for _, rays in waves:
                 self._launch_over(self._kernels.settle, rays, self._paths, self._rays)
             return
+        for kind, rays in waves:
+            self._tracer.submit(kind, rays)
         self._tracer.advance()
         for kind, back in self._tracer.take_finished():
-            if kind == RayKind.CLOSEST:
-                self._launch_over(self._kernels.settle, back, self._paths, self._rays)
-            elif kind == RayKind.OCCLUSION:
-                self._launch_over(self._kernels.connect, back, self._paths, self._rays)
-            else:
-                self._launch_over(
-                    self._kernels.connect_transparent, back, self._scene.data, self._limits, self._paths, self._rays
-                )
+            if self._counters:
+                self._counters.add(kind, back, self._paths.bounce, self._paths.pixel, self._cost)
+            with self._timer.stage("shade"):
+                self._take_back(kind, back)
+
+    def _take_back(self, kind: RayKind, back: SlotList) -> None:
+        if kind == RayKind.CLOSEST:
+            self._launch_over(self._kernels.settle, back, self._paths, self._rays)
+        elif kind == RayKind.OCCLUSION:
+            self._launch_over(self._kernels.connect, back, self._paths, self._rays)
+        else:
+            self._launch_over(self._kernels.connect_transparent, back, self._scene.data, self._limits, self._paths, self._rays)
 
     def _shade(self, work: TileWork, film: FilmTile) -> None:
         data, limits, paths, rays = self._scene.data, self._limits, self._paths, self._rays
-        miss, surface = self._lists.back(paths.status, self._alive)
-        if self._kernels.light_hits:
-            self._launch_over(self._kernels.light_hits, miss, data, limits, paths, rays)
-        self._launch_over(self._kernels.background, miss, data, limits, paths, rays, film)
-        if self._kernels.surface:
+        with self._timer.stage("lists"):
+            miss, surface = self._lists.back(paths.status, self._alive)
+        with self._timer.stage("shade"):
             if self._kernels.light_hits:
-                self._launch_over(self._kernels.light_hits, surface, data, limits, paths, rays)
-            self._launch_over(self._kernels.surface, surface, data, work, limits, paths, rays, film)
+                self._launch_over(self._kernels.light_hits, miss, data, limits, paths, rays)
+            self._launch_over(self._kernels.background, miss, data, limits, paths, rays, film)
+            if self._kernels.surface:
+                if self._kernels.light_hits:
+                    self._launch_over(self._kernels.light_hits, surface, data, limits, paths, rays)
+                self._launch_over(self._kernels.surface, surface, data, work, limits, paths, rays, film)
 
     def _finish_paths(self, film: FilmTile) -> int:
-        """Move paths that are over to the film; how many."""
-        done, self._free = self._lists.over(self._paths.status, self._marks.path_count)
-        # the list of the done is no longer than there are paths alive
-        self._launch(self._kernels.accumulate, self._alive, self._paths, film, done.slots, done.count)
+        """Move paths that are over to the film, and list the rays of the next turn; how many were over."""
+        with self._timer.stage("lists"):
+            done, self._free = self._lists.over(self._paths.status, self._marks.path_count)
+            bounced, shadow = self._lists.new_rays(self._paths.status, self._alive)
+            if self._order:
+                self._order.split(bounced, self._paths.bounce, self.rays.camera)
+        with self._timer.stage("film"):
+            # the list of the done is no longer than there are paths alive
+            self._launch(self._kernels.accumulate, self._alive, self._paths, film, done.slots, done.count)
         counts = self._lists.counts.fetch()
         if counts[_SPILL]:
             take_spill(film, counts[_SPILL], self._device)
@@ -219,6 +239,10 @@ class TileIntegrator:
         self.items_done += counts[_DONE]
         self.rays.bounced += counts[_BOUNCE]
         self.rays.shadow += counts[_SHADOW]
+        self._bounced = dataclasses.replace(bounced, bound=counts[_BOUNCE])
+        self._shadow = dataclasses.replace(shadow, bound=counts[_SHADOW])
+        if self._order:
+            self._order.told(counts)
         return counts[_DONE]
 
     def _give_up(self, state: TileState) -> None:
@@ -226,6 +250,39 @@ class TileIntegrator:
         state.drained = False
         self._paths.status.zero_()
         self._alive = 0
+        self._bounced = self._shadow = NO_SLOTS
+        self._tracer = self._new_tracer() if self._tracer else None
+
+    # --- tracing
+
+    def _new_tracer(self) -> UnbatchedTracer:
+        stages = tracing_stages(self._scene.traversal, self._scene.features.instancing, self._counts_steps)
+        return UnbatchedTracer(self._scene.tree, self._rays, stages, self._trace_in_order)
+
+    def _trace_in_order(self, kind: RayKind, listed: SlotList, launch: Callable) -> None:
+        counts = self._counters.work[kind] if self._counts_steps else None
+
+        def timed(rays: SlotList) -> None:
+            with self._timer.stage("trace"):
+                launch(rays, counts)
+
+        if self._order:
+            self._order.trace(kind, listed, self._rays, self.rays.camera, timed)
+        else:
+            timed(listed)
+
+    @property
+    def is_counting(self) -> bool:
+        """Whether anything is counted."""
+        return self._counters is not None
+
+    def counted(self) -> CounterTotals | None:
+        """What was counted so far; None where nothing is."""
+        return self._counters.totals() if self._counters else None
+
+    def order_report(self) -> dict[str, Any] | None:
+        """What was decided about sorting; None where rays are never sorted."""
+        return self._order.policy.report() if self._order else None
 
     # --- launching
 

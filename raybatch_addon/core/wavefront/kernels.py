@@ -8,16 +8,18 @@ import warp as wp
 
 from ..film import layout_of
 from ..film.tile import add_spill_kernel, resolve_kernel
+from ..report.counters import count_kernel
 from ..scene.features import SceneFeatures, narrow
 from ..settings import RenderSettings
 from .queues import QUEUE_KERNELS
+from .ray_order import order_kernels
 from .rays import RayKind
 from .stages.accumulate import accumulate_kernel
 from .stages.connect import connect_kernel, settle_kernel
 from .stages.generate import GenerateFeatures, generate_kernel
 from .stages.shade_background import BackgroundFeatures, LightHitFeatures, background_kernel, light_hit_kernel
 from .stages.shade_surface import SurfaceFeatures, surface_kernel, transparent_shadow_kernel
-from .stages.trace import Traversal, tracing_stages
+from .stages.trace import Traversal, counter_features, tracing_stages
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,14 @@ class StageKernels:
         return [kernel for kernel in stages if kernel is not None] + [*QUEUE_KERNELS, add_spill_kernel]
 
 
-def tracing_kernels(features: SceneFeatures, traversal: Traversal, counters: bool) -> list[wp.Kernel]:
-    """Everything that tracing launches."""
-    stages = tracing_stages(traversal, features.instancing, counters) if features.surfaces else {}
-    return [kernel for kind, stage in stages.items() if features.shadow_rays or kind == RayKind.CLOSEST for kernel in stage.kernels]
+def tracing_kernels(features: SceneFeatures, settings: RenderSettings, traversal: Traversal, device: wp.Device) -> list[wp.Kernel]:
+    """Everything that tracing, sorting and counting launch."""
+    counting = counter_features(settings, features.passes, traversal)
+    kernels = [count_kernel(counting)] if counting else []
+    if features.surfaces:
+        kernels += order_kernels(settings.ray_sort, device)
+        stages = tracing_stages(traversal, features.instancing, bool(counting and counting.steps))
+        for kind, stage in stages.items():
+            if features.shadow_rays or kind == RayKind.CLOSEST:
+                kernels += stage.kernels
+    return kernels

@@ -110,6 +110,6 @@ def bytes_per_path(features: SceneFeatures) -> int:
     path = 4 * 4 + 12 + 12 + 4
     path += 12 * features.shadow_rays + 8 * features.transparency
     path += 4 * features.film_transparent + 12 * ("Normal" in features.passes)
-    lists = (2 + 6) * 4  # two work arrays of the scan and six lists
+    lists = 2 * 8 + 6 * 4  # two work arrays of the scan and six lists
     spill = 8 * (4 + 3 * ("Normal" in features.passes))
     return path + ray * (1 + features.shadow_rays) + lists + spill

@@ -13,7 +13,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 # Classes of rays that are decided apart: what they start from
-CAMERA, BOUNCE_1, BOUNCE_2, BOUNCE_LATER, SHADOW = RAY_CLASSES = ("camera", "bounce 1", "bounce 2", "bounce 3 and later", "shadow")
+CAMERA, BOUNCE_1, BOUNCE_2, BOUNCE_LATER, SHADOW, BOUNCE = RAY_CLASSES = (
+    "camera", "bounce 1", "bounce 2", "bounce 3 and later", "shadow", "bounce",
+)  # fmt: skip
+# BOUNCE stands for scattered rays in one list, where they are not told apart: nothing is tried on them
+
 # Waves that are traced each way in a trial; their median counts
 TRIAL_WAVES = 3
 # The other way must be cheaper by this factor to be taken up
@@ -59,9 +63,19 @@ class SortPolicy:
     def choose(self, ray_class: str, rays: int, items_begun: int) -> bool:
         """Whether to sort a wave of `rays` rays; `items_begun` counts the worker's paths so far."""
         decision = self._decisions[ray_class]
-        sorts = self._choice(decision, rays, items_begun)
+        if ray_class == BOUNCE and self._mode == "AUTO":
+            sorts = False
+        else:
+            sorts = self._choice(decision, rays, items_begun)
         decision.waves[sorts] += 1
         return sorts
+
+    def treats_alike(self, ray_classes: Iterable[str], items_begun: int) -> bool:
+        """Whether no ray of these classes is sorted now, nor tried, so that they may be traced as one list."""
+        if self._mode != "AUTO":
+            return True
+        decisions = [self._decisions[ray_class] for ray_class in ray_classes]
+        return not any(each.sorts or each.trial or items_begun >= each.next_trial for each in decisions)
 
     def is_measured(self, ray_class: str) -> bool:
         """Whether the time of the wave that was decided last is wanted by `record`."""

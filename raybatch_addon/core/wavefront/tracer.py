@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -40,11 +41,16 @@ class Tracer(Protocol):
 class UnbatchedTracer:
     """A `Tracer` in which every ray visits the whole tree as soon as it is told to advance."""
 
-    def __init__(self, tree: Any, rays: Rays, stages: dict[RayKind, Any]):
-        """`stages` trace lists of rays by kind (`stages/trace.py`) in `tree`."""
+    def __init__(self, tree: Any, rays: Rays, stages: dict[RayKind, Any], trace: Callable | None = None):
+        """`stages` trace lists of rays by kind (`stages/trace.py`) in `tree`.
+
+        `trace(kind, rays, launch)`, where there is one, calls `launch(rays, counts)` for lists that hold the same rays: it may sort
+        them, count, or take times.
+        """
         self._tree = tree
         self._rays = rays
         self._stages = stages
+        self._trace = trace or (lambda kind, rays, launch: launch(rays, None))
         self._under_way: list[tuple[RayKind, SlotList]] = []
         self._finished: list[tuple[RayKind, SlotList]] = []
 
@@ -53,7 +59,8 @@ class UnbatchedTracer:
 
     def advance(self) -> None:
         for kind, rays in self._under_way:
-            self._stages[kind].launch(self._tree, self._rays, rays, None)
+            stage = self._stages[kind]
+            self._trace(kind, rays, lambda listed, counts: stage.launch(self._tree, self._rays, listed, counts))
         self._finished += self._under_way
         self._under_way = []
 

@@ -7,9 +7,10 @@ import pytest
 import warp as wp
 from under_test import DEVICE
 
+from raybatch_addon.core.film.layout import mean_costs
 from raybatch_addon.core.report.counters import (
     BOUNCE_BINS_MAX,
-    COST_PASSES,
+    COST_QUANTITIES,
     QUANTITIES,
     RAY_BYTES_READ,
     RAY_BYTES_WRITTEN,
@@ -18,7 +19,6 @@ from raybatch_addon.core.report.counters import (
     CounterFeatures,
     Counters,
     TreeBytes,
-    cost_picture,
     count_kernel,
     counter_bytes_per_path,
 )
@@ -38,7 +38,7 @@ class Work:
         self.counters = Counters(features, 2 * PATHS, BOUNCE_MAX, wp.get_device(DEVICE))
         self.cost = self.counters.begin_tile(PIXELS)
         self.sums = np.zeros((len(RAY_KINDS), BINS, len(QUANTITIES)), np.int64)
-        self.pixels = {name: np.zeros(PIXELS, np.int64) for name in COST_PASSES}
+        self.pixels = {name: np.zeros(PIXELS, np.int64) for name in COST_QUANTITIES}
 
     def wave(self, kind, count, bound):
         rng, work = self.rng, self.counters.work[kind]
@@ -55,11 +55,11 @@ class Work:
         self.counters.add(kind, listed, *arrays, self.cost)
         paths, did = slots[:count], did[rays[:count]]
         np.add.at(self.sums[kind], np.minimum(bounce[paths], BINS - 1), did)
-        for name, quantity in COST_PASSES.items():
+        for name, quantity in COST_QUANTITIES.items():
             np.add.at(self.pixels[name], pixel[paths], did[:, QUANTITIES.index(quantity)])
 
 
-@pytest.mark.parametrize("passes", [(), ("Triangle Tests", "Rays"), tuple(COST_PASSES)])
+@pytest.mark.parametrize("passes", [(), ("Triangle Tests", "Rays"), tuple(COST_QUANTITIES)])
 def test_sums_by_kind_bounce_and_pixel(passes):
     work = Work(CounterFeatures(True, passes))
     for kind in RayKind:
@@ -101,7 +101,7 @@ def test_what_is_not_counted_is_not_compiled(tmp_path):
         wp.compile_aot_module(kernel.module, device=DEVICE, module_dir=tmp_path)
         return next(tmp_path.glob(f"wp_{kernel.module.name}*.c*")).read_text()
 
-    everything, rays = source(CounterFeatures(True, tuple(COST_PASSES))), source(CounterFeatures(False, ()))
+    everything, rays = source(CounterFeatures(True, tuple(COST_QUANTITIES))), source(CounterFeatures(False, ()))
     assert everything.count("= wp::atomic_add(") == 7 and rays.count("= wp::atomic_add(") == 1
 
 
@@ -144,4 +144,4 @@ def test_workers_are_added_up():
 
 
 def test_pictures_of_cost_are_means_over_samples():
-    assert cost_picture(np.array([6, 5, 0]), np.array([4, 2, 0])).tolist() == [1.5, 2.5, 0.0]
+    assert mean_costs({"Rays": np.array([6, 5, 0])}, np.array([4, 2, 0]))["Rays"].tolist() == [1.5, 2.5, 0.0]

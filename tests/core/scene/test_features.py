@@ -36,7 +36,7 @@ def with_material(kind):
 def source(features: SceneFeatures) -> str:
     """All code that is compiled for `features`."""
     text = []
-    tracing = tracing_kernels(features, Traversal.QUANTISED, counters=False)
+    tracing = tracing_kernels(features, SETTINGS, Traversal.QUANTISED, find_device("cpu"))
     for kernel in StageKernels.choose(features, SETTINGS).all() + tracing:
         builder = __import__("warp")._src.context.ModuleBuilder(kernel.module, {**kernel.module.options, "block_dim": 1, "mode": "release"})
         text.append(builder.codegen("cpu"))

@@ -15,6 +15,8 @@ from ...bvh.trace_counts import TraceCounts
 from ...bvh.traverse_cuda import BLOCK_SIZE, TraceOptions, thread_count, trace_function
 from ...bvh.tree import Tree
 from ...kernel import KERNEL_OPTIONS, with_block_size
+from ...report.counters import CounterFeatures
+from ...settings import RenderSettings
 from ..rays import RayKind, Rays
 from ..tracer import SlotList
 
@@ -42,6 +44,11 @@ class TraceFeatures:
     any_hit: bool  # whether anything is hit, instead of the closest hit
     instancing: bool
     counters: bool
+
+
+def counter_features(settings: RenderSettings, passes: tuple[str, ...], traversal: Traversal) -> CounterFeatures | None:
+    """What is counted; None: nothing. Warp's tree tells nothing of its steps."""
+    return CounterFeatures.choose(settings.counters, passes, steps=traversal != Traversal.REFERENCE)
 
 
 class TraceStage(Protocol):
