@@ -1,7 +1,7 @@
 """The build of wide trees on the device that traces them: from arrays of triangles to the layout QUANTISED.
 
-Boxes in Morton order, merged to a binary tree (`build_cuda_clusters.py`), which is collapsed to wide nodes
-(`build_cuda_collapse.py`). The host reads a few counts and never sees a triangle. Two builds of the same input give the same
+Boxes in Morton order, merged to a binary tree (`build_cuda_clusters.py`), which is improved (`build_cuda_reinsert.py`) and
+collapsed to wide nodes (`build_cuda_collapse.py`). The host reads a few counts and never sees a triangle. Two builds of the same input give the same
 bits. Everything also runs on the CPU, where tests compare it with the CPU's own builder.
 """
 
@@ -17,19 +17,21 @@ import warp as wp
 from ..device import free_memory
 from ..errors import OutOfMemoryError
 from ..kernel import KERNEL_OPTIONS
-from .build_cuda_clusters import CLUSTER_KERNELS, ROUND_LIMIT, merge_leaves, sort_leaves, triangle_boxes
-from .build_cuda_collapse import COLLAPSE_KERNELS, VECTORS_PER_NODE, WideNodes, collapse
+from .build_cuda_clusters import CLUSTER_KERNELS, ROUND_LIMIT, BinaryNodes, merge_leaves, sort_leaves, triangle_boxes
+from .build_cuda_collapse import COLLAPSE_KERNELS, WideNodes, choose, collapse
+from .build_cuda_order import ORDER_KERNELS, HeightOrder, find_parents, order_by_height, refit
+from .build_cuda_reinsert import REINSERT_KERNELS, reinsert
 from .collapse import QUANTISED_COST, TOP_COST, CollapseCost
 from .node import TRIANGLES_MAX_QUANTISED
 
 # Levels of nodes that a traversal stack has room for
 DEPTH_MAX = 64
-# A tree that came out deeper is built again with so many rounds: with forced pairs, whose number of rounds is that of the
-# bits of the count, no binary node is then as deep as DEPTH_MAX
+# A tree that came out deeper is built again with so many rounds of merging and not improved: with forced pairs, whose number
+# of rounds is that of the bits of the count, no binary node is then as deep as DEPTH_MAX
 ROUND_LIMIT_DEEP = DEPTH_MAX - 32
-# Most memory at any time of a build, its result included [bytes per triangle]: see `build_mesh`
-BYTES_PER_TRIANGLE = 125
-BYTES_PER_BOX = 165
+# Most memory at any time of a build, its result included [bytes per triangle or box]: boxes of binary nodes 48, their children 8
+# and leaves 4, parents and what refitting needs 16, moves 42, and a little; earlier and later steps need less
+BYTES_EACH = 125
 VECTORS_PER_TRIANGLE = 3
 
 
@@ -39,9 +41,10 @@ class DeviceBuildStatistics:
 
     node_steps: float  # wide nodes that a random ray through the root's box meets, by the surface area heuristic
     unit_tests: float  # triangles or entries in the leaves that it meets
-    round_count: int  # of merging
+    merge_rounds: int
+    reinsert_rounds: int
     rebuilt: bool  # whether the first tree was too deep
-    seconds: dict[str, float]  # by step: order, merge, collapse, write
+    seconds: dict[str, float]  # by step: order, merge, improve, collapse, write
 
 
 @dataclass(frozen=True)
@@ -105,7 +108,7 @@ def triangles_kernel(
     out[3 * i + 2] = wp.vec4(c[0], c[1], c[2], 0.0)
 
 
-DEVICE_BUILD_KERNELS = (*CLUSTER_KERNELS, *COLLAPSE_KERNELS, triangles_kernel)
+DEVICE_BUILD_KERNELS = (*CLUSTER_KERNELS, *ORDER_KERNELS, *REINSERT_KERNELS, *COLLAPSE_KERNELS, triangles_kernel)
 
 
 def build_mesh(
@@ -118,12 +121,10 @@ def build_mesh(
         triangles: wp.vec3i, on the same device.
         cost: weights of a node and of a triangle.
 
-    Raises `OutOfMemoryError` where the build does not fit. At its peak it holds, by triangle: boxes of binary nodes (48 bytes),
-    their children (8), leaves (4) and choices (8), then wide nodes twice (20) beside their levels (15) and the order (4); or, earlier, the
-    clusters (20) and first boxes (24) beside the nodes.
+    Raises `OutOfMemoryError` where the build does not fit, `SceneError` for coordinates that are not finite.
     """
     device = positions.device
-    _check_memory(device, count, BYTES_PER_TRIANGLE, "triangles")
+    _check_memory(device, count, "triangles")
     clock = _Clock(device)
     if count == 0:
         none = wp.empty(0, dtype=wp.vec4, device=device)
@@ -138,7 +139,7 @@ def build_mesh(
 def build_top(low: wp.array, high: wp.array, cost: CollapseCost = TOP_COST) -> DeviceTop:
     """The tree over entries whose boxes have the corners `low` and `high` [m], wp.vec3, finite; raises as `build_mesh`."""
     device, count = low.device, low.size
-    _check_memory(device, count, BYTES_PER_BOX, "entries")
+    _check_memory(device, count, "entries")
     if count == 0:
         nodes, order = wp.empty(0, dtype=wp.vec4, device=device), wp.empty(0, dtype=int, device=device)
         return DeviceTop(nodes, *_nothing(), order)
@@ -166,33 +167,61 @@ def _build(
     boxes: Callable[[], tuple[wp.array, wp.array]], cost: CollapseCost, leaf_max: int, clock: _Clock
 ) -> tuple[WideNodes, tuple]:
     """Wide nodes over `boxes`, and the fields of `DeviceTree` behind `nodes`."""
-    for limit in (ROUND_LIMIT, ROUND_LIMIT_DEEP):
-        # boxes are asked for here, and again, so that they need not be kept
-        tree, clusters = sort_leaves(*boxes())
-        clock.end("order")
-        merge_leaves(tree, clusters, limit)
-        del clusters
-        clock.end("merge")
-        centre = 0.5 * tree.box[0] + 0.5 * tree.box[1]
-        wide = collapse(tree, centre, cost, leaf_max)
-        clock.end("collapse")
-        if len(wide.level_first) - 1 <= DEPTH_MAX:
-            break
+    wide, common = _attempt(boxes, cost, leaf_max, clock, ROUND_LIMIT, improve=True)
+    if wide is None:
+        wide, common = _attempt(boxes, cost, leaf_max, clock, ROUND_LIMIT_DEEP, improve=False)
+    assert wide is not None
+    return wide, common
+
+
+def _attempt(
+    boxes: Callable[[], tuple[wp.array, wp.array]], cost: CollapseCost, leaf_max: int, clock: _Clock, round_limit: int, improve: bool
+) -> tuple[WideNodes | None, tuple]:
+    """As `_build`; no nodes where the tree is too deep."""
+    low, high = boxes()
+    tree, clusters = sort_leaves(low, high)
+    del low, high
+    clock.end("order")
+    merge_leaves(tree, clusters, round_limit)
+    del clusters
+    clock.end("merge")
+    order, reinsert_rounds = None, 0
+    if tree.nodes.leaf_count > 1:
+        order, reinsert_rounds = _improved(tree.nodes, improve)
+        if order is None:
+            return None, ()
+    clock.end("improve")
+    centre = 0.5 * tree.box[0] + 0.5 * tree.box[1]
+    choices = choose(tree.nodes, order, cost, leaf_max)
+    del order
+    wide = collapse(tree.nodes, choices, centre)
+    clock.end("collapse")
+    if len(wide.level_first) - 1 > DEPTH_MAX:
+        return None, ()
     statistics = DeviceBuildStatistics(
-        wide.node_steps, wide.unit_tests, len(tree.node_first) - 1, limit != ROUND_LIMIT, clock.seconds
+        wide.node_steps, wide.unit_tests, tree.round_count, reinsert_rounds, not improve, clock.seconds
     )
     sah = cost.node * wide.node_steps + cost.unit * wide.unit_tests
     return wide, (centre, tree.box, wide.level_first, wide.leaf_count, sah, statistics)
 
 
+def _improved(nodes: BinaryNodes, improve: bool) -> tuple[HeightOrder | None, int]:
+    """The inner nodes bottom-up, after reinsertion where asked for, and its rounds; None for a tree too high."""
+    links = find_parents(nodes)
+    rounds = reinsert(nodes, links) if improve else 0
+    if rounds == 0:
+        refit(nodes, links)
+    return order_by_height(nodes, links), rounds
+
+
 def _nothing() -> tuple:
     """The fields of `DeviceTree` behind `nodes` of a tree over nothing."""
     zero = np.zeros(3, np.float32)
-    return zero, np.stack([zero, zero]), [0], 0, 0.0, DeviceBuildStatistics(0.0, 0.0, 0, False, {})
+    return zero, np.stack([zero, zero]), [0], 0, 0.0, DeviceBuildStatistics(0.0, 0.0, 0, 0, False, {})
 
 
-def _check_memory(device: wp.Device, count: int, bytes_each: int, what: str) -> None:
-    needed, free = count * bytes_each, free_memory(device)
+def _check_memory(device: wp.Device, count: int, what: str) -> None:
+    needed, free = count * BYTES_EACH, free_memory(device)
     if needed > free:
         raise OutOfMemoryError(
             f"the tree over {count:,} {what} needs {needed / 1e9:.2f} GB while it is built, and {device.name} has {free / 1e9:.2f} GB "

@@ -72,7 +72,7 @@ class BinaryTree:
 
     nodes: BinaryNodes
     box: np.ndarray  # lowest and highest corner of everything [m], float32, shape [2, 3]
-    node_first: list[int]  # inner nodes made in round r are node_first[r] .. node_first[r + 1]
+    round_count: int = 0  # of merging
 
 
 @wp.func
@@ -219,7 +219,6 @@ def merge_kernel(
     state: wp.array2d(dtype=int),
     parity: int,
     round_limit: int,
-    node_first: wp.array(dtype=int),
 ):
     """New nodes for the pairs that merge, clusters moved up, and the state of the next round."""
     i = wp.tid()
@@ -239,10 +238,12 @@ def merge_kernel(
             nodes.high[merged] = wp.max(nodes.high[node], nodes.high[other])
             node = merged
         clusters.node_next[clusters.place[i]] = node
-    if i == count - 1:
+    if i == count - 1:  # the last cluster knows how many are left
         left = clusters.place[i] + clusters.keep[i]
         merges = count - left
-        number = state[parity, ROUND] + 1
+        number = state[parity, ROUND]
+        if count > 1:
+            number += 1
         block = int(0)
         if number >= round_limit or (merges == 0 and count > 1):
             block = 2
@@ -252,7 +253,6 @@ def merge_kernel(
         state[1 - parity, NODE] = node_base + merges
         state[1 - parity, BLOCK] = block
         state[1 - parity, ROUND] = number
-        node_first[number] = node_base + merges
 
 
 CLUSTER_KERNELS = (
@@ -303,7 +303,7 @@ def sort_leaves(low: wp.array, high: wp.array) -> tuple[BinaryTree, Clusters]:
     for name in ("node", "node_next", "neighbour", "keep", "place"):
         setattr(clusters, name, empty(count))
     wp.launch(leaves_kernel, count, [low, high, order, nodes, clusters], device=device)
-    return BinaryTree(nodes, box, [count]), clusters
+    return BinaryTree(nodes, box), clusters
 
 
 def _scale_of(box: np.ndarray) -> float:
@@ -320,18 +320,16 @@ def merge_leaves(tree: BinaryTree, clusters: Clusters, round_limit: int = ROUND_
     start = np.zeros((2, 4), np.int32)
     start[0] = count, count, 2 if round_limit == 0 else 0, 0
     state = wp.array(start, dtype=int, device=device)
-    node_first = wp.full(ROUND_COUNT_MAX + ROUNDS_PER_READ + 1, count, dtype=int, device=device)
-    parity, round_count = 0, 0
+    parity, launched = 0, 0
     while count > 1:
-        if round_count >= ROUND_COUNT_MAX:
-            raise RuntimeError(f"the tree build did not end after {round_count} rounds: {count} clusters are left")
+        if launched >= ROUND_COUNT_MAX:
+            raise RuntimeError(f"the tree build did not end after {launched} rounds: {count} clusters are left")
         for _ in range(1 if count > CLUSTERS_LARGE else ROUNDS_PER_READ):
             wp.launch(neighbour_kernel, count, [nodes, clusters, state, parity], device=device)
             wp.launch(keep_kernel, count, [clusters, state, parity], device=device)
             wp.utils.array_scan(clusters.keep[:count], clusters.place[:count], inclusive=False)
-            wp.launch(merge_kernel, count, [nodes, clusters, state, parity, round_limit, node_first], device=device)
+            wp.launch(merge_kernel, count, [nodes, clusters, state, parity, round_limit], device=device)
             clusters.node, clusters.node_next = clusters.node_next, clusters.node
             parity = 1 - parity
-            round_count += 1
-        count = int(state.numpy()[parity, 0])
-    tree.node_first = np.unique(node_first.numpy()[: round_count + 1]).tolist()
+            launched += 1
+        count, _, _, tree.round_count = state.numpy()[parity].tolist()

@@ -2,7 +2,7 @@
 
 Bottom-up, dynamic programming finds the least cost of covering each binary node by at most 1 to 7 wide nodes and leaves, and
 remembers the choice (Ylitie, Karras and Laine 2017, "Efficient incoherent ray traversal on GPUs through compressed wide
-BVHs", section 3.1). The rounds that made the binary nodes are its order: no node needs to wait for its children.
+BVHs", section 3.1), one height of the binary tree after the other.
 
 Then top-down, a level of wide nodes at a time: count the children of each, number them by a scan, write the nodes. Children lie behind
 their parents, those of one node in the order of slots.
@@ -16,7 +16,8 @@ import numpy as np
 import warp as wp
 
 from ..kernel import KERNEL_OPTIONS
-from .build_cuda_clusters import BinaryNodes, BinaryTree, half_area
+from .build_cuda_clusters import BinaryNodes, half_area
+from .build_cuda_order import HeightOrder
 from .collapse import CollapseCost
 from .encode import ENCODE_QUANTISED, ROUNDING
 
@@ -91,10 +92,10 @@ def leaves_below(nodes: BinaryNodes, choices: Choices, node: int) -> int:
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def choose_kernel(nodes: BinaryNodes, choices: Choices, first: int):
-    """Costs and choices of inner nodes `first` .., whose children have theirs."""
-    k = first - nodes.leaf_count + wp.tid()
-    node = k + nodes.leaf_count
+def choose_kernel(nodes: BinaryNodes, choices: Choices, order: wp.array(dtype=int), first: int):
+    """Costs and choices of the inner nodes `order[first]` .., whose children have theirs."""
+    node = order[first + wp.tid()]
+    k = node - nodes.leaf_count
     children = nodes.children[k]
     a = part_costs(nodes, choices, children[0])
     b = part_costs(nodes, choices, children[1])
@@ -325,18 +326,23 @@ def write_kernel(nodes: BinaryNodes, choices: Choices, level: Level):
 COLLAPSE_KERNELS = (choose_kernel, count_kernel, write_kernel)
 
 
-def collapse(tree: BinaryTree, centre: np.ndarray, cost: CollapseCost, leaf_max: int) -> WideNodes:
-    """Wide nodes over the leaves of `tree`, boxes relative to `centre`; leaves list at most `leaf_max` (1 .. 3) each."""
-    nodes = tree.nodes
+def choose(nodes: BinaryNodes, order: HeightOrder | None, cost: CollapseCost, leaf_max: int) -> Choices:
+    """Choices for every inner node, of which there are none without an `order`; leaves will list at most `leaf_max` (1 .. 3) each."""
     device, count = nodes.low.device, nodes.leaf_count
     choices = Choices()
     choices.cost = wp.empty(count - 1, dtype=vec7, device=device)
     choices.choice = wp.empty(count - 1, dtype=wp.uint64, device=device)
     choices.node_cost, choices.unit_cost, choices.leaf_max = cost.node, cost.unit, leaf_max
-    for first, end in zip(tree.node_first, tree.node_first[1:]):
-        wp.launch(choose_kernel, end - first, [nodes, choices, first], device=device)
+    if order is not None:
+        for first, end in zip(order.first, order.first[1:]):
+            wp.launch(choose_kernel, end - first, [nodes, choices, order.node, first], device=device)
     choices.cost = None
+    return choices
 
+
+def collapse(nodes: BinaryNodes, choices: Choices, centre: np.ndarray) -> WideNodes:
+    """The wide tree that was chosen, its boxes relative to `centre`."""
+    device, count = nodes.low.device, nodes.leaf_count
     order = wp.empty(count, dtype=int, device=device)
     binary = wp.full(1, 2 * count - 2, dtype=int, device=device)
     level_first, leaf_count, unit_count = [0], 0, 0

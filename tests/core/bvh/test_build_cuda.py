@@ -86,6 +86,16 @@ def test_cost_is_near_that_of_the_binned_build(device, mesh):
     assert build(device, *mesh).sah < 1.25 * expected.sah
 
 
+def test_reinsertion_lowers_the_cost_and_keeps_a_tree(device, monkeypatch):
+    mesh = soup(4000, size=0.05)
+    improved = build(device, *mesh)
+    monkeypatch.setattr(build_cuda, "reinsert", lambda nodes, links: 0)
+    plain = build(device, *mesh)
+    check(plain, *mesh)
+    assert plain.statistics.reinsert_rounds == 0 and improved.statistics.reinsert_rounds > 3
+    assert improved.sah < 0.95 * plain.sah
+
+
 def test_cost_is_that_of_its_boxes(device):
     mesh = sphere(30)
     cost = CollapseCost(1.5, 0.5)
@@ -128,7 +138,7 @@ def test_many_copies_of_one_triangle_make_a_shallow_tree(device):
     triangles = np.tile(np.arange(3, dtype=np.int32), (20000, 1))
     mesh = build(device, positions, triangles)
     check(mesh, positions, triangles)
-    assert mesh.depth <= 8 and mesh.statistics.round_count <= 15
+    assert mesh.depth <= 8 and mesh.statistics.merge_rounds <= 15
     assert mesh.node_count < 20000 / 12
 
 
@@ -154,17 +164,20 @@ def graded(count: int, ratio: float) -> tuple[np.ndarray, np.ndarray]:
 def test_a_row_of_growing_triangles_takes_few_rounds(device, count, ratio):
     mesh = build(device, *graded(count, ratio))
     check(mesh, *graded(count, ratio))
-    assert mesh.statistics.round_count < 80
+    assert mesh.statistics.merge_rounds < 80
     binary = build_binary(*graded(count, ratio), BuildOptions(leaf_group=1, leaf_max=1))
     assert mesh.sah < 1.25 * collapse_mesh(binary, *graded(count, ratio), Layout.QUANTISED).sah
 
 
 def test_a_tree_that_is_too_deep_is_built_again(device, monkeypatch):
-    monkeypatch.setattr(build_cuda, "DEPTH_MAX", 4)
+    mesh = graded(600, 1.1)
+    assert build(device, *mesh).depth > 12
+    monkeypatch.setattr(build_cuda, "DEPTH_MAX", 12)
     monkeypatch.setattr(build_cuda, "ROUND_LIMIT_DEEP", 0)
-    mesh = build(device, *soup(2000))
-    check(mesh, *soup(2000))
-    assert mesh.statistics.rebuilt and mesh.statistics.round_count == 11  # halves of the Morton order
+    again = build(device, *mesh)
+    check(again, *mesh)
+    assert again.depth <= 12
+    assert again.statistics.rebuilt and again.statistics.merge_rounds == 10  # halves of the Morton order
 
 
 @pytest.mark.parametrize("count", [0, 1, 5, 400])
