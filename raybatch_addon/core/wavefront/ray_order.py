@@ -44,11 +44,12 @@ class RayOrder:
         self._watch = Stopwatch(cost_clock_of(device))
         self._timer = timer
         self._place = place
-        self._parts: list[SlotList] | None = None
+        self._parts: list[SlotList] | None = None  # of the list of scattered rays `_whole`
+        self._whole: wp.array | None = None
 
     def split(self, bounced: SlotList, bounce: wp.array, items_begun: int) -> None:
         """Cut the list of scattered rays by their bounce, where these are treated apart; `bounce` is that of each path."""
-        self._parts = None
+        self._parts, self._whole = None, bounced.slots
         if not self.policy.treats_alike(SPLIT_CLASSES, items_begun):
             self._parts = self._split.split(bounced, bounce)
 
@@ -81,6 +82,6 @@ class RayOrder:
             return [(SHADOW, listed)]
         if listed.coherent:
             return [(CAMERA, listed)]
-        if self._parts is None:
+        if self._parts is None or listed.slots is not self._whole:
             return [(BOUNCE, listed)]
         return list(zip(SPLIT_CLASSES, self._parts))
