@@ -56,13 +56,15 @@ DEVICE_TEXT = """
 #endif
 """
 
-# The ray in the space of the tree that it is in. `margin.py` has the reasons for both constants.
+# The ray in the space of the tree that it is in. `margin.py` has the reasons for both constants. Where it counts 24 u |o'| + 21 u M
+# of the 32 that are there, the approximate reciprocals (2 u instead of u: three times for a hit, once for a slab), bytes added to
+# an origin, and `late` added to a near plane make it 29 and 27 here.
 RAY_TEXT = """
     struct Ray {
         float ox, oy, oz;  // origin
         float ix, iy, iz;  // 1 / direction, no component of which is near 0
         float nx, ny, nz;  // a plane at p is met at fma(p, i, n) at the earliest,
-        float late;        // and |i| late later at the latest
+        float late;        // and |i| times this later at the latest
         float sx, sy;      // shear of the triangle test
         unsigned order;    // in each byte the octant that is visited first; in bits 5 and 6 the axis of the triangle test
     };
@@ -92,8 +94,8 @@ RAY_TEXT = """
 # Which children of a node (words a to e) a ray meets before `limit`: in bits 24 to 31 inner nodes, the one to visit first
 # highest; in bits 0 to 23 triangles of leaves.
 #
-# On CUDA distances are compared as integers, three at once: below 0 their order is another, but anything below 0 is a miss as an
-# exit, and 0 as an entry.
+# On CUDA distances are compared as the integers of their bits, three at once. Below 0 these have another order, but there an exit is a
+# miss whatever it is, and an entry counts as 0.
 NODE_TEXT = """
     auto meet_node = [&](const Ray& r, float limit, const Words& a, const Words& b, const Words& c, const Words& d, const Words& e) -> unsigned {
         const float sx = as_float((a.w << 23) & 0x7f800000u) * r.ix * BYTE_UNIT;
