@@ -1,0 +1,282 @@
+"""Native text for rays in trees of the layout BOXES: what a ray carries, and what is done to it in one step.
+
+`traverse_cpu.py` puts these parts into a native function, behind `VECTOR_TEXT`.
+"""
+
+from __future__ import annotations
+
+from .intersect import EDGE_TINY
+from .margin import DIRECTION_LEAST, SLAB_MARGIN
+
+# Levels of a wide tree are no more than those of the binary tree, 63 at most; each leaves up to seven children waiting.
+# Below them is the end of the stack, above them room for the eight words of a store.
+STACK_MESH = 8 + 63 * 7 + 16
+STACK_ALL = STACK_MESH + 63 * 7 + 16
+
+RAY_TEXT = """
+    constexpr int END = (int)0x80000000, LEAVE = END + 1;  // on the stack: the ray is done; it goes back to the top level
+    constexpr int STACK = TWO_LEVEL ? STACK_ALL : STACK_MESH;
+    // Where a ray is against boxes. A plane at p is met at fma(p, inverse, near) at the earliest, fma(p, inverse, far) at the latest;
+    // `row` has the byte in a node where the near planes of an axis are, the far ones are at row ^ 32.
+    struct Slabs {
+        float inverse[3], near[3], far[3];
+        int row[3];
+    };
+    struct alignas(64) Carried {
+        Slabs slabs;
+        float best;            // distance of the closest hit so far, or t_max
+        int child;             // where the ray goes next: a node, or a leaf's code below 0; `at` is its address
+        const char* at;
+        long long top;         // first free place of the stack
+        // triangle test: axes x, y, z as `intersect.py` permutes them
+        float ox, oy, oz, sx, sy, sz;
+        int x, y, z;           // bytes from corner to coordinate in a group
+        int slot, face;        // triangle of the closest hit so far, -1: none
+        float v, w;            // weights of its second and third corner
+        // instancing
+        int entry, hit_entry;  // the tree that the ray is in (-1: the top level); that of the closest hit so far
+        const char *nodes, *triangles;
+        Slabs top_slabs;
+        COUNTS_OF_RAY
+        alignas(64) float distance[STACK];  // where waiting children are entered, rounded down; NaN at the ends
+        alignas(64) int waiting[STACK];
+    };
+    // Rays are 128 bytes more than a multiple of 4096 apart, else they would share sets of the cache
+    struct Ray : Carried { char apart[4096 - (sizeof(Carried) - 128) % 4096]; };
+    const char* const NODES = (const char*)tree.nodes.data;
+    const char* const TRIANGLES = (const char*)tree.triangles.data;
+    const bool empty = tree.entry_count <= 0;
+    // of the only tree, where there is one
+    const char* const ONLY_NODES = TWO_LEVEL || empty ? NODES : NODES + 256ll * tree.entry_node.data[0];
+    const char* const ONLY_TRIANGLES = TWO_LEVEL || empty ? TRIANGLES : TRIANGLES + 320ll * tree.entry_triangle.data[0];
+
+    // Whether the ray can be traced. If not (it is not finite, or 0) planes could be NaN, and even places without a child be met.
+    auto set_slabs = [](Slabs& s, const float* o, const float* d, const auto& centre, float margin) INLINE -> bool {
+        float c[3], reach = 0.0f, most = 0.0f, sum = 0.0f;
+        for (int k = 0; k < 3; ++k) {
+            c[k] = o[k] - centre[k];
+            const float a = __builtin_fabsf(c[k]), b = __builtin_fabsf(d[k]);
+            reach = reach > a ? reach : a;
+            most = most > b ? most : b;
+        }
+        reach *= margin;
+        const float least = most * DIRECTION_LEAST;
+        for (int k = 0; k < 3; ++k) {
+            const float a = __builtin_fabsf(d[k]), raised = __builtin_copysignf(a > least ? a : least, d[k]);
+            const float inverse = 1.0f / raised, back = __builtin_copysignf(reach, raised);
+            s.inverse[k] = inverse;
+            s.near[k] = -(c[k] + back) * inverse;
+            s.far[k] = -(c[k] - back) * inverse;
+            s.row[k] = k * 64 + (raised < 0.0f ? 32 : 0);
+            sum += __builtin_fabsf(inverse) + __builtin_fabsf(s.near[k]) + __builtin_fabsf(s.far[k]);
+        }
+        return sum < __builtin_inff();
+    };
+    auto set_shear = [](Ray& ray, const float* o, const float* d) INLINE {
+        const float ax = __builtin_fabsf(d[0]), ay = __builtin_fabsf(d[1]), az = __builtin_fabsf(d[2]);
+        const int z = az > (ay > ax ? ay : ax) ? 2 : ay > ax ? 1 : 0, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
+        ray.sx = d[x] / d[z]; ray.sy = d[y] / d[z]; ray.sz = 1.0f / d[z];
+        ray.ox = o[x]; ray.oy = o[y]; ray.oz = o[z];
+        ray.x = 32 * x; ray.y = 32 * y; ray.z = 32 * z;
+    };
+    // Into the tree of an entry, with the ray in its space (as `transform_point` and `transform_vector`); whether it can be traced
+    auto set_entry = [&](Ray& ray, int entry) INLINE -> bool {
+        const auto& p = origin.data[ray.slot];
+        const auto& v = direction.data[ray.slot];
+        float o[3] = {p[0], p[1], p[2]}, d[3] = {v[0], v[1], v[2]};
+        if (TWO_LEVEL) {
+            const auto& m = tree.entry_from_world.data[entry].data;
+            for (int k = 0; k < 3; ++k) {
+                o[k] = m[k][0] * p[0] + m[k][1] * p[1] + m[k][2] * p[2] + m[k][3];
+                d[k] = m[k][0] * v[0] + m[k][1] * v[1] + m[k][2] * v[2];
+            }
+        }
+        const bool sound = set_slabs(ray.slabs, o, d, tree.entry_centre.data[entry], SLAB_MARGIN);
+        set_shear(ray, o, d);
+        ray.entry = entry;
+        ray.nodes = NODES + 256ll * tree.entry_node.data[entry];
+        ray.triangles = TRIANGLES + 320ll * tree.entry_triangle.data[entry];
+        ray.child = 0;
+        ray.at = ray.nodes;
+        return sound;
+    };
+    auto reset = [&](Ray& ray, int slot) INLINE {
+        ray.slot = slot;
+        const float limit = t_max.data[slot];
+        ray.best = limit > 0.0f ? limit : 0.0f;  // also where it is NaN, which would not end
+        ray.face = -1;
+        ray.v = ray.w = 0.0f;
+        ray.top = 8;
+        BEGIN_COUNTS
+    };
+    auto to_top = [&](Ray& ray) INLINE {
+        ray.slabs = ray.top_slabs;
+        ray.entry = -1;
+        ray.nodes = NODES + 256ll * tree.top_node;
+        ray.triangles = NODES;  // never read, but asked for ahead
+    };
+    // At the root; whether the ray can be traced
+    auto begin = [&](Ray& ray, int slot) INLINE -> bool {
+        reset(ray, slot);
+        if (!TWO_LEVEL) return set_entry(ray, 0);
+        const auto& p = origin.data[slot];
+        const auto& v = direction.data[slot];
+        const float o[3] = {p[0], p[1], p[2]}, d[3] = {v[0], v[1], v[2]};
+        const bool sound = set_slabs(ray.top_slabs, o, d, tree.top_centre, tree.top_margin);
+        to_top(ray);
+        ray.at = ray.nodes;
+        ray.child = 0;
+        return sound;
+    };
+    // instance and primitive of triangle `face` of entry `e`
+    auto identify = [&](int e, int face, int& instance, int& primitive) {
+        instance = tree.entry_instance.data[e];
+        primitive = face;
+        if (instance >= 0) return;
+        int low = tree.merged_first.data[e], high = tree.merged_first.data[e + 1] - 1;
+        while (low < high) {
+            const int middle = (low + high + 1) >> 1;
+            if (tree.merged_triangle_first.data[middle] <= face) low = middle; else high = middle - 1;
+        }
+        instance = tree.merged_instance.data[low];
+        primitive = face - tree.merged_triangle_first.data[low];
+    };
+    auto finish = [&](Ray& ray) INLINE {
+        const int slot = ray.slot;
+        END_COUNTS
+        if (ANY_HIT) { hit_instance.data[slot] = ray.face < 0 ? -1 : 0; return; }
+        int instance = -1, primitive = -1;
+        if (ray.face >= 0) identify(TWO_LEVEL ? ray.hit_entry : 0, ray.face, instance, primitive);
+        hit_t.data[slot] = ray.best;
+        hit_instance.data[slot] = instance;
+        hit_primitive.data[slot] = primitive;
+        hit_uv.data[slot] = wp::vec_t<2, float>(ray.v, ray.w);
+    };
+"""
+
+STEP_TEXT = """
+    auto ask_for = [](const char* p) INLINE {
+        __builtin_prefetch(p); __builtin_prefetch(p + 64); __builtin_prefetch(p + 128); __builtin_prefetch(p + 192); __builtin_prefetch(p + 256);
+    };
+    // Address of a child. Nodes and leaves come in no order that a processor could guess: no branch.
+    auto address = [&](const Ray& ray, int child) INLINE -> const char* {
+        const char* node = (TWO_LEVEL ? ray.nodes : ONLY_NODES) + 256ll * child;
+        const char* group = (TWO_LEVEL ? ray.triangles : ONLY_TRIANGLES) + 320ll * ((unsigned)~child >> 3);
+        long long leaf = (long long)child >> 63;
+        __asm__("" : "+r"(leaf));  // else the compiler finds a branch here
+        return (const char*)(((long long)node & ~leaf) | ((long long)group & leaf));
+    };
+    // The node at `p`: children that the ray meets go on the stack, the nearest on top; how many
+    auto visit = [&](Ray& ray, const char* p) INLINE -> int {
+        const Slabs& s = ray.slabs;
+        const Floats ix = all(s.inverse[0]), iy = all(s.inverse[1]), iz = all(s.inverse[2]);
+        auto planes = [&](int row) INLINE -> Floats { return *(const Floats*)(p + row); };
+        const Floats x0 = fused(planes(s.row[0]), ix, all(s.near[0])), x1 = fused(planes(s.row[0] ^ 32), ix, all(s.far[0]));
+        const Floats y0 = fused(planes(s.row[1]), iy, all(s.near[1])), y1 = fused(planes(s.row[1] ^ 32), iy, all(s.far[1]));
+        const Floats z0 = fused(planes(s.row[2]), iz, all(s.near[2])), z1 = fused(planes(s.row[2] ^ 32), iz, all(s.far[2]));
+        const Floats enter = larger(larger(x0, y0), larger(z0, all(0.0f)));
+        const Floats leave = smaller(smaller(x1, y1), smaller(z1, all(ray.best)));
+        const unsigned met = at_most(enter, leave);
+        COUNT_NODE
+        // distances are not below 0, so that their bits are in order; the last three make room for the slot
+        Ints key = compressed(((Ints)enter & ~7) | Ints{0, 1, 2, 3, 4, 5, 6, 7}, met);
+        const int count = __builtin_popcount(met);
+        key = __builtin_expect(count <= 4, 1) ? sorted_four(key) : sorted_eight(key);
+        *(LooseInts*)(ray.waiting + ray.top) = picked(*(const Ints*)(p + 192), key & 7);
+        *(LooseInts*)(ray.distance + ray.top) = key & ~7;
+        return count;
+    };
+    // A hit of triangle `face` at the distance t
+    auto keep = [&](Ray& ray, float t, int face, float v, float w) INLINE {
+        bool nearer = t < ray.best;
+        if (__builtin_expect(t == ray.best && ray.face >= 0, 0)) {
+            if (!TWO_LEVEL || ray.entry == ray.hit_entry) {
+                nearer = face < ray.face;
+            } else {
+                int instance, primitive, best_instance, best_primitive;
+                identify(ray.entry, face, instance, primitive);
+                identify(ray.hit_entry, ray.face, best_instance, best_primitive);
+                nearer = instance < best_instance || (instance == best_instance && primitive < best_primitive);
+            }
+        }
+        if (nearer) { ray.best = t; ray.face = face; ray.v = v; ray.w = w; ray.hit_entry = ray.entry; }
+    };
+    // The group of triangles at `p`
+    auto test = [&](Ray& ray, const char* p) INLINE {
+        const Floats ox = all(ray.ox), oy = all(ray.oy), oz = all(ray.oz), sx = all(-ray.sx), sy = all(-ray.sy);
+        auto corner = [&](int row) INLINE -> Floats { return *(const Floats*)(p + row); };
+        const Floats az = corner(ray.z) - oz, bz = corner(ray.z + 96) - oz, cz = corner(ray.z + 192) - oz;
+        const Floats ax = fused(sx, az, corner(ray.x) - ox), ay = fused(sy, az, corner(ray.y) - oy);
+        const Floats bx = fused(sx, bz, corner(ray.x + 96) - ox), by = fused(sy, bz, corner(ray.y + 96) - oy);
+        const Floats cx = fused(sx, cz, corner(ray.x + 192) - ox), cy = fused(sy, cz, corner(ray.y + 192) - oy);
+        const Ints face = *(const Ints*)(p + 288);
+        const unsigned there = 0xffu ^ negative(face);
+        COUNT_GROUP
+        const Floats u = difference(cx, by, cy, bx), v = difference(ax, cy, ay, cx), w = difference(bx, ay, by, ax);
+        const Floats least = smaller(smaller(u, v), w), most = larger(larger(u, v), w), tiny = all(EDGE_TINY);
+        unsigned hits = below(tiny, least) | below(most, -tiny);
+        unsigned unsure = (at_most(-tiny, least) | at_most(most, tiny)) & ~hits & there;
+        // most groups are missed altogether, but a division costs less than to guess which
+        const Floats r = all(1.0f) / (u + v + w);
+        Floats vr = v * r, wr = w * r, t = fused(wr, cz, fused(vr, bz, u * r * az)) * all(ray.sz);
+        for (; __builtin_expect(unsure != 0u, 0); unsure &= unsure - 1u) {
+            const int k = __builtin_ctz(unsure);
+            const double du = (double)cx[k] * by[k] - (double)cy[k] * bx[k];
+            const double dv = (double)ax[k] * cy[k] - (double)ay[k] * cx[k];
+            const double dw = (double)bx[k] * ay[k] - (double)by[k] * ax[k];
+            if ((du < 0.0 || dv < 0.0 || dw < 0.0) && (du > 0.0 || dv > 0.0 || dw > 0.0)) continue;
+            const double sum = du + dv + dw;
+            if (!(sum != 0.0)) continue;
+            const float fu = (float)(du / sum), fv = (float)(dv / sum), fw = (float)(dw / sum);
+            t[k] = __builtin_fmaf(fw, cz[k], __builtin_fmaf(fv, bz[k], fu * az[k])) * ray.sz;
+            vr[k] = fv;
+            wr[k] = fw;
+            hits |= 1u << k;
+        }
+        hits &= below(all(0.0f), t) & (ANY_HIT ? below(t, all(ray.best)) : at_most(t, all(ray.best)));
+        if (ANY_HIT) {
+            if (hits) { ray.face = 0; ray.top = 8; }
+            return;
+        }
+        for (; hits; hits &= hits - 1u) {
+            const int k = __builtin_ctz(hits);
+            keep(ray, ((const float*)&t)[k], ((const int*)&face)[k], ((const float*)&vr)[k], ((const float*)&wr)[k]);
+        }
+    };
+    // The leaf that `child` and `at` say
+    auto test_leaf = [&](Ray& ray) INLINE {
+        const char* p = ray.at;
+        int more = (unsigned)~ray.child & 7;
+        test(ray, p);
+        while (__builtin_expect(more-- > 0, 0)) test(ray, p += 320);
+    };
+    // A leaf of the top level was just taken from the stack: into its first entry, the others wait. Whether there is anything to see.
+    auto enter = [&](Ray& ray) INLINE -> bool {
+        const int code = ~ray.child, entry = tree.top_entry.data[code >> 3];
+        if (code & 7) ray.waiting[ray.top++] = ~(code + 7);  // one further, one less; its distance is still there
+        if (!(tree.entry_visibility.data[entry] & visibility.data[ray.slot])) return false;
+        if (!set_entry(ray, entry)) { to_top(ray); return false; }
+        ray.waiting[ray.top] = LEAVE;
+        ray.distance[ray.top++] = __builtin_nanf("");
+        return true;
+    };
+    // The highest child on the stack that is not beyond the closest hit, or an end; it is taken off
+    auto pop = [&](Ray& ray) INLINE -> int {
+        const Floats best = all(ray.best);
+        long long first = ray.top - 8;
+        unsigned good;
+        while (__builtin_expect((good = not_above(*(const LooseFloats*)(ray.distance + first), best)) == 0u, 0)) first -= 8;
+        ray.top = first + 31 - __builtin_clz(good);
+        return ray.waiting[ray.top];
+    };
+    auto clear_stack = [](Ray& ray) INLINE {
+        for (int k = 0; k < 8; ++k) { ray.waiting[k] = END; ray.distance[k] = __builtin_nanf(""); }
+    };
+""".replace("EDGE_TINY", f"{EDGE_TINY.hex()}f")
+
+RAY_TEXT = (
+    RAY_TEXT.replace("DIRECTION_LEAST", f"{DIRECTION_LEAST.hex()}f")
+    .replace("SLAB_MARGIN", f"{SLAB_MARGIN.hex()}f")
+    .replace("STACK_ALL", str(STACK_ALL))
+    .replace("STACK_MESH", str(STACK_MESH))
+)
