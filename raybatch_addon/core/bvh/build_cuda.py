@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from ..device import free_memory
-from ..errors import OutOfMemoryError
+from ..errors import OutOfMemoryError, SceneError
 from ..kernel import KERNEL_OPTIONS
 from .build_cuda_clusters import CLUSTER_KERNELS, ROUND_LIMIT, BinaryNodes, merge_leaves, sort_leaves, triangle_boxes
 from .build_cuda_collapse import COLLAPSE_KERNELS, WideNodes, choose, collapse
@@ -32,6 +32,8 @@ ROUND_LIMIT_DEEP = DEPTH_MAX - 32
 # Most memory at any time of a build, its result included [bytes per triangle or box]: boxes of binary nodes 48, their children 8
 # and leaves 4, parents and what refitting needs 16, moves 42, and a little; earlier and later steps need less
 BYTES_EACH = 125
+# Vectors of triangles are counted in int32
+COUNT_MAX = (2**31 - 1) // 3
 VECTORS_PER_TRIANGLE = 3
 
 
@@ -121,7 +123,7 @@ def build_mesh(
         triangles: wp.vec3i, on the same device.
         cost: weights of a node and of a triangle.
 
-    Raises `OutOfMemoryError` where the build does not fit, `SceneError` for coordinates that are not finite.
+    Raises `OutOfMemoryError` where the build does not fit, `SceneError` for more than `COUNT_MAX` and for coordinates that are not finite.
     """
     device = positions.device
     _check_memory(device, count, "triangles")
@@ -221,6 +223,8 @@ def _nothing() -> tuple:
 
 
 def _check_memory(device: wp.Device, count: int, what: str) -> None:
+    if count > COUNT_MAX:
+        raise SceneError(f"a tree on a device holds {COUNT_MAX:,} {what}, not {count:,}; split the mesh")
     needed, free = count * BYTES_EACH, free_memory(device)
     if needed > free:
         raise OutOfMemoryError(

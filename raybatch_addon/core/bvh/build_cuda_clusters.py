@@ -96,6 +96,9 @@ def triangle_boxes_kernel(
     a, b, c = positions[triangle[0]], positions[triangle[1]], positions[triangle[2]]
     low[i] = wp.min(wp.min(a, b), c)
     high[i] = wp.max(wp.max(a, b), c)
+    # minimum and maximum may pass over what is not a number
+    if not (wp.isfinite(a) and wp.isfinite(b) and wp.isfinite(c)):
+        low[i] = wp.vec3(-wp.inf, -wp.inf, -wp.inf)
 
 
 @wp.kernel(**KERNEL_OPTIONS)
@@ -109,7 +112,9 @@ def bounds_kernel(
     middle_first = wp.vec3(wp.inf, wp.inf, wp.inf)
     middle_last = -middle_first
     for i in range(lane, low.shape[0], lanes):
-        a, b = low[i], high[i]
+        a, b = wp.vec3(low[i]), wp.vec3(high[i])
+        if not (wp.isfinite(a) and wp.isfinite(b)):
+            a = wp.vec3(-wp.inf, -wp.inf, -wp.inf)
         middle = 0.5 * a + 0.5 * b
         first, last = wp.min(first, a), wp.max(last, b)
         middle_first, middle_last = wp.min(middle_first, middle), wp.max(middle_last, middle)

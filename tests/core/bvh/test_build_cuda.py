@@ -199,14 +199,22 @@ def test_a_tree_over_boxes_lists_each_once_and_alone(device, count):
     assert (walk.leaf_high >= high[entry].astype(np.float64) - top.centre + margin).all()
 
 
-def test_what_does_not_fit_is_told_with_its_size(device):
+def test_what_does_not_fit_is_told_with_its_size(device, monkeypatch):
     positions, triangles = uploaded(device, *soup(1))
-    with pytest.raises(OutOfMemoryError, match="1,000,000,000,000 triangles needs 125000.00 GB"):
-        build_mesh(positions, triangles, 0, 10**12)
+    with pytest.raises(SceneError, match="holds 715,827,882 triangles, not 1,000,000,000"):
+        build_mesh(positions, triangles, 0, 10**9)
+    monkeypatch.setattr(build_cuda, "free_memory", lambda device: 10**9)
+    with pytest.raises(OutOfMemoryError, match="268,435,456 triangles needs 33.55 GB while it is built, and .* has 1.00 GB free"):
+        build_mesh(positions, triangles, 0, 2**28)
 
 
-def test_coordinates_that_are_not_finite_are_told(device):
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("vertex", [12, 13, 14])
+def test_coordinates_that_are_not_finite_are_told(device, value, vertex):
     positions, triangles = soup(10)
-    positions[4, 1] = np.inf
+    positions[vertex, 1] = value
     with pytest.raises(SceneError, match="not a finite number"):
         build(device, positions, triangles)
+    boxes = [wp.array(corner, dtype=wp.vec3, device=device) for corner in (positions, positions)]
+    with pytest.raises(SceneError, match="not a finite number"):
+        build_top(*boxes)
