@@ -86,7 +86,7 @@ def build_scene_tree(
 
 def layout_for(device: wp.Device) -> Layout:
     """The layout whose traversal is fastest on `device`."""
-    return Layout.QUANTISED
+    return Layout.QUANTISED if device.is_cuda else Layout.BOXES
 
 
 class _MeshTrees:

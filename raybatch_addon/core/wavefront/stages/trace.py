@@ -12,6 +12,7 @@ import warp as wp
 from ...bvh.node import Layout
 from ...bvh.reference import ReferenceTree, make_reference
 from ...bvh.trace_counts import TraceCounts
+from ...bvh.traverse_cpu import make_cpu_traversal
 from ...bvh.traverse_cuda import BLOCK_SIZE, TraceOptions, thread_count, trace_function
 from ...bvh.tree import Tree
 from ...kernel import KERNEL_OPTIONS, with_block_size
@@ -62,7 +63,7 @@ class TraceStage(Protocol):
 
 def trace_stage(features: TraceFeatures) -> TraceStage:
     """How rays are traced."""
-    stages = {Traversal.REFERENCE: ReferenceStage, Traversal.QUANTISED: QuantisedStage}
+    stages = {Traversal.REFERENCE: ReferenceStage, Traversal.BOXES: BoxesStage, Traversal.QUANTISED: QuantisedStage}
     return stages[features.traversal](features)
 
 
@@ -77,6 +78,46 @@ def tracing_stages(traversal: Traversal, instancing: bool, counters: bool) -> di
 
 
 # --- the own tree
+
+
+class BoxesStage:
+    """One thread, on the CPU."""
+
+    def __init__(self, features: TraceFeatures):
+        self._counters = features.counters
+        self._kernel = boxes_kernel(features.any_hit, features.instancing, features.counters)
+        self.kernels = (self._kernel,)
+
+    def launch(self, tree: Tree, rays: Rays, listed: SlotList, counts: TraceCounts | None) -> None:
+        inputs = [tree, rays, listed.slots, listed.count]
+        if self._counters:
+            inputs.append(counts)
+        wp.launch(self._kernel, 1, inputs, device="cpu")
+
+
+@functools.cache
+def boxes_kernel(any_hit: bool, instancing: bool, counters: bool) -> wp.Kernel:
+    """Kernel (tree, rays, slots, count), with counters also (counts), launched once: trace the first `count[0]` of `slots`."""
+    trace = make_cpu_traversal(any_hit, instancing, counters=counters)
+    if counters:
+
+        @wp.kernel(**KERNEL_OPTIONS)
+        def trace_counted(tree: Tree, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int), counts: TraceCounts):
+            trace(
+                tree, rays.origin, rays.direction, rays.t_max, rays.visibility, rays.hit_t, rays.hit_instance, rays.hit_primitive,
+                rays.hit_uv, slots, 0, count[0], counts,
+            )  # fmt: skip
+
+        return trace_counted
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def trace_boxes(tree: Tree, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)):
+        trace(
+            tree, rays.origin, rays.direction, rays.t_max, rays.visibility, rays.hit_t, rays.hit_instance, rays.hit_primitive,
+            rays.hit_uv, slots, 0, count[0],
+        )  # fmt: skip
+
+    return trace_boxes
 
 
 class QuantisedStage:
