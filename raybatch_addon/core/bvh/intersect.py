@@ -107,7 +107,8 @@ def fused_multiply_add(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarra
     product, addend = np.float64(a) * np.float64(b), np.float64(c)
     total = product + addend
     part = total - product
-    error = (product - (total - part)) + (addend - part)
+    with np.errstate(invalid="ignore"):
+        error = (product - (total - part)) + (addend - part)
     bits = np.asarray(total).view(np.int64)
     even = (error != 0) & (bits & 1 == 0) & np.isfinite(total)
     outwards = (error > 0) == (total > 0)
