@@ -1,7 +1,7 @@
 """The trees of a whole scene, on the device that will trace them.
 
 On the CPU: binned SAH and the layout BOXES. On CUDA: clusters in Morton order, built on the device, and the layout
-QUANTISED; small meshes and those with spatial splits are built by the CPU and uploaded.
+QUANTISED; meshes with spatial splits are built by the CPU and uploaded.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import warp as wp
 from ..scene.flatten import FlatGeometry
 from ..scene.geometry import Geometry, mat34
 from .binary import BuildOptions
-from .build_cuda import build_mesh
+from .build_cuda import DeviceTop, build_mesh, build_top
 from .build_sah import build_binary, build_binary_from_boxes
 from .collapse import collapse_entries, collapse_mesh
 from .encode import as_vectors
@@ -24,8 +24,6 @@ from .margin import SLAB_MARGIN
 from .node import TRIANGLES_MAX_QUANTISED, Layout, WideTop, aligned_empty
 from .tree import Tree
 
-# Below this many triangles a device's many launches take longer than the CPU's build
-DEVICE_BUILD_MIN = 1 << 15
 _VECTOR = 16  # bytes of an element of the device's arrays
 
 
@@ -102,7 +100,7 @@ class _MeshTrees:
 
     def tree(self, first: int, count: int) -> int:
         """The number of the tree over triangles first..first+count."""
-        if self._device.is_cuda and count >= DEVICE_BUILD_MIN and not self._options.spatial_splits:
+        if self._device.is_cuda and not self._options.spatial_splits:
             self.trees.append(self._on_device(first, count))
         else:
             self.trees.append(self._on_host(first, count))
@@ -159,7 +157,7 @@ def _assembled(maker: _MeshTrees, entries: _Entries, instancing: bool, device: w
     boxes = [_transformed_box(matrix, trees[i].box.astype(np.float64)) for i, matrix in zip(entries.mesh, to_world)]
     top = None
     if instancing:
-        top, tree.top_margin = _top_level(boxes, to_world, from_world, layout)
+        top, tree.top_margin = _top_level(boxes, to_world, from_world, layout, device)
         tree.top_centre = wp.vec3(*top.centre.tolist())
     node_first = np.cumsum([0, *(mesh.node_count for mesh in trees)])
     triangle_first = np.cumsum([0, *(mesh.triangle_places for mesh in trees)])
@@ -181,7 +179,8 @@ def _assembled(maker: _MeshTrees, entries: _Entries, instancing: bool, device: w
     tree.merged_first = upload(entries.merged_first, int)
     tree.merged_instance = upload(entries.merged_instance, int)
     tree.merged_triangle_first = upload(entries.merged_triangle_first, int)
-    tree.top_entry = upload(top.order if top else [], int)
+    order = top.order if top else []
+    tree.top_entry = order if isinstance(order, wp.array) else upload(order, int)
     tree.entry_count = len(entries.mesh)
     wp.synchronize_device(device)
     statistics = {
@@ -222,7 +221,9 @@ def _joined(blocks: list[Any], device: wp.Device) -> tuple[wp.array, list[Any]]:
     return joined, []
 
 
-def _top_level(boxes: list[np.ndarray], to_world: np.ndarray, from_world: np.ndarray, layout: Layout) -> tuple[WideTop, float]:
+def _top_level(
+    boxes: list[np.ndarray], to_world: np.ndarray, from_world: np.ndarray, layout: Layout, device: wp.Device
+) -> tuple[WideTop | DeviceTop, float]:
     """The tree over the entries, whose world boxes are `boxes`, and the margin of rays against it.
 
     A ray that is carried to object space by nine products and sums of float32 meets there what it would meet, carried exactly,
@@ -239,8 +240,10 @@ def _top_level(boxes: list[np.ndarray], to_world: np.ndarray, from_world: np.nda
         grown.append((box[0] - margin, box[1] + margin))
     low, high = (np.array(corner, np.float32).reshape(-1, 3) for corner in zip(*grown))
     low, high = np.nextafter(low, np.float32(-np.inf)), np.nextafter(high, np.float32(np.inf))
-    binary = build_binary_from_boxes(low, high, BuildOptions(leaf_group=1, leaf_max=1))
-    return collapse_entries(binary, layout), float(2 * SLAB_MARGIN * condition.max())
+    margin = float(2 * SLAB_MARGIN * condition.max())
+    if device.is_cuda:
+        return build_top(wp.array(low, dtype=wp.vec3, device=device), wp.array(high, dtype=wp.vec3, device=device)), margin
+    return collapse_entries(build_binary_from_boxes(low, high, BuildOptions(leaf_group=1, leaf_max=1)), layout), margin
 
 
 def inverse_transforms(matrices: np.ndarray) -> np.ndarray:
