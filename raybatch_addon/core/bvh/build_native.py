@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 INDEX_BIAS = 127 << 23
-BINS_BYTES = 3 * 16 * (32 + 4)
+BINS_BYTES = 4 + 3 * 32 * (32 + 4)
 # The kind of a task whose split cuts triangles
 SPATIAL = 4
 
@@ -42,7 +42,7 @@ typedef float f8 __attribute__((vector_size(32)));
 typedef float f16 __attribute__((vector_size(64)));
 typedef int i16 __attribute__((vector_size(64)));
 typedef float f8u __attribute__((vector_size(32), aligned(4)));  // wherever NumPy put it
-enum { BINS = 16, EXACT_MAX = 16, LEAF = 0, HALF = 1, OBJECT = 2, LISTED = 3, SPATIAL = 4, DEPTH_MAX = 63, INDEX_BIAS = 127 << 23 };
+enum { BINS_MAX = 32, BINS_FEW = 16, FEW = 512, EXACT_MAX = 16, LEAF = 0, HALF = 1, OBJECT = 2, LISTED = 3, SPATIAL = 4, DEPTH_MAX = 63, INDEX_BIAS = 127 << 23 };
 
 struct Task {
     long long first, count, capacity, left_count, right_count, node_count, reference_count, node_first, reference_first;
@@ -55,8 +55,9 @@ struct Job {
     f8u bounds[4];
 };
 struct Bins {
-    f8u box[3][BINS];
-    int count[3][BINS];
+    int bins;  // in use
+    f8u box[3][BINS_MAX];
+    int count[3][BINS_MAX];
 };
 struct Options {
     int leaf_group, leaf_max;
@@ -98,32 +99,37 @@ struct Sah {
         }
     };
 
-    // Which bin a record's middle falls into, by axis.
+    // More bins make a better tree, and small nodes, of which there are many, slow to build.
+    static int bin_count(const Task& task) { return task.count > FEW ? BINS_MAX : BINS_FEW; }
+
+    // Which of the equal parts of a range, given as a box, a point falls into, by axis.
     struct Binning {
-        f4 origin, scale;
-        explicit Binning(f8 middles) {
-            origin = -low4(middles);
-            f4 e = extent(middles);
+        f4 origin, scale, last;
+        Binning(f8 range, int bins) {
+            origin = -low4(range);
             origin[3] = 0;
-            scale = e > 0 ? (float)BINS / e : f4{};
+            f4 e = extent(range);
+            scale = e > 0 ? (float)bins / e : f4{};
+            last = f4{} + (float)(bins - 1);
         }
-        i4 operator()(f8 record) const {
-            f4 bin = (high4(record) - low4(record) - origin) * scale;
+        i4 operator()(f4 point) const {
+            f4 bin = (point - origin) * scale;
             bin = bin > 0 ? bin : f4{};  // not a number: 0
-            f4 last = f4{} + (float)(BINS - 1);
-            bin = bin < last ? bin : last;
-            return __builtin_convertvector(bin, i4);
+            return __builtin_convertvector(bin < last ? bin : last, i4);
         }
     };
 
-    static void clear(Bins& bins) {
+    static void clear(Bins& bins, const Task& task) {
+        bins.bins = bin_count(task);
         for (int k = 0; k < 3; k++)
-            for (int b = 0; b < BINS; b++) { bins.box[k][b] = nothing(); bins.count[k][b] = 0; }
+            for (int b = 0; b < bins.bins; b++) { bins.box[k][b] = nothing(); bins.count[k][b] = 0; }
     }
-    static void bin(const f8u* records, long long first, long long count, const Binning& binning, Bins& bins) {
+    static void bin(const f8u* records, const Task& task, long long first, long long count, Bins& bins) {
+        clear(bins, task);
+        Binning binning(task.middle, bins.bins);
         for (long long i = first; i < first + count; i++) {
             f8 record = records[i];
-            i4 place = binning(record);
+            i4 place = binning(high4(record) - low4(record));
             for (int k = 0; k < 3; k++) {
                 bins.box[k][place[k]] = larger(bins.box[k][place[k]], record);
                 bins.count[k][place[k]]++;
@@ -132,7 +138,7 @@ struct Sah {
     }
     static void merge(Bins& bins, const Bins& more) {
         for (int k = 0; k < 3; k++)
-            for (int b = 0; b < BINS; b++) {
+            for (int b = 0; b < bins.bins; b++) {
                 bins.box[k][b] = larger(bins.box[k][b], more.box[k][b]);
                 bins.count[k][b] += more.count[k][b];
             }
@@ -147,11 +153,11 @@ struct Sah {
     static void choose_object(const Bins& bins, const Options& options, const Measure& measure, Task& task) {
         float best = __builtin_inff();
         for (int k = 0; k < 3; k++) {
-            float right_cost[BINS];
-            int right_count[BINS];
+            float right_cost[BINS_MAX];
+            int right_count[BINS_MAX];
             f8 box = nothing();
             int count = 0;
-            for (int b = BINS - 1; b > 0; b--) {
+            for (int b = bins.bins - 1; b > 0; b--) {
                 box = larger(box, bins.box[k][b]);
                 count += bins.count[k][b];
                 right_cost[b] = measure(box) * groups(options, count);
@@ -159,7 +165,7 @@ struct Sah {
             }
             box = nothing();
             count = 0;
-            for (int b = 0; b < BINS - 1; b++) {
+            for (int b = 0; b < bins.bins - 1; b++) {
                 box = larger(box, bins.box[k][b]);
                 count += bins.count[k][b];
                 if (count == 0 || right_count[b + 1] == 0) continue;
@@ -177,7 +183,7 @@ struct Sah {
         if (task.kind != OBJECT) return;
         task.cost = best;
         task.left_box = task.right_box = nothing();
-        for (int b = 0; b < BINS; b++) {
+        for (int b = 0; b < bins.bins; b++) {
             f8u& side = b <= task.bin ? task.left_box : task.right_box;
             side = larger(side, bins.box[task.axis][b]);
         }
@@ -250,7 +256,7 @@ struct Sah {
             to[end[side]++] = record;
             bounds[side].add(record);
         };
-        Binning binning(task.middle);
+        Binning binning(task.middle, bin_count(task));
         float origin = binning.origin[task.axis], scale = binning.scale[task.axis];
         if (task.kind == OBJECT)
             for (long long i = first; i < first + count; i++) {

@@ -7,14 +7,15 @@ and rounded outwards, so that every point of a triangle is in the box of one of 
 
 from __future__ import annotations
 
-SPATIAL_BINS_BYTES = 3 * 16 * (32 + 8)
+SPATIAL_BINS_BYTES = 4 + 3 * 32 * (32 + 8)
 
 NATIVE_SPATIAL = (
     r"""
 typedef double d4 __attribute__((vector_size(32)));
 struct SpatialBins {
-    f8u box[3][BINS];
-    int enter[3][BINS], leave[3][BINS];  // references that begin and end here
+    int bins;  // in use
+    f8u box[3][BINS_MAX];
+    int enter[3][BINS_MAX], leave[3][BINS_MAX];  // references that begin and end here
 };
 
 struct Spatial {
@@ -86,13 +87,9 @@ struct Spatial {
         }
     }
 
-    static void clear(SpatialBins& bins) {
-        for (int k = 0; k < 3; k++)
-            for (int b = 0; b < BINS; b++) { bins.box[k][b] = Sah::nothing(); bins.enter[k][b] = bins.leave[k][b] = 0; }
-    }
     static void merge(SpatialBins& bins, const SpatialBins& more) {
         for (int k = 0; k < 3; k++)
-            for (int b = 0; b < BINS; b++) {
+            for (int b = 0; b < bins.bins; b++) {
                 bins.box[k][b] = Sah::larger(bins.box[k][b], more.box[k][b]);
                 bins.enter[k][b] += more.enter[k][b];
                 bins.leave[k][b] += more.leave[k][b];
@@ -100,31 +97,65 @@ struct Spatial {
     }
 
     // Planes cut the node's own box into equal parts
-    static float plane(f8 box, int axis, int bin) { return -box[axis] + (box[4 + axis] + box[axis]) * ((bin + 1) * (1.0f / BINS)); }
+    static float plane(const SpatialBins& bins, f8 box, int axis, int bin) {
+        return -box[axis] + (box[4 + axis] + box[axis]) * ((bin + 1) * (1.0f / bins.bins));
+    }
 
-    void bin(const f8u* records, long long first, long long count, f8 box, SpatialBins& bins) const {
-        f4 origin = -Sah::low4(box), e = Sah::extent(box), last = f4{} + (float)(BINS - 1);
-        f4 scale = e > 0 ? (float)BINS / e : f4{};
-        auto place = [&](f4 point) {
-            f4 bin = (point - origin) * scale;
-            bin = bin > 0 ? bin : f4{};
-            return __builtin_convertvector(bin < last ? bin : last, i4);
-        };
+    // The parts of a record's triangle that lie in bins from..to of an axis, to rounding: each edge is followed from plane to plane.
+    static void slice(const f8* corners, const i4* places, f8 record, int k, int from, int to, const float* planes, f8* parts) {
+        float low = -record[k], high = record[4 + k];
+        for (int b = from; b <= to; b++) parts[b] = Sah::nothing();
+        for (int e = 0; e < 3; e++) {
+            int i = e, j = e == 2 ? 0 : e + 1;
+            if (corners[i][4 + k] > corners[j][4 + k]) { i = j; j = e; }
+            f8 a = corners[i], along = corners[j] - a;
+            float start = a[4 + k], end = corners[j][4 + k], inverse = 1 / (end - start);
+            if (end < low || start > high) continue;
+            f8 point = start < low ? a + along * ((low - start) * inverse) : a;
+            f8 last = end > high ? a + along * ((high - start) * inverse) : corners[j];
+            int b = start < low ? from : places[i][k], b_end = end > high ? to : places[j][k];
+            for (; b < b_end; b++) {
+                f8 next = a + along * ((planes[b] - start) * inverse);
+                parts[b] = Sah::larger(parts[b], Sah::larger(point, next));
+                point = next;
+            }
+            parts[b] = Sah::larger(parts[b], Sah::larger(point, last));
+        }
+    }
+
+    void bin(const f8u* records, const Task& task, long long first, long long count, SpatialBins& bins) const {
+        bins.bins = Sah::bin_count(task);
+        float planes[3][BINS_MAX];
+        for (int k = 0; k < 3; k++)
+            for (int b = 0; b < bins.bins; b++) {
+                bins.box[k][b] = Sah::nothing();
+                bins.enter[k][b] = bins.leave[k][b] = 0;
+                planes[k][b] = plane(bins, task.box, k, b);
+            }
+        Sah::Binning place(task.box, bins.bins);
         for (long long i = first; i < first + count; i++) {
-            f8 record = records[i];
-            i4 from = place(-Sah::low4(record)), to = place(Sah::high4(record));
-            Corners triangle;
-            if (from[0] != to[0] || from[1] != to[1] || from[2] != to[2]) triangle = corners(record);
+            f8 record = records[i], corners[3];
+            i4 from = place(-Sah::low4(record)), to = place(Sah::high4(record)), places[3];
+            if (from[0] != to[0] || from[1] != to[1] || from[2] != to[2])
+                for (int c = 0; c < 3; c++) {
+                    const float* p = positions + 3ll * triangles[3ll * Sah::index(record) + c];
+                    f4 point = {p[0], p[1], p[2], 0};
+                    corners[c] = Sah::join(-point, point);
+                    places[c] = place(point);
+                }
             for (int k = 0; k < 3; k++) {
                 bins.enter[k][from[k]]++;
                 bins.leave[k][to[k]]++;
-                f8 rest = record, part;
-                for (int b = from[k]; b < to[k]; b++) {
-                    cut(triangle, rest, k, plane(box, k, b), part, rest);
-                    if (is_box(part)) bins.box[k][b] = Sah::larger(bins.box[k][b], part);
-                    if (!is_box(rest)) break;
+                if (from[k] == to[k]) {
+                    bins.box[k][from[k]] = Sah::larger(bins.box[k][from[k]], record);
+                    continue;
                 }
-                if (is_box(rest)) bins.box[k][to[k]] = Sah::larger(bins.box[k][to[k]], rest);
+                f8 parts[BINS_MAX];
+                slice(corners, places, record, k, from[k], to[k], planes[k], parts);
+                for (int b = from[k]; b <= to[k]; b++) {
+                    f8 part = parts[b] < record ? parts[b] : record;
+                    if (is_box(part)) bins.box[k][b] = Sah::larger(bins.box[k][b], part);
+                }
             }
         }
     }
@@ -133,10 +164,10 @@ struct Spatial {
     static bool choose(const SpatialBins& bins, const Options& options, const Sah::Measure& measure, Task& task) {
         float best = task.cost;
         for (int k = 0; k < 3; k++) {
-            float right_cost[BINS];
-            int right_count[BINS], count = 0;
-            f8 box = Sah::nothing(), right_box[BINS];
-            for (int b = BINS - 1; b > 0; b--) {
+            float right_cost[BINS_MAX];
+            int right_count[BINS_MAX], count = 0;
+            f8 box = Sah::nothing(), right_box[BINS_MAX];
+            for (int b = bins.bins - 1; b > 0; b--) {
                 box = Sah::larger(box, bins.box[k][b]);
                 count += bins.leave[k][b];
                 right_cost[b] = measure(box) * Sah::groups(options, count);
@@ -145,7 +176,7 @@ struct Spatial {
             }
             box = Sah::nothing();
             count = 0;
-            for (int b = 0; b < BINS - 1; b++) {
+            for (int b = 0; b < bins.bins - 1; b++) {
                 box = Sah::larger(box, bins.box[k][b]);
                 count += bins.enter[k][b];
                 if (count == 0 || right_count[b + 1] == 0 || count + right_count[b + 1] > task.capacity) continue;
@@ -154,7 +185,7 @@ struct Spatial {
                     best = task.cost = cost;
                     task.kind = SPATIAL;
                     task.axis = k;
-                    task.position = plane(task.box, k, b);
+                    task.position = plane(bins, task.box, k, b);
                     task.left_box = box;
                     task.right_box = right_box[b + 1];
                     task.left_weight = count;

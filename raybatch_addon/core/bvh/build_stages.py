@@ -122,15 +122,13 @@ auto decide = [&](Task& task) {
         Sah::choose_exact(own, options, measure, task);
     } else {
         Bins bins;
-        Sah::clear(bins);
-        Sah::bin(own, task.first, task.count, Sah::Binning(task.middle), bins);
+        Sah::bin(own, task, task.first, task.count, bins);
         Sah::choose_object(bins, options, measure, task);
     }
     if (is_spatial(task)) {
         Task trial = task;
         SpatialBins bins;
-        Spatial::clear(bins);
-        spatial.bin(own, task.first, task.count, task.box, bins);
+        spatial.bin(own, task, task.first, task.count, bins);
         if (Spatial::choose(bins, options, measure, trial)) {
             spatial.count(own, trial, trial.first, trial.count, trial.left_count, trial.right_count);
             if (trial.left_count && trial.right_count && trial.left_count + trial.right_count <= trial.capacity) task = trial;
@@ -223,15 +221,13 @@ for (long long i = first; i < end; i++) switch (stage) {
     case 0: make_records(jobs[i]); break;
     case 1: {
         const Task& task = tasks[jobs[i].task];
-        Sah::clear(all_bins[i]);
-        Sah::bin(records[task.buffer], jobs[i].first, jobs[i].count, Sah::Binning(task.middle), all_bins[i]);
+        Sah::bin(records[task.buffer], task, jobs[i].first, jobs[i].count, all_bins[i]);
         break;
     }
     case 2: choose(tasks[i]); break;
     case 3: {
         const Task& task = tasks[jobs[i].task];
-        Spatial::clear(all_spatial_bins[i]);
-        spatial.bin(records[task.buffer], jobs[i].first, jobs[i].count, task.box, all_spatial_bins[i]);
+        spatial.bin(records[task.buffer], task, jobs[i].first, jobs[i].count, all_spatial_bins[i]);
         break;
     }
     case 4: choose_spatial(tasks[i]); break;
