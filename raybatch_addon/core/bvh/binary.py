@@ -27,17 +27,24 @@ class BuildOptions:
 
     leaf_group: int = 8  # triangles that are tested together: a leaf of n costs ceil(n / leaf_group); 1..8
     leaf_max: int = 8  # most references of a leaf; 1..64
-    traversal_cost: float = 1.0  # cost of a step into a binary node; above 0
+    traversal_cost: float | None = None  # cost of a step into a binary node, above 0; None: measured to be best for the group
     spatial_splits: bool = False  # split triangles where that lowers the cost
     split_budget: float = 0.3  # references that spatial splits may add, as a share of the triangles; 0..4
     split_overlap: float = 1e-5  # a spatial split is tried where child boxes overlap by more than this share of the root's area
     thread_count: int = 0  # threads of the build, 0: as many as cores; the tree is the same for any
 
     def __post_init__(self) -> None:
-        if not (1 <= self.leaf_group <= 8 and 1 <= self.leaf_max <= 64 and self.traversal_cost > 0):
+        if not (1 <= self.leaf_group <= 8 and 1 <= self.leaf_max <= 64 and self.step_cost > 0):
             raise ValueError("leaf_group is 1..8, leaf_max 1..64, traversal_cost above 0")
         if not (0 <= self.split_budget <= 4 and self.split_overlap >= 0 and self.thread_count >= 0):
             raise ValueError("split_budget is 0..4, split_overlap and thread_count are not negative")
+
+    @property
+    def step_cost(self) -> float:
+        """Cost of a step into a binary node. Several of them become one step into a wide node, which costs less than as many groups."""
+        if self.traversal_cost is not None:
+            return self.traversal_cost
+        return 0.3 if self.leaf_group >= 4 else 1.0
 
     def capacity(self, triangle_count: int) -> int:
         """References that a tree over `triangle_count` triangles may have; raises `SceneError` beyond `REFERENCES_MAX`."""
@@ -63,7 +70,7 @@ class BuildStatistics:
     leaf_largest: int  # references
     node_steps: float  # inner nodes that a random ray through the root's box meets, by the surface area heuristic
     group_tests: float  # groups of `leaf_group` triangles that it tests
-    sah_cost: float  # node_steps * traversal_cost + group_tests
+    sah_cost: float  # node_steps * step_cost + group_tests
     seconds: float
     memory_peak: int  # arrays of the build and its result, together [bytes]
 

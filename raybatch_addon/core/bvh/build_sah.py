@@ -98,7 +98,7 @@ class _Build:
         self.arrays.references = _device_array(self._allocate((self.capacity,), np.int32), int)
         self.numbers = BuildNumbers()
         self.numbers.leaf_group, self.numbers.leaf_max = options.leaf_group, options.leaf_max
-        self.numbers.traversal_cost = options.traversal_cost
+        self.numbers.traversal_cost = options.step_cost
         self.numbers.group_inverse = float(np.nextafter(np.float32(1 / options.leaf_group), np.float32(2)))
         self.numbers.split_overlap = options.split_overlap
         build_kernel.module.load(wp.get_device("cpu"), 1)
@@ -257,7 +257,7 @@ class _Build:
             leaf_largest=int(subtrees["leaf_largest"].max()),
             node_steps=steps,
             group_tests=groups,
-            sah_cost=steps * self.options.traversal_cost + groups,
+            sah_cost=steps * self.options.step_cost + groups,
             seconds=time.perf_counter() - start,
             memory_peak=self.memory,
         )

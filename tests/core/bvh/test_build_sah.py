@@ -126,9 +126,9 @@ def plain_cost(low: np.ndarray, high: np.ndarray, options: BuildOptions) -> floa
             at = int(costs.argmin())
             if costs[at] < best:
                 best, choice = costs[at], (order[: at + 1], order[at + 1 :])
-        if choice is None or (count <= options.leaf_max and own * groups(count) <= options.traversal_cost * own + best):
+        if choice is None or (count <= options.leaf_max and own * groups(count) <= options.step_cost * own + best):
             return own * groups(count)
-        return own * options.traversal_cost + sum(build(low[side], high[side]) for side in choice)
+        return own * options.step_cost + sum(build(low[side], high[side]) for side in choice)
 
     low, high = low.astype(np.float64), high.astype(np.float64)
     return build(low, high) / float(area(low.min(0), high.max(0)))
