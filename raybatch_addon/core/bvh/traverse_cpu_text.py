@@ -16,13 +16,13 @@ STACK_ALL = STACK_MESH + 63 * 7 + 16
 RAY_TEXT = """
     constexpr int END = (int)0x80000000, LEAVE = END + 1;  // on the stack: the ray is done; it goes back to the top level
     constexpr int STACK = TWO_LEVEL ? STACK_ALL : STACK_MESH;
-    // Where a ray is against boxes. A plane at p is met at fma(p, inverse, near) at the earliest, fma(p, inverse, far) at the latest;
-    // `row` has the byte in a node where the near planes of an axis are, the far ones are at row ^ 32.
-    struct Slabs {
-        float inverse[3], near[3], far[3];
-        int row[3];
+    // Where a ray is against boxes, by axis (the fourth is unused). A plane at p is met at fma(p, inverse, near) at the earliest and
+    // fma(p, inverse, far) at the latest; `row` has the byte in a node where the near planes are, the far ones are at row ^ 32.
+    struct alignas(64) Slabs {
+        FourFloats inverse, near, far;
+        FourInts row;
     };
-    struct alignas(64) Carried {
+    struct Carried {
         Slabs slabs;
         float best;            // distance of the closest hit so far, or t_max
         int child;             // where the ray goes next: a node, or a leaf's code below 0; `at` is its address
@@ -50,32 +50,33 @@ RAY_TEXT = """
     const char* const ONLY_NODES = TWO_LEVEL || empty ? NODES : NODES + 256ll * tree.entry_node.data[0];
     const char* const ONLY_TRIANGLES = TWO_LEVEL || empty ? TRIANGLES : TRIANGLES + 320ll * tree.entry_triangle.data[0];
 
-    // Whether the ray can be traced. If not (it is not finite, or 0) planes could be NaN, and even places without a child be met.
-    auto set_slabs = [](Slabs& s, const float* o, const float* d, const auto& centre, float margin) INLINE -> bool {
-        float c[3], reach = 0.0f, most = 0.0f, sum = 0.0f;
-        for (int k = 0; k < 3; ++k) {
-            c[k] = o[k] - centre[k];
-            const float a = __builtin_fabsf(c[k]), b = __builtin_fabsf(d[k]);
-            reach = reach > a ? reach : a;
-            most = most > b ? most : b;
-        }
-        reach *= margin;
-        const float least = most * DIRECTION_LEAST;
-        for (int k = 0; k < 3; ++k) {
-            const float a = __builtin_fabsf(d[k]), raised = __builtin_copysignf(a > least ? a : least, d[k]);
-            const float inverse = 1.0f / raised, back = __builtin_copysignf(reach, raised);
-            s.inverse[k] = inverse;
-            s.near[k] = -(c[k] + back) * inverse;
-            s.far[k] = -(c[k] - back) * inverse;
-            s.row[k] = k * 64 + (raised < 0.0f ? 32 : 0);
-            sum += __builtin_fabsf(inverse) + __builtin_fabsf(s.near[k]) + __builtin_fabsf(s.far[k]);
-        }
-        return sum < __builtin_inff();
+    auto magnitude = [](FourFloats a) INLINE -> FourFloats { return (FourFloats)((FourInts)a & 0x7fffffff); };
+    auto with_sign = [](FourFloats a, FourFloats sign) INLINE -> FourFloats {
+        return (FourFloats)(((FourInts)a & 0x7fffffff) | ((FourInts)sign & (int)0x80000000));
     };
-    auto set_shear = [](Ray& ray, const float* o, const float* d) INLINE {
+    auto largest = [](FourFloats a) INLINE -> FourFloats {
+        FourFloats b = __builtin_shufflevector(a, a, 2, 3, 0, 1);
+        a = a > b ? a : b;
+        b = __builtin_shufflevector(a, a, 1, 0, 3, 2);
+        return a > b ? a : b;
+    };
+    // Whether the ray can be traced. If not (it is not finite, or 0) planes could be NaN, and even places without a child be met.
+    auto set_slabs = [&](Slabs& s, FourFloats o, FourFloats d, FourFloats centre, float margin) INLINE -> bool {
+        const FourFloats c = o - centre, size = magnitude(d), least = largest(size) * DIRECTION_LEAST;
+        const FourFloats raised = with_sign(size > least ? size : least, d), inverse = 1.0f / raised;
+        const FourFloats back = with_sign(largest(magnitude(c)) * margin, raised);
+        s.inverse = inverse;
+        s.near = -(c + back) * inverse;
+        s.far = -(c - back) * inverse;
+        s.row = (((FourInts)raised >> 31) & 32) + FourInts{0, 64, 128, 0};
+        const FourFloats finite = magnitude(inverse) + magnitude(s.near) + magnitude(s.far);
+        return finite[0] + finite[1] + finite[2] < __builtin_inff();
+    };
+    auto set_shear = [&](Ray& ray, const float* o, const float* d) INLINE {
         const float ax = __builtin_fabsf(d[0]), ay = __builtin_fabsf(d[1]), az = __builtin_fabsf(d[2]);
-        const int z = az > (ay > ax ? ay : ax) ? 2 : ay > ax ? 1 : 0, x = z == 2 ? 0 : z + 1, y = x == 2 ? 0 : x + 1;
-        ray.sx = d[x] / d[z]; ray.sy = d[y] / d[z]; ray.sz = 1.0f / d[z];
+        const int z = az > (ay > ax ? ay : ax) ? 2 : ay > ax ? 1 : 0, x = z == 2 ? 0 : z + 1, y = z == 0 ? 2 : z - 1;
+        const FourFloats shear = FourFloats{d[x], d[y], 1.0f, 1.0f} / FourFloats{d[z], d[z], d[z], 1.0f};
+        ray.sx = shear[0]; ray.sy = shear[1]; ray.sz = shear[2];
         ray.ox = o[x]; ray.oy = o[y]; ray.oz = o[z];
         ray.x = 32 * x; ray.y = 32 * y; ray.z = 32 * z;
     };
@@ -83,6 +84,7 @@ RAY_TEXT = """
     auto set_entry = [&](Ray& ray, int entry) INLINE -> bool {
         const auto& p = origin.data[ray.slot];
         const auto& v = direction.data[ray.slot];
+        const auto& c = tree.entry_centre.data[entry];
         float o[3] = {p[0], p[1], p[2]}, d[3] = {v[0], v[1], v[2]};
         if (TWO_LEVEL) {
             const auto& m = tree.entry_from_world.data[entry].data;
@@ -90,15 +92,15 @@ RAY_TEXT = """
                 o[k] = m[k][0] * p[0] + m[k][1] * p[1] + m[k][2] * p[2] + m[k][3];
                 d[k] = m[k][0] * v[0] + m[k][1] * v[1] + m[k][2] * v[2];
             }
+            ray.entry = entry;
+            ray.nodes = NODES + 256ll * tree.entry_node.data[entry];
+            ray.triangles = TRIANGLES + 320ll * tree.entry_triangle.data[entry];
         }
-        const bool sound = set_slabs(ray.slabs, o, d, tree.entry_centre.data[entry], SLAB_MARGIN);
-        set_shear(ray, o, d);
-        ray.entry = entry;
-        ray.nodes = NODES + 256ll * tree.entry_node.data[entry];
-        ray.triangles = TRIANGLES + 320ll * tree.entry_triangle.data[entry];
         ray.child = 0;
-        ray.at = ray.nodes;
-        return sound;
+        ray.at = TWO_LEVEL ? ray.nodes : ONLY_NODES;
+        set_shear(ray, o, d);
+        return set_slabs(
+            ray.slabs, FourFloats{o[0], o[1], o[2], 0.0f}, FourFloats{d[0], d[1], d[2], 0.0f}, FourFloats{c[0], c[1], c[2], 0.0f}, SLAB_MARGIN);
     };
     auto reset = [&](Ray& ray, int slot) INLINE {
         ray.slot = slot;
@@ -121,8 +123,10 @@ RAY_TEXT = """
         if (!TWO_LEVEL) return set_entry(ray, 0);
         const auto& p = origin.data[slot];
         const auto& v = direction.data[slot];
-        const float o[3] = {p[0], p[1], p[2]}, d[3] = {v[0], v[1], v[2]};
-        const bool sound = set_slabs(ray.top_slabs, o, d, tree.top_centre, tree.top_margin);
+        const auto& c = tree.top_centre;
+        const bool sound = set_slabs(
+            ray.top_slabs, FourFloats{p[0], p[1], p[2], 0.0f}, FourFloats{v[0], v[1], v[2], 0.0f}, FourFloats{c[0], c[1], c[2], 0.0f},
+            tree.top_margin);
         to_top(ray);
         ray.at = ray.nodes;
         ray.child = 0;
@@ -133,10 +137,11 @@ RAY_TEXT = """
         instance = tree.entry_instance.data[e];
         primitive = face;
         if (instance >= 0) return;
-        int low = tree.merged_first.data[e], high = tree.merged_first.data[e + 1] - 1;
-        while (low < high) {
-            const int middle = (low + high + 1) >> 1;
-            if (tree.merged_triangle_first.data[middle] <= face) low = middle; else high = middle - 1;
+        // the last whose first triangle is not beyond; without branches, which could not be foretold
+        int low = tree.merged_first.data[e];
+        for (int count = tree.merged_first.data[e + 1] - low; count > 1; count -= count >> 1) {
+            const int middle = low + (count >> 1);
+            low = __builtin_unpredictable(tree.merged_triangle_first.data[middle] <= face) ? middle : low;
         }
         instance = tree.merged_instance.data[low];
         primitive = face - tree.merged_triangle_first.data[low];
@@ -199,7 +204,7 @@ STEP_TEXT = """
                 nearer = instance < best_instance || (instance == best_instance && primitive < best_primitive);
             }
         }
-        if (nearer) { ray.best = t; ray.face = face; ray.v = v; ray.w = w; ray.hit_entry = ray.entry; }
+        if (nearer) { ray.best = t; ray.face = face; ray.v = v; ray.w = w; if (TWO_LEVEL) ray.hit_entry = ray.entry; }
     };
     // The group of triangles at `p`
     auto test = [&](Ray& ray, const char* p) INLINE {
@@ -238,7 +243,13 @@ STEP_TEXT = """
             if (hits) { ray.face = 0; ray.top = 8; }
             return;
         }
-        for (; hits; hits &= hits - 1u) {
+        if (hits == 0u) return;
+        // most groups that are hit are hit more than once: only the nearest hits count
+        const Floats reached = (all_ints((int)hits) & Ints{1, 2, 4, 8, 16, 32, 64, 128}) != 0 ? t : all(__builtin_inff());
+        Floats nearest = smaller(reached, __builtin_shufflevector(reached, reached, 4, 5, 6, 7, 0, 1, 2, 3));
+        nearest = smaller(nearest, __builtin_shufflevector(nearest, nearest, 2, 3, 0, 1, 6, 7, 4, 5));
+        nearest = smaller(nearest, __builtin_shufflevector(nearest, nearest, 1, 0, 3, 2, 5, 4, 7, 6));
+        for (hits &= at_most(reached, nearest); hits; hits &= hits - 1u) {
             const int k = __builtin_ctz(hits);
             keep(ray, ((const float*)&t)[k], ((const int*)&face)[k], ((const float*)&vr)[k], ((const float*)&wr)[k]);
         }

@@ -13,6 +13,7 @@ VECTOR_TEXT = """
     typedef float LooseFloats __attribute__((vector_size(32), may_alias, aligned(4)));
     typedef int LooseInts __attribute__((vector_size(32), may_alias, aligned(4)));
     typedef int FourInts __attribute__((vector_size(16)));
+    typedef float FourFloats __attribute__((vector_size(16)));
     auto all = [](float x) INLINE -> Floats { return Floats{x, x, x, x, x, x, x, x}; };
     auto all_ints = [](int x) INLINE -> Ints { return Ints{x, x, x, x, x, x, x, x}; };
     // Where an operand is NaN: the second one
