@@ -54,7 +54,7 @@ class BuiltTree:
 
 def build_scene_tree(
     flat: FlatGeometry, geometry: Geometry, visibility: np.ndarray, instancing: bool, device: wp.Device, layout: Layout,
-    spatial_splits: bool = False,
+    spatial_splits: bool = False, on_device: bool | None = None,
 ) -> BuiltTree:  # fmt: skip
     """Build all trees of `flat`, whose arrays are on `device` as `geometry`.
 
@@ -63,11 +63,14 @@ def build_scene_tree(
         layout: BOXES for the traversal of CPUs, QUANTISED for that of GPUs.
         instancing: as the kernels that will ask the tree (`SceneFeatures.instancing`).
         spatial_splits: split triangles where that makes a better tree, which takes longer to build.
+        on_device: build mesh trees (QUANTISED, without splits) where they will be traced, also where that is the CPU; default: on CUDA.
 
     Raises `OutOfMemoryError` where the trees do not fit.
     """
     start = time.perf_counter()
-    maker = _MeshTrees(flat, geometry, device, layout, spatial_splits)
+    if on_device is None:
+        on_device = device.is_cuda and not spatial_splits
+    maker = _MeshTrees(flat, geometry, device, layout, spatial_splits, on_device)
     entries = _Entries()
     for group in flat.merged:
         if group.triangle_count:
@@ -90,8 +93,11 @@ def layout_for(device: wp.Device) -> Layout:
 class _MeshTrees:
     """Builds mesh trees, and says where each one's blocks will lie."""
 
-    def __init__(self, flat: FlatGeometry, geometry: Geometry, device: wp.Device, layout: Layout, spatial_splits: bool):
-        self._flat, self._geometry, self._device, self.layout = flat, geometry, device, layout
+    def __init__(
+        self, flat: FlatGeometry, geometry: Geometry, device: wp.Device, layout: Layout, spatial_splits: bool, on_device: bool
+    ):
+        self._flat, self._geometry, self.layout = flat, geometry, layout
+        self._make = self._on_device if on_device else self._on_host
         if layout is Layout.QUANTISED:
             self._options = BuildOptions(leaf_group=1, leaf_max=TRIANGLES_MAX_QUANTISED, spatial_splits=spatial_splits)
         else:
@@ -100,10 +106,7 @@ class _MeshTrees:
 
     def tree(self, first: int, count: int) -> int:
         """The number of the tree over triangles first..first+count."""
-        if self._device.is_cuda and not self._options.spatial_splits:
-            self.trees.append(self._on_device(first, count))
-        else:
-            self.trees.append(self._on_host(first, count))
+        self.trees.append(self._make(first, count))
         return len(self.trees) - 1
 
     def _on_host(self, first: int, count: int) -> MeshTree:
@@ -210,7 +213,8 @@ def _joined(blocks: list[Any], device: wp.Device) -> tuple[wp.array, list[Any]]:
         joined = aligned_empty((sum(sizes), 4), np.float32)
         place = 0
         for block, size in zip(blocks, sizes):
-            joined[place : place + size] = block.view(np.float32).reshape(-1, 4)
+            words = block.view(np.float32) if isinstance(block, np.ndarray) else block.numpy()
+            joined[place : place + size] = words.reshape(-1, 4)
             place += size
         return as_vectors(joined), [joined]
     joined = wp.empty(sum(sizes), dtype=wp.vec4, device=device)
