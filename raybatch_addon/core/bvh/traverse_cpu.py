@@ -32,26 +32,31 @@ _PLAIN_TEXT = """
     for (int i = first; i < end; ++i) {
         for (int child = begin(ray, slots.data[i]) ? 0 : END; child != END;) {
             ray.child = child;
-            if (child == LEAVE) {
+            ray.at = address(ray, child);
+            if (child >= 0) {
+                Floats enter;
+                const unsigned met = meet(ray, ray.at, enter);
+                const int* children = (const int*)(ray.at + 192);
+                if (met != 0u) {
+                    for (unsigned rest = met; rest; rest &= rest - 1u) ask_for(address(ray, children[__builtin_ctz(rest)]));
+                    if ((met & (met - 1u)) == 0u) {
+                        child = children[__builtin_ctz(met)];
+                    } else {
+                        ray.top += put_off(ray, ray.at, enter, met) - 1;
+                        child = ray.waiting[ray.top];
+                    }
+                    continue;
+                }
+            } else if (child == LEAVE) {
                 to_top(ray);
-            } else if (child < 0) {
-                ray.at = address(ray, child);
-                if (!TWO_LEVEL || ray.entry >= 0) {
-                    test_leaf(ray);
-                } else if (enter(ray)) {
-                    child = 0;
-                    continue;
-                }
-            } else {
-                const int count = visit(ray, address(ray, child));
-                if (count > 0) {
-                    ray.top += count - 1;
-                    for (int k = 0; k < count; ++k) ask_for(address(ray, ray.waiting[ray.top - k]));
-                    child = ray.waiting[ray.top];
-                    continue;
-                }
+            } else if (!TWO_LEVEL || ray.entry >= 0) {
+                test_leaf(ray);
+            } else if (enter_tree(ray)) {
+                child = 0;
+                continue;
             }
-            child = pop(ray);
+            do --ray.top; while (ray.distance[ray.top] > ray.best);
+            child = ray.waiting[ray.top];
         }
         finish(ray);
     }
@@ -115,7 +120,9 @@ _INTERLEAVED_TEXT = """
         node_count = leaf_count = pop_count = entry_count = 0;
         for (long long i = 0; i < nodes; ++i) {
             Ray& ray = *now->nodes[i];
-            ray.top += visit(ray, ray.at);
+            Floats enter;
+            const unsigned met = meet(ray, ray.at, enter);
+            ray.top += put_off(ray, ray.at, enter, met);
             go_on(ray);
         }
         for (long long i = 0; i < leaves; ++i) {
@@ -125,7 +132,7 @@ _INTERLEAVED_TEXT = """
         }
         for (long long i = 0; TWO_LEVEL && i < entries; ++i) {
             Ray& ray = *now->entries[i];
-            if (enter(ray)) then->nodes[node_count++] = &ray; else go_on(ray);
+            if (enter_tree(ray)) then->nodes[node_count++] = &ray; else go_on(ray);
         }
         for (long long i = 0; i < pops; ++i) {
             Ray& ray = *now->pops[i];

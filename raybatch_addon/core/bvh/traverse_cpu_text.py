@@ -171,18 +171,20 @@ STEP_TEXT = """
         __asm__("" : "+r"(leaf));  // else the compiler finds a branch here
         return (const char*)(((long long)node & ~leaf) | ((long long)group & leaf));
     };
-    // The node at `p`: children that the ray meets go on the stack, the nearest on top; how many
-    auto visit = [&](Ray& ray, const char* p) INLINE -> int {
+    // The node at `p`: which children the ray meets, and where it enters them
+    auto meet = [&](Ray& ray, const char* p, Floats& enter) INLINE -> unsigned {
         const Slabs& s = ray.slabs;
         const Floats ix = all(s.inverse[0]), iy = all(s.inverse[1]), iz = all(s.inverse[2]);
         auto planes = [&](int row) INLINE -> Floats { return *(const Floats*)(p + row); };
         const Floats x0 = fused(planes(s.row[0]), ix, all(s.near[0])), x1 = fused(planes(s.row[0] ^ 32), ix, all(s.far[0]));
         const Floats y0 = fused(planes(s.row[1]), iy, all(s.near[1])), y1 = fused(planes(s.row[1] ^ 32), iy, all(s.far[1]));
         const Floats z0 = fused(planes(s.row[2]), iz, all(s.near[2])), z1 = fused(planes(s.row[2] ^ 32), iz, all(s.far[2]));
-        const Floats enter = larger(larger(x0, y0), larger(z0, all(0.0f)));
-        const Floats leave = smaller(smaller(x1, y1), smaller(z1, all(ray.best)));
-        const unsigned met = at_most(enter, leave);
+        enter = larger(larger(x0, y0), larger(z0, all(0.0f)));
         COUNT_NODE
+        return at_most(enter, smaller(smaller(x1, y1), smaller(z1, all(ray.best))));
+    };
+    // These children go on the stack, the nearest on top; how many
+    auto put_off = [&](Ray& ray, const char* p, Floats enter, unsigned met) INLINE -> int {
         // distances are not below 0, so that their bits are in order; the last three make room for the slot
         Ints key = compressed(((Ints)enter & ~7) | Ints{0, 1, 2, 3, 4, 5, 6, 7}, met);
         const int count = __builtin_popcount(met);
@@ -262,7 +264,7 @@ STEP_TEXT = """
         while (__builtin_expect(more-- > 0, 0)) test(ray, p += 320);
     };
     // A leaf of the top level was just taken from the stack: into its first entry, the others wait. Whether there is anything to see.
-    auto enter = [&](Ray& ray) INLINE -> bool {
+    auto enter_tree = [&](Ray& ray) INLINE -> bool {
         const int code = ~ray.child, entry = tree.top_entry.data[code >> 3];
         if (code & 7) ray.waiting[ray.top++] = ~(code + 7);  // one further, one less; its distance is still there
         if (!(tree.entry_visibility.data[entry] & visibility.data[ray.slot])) return false;
