@@ -35,17 +35,13 @@ class TraceOptions:
     any_hit: bool  # whether anything is hit, instead of the closest hit
     instancing: bool  # a top level over many entries, instead of one entry in world space
     counters: bool = False  # count steps (`TraceCounts`)
-    refill: int = 4  # lanes that must wait before a warp takes new rays, 1..32; 0: one thread a ray, never refilled
+    refill: int = 8  # lanes that must wait before a warp takes new rays, 1..32; 0: plainly, one thread a ray
     leaf_groups: int = 2  # groups of triangles that may wait while nodes are visited, 1 or 2
     every_triangle: bool = False  # test all waiting triangles in each turn, instead of one
-    read_ahead: str = ""  # how a node is asked for before a triangle is tested: not at all, PREFETCH, COPY, COPY_TOGETHER
-    stack_shared: int = 0  # groups of each lane's stack that are in shared memory, 0..16
 
     def __post_init__(self) -> None:
-        if not (0 <= self.refill <= 32 and self.leaf_groups in (1, 2) and 0 <= self.stack_shared <= 16):
-            raise ValueError("refill is 0..32, leaf_groups 1 or 2, stack_shared 0..16")
-        if self.read_ahead not in _READ_AHEAD or (self.read_ahead == "COPY_TOGETHER" and not self.refill):
-            raise ValueError(f"read_ahead is one of {', '.join(map(repr, _READ_AHEAD))}; lanes copy together only where they are refilled together")
+        if not (0 <= self.refill <= 32 and self.leaf_groups in (1, 2)):
+            raise ValueError("refill is 0..32, leaf_groups 1 or 2")
 
 
 _LOOP_TEXT = """
@@ -89,109 +85,11 @@ _LOOP_TEXT = """
     $count_end
 """
 
-# How a node gets from memory to a lane: pieces that ask for it before a triangle is tested, wait for it, and read it
-_READ_AHEAD = {
-    "": ("", "", "const Words* p = nodes + 5ull * node; const Words a = read(p), b = read(p + 1), c = read(p + 2), d = read(p + 3), e = read(p + 4);"),
-}
-_READ_AHEAD["PREFETCH"] = (
-    """
-    #if defined(__CUDA_ARCH__)
-        if (visiting) {
-            const char* p = (const char*)(nodes + 5ull * node);
-            asm volatile("prefetch.global.L1 [%0];" :: "l"(p));
-            asm volatile("prefetch.global.L1 [%0];" :: "l"(p + 64));
-        }
-    #endif""",
-    "",
-    _READ_AHEAD[""][2],
-)
-# Each lane has its place in shared memory; five words of 16 bytes are a stride without bank conflicts
-_READ_AHEAD["COPY"] = (
-    """
-    #if defined(__CUDA_ARCH__)
-        if (visiting) {
-            const unsigned to = (unsigned)__cvta_generic_to_shared(staged + 5u * threadIdx.x);
-            const Words* p = nodes + 5ull * node;
-            for (int k = 0; k < 5; ++k) asm volatile("cp.async.ca.shared.global [%0], [%1], 16;" :: "r"(to + 16u * k), "l"(p + k) : "memory");
-        }
-    #endif""",
-    """
-    #if defined(__CUDA_ARCH__)
-        asm volatile("cp.async.wait_all;" ::: "memory");
-    #endif""",
-    """
-    #if defined(__CUDA_ARCH__)
-        const Words* p = staged + 5u * threadIdx.x;
-        const Words a = p[0], b = p[1], c = p[2], d = p[3], e = p[4];
-    #else
-        const Words* p = nodes + 5ull * node;
-        const Words a = p[0], b = p[1], c = p[2], d = p[3], e = p[4];
-    #endif""",
-)
-# Lanes copy for one another, five of them one node: fewer cache lines are looked up
-_READ_AHEAD["COPY_TOGETHER"] = (
-    """
-    #if defined(__CUDA_ARCH__)
-        {
-            const unsigned lane = threadIdx.x & 31u, asked = visiting ? node : NONE;
-            const unsigned to = (unsigned)__cvta_generic_to_shared(staged + 5u * (threadIdx.x - lane) + lane);
-            for (unsigned k = 0u; k < 5u; ++k) {
-                // piece 32 k + lane is word `part` of the node of lane 6 k + fifth
-                const unsigned fifth = (lane + 2u * k) * 13u >> 6, part = lane + 2u * k - 5u * fifth;
-                const unsigned other = __shfl_sync(ALL_LANES, asked, 6u * k + fifth);
-                if (other != NONE) {
-                    asm volatile("cp.async.ca.shared.global [%0], [%1], 16;" :: "r"(to + 512u * k), "l"(nodes + 5ull * other + part) : "memory");
-                }
-            }
-        }
-    #endif""",
-    """
-    #if defined(__CUDA_ARCH__)
-        asm volatile("cp.async.wait_all;" ::: "memory");
-        __syncwarp();
-    #endif""",
-    _READ_AHEAD["COPY"][2],
-)
-
-
-def _stack_text(options: TraceOptions) -> str:
-    size = _STACK_ALL if options.instancing else _STACK_MESH
-    shared = options.stack_shared
-    local = f"""
-    Group stack[{size}];
-    auto push = [&](const Group& g) {{ stack[depth++] = g; }};
-    auto pop = [&]() -> Group {{ return stack[--depth]; }};
-    """
-    if not shared:
-        return local
-    return f"""
-#if defined(__CUDA_ARCH__)
-    __shared__ Group shared_stack[{shared * BLOCK_SIZE}];
-    Group stack[{size - shared}];
-    auto push = [&](const Group& g) {{
-        if (depth < {shared}) shared_stack[depth * {BLOCK_SIZE} + threadIdx.x] = g; else stack[depth - {shared}] = g;
-        ++depth;
-    }};
-    auto pop = [&]() -> Group {{
-        --depth;
-        return depth < {shared} ? shared_stack[depth * {BLOCK_SIZE} + threadIdx.x] : stack[depth - {shared}];
-    }};
-#else
-    {local}
-#endif
-    """
-
 
 def _turn_text(options: TraceOptions) -> str:
-    ask, wait, _ = _READ_AHEAD[options.read_ahead]
     room = "later.y == 0u" if options.leaf_groups == 2 else "leaf.y == 0u"
-    if options.read_ahead:
-        room += " || (leaf.y & (leaf.y - 1u)) == 0u"  # the last of the group is tested first
-    visiting = f"const bool visiting = node != NONE && (in_mesh ? {room} : leaf.y == 0u);"
     test = f"{'while' if options.every_triangle else 'if'} (in_mesh && leaf.y) test();"
-    if options.read_ahead:
-        return f"{visiting} {ask}\n{test} {wait}\nif (visiting{' && node != NONE' * options.any_hit}) visit();"
-    return f"{visiting} if (visiting) visit(); {test}"
+    return f"if (node != NONE && (in_mesh ? {room} : leaf.y == 0u)) visit(); {test}"
 
 
 # Pieces of counting code, put in for kernels with counters alone
@@ -233,10 +131,8 @@ def trace_text(options: TraceOptions) -> str:
     """
     text = constants + TRIANGLE_TEXT + DEVICE_TEXT + RAY_TEXT + NODE_TEXT + LANE_TEXT + _LOOP_TEXT
     counting = {name: piece if options.counters else "" for name, piece in _COUNTING.items()}
-    staged = f"\n#if defined(__CUDA_ARCH__)\n    __shared__ Words staged[{5 * BLOCK_SIZE}];\n#endif\n" if "COPY" in options.read_ahead else ""
-    return Template(text).substitute(
-        stack=_stack_text(options) + staged, turn=_turn_text(options), read_node=_READ_AHEAD[options.read_ahead][2], **counting
-    )
+    stack_size = _STACK_ALL if options.instancing else _STACK_MESH
+    return Template(text).substitute(stack_size=stack_size, turn=_turn_text(options), **counting)
 
 
 @functools.cache

@@ -164,7 +164,7 @@ LANE_TEXT = """
     bool turned = false;                      // the ray has come to another tree, for which `ray` is not made yet
     unsigned first_node = 0u, first_triangle = 0u;
     unsigned top_order = 0u;                  // `ray.order` in the top level
-    $stack
+    Group stack[$stack_size];
     $counters
     // instance and primitive of triangle `face` of entry `e`
     auto identify = [&](int e, int face, int& instance, int& primitive) {
@@ -231,8 +231,8 @@ LANE_TEXT = """
         leaf.y ^= 1u << bit;
         const int e = tree.top_entry.data[leaf.x + bit];
         if ((tree.entry_visibility.data[e] & visibility.data[slot]) == 0) return;
-        if (is_nodes(inner)) push(inner);
-        if (leaf.y) push(leaf);
+        if (is_nodes(inner)) stack[depth++] = inner;
+        if (leaf.y) stack[depth++] = leaf;
         inner.y = leaf.y = 0u;
         bottom = depth;
         entry = e;
@@ -285,8 +285,9 @@ LANE_TEXT = """
     };
     // the node
     auto visit = [&]() {
-        if (is_nodes(inner)) push(inner);
-        $read_node
+        if (is_nodes(inner)) stack[depth++] = inner;
+        const Words* p = nodes + 5ull * node;
+        const Words a = read(p), b = read(p + 1), c = read(p + 2), d = read(p + 3), e = read(p + 4);
         $count_visit
         const unsigned hits = meet_node(ray, best, a, b, c, d, e);
         node = NONE;
@@ -312,7 +313,7 @@ LANE_TEXT = """
                 }
                 if (depth == 0) return;
             }
-            const Group g = pop();
+            const Group g = stack[--depth];
             if (TWO_LEVEL && !is_nodes(g)) { leaf = g; return; }
             inner = g;
         }

@@ -219,8 +219,7 @@ VARIANTS = [
     CLOSEST,
     dataclasses.replace(CLOSEST, refill=0),
     dataclasses.replace(CLOSEST, leaf_groups=1),
-    dataclasses.replace(CLOSEST, read_ahead="COPY"),
-    dataclasses.replace(CLOSEST, leaf_groups=1, every_triangle=True, stack_shared=4),
+    dataclasses.replace(CLOSEST, leaf_groups=1, every_triangle=True),
 ]
 
 
@@ -246,7 +245,7 @@ def placed(count: int, seed: int) -> list[Entry]:
     return entries
 
 
-@pytest.mark.parametrize("refill", (0, 4))
+@pytest.mark.parametrize("refill", (0, 8))
 def test_instances_are_met_as_by_brute_force(device, refill):
     entries = placed(25, 5)
     tree = make_tree(entries, device, True)
@@ -377,7 +376,7 @@ def test_nothing_to_hit(device):
     assert (trace(tree, rays, CLOSEST).instance == -1).all()
 
 
-@pytest.mark.parametrize("refill", (0, 4))
+@pytest.mark.parametrize("refill", (0, 8))
 def test_counters(device, refill):
     entries = [Entry(*soup(600, 1))]
     tree = make_tree(entries, device, False)
@@ -402,8 +401,6 @@ def test_counters(device, refill):
     "options",
     [
         *VARIANTS,
-        dataclasses.replace(CLOSEST, read_ahead="PREFETCH"),
-        dataclasses.replace(CLOSEST, read_ahead="COPY_TOGETHER"),
         dataclasses.replace(CLOSEST, instancing=True, counters=True),
         dataclasses.replace(ANY, instancing=True),
     ],
