@@ -78,6 +78,7 @@ _INTERLEAVED_TEXT = """
             __builtin_prefetch(&origin.data[slot]);
             __builtin_prefetch(&direction.data[slot]);
             __builtin_prefetch(&t_max.data[slot]);
+            if (TWO_LEVEL) __builtin_prefetch(&visibility.data[slot]);
         }
         if (begin(ray, slots.data[taken++])) then->nodes[node_count++] = &ray;
         else then->pops[pop_count++] = &ray;  // finds the end

@@ -103,6 +103,13 @@ RAY_TEXT = """
             ray.slabs, FourFloats{o[0], o[1], o[2], 0.0f}, FourFloats{d[0], d[1], d[2], 0.0f}, FourFloats{c[0], c[1], c[2], 0.0f}, SLAB_MARGIN);
     };
     auto reset = [&](Ray& ray, int slot) INLINE {
+        // where the hit will be written: slots of sorted rays are anywhere
+        __builtin_prefetch(&hit_instance.data[slot], 1);
+        if (!ANY_HIT) {
+            __builtin_prefetch(&hit_t.data[slot], 1);
+            __builtin_prefetch(&hit_primitive.data[slot], 1);
+            __builtin_prefetch(&hit_uv.data[slot], 1);
+        }
         ray.slot = slot;
         const float limit = t_max.data[slot];
         ray.best = limit > 0.0f ? limit : 0.0f;  // also where it is NaN, which would not end
