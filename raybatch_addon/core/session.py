@@ -28,7 +28,8 @@ from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features, ordinary_features
 from .scene.validate import checked_scene
 from .settings import SETTINGS, RenderSettings
-from .wavefront.device_scene import DeviceScene, GeometryCache
+from .wavefront.device_scene import DeviceScene
+from .wavefront.geometry_cache import GeometryCache
 from .wavefront.integrator import TileIntegrator, TileState
 from .wavefront.kernels import StageKernels, tracing_kernels
 from .wavefront.ray_order import order_bytes_per_path

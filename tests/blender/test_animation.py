@@ -9,13 +9,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_builders import add_grid, add_mesh, add_triangle, material_of, node_tree  # noqa: E402
+from blender_builders import add_grid, add_mesh, add_object, add_triangle, material_of, node_tree  # noqa: E402
 from blender_watch import watch_engines  # noqa: E402
 from bpy_extras.object_utils import world_to_camera_view  # noqa: E402
 
 from raybatch_addon import frame, reports, sessions  # noqa: E402
 from raybatch_addon.core import session as core_session  # noqa: E402
-from raybatch_addon.core.wavefront import device_scene  # noqa: E402
 
 STATM = Path("/proc/self/statm")
 # What the resident memory may grow by between frames 50 and 200 [bytes]: the allocator's own unrest is 4 MiB, and
@@ -198,11 +197,16 @@ def test_frames_of_two_view_layers(lit, films, tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["frame0001.exr", "frame0002.exr", "frame0003.exr"]
 
 
-def test_frames_share_the_session_and_what_it_keeps(lit, monkeypatch, tmp_path):
+def tree_work(film):
+    """Mesh trees that were built and refitted for a film."""
+    return film.statistics["tree"]["built"], film.statistics["tree"]["refitted"]
+
+
+def test_frames_share_the_session_and_what_it_keeps(lit, films, monkeypatch, tmp_path):
     """One `Session` for all frames, though Blender makes an engine for each; geometry that stands still is built once."""
     sessions.close_all()
-    made, used, built = [], [], []
-    opened, rendered, build = core_session.Session.__init__, core_session.Session.render, device_scene.build_reference
+    made, used = [], []
+    opened, rendered = core_session.Session.__init__, core_session.Session.render
 
     def recording(calls, function):
         def call(*args, **options):
@@ -213,17 +217,45 @@ def test_frames_share_the_session_and_what_it_keeps(lit, monkeypatch, tmp_path):
 
     monkeypatch.setattr(core_session.Session, "__init__", recording(made, opened))
     monkeypatch.setattr(core_session.Session, "render", recording(used, rendered))
-    monkeypatch.setattr(device_scene, "build_reference", recording(built, build))
     for number, x in ((1, 0.0), (4, 2.0)):
         lit.camera.location.x = x
         lit.camera.keyframe_insert("location", frame=number)
     animate(lit, 4, tmp_path)
     assert len(made) == 1 and len(used) == 4 and all(session is made[0] for session in used)
     assert list(sessions._sessions.values()) == made
-    assert len(built) == 1, "only the camera moved"
+    assert [tree_work(film) for _, _, film in films] == [(1, 0), (0, 0), (0, 0), (0, 0)], "only the camera moved"
     bpy.data.objects["Square"].location.y = 0.5
     bpy.ops.render.render()
-    assert len(made) == 1 and len(built) == 2
+    assert len(made) == 1 and tree_work(films[-1][2]) == (0, 1)
+    glow(add_triangle("Another"))
+    bpy.ops.render.render()
+    assert len(made) == 1 and tree_work(films[-1][2]) == (1, 0)
+
+
+def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path):
+    """A mesh that waves, instances that move: their trees are refitted, and every frame is that of a session that knew no other."""
+    grid = glow(add_grid("Waves", 12))
+    grid.location.z = -0.5
+    wave = grid.modifiers.new("Wave", "WAVE")
+    wave.height, wave.speed = 0.4, 0.2
+    stones = [glow(add_triangle("Stone"))]
+    stones.append(add_object("Second stone", stones[0].data))
+    for number, turn in ((1, 0.0), (5, 1.0)):
+        for i, stone in enumerate(stones):
+            stone.location, stone.rotation_euler.y = (i - turn, turn, 0.5 + turn), turn + i
+            stone.keyframe_insert("location", frame=number)
+            stone.keyframe_insert("rotation_euler", frame=number)
+    sessions.close_all()
+    animate(lit, 5, tmp_path)
+    followed = [film for _, _, film in films]
+    assert [tree_work(film) for film in followed] == [(2, 0)] + 4 * [(0, 1)]  # the instances' own tree stands still
+    assert len({film.passes["Combined"].tobytes() for film in followed}) == 5
+    for number, film in enumerate(followed, 1):
+        sessions.close_all()
+        lit.frame_set(number)
+        bpy.ops.render.render()
+        assert tree_work(films[-1][2]) == (2, 0)
+        assert film.passes["Combined"].tobytes() == films[-1][2].passes["Combined"].tobytes()
 
 
 @pytest.mark.skipif(not STATM.exists(), reason="the system does not tell the resident memory of a process")

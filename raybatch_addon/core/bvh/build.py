@@ -1,12 +1,9 @@
-"""The trees of a whole scene, on the device that will trace them.
-
-On the CPU: binned SAH and the layout BOXES. On CUDA: clusters in Morton order, built on the device, and the layout
-QUANTISED; meshes with spatial splits are built by the CPU and uploaded.
-"""
+"""The trees of a whole scene, on the device that will trace them, and how they follow from frame to frame."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,30 +12,15 @@ import warp as wp
 
 from ..scene.flatten import FlatGeometry
 from ..scene.geometry import Geometry, mat34
-from .binary import BuildOptions
-from .build_cuda import DeviceTop, build_mesh, build_top
-from .build_sah import build_binary, build_binary_from_boxes
-from .collapse import collapse_entries, collapse_mesh
+from .entries import Entries, build_top_level, entries_of
 from .encode import as_vectors
-from .margin import SLAB_MARGIN
-from .node import TRIANGLES_MAX_QUANTISED, Layout, WideTop, aligned_empty
+from .mesh_tree import MeshTree, MeshTrees, mesh_parts
+from .node import Layout, aligned_empty
 from .tree import Tree
 
 _VECTOR = 16  # bytes of an element of the device's arrays
-
-
-@dataclass
-class MeshTree:
-    """The blocks of one mesh: host arrays, or device arrays of vec4."""
-
-    nodes: Any
-    triangles: Any
-    centre: np.ndarray  # float32 [3]
-    box: np.ndarray  # float32 [2, 3]
-    node_count: int
-    triangle_places: int  # triangles listed, or groups of them
-    depth: int
-    sah: float  # expected node steps of a ray that meets the root's box
+# The top level has room for more nodes than it has, a share of them and a few: another frame's may need them
+_TOP_ROOM_SHARE, _TOP_ROOM_NODES = 0.25, 4
 
 
 @dataclass
@@ -47,14 +29,22 @@ class BuiltTree:
 
     tree: Tree
     layout: Layout
-    box: np.ndarray  # two corners that hold all surfaces [m], float64, shape [2, 3]
-    statistics: dict[str, Any]
-    keep: list[Any] = field(default_factory=list, repr=False)
+    instancing: bool
+    spatial_splits: bool
+    meshes: list[MeshTree] = field(repr=False)  # their blocks are parts of the tree's arrays
+    box: np.ndarray | None = None  # two corners that hold all surfaces [m], float64, shape [2, 3]
+    top_room: int = 0  # vectors behind the mesh trees' nodes, for the nodes of the top level
+    statistics: dict[str, Any] = field(default_factory=dict)
+
+    def tell(self, built_count: int, refitted_count: int, start: float) -> None:
+        """Note for the statistics what was done for the frame since `start` [s, `time.perf_counter`]."""
+        seconds = round(time.perf_counter() - start, 6)
+        self.statistics = {**self.statistics, "built": built_count, "refitted": refitted_count, "seconds": seconds}
 
 
 def build_scene_tree(
     flat: FlatGeometry, geometry: Geometry, visibility: np.ndarray, instancing: bool, device: wp.Device, layout: Layout,
-    spatial_splits: bool = False, on_device: bool | None = None,
+    spatial_splits: bool = False,
 ) -> BuiltTree:  # fmt: skip
     """Build all trees of `flat`, whose arrays are on `device` as `geometry`.
 
@@ -63,26 +53,42 @@ def build_scene_tree(
         layout: BOXES for the traversal of CPUs, QUANTISED for that of GPUs.
         instancing: as the kernels that will ask the tree (`SceneFeatures.instancing`).
         spatial_splits: split triangles where that makes a better tree, which takes longer to build.
-        on_device: build mesh trees (QUANTISED, without splits) where they will be traced, also where that is the CPU; default: on CUDA.
 
     Raises `OutOfMemoryError` where the trees do not fit.
     """
     start = time.perf_counter()
-    if on_device is None:
-        on_device = device.is_cuda and not spatial_splits
-    maker = _MeshTrees(flat, geometry, device, layout, spatial_splits, on_device)
-    entries = _Entries()
-    for group in flat.merged:
-        if group.triangle_count:
-            entries.add_merged(maker.tree(group.triangle_first, group.triangle_count), group)
-    made: dict[int, int] = {}
-    for i in flat.shared.tolist():
-        mesh = int(flat.instance_mesh[i])
-        if mesh not in made:
-            first, end = flat.mesh_triangle_first[mesh : mesh + 2].tolist()
-            made[mesh] = maker.tree(first, end - first)
-        entries.add_instance(made[mesh], i, int(visibility[i]), flat.instance_transform[i])
-    return _assembled(maker, entries, instancing, device, start)
+    trees = MeshTrees(flat, geometry, device, layout, spatial_splits)
+    built = BuiltTree(Tree(), layout, instancing, spatial_splits, [trees.build(part) for part in mesh_parts(flat)])
+    _assemble(built, entries_of(flat, visibility), device, fresh=True)
+    built.tell(len(built.meshes), 0, start)
+    return built
+
+
+def refit_scene_tree(
+    built: BuiltTree, flat: FlatGeometry, geometry: Geometry, visibility: np.ndarray, moved: Sequence[int], device: wp.Device
+) -> None:
+    """Make `built` the tree of another frame, which has the same triangles, instances and visibility; it cannot be used if this raises.
+
+    Mesh trees whose vertices moved are refitted in place; those that became too bad are built anew. The top level always is.
+
+    Args:
+        flat, geometry: the frame, on the host and on the device.
+        visibility: as when the tree was built.
+        moved: places in `mesh_parts` of the meshes with new positions.
+    """
+    start = time.perf_counter()
+    trees = MeshTrees(flat, geometry, device, built.layout, built.spatial_splits)
+    worse = [i for i in moved if not trees.refit(built.meshes[i])]
+    parts = mesh_parts(flat)
+    if worse:
+        # before new ones are built: their memory is free where no other tree shares it
+        built.tree = Tree()
+        for i in worse:
+            built.meshes[i] = None
+        for i in worse:
+            built.meshes[i] = trees.build(parts[i])
+    _assemble(built, entries_of(flat, visibility), device, fresh=bool(worse))
+    built.tell(len(worse), len(moved) - len(worse), start)
 
 
 def layout_for(device: wp.Device) -> Layout:
@@ -90,175 +96,79 @@ def layout_for(device: wp.Device) -> Layout:
     return Layout.QUANTISED if device.is_cuda else Layout.BOXES
 
 
-class _MeshTrees:
-    """Builds mesh trees, and says where each one's blocks will lie."""
+def _assemble(built: BuiltTree, entries: Entries, device: wp.Device, fresh: bool) -> None:
+    """Put mesh trees, top level and entries together; with `fresh` mesh trees, all of them move to new arrays."""
+    meshes, tree = built.meshes, Tree()
+    boxes = entries.boxes(np.array([mesh.box for mesh in meshes]))
+    top = build_top_level(entries, boxes, built.layout, device) if built.instancing else None
+    top_size = top.nodes.size if top else 0
+    vectors_per_node, vectors_per_block = built.layout.node_words // 4, built.layout.triangle_words // 4
+    if fresh or top_size > built.top_room:
+        built.top_room = top_size + int(top_size * _TOP_ROOM_SHARE) + _TOP_ROOM_NODES * vectors_per_node if top else 0
+        tree.nodes, parts = _joined([mesh.nodes for mesh in meshes], built.top_room, device)
+        for mesh, part in zip(meshes, parts, strict=True):
+            mesh.nodes = part
+    else:
+        tree.nodes = built.tree.nodes
+    if fresh:  # after the nodes, whose old arrays are free by now
+        tree.triangles, parts = _joined([mesh.triangles for mesh in meshes], 0, device)
+        for mesh, part in zip(meshes, parts, strict=True):
+            mesh.triangles = part
+    else:
+        tree.triangles = built.tree.triangles
+    node_first = np.cumsum([0, *(mesh.nodes.size for mesh in meshes)])
+    triangle_first = np.cumsum([0, *(mesh.triangles.size for mesh in meshes)])
 
-    def __init__(
-        self, flat: FlatGeometry, geometry: Geometry, device: wp.Device, layout: Layout, spatial_splits: bool, on_device: bool
-    ):
-        self._flat, self._geometry, self.layout = flat, geometry, layout
-        self._make = self._on_device if on_device else self._on_host
-        if layout is Layout.QUANTISED:
-            self._options = BuildOptions(leaf_group=1, leaf_max=TRIANGLES_MAX_QUANTISED, spatial_splits=spatial_splits)
-        else:
-            self._options = BuildOptions(spatial_splits=spatial_splits)
-        self.trees: list[MeshTree] = []
-
-    def tree(self, first: int, count: int) -> int:
-        """The number of the tree over triangles first..first+count."""
-        self.trees.append(self._make(first, count))
-        return len(self.trees) - 1
-
-    def _on_host(self, first: int, count: int) -> MeshTree:
-        positions, triangles = self._flat.positions, self._flat.triangles[first : first + count]
-        binary = build_binary(positions, triangles, self._options)
-        wide = collapse_mesh(binary, positions, triangles, self.layout)
-        return MeshTree(
-            wide.nodes, wide.triangles, wide.centre, wide.box, wide.node_count, len(wide.triangles), wide.depth, wide.sah
-        )  # fmt: skip
-
-    def _on_device(self, first: int, count: int) -> MeshTree:
-        made = build_mesh(self._geometry.positions, self._geometry.triangles, first, count)
-        return MeshTree(made.nodes, made.triangles, made.centre, made.box, made.node_count, count, made.depth, made.sah)
-
-
-class _Entries:
-    """Mesh trees in their places; the fields are columns."""
-
-    def __init__(self):
-        self.mesh: list[int] = []
-        self.instance: list[int] = []
-        self.visibility: list[int] = []
-        self.to_world: list[np.ndarray] = []
-        self.merged_first = [0]
-        self.merged_instance: list[int] = []
-        self.merged_triangle_first: list[int] = []
-
-    def add_merged(self, mesh: int, group) -> None:
-        """Baked instances that share one tree in world space."""
-        self.merged_instance += group.instance.tolist()
-        self.merged_triangle_first += group.instance_triangle_first.tolist()
-        self._add(mesh, -1, group.visibility, np.eye(3, 4))
-
-    def add_instance(self, mesh: int, instance: int, visibility: int, transform: np.ndarray) -> None:
-        """An instance of a shared mesh."""
-        self._add(mesh, instance, visibility, transform.astype(np.float64))
-
-    def _add(self, mesh: int, instance: int, visibility: int, to_world: np.ndarray) -> None:
-        self.mesh.append(mesh)
-        self.instance.append(instance)
-        self.visibility.append(visibility)
-        self.to_world.append(to_world)
-        self.merged_first.append(len(self.merged_instance))
-
-
-def _assembled(maker: _MeshTrees, entries: _Entries, instancing: bool, device: wp.Device, start: float) -> BuiltTree:
-    trees, layout = maker.trees, maker.layout
-    to_world = np.array(entries.to_world, np.float64).reshape(-1, 3, 4)
-    from_world = inverse_transforms(to_world)
-    tree = Tree()
-    boxes = [_transformed_box(matrix, trees[i].box.astype(np.float64)) for i, matrix in zip(entries.mesh, to_world)]
-    top = None
-    if instancing:
-        top, tree.top_margin = _top_level(boxes, to_world, from_world, layout, device)
-        tree.top_centre = wp.vec3(*top.centre.tolist())
-    node_first = np.cumsum([0, *(mesh.node_count for mesh in trees)])
-    triangle_first = np.cumsum([0, *(mesh.triangle_places for mesh in trees)])
-    tree.top_node = int(node_first[-1])
-    blocks = [mesh.nodes for mesh in trees] + ([top.nodes] if top else [])
-    tree.nodes, kept = _joined(blocks, device)
-    tree.triangles, kept_triangles = _joined([mesh.triangles for mesh in trees], device)
-
-    def upload(values, dtype, shape=(-1,)) -> wp.array:
-        host = np.array(values, np.float32 if dtype in (wp.vec3, mat34) else np.int32).reshape(shape)
+    def upload(values: np.ndarray, dtype: Any) -> wp.array:
+        host = np.ascontiguousarray(values, np.float32 if dtype in (wp.vec3, mat34) else np.int32)
         return wp.array(host, dtype=dtype, device=device)
 
-    tree.entry_node = upload(node_first[entries.mesh], int)
-    tree.entry_triangle = upload(triangle_first[entries.mesh], int)
-    tree.entry_centre = upload([trees[i].centre for i in entries.mesh], wp.vec3, (-1, 3))
-    tree.entry_from_world = upload(from_world, mat34, (-1, 3, 4))
+    tree.entry_node = upload(node_first[entries.mesh] // vectors_per_node, int)
+    tree.entry_triangle = upload(triangle_first[entries.mesh] // vectors_per_block, int)
+    tree.entry_centre = upload(np.array([mesh.centre for mesh in meshes])[entries.mesh], wp.vec3)
+    tree.entry_from_world = upload(entries.from_world, mat34)
     tree.entry_instance = upload(entries.instance, int)
     tree.entry_visibility = upload(entries.visibility, int)
     tree.merged_first = upload(entries.merged_first, int)
     tree.merged_instance = upload(entries.merged_instance, int)
     tree.merged_triangle_first = upload(entries.merged_triangle_first, int)
-    order = top.order if top else []
-    tree.top_entry = order if isinstance(order, wp.array) else upload(order, int)
     tree.entry_count = len(entries.mesh)
+    tree.top_node = int(node_first[-1]) // vectors_per_node
+    tree.top_entry = top.order if top else wp.empty(0, dtype=int, device=device)
+    if top:
+        wp.copy(tree.nodes, top.nodes, dest_offset=int(node_first[-1]), count=top_size)
+        tree.top_centre, tree.top_margin = wp.vec3(*top.centre.tolist()), top.margin
     wp.synchronize_device(device)
-    statistics = {
-        "layout": layout.value,
-        "trees": len(trees),
-        "entries": len(entries.mesh),
-        "nodes": int(node_first[-1]) + (top.node_count if top else 0),
+    built.tree = tree
+    built.box = np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)])
+    built.statistics = _description(built, top_size // vectors_per_node)
+
+
+def _joined(blocks: list[wp.array], room: int, device: wp.Device) -> tuple[wp.array, list[wp.array]]:
+    """`blocks` one after another in one array of `device`, and where each of them lies there; `room` vectors are left at the end."""
+    if len(blocks) == 1 and room == 0 and blocks[0].device == device:
+        return blocks[0], blocks
+    ends = np.cumsum([block.size for block in blocks]).tolist()
+    size = ends[-1] + room
+    joined = wp.empty(size, dtype=wp.vec4, device=device) if device.is_cuda else as_vectors(aligned_empty((size, 4), np.float32))
+    parts = [joined[end - block.size : end] for block, end in zip(blocks, ends, strict=True)]
+    for block, part in zip(blocks, parts, strict=True):
+        wp.copy(part, block)
+    return joined, parts
+
+
+def _description(built: BuiltTree, top_count: int) -> dict[str, Any]:
+    """What the trees are, for statistics; `top_count` nodes are the top level's."""
+    meshes, tree = built.meshes, built.tree
+    costly = max(meshes, key=lambda mesh: mesh.sah)
+    return {
+        "layout": built.layout.value,
+        "trees": len(meshes),
+        "entries": tree.entry_count,
+        "triangles": sum(mesh.part.triangle_count for mesh in meshes),
+        "nodes": sum(mesh.node_count for mesh in meshes) + top_count,
         "bytes": (tree.nodes.size + tree.triangles.size) * _VECTOR,
-        "depth": max((mesh.depth for mesh in trees), default=0),
-        "sah": round(float(max((mesh.sah for mesh in trees), default=0.0)), 4),
-        "seconds": round(time.perf_counter() - start, 6),
+        "depth": max(mesh.depth for mesh in meshes),
+        "sah": round(costly.sah, 4),
+        "sah_built": round(costly.sah_built, 4),
     }
-    box = np.array(boxes)
-    return BuiltTree(tree, layout, np.stack([box[:, 0].min(0), box[:, 1].max(0)]), statistics, [kept, kept_triangles])
-
-
-def _joined(blocks: list[Any], device: wp.Device) -> tuple[wp.array, list[Any]]:
-    """All blocks one after another on `device`, and what must be kept for that."""
-    if len(blocks) == 1:
-        block = blocks[0]
-        if not isinstance(block, np.ndarray):
-            return block, []
-        shared = as_vectors(block)
-        return (wp.clone(shared, device=device), []) if device.is_cuda else (shared, [block])
-    sizes = [block.nbytes // _VECTOR if isinstance(block, np.ndarray) else block.size for block in blocks]
-    if not device.is_cuda:
-        joined = aligned_empty((sum(sizes), 4), np.float32)
-        place = 0
-        for block, size in zip(blocks, sizes):
-            words = block.view(np.float32) if isinstance(block, np.ndarray) else block.numpy()
-            joined[place : place + size] = words.reshape(-1, 4)
-            place += size
-        return as_vectors(joined), [joined]
-    joined = wp.empty(sum(sizes), dtype=wp.vec4, device=device)
-    place = 0
-    for block, size in zip(blocks, sizes):
-        wp.copy(joined, as_vectors(block) if isinstance(block, np.ndarray) else block, dest_offset=place, count=size)
-        place += size
-    return joined, []
-
-
-def _top_level(
-    boxes: list[np.ndarray], to_world: np.ndarray, from_world: np.ndarray, layout: Layout, device: wp.Device
-) -> tuple[WideTop | DeviceTop, float]:
-    """The tree over the entries, whose world boxes are `boxes`, and the margin of rays against it.
-
-    A ray that is carried to object space by nine products and sums of float32 meets there what it would meet, carried exactly,
-    within 8u |A| (|M| |o| + |m|), coordinate by coordinate, where x -> M x + m is the entry's map from the world and A the inverse of M;
-    the rounding of M and m adds as much again, the distance along the ray likewise. With k the largest row of |A| |M| this is below
-    `SLAB_MARGIN` k (|o| + reach), reach being the largest coordinate of the entry's box or of its origin.
-    """
-    grown = []
-    condition = (np.abs(to_world[:, :, :3]) @ np.abs(from_world[:, :, :3])).sum(2).max(1)
-    centre = np.abs(boxes).max()  # no coordinate of the top level's centre is larger
-    for box, matrix, k in zip(boxes, to_world, condition):
-        reach = max(np.abs(box).max(), np.abs(matrix[:, 3]).max()) + centre
-        margin = 2 * SLAB_MARGIN * k * reach
-        grown.append((box[0] - margin, box[1] + margin))
-    low, high = (np.array(corner, np.float32).reshape(-1, 3) for corner in zip(*grown))
-    low, high = np.nextafter(low, np.float32(-np.inf)), np.nextafter(high, np.float32(np.inf))
-    margin = float(2 * SLAB_MARGIN * condition.max())
-    if device.is_cuda:
-        return build_top(wp.array(low, dtype=wp.vec3, device=device), wp.array(high, dtype=wp.vec3, device=device)), margin
-    return collapse_entries(build_binary_from_boxes(low, high, BuildOptions(leaf_group=1, leaf_max=1)), layout), margin
-
-
-def inverse_transforms(matrices: np.ndarray) -> np.ndarray:
-    """Inverses of affine maps, float64, shape [n, 3, 4]."""
-    inverse = np.linalg.inv(matrices[:, :, :3])
-    return np.concatenate([inverse, -inverse @ matrices[:, :, 3:]], axis=2)
-
-
-def _transformed_box(matrix: np.ndarray, box: np.ndarray) -> np.ndarray:
-    """World box of an object-space box (Arvo 1990)."""
-    centre, half = box.mean(0), (box[1] - box[0]) / 2
-    middle = matrix[:, :3] @ centre + matrix[:, 3]
-    reach = np.abs(matrix[:, :3]) @ half
-    return np.stack([middle - reach, middle + reach])

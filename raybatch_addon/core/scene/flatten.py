@@ -34,7 +34,8 @@ class FlatGeometry:
     triangles: np.ndarray  # indices into `positions`, int32, shape [triangle_count, 3]
     corner_normals: np.ndarray  # float32, shape [triangle_count * 3, 3], or [0, 3] when all is flat
     triangle_slot: np.ndarray  # int32, shape [triangle_count], or [0] when every mesh has one slot
-    mesh_triangle_first: np.ndarray  # int32, shape [mesh_count + 1]; in the order of `mesh_order`
+    mesh_triangle_first: np.ndarray  # int32, shape [mesh_count + 1]; no mesh is empty
+    mesh_vertex_first: np.ndarray  # first of the vertices of each mesh, int64, shape [mesh_count + 1]
     instance_mesh: np.ndarray  # index into `mesh_triangle_first`, int32, shape [n]
     instance_transform: np.ndarray  # float32, shape [n, 3, 4]; the identity for baked instances
     merged: tuple[Merged, ...]
@@ -131,6 +132,7 @@ def _joined(chunks, instance_mesh, transform, merged, shared) -> FlatGeometry:
         corner_normals=corner_normals.reshape(-1, 3),
         triangle_slot=triangle_slot,
         mesh_triangle_first=first,
+        mesh_vertex_first=vertex_first,
         instance_mesh=instance_mesh,
         instance_transform=transform,
         merged=merged,

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import warp as wp
 
 from .description import Scene
@@ -60,13 +63,32 @@ def triangle_vertices(geometry: Geometry, instance: int, primitive: int) -> tupl
 def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device) -> Geometry:
     """`flat`, the geometry of `scene`, on `device`."""
     geometry = Geometry()
-    geometry.positions = wp.array(flat.positions, dtype=wp.vec3, device=device)
     geometry.triangles = wp.array(flat.triangles, dtype=wp.vec3i, device=device)
     geometry.mesh_triangle_first = wp.array(flat.mesh_triangle_first, dtype=int, device=device)
     geometry.instance_mesh = wp.array(flat.instance_mesh, dtype=int, device=device)
-    geometry.instance_transform = wp.array(flat.instance_transform, dtype=mat34, device=device)
-    geometry.corner_normals = wp.array(flat.corner_normals, dtype=wp.vec3, device=device)
-    geometry.triangle_slot = wp.array(flat.triangle_slot, dtype=int, device=device)
-    geometry.instance_slot_first = wp.array(scene.instances.slot_first, dtype=int, device=device)
-    geometry.slot_materials = wp.array(scene.slot_materials, dtype=int, device=device)
+    for name, values, dtype in _what_moves(flat, scene):
+        setattr(geometry, name, wp.array(values, dtype=dtype, device=device))
     return geometry
+
+
+def update_geometry(geometry: Geometry, flat: FlatGeometry, scene: Scene) -> None:
+    """Make `geometry` hold `flat`, which has the same triangles and meshes; arrays of the same size are written over."""
+    device = geometry.triangles.device
+    for name, values, dtype in _what_moves(flat, scene):
+        array = getattr(geometry, name)
+        if array.size == len(values):
+            wp.copy(array, wp.array(values, dtype=dtype, device="cpu", copy=False))
+        else:
+            setattr(geometry, name, wp.array(values, dtype=dtype, device=device))
+
+
+def _what_moves(flat: FlatGeometry, scene: Scene) -> list[tuple[str, np.ndarray, Any]]:
+    """Names, contents and elements of the arrays that may change where triangles do not."""
+    return [
+        ("positions", flat.positions, wp.vec3),
+        ("instance_transform", flat.instance_transform, mat34),
+        ("corner_normals", flat.corner_normals, wp.vec3),
+        ("triangle_slot", flat.triangle_slot, int),
+        ("instance_slot_first", scene.instances.slot_first, int),
+        ("slot_materials", scene.slot_materials, int),
+    ]

@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
-import threading
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
-from ..bvh.build import BuiltTree, build_scene_tree
+from ..bvh.build import BuiltTree
 from ..bvh.node import Layout
-from ..bvh.reference import BuiltReference, ReferenceTree, build_reference
+from ..bvh.reference import BuiltReference, ReferenceTree
 from ..bvh.tree import Tree
 from ..scene.description import ClosureKind, Scene
 from ..scene.features import SceneFeatures
-from ..scene.flatten import flatten
-from ..scene.geometry import Geometry, upload_geometry
+from ..scene.geometry import Geometry
 from ..settings import RenderSettings
 from ..shading.camera import CameraData, upload_camera
 from ..shading.closures import ClosureFeatures, MaterialTable, upload_materials
 from ..shading.light_table import LightTable, UploadedLights, upload_lights
+from .geometry_cache import GeometryCache
 from .stages.trace import Traversal
 
 
@@ -36,49 +33,6 @@ class SceneData:
     world_visibility: int
     view_origin: wp.vec3  # of the camera, for depth
     view_axis: wp.vec3
-
-
-@dataclass
-class _CachedGeometry:
-    key: bytes
-    geometry: Geometry
-    built: BuiltReference | BuiltTree
-
-
-class GeometryCache:
-    """The geometry and tree of the last scene, for the next frame that shows the same."""
-
-    def __init__(self):
-        self._last: _CachedGeometry | None = None
-        self._lock = threading.Lock()  # the build of a cancelled render may still be going on
-
-    def clear(self) -> None:
-        """Forget it."""
-        self._last = None
-
-    def get(
-        self, scene: Scene, instancing: bool, settings: RenderSettings, layout: Layout, device: wp.Device
-    ) -> tuple[Geometry, BuiltReference | BuiltTree]:
-        """Geometry and tree of `scene`, built unless the last scene had the same geometry."""
-        flat = flatten(scene)
-        visibility = scene.instances.visibility
-        digest = hashlib.blake2b(digest_size=20)
-        arrays = [getattr(flat, field.name) for field in dataclasses.fields(flat) if field.name != "merged"]
-        for array in [*arrays, visibility, scene.instances.slot_first, scene.slot_materials]:
-            digest.update(str((array.dtype, array.shape)).encode())
-            digest.update(np.ascontiguousarray(array))
-        digest.update(repr((instancing, settings.batching, settings.spatial_splits, layout)).encode())
-        key = digest.digest()
-        with self._lock:
-            if self._last is None or self._last.key != key:
-                self._last = None  # before the new one is built: never hold two
-                geometry = upload_geometry(flat, scene, device)
-                if settings.batching == "REFERENCE":
-                    built = build_reference(flat, visibility, instancing, device)
-                else:
-                    built = build_scene_tree(flat, geometry, visibility, instancing, device, layout, settings.spatial_splits == "ON")
-                self._last = _CachedGeometry(key, geometry, built)
-            return self._last.geometry, self._last.built
 
 
 @dataclass

@@ -11,7 +11,8 @@ from raybatch_addon.core.device import find_device
 from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame, Light, LightKind, Visibility
 from raybatch_addon.core.scene.features import SceneFeatures, derive_features, ordinary_features
 from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.core.wavefront.device_scene import DeviceScene, GeometryCache
+from raybatch_addon.core.wavefront.device_scene import DeviceScene
+from raybatch_addon.core.wavefront.geometry_cache import GeometryCache
 from raybatch_addon.core.wavefront.kernels import StageKernels, tracing_kernels
 from raybatch_addon.core.wavefront.rays import allocate_paths, bytes_per_path
 from raybatch_addon.core.wavefront.stages.trace import Traversal
