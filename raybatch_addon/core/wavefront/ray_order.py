@@ -16,7 +16,7 @@ from .sort_policy import BOUNCE, CAMERA, SHADOW, SortPolicy
 from .tracer import SlotList
 
 # Trials of sorting begin when this many times the paths alive were begun: the first waves are all camera rays
-ITEMS_FIRST = 2
+ITEMS_FIRST = 4
 
 
 def order_kernels(ray_sort: str, device: wp.Device) -> list[wp.Kernel]:

@@ -1,7 +1,7 @@
 """When a list of rays is sorted before it is traced: pure policy, without Warp or a device.
 
 Where sorting pays depends on the scene, the device and how far the paths have scattered, so it is measured. At fixed points of
-the work, after `items_first`, twice and four times as many paths and so on, each class of rays tries both ways in turn on a few
+the work, after `items_first` paths, sixteen times as many and so on, each class of rays tries both ways in turn on a few
 waves and keeps the cheaper, sorting included. The film is the same either way.
 """
 
@@ -20,8 +20,10 @@ CAMERA, BOUNCE_1, BOUNCE_2, BOUNCE_LATER, SHADOW, BOUNCE = RAY_CLASSES = (
 
 # Waves that are traced each way in a trial; their median counts
 TRIAL_WAVES = 3
+# Each trial comes after so many times the paths of the one before: where sorting does not pay, trying it must cost little
+TRIAL_SPACING = 16
 # The other way must be cheaper by this factor to be taken up
-SWITCH_RATIO = 0.97
+SWITCH_RATIO = 0.92
 # Smaller waves cost what a launch costs, and are traced as they are
 RAYS_MIN = 1024
 
@@ -119,7 +121,7 @@ class SortPolicy:
             return False
         if items_begun >= decision.next_trial:
             while decision.next_trial <= items_begun:
-                decision.next_trial *= 2
+                decision.next_trial *= TRIAL_SPACING
             decision.trial = _Trial()
         trial = decision.trial
         if trial is None or trial.waves >= 2 * TRIAL_WAVES:

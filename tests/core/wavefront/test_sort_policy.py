@@ -11,6 +11,7 @@ from raybatch_addon.core.wavefront.sort_policy import (
     RAY_CLASSES,
     RAYS_MIN,
     SHADOW,
+    TRIAL_SPACING,
     TRIAL_WAVES,
     SortPolicy,
     merged_reports,
@@ -57,7 +58,7 @@ def test_nothing_is_tried_before_the_first_point():
     assert not any(play(SortPolicy("AUTO", FIRST), (2e-9, 1e-9), 20, items=FIRST - 1))
 
 
-def test_trials_come_at_powers_of_two_of_the_work():
+def test_trials_come_at_fixed_points_of_the_work():
     policy = SortPolicy("AUTO", FIRST)
     items, begun = FIRST, []
     for _ in range(2000):
@@ -65,17 +66,17 @@ def test_trials_come_at_powers_of_two_of_the_work():
         if policy.is_measured(SHADOW):
             begun.append(items)
             policy.record(SHADOW, sorts, WAVE, WAVE * 1e-9)
-        items += 50
-    expected = [FIRST * 2**k + 50 * i for k in range(7) for i in range(2 * TRIAL_WAVES)]
+        items += 500
+    expected = [FIRST * TRIAL_SPACING**k + 500 * i for k in range(3) for i in range(2 * TRIAL_WAVES)]
     assert begun == expected
-    assert policy.report()["classes"][SHADOW]["trials"] == 7
+    assert policy.report()["classes"][SHADOW]["trials"] == 3
 
 
 def test_a_choice_is_changed_when_the_work_changes_and_not_for_little():
     policy = SortPolicy("AUTO", FIRST)
     assert play(policy, (2e-9, 1e-9), 10)[-1] is True
-    assert play(policy, (0.99e-9, 1e-9), 10, items=2 * FIRST)[-1] is True, "within the noise"
-    assert play(policy, (0.5e-9, 1e-9), 10, items=4 * FIRST)[-1] is False
+    assert play(policy, (0.95e-9, 1e-9), 10, items=TRIAL_SPACING * FIRST)[-1] is True, "within the noise"
+    assert play(policy, (0.5e-9, 1e-9), 10, items=TRIAL_SPACING**2 * FIRST)[-1] is False
     report = policy.report()["classes"][BOUNCE_1]
     assert (report["trials"], report["switches"]) == (3, 2)
     assert (report["ns_unsorted"], report["ns_sorted"]) == (0.5, 1.0)
@@ -109,7 +110,7 @@ def test_waves_that_are_never_told_of_leave_the_choice_as_it_was_until_the_next_
     for _ in range(3 * TRIAL_WAVES):
         policy.choose(BOUNCE_1, WAVE, FIRST)
     assert not policy.choose(BOUNCE_1, WAVE, FIRST)
-    assert play(policy, (2e-9, 1e-9), 10, items=2 * FIRST)[-1] is True
+    assert play(policy, (2e-9, 1e-9), 10, items=TRIAL_SPACING * FIRST)[-1] is True
 
 
 def test_reports_of_workers_are_merged():
