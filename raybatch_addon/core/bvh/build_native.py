@@ -72,6 +72,7 @@ struct Sah {
     static f8 join(f4 a, f4 b) { return __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7); }
     static f8 nothing() { f8 v = {}; return v - __builtin_inff(); }
     static f4 extent(f8 box) { f4 e = high4(box) + low4(box); e[3] = 0; return e; }
+    static bool is_spread(f8 box) { f4 e = extent(box); return e[0] > 0 || e[1] > 0 || e[2] > 0; }
     // twice the middle of a box, negated and as it is
     static f8 middle(f8 record) { f4 m = high4(record) - low4(record); return join(-m, m); }
     // by value: Clang's bit cast of a vector's element reads lane 0
@@ -239,7 +240,6 @@ struct Sah {
         task.kind = HALF;
         task.left_count = (task.count + 1) / 2;
         task.right_count = task.count - task.left_count;
-        task.left_box = task.right_box = task.box;
         task.cost = measure(task.box) * (groups(options, task.left_count) + groups(options, task.right_count));
     }
 

@@ -11,6 +11,7 @@ Positions are assumed finite and indices valid: scenes are checked before (`scen
 from __future__ import annotations
 
 import dataclasses
+import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 
@@ -40,8 +41,8 @@ from .build_stages import (
 # Records of a chunk, and of the largest subtree: this, or a share of all for large meshes
 CHUNK_MIN = 1 << 13
 CHUNKS = 64
-# What a caller loads before it builds on threads of its own
-BUILD_KERNELS = (build_kernel,)
+# Two builds at once must not load the kernel twice, nor launch it half loaded
+_load_lock = threading.Lock()
 
 
 def build_binary(positions: np.ndarray, triangles: np.ndarray, options: BuildOptions = BuildOptions()) -> BinaryTree:
@@ -101,7 +102,8 @@ class _Build:
         self.numbers.traversal_cost = options.step_cost
         self.numbers.group_inverse = float(np.nextafter(np.float32(1 / options.leaf_group), np.float32(2)))
         self.numbers.split_overlap = options.split_overlap
-        build_kernel.module.load(wp.get_device("cpu"), 1)
+        with _load_lock:
+            build_kernel.module.load(wp.get_device("cpu"), 1)
         large = self.threads > 1 and count > self.chunk
         self.pool = ThreadPoolExecutor(self.threads) if large else None
 

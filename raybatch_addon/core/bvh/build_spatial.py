@@ -48,7 +48,10 @@ struct Spatial {
         return c;
     }
 
-    static bool is_box(f8 record) { return -record[0] <= record[4] && -record[1] <= record[5] && -record[2] <= record[6]; }
+    static bool is_box(f8 record) {
+        i4 is_not = ~(Sah::high4(record) + Sah::low4(record) >= 0);  // never in lane 3
+        return !(is_not[0] | is_not[1] | is_not[2]);
+    }
 
     // The parts of the record's triangle below and above the plane, within the record's box. A part without a box is empty.
     static void cut(const Corners& triangle, f8 record, int axis, float plane, f8& left, f8& right) {
@@ -102,7 +105,7 @@ struct Spatial {
     }
 
     // The parts of a record's triangle that lie in bins from..to of an axis, to rounding: each edge is followed from plane to plane.
-    static void slice(const f8* corners, const i4* places, f8 record, int k, int from, int to, const float* planes, f8* parts) {
+    __attribute__((always_inline)) static void slice(const f8* corners, const i4* places, f8 record, int k, int from, int to, const float* planes, f8* parts) {
         float low = -record[k], high = record[4 + k];
         for (int b = from; b <= to; b++) parts[b] = Sah::nothing();
         for (int e = 0; e < 3; e++) {
@@ -143,6 +146,7 @@ struct Spatial {
                     corners[c] = Sah::join(-point, point);
                     places[c] = place(point);
                 }
+#pragma clang loop unroll(full)
             for (int k = 0; k < 3; k++) {
                 bins.enter[k][from[k]]++;
                 bins.leave[k][to[k]]++;

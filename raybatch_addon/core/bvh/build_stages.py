@@ -56,9 +56,9 @@ Options options = {numbers.leaf_group, numbers.leaf_max, numbers.traversal_cost,
 const Spatial spatial = {arrays.positions.data, arrays.triangles.data};
 SpatialBins* all_spatial_bins = (SpatialBins*)arrays.bins.data;
 
-// Where there is room for more references: does a spatial split promise anything?
+// Where there is room for more references, and more than copies of one triangle: does a spatial split promise anything?
 auto is_spatial = [&](const Task& task) {
-    return task.capacity > task.count && Spatial::is_worthwhile(task, numbers.split_overlap, numbers.root_area);
+    return task.capacity > task.count && task.kind != HALF && Spatial::is_worthwhile(task, numbers.split_overlap, numbers.root_area);
 };
 
 auto write_node = [&](f8u* node, f8 box, int a, int count) {
@@ -118,7 +118,9 @@ auto decide = [&](Task& task) {
     Sah::Measure measure(task.box);
     Sah::halve(task, options, measure);
     if (Sah::must_halve(task)) return;
-    if (task.count <= EXACT_MAX) {
+    if (!Sah::is_spread(task.middle)) {
+        // many copies of one triangle: nothing to choose by
+    } else if (task.count <= EXACT_MAX) {
         Sah::choose_exact(own, options, measure, task);
     } else {
         Bins bins;
