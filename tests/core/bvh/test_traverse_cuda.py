@@ -10,9 +10,9 @@ from under_test import BLOCK_DIM
 from wide_trees import soup, sphere
 
 from raybatch_addon.core.bvh.binary import BuildOptions
+from raybatch_addon.core.bvh.build_cuda import build_mesh, build_top
 from raybatch_addon.core.bvh.build_sah import build_binary, build_binary_from_boxes
 from raybatch_addon.core.bvh.collapse import collapse_entries, collapse_mesh
-from raybatch_addon.core.bvh.encode import as_vectors
 from raybatch_addon.core.bvh.intersect import TRIANGLE_TEXT
 from raybatch_addon.core.bvh.margin import SLAB_MARGIN
 from raybatch_addon.core.bvh.node import Layout
@@ -60,24 +60,60 @@ class Entry:
     visibility: int = -1
 
 
+@dataclasses.dataclass
+class Blocks:
+    """A wide tree in host memory, as words of 16 bytes."""
+
+    nodes: np.ndarray
+    centre: np.ndarray
+    box: np.ndarray
+    triangles: np.ndarray | None = None  # of a mesh
+    order: np.ndarray | None = None  # of a top level
+
+    def __post_init__(self):
+        words = {name: x.view(np.float32).reshape(-1, 4) for name in ("nodes", "triangles") if (x := getattr(self, name)) is not None}
+        vars(self).update(words)
+
+
+def mesh_blocks(entry: Entry, device: str, options: BuildOptions) -> Blocks:
+    """By the CPU's builder; elsewhere by the device's own, which has no options and needs no compiler for the CPU."""
+    positions, triangles = entry.positions, entry.triangles
+    if device == "cpu":
+        made = collapse_mesh(build_binary(positions, triangles, options), positions, triangles, Layout.QUANTISED)
+        return Blocks(made.nodes, made.centre, made.box, triangles=made.triangles)
+    uploaded = wp.array(positions, dtype=wp.vec3, device=device), wp.array(triangles, dtype=wp.vec3i, device=device)
+    made = build_mesh(*uploaded, 0, len(triangles))
+    return Blocks(made.nodes.numpy(), made.centre, made.box, triangles=made.triangles.numpy())
+
+
+def top_blocks(low: np.ndarray, high: np.ndarray, device: str) -> Blocks:
+    """The same over boxes."""
+    if device == "cpu":
+        made = collapse_entries(build_binary_from_boxes(low, high, BuildOptions(leaf_group=1, leaf_max=1)), Layout.QUANTISED)
+        return Blocks(made.nodes, made.centre, made.box, order=made.order)
+    made = build_top(*(wp.array(x, dtype=wp.vec3, device=device) for x in (low, high)))
+    return Blocks(made.nodes.numpy(), made.centre, made.box, order=made.order.numpy())
+
+
 def make_tree(entries: list[Entry], device: str, instancing: bool, options: BuildOptions = WHOLE) -> Tree:
     """The trees of `entries`, each with blocks of its own."""
-    meshes = [collapse_mesh(build_binary(e.positions, e.triangles, options), e.positions, e.triangles, Layout.QUANTISED) for e in entries]
-    nodes, triangles = [m.nodes.view(np.float32).reshape(-1, 4) for m in meshes], [m.triangles.reshape(-1, 4) for m in meshes]
+    meshes = [mesh_blocks(e, device, options) for e in entries]
+    nodes, triangles = [m.nodes for m in meshes], [m.triangles for m in meshes]
+    node_first, triangle_first = (np.cumsum([0] + [len(x) // size for x in blocks]) for blocks, size in ((nodes, 5), (triangles, 3)))
     to_world = np.array([e.to_world for e in entries], np.float64)
     inverse = np.linalg.inv(to_world[:, :, :3])
     from_world = np.concatenate([inverse, -inverse @ to_world[:, :, 3:]], 2).astype(np.float32)
     tree = Tree()
     tree.entry_count = len(entries)
-    tree.top_node = sum(m.node_count for m in meshes)
+    tree.top_node = int(node_first[-1])
     if instancing:
         # generous: some more than the error of carrying a ray to object space
         corners = np.array([[[m.box[i, 0], m.box[j, 1], m.box[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)] for m in meshes], np.float64)
         world = np.einsum("eij,ecj->eci", to_world[:, :, :3], corners) + to_world[:, None, :, 3]
         reach = np.abs(world).max() * 1e-4
         low, high = (world.min(1) - reach).astype(np.float32), (world.max(1) + reach).astype(np.float32)
-        top = collapse_entries(build_binary_from_boxes(low, high, BuildOptions(leaf_group=1, leaf_max=1)), Layout.QUANTISED)
-        nodes.append(top.nodes.view(np.float32).reshape(-1, 4))
+        top = top_blocks(low, high, device)
+        nodes.append(top.nodes)
         tree.top_entry = wp.array(top.order, dtype=int, device=device)
         tree.top_centre = wp.vec3(*top.centre.tolist())
         tree.top_margin = 64 * SLAB_MARGIN
@@ -89,8 +125,8 @@ def make_tree(entries: list[Entry], device: str, instancing: bool, options: Buil
     merged = [e.merged or [] for e in entries]
     tree.nodes = upload(np.concatenate(nodes), wp.vec4, (-1, 4))
     tree.triangles = upload(np.concatenate(triangles), wp.vec4, (-1, 4))
-    tree.entry_node = upload(np.cumsum([0] + [m.node_count for m in meshes])[:-1], int)
-    tree.entry_triangle = upload(np.cumsum([0] + [len(m.triangles) for m in meshes])[:-1], int)
+    tree.entry_node = upload(node_first[:-1], int)
+    tree.entry_triangle = upload(triangle_first[:-1], int)
     tree.entry_centre = upload([m.centre for m in meshes], wp.vec3, (-1, 3))
     tree.entry_from_world = upload(from_world, mat34, (-1, 3, 4))
     tree.entry_instance = upload([-1 if e.merged else e.instance for e in entries], int)
