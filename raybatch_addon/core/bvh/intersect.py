@@ -14,7 +14,8 @@ computed again in float64, where products of float32 are exact. So no ray slips 
     r = 1 / (U + V + W); weights U r, V r, W r of the corners a, b, c
     t = fma(W r, cz', fma(V r, bz', (U r) az')) Sz
 
-The result is a function of ray and triangle alone. `margin.py` bounds its error.
+The result is a function of ray and triangle alone. `margin.py` bounds its error. On CUDA it is the same but for rounding: reciprocals
+are approximate, and the order of x and y differs, which mirrors the triangle.
 """
 
 from __future__ import annotations
@@ -27,43 +28,59 @@ EDGE_TINY = 2.0**-80
 """Edge functions up to this size are computed again in float64."""
 
 TRIANGLE_TEXT = """
-    // Scalar text for either device: a lambda `shear_ray`, a lambda `meet_triangle`, their struct `ShearedRay`.
+    // Scalar text for either device: lambdas `shear_ray` and `meet_triangle`, and their struct `ShearedRay`.
+    //
+    // Coordinates (x, y, z) in the ray's own axes, the last of which is `axis` 0..2. On a CPU the others follow it in cycle. On CUDA it
+    // changes places with z, for which there is less to select; that may mirror a triangle, which is met from both sides anyway.
+    auto along = [](int axis, float x, float y, float z) -> float { return axis == 0 ? x : axis == 1 ? y : z; };
+    #if defined(__CUDA_ARCH__)
+    auto across = [](int axis, float x, float y, float z) -> float { return axis == 0 ? z : x; };
+    auto across_too = [](int axis, float x, float y, float z) -> float { return axis == 1 ? z : y; };
+    #else
+    auto across = [](int axis, float x, float y, float z) -> float { return axis == 0 ? y : axis == 1 ? z : x; };
+    auto across_too = [](int axis, float x, float y, float z) -> float { return axis == 0 ? z : axis == 1 ? x : y; };
+    #endif
     struct ShearedRay {
         float ox, oy, oz;  // origin
-        float sx, sy, sz;  // dx / dz, dy / dz, 1 / dz in the permuted axes
+        float sx, sy, sz;  // dx / dz, dy / dz, 1 / dz in the ray's own axes
         int z;             // axis 0..2 of the direction's largest component
     };
     // Constants of the ray (o, d). d is not 0, of any length.
-    auto shear_ray = [](float ox, float oy, float oz, float dx, float dy, float dz) -> ShearedRay {
+    auto shear_ray = [&](float ox, float oy, float oz, float dx, float dy, float dz) -> ShearedRay {
         ShearedRay r;
         const float ax = fabsf(dx), ay = fabsf(dy), az = fabsf(dz);
         r.ox = ox; r.oy = oy; r.oz = oz;
         r.z = ay > ax ? 1 : 0;
         if (az > (ay > ax ? ay : ax)) r.z = 2;
-        const float d = r.z == 0 ? dx : r.z == 1 ? dy : dz;
-        r.sx = (r.z == 0 ? dy : r.z == 1 ? dz : dx) / d;
-        r.sy = (r.z == 0 ? dz : r.z == 1 ? dx : dy) / d;
+        const float d = along(r.z, dx, dy, dz);
+        r.sx = across(r.z, dx, dy, dz) / d;
+        r.sy = across_too(r.z, dx, dy, dz) / d;
         r.sz = 1.0f / d;
         return r;
     };
     // Whether the ray's line meets the triangle (a, b, c) at a t > 0. If so t, and the weights v of b and w of c.
-    auto meet_triangle = [](const ShearedRay& r, float ax, float ay, float az, float bx, float by, float bz,
-                            float cx, float cy, float cz, float& t, float& v, float& w) -> bool {
+    auto meet_triangle = [&](const ShearedRay& r, float ax, float ay, float az, float bx, float by, float bz,
+                             float cx, float cy, float cz, float& t, float& v, float& w) -> bool {
     #if defined(__CUDA_ARCH__)
         auto fused = [](float a, float b, float c) -> float { return __fmaf_rn(a, b, c); };
         auto lesser = [](float a, float b) -> float { return fminf(a, b); };
-        auto greater = [](float a, float b) -> float { return fmaxf(a, b); };
+        auto bits = [](float a) -> int { return __float_as_int(a); };
+        // an ulp off at most, for which the margin has room
+        auto reciprocal = [](float a) -> float { float q; asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(q) : "f"(a)); return q; };
+        auto quotient = [](double a, double b, double reciprocal_b) -> float { return (float)(a * reciprocal_b); };
     #else
         auto fused = [](float a, float b, float c) -> float { return __builtin_fmaf(a, b, c); };
         auto lesser = [](float a, float b) -> float { return a < b ? a : b; };
-        auto greater = [](float a, float b) -> float { return a > b ? a : b; };
+        auto bits = [](float a) -> int { int i; __builtin_memcpy(&i, &a, 4); return i; };
+        auto reciprocal = [](float a) -> float { return 1.0f / a; };
+        auto quotient = [](double a, double b, double reciprocal_b) -> float { return (float)(a / b); };
     #endif
-        // corner (px, py, pz) with the origin at 0, in the order x, y, z of the permuted axes, and sheared
+        // corner (px, py, pz) with the origin at 0, in the ray's own axes, and sheared
         auto shear = [&](float& px, float& py, float& pz) {
             const float x = px - r.ox, y = py - r.oy, z = pz - r.oz;
-            pz = r.z == 0 ? x : r.z == 1 ? y : z;
-            px = fused(-r.sx, pz, r.z == 0 ? y : r.z == 1 ? z : x);
-            py = fused(-r.sy, pz, r.z == 0 ? z : r.z == 1 ? x : y);
+            pz = along(r.z, x, y, z);
+            px = fused(-r.sx, pz, across(r.z, x, y, z));
+            py = fused(-r.sy, pz, across_too(r.z, x, y, z));
         };
         // a b - c d, the sign exact (Kahan)
         auto difference = [&](float a, float b, float c, float d) -> float {
@@ -72,25 +89,21 @@ TRIANGLE_TEXT = """
             return fused(a, b, -product) + error;
         };
         shear(ax, ay, az); shear(bx, by, bz); shear(cx, cy, cz);
-        const float tiny = EDGE_TINY;
         float u = difference(cx, by, cy, bx);
         v = difference(ax, cy, ay, cx);
         w = difference(bx, ay, by, ax);
-        const float least = lesser(lesser(u, v), w), most = greater(greater(u, v), w);
-        if (least > tiny || most < -tiny) {
-            const float r_sum = 1.0f / (u + v + w);
-            u *= r_sum; v *= r_sum; w *= r_sum;
-        } else if (least >= -tiny || most <= tiny) {
-            // on or near an edge, or a triangle that is tiny or seen edge-on
+        // Where signs differ the sum counts as infinite: the weights are 0, and t is not above 0. (The highest bit is the sign.)
+        if (lesser(lesser(fabsf(u), fabsf(v)), fabsf(w)) > EDGE_TINY) {
+            const float q = reciprocal(((bits(u) ^ bits(v)) | (bits(u) ^ bits(w))) < 0 ? INFINITY : u + v + w);
+            u *= q; v *= q; w *= q;
+        } else {
+            // on or near the line of an edge, or a triangle that is tiny or seen edge-on (then all are 0, and t is no number)
             const double du = (double)cx * by - (double)cy * bx;
             const double dv = (double)ax * cy - (double)ay * cx;
             const double dw = (double)bx * ay - (double)by * ax;
-            if ((du < 0.0 || dv < 0.0 || dw < 0.0) && (du > 0.0 || dv > 0.0 || dw > 0.0)) return false;
-            const double sum = du + dv + dw;
-            if (!(sum != 0.0)) return false;
-            u = (float)(du / sum); v = (float)(dv / sum); w = (float)(dw / sum);
-        } else {
-            return false;
+            const bool differ = (du < 0.0 || dv < 0.0 || dw < 0.0) && (du > 0.0 || dv > 0.0 || dw > 0.0);
+            const double sum = differ ? (double)INFINITY : du + dv + dw, q = 1.0 / sum;
+            u = quotient(du, sum, q); v = quotient(dv, sum, q); w = quotient(dw, sum, q);
         }
         t = fused(w, cz, fused(v, bz, u * az)) * r.sz;
         return t > 0.0f;

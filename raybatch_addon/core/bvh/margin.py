@@ -23,7 +23,8 @@ ax: the ray's point at t is within **19 u m of the triangle's box** in each coor
 
 The slab test computes fma(plane, 1/d, b) with b = -(o' +- margin) / d. In units of length the roundings of 1/d, of b and
 of the FMA cost 2 u (|o'| + M) + 2 u |o'|, and o' itself u |o'|. A component of d that is raised to 2**-40 of the largest
-moves the point by 2**-40 m, less than u m / 2**15. All together 24 u |o'| + 21 u M, for which 32 is used.
+moves the point by 2**-40 m, less than u m / 2**15. All together 24 u |o'| + 21 u M, for which 32 is used. (CUDA computes with
+approximate reciprocals; what they take of the slack is counted in `traverse_cuda_text.py`.)
 
 The two parts are split: every child box in a wide node is grown by `SLAB_MARGIN` M, M the largest absolute coordinate
 of the boxes in that node, and every ray moves its near planes back and its far planes on by `SLAB_MARGIN` |o'|.

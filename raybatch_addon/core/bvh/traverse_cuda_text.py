@@ -21,7 +21,7 @@ DEVICE_TEXT = """
     auto bit_count = [](unsigned x) -> int { return __popc(x); };
     auto fused = [](float a, float b, float c) -> float { return __fmaf_rn(a, b, c); };
     // The four bytes of a word, times 2^-24: that is what a byte says in the last place of a float16, below the normal ones
-    constexpr float BYTE_UNIT = 16777216.0f;
+    constexpr unsigned BYTE_EXPONENT = 24u << 23;
     auto unpack = [](unsigned x, float* q) {
         const unsigned even = x & 0x00ff00ffu, odd = __byte_perm(x, 0u, 0x4341);
         asm("{ .reg .b16 l, h; mov.b32 {l, h}, %2; cvt.f32.f16 %0, l; cvt.f32.f16 %1, h; }" : "=f"(q[0]), "=f"(q[2]) : "r"(even));
@@ -43,7 +43,7 @@ DEVICE_TEXT = """
     auto highest_bit = [](unsigned x) -> unsigned { return 31u - __builtin_clz(x); };
     auto bit_count = [](unsigned x) -> int { return __builtin_popcount(x); };
     auto fused = [](float a, float b, float c) -> float { return __builtin_fmaf(a, b, c); };
-    constexpr float BYTE_UNIT = 1.0f;
+    constexpr unsigned BYTE_EXPONENT = 0u;
     auto unpack = [](unsigned x, float* q) {
         for (int j = 0; j < 4; ++j) q[j] = (float)((x >> (8 * j)) & 255u);
     };
@@ -57,8 +57,8 @@ DEVICE_TEXT = """
 """
 
 # The ray in the space of the tree that it is in. `margin.py` has the reasons for both constants. Where it counts 24 u |o'| + 21 u M
-# of the 32 that are there, the approximate reciprocals (2 u instead of u: three times for a hit, once for a slab), bytes added to
-# an origin, and `late` added to a near plane make it 29 and 27 here.
+# of the 32 that are there, the approximate reciprocals (2 u instead of u: of the edge functions' sum, of dz for t, and of dz for the
+# shear, where a product comes too; once for a slab), bytes added to an origin, and `late` added to a near plane make it 30 and 28 here.
 RAY_TEXT = """
     struct Ray {
         float ox, oy, oz;  // origin
@@ -72,21 +72,21 @@ RAY_TEXT = """
         Ray r;
         r.ox = ox; r.oy = oy; r.oz = oz;
         const float ax = fabsf(dx), ay = fabsf(dy), az = fabsf(dz);
-        const unsigned axis = az > (ay > ax ? ay : ax) ? 2u : ay > ax ? 1u : 0u;
+        const int axis = az > (ay > ax ? ay : ax) ? 2 : ay > ax ? 1 : 0;
         const float most = larger(larger(ax, ay), az), least = most * DIRECTION_LEAST;
         r.ix = reciprocal(ax < least ? wp::copysign(least, dx) : dx);
         r.iy = reciprocal(ay < least ? wp::copysign(least, dy) : dy);
         r.iz = reciprocal(az < least ? wp::copysign(least, dz) : dz);
-        const float dm = axis == 0u ? dx : axis == 1u ? dy : dz, im = axis == 0u ? r.ix : axis == 1u ? r.iy : r.iz;
-        r.sx = quotient(axis == 0u ? dy : axis == 1u ? dz : dx, dm, im);
-        r.sy = quotient(axis == 0u ? dz : axis == 1u ? dx : dy, dm, im);
+        const float d = along(axis, dx, dy, dz), inverse = along(axis, r.ix, r.iy, r.iz);
+        r.sx = quotient(across(axis, dx, dy, dz), d, inverse);
+        r.sy = quotient(across_too(axis, dx, dy, dz), d, inverse);
         const float x = ox - cx, y = oy - cy, z = oz - cz;
         const float reach = margin * larger(larger(fabsf(x), fabsf(y)), fabsf(z));
         const float ex = reach * fabsf(r.ix), ey = reach * fabsf(r.iy), ez = reach * fabsf(r.iz);
         r.nx = fused(-x, r.ix, -ex); r.ny = fused(-y, r.iy, -ey); r.nz = fused(-z, r.iz, -ez);
         r.late = 2.0f * reach;
         // slot bits: 4, 2, 1 towards +x, +y, +z
-        r.order = (7u ^ ((r.ix < 0.0f ? 4u : 0u) | (r.iy < 0.0f ? 2u : 0u) | (r.iz < 0.0f ? 1u : 0u))) * 0x01010101u | axis << 5;
+        r.order = (7u ^ ((r.ix < 0.0f ? 4u : 0u) | (r.iy < 0.0f ? 2u : 0u) | (r.iz < 0.0f ? 1u : 0u))) * 0x01010101u | (unsigned)axis << 5;
         return r;
     };
 """.replace("DIRECTION_LEAST", f"{DIRECTION_LEAST.hex()}f")
@@ -98,9 +98,9 @@ RAY_TEXT = """
 # miss whatever it is, and an entry counts as 0.
 NODE_TEXT = """
     auto meet_node = [&](const Ray& r, float limit, const Words& a, const Words& b, const Words& c, const Words& d, const Words& e) -> unsigned {
-        const float sx = as_float((a.w << 23) & 0x7f800000u) * r.ix * BYTE_UNIT;
-        const float sy = as_float((a.w << 15) & 0x7f800000u) * r.iy * BYTE_UNIT;
-        const float sz = as_float((a.w << 7) & 0x7f800000u) * r.iz * BYTE_UNIT;
+        const float sx = as_float(((a.w << 23) + BYTE_EXPONENT) & 0x7f800000u) * r.ix;
+        const float sy = as_float(((a.w << 15) + BYTE_EXPONENT) & 0x7f800000u) * r.iy;
+        const float sz = as_float(((a.w << 7) + BYTE_EXPONENT) & 0x7f800000u) * r.iz;
         const float nx = fused(as_float(a.x), r.ix, r.nx), fx = nx + fabsf(r.ix * r.late);
         const float ny = fused(as_float(a.y), r.iy, r.ny), fy = ny + fabsf(r.iy * r.late);
         const float nz = fused(as_float(a.z), r.iz, r.nz), fz = nz + fabsf(r.iz * r.late);
@@ -248,7 +248,7 @@ LANE_TEXT = """
         if (leaf.y == 0u) { leaf = later; later.y = 0u; }
         $count_test
         const int axis = (ray.order >> 5) & 3u;
-        const ShearedRay sheared = {ray.ox, ray.oy, ray.oz, ray.sx, ray.sy, axis == 0 ? ray.ix : axis == 1 ? ray.iy : ray.iz, axis};
+        const ShearedRay sheared = {ray.ox, ray.oy, ray.oz, ray.sx, ray.sy, along(axis, ray.ix, ray.iy, ray.iz), axis};
         float t, v, w;
         if (!meet_triangle(sheared, as_float(a.x), as_float(a.y), as_float(a.z), as_float(b.x), as_float(b.y), as_float(b.z),
                            as_float(c.x), as_float(c.y), as_float(c.z), t, v, w)) return;
@@ -262,26 +262,24 @@ LANE_TEXT = """
             }
             return;
         }
+        if (!(t <= best)) return;
         const int face = (int)a.w;
-        bool nearer = t < best;
         if (t == best) {
             const int other = hit_primitive.data[slot];
-            if (other < 0) {
-            } else if (!TWO_LEVEL || entry == hit_instance.data[slot]) {
-                nearer = face < other;
+            if (other < 0) return;
+            if (!TWO_LEVEL || entry == hit_instance.data[slot]) {
+                if (face >= other) return;
             } else {
                 int instance, primitive, best_instance, best_primitive;
                 identify(entry, face, instance, primitive);
                 identify(hit_instance.data[slot], other, best_instance, best_primitive);
-                nearer = instance < best_instance || (instance == best_instance && primitive < best_primitive);
+                if (instance > best_instance || (instance == best_instance && primitive >= best_primitive)) return;
             }
         }
-        if (nearer) {
-            best = t;
-            hit_primitive.data[slot] = face;
-            if (TWO_LEVEL) hit_instance.data[slot] = entry;
-            hit_uv.data[slot] = wp::vec_t<2, float>(v, w);
-        }
+        best = t;
+        hit_primitive.data[slot] = face;
+        if (TWO_LEVEL) hit_instance.data[slot] = entry;
+        hit_uv.data[slot] = wp::vec_t<2, float>(v, w);
     };
     // the node
     auto visit = [&]() {

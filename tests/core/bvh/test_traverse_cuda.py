@@ -194,7 +194,7 @@ def trace(tree: Tree, rays: Rays, options: TraceOptions, slots=None, counts=None
     + """
     const Ray r = begin_ray(o[0], o[1], o[2], d[0], d[1], d[2], 0.0f, 0.0f, 0.0f, 0.0f);
     const int axis = (r.order >> 5) & 3u;
-    const ShearedRay sheared = {r.ox, r.oy, r.oz, r.sx, r.sy, axis == 0 ? r.ix : axis == 1 ? r.iy : r.iz, axis};
+    const ShearedRay sheared = {r.ox, r.oy, r.oz, r.sx, r.sy, along(axis, r.ix, r.iy, r.iz), axis};
     for (int face = 0; face < count; ++face) {
         const auto a = corners.data[3 * face], b = corners.data[3 * face + 1], c = corners.data[3 * face + 2];
         float t, v, w;
