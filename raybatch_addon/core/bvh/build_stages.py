@@ -43,10 +43,10 @@ class BuildNumbers:
 
 
 @wp.func_native(
-    NATIVE_TYPES
+    "#if !defined(__CUDA_ARCH__)\n"
+    + NATIVE_TYPES
     + NATIVE_SPATIAL
     + r"""
-#if !defined(__CUDA_ARCH__)
 Task* tasks = (Task*)task_bytes.data;
 Job* jobs = (Job*)job_bytes.data;
 Bins* all_bins = (Bins*)arrays.bins.data;
