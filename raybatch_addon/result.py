@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import bpy
 import numpy as np
 
-from .export.scene import PASS_PROPERTIES
+from .export.scene import COST_PASS_PROPERTIES, wanted_passes
 
 if TYPE_CHECKING:
     from .core.session import Tile  # brings in Warp, which registering the add-on should not wait for
@@ -18,13 +18,13 @@ PASSES = {
     "Depth": (1, "Z", "VALUE"),
     "Position": (3, "XYZ", "VECTOR"),
     "Normal": (3, "XYZ", "VECTOR"),
+    **{name: (1, "X", "VALUE") for name in COST_PASS_PROPERTIES.values()},
 }
 
 
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
     """Tell Blender which passes the render of `view_layer` will fill."""
-    wanted = ["Combined", *(name for prop, name in PASS_PROPERTIES.items() if getattr(view_layer, prop))]
-    for name in wanted:
+    for name in wanted_passes(view_layer):
         engine.register_pass(scene, view_layer, name, *PASSES[name])
 
 

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.settings import SETTINGS
 from rendering.output import OutputFolders, leave, own_standard_output
-from rendering.request import ARCHIVE, NPZ, Request, UsageError, kind_of, parse_frames, parse_settings
+from rendering.request import ARCHIVE, NPZ, PASS_NAMES, Request, UsageError, kind_of, parse_frames, parse_heat_map, parse_pass, parse_settings
 
 DESCRIPTION = """\
 Render a scene file with RayBatch.
@@ -52,6 +52,10 @@ def argument_parser() -> argparse.ArgumentParser:
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting (may be repeated); see below. resolution=160x120 sets the picture's size")
     add("--device", metavar="DEVICE", help="AUTO, cpu or cuda:N; the same as --set device=DEVICE")
     add("--json", metavar="FILE", help="write statistics; - is standard output. An object, or a list when several frames or view layers are rendered")
+    add("--passes", metavar="NAMES", help=f"passes to render beside those of the file, with commas between: {', '.join(PASS_NAMES[1:])}.\n"
+        "The last three show what a pixel costs, as the mean over its samples, and make the render slower")  # fmt: skip
+    add("--heat-map", action="append", default=[], metavar="PASS=FILE.png", help="write a picture of a pass that has one value a pixel, black where it is 0 and bright where it is largest\n"
+        "(may be repeated; of the first view layer; frames are numbered as with -o)")  # fmt: skip
     add("--film", metavar="FILE.npz", help="write the linear passes: name -> float32 [height, width, channels], bottom row first.\n"
         "Passes of the second view layer on are called LAYER/PASS; frames are numbered as with -o")  # fmt: skip
     add("--camera", metavar="EX,EY,EZ,TX,TY,TZ,FOV", help="for geometry: eye, target and field of view of the longer side [degrees],\nin the file's own coordinates (write --camera=-1,... when the first number is negative)")
@@ -67,17 +71,20 @@ def request_from(options: argparse.Namespace) -> Request:
     """The checked request; raises `RayBatchError`."""
     if options.file is None:
         raise UsageError("name the FILE to render (or --prewarm); --help says more")
-    if not (options.out or options.film or options.json or options.save_scene):
-        raise UsageError("nothing would be written: give at least one of -o, --film, --json and --save-scene")
+    if not (options.out or options.film or options.json or options.save_scene or options.heat_map):
+        raise UsageError("nothing would be written: give at least one of -o, --film, --heat-map, --json and --save-scene")
     assignments = options.set + ([f"device={options.device}"] if options.device else [])
     settings, resolution = parse_settings(assignments)
     for name, option, ending in ((options.film, "--film", ".npz"), (options.save_scene, "--save-scene", ".scene.npz")):
         if name and not name.lower().endswith(ending):
             raise UsageError(f"{option} {name}: name it with the ending {ending}, by which it is known later")
+    heat_maps = tuple(parse_heat_map(text) for text in options.heat_map)
+    asked = {parse_pass(name) for name in (options.passes or "").split(",") if name.strip()} | {name for name, _ in heat_maps}
     frames = (options.frame,) if options.frame is not None else parse_frames(options.frames) if options.frames else None
     return Request(
         source=options.file, kind=kind_of(options.file), out=options.out, frames=frames, view_layers=tuple(options.view_layer),
-        settings=settings, resolution=resolution, film=options.film, json=options.json, save_scene=options.save_scene,
+        settings=settings, resolution=resolution, passes=tuple(name for name in PASS_NAMES if name in asked), film=options.film,
+        heat_maps=heat_maps, json=options.json, save_scene=options.save_scene,
         camera=options.camera, up=options.up,
     )  # fmt: skip
 

@@ -12,7 +12,7 @@ import render
 from command_line import HIDE_BPY, error_line, run_script
 from PIL import Image
 from rendering.output import numbered
-from rendering.pictures import display_pixels
+from rendering.pictures import HEAT_COLOURS, display_pixels, heat_pixels
 from rendering.standalone import resized
 
 from raybatch_addon.core.scene.archive import load_scene, save_scene
@@ -130,6 +130,10 @@ def test_up_is_the_axis_that_the_caller_says(sheet, tmp_path):
         (["{folder}/bad.npz", "-o", "{folder}/new/x.png"], "bad.npz: array f names vertices"),
         (["{folder}/bad.scene.npz", "-o", "{folder}/new/x.png"], "bad.scene.npz is not a saved scene"),
         (["{sheet}", "--prewarm"], "takes no FILE"),
+        (["{sheet}", "-o", "{folder}/x.png", "--passes", "Depth,Steps"], "no pass 'Steps'.*Node Steps"),
+        (["{sheet}", "--heat-map", "Node Steps"], "not PASS=FILE.png"),
+        (["{sheet}", "--heat-map", "Normal={folder}/x.png"], "Normal has three values"),
+        (["{sheet}", "--heat-map", "Rays={sheet}/x.png"], "x.png cannot be written"),
     ],
 )
 def test_errors_are_one_line_and_leave_nothing_behind(sheet, tmp_path, capfd, arguments, message):
@@ -196,6 +200,32 @@ def test_numbered_names():
     assert numbered("/a/x_##_y.npz", 7, many=False) == Path("/a/x_07_y.npz")
     assert numbered("/a/x_###.npz", 12345, many=True) == Path("/a/x_12345.npz")
     assert numbered("/a/x_##.npz", -3, many=True) == Path("/a/x_-03.npz")
+
+
+def test_passes_that_are_asked_for(sheet, tmp_path, capfd):
+    film, steps = tmp_path / "film.npz", tmp_path / "maps/steps.png"
+    assert render.main([str(sheet), "--passes", "Depth,rays", "--heat-map", f"Node Steps={steps}", "--film", str(film), CAMERA, *SMALL]) == 0
+    with np.load(film) as passes:
+        assert passes.files == ["Combined", "Depth", "Rays", "Node Steps"]
+        values = passes["Node Steps"][..., 0]
+        assert (passes["Rays"] >= 1).all()
+    assert f"saved {steps} (Node Steps, 0 to {values.max():.4g})" in capfd.readouterr().err
+    pixels, largest = heat_pixels(values)
+    assert largest == values.max() > 0 and (np.array(Image.open(steps)) == pixels).all()
+    # of Warp's tree nothing is known, and that is said
+    assert render.main([str(sheet), "--passes", "node steps", "--film", str(film), "--set", "batching=REFERENCE", CAMERA, *SMALL]) == 0
+    assert "does not tell its steps" in capfd.readouterr().err
+
+
+def test_heat_colours():
+    pixels, largest = heat_pixels(np.array([[0, 5], [10, np.inf]], np.float32))
+    assert largest == 10
+    assert (pixels[1, 0] == HEAT_COLOURS[0]).all() and (pixels[0] == HEAT_COLOURS[-1]).all()  # the first row of values is the bottom
+    assert 0 < pixels[1, 1].sum() < HEAT_COLOURS[-1].sum()
+    pixels, _ = heat_pixels(np.zeros((2, 2), np.float32))
+    assert (pixels == HEAT_COLOURS[0]).all()
+    brightness = HEAT_COLOURS @ np.array([0.2126, 0.7152, 0.0722])
+    assert (np.diff(brightness) > 0).all()
 
 
 def test_display_colours():

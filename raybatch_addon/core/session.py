@@ -180,6 +180,9 @@ class Session:
     def _job(self, scene, settings, on_tile, on_progress, cancelled, observers, sample_first) -> _Job:
         settings = settings or self.settings
         checked = checked_scene(scene)
+        warnings = list(checked.warnings)
+        if settings.batching == "REFERENCE" and {"Node Steps", "Triangle Tests"} & set(checked.frame.passes):
+            warnings.append("the passes Node Steps and Triangle Tests stay 0: Warp's own tree does not tell its steps; set batching to OFF")
         if sample_first < 0 or sample_first + settings.sample_count > 2**32:
             raise RayBatchError(f"samples {sample_first} to {sample_first + settings.sample_count} are out of range: use 0 to 2^32")
 
@@ -195,7 +198,7 @@ class Session:
         return _Job(
             checked, settings, derive_features(checked, settings), sample_first,
             to_all("on_tile", on_tile), to_all("on_progress", on_progress), cancelled or (lambda: False),
-            time.perf_counter(), {}, list(checked.warnings),
+            time.perf_counter(), {}, warnings,
         )  # fmt: skip
 
     def _all_tiles(self, job: _Job) -> _ResumeState:

@@ -14,6 +14,8 @@ from .world import export_world
 
 # Passes that can be rendered, by the property of a view layer that asks for them
 PASS_PROPERTIES = {"use_pass_z": "Depth", "use_pass_position": "Position", "use_pass_normal": "Normal"}
+# Passes that show cost, by the property of a view layer's `raybatch`
+COST_PASS_PROPERTIES = {"use_pass_rays": "Rays", "use_pass_node_steps": "Node Steps", "use_pass_triangle_tests": "Triangle Tests"}
 
 
 def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool] | None = None) -> Scene | None:
@@ -64,8 +66,14 @@ def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Fra
         )
         if border == (0, 0, width, height):
             border = None
-    passes = ("Combined", *(name for prop, name in PASS_PROPERTIES.items() if getattr(view_layer, prop)))
-    return Frame(width, height, border, bool(render.film_transparent), passes)
+    return Frame(width, height, border, bool(render.film_transparent), wanted_passes(view_layer))
+
+
+def wanted_passes(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
+    """Names of the passes that are rendered for `view_layer`."""
+    own = getattr(view_layer, "raybatch", None)  # not there while the add-on is not registered
+    passes = [name for prop, name in PASS_PROPERTIES.items() if getattr(view_layer, prop)]
+    return ("Combined", *passes, *(name for prop, name in COST_PASS_PROPERTIES.items() if getattr(own, prop, False)))
 
 
 def _world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bpy.types.World | None:

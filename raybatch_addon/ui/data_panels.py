@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..export.scene import PASS_PROPERTIES
+from ..export.scene import COST_PASS_PROPERTIES, PASS_PROPERTIES
 from .panel import EnginePanel
 
 _GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
@@ -23,6 +23,9 @@ class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
         column = layout.column(heading="Include")
         for name in ("use_pass_combined", *PASS_PROPERTIES):
             column.prop(context.view_layer, name)
+        column = layout.column(heading="Cost")
+        for name in COST_PASS_PROPERTIES:
+            column.prop(context.view_layer.raybatch, name)
 
 
 class RAYBATCH_VIEWLAYER_PT_filter(EnginePanel, bpy.types.Panel):

@@ -1,8 +1,9 @@
-"""What the last render said: errors, warnings and how long it took."""
+"""What the last render said: errors, warnings, how long it took and what its rays cost."""
 
 from __future__ import annotations
 
 import textwrap
+from typing import Any
 
 import bpy
 
@@ -33,8 +34,9 @@ class RAYBATCH_RENDER_PT_last_render(EnginePanel, bpy.types.Panel):
         letters = max(20, int(context.region.width / (_LETTER_WIDTH * scale)))
         column = self.layout.column(align=True)
         column.label(text=f"{report.scene}, frame {report.frame}")
-        for line in report_lines(report):
-            column.label(text=line)
+        for text in report_lines(report):
+            for line in textwrap.wrap(text, letters):
+                column.label(text=line)
         for icon, texts in (("ERROR", report.errors), ("INFO", report.warnings)):
             for text in texts:
                 box = self.layout.box().column(align=True)
@@ -45,15 +47,56 @@ class RAYBATCH_RENDER_PT_last_render(EnginePanel, bpy.types.Panel):
 
 
 def report_lines(report: reports.RenderReport) -> list[str]:
-    """One line a view layer: device, seconds, rays a second, samples that had to be repaired."""
+    """Of each view layer: device, seconds, rays a second, its tree, what was counted, samples that had to be repaired."""
     lines = []
     for name, statistics in report.statistics.items():
         seconds = statistics["seconds"]
         rays = statistics["rays"]["total"] / seconds["render"] / 1e6 if seconds.get("render") else 0.0
         lines.append(f"{name}: {seconds['total']:.2f} s on {statistics['device']['alias']}, {rays:.2f} Mrays/s")
+        lines += _tree_lines(statistics.get("tree")) + _counter_lines(statistics.get("counters"))
         if statistics["invalid_samples"]:
             lines.append(f"{name}: {statistics['invalid_samples']:,} samples were not finite and count as black")
     return lines
+
+
+def _tree_lines(tree: dict[str, Any] | None) -> list[str]:
+    """How large the tree is, and what was done for it; nothing of Warp's."""
+    if tree is None:
+        return []
+    done = [f"{tree[what]} {what}" for what in ("built", "refitted") if tree[what]]
+    if len(done) == 1 and tree["trees"] == 1:
+        done = [done[0].removeprefix("1 ")]
+    work = f"{', '.join(done)} in {tree['seconds']:.2f} s" if done else "kept"
+    return [f"Tree: {_short(tree['triangles'])} triangles, {_short(tree['nodes'])} nodes, {tree['bytes'] / 1e6:.1f} MB, {work}"]
+
+
+def _counter_lines(counters: dict[str, Any] | None) -> list[str]:
+    """Work of a ray, and the shares of the stages in the time; nothing without counters."""
+    if counters is None:
+        return []
+    lines = []
+    rays = _total(counters["rays"])
+    if rays and isinstance(counters["node_steps"], dict):
+        steps, tests = (_total(counters[name]) / rays for name in ("node_steps", "triangle_tests"))
+        lines.append(f"{steps:.1f} node steps, {tests:.1f} triangle tests a ray")
+    seconds = counters["seconds"]
+    stages = sorted((stage for stage in seconds if seconds[stage] > 0), key=lambda stage: -seconds[stage])
+    shares = {stage: round(100 * seconds[stage] / sum(seconds.values())) for stage in stages}
+    if shares:
+        lines.append("Time: " + ", ".join(f"{stage} {share} %" for stage, share in shares.items() if share))
+    return lines
+
+
+def _total(by_kind: dict[str, list[int]]) -> int:
+    return sum(sum(by_bounce) for by_bounce in by_kind.values())
+
+
+def _short(number: int) -> str:
+    """`number` with two or three digits."""
+    if number < 10_000:
+        return f"{number:,}"
+    scaled, letter = (number / 1e6, "M") if number >= 1e6 else (number / 1e3, "k")
+    return f"{scaled:,.{0 if scaled >= 100 else 1}f} {letter}"
 
 
 @bpy.app.handlers.persistent

@@ -1,4 +1,4 @@
-"""The settings at `scene.raybatch`, made from the core's definitions."""
+"""The settings at `scene.raybatch`, made from the core's definitions, and the passes of RayBatch's own at `view_layer.raybatch`."""
 
 from __future__ import annotations
 
@@ -53,13 +53,39 @@ RayBatchSettings = type(
 )
 
 
+def _update_passes(_self, context) -> None:
+    # the compositor's Render Layers node gets its socket, or loses it
+    if context.view_layer is not None:
+        context.view_layer.update_render_passes()
+
+
+def _cost_pass(name: str, description: str):
+    """Blender's property for a pass that shows cost."""
+    description += ": mean over the samples of a pixel. Counters are on for it, and the render takes longer"
+    return bpy.props.BoolProperty(name=name, description=description, default=False, options=set(), update=_update_passes)
+
+
+class RayBatchViewLayer(bpy.types.PropertyGroup):
+    """RayBatch's own passes of a view layer."""
+
+    use_pass_rays: _cost_pass("Rays", "Rays that a path takes, shadow rays included")
+    use_pass_node_steps: _cost_pass("Node Steps", "Nodes of the tree that the rays of a path visit")
+    use_pass_triangle_tests: _cost_pass("Triangle Tests", "Triangles that the rays of a path are tested with")
+
+
+# what they are found at
+_groups = ((bpy.types.Scene, RayBatchSettings, "Settings of RayBatch"), (bpy.types.ViewLayer, RayBatchViewLayer, "Passes of RayBatch's own"))
+
+
 def register() -> None:
-    """Add `scene.raybatch`."""
-    bpy.utils.register_class(RayBatchSettings)
-    bpy.types.Scene.raybatch = bpy.props.PointerProperty(type=RayBatchSettings, name="RayBatch", description="Settings of RayBatch")
+    """Add `scene.raybatch` and `view_layer.raybatch`."""
+    for owner, group, description in _groups:
+        bpy.utils.register_class(group)
+        owner.raybatch = bpy.props.PointerProperty(type=group, name="RayBatch", description=description)
 
 
 def unregister() -> None:
-    """Remove `scene.raybatch`."""
-    del bpy.types.Scene.raybatch
-    bpy.utils.unregister_class(RayBatchSettings)
+    """Remove them."""
+    for owner, group, _ in reversed(_groups):
+        del owner.raybatch
+        bpy.utils.unregister_class(group)

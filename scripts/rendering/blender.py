@@ -17,10 +17,12 @@ from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.export.scene import COST_PASS_PROPERTIES, PASS_PROPERTIES
 from raybatch_addon.export.settings import settings_from
 
 from .imported import import_geometry
 from .output import OutputError, OutputFolders, described, numbered, tell_saved, tell_warnings, write_film, write_json
+from .pictures import write_heat_map
 from .progress import ProgressBar
 from .request import BLEND, Request, UsageError
 
@@ -54,6 +56,7 @@ class BlenderRender:
             scene = bpy.context.scene
             _choose_view_layers(scene, request.view_layers)
             _apply_settings(scene, request)
+            _ask_for_passes(scene, request.passes)
             frames = request.frames or (scene.frame_current,)
             if request.save_scene and (len(frames) > 1 or sum(layer.use for layer in scene.view_layers) > 1):
                 raise UsageError("--save-scene holds one picture: choose one frame with --frame and one layer with --view-layer")
@@ -86,7 +89,7 @@ class BlenderRender:
     def _on_film(self, layer: str, _exported: Scene, film: Film) -> None:
         tell_warnings(film.statistics["warnings"])
         self._statistics.append(described(film, bpy.context.scene.frame_current, layer))
-        if self._request.film:
+        if self._request.film or self._request.heat_maps:
             self._films.append((layer, film))
 
     # --- rendering
@@ -97,9 +100,11 @@ class BlenderRender:
             _set_format(scene, file_format)
         places = [_still_path(scene, request.out, number, many) if request.out else None for number in frames]
         films = [numbered(request.film, number, many) if request.film else None for number in frames]
-        for path in {path.parent: path for path in (*places, *films) if path is not None}.values():
+        heat_maps = [[(name, numbered(path, number, many)) for name, path in request.heat_maps] for number in frames]
+        every = (*places, *films, *(path for each in heat_maps for _, path in each))
+        for path in {path.parent: path for path in every if path is not None}.values():
             self._folders.prepare(path)
-        for number, place, film_path in zip(frames, places, films, strict=True):
+        for number, place, film_path, pictures in zip(frames, places, films, heat_maps, strict=True):
             self._bar.label = f"frame {number}: " if many else ""
             scene.frame_set(number)
             self._films.clear()
@@ -112,10 +117,12 @@ class BlenderRender:
                     workshop.deliver(place)
             if film_path is not None:
                 write_film(film_path, self._films)
+            for name, path in pictures:
+                write_heat_map(path, self._films[0][1], name)
 
     def _render_movie(self, scene: bpy.types.Scene, frames: tuple[int, ...]) -> None:
-        if self._request.film:
-            raise UsageError("--film is for still pictures; the file renders a movie")
+        if self._request.film or self._request.heat_maps:
+            raise UsageError("--film and --heat-map are for still pictures; the file renders a movie")
         out = Path(_absolute(self._request.out))
         self._folders.prepare(out)
         scene.frame_start, scene.frame_end, scene.frame_step = frames[0], frames[-1], 1
@@ -204,6 +211,15 @@ def _apply_settings(scene: bpy.types.Scene, request: Request) -> None:
     if request.resolution:
         scene.render.resolution_x, scene.render.resolution_y = request.resolution
         scene.render.resolution_percentage = 100
+
+
+def _ask_for_passes(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
+    """Let all view layers render the passes `names` beside those that they have."""
+    for layer in scene.view_layers:
+        for owner, properties in ((layer, PASS_PROPERTIES), (layer.raybatch, COST_PASS_PROPERTIES)):
+            for prop, name in properties.items():
+                if name in names:
+                    setattr(owner, prop, True)
 
 
 def _picture_format(out: str) -> tuple[str, ...]:

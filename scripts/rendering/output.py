@@ -157,6 +157,6 @@ def tell_warnings(warnings: Iterable[str]) -> None:
         print(f"render.py: warning: {len(warnings) - WARNINGS_SHOWN} more; --json lists them", file=sys.stderr)
 
 
-def tell_saved(path: Path) -> None:
-    """Write where a picture went to standard error."""
-    print(f"render.py: saved {path}", file=sys.stderr)
+def tell_saved(path: Path, what: str = "") -> None:
+    """Write where a picture went, and what it shows, to standard error."""
+    print(f"render.py: saved {path}{f' ({what})' if what else ''}", file=sys.stderr)

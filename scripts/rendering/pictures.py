@@ -1,4 +1,4 @@
-"""Pictures written where there is no Blender: PNG (display colours) and OpenEXR (linear, every pass)."""
+"""Pictures that Blender does not write: PNG (display colours) and OpenEXR (linear, every pass) where there is none, heat maps."""
 
 from __future__ import annotations
 
@@ -8,9 +8,11 @@ import numpy as np
 
 from raybatch_addon.core.film import Film
 
-from .output import OutputError, write_whole
+from .output import OutputError, tell_saved, write_whole
 
 FORMATS = (".png", ".exr")
+# Colours of heat maps at equal steps from nothing to the largest value, sRGB: brightness grows evenly, for those who see no red or green too
+HEAT_COLOURS = np.array([(0, 0, 4), (40, 11, 84), (101, 21, 110), (159, 42, 99), (212, 72, 66), (245, 125, 21), (250, 193, 39), (252, 255, 164)])
 
 
 def picture_path(out: Path) -> Path:
@@ -39,6 +41,27 @@ def display_pixels(combined: np.ndarray) -> np.ndarray:
     colour = np.clip(colour, 0, 1)
     curve = np.where(colour <= 0.0031308, 12.92 * colour, 1.055 * colour ** (1 / 2.4) - 0.055)
     return np.rint(np.concatenate([curve, alpha], axis=-1)[::-1] * 255).astype(np.uint8)
+
+
+def write_heat_map(path: Path, film: Film, name: str) -> None:
+    """Write the pass `name`, of one channel, to the PNG `path`, from black for 0 to bright for its largest finite value; tells which that is."""
+    from PIL import Image
+
+    pixels, largest = heat_pixels(film.passes[name][..., 0])
+    write_whole(path, lambda temporary: Image.fromarray(pixels).save(temporary, format="PNG"))
+    tell_saved(path, f"{name}, 0 to {largest:.4g}")
+
+
+def heat_pixels(values: np.ndarray) -> tuple[np.ndarray, float]:
+    """sRGB pixels, uint8 [height, width, 3], top row first, and the largest finite value, which is the brightest.
+
+    `values` are float32 [height, width], bottom row first; what is infinite is the brightest too.
+    """
+    finite = values[np.isfinite(values)]
+    largest = float(finite.max()) if finite.size and finite.max() > 0 else 1.0
+    place = np.clip(values[::-1] / np.float32(largest), 0, 1) * (len(HEAT_COLOURS) - 1)
+    channels = [np.interp(place, np.arange(len(HEAT_COLOURS)), HEAT_COLOURS[:, k]) for k in range(3)]
+    return np.rint(np.stack(channels, -1)).astype(np.uint8), largest
 
 
 def _write_png(path: Path, passes: dict[str, np.ndarray]) -> None:

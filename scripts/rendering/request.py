@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from raybatch_addon.core.errors import RayBatchError, SettingsError
+from raybatch_addon.core.scene.validate import PASS_NAMES
 from raybatch_addon.core.settings import parse_setting
 
 BLEND, BLENDER_GEOMETRY, ARCHIVE, NPZ = "blend", "geometry through Blender", "saved scene", "NumPy geometry"
@@ -14,6 +15,7 @@ KINDS = ((".blend", BLEND), (".obj", BLENDER_GEOMETRY), (".ply", BLENDER_GEOMETR
          (".glb", BLENDER_GEOMETRY), (".scene.npz", ARCHIVE), (".npz", NPZ))  # fmt: skip
 RESOLUTION_DEFAULT = (960, 540)  # of geometry, which has none of its own [pixels]
 RESOLUTION_MAX = 65_536  # Blender's own limit
+VECTOR_PASSES = ("Combined", "Position", "Normal")
 
 
 class UsageError(RayBatchError):
@@ -31,7 +33,9 @@ class Request:
     view_layers: tuple[str, ...] = ()  # empty: those that the file renders
     settings: dict[str, Any] = field(default_factory=dict)  # RenderSettings to change
     resolution: tuple[int, int] | None = None
+    passes: tuple[str, ...] = ()  # asked for beside the file's own
     film: str | None = None
+    heat_maps: tuple[tuple[str, str], ...] = ()  # pass and file; the passes are in `passes`
     json: str | None = None
     save_scene: str | None = None
     camera: str | None = None
@@ -40,7 +44,7 @@ class Request:
     @property
     def renders(self) -> bool:
         """Whether a render is wanted, not just the exported scene."""
-        return bool(self.out or self.film or self.json)
+        return bool(self.out or self.film or self.json or self.heat_maps)
 
 
 def kind_of(source: Path) -> str:
@@ -61,6 +65,25 @@ def parse_frames(text: str) -> tuple[int, ...]:
     if not dots or a > b:
         raise UsageError(f"--frames {text} is not a range A..B with A at most B")
     return tuple(range(a, b + 1))
+
+
+def parse_pass(text: str) -> str:
+    """The name of a pass, written in letters of any case; raises `UsageError`."""
+    for name in PASS_NAMES:
+        if text.strip().lower() == name.lower():
+            return name
+    raise UsageError(f"there is no pass {text.strip()!r}; the passes are {', '.join(PASS_NAMES)}")
+
+
+def parse_heat_map(text: str) -> tuple[str, str]:
+    """Pass and file of `PASS=FILE.png`; raises `UsageError`."""
+    name, _, path = text.partition("=")
+    if not path.lower().endswith(".png"):
+        raise UsageError(f"--heat-map {text} is not PASS=FILE.png")
+    name = parse_pass(name)
+    if name in VECTOR_PASSES:
+        raise UsageError(f"--heat-map {text}: {name} has three values a pixel; choose a pass that has one")
+    return name, path
 
 
 def parse_settings(assignments: list[str]) -> tuple[dict[str, Any], tuple[int, int] | None]:

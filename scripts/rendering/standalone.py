@@ -13,7 +13,7 @@ from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.kernel_cache import kernel_cache_folder
 
 from .output import OutputFolders, described, tell_saved, tell_warnings, write_film, write_json
-from .pictures import picture_path, write_picture
+from .pictures import picture_path, write_heat_map, write_picture
 from .progress import ProgressBar
 from .request import ARCHIVE, RESOLUTION_DEFAULT, Request, UsageError
 
@@ -24,10 +24,13 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
         raise UsageError(f"{request.source} holds one picture; --frame, --frames and --view-layer are for .blend files")
     out = picture_path(Path(request.out).absolute()) if request.out else None
     film_path = Path(request.film).absolute() if request.film else None
-    for path in (out, film_path):
+    heat_maps = [(name, Path(path).absolute()) for name, path in request.heat_maps]
+    for path in (out, film_path, *(path for _, path in heat_maps)):
         if path is not None:
             folders.prepare(path)
     scene, settings = _scene_and_settings(request)
+    passes = dict.fromkeys((*scene.frame.passes, *request.passes))
+    scene = dataclasses.replace(scene, frame=dataclasses.replace(scene.frame, passes=tuple(passes)))
     settings = settings.replace(**request.settings)
     if request.save_scene:
         save_scene(Path(request.save_scene).absolute(), scene, settings)
@@ -46,6 +49,8 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
         tell_saved(out)
     if film_path is not None:
         write_film(film_path, [("", film)])
+    for name, path in heat_maps:
+        write_heat_map(path, film, name)
     if request.json:
         write_json(request.json, [described(film, None, None)], standard_output)
 

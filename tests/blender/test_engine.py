@@ -14,7 +14,11 @@ from blender_watch import watch_engines  # noqa: E402
 
 from raybatch_addon import frame, reports, sessions  # noqa: E402
 from raybatch_addon.core.errors import SceneError  # noqa: E402
-from raybatch_addon.result import ResultWriter  # noqa: E402
+from raybatch_addon.core.film import PASSES as film_passes  # noqa: E402
+from raybatch_addon.core.film.layout import COST_PASSES  # noqa: E402
+from raybatch_addon.export.scene import COST_PASS_PROPERTIES, PASS_PROPERTIES  # noqa: E402
+from raybatch_addon.result import PASSES as result_passes  # noqa: E402
+from raybatch_addon.result import ResultWriter, register_passes  # noqa: E402
 
 
 @pytest.fixture
@@ -130,9 +134,10 @@ def test_a_transparent_film_has_no_world(lit, films, tmp_path):
     assert pixels[12, 16] == pytest.approx([1, 0.5, 0.25, 1], rel=1e-5)
 
 
-def test_every_pass_that_is_asked_for_is_written(lit, watch, tmp_path):
+def test_every_pass_that_is_asked_for_is_written(lit, films, watch, tmp_path):
     layer = lit.view_layers[0]
     layer.use_pass_z = layer.use_pass_normal = layer.use_pass_position = True
+    layer.raybatch.use_pass_rays = layer.raybatch.use_pass_node_steps = layer.raybatch.use_pass_triangle_tests = True
     seen = {}
 
     def record(engine, result, **options):
@@ -145,12 +150,62 @@ def test_every_pass_that_is_asked_for_is_written(lit, watch, tmp_path):
     watch(end_result=record)
     render(tmp_path / "passes")
     seen = {name: np.concatenate(parts) for name, parts in seen.items()}
-    assert {name: values.shape[1] for name, values in seen.items()} == {"Combined": 4, "Depth": 1, "Position": 3, "Normal": 3}
+    own = {"Rays": 1, "Node Steps": 1, "Triangle Tests": 1}
+    assert {name: values.shape[1] for name, values in seen.items()} == {"Combined": 4, "Depth": 1, "Position": 3, "Normal": 3, **own}
+    film = films[0][1]
+    for name in seen:  # tiles come in any order
+        assert np.array_equal(np.sort(seen[name], axis=None), np.sort(film.passes[name], axis=None)), name
+    assert film.statistics["counters"]["rays"]["closest"][0] == 32 * 24 * 2 and seen["Rays"].min() >= 1
+    assert 0 == seen["Triangle Tests"].min() < seen["Triangle Tests"].max()
     inside = seen["Depth"][:, 0] < 100
     assert inside.any() and not inside.all()
     assert seen["Depth"][inside] == pytest.approx(10, rel=1e-4)
     assert seen["Position"][inside][:, 2] == pytest.approx(0, abs=1e-4)
     assert seen["Normal"].max(axis=0) == pytest.approx([0, 0, 1], abs=1e-4)
+
+
+def test_cost_is_counted_for_those_who_ask_alone(films, tmp_path):
+    """Toggles are each view layer's own, and registering follows them; nothing else in the file changes."""
+    scene = bpy.context.scene
+    second = scene.view_layers.new("Costly")
+    second.raybatch.use_pass_node_steps = True
+    registered = {}
+    for layer in scene.view_layers:
+        engine = types.SimpleNamespace(register_pass=lambda _scene, layer, *about: registered.setdefault(layer.name, []).append(about))
+        register_passes(engine, scene, layer)
+    assert registered["ViewLayer"] == [("Combined", 4, "RGBA", "COLOR")]
+    assert registered["Costly"] == [("Combined", 4, "RGBA", "COLOR"), ("Node Steps", 1, "X", "VALUE")]
+    render(tmp_path / "two")
+    (_, plain), (_, costly) = films
+    assert plain.statistics["counters"] is None and list(plain.passes) == ["Combined"]
+    assert costly.statistics["counters"] and list(costly.passes) == ["Combined", "Node Steps"]
+    assert np.array_equal(plain.passes["Combined"], costly.passes["Combined"])
+
+
+def test_the_compositor_has_a_socket_for_each_pass(lit):
+    layer = lit.view_layers[0]
+    if bpy.app.version < (5, 0):
+        lit.use_nodes = True
+        tree = lit.node_tree
+    else:
+        tree = lit.compositing_node_group = bpy.data.node_groups.new("Compositing", "CompositorNodeTree")
+    node = tree.nodes.new("CompositorNodeRLayers")
+
+    def sockets():
+        return {socket.name for socket in node.outputs if socket.enabled}
+
+    assert "Triangle Tests" not in sockets()
+    layer.raybatch.use_pass_triangle_tests = True
+    assert "Triangle Tests" in sockets()
+    layer.raybatch.use_pass_triangle_tests = False
+    assert "Triangle Tests" not in sockets()
+
+
+def test_passes_of_the_panel_are_those_of_the_film():
+    names = {"Combined", *PASS_PROPERTIES.values(), *COST_PASS_PROPERTIES.values()}
+    assert names == set(film_passes) == set(result_passes)
+    assert tuple(COST_PASS_PROPERTIES.values()) == COST_PASSES
+    assert {name: about[0] for name, about in result_passes.items()} == film_passes
 
 
 def test_every_view_layer_is_rendered_with_its_own_objects(lit, films, tmp_path):

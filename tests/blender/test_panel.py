@@ -1,11 +1,14 @@
 """Settings and panels in Blender."""
 
+import re
 import types
 
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
+
+from blender_builders import add_grid  # noqa: E402
 
 from raybatch_addon import reports  # noqa: E402
 from raybatch_addon.core.settings import SETTINGS, RenderSettings  # noqa: E402
@@ -137,7 +140,7 @@ def test_the_other_panels_draw_what_exists(scene):
         if panel.bl_context != "render":
             assert panel.poll(context)
             drawn_properties[panel.__name__] = [note[2] for note in drawn(panel, context)]
-    assert "use_pass_normal" in drawn_properties["RAYBATCH_VIEWLAYER_PT_passes"]
+    assert {"use_pass_normal", "use_pass_node_steps"} <= set(drawn_properties["RAYBATCH_VIEWLAYER_PT_passes"])
     assert "visible_glossy" in drawn_properties["RAYBATCH_OBJECT_PT_ray_visibility"]
     assert "spread" in drawn_properties["RAYBATCH_LIGHT_PT_settings"]
 
@@ -175,10 +178,52 @@ def test_the_last_render_is_listed_with_errors_first(scene):
     labels = [(text, icon) for _, text, icon in drawn(panel, context_of(scene))]
     assert labels[0][0] == "Scene, frame 7"
     assert "2.50 s on cpu, 2.00 Mrays/s" in labels[1][0]
-    assert "3 samples" in labels[2][0]
-    assert labels[3] == ("no camera", "ERROR")
-    assert labels[4][1] == "INFO" and labels[5][1] == "BLANK1", "long texts are broken into lines"
+    assert "3 samples" in labels[2][0] and labels[3] == ("as black", "NONE")
+    assert labels[4] == ("no camera", "ERROR")
+    assert labels[5][1] == "INFO" and labels[6][1] == "BLANK1", "long texts are broken into lines"
     assert drawn(panel, context_of(scene), "draw_header")[0][2] == "ERROR"
+
+
+def test_the_last_render_tells_of_the_tree_and_of_what_was_counted(scene):
+    """Here of a real one, so that the statistics are what the panel takes them for."""
+    add_grid("Grid", 40)
+    scene.raybatch.counters = "ON"
+    bpy.ops.render.render()
+    lines = last_render.report_lines(reports.last())
+    assert len(lines) == 4
+    assert re.fullmatch(r"Tree: 3,200 triangles, \d+ nodes, 0\.\d MB, built in \d+\.\d\d s", lines[1])
+    assert re.fullmatch(r"\d+\.\d node steps, \d+\.\d triangle tests a ray", lines[2])
+    assert re.fullmatch(r"Time: \w+ \d+ %(, \w+ \d+ %)+", lines[3]) and "trace" in lines[3]
+    labels = [text for _, text, _ in drawn(last_render.RAYBATCH_RENDER_PT_last_render, context_of(scene))]
+    assert all(len(text) <= 46 for text in labels[:8]), "lines are broken where the panel ends"
+    scene.raybatch.counters = "OFF"
+    bpy.ops.render.render()
+    lines = last_render.report_lines(reports.last())
+    assert len(lines) == 2 and lines[1].endswith(" MB, kept")
+    scene.raybatch.batching = "REFERENCE"
+    bpy.ops.render.render()
+    assert len(last_render.report_lines(reports.last())) == 1
+
+
+def test_work_on_trees_in_words():
+    tree = {"triangles": 1_234_567, "nodes": 210_345, "bytes": 96_400_000, "trees": 4, "built": 1, "refitted": 2, "seconds": 0.5}
+    lines = {1: "built in 0.50 s", 4: "1 built, 2 refitted in 0.50 s"}
+    assert last_render._tree_lines(tree) == [f"Tree: 1.2 M triangles, 210 k nodes, 96.4 MB, {lines[4]}"]
+    assert last_render._tree_lines({**tree, "trees": 1, "refitted": 0})[0].endswith(lines[1])
+    uncounted = {"rays": {"closest": [3]}, "node_steps": "unavailable", "triangle_tests": "unavailable", "seconds": {"trace": 3.0, "sort": 0.0, "film": 1.0}}
+    assert last_render._counter_lines(uncounted) == ["Time: trace 75 %, film 25 %"]
+
+
+def test_cost_passes_are_kept_in_the_file(scene, tmp_path):
+    scene.view_layers[0].raybatch.use_pass_rays = True
+    path = str(tmp_path / "kept.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    own = bpy.context.scene.view_layers[0].raybatch
+    assert own.use_pass_rays and not own.use_pass_node_steps
+    for prop in own.bl_rna.properties:
+        assert prop.name == "Name" or prop.identifier == "rna_type" or "mean over the samples" in prop.description
 
 
 def test_there_is_no_list_before_the_first_render(scene):
@@ -192,7 +237,7 @@ def test_unregistering_removes_everything_and_registering_brings_it_back(addon):
     try:
         assert not enabled_panels() - {panel.__name__ for panel in own_panels()}
         assert not [panel for panel in own_panels() if panel.is_registered]
-        assert not hasattr(bpy.types.Scene, "raybatch")
+        assert not hasattr(bpy.types.Scene, "raybatch") and not hasattr(bpy.types.ViewLayer, "raybatch")
         assert builtin_panels._added == []
         assert not [name for name in dir(bpy.types) if "raybatch" in name.lower()]
     finally:

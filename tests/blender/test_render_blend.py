@@ -115,6 +115,30 @@ def test_frames_are_numbered_as_blender_does(blend, tmp_path):
     assert [entry["frame"]["number"] for entry in json.loads((tmp_path / "j.json").read_text())] == [1, 2]
 
 
+def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):
+    """Everything by name, from the command line; the picture is the same."""
+    out = tmp_path / "out"
+    run(blend, "--film", tmp_path / "plain.npz")
+    arguments = [argument for pair in ("ray_sort=OFF", "counters=ON", "spatial_splits=ON", "batching=OFF") for argument in ("--set", pair)]
+    run(blend, *arguments, "--passes", "normal, Triangle Tests", "--heat-map", f"node steps={out / 'steps.png'}", "--film", out / "a.npz", "--json", out / "a.json")
+    assert names(out) == ["a.json", "a.npz", "steps.png"]
+    with np.load(out / "a.npz") as film, np.load(tmp_path / "plain.npz") as plain:
+        assert set(film.files) == {"Combined", "Normal", "Node Steps", "Triangle Tests"}
+        assert film["Combined"].tobytes() == plain["Combined"].tobytes()
+        steps = film["Node Steps"][..., 0]
+    picture = np.array(Image.open(out / "steps.png")).astype(int).sum(-1)[::-1]
+    assert picture.shape == steps.shape
+    order = np.argsort(steps, axis=None)
+    assert (np.diff(picture.ravel()[order]) >= 0).all() and picture.max() > 600
+    statistics = json.loads((out / "a.json").read_text())
+    assert statistics["settings"]["ray_sort"] == "OFF" and statistics["ray_sort"] is None
+    assert statistics["settings"]["spatial_splits"] == statistics["settings"]["counters"] == "ON" and statistics["settings"]["batching"] == "OFF"
+    assert statistics["counters"]["seconds"]["trace"] > 0
+    again = tmp_path / "frames"
+    run(blend, "--frames", "1..2", "--heat-map", f"Rays={again / 'rays.png'}")
+    assert names(again) == ["rays0001.png", "rays0002.png"]
+
+
 def test_view_layers_size_and_format(tmp_path):
     blend = make_scene(tmp_path / "two.blend", "layers")
     out = tmp_path / "out"
