@@ -41,9 +41,9 @@ scatters light all becomes white.
 
 rays     primary; bounceN: rays that go on from the Nth hit of a path; shadowN: its shadow rays (any hit)
 orders   natural (the integrator's), shuffled, sorted (by octant and Morton code, before the clock starts)
-tracers  off: RayBatch's own tree without queues; off-sorted: the same, and sorts its rays first; reference: Warp's
-         tree; embree and embree-robust: Intel's Embree through the package embreex, on the CPU. Default: all that
-         can be measured here
+tracers  off: RayBatch's own tree without queues; off-plain: the same tree, one ray after another a thread, without refill on
+         CUDA; off-sorted: as off, and sorts its rays first; reference: Warp's tree; embree and embree-robust: Intel's
+         Embree through the package embreex, on the CPU. Default: all that can be measured here
 
 Hits are compared before anything is timed; where tracers disagree, every triangle is asked in float64, and answers
 beyond the error bound of float32 are told as faults. Then tracers take turns, run by run. One CPU thread is timed by its

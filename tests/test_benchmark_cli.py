@@ -265,7 +265,7 @@ def test_whole_renders_are_told_in_words_or_as_json(tmp_path, capfd):
     [
         (["--scene", "{folder}/none.npz"], "no file .*none.npz"),
         (["--scene", "{folder}/a.blend"], "a.blend cannot be measured"),
-        (["--scene", "{bowl}", "--tracers", "of"], "'of' is not known: choose of off, off-sorted, reference"),
+        (["--scene", "{bowl}", "--tracers", "of"], "'of' is not known: choose of off, off-plain, off-sorted, reference"),
         (["--scene", "{bowl}", "--rays", "primary,bounce"], "'bounce' is not known: choose of primary"),
         (["--scene", "{bowl}", "--rays", "bounce0"], "'bounce0' is not known"),
         (["--scene", "{bowl}", "--orders", "random"], "'random' is not known: choose of natural, shuffled, sorted"),

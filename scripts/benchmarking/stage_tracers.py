@@ -89,10 +89,10 @@ class _Part:
 class StageTracer(MeasuredTracer):
     """Every ray visits the whole tree at once, as in a render with the setting `batching` OFF or REFERENCE."""
 
-    def __init__(self, name: str, trees: SceneTrees, device: wp.Device, batching: str, sorts: bool = False, counts: bool = False):
-        """`sorts`: rays are sorted before each run. `counts`: node steps and triangle tests are told, by a run apart."""
+    def __init__(self, name: str, trees: SceneTrees, device: wp.Device, batching: str, sorts: bool = False, plain: bool = False, counts: bool = False):
+        """`sorts`: rays are sorted before each run. `plain`: see `TraceFeatures`. `counts`: steps and tests are told, by a run apart."""
         self.name = name
-        self._trees, self._device, self._batching, self._sorts = trees, device, batching, sorts
+        self._trees, self._device, self._batching, self._sorts, self._plain = trees, device, batching, sorts, plain
         self._counts = counts and batching != "REFERENCE"
         self._traversal = Traversal.of(batching, layout_for(device))
 
@@ -106,7 +106,7 @@ class StageTracer(MeasuredTracer):
         return self._built.told
 
     def _stage(self, any_hit: bool, counters: bool = False) -> TraceStage:
-        return trace_stage(TraceFeatures(self._traversal, any_hit, self._instancing, counters))
+        return trace_stage(TraceFeatures(self._traversal, any_hit, self._instancing, counters, self._plain))
 
     def load(self, rays: CapturedRays, thread_count: int) -> None:
         self._any_hit = rays.type.shadow

@@ -24,7 +24,7 @@ from .timing import spread
 from .tracers import MeasuredTracer, Timing, Tree
 
 EMBREE = ("embree", "embree-robust")
-TRACERS = ("off", "off-sorted", "reference", *EMBREE)
+TRACERS = ("off", "off-plain", "off-sorted", "reference", *EMBREE)
 RAY_COUNT = {"cpu": 1_000_000, "cuda": 4_000_000}  # where --ray-count is not given
 WARM_UPS = 1  # runs before those that are timed
 
@@ -59,6 +59,7 @@ def chosen_tracers(names: list[str], device: wp.Device, settings: RenderSettings
     trees = SceneTrees(device, settings)
     makers = {
         "off": lambda: StageTracer("off", trees, device, "OFF", counts=counts),
+        "off-plain": lambda: StageTracer("off-plain", trees, device, "OFF", plain=True, counts=counts),
         "off-sorted": lambda: StageTracer("off-sorted", trees, device, "OFF", sorts=True, counts=counts),
         "reference": lambda: StageTracer("reference", trees, device, "REFERENCE"),
         "embree": lambda: EmbreeTracer(robust=False),
@@ -102,7 +103,7 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
                     steps.end()
     finally:
         steps.close()
-    own = trees.get("off") or trees.get("off-sorted") or trees[tracers[0].name]
+    own = next((trees[name] for name in trees if name.startswith("off")), None) or trees[tracers[0].name]
     return {
         "device": device_description(device),
         "versions": versions() | ({"embree": embree_version()} if set(EMBREE) & set(trees) else {}),

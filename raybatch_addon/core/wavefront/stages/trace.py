@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, Protocol
 
@@ -12,7 +12,7 @@ import warp as wp
 from ...bvh.node import Layout
 from ...bvh.reference import ReferenceTree, make_reference
 from ...bvh.trace_counts import TraceCounts
-from ...bvh.traverse_cpu import make_cpu_traversal
+from ...bvh.traverse_cpu import INTERLEAVE, make_cpu_traversal
 from ...bvh.traverse_cuda import BLOCK_SIZE, TraceOptions, thread_count, trace_function
 from ...bvh.tree import Tree
 from ...kernel import KERNEL_OPTIONS, with_block_size
@@ -45,6 +45,7 @@ class TraceFeatures:
     any_hit: bool  # whether anything is hit, instead of the closest hit
     instancing: bool
     counters: bool
+    plain: bool = False  # of the own tree, to compare with: one ray after another a thread, and no refill
 
 
 def counter_features(settings: RenderSettings, passes: tuple[str, ...], traversal: Traversal) -> CounterFeatures | None:
@@ -85,7 +86,7 @@ class BoxesStage:
 
     def __init__(self, features: TraceFeatures):
         self._counters = features.counters
-        self._kernel = boxes_kernel(features.any_hit, features.instancing, features.counters)
+        self._kernel = boxes_kernel(features.any_hit, features.instancing, features.counters, 1 if features.plain else INTERLEAVE)
         self.kernels = (self._kernel,)
 
     def launch(self, tree: Tree, rays: Rays, listed: SlotList, counts: TraceCounts | None) -> None:
@@ -96,9 +97,9 @@ class BoxesStage:
 
 
 @functools.cache
-def boxes_kernel(any_hit: bool, instancing: bool, counters: bool) -> wp.Kernel:
+def boxes_kernel(any_hit: bool, instancing: bool, counters: bool, interleave: int) -> wp.Kernel:
     """Kernel (tree, rays, slots, count), with counters also (counts), launched once: trace the first `count[0]` of `slots`."""
-    trace = make_cpu_traversal(any_hit, instancing, counters=counters)
+    trace = make_cpu_traversal(any_hit, instancing, interleave, counters)
     if counters:
 
         @wp.kernel(**KERNEL_OPTIONS)
@@ -124,7 +125,8 @@ class QuantisedStage:
     """Persistent warps; on the CPU one ray at a time, for tests."""
 
     def __init__(self, features: TraceFeatures):
-        self._options = TraceOptions(features.any_hit, features.instancing, features.counters)
+        options = TraceOptions(features.any_hit, features.instancing, features.counters)
+        self._options = replace(options, refill=0) if features.plain else options
         self._kernel = quantised_kernel(self._options)
         self._cursor: wp.array | None = None
         self.kernels = (self._kernel,)
