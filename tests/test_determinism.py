@@ -144,7 +144,7 @@ def test_instances_that_are_shared_shade_like_meshes_of_their_own(session):
 PASSES_WITH_COST = ("Combined", "Depth", "Normal", "Position", "Rays", "Node Steps", "Triangle Tests")
 
 
-@pytest.mark.parametrize("change", [dict(ray_sort="ON"), dict(ray_sort="OFF"), dict(ray_sort="AUTO", ray_count=3000), dict(counters="ON"), dict(spatial_splits="ON")], ids=str)
+@pytest.mark.parametrize("change", [dict(ray_sort="ON"), dict(ray_sort="OFF"), dict(ray_sort="AUTO", ray_count=3000), dict(counters="ON"), dict(spatial_splits="ON"), dict(spatial_splits="OFF")], ids=str)
 def test_neither_order_nor_counters_nor_another_tree_change_the_film(session, reference, change):
     assert_same(session.render(scenes.mixed(), SETTINGS.replace(**change)).passes, reference)
 

@@ -161,9 +161,12 @@ class RenderSettings:
         ),
     )
     spatial_splits: str = _setting(
-        "OFF", "Spatial Splits", "Split triangles among the boxes of the tree: a slower build for faster rays where large or long triangles overlap",
+        "AUTO", "Spatial Splits", "Split triangles among the boxes of the tree: a slower build for faster rays where large or long triangles overlap",
         group="SCHEDULE", effect="schedule",
-        choices=(("OFF", "Off", "Each triangle is in one box"), ("ON", "On", "Triangles may be in several boxes (Stich et al. 2009)")),
+        choices=(
+            ("AUTO", "Automatic", "On the CPU, but for meshes that move from frame to frame: their trees follow them. On CUDA trees are built on the device, without splits"),
+            ("OFF", "Off", "Each triangle is in one box"), ("ON", "On", "Triangles may be in several boxes (Stich et al. 2009). On CUDA the CPU builds the tree then"),
+        ),  # fmt: skip
     )
     ray_sort: str = _setting(
         "AUTO", "Sort Rays", "Sort rays by direction and origin before they are traced",

@@ -248,7 +248,9 @@ def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path
     sessions.close_all()
     animate(lit, 5, tmp_path)
     followed = [film for _, _, film in films]
-    assert [tree_work(film) for film in followed] == [(2, 0)] + 4 * [(0, 1)]  # the instances' own tree stands still
+    work = [tree_work(film) for film in followed]
+    # the instances' own tree stands still; a tree with split triangles is built once without them, to follow from then on
+    assert work[0] == (2, 0) and work[1] in ((1, 0), (0, 1)) and work[2:] == 3 * [(0, 1)]
     assert len({film.passes["Combined"].tobytes() for film in followed}) == 5
     for number, film in enumerate(followed, 1):
         sessions.close_all()

@@ -30,7 +30,7 @@ class BuiltTree:
     tree: Tree
     layout: Layout
     instancing: bool
-    spatial_splits: bool
+    splits_moving: bool  # whether triangles are split in trees that are built anew because vertices moved
     meshes: list[MeshTree] = field(repr=False)  # their blocks are parts of the tree's arrays
     box: np.ndarray | None = None  # two corners that hold all surfaces [m], float64, shape [2, 3]
     top_room: int = 0  # vectors behind the mesh trees' nodes, for the nodes of the top level
@@ -44,7 +44,7 @@ class BuiltTree:
 
 def build_scene_tree(
     flat: FlatGeometry, geometry: Geometry, visibility: np.ndarray, instancing: bool, device: wp.Device, layout: Layout,
-    spatial_splits: bool = False,
+    spatial_splits: bool = False, splits_moving: bool = False,
 ) -> BuiltTree:  # fmt: skip
     """Build all trees of `flat`, whose arrays are on `device` as `geometry`.
 
@@ -52,13 +52,14 @@ def build_scene_tree(
         visibility: `Visibility` bits of each instance, int, shape [instance_count].
         layout: BOXES for the traversal of CPUs, QUANTISED for that of GPUs.
         instancing: as the kernels that will ask the tree (`SceneFeatures.instancing`).
-        spatial_splits: split triangles where that makes a better tree, which takes longer to build.
+        spatial_splits: split triangles where that makes a better tree, which takes longer to build, and cannot be refitted well.
+        splits_moving: do so too for trees that are built anew because their vertices moved.
 
     Raises `OutOfMemoryError` where the trees do not fit.
     """
     start = time.perf_counter()
     trees = MeshTrees(flat, geometry, device, layout, spatial_splits)
-    built = BuiltTree(Tree(), layout, instancing, spatial_splits, [trees.build(part) for part in mesh_parts(flat)])
+    built = BuiltTree(Tree(), layout, instancing, splits_moving, [trees.build(part) for part in mesh_parts(flat)])
     _assemble(built, entries_of(flat, visibility), device, fresh=True)
     built.tell(len(built.meshes), 0, start)
     return built
@@ -77,7 +78,7 @@ def refit_scene_tree(
         moved: places in `mesh_parts` of the meshes with new positions.
     """
     start = time.perf_counter()
-    trees = MeshTrees(flat, geometry, device, built.layout, built.spatial_splits)
+    trees = MeshTrees(flat, geometry, device, built.layout, built.splits_moving)
     worse = [i for i in moved if not trees.refit(built.meshes[i])]
     parts = mesh_parts(flat)
     if worse:
@@ -89,6 +90,11 @@ def refit_scene_tree(
             built.meshes[i] = trees.build(parts[i])
     _assemble(built, entries_of(flat, visibility), device, fresh=bool(worse))
     built.tell(len(worse), len(moved) - len(worse), start)
+
+
+def splits_triangles(spatial_splits: str, layout: Layout) -> bool:
+    """What the setting `spatial_splits` comes to for trees of this layout."""
+    return spatial_splits == "ON" or (spatial_splits == "AUTO" and layout is Layout.BOXES)
 
 
 def layout_for(device: wp.Device) -> Layout:

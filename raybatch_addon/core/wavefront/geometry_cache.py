@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ..bvh.build import BuiltTree, build_scene_tree, refit_scene_tree
+from ..bvh.build import BuiltTree, build_scene_tree, refit_scene_tree, splits_triangles
 from ..bvh.mesh_tree import mesh_parts
 from ..bvh.node import Layout
 from ..bvh.reference import BuiltReference, build_reference
@@ -110,5 +110,5 @@ def _build(
     geometry, visibility = upload_geometry(flat, scene, device), scene.instances.visibility
     if settings.batching == "REFERENCE":
         return _Kept(fingerprint, geometry, build_reference(flat, visibility, instancing, device))
-    splits = settings.spatial_splits == "ON"
-    return _Kept(fingerprint, geometry, build_scene_tree(flat, geometry, visibility, instancing, device, layout, splits))
+    splits = splits_triangles(settings.spatial_splits, layout)
+    return _Kept(fingerprint, geometry, build_scene_tree(flat, geometry, visibility, instancing, device, layout, splits, settings.spatial_splits == "ON"))

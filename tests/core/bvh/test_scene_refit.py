@@ -27,7 +27,7 @@ from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.wavefront import geometry_cache
 from raybatch_addon.core.wavefront.geometry_cache import GeometryCache
 
-SETTINGS = RenderSettings(device=DEVICE, sample_count=2, bounce_max=3)
+SETTINGS = RenderSettings(device=DEVICE, sample_count=2, bounce_max=3, spatial_splits="OFF")
 FRAME = Frame(20, 16, passes=("Combined", "Depth", "Normal", "Position"))
 BALL, SMOOTH_BALL, FLOOR, CUBE = scenes.sphere(segments=16, rings=8), scenes.sphere("smooth", 16, 8, smooth=True), scenes.plane(size=8), scenes.box()
 NOT_CAMERA = int(Visibility.ALL & ~Visibility.CAMERA)
@@ -274,6 +274,19 @@ def test_a_tree_that_became_bad_is_built_anew(layout, copies):
     tree = film.statistics["tree"]
     assert counts(tree) == (1, 0) and tree["sah"] == tree["sah_built"] < 1.4 * first["sah"]
     assert_same(film, opened(layout).render(soup_scene(mixed, triangles, copies)))
+
+
+def test_what_moves_is_built_without_splits_once_and_followed_from_then_on():
+    positions, triangles = wide_trees.needles(500)
+    session = opened(Layout.BOXES)
+    session.settings = SETTINGS.replace(spatial_splits="AUTO")
+    work = []
+    for frame in range(4):
+        moved = (positions + 0.002 * frame * np.sin(40 * positions)).astype(np.float32)
+        film = session.render(soup_scene(moved, triangles))
+        work.append(counts(film.statistics["tree"]))
+        assert_same(film, opened(Layout.BOXES).render(soup_scene(moved, triangles)))
+    assert work == [(1, 0), (1, 0), (0, 1), (0, 1)]
 
 
 def test_split_triangles_are_split_anew():
