@@ -1,0 +1,241 @@
+"""Draw the plots and write the tables of docs/experiments/traversal.md from docs/experiments/data: python scripts/experiment_plots.py
+
+Needs matplotlib. `traversal-SCENE-DEVICE.json` are reports of `scripts/benchmark.py traversal`; `variants-*.json` are kernels that
+were compiled apart for the comparison; the others hold single figures. Nothing on the page is typed in by hand between marks.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("svg")
+from matplotlib import pyplot  # noqa: E402
+
+FOLDER = Path(__file__).resolve().parents[1] / "docs/experiments"
+PAGE = FOLDER / "traversal.md"
+NODE_BYTES, TRIANGLE_BYTES = 80, 48  # of the layout QUANTISED
+NAMES = {
+    "off": "RayBatch", "off-plain": "RayBatch, plain", "off-sorted": "RayBatch, sorted", "reference": "Warp's tree", "embree": "Embree",
+    "embree-robust": "Embree, robust",
+}  # fmt: skip
+COLOURS = {"off": "#0072b2", "off-plain": "#999999", "off-sorted": "#56b4e9", "reference": "#d55e00", "embree": "#d55e00", "embree-robust": "#e69f00"}
+RAYS = {"primary": "camera", "bounce1": "bounce 1", "bounce4": "bounce 4", "shadow1": "shadow 1"}
+PLAIN, REFILL = "plain, all triangles a turn", "refill 4"
+
+
+def load(pattern: str) -> dict[str, dict[str, Any]]:
+    """Data by the file's name without its ending, in the order of names."""
+    found = {}
+    for path in sorted((FOLDER / "data").glob(pattern)):
+        told = json.loads(path.read_text(encoding="utf-8"))
+        found[path.stem] = told[0] if isinstance(told, list) else told
+        if "-unsplit-" in path.stem:
+            found[path.stem]["scene"] += ", no splits"
+    return found
+
+
+def title(report: dict[str, Any]) -> str:
+    """A scene's name, as it stands over plots and in tables."""
+    name = report["scene"].replace(".scene.npz", "").replace(".npz", "")
+    return name[0].upper() + name[1:]
+
+
+def table(heads: list[str], rows: list[list[Any]]) -> str:
+    """Rows as Markdown."""
+    return "\n".join("| " + " | ".join(map(str, row)) + " |" for row in [heads, ["---"] * len(heads), *rows])
+
+
+def save(figure: pyplot.Figure, name: str) -> None:
+    """Write the plot; the same data give the same file."""
+    figure.savefig(FOLDER / f"{name}.svg", bbox_inches="tight", facecolor="white", metadata={"Date": None})
+    pyplot.close(figure)
+
+
+# --- whole tracers
+
+
+def cases(report: dict[str, Any]) -> dict[tuple[str, str, int | None], dict[str, dict[str, Any]]]:
+    """Results by (rays, order, threads) and tracer."""
+    found: dict[tuple[str, str, int | None], dict[str, dict[str, Any]]] = {}
+    for result in report["results"]:
+        found.setdefault((result["rays"], result["order"], result["threads"]), {})[result["tracer"]] = result
+    return found
+
+
+def tracers_table(reports: dict[str, dict[str, Any]]) -> str:
+    """Rates of all tracers of some reports, [Mrays/s]."""
+    tracers = [name for name in NAMES if any(name in report["trees"] for report in reports.values())]
+    rows = []
+    for report in reports.values():
+        for (rays, order, _), by_name in cases(report).items():
+            rates = [by_name[name]["mrays_per_s"] if name in by_name else None for name in tracers]
+            rows.append([title(report), RAYS.get(rays, rays), order, *(rate_text(rate) for rate in rates)])
+    return table(["scene", "rays", "order", *(NAMES[name] for name in tracers)], rows)
+
+
+def rate_text(rate: float | None) -> str:
+    """Mrays/s, with three digits or more."""
+    return "" if rate is None else f"{rate:.0f}" if rate >= 100 else f"{rate:.1f}" if rate >= 10 else f"{rate:.2f}"
+
+
+def draw_tracers(reports: dict[str, dict[str, Any]], peer: str, name: str) -> None:
+    """Bars of every tracer's rate over that of `peer`, a panel a scene."""
+    groups = max(len(cases(report)) for report in reports.values())
+    figure, panels = pyplot.subplots(1, len(reports), figsize=((1.5 + 0.75 * groups) * len(reports), 3.4), squeeze=False, sharey=True)
+    for panel, report in zip(panels[0], reports.values(), strict=True):
+        groups = cases(report)
+        tracers = [each for each in NAMES if each in report["trees"] and each != peer]
+        width = 0.8 / len(tracers)
+        for place, tracer in enumerate(tracers):
+            heights = [by_name[tracer]["mrays_per_s"] / by_name[peer]["mrays_per_s"] for by_name in groups.values()]
+            at = [index + (place - (len(tracers) - 1) / 2) * width for index in range(len(groups))]
+            panel.bar(at, heights, width, label=NAMES[tracer], color=COLOURS[tracer])
+        panel.axhline(1, color=COLOURS[peer], label=NAMES[peer])
+        panel.set_xticks(range(len(groups)), [f"{RAYS.get(rays, rays)}\n{order}" for rays, order, _ in groups], fontsize=8)
+        panel.set_title(f"{title(report)}, {report['triangles']:,} triangles")
+    panels[0][0].set_ylabel(f"rate over {NAMES[peer]}")
+    figure.legend(*panels[0][0].get_legend_handles_labels(), fontsize=8, loc="center left", bbox_to_anchor=(0.91, 0.5))
+    save(figure, name)
+
+
+# --- variants of the kernel on CUDA
+
+
+def rate(data: dict[str, Any], label: str, column: str) -> float:
+    """Mrays/s of a variant."""
+    return next(variant["mrays_per_s"][column] for variant in data["variants"] if variant["label"] == label)
+
+
+def draw_refill(variants: dict[str, dict[str, Any]]) -> None:
+    """Rate over the number of lanes that must wait; 0: plain, with one triangle a turn."""
+    figure, panels = pyplot.subplots(1, len(variants), figsize=(5.4 * len(variants), 3.4), squeeze=False)
+    steps = {"plain": "plain, one triangle a turn"} | {str(lanes): f"refill {lanes}" for lanes in (1, 2, 4, 6, 8, 16, 32)}
+    for panel, data in zip(panels[0], variants.values(), strict=True):
+        for column in data["variants"][0]["mrays_per_s"]:
+            rays, order = column.split()
+            if order != "sorted":
+                panel.plot(list(steps), [rate(data, label, column) for label in steps.values()], "o-" if order == "natural" else "s--", markersize=4,
+                           color={"primary": "#009e73", "bounce1": "#0072b2", "bounce4": "#d55e00"}[rays], label=f"{RAYS[rays]}, {order}")  # fmt: skip
+        panel.set_title(f"{title(data)}, {data['triangles']:,} triangles")
+        panel.set_xlabel("lanes that wait before a warp takes new rays")
+        panel.set_ylim(bottom=0)
+    panels[0][0].set_ylabel("Mrays/s")
+    figure.legend(*panels[0][0].get_legend_handles_labels(), fontsize=8, loc="center left", bbox_to_anchor=(0.91, 0.5))
+    save(figure, "cuda-refill")
+
+
+def draw_lanes(variants: dict[str, dict[str, Any]]) -> None:
+    """Lanes at work, plainly and with refill."""
+    figure, panels = pyplot.subplots(1, len(variants), figsize=(8 * len(variants), 3.2), squeeze=False, sharey=True)
+    bars = [("lanes_alive", 1.0, "with a ray"), ("lanes_visiting", 0.7, "visiting a node"), ("lanes_testing", 0.4, "testing a triangle")]
+    for panel, data in zip(panels[0], variants.values(), strict=True):
+        columns = list(dict.fromkeys((counted["rays"], counted["order"]) for counted in data["counters"]))
+        for side, (variant, colour) in enumerate(((PLAIN, "#777777"), (REFILL, "#0072b2"))):
+            for what, (key, alpha, words) in enumerate(bars):
+                counted = {(each["rays"], each["order"]): each[key] for each in data["counters"] if each["variant"] == variant}
+                at = [index + (3 * side + what - 2.5) * 0.14 for index in range(len(columns))]
+                panel.bar(at, [counted[column] for column in columns], 0.13, color=colour, alpha=alpha, label=f"{'plain' if side == 0 else 'refill'}: {words}")
+        panel.set_xticks(range(len(columns)), [f"{RAYS[rays]}\n{order}" for rays, order in columns], fontsize=8)
+        panel.set_title(title(data))
+        panel.set_ylim(0, 32)
+    panels[0][0].set_ylabel("lanes of 32")
+    figure.legend(*panels[0][0].get_legend_handles_labels(), fontsize=8, loc="center left", bbox_to_anchor=(0.91, 0.5))
+    save(figure, "cuda-lanes")
+
+
+def lanes_table(variants: dict[str, dict[str, Any]]) -> str:
+    """What a ray costs, and how many lanes were at it."""
+    rows = []
+    for data in variants.values():
+        for counted in data["counters"]:
+            asked = NODE_BYTES * counted["node_steps"] + TRIANGLE_BYTES * counted["triangle_tests"]
+            rows.append([
+                title(data), RAYS[counted["rays"]], counted["order"], "plain" if counted["variant"] == PLAIN else "refill", f"{counted['node_steps']:.1f}",
+                f"{counted['triangle_tests']:.1f}", f"{asked:,.0f}", f"{counted['lanes_alive']:.1f}", f"{counted['lanes_visiting']:.1f}", f"{counted['lanes_testing']:.1f}",
+            ])  # fmt: skip
+    return table(["scene", "rays", "order", "traversal", "nodes", "triangles", "bytes asked for", "lanes with a ray", "visiting", "testing"], rows)
+
+
+def profile_table(profiles: dict[str, dict[str, Any]]) -> str:
+    """Figures of the profiler: `profile-*.json` hold `scene` and `rows`, each with `rays`, `order`, `tracer` and `metrics` by name."""
+    if not profiles:
+        return "Not measured yet."
+    rows = [(title(profile), row) for profile in profiles.values() for row in profile["rows"]]
+    metrics = list(dict.fromkeys(name for _, row in rows for name in row["metrics"]))
+    cells = [[scene, RAYS.get(row["rays"], row["rays"]), row["order"], row["tracer"], *(row["metrics"].get(name, "") for name in metrics)] for scene, row in rows]
+    return table(["scene", "rays", "order", "traversal", *metrics], cells)
+
+
+def variants_table(data: dict[str, Any]) -> str:
+    """All kernels of one scene, [Mrays/s]; sorted: the rays themselves lie in sorted order, and the sort is not timed."""
+    columns = list(data["variants"][0]["mrays_per_s"])
+    rows = [[variant["label"], variant["registers"] or "", *(variant["mrays_per_s"][column] for column in columns)] for variant in data["variants"]]
+    return table(["kernel", "registers", *(f"{RAYS[column.split()[0]]}, {column.split()[1]}" for column in columns)], rows)
+
+
+# --- single figures
+
+
+def draw_waves(sorting: dict[str, Any]) -> None:
+    """What sorting gains by the length of the list."""
+    waves = sorting["waves"]
+    figure, panel = pyplot.subplots(figsize=(4.4, 2.8))
+    panel.plot(list(waves["gain_percent"]), list(waves["gain_percent"].values()), "o-", color="#0072b2")
+    panel.set(xlabel="rays in a list", ylabel="gain of sorting [%]", ylim=(0, None), title=f"{waves['scene']}, bounce 4, CPU")
+    save(figure, "cpu-waves")
+
+
+def scenes_table(data: dict[str, Any]) -> str:
+    """The CPU's variants over Embree."""
+    heads = {"plain": "one ray at a time", "interleaved": "16 rays", "sorted": "16 rays, sorted", "splits": "16 rays, spatial splits", "splits_sorted": "the same, sorted"}
+    rows = [
+        [row["scene"], RAYS[row["rays"]], row["order"], f"{row['embree_mrays_per_s']:.2f}", *(f"{row['over_embree'][key]:.2f}" for key in heads)]
+        for row in data["results"]
+    ]
+    return table(["scene", "rays", "order", "Embree [Mrays/s]", *heads.values()], rows)
+
+
+def build_table(build: dict[str, Any]) -> str:
+    """Steps of rays by how the tree was built."""
+    scenes = build["quality"]["scenes"]
+    methods = list(next(iter(scenes.values())))
+    rows = [[method, *(f"{scene[method]['node_steps']:.2f} / {scene[method]['triangle_tests']:.2f}" for scene in scenes.values())] for method in methods]
+    return table(["build", *scenes], rows)
+
+
+def renders_table(sorting: dict[str, Any]) -> str:
+    """Whole renders with and without sorting."""
+    rows = [[row["scene"], f"{row['unsorted_ms']} ms", f"{row['sorted_ms']} ms"] for row in sorting["renders"]["results"]]
+    return table(["scene", "unsorted", "every list sorted"], rows)
+
+
+def main() -> None:
+    matplotlib.rcParams.update({"svg.hashsalt": "experiments", "axes.spines.top": False, "axes.spines.right": False})
+    cpu, cuda, variants = load("traversal-*-cpu.json"), load("traversal-*-cuda.json"), load("variants-*-cuda.json")
+    sorting, build, trials = (load(f"{name}.json")[name] for name in ("sorting", "build", "cpu-trials"))
+    draw_tracers(cpu, "embree", "cpu-tracers")
+    draw_tracers(cuda, "reference", "cuda-tracers")
+    draw_refill(variants)
+    draw_lanes(variants)
+    draw_waves(sorting)
+    parts = {
+        "cpu": tracers_table(cpu), "cuda": tracers_table(cuda), "lanes": lanes_table(variants), "profile": profile_table(load("profile-*.json")),
+        "cpu scenes": scenes_table(load("cpu-scenes.json")["cpu-scenes"]), "build": build_table(build), "renders": renders_table(sorting),
+        "kept": table(["what", "gain"], trials["kept"]), "lost": table(["what", "effect"], trials["lost"]),
+    }  # fmt: skip
+    parts |= {name: variants_table(data) for name, data in variants.items()}
+    text = PAGE.read_text(encoding="utf-8")
+    for name, part in parts.items():
+        text, count = re.subn(f"(<!-- {name} -->\n).*?(<!-- end -->)", lambda marks, part=part: marks[1] + part + "\n" + marks[2], text, flags=re.S)
+        if count != 1:
+            raise SystemExit(f"{PAGE} has the mark <!-- {name} --> {count} times")
+    PAGE.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
