@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from raybatch_addon.core.bvh.build import build_scene_tree, layout_for
+from raybatch_addon.core.bvh.build import build_scene_tree, layout_for, splits_triangles
 from raybatch_addon.core.bvh.reference import build_reference
 from raybatch_addon.core.bvh.trace_counts import LANE_PARTS, TraceCounts
 from raybatch_addon.core.device import load_kernels
@@ -50,7 +50,7 @@ class SceneTrees:
 
     def _own(self, scene: BenchmarkScene) -> BuiltScene:
         geometry = upload_geometry(scene.flat, scene.scene, self._device)
-        splits = self._settings.spatial_splits == "ON"
+        splits = splits_triangles(self._settings.spatial_splits, layout_for(self._device))
         wp.synchronize_device(self._device)
         start = time.perf_counter()
         built = build_scene_tree(
