@@ -276,7 +276,7 @@ PLACES = {
     "build": (core_session.DeviceScene, "build"),
     "compile": (core_session, "load_kernels"),
     "worker": (integrator.TileIntegrator, "_shade"),
-    "film": (integrator.TileIntegrator, "_film_of"),
+    "film": (integrator, "FinishedTile"),
     "result": (None, "begin_result"),
     "status": (None, "update_stats"),
 }
@@ -385,7 +385,7 @@ def test_a_cancel_keeps_what_is_done_of_a_tile(lit, monkeypatch, films):
 
     def noted(*args):
         started.append(1)
-        finish_paths(*args)
+        return finish_paths(*args)
 
     monkeypatch.setattr(integrator.TileIntegrator, "_finish_paths", noted)
     watch_engines(monkeypatch, begin_result=begin_result, test_break=lambda _engine: len(started) > 0)
