@@ -44,7 +44,7 @@ class BuiltTree:
 
 def build_scene_tree(
     flat: FlatGeometry, geometry: Geometry, visibility: np.ndarray, instancing: bool, device: wp.Device, layout: Layout,
-    spatial_splits: bool = False, splits_moving: bool = False,
+    spatial_splits: bool = False, splits_moving: bool = False, on_device: bool | None = None,
 ) -> BuiltTree:  # fmt: skip
     """Build all trees of `flat`, whose arrays are on `device` as `geometry`.
 
@@ -54,11 +54,12 @@ def build_scene_tree(
         instancing: as the kernels that will ask the tree (`SceneFeatures.instancing`).
         spatial_splits: split triangles where that makes a better tree, which takes longer to build, and cannot be refitted well.
         splits_moving: do so too for trees that are built anew because their vertices moved.
+        on_device: as for `MeshTrees`.
 
     Raises `OutOfMemoryError` where the trees do not fit.
     """
     start = time.perf_counter()
-    trees = MeshTrees(flat, geometry, device, layout, spatial_splits)
+    trees = MeshTrees(flat, geometry, device, layout, spatial_splits, on_device)
     built = BuiltTree(Tree(), layout, instancing, splits_moving, [trees.build(part) for part in mesh_parts(flat)])
     _assemble(built, entries_of(flat, visibility), device, fresh=True)
     built.tell(len(built.meshes), 0, start)

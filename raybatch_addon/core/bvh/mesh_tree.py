@@ -69,8 +69,14 @@ class MeshTree:
 class MeshTrees:
     """Builds and refits the mesh trees of one frame."""
 
-    def __init__(self, flat: FlatGeometry, geometry: Geometry, device: wp.Device, layout: Layout, spatial_splits: bool):
-        """For `flat`, whose arrays are on `device` as `geometry`."""
+    def __init__(
+        self, flat: FlatGeometry, geometry: Geometry, device: wp.Device, layout: Layout, spatial_splits: bool, on_device: bool | None = None
+    ):
+        """For `flat`, whose arrays are on `device` as `geometry`.
+
+        `on_device`: build where rays are traced, which can be asked for on the CPU too (QUANTISED, without splits); default: on CUDA, without splits.
+        """
+        self._on_device = device.is_cuda and not spatial_splits if on_device is None else on_device
         self._flat, self._geometry, self._device, self.layout = flat, geometry, device, layout
         if layout is Layout.QUANTISED:
             self._options = BuildOptions(leaf_group=1, leaf_max=TRIANGLES_MAX_QUANTISED, spatial_splits=spatial_splits)
@@ -79,7 +85,7 @@ class MeshTrees:
 
     def build(self, part: MeshPart) -> MeshTree:
         """A new tree. Raises `OutOfMemoryError` where it does not fit."""
-        if self._device.is_cuda and not self._options.spatial_splits:
+        if self._on_device:
             made = build_mesh(self._geometry.positions, self._geometry.triangles, part.triangle_first, part.triangle_count)
             return MeshTree(
                 part, made.nodes, made.triangles, made.centre, made.box, made.node_count, made.depth, made.sah, made.sah, False, made.level_first
