@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from .bvh.build import layout_for
+from .bvh.build import build_kernels, layout_for
 from .device import find_device, free_memory, load_kernels, start_warp, worker_count
 from .errors import OutOfMemoryError, RayBatchError
 from .film import Film, layout_of
@@ -118,7 +118,7 @@ class Session:
 
     def prewarm(self, features: Sequence[SceneFeatures] | None = None, on_progress: Callable[[int, int], None] | None = None) -> list[str]:
         """Compile ahead for `features` (default: those of ordinary scenes); returns the names of the modules."""
-        kernels = [k for f in features or ordinary_features() for k in self._kernels(f, self.settings)]
+        kernels = [k for f in features or ordinary_features() for k in self._kernels(f, self.settings)] + build_kernels(self.device)
         return load_kernels(kernels, self.device, on_progress or (lambda done, total: None))
 
     def _kernels(self, features: SceneFeatures, settings: RenderSettings) -> list[wp.Kernel]:

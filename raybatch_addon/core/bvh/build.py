@@ -12,8 +12,11 @@ import warp as wp
 
 from ..scene.flatten import FlatGeometry
 from ..scene.geometry import Geometry, mat34
+from .build_cuda import DEVICE_BUILD_KERNELS
+from .build_stages import build_kernel
+from .collapse import collapse_boxes_kernel, fill_boxes_kernel
+from .encode import as_vectors, place_groups_kernel
 from .entries import Entries, build_top_level, entries_of
-from .encode import as_vectors
 from .mesh_tree import MeshTree, MeshTrees, mesh_parts
 from .node import Layout, aligned_empty
 from .tree import Tree
@@ -91,6 +94,13 @@ def refit_scene_tree(
             built.meshes[i] = trees.build(parts[i])
     _assemble(built, entries_of(flat, visibility), device, fresh=bool(worse))
     built.tell(len(worse), len(moved) - len(worse), start)
+
+
+def build_kernels(device: wp.Device) -> list[wp.Kernel]:
+    """The kernels that build trees on `device`, for compiling ahead; builds load what they need by themselves."""
+    if device.is_cuda:
+        return list(DEVICE_BUILD_KERNELS)
+    return [build_kernel, collapse_boxes_kernel, fill_boxes_kernel, place_groups_kernel]
 
 
 def splits_triangles(spatial_splits: str, layout: Layout) -> bool:
