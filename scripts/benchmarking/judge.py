@@ -27,6 +27,9 @@ from .tracers import Hits
 ROUNDINGS = 32
 UNIT_ROUNDOFF = 2.0**-24  # of float32
 RELATIVE_BOUND = ROUNDINGS * UNIT_ROUNDOFF * 3**0.5  # of a length, from that of a coordinate
+# A ray that passes through a triangle and no nearer to its edges than the bound meets its plane at more than 16 roundings [rad]; what float64
+# tells of flatter ones is noise
+FLATTEST = 2.0**-23
 CHUNK = 1 << 14  # triangles of one thread
 PAIRS_MAX = {"cpu": 500_000_000, "cuda": 200_000_000_000}  # rays times triangles of one judgement
 
@@ -73,7 +76,7 @@ def certainty(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d, t_max: wp.floa
     u = wp.dot(d, wp.cross(b, c))
     v = wp.dot(d, wp.cross(c, a))
     w = wp.dot(d, wp.cross(a, b))
-    inside = facing != wp.float64(0.0) and (wp.min(wp.min(u, v), w) >= wp.float64(0.0) or wp.max(wp.max(u, v), w) <= wp.float64(0.0))
+    inside = wp.abs(facing) > wp.float64(FLATTEST) * wp.length(normal) and (wp.min(wp.min(u, v), w) >= wp.float64(0.0) or wp.max(wp.max(u, v), w) <= wp.float64(0.0))
     nearest = edge_closest(a, b - a, d)
     second = edge_closest(b, c - b, d)
     third = edge_closest(c, a - c, d)
