@@ -106,20 +106,38 @@ def test_the_judge_of_many_rays_agrees_with_the_judge_of_few(geometry, instances
         np.testing.assert_allclose(mine[finite], theirs[finite], rtol=1e-6)
 
 
+def certainties(corners, directions) -> np.ndarray:
+    """What the judge knows of triangles, float64 [n, 3, 3], relative to the origins of rays along `directions`, [n, 3]."""
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def ask(corner: wp.array2d(dtype=wp.vec3d), direction: wp.array(dtype=wp.vec3d), out: wp.array2d(dtype=wp.float64)):
+        i = wp.tid()
+        found = certainty(corner[i, 0], corner[i, 1], corner[i, 2], wp.normalize(direction[i]), wp.float64(wp.inf), wp.float64(0.0))
+        out[i, 0] = found.hit_before
+        out[i, 1] = found.hit_after
+
+    out = wp.zeros((len(corners), 2), dtype=wp.float64, device="cpu")
+    inputs = [wp.array(corners, dtype=wp.vec3d, device="cpu"), wp.array(directions, dtype=wp.vec3d, device="cpu"), out]
+    wp.launch(ask, len(corners), inputs, device="cpu")
+    return out.numpy()
+
+
 def test_a_ray_in_the_plane_of_a_triangle_is_no_certain_hit():
     """In float64 all three volumes are noise there; they had the same sign, and the triangle counted as met."""
-    @wp.kernel(**KERNEL_OPTIONS)
-    def ask(corner: wp.array(dtype=wp.vec3d), direction: wp.vec3d, out: wp.array(dtype=wp.float64)):
-        found = certainty(corner[0], corner[1], corner[2], wp.normalize(direction), wp.float64(wp.inf), wp.float64(0.0))
-        out[0] = found.hit_before
-        out[1] = found.hit_after
+    corner = [[10.6005859375, 0.74102783203125, 16.3701171875], [0, 0, 32.72998046875], [0, 0, 16.3701171875]]
+    assert np.isinf(certainties(np.array([corner]), np.array([[-10.6005859375, -0.74102783203125, 8.34033203125]]))).all()
 
-    corner = wp.array(
-        [[10.6005859375, 0.74102783203125, 16.3701171875], [0, 0, 32.72998046875], [0, 0, 16.3701171875]], dtype=wp.vec3d, device="cpu"
-    )
-    out = wp.zeros(2, dtype=wp.float64, device="cpu")
-    wp.launch(ask, 1, [corner, wp.vec3d(-10.6005859375, -0.74102783203125, 8.34033203125), out], device="cpu")
-    assert np.isinf(out.numpy()).all()
+
+def test_small_triangles_beside_a_ray_from_afar_are_missed():
+    """Volumes taken from the origin are noise in float64 there."""
+    generator = np.random.default_rng(4)
+    direction = generator.normal(size=(1000, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    side = np.cross(direction, generator.normal(size=(1000, 3)))
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    corners = (1.5e4 * direction + 0.3 * side)[:, None] + 1e-7 * generator.normal(size=(1000, 3, 3))
+    assert np.isinf(certainties(corners, direction)).all()
+    assert np.isfinite(certainties(corners - 0.3 * side[:, None], direction)[:, 1]).all()
 
 
 def test_rays_are_of_every_kind():
