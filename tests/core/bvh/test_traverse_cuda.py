@@ -319,7 +319,7 @@ def test_of_equal_distances_the_lowest_instance_and_primitive_win(device):
 
     count = len(triangles)
     entries = [Entry(positions, triangles, instance=i) for i in (7, 3, 9, 5)]
-    entries += [Entry(positions, np.tile(triangles, (2, 1)), merged=[(8, count), (2, count)]), Entry(positions, triangles, instance=4)]
+    entries += [Entry(positions, np.tile(triangles, (2, 1)), merged=[(2, count), (8, count)]), Entry(positions, triangles, instance=4)]
     tree = make_tree(entries, device, True)
     found = trace(tree, rays, dataclasses.replace(CLOSEST, instancing=True))
     found.check_same(brute(entries, rays, tree, True))
