@@ -11,6 +11,8 @@ from .description import Camera, Frame, Instances, Light, Mesh, Scene, World
 
 # Squares of larger coordinates leave float32
 COORDINATE_MAX = 1e18
+# Areas of smaller things leave the normal numbers of float32
+EXTENT_MIN = 1e-18
 # The passes that a film can hold (`film.PASSES`)
 PASS_NAMES = ("Combined", "Depth", "Position", "Normal", "Rays", "Node Steps", "Triangle Tests")
 
@@ -127,19 +129,44 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
     if len(instances) == 0:
         return instances
     linear = instances.transform[:, :, :3].astype(np.float64)
-    finite = np.isfinite(instances.transform).all((1, 2)) & (np.abs(instances.transform).max((1, 2)) <= COORDINATE_MAX)
+    finite = np.isfinite(instances.transform).all((1, 2))
     linear[~finite] = 0
     # singular in float32: the smallest singular value is lost in the rounding of the largest
     singular_values = np.linalg.svd(linear, compute_uv=False)
     regular = singular_values[:, 2] > singular_values[:, 0] * np.finfo(np.float32).eps
-    extent = np.array([np.abs(mesh.positions).max() if len(mesh.triangles) else 0.0 for mesh in scene.meshes])[instances.mesh]
-    near = extent.astype(np.float64) * singular_values[:, 0] <= COORDINATE_MAX
-    keep = finite & regular & near
+    reach, size = (values[instances.mesh] for values in _mesh_extents(scene.meshes))
+    near = (reach * singular_values[:, 0] <= COORDINATE_MAX) & (np.abs(instances.transform).max((1, 2)) <= COORDINATE_MAX)
+    # in the world, and of meshes that stay in object space also there
+    shared = np.bincount(instances.mesh)[instances.mesh] > 1
+    extent = size * np.where(shared, np.minimum(singular_values[:, 0], 1), singular_values[:, 0])
+    large = (extent >= EXTENT_MIN) | (size == 0)
+    # and how far the scene reaches, seen from object space
+    placed = finite & regular & near
+    camera = float(np.abs(scene.camera.transform[:, 3]).max())
+    scene_reach = max(camera, float((np.abs(instances.transform[placed, :, 3]).max(1) + (reach * singular_values[:, 0])[placed]).max(initial=0)))
+    with np.errstate(divide="ignore", over="ignore"):
+        within = ~shared | (scene_reach / singular_values[:, 2] <= COORDINATE_MAX)
+    keep = placed & large & within
+    reasons = (
+        (finite, "a matrix that is not finite"),
+        (near, f"coordinates beyond {COORDINATE_MAX:g} m"),
+        (regular, "a matrix that is flat or zero"),
+        (large, f"an extent below {EXTENT_MIN:g} m"),
+        (within, f"a scale so small that the scene reaches beyond {COORDINATE_MAX:g} m in its own space"),
+    )
     for i in np.flatnonzero(~keep):
-        why = "a matrix that is not finite"
-        if finite[i]:
-            why = "a matrix that is flat or zero" if near[i] else f"coordinates beyond {COORDINATE_MAX:g} m"
+        why = next(why for good, why in reasons if not good[i])
         text = f"object “{_object_name(scene, i)}” has {why}: it is not rendered"
         if text not in warnings:
             warnings.append(text)
     return Instances(*(getattr(instances, field.name)[keep] for field in dataclasses.fields(Instances)))
+
+
+def _mesh_extents(meshes: tuple[Mesh, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Largest coordinate and longest side of the box of each mesh, float64; 0 where there are no triangles."""
+    extents = np.zeros((2, len(meshes)))
+    for place, mesh in enumerate(meshes):
+        if len(mesh.triangles):
+            low, high = mesh.positions.min(0).astype(np.float64), mesh.positions.max(0).astype(np.float64)
+            extents[:, place] = np.abs([low, high]).max(), (high - low).max()
+    return extents[0], extents[1]

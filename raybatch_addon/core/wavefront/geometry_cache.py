@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from ..bvh.build import BuiltTree, build_scene_tree, refit_scene_tree, splits_triangles
+from ..bvh.memory import GeometrySize, check_counts, check_memory, memory_told
 from ..bvh.mesh_tree import mesh_parts
 from ..bvh.node import Layout
 from ..bvh.reference import BuiltReference, build_reference
@@ -73,7 +74,19 @@ class GeometryCache:
     def get(
         self, scene: Scene, instancing: bool, settings: RenderSettings, layout: Layout, device: wp.Device
     ) -> tuple[Geometry, BuiltReference | BuiltTree]:
-        """Geometry and tree of `scene`; those of the last call cannot be used any more."""
+        """Geometry and tree of `scene`; those of the last call cannot be used any more.
+
+        Raises `SceneError` for too large a scene, `OutOfMemoryError` for one that does not fit, before or where memory is asked for.
+        """
+        size = GeometrySize.of(scene)
+        check_counts(size)
+        check_memory(size, layout, device, all_of_it=True)
+        with memory_told(size, layout, device):
+            return self._get(scene, size, instancing, settings, layout, device)
+
+    def _get(
+        self, scene: Scene, size: GeometrySize, instancing: bool, settings: RenderSettings, layout: Layout, device: wp.Device
+    ) -> tuple[Geometry, BuiltReference | BuiltTree]:
         flat = flatten(scene)
         fingerprint = _Fingerprint.of(flat, scene, (instancing, settings.batching, settings.spatial_splits, layout))
         with self._lock:
@@ -81,6 +94,7 @@ class GeometryCache:
             last, self._last = self._last, None
             if last is None or not _follow(last, fingerprint, flat, scene, device):
                 del last
+                check_memory(size, layout, device, all_of_it=False)
                 last = _build(fingerprint, flat, scene, instancing, settings, layout, device)
             self._last = last
             return last.geometry, last.built

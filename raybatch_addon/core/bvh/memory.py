@@ -1,0 +1,109 @@
+"""Memory of a scene's geometry and trees, told before it is asked for.
+
+Figures are lower bounds: what is refused here would not fit, what is not may still fail when it asks for its memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ..device import free_memory, total_memory
+from ..errors import OutOfMemoryError, SceneError
+from ..scene.description import Scene, Visibility
+from .build_cuda import BYTES_EACH
+from .node import Layout
+
+# Corners of triangles are counted in int32, and so are vertices
+TRIANGLES_MAX = (2**31 - 1) // 3
+VERTICES_MAX = 2**31 - 1
+# [bytes]
+ROW = 12  # a triangle's indices, or a position
+NORMALS = 36  # of the corners of a triangle
+TREE_BYTES = {Layout.BOXES: 45, Layout.QUANTISED: 55}  # nodes and blocks of full groups and leaves, for each triangle
+BUILD_BYTES_HOST = 100  # records, lists and nodes of a binary tree, for each triangle (`build_sah.py`)
+
+
+@dataclass(frozen=True)
+class GeometrySize:
+    """Counts of what `flatten` would put together."""
+
+    triangles: int
+    vertices: int
+    largest: int  # triangles of the largest mesh tree
+    smooth: bool  # whether there are normals
+
+    @staticmethod
+    def of(scene: Scene) -> GeometrySize:
+        """The meshes that `scene` places."""
+        used, uses = np.unique(scene.instances.mesh, return_counts=True)
+        meshes = [scene.meshes[i] for i in used.tolist()]
+        filled = [(mesh, count) for mesh, count in zip(meshes, uses.tolist(), strict=True) if len(mesh.triangles)]
+        trees = [len(mesh.triangles) for mesh, count in filled if count > 1]
+        seen = dict(zip(scene.instances.mesh.tolist(), (scene.instances.visibility & int(Visibility.ALL)).tolist(), strict=True))
+        baked: dict[int, int] = {}  # those that are placed once share a tree where they are seen alike
+        for i, mesh, count in zip(used.tolist(), meshes, uses.tolist(), strict=True):
+            if count == 1:
+                baked[seen[i]] = baked.get(seen[i], 0) + len(mesh.triangles)
+        return GeometrySize(
+            sum(len(mesh.triangles) for mesh, _ in filled),
+            sum(len(mesh.positions) for mesh, _ in filled),
+            max([0, *trees, *baked.values()]),
+            any(mesh.corner_normals is not None for mesh, _ in filled),
+        )
+
+    def arrays(self) -> int:
+        """Geometry alone [bytes]."""
+        return ROW * (self.triangles + self.vertices) + NORMALS * self.smooth * self.triangles
+
+    def needed(self, layout: Layout, device: wp.Device) -> int:
+        """Geometry and trees on `device`, the build included [bytes]."""
+        build = BYTES_EACH if device.is_cuda else BUILD_BYTES_HOST
+        # the CPU holds the geometry of the host and that of the device
+        return self.arrays() * (1 if device.is_cuda else 2) + max(TREE_BYTES[layout] * self.triangles, build * self.largest)
+
+
+def check_counts(size: GeometrySize) -> None:
+    """Raise `SceneError` for more than indices can name."""
+    for count, most, what in ((size.triangles, TRIANGLES_MAX, "triangles"), (size.vertices, VERTICES_MAX, "vertices")):
+        if count > most:
+            raise SceneError(
+                f"the scene's meshes have {count:,} {what}, and a scene holds {most:,}; use fewer, or instances of one mesh in place of copies"
+            )
+
+
+def check_memory(size: GeometrySize, layout: Layout, device: wp.Device, all_of_it: bool) -> None:
+    """Raise `OutOfMemoryError` where `device` has not so much memory: free, or with `all_of_it` at all."""
+    needed = size.needed(layout, device)
+    there = (total_memory(device) or needed) if all_of_it else free_memory(device)
+    if needed > there:
+        raise _out_of_memory(size, needed, device, f"{_gigabytes(there)} {'in all' if all_of_it else 'free'}")
+
+
+@contextlib.contextmanager
+def memory_told(size: GeometrySize, layout: Layout, device: wp.Device) -> Iterator[None]:
+    """Meanwhile an allocation that fails, here or on `device`, becomes an `OutOfMemoryError` with the figures."""
+    try:
+        yield
+    except OutOfMemoryError:
+        raise
+    except (MemoryError, RuntimeError) as error:
+        # Warp has no class of its own for it
+        if isinstance(error, RuntimeError) and not str(error).startswith("Failed to allocate"):
+            raise
+        raise _out_of_memory(size, size.needed(layout, device), device, f"{_gigabytes(free_memory(device))} free") from error
+
+
+def _out_of_memory(size: GeometrySize, needed: int, device: wp.Device, there: str) -> OutOfMemoryError:
+    return OutOfMemoryError(
+        f"the scene's {size.triangles:,} triangles need at least {_gigabytes(needed)} with their trees, and {device.alias} has {there}; use fewer "
+        "triangles, instances in place of copies, or a device with more memory"
+    )
+
+
+def _gigabytes(size: int) -> str:
+    return f"{size / 1e9:.2f} GB"
