@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import queue
 import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,13 +26,14 @@ from .report.statistics import render_statistics
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features, ordinary_features
 from .scene.validate import checked_scene
-from .settings import SETTINGS, RenderSettings
+from .settings import RenderSettings
 from .wavefront.device_scene import DeviceScene
 from .wavefront.geometry_cache import GeometryCache
 from .wavefront.integrator import TileIntegrator, TileState
 from .wavefront.kernels import StageKernels, tracing_kernels
 from .wavefront.ray_order import order_bytes_per_path
 from .wavefront.rays import bytes_per_path
+from .wavefront.resume import ResumeState, estimator_settings, film_to_fill
 from .wavefront.scheduler import paths_a_worker, reduced_path_count, tile_edge, tiles, water_marks
 from .wavefront.stages.trace import Traversal, counter_features
 from .wavefront.summary import ray_totals, workers_summary
@@ -87,17 +87,6 @@ class _Job:
     hardware: dict[str, Any] = field(default_factory=dict)  # what the processor counted
 
 
-@dataclass
-class _ResumeState:
-    """What goes on when a stopped render is resumed."""
-
-    tiles: list[TileState]
-    sample_first: int
-    sample_count: int
-    sample_order: str
-    estimator: dict[str, Any]  # the settings that the film depends on
-
-
 class Session:
     """A device with its caches. One render at a time; make one session a device and keep it."""
 
@@ -111,6 +100,7 @@ class Session:
         self.device = find_device(device or self.settings.device)
         self.layout = layout_for(self.device)  # of trees
         self._geometry = GeometryCache()
+        self._building: Future | None = None  # the last build
 
     def close(self) -> None:
         """Give back what is cached."""
@@ -152,7 +142,7 @@ class Session:
             RayBatchError: what the user can mend; the message says how.
         """
         job = self._job(scene, settings, on_tile, on_progress, cancelled, observers, sample_first)
-        film = _film_to_fill(job, resume)
+        film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume)
         state = film.resume_state or self._all_tiles(job)
         film.resume_state = None
         job.settings = job.settings.replace(sample_order=state.sample_order)  # items are numbered by it
@@ -201,12 +191,12 @@ class Session:
             time.perf_counter(), {}, warnings,
         )  # fmt: skip
 
-    def _all_tiles(self, job: _Job) -> _ResumeState:
+    def _all_tiles(self, job: _Job) -> ResumeState:
         frame = job.scene.frame
         x0, y0, x1, y1 = frame.region
         edge = tile_edge(job.settings, self.device.is_cuda, x1 - x0, y1 - y0)
         states = [TileState(tile) for tile in tiles(frame.region, edge)]
-        return _ResumeState(states, job.sample_first, job.settings.sample_count, job.settings.sample_order, _estimator(job.settings))
+        return ResumeState(states, job.sample_first, job.settings.sample_count, job.settings.sample_order, estimator_settings(job.settings))
 
     def _prepare(self, job: _Job) -> tuple[DeviceScene, list[str]] | None:
         """Build the tree and compile the kernels, side by side; None when cancelled meanwhile."""
@@ -226,9 +216,17 @@ class Session:
             job.seconds["build"] = time.perf_counter() - start
             return built
 
+        before = self._building  # of a render that was cancelled: it must not touch what this one uses
+
+        def build_in_turn() -> DeviceScene:
+            if before:
+                wait([before])
+            return build()
+
         pool = ThreadPoolExecutor(max_workers=2)
         try:
-            modules, built = pool.submit(compile_kernels), pool.submit(build)
+            modules, built = pool.submit(compile_kernels), pool.submit(build_in_turn)
+            self._building = built
             while not (modules.done() and built.done()):
                 if job.cancelled():
                     return None
@@ -241,7 +239,7 @@ class Session:
         finally:
             pool.shutdown(wait=False)  # a cancelled render does not wait for the compiler
 
-    def _integrators(self, job: _Job, scene: DeviceScene, state: _ResumeState) -> list[TileIntegrator]:
+    def _integrators(self, job: _Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
         areas = [t.tile.pixel_count for t in state.tiles if t.items_begun < t.tile.pixel_count * state.sample_count]
         if not areas:
             return []
@@ -254,7 +252,8 @@ class Session:
         each = bytes_per_path(job.features) + order_bytes_per_path(job.settings.ray_sort, self.device.is_cuda)
         each += counter_bytes_per_path(counting, job.features.shadow_rays)
         layout = layout_of(job.scene.frame.passes, job.scene.frame.transparent)
-        tile_bytes = max(areas) * layout.count * WINDOW_DIGITS * 8
+        # sums of finished tiles stay on a CUDA device until the film is asked for them
+        tile_bytes = (sum(areas) if self.device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
         budget = max(0, int(free_memory(self.device) * PATH_MEMORY_SHARE) // workers - tile_bytes)
         count = reduced_path_count(asked, each, budget)
         if count == 0:
@@ -279,7 +278,7 @@ class Session:
 
     # --- the render itself
 
-    def _run(self, job: _Job, integrators: list[TileIntegrator], state: _ResumeState, film: Film) -> None:
+    def _run(self, job: _Job, integrators: list[TileIntegrator], state: ResumeState, film: Film) -> None:
         """Let the integrators render `state`'s tiles, and take their results on this thread."""
         start = time.perf_counter()
         todo: queue.SimpleQueue[TileState] = queue.SimpleQueue()
@@ -369,25 +368,3 @@ class Session:
                 "warnings": job.warnings,
             },
         )
-
-
-def _film_to_fill(job: _Job, resume: Film | None) -> Film:
-    """An empty film, or a copy of the one to go on with."""
-    empty = Film.empty(job.scene.frame)
-    if resume is None:
-        return empty
-    if resume.complete:
-        raise RayBatchError("this film is complete: there is nothing to resume; to add samples, render a range with sample_first and merge")
-    if resume.resume_state is None:
-        raise RayBatchError("this film cannot be resumed: rays were given up when it was cancelled; render it again")
-    state = resume.resume_state
-    if state.sample_first != job.sample_first or state.estimator != _estimator(job.settings):
-        raise RayBatchError("this film was begun with other settings or another range of samples; resume it with the same ones")
-    film = resume.merge(empty)
-    film.resume_state = dataclasses.replace(state, tiles=[dataclasses.replace(tile) for tile in state.tiles])
-    return film
-
-
-def _estimator(settings: RenderSettings) -> dict[str, Any]:
-    """The settings that change the film."""
-    return {name: getattr(settings, name) for name, info in SETTINGS.items() if info.effect == "estimator"}

@@ -165,3 +165,30 @@ def test_npz_holds_the_passes(tmp_path):
     with np.load(tmp_path / "film.npz") as arrays:
         assert {name: arrays[name].shape for name in arrays} == {"Combined": (2, 3, 4), "Depth": (2, 3, 1)}
         assert all(arrays[name].dtype == np.float32 for name in arrays)
+
+
+def test_finished_tiles_keep_no_array_of_their_worker_and_stay_until_they_are_fetched(monkeypatch):
+    tile = finished(0, 0, np.array([[1, 2, 3], [4, 5, 6]]))
+    assert tile._film.spill_index.size == tile._film.spill_value.size == 0
+    film = Film.empty(Frame(2, 1))
+    film.add_tile(tile)
+    with monkeypatch.context() as broken:
+        broken.setattr(FinishedTile, "fetch", lambda self: (_ for _ in ()).throw(MemoryError()))
+        with pytest.raises(MemoryError):
+            film.counts
+    assert film.counts.tolist() == [1, 1]
+
+
+def test_tiles_of_a_transparent_film_leave_the_rest_empty():
+    layout = layout_of(("Combined",), True)
+    device = wp.get_device(DEVICE)
+    tile = FilmTiles(4, layout, ("Combined",), device, wp.zeros(1, dtype=int, device=device)).begin(1)
+    window = np.zeros((WINDOW_DIGITS, 4), np.int64)
+    window[-1] = [1, 2, 3, 1]
+    tile.window.assign(window)
+    tile.counts.fill_(1)
+    film = Film.empty(Frame(3, 2, transparent=True))
+    film.add_tile(FinishedTile((1, 0, 1, 1), tile, layout, ("Combined",), 1))
+    picture = film.passes["Combined"]
+    assert picture[0, 1].tolist() == [1, 2, 3, 1] and picture.sum() == 7
+    assert np.array_equal(film.merge(Film.empty(Frame(3, 2, transparent=True))).passes["Combined"], picture)

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..device import free_memory
+from ..errors import OutOfMemoryError, SceneError
 from ..scene.flatten import FlatGeometry
 from ..scene.geometry import Geometry, mat34
 from .build_cuda import DEVICE_BUILD_KERNELS
@@ -22,6 +24,7 @@ from .node import Layout, aligned_empty
 from .tree import Tree
 
 _VECTOR = 16  # bytes of an element of the device's arrays
+_VECTORS_MAX = 2**31 - 1  # elements of an array
 # The top level has room for more nodes than it has, a share of them and a few: another frame's may need them
 _TOP_ROOM_SHARE, _TOP_ROOM_NODES = 0.25, 4
 
@@ -167,6 +170,13 @@ def _joined(blocks: list[wp.array], room: int, device: wp.Device) -> tuple[wp.ar
         return blocks[0], blocks
     ends = np.cumsum([block.size for block in blocks]).tolist()
     size = ends[-1] + room
+    if size > _VECTORS_MAX:
+        raise SceneError(f"the trees of all meshes need {size * _VECTOR / 1e9:.1f} GB, and one array holds {_VECTORS_MAX * _VECTOR / 1e9:.1f} GB; split the scene")
+    if size * _VECTOR > free_memory(device):
+        raise OutOfMemoryError(
+            f"the trees of all meshes need {size * _VECTOR / 1e9:.2f} GB more while they are put together, and {device.name} has "
+            f"{free_memory(device) / 1e9:.2f} GB free; close other programs, or render a smaller scene"
+        )
     joined = wp.empty(size, dtype=wp.vec4, device=device) if device.is_cuda else as_vectors(aligned_empty((size, 4), np.float32))
     parts = [joined[end - block.size : end] for block, end in zip(blocks, ends, strict=True)]
     for block, part in zip(blocks, parts, strict=True):

@@ -77,12 +77,13 @@ class TopLevel(NamedTuple):
 def build_top_level(entries: Entries, boxes: np.ndarray, layout: Layout, device: wp.Device) -> TopLevel:
     """The tree over `entries`, whose world boxes are `boxes`; its arrays are on `device`.
 
-    A ray that is carried to object space by nine products and sums of float32 meets there what it would meet, carried exactly,
-    within 8u |A| (|M| |o| + |m|), coordinate by coordinate, where x -> M x + m is the entry's map from the world and A the inverse of M;
-    the rounding of M and m adds as much again, the distance along the ray likewise. With k the largest row of |A| |M| this is below
-    `SLAB_MARGIN` k (|o| + reach), reach being the largest coordinate of the entry's box or of its origin.
+    Let x -> M x + m be the entry's map from the world, A the inverse of M, |M| the largest sum of a row's sizes, and R the largest
+    coordinate of the entry's box or of its origin. A ray that is carried to object space by nine products and sums of float32 is
+    wrong there by at most 8u |M| (|o| + R), the rounding of M and m adds as much again, and the triangle test 19u of the largest
+    object coordinate (`margin.py`), which is below |M| (|o| + R) too. A carries any of these into any axis of the world: together they are
+    below 2 `SLAB_MARGIN` |A| |M| (|o| + R) there. An uneven scale makes |A| |M| large.
     """
-    condition = (np.abs(entries.to_world[:, :, :3]) @ np.abs(entries.from_world[:, :, :3])).sum(2).max(1)
+    condition = np.abs(entries.to_world[:, :, :3]).sum(2).max(1) * np.abs(entries.from_world[:, :, :3]).sum(2).max(1)
     # no coordinate of the top level's centre is larger than all boxes
     reach = np.maximum(np.abs(boxes).max((1, 2)), np.abs(entries.to_world[:, :, 3]).max(1)) + np.abs(boxes).max()
     margin = (2 * SLAB_MARGIN * condition * reach)[:, None]

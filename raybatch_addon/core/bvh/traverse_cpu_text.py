@@ -70,7 +70,7 @@ RAY_TEXT = """
         s.far = -(c - back) * inverse;
         s.row = (((FourInts)raised >> 31) & 32) + FourInts{0, 64, 128, 0};
         const FourFloats finite = magnitude(inverse) + magnitude(s.near) + magnitude(s.far);
-        return finite[0] + finite[1] + finite[2] < __builtin_inff();
+        return finite[0] + finite[1] + finite[2] < __builtin_inff() && largest(size)[0] < __builtin_inff();
     };
     auto set_shear = [&](Ray& ray, const float* o, const float* d) INLINE {
         const float ax = __builtin_fabsf(d[0]), ay = __builtin_fabsf(d[1]), az = __builtin_fabsf(d[2]);
@@ -273,7 +273,10 @@ STEP_TEXT = """
     // A leaf of the top level was just taken from the stack: into its first entry, the others wait. Whether there is anything to see.
     auto enter_tree = [&](Ray& ray) INLINE -> bool {
         const int code = ~ray.child, entry = tree.top_entry.data[code >> 3];
-        if (code & 7) ray.waiting[ray.top++] = ~(code + 7);  // one further, one less; its distance is still there
+        if (code & 7) {
+            ray.waiting[ray.top] = ~(code + 7);  // one further, one less
+            ray.distance[ray.top++] = 0.0f;  // an only child was never given one
+        }
         if (!(tree.entry_visibility.data[entry] & visibility.data[ray.slot])) return false;
         if (!set_entry(ray, entry)) { to_top(ray); return false; }
         ray.waiting[ray.top] = LEAVE;

@@ -147,9 +147,10 @@ class Film:
 
     def _fetched(self) -> HostSamples:
         """All samples in the host's memory."""
-        tiles, self.tiles = self.tiles, []
-        for tile in tiles:
-            self._add_samples(tile, tile.fetch())
+        while self.tiles:
+            # a tile that cannot be fetched stays, and is asked for again
+            self._add_samples(self.tiles[-1], self.tiles[-1].fetch())
+            self.tiles.pop()
         return self.samples
 
     def _add_samples(self, tile: FinishedTile, samples: HostSamples) -> None:

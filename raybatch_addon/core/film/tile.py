@@ -166,6 +166,8 @@ class FinishedTile:
     ):  # fmt: skip
         """`place` is x, y, width, height in the frame [pixels], `sample_count` the paths in it, `cost` (int64, shape [cost passes, pixels])
         the sums of those cost passes that are in `pass_names`, in their order. The picture is fetched at once."""
+        # the worker's own arrays, which the next tile needs and this one must not keep alive
+        film.spill_index, film.spill_value = (wp.empty(0, dtype=dtype, device=film.window.device) for dtype in (int, float))
         self._cost = cost
         self._cost_names = tuple(name for name in pass_names if name in COST_PASSES)
         self.sample_count = sample_count

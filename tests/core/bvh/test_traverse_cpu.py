@@ -360,7 +360,8 @@ def test_rays_that_are_no_rays_end():
     origin[:10, 1], origin[10:20, 0] = np.nan, np.inf
     direction[20:30], direction[30:40, 2] = 0.0, np.nan
     t_max = np.full(60, np.inf, np.float32)
-    t_max[40:45], t_max[45:50], t_max[50:55] = np.nan, -1.0, 0.0
+    t_max[40:45], t_max[45:50], t_max[50:53] = np.nan, -1.0, 0.0
+    direction[53:55] = [[np.inf, 0, 0], [-np.inf, np.inf, 1]]
     for interleave in INTERLEAVES:
         found = trace(scene, origin, direction, t_max, interleave=interleave)
         assert (found.instance[:55] == -1).all()
