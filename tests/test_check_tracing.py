@@ -142,8 +142,8 @@ def test_small_triangles_beside_a_ray_from_afar_are_missed():
 
 def test_rays_are_of_every_kind():
     ball = scenes.sphere()
-    rays = made_rays(ball.positions, ball.triangles, 4800)
-    kinds = kinds_of(0, 4800)
+    rays = made_rays(ball.positions, ball.triangles, 9600)
+    kinds = kinds_of(0, 9600)
     origin, direction, t_max = rays.origin.numpy(), rays.direction.numpy(), rays.t_max.numpy()
     assert np.isfinite(origin).all() and np.isfinite(direction).all() and (np.abs(direction).max(1) > 0).all() and (t_max > 0).all()
     assert set(kinds.tolist()) == set(range(len(KINDS)))
