@@ -117,7 +117,8 @@ def fused_multiply_add(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarra
     The product is exact in float64. The sum is rounded to odd there, so that rounding it to float32 is as if it were exact
     (Boldo and Melquiond 2008).
     """
-    product, addend = np.float64(a) * np.float64(b), np.float64(c)
+    a, b, addend = (np.asarray(x).astype(np.float64) for x in (a, b, c))
+    product = a * b
     total = product + addend
     part = total - product
     with np.errstate(invalid="ignore"):
@@ -162,7 +163,7 @@ def intersect_float32(
         r = np.float32(1) / (u + v + w)
         weights = np.stack([u * r, v * r, w * r])
         if unsure.any():
-            wide = [np.float64(x[unsure]) for x in (ax, ay, bx, by, cx, cy)]
+            wide = [x[unsure].astype(np.float64) for x in (ax, ay, bx, by, cx, cy)]
             edges = np.stack([wide[4] * wide[3] - wide[5] * wide[2], wide[0] * wide[5] - wide[1] * wide[4], wide[2] * wide[1] - wide[3] * wide[0]])
             total = edges[0] + edges[1] + edges[2]
             hit[unsure] = ~((edges < 0).any(0) & (edges > 0).any(0)) & (total != 0)
