@@ -26,6 +26,8 @@ CLEARANCE = 64  # an inner place is so many times the bound away from the surfac
 BALL = 0.9  # of the distance to the surface: rays start in a ball so large
 REFERENCE_RAYS = 10**6
 BALL_INSTANCES = 4
+BALL_SIZES = (1.0, 1e-16, 1e16)  # near the limits products of coordinates all but leave float32 [m]
+OFFSET = 20.0  # of generated meshes from the origin, in radii
 MIXED_KINDS = wp.constant(4)  # any direction, at a corner, at an edge, axis-parallel
 
 
@@ -129,8 +131,8 @@ def is_closed(positions: np.ndarray, triangles: np.ndarray) -> bool:
     return np.array_equal(np.sort(edges[:, 0] * count + edges[:, 1]), np.sort(edges[:, 1] * count + edges[:, 0]))
 
 
-def bumpy_ball(seed: int, rings: int = 160) -> Mesh:
-    """A closed ball with bumps and slivers, far from the origin for its size."""
+def bumpy_ball(seed: int, size: float = 1.0, rings: int = 160) -> Mesh:
+    """A closed ball with bumps and slivers, of the radius `size` [m], far from the origin for that."""
     generator = np.random.default_rng(seed)
     segments = 2 * rings
     polar = np.pi * np.arange(1, rings)[:, None] / rings
@@ -140,13 +142,13 @@ def bumpy_ball(seed: int, rings: int = 160) -> Mesh:
     # every fifth vertex all but meets its neighbour: slivers of an aspect of 1e5 and more
     pairs = np.arange(0, segments - 1, 5)
     ring[:, pairs] += (ring[:, pairs + 1] - ring[:, pairs]) * (1 - 10.0 ** generator.uniform(-6, -3, (rings - 1, len(pairs), 1)))
-    vertices = np.concatenate([ring.reshape(-1, 3), [[0, 0, 1.0], [0, 0, -1.0]]]) + 40.0
+    vertices = np.concatenate([ring.reshape(-1, 3), [[0, 0, 1.0], [0, 0, -1.0]]]) + OFFSET
     north, south = len(vertices) - 2, len(vertices) - 1
     here = np.arange((rings - 1) * segments).reshape(rings - 1, segments)
     beside = np.roll(here, -1, axis=1)
     sides = [(here[:-1], here[1:], beside[1:]), (here[:-1], beside[1:], beside[:-1])]
     triangles = [np.stack(np.broadcast_arrays(*corners), -1).reshape(-1, 3) for corners in (*sides, (north, here[0], beside[0]), (south, beside[-1], here[-1]))]
-    return Mesh("bumpy ball", vertices.astype(np.float32), np.concatenate(triangles).astype(np.int32))
+    return Mesh(f"bumpy ball of {size:g} m", (size * vertices).astype(np.float32), np.concatenate(triangles).astype(np.int32))
 
 
 def inner_places(source: RaySource, seed: int, device: wp.Device) -> InnerPlaces:
@@ -211,14 +213,16 @@ class LeakTest:
 
 
 def closed_scenes(scene: BenchmarkScene, seed: int) -> list[BenchmarkScene]:
-    """A generated closed mesh (with instances where `scene` has some), and `scene` itself if it is one closed mesh."""
+    """Generated closed meshes of the sizes BALL_SIZES (with instances where `scene` has some), and `scene` itself if it is one closed mesh."""
     one = np.zeros(1, np.int32)
     placed = Instances(one, np.eye(3, 4, dtype=np.float32)[None], one, np.array([int(Visibility.ALL)], np.int32), one)
-    ball = dataclasses.replace(scene.scene, meshes=(bumpy_ball(seed),), instances=placed)
-    made = BenchmarkScene(ball.meshes[0].name, ball, scene.settings, flatten(ball), False)
+    made = []
+    for size in BALL_SIZES:
+        ball = dataclasses.replace(scene.scene, meshes=(bumpy_ball(seed, size),), instances=placed)
+        made.append(BenchmarkScene(ball.meshes[0].name, ball, scene.settings, flatten(ball), False))
     if scene.instancing:
-        return [with_instances(made, BALL_INSTANCES, seed, seen_by_all=True)]
-    return [made] + [scene] * is_closed(scene.flat.positions, scene.flat.triangles)
+        return [with_instances(each, BALL_INSTANCES, seed, seen_by_all=True) for each in made]
+    return made + [scene] * is_closed(scene.flat.positions, scene.flat.triangles)
 
 
 def check_leaks(scene: BenchmarkScene, trees: list[TreeTracer], reference: TreeTracer, count: int, chunk: int, seed: int, device: wp.Device) -> dict[str, Any]:
