@@ -6,12 +6,16 @@ import threading
 import numpy as np
 import pytest
 import scenes
+import warp as wp
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.wavefront import geometry_cache
+from raybatch_addon.core.wavefront.stages.trace import BoxesStage, QuantisedStage
 
 SETTINGS = RenderSettings(sample_count=6, bounce_max=6, roulette_bounce=2, clamp_indirect=3.0)
 
@@ -147,6 +151,42 @@ PASSES_WITH_COST = ("Combined", "Depth", "Normal", "Position", "Rays", "Node Ste
 @pytest.mark.parametrize("change", [dict(ray_sort="ON"), dict(ray_sort="OFF"), dict(ray_sort="AUTO", ray_count=3000), dict(counters="ON"), dict(spatial_splits="ON"), dict(spatial_splits="OFF")], ids=str)
 def test_neither_order_nor_counters_nor_another_tree_change_the_film(session, reference, change):
     assert_same(session.render(scenes.mixed(), SETTINGS.replace(**change)).passes, reference)
+
+
+@pytest.mark.parametrize("on_device", [False, True], ids=["host", "device"])
+@pytest.mark.parametrize("splits", ["ON", "OFF"])
+def test_trees_of_the_other_layout_give_the_same_film(session, reference, monkeypatch, splits, on_device):
+    """On the CPU both layouts are traced with the same arithmetic, whoever built the tree."""
+    if session.device.is_cuda:
+        pytest.skip("CUDA has one layout")
+    if splits == "ON" and on_device:
+        pytest.skip("devices build without splits")
+    build = geometry_cache.build_scene_tree
+    monkeypatch.setattr(geometry_cache, "build_scene_tree", lambda *arguments: build(*arguments, on_device=on_device))
+    monkeypatch.setattr(session, "layout", Layout.QUANTISED)
+    film = session.render(scenes.mixed(), SETTINGS.replace(spatial_splits=splits))
+    assert film.statistics["tree"]["layout"] == "quantised"
+    assert_same(film.passes, reference)
+    session.close()  # the tree is not what the key of the cache says
+
+
+def test_rays_may_be_traced_in_any_order(session, reference, monkeypatch):
+    generator = np.random.default_rng(6)
+    lists = []
+
+    def shuffling(launch):
+        def launch_shuffled(self, tree, rays, listed, counts):
+            count = int(listed.count.numpy()[0])
+            slots = generator.permutation(listed.slots.numpy()[:count])
+            lists.append(count)
+            launch(self, tree, rays, dataclasses.replace(listed, slots=wp.array(slots, dtype=int, device=rays.origin.device)), counts)
+
+        return launch_shuffled
+
+    for stage in (BoxesStage, QuantisedStage):
+        monkeypatch.setattr(stage, "launch", shuffling(stage.launch))
+    assert_same(session.render(scenes.mixed(), SETTINGS.replace(thread_count=1)).passes, reference)
+    assert max(lists) > 100
 
 
 def test_cost_passes_add_up_to_the_rays_and_merge(session, reference):
