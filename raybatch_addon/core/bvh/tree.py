@@ -34,3 +34,37 @@ class Tree:
     top_centre: wp.vec3
     top_margin: float  # as `SLAB_MARGIN`, for rays against the boxes of entries
     entry_count: int
+
+
+NEW, DONE = -2, -1
+"""In place of a treelet: the ray has not begun; the ray is done."""
+
+TRAIL_LEVELS = 6
+"""Levels of a trail's word: 5 bits each, the first lowest."""
+
+
+@wp.struct
+class Treelets:
+    """Where the parts of mesh trees lie that are visited as units. `Tree.nodes` and `Tree.triangles` hold what is above them.
+
+    A treelet is a subtree. Its root is among `Tree.nodes`; the nodes and triangles below the root form two blocks, whose
+    indices, the root's too, are relative to the block's first. Blocks can be anywhere, and be absent.
+    """
+
+    of_node: wp.array(dtype=int)  # by node of `Tree.nodes`: the treelet whose root it is, or -1
+    root: wp.array(dtype=int)  # by treelet: its root among `Tree.nodes`
+    nodes: wp.array(dtype=wp.uint64)  # by treelet: address of its block of nodes; 0 where that is absent
+    triangles: wp.array(dtype=wp.uint64)  # likewise of its triangles
+
+
+@wp.struct
+class TopProgress:
+    """How far rays have come through the top level, by ray slot: enough to go on behind a treelet.
+
+    A trail says, level by level from the root, which child of a resident node the ray is in (`TRAIL_LEVELS`). What it has met so far
+    is in `Rays`: `hit_t`, `hit_uv`, the triangle in `hit_primitive` (-1: none) and its entry in `hit_instance`.
+    """
+
+    trail: wp.array2d(dtype=wp.uint32)  # shape [words, slots]
+    entry: wp.array(dtype=int)  # the tree that the ray is in; empty where there is no instancing
+    visits: wp.array(dtype=wp.int64)  # visits to treelets so far, of all rays, shape [1]

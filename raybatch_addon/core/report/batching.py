@@ -1,0 +1,53 @@
+"""What batching did: counted by tracers that let rays wait, reported in the statistics of a render."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+# Points of the occupancy over time that a report keeps at most
+OCCUPANCY_POINTS = 256
+
+
+@dataclass
+class BatchingTotals:
+    """Counts of one worker, or of several together."""
+
+    rays: int = 0  # taken in
+    finished: int = 0  # given back; the same number at the end, but for those of a tile that was given up
+    treelet_visits: int = 0  # rays times treelets that they went through
+    rays_queued: int = 0  # times a ray was put into a queue
+    steps: int = 0  # of the scheduler
+    blocks_peak: int = 0  # blocks in use at once at most
+    block_count: int = 0  # blocks of the pool
+    blocks_short: int = 0  # times the blocks ran out
+    wait_max: int = 0  # longest wait of a ray [steps]
+    rays_unbatched: int = 0  # rays that went on alone, too few for their treelet
+    bytes_copied: int = 0  # of pages brought to the device
+    pages_loaded: int = 0
+    pages_evicted: int = 0
+    resident_peak: int = 0  # bytes of geometry on the device at most
+    occupancy: list[tuple[float, int]] = field(default_factory=list)  # (seconds since the tracer was made, rays that wait)
+
+    _HIGHEST = ("wait_max", "resident_peak")
+
+    def merge(self, other: BatchingTotals) -> BatchingTotals:
+        """Both together; `blocks_peak` is the sum of the workers' peaks."""
+        merged = BatchingTotals()
+        for each in fields(self):
+            mine, theirs = getattr(self, each.name), getattr(other, each.name)
+            if each.name == "occupancy":
+                merged.occupancy = max(mine, theirs, key=len)
+            else:
+                setattr(merged, each.name, max(mine, theirs) if each.name in self._HIGHEST else mine + theirs)
+        return merged
+
+    def note_occupancy(self, seconds: float, waiting: int) -> None:
+        """`waiting` rays wait now; every other point is forgotten when there are too many."""
+        self.occupancy.append((round(seconds, 6), waiting))
+        if len(self.occupancy) > OCCUPANCY_POINTS:
+            self.occupancy = self.occupancy[::2]
+
+    def report(self) -> dict[str, Any]:
+        """For the statistics."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
