@@ -1,0 +1,17 @@
+"""What a batch of rays that wait at treelets is asked to do (`Treelets` and `TopProgress` in `tree.py`)."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class VisitTask(Enum):
+    """One launch over a batch. A ray's *place* is where it waits: `NEW`, `DONE`, or a treelet."""
+
+    TOP = "top"
+    """New rays begin at the root, others go on behind the treelet that they wait at, until they come to one or are done."""
+    TREELET = "treelet"
+    """Rays visit the treelet that they wait at, whole, and stay there; any-hit rays that hit something are done."""
+    GO_ON = "go on"
+    """New rays begin, others enter the treelet that they wait at, and then go on through all that is there, until they come to a
+    treelet that is not, or are done."""

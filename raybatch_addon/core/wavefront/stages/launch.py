@@ -1,0 +1,60 @@
+"""How the kernels of traversals are launched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from ...kernel import KERNEL_OPTIONS, with_block_size
+
+WARP_SIZE = 32
+# Of a multiprocessor, and the steps in which a warp gets them
+_REGISTERS, _REGISTER_STEP = 65536, 8
+
+
+@dataclass(frozen=True)
+class Launch:
+    """Schedule settings of one device's launches: they change time, never a hit. On CPUs `register_cap` and `block_size` are not used."""
+
+    warp_count: int = 0  # 32 x so many lanes share the work (CPU, BOXES: so many slices, one after another); 0: as suits the device
+    single_lane: bool = False  # one ray at a time in the whole device, for debugging
+    register_cap: int = 0  # most registers of a lane, 16..255; 0: as the compiler likes
+    block_size: int = 128  # lanes of a block: 32..1024, a multiple of 32
+
+    def __post_init__(self) -> None:
+        if self.warp_count < 0:
+            raise ValueError(f"warp_count is {self.warp_count}, and must be 0 or more")
+        if self.register_cap and not 16 <= self.register_cap <= 255:
+            raise ValueError(f"register_cap is {self.register_cap}, and must be 0 or 16 to 255")
+        if not 32 <= self.block_size <= 1024 or self.block_size % WARP_SIZE:
+            raise ValueError(f"block_size is {self.block_size}, and must be a multiple of 32 from 32 to 1024")
+        registers = -(-self.register_cap // _REGISTER_STEP) * _REGISTER_STEP * self.block_size
+        if registers > _REGISTERS:
+            raise ValueError(
+                f"blocks of {self.block_size} lanes with {self.register_cap} registers each need {registers}, and a multiprocessor has "
+                f"{_REGISTERS}: lower block_size or register_cap"
+            )
+
+    def lane_count(self, ray_bound: int, device: wp.Device, blocks: int = 16) -> int:
+        """Lanes to launch for at most `ray_bound` rays that are handed out to persistent warps: all of `warp_count` warps, or at most
+        `blocks` blocks of 128 lanes a multiprocessor. On a CPU one lane traces all rays.
+        """
+        if not device.is_cuda:
+            return 1
+        if self.single_lane:
+            return WARP_SIZE
+        if self.warp_count:
+            return WARP_SIZE * self.warp_count
+        needed = -(-ray_bound // self.block_size)
+        return max(1, min(needed, max(1, device.sm_count * blocks * 128 // self.block_size))) * self.block_size
+
+    def block_size_on(self, device: wp.Device) -> int:
+        """The `block_dim` of launches."""
+        return self.block_size if device.is_cuda else 1
+
+    def declare(self, kernel: wp.Kernel) -> wp.Kernel:
+        """`kernel` as it is compiled for these launches: the same, or one of its own where registers are capped."""
+        if self.register_cap:
+            kernel = wp.kernel(**KERNEL_OPTIONS, cuda_max_registers=self.register_cap)(kernel.func)
+        return with_block_size(kernel, self.block_size)
