@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..core.settings import SETTINGS, RenderSettings
+from ..core.settings import BYTES, SETTINGS, RenderSettings
 
 
 def settings_from(scene: bpy.types.Scene) -> RenderSettings:
@@ -14,6 +14,11 @@ def settings_from(scene: bpy.types.Scene) -> RenderSettings:
     if properties is None:
         return RenderSettings()
     return RenderSettings(**{name: _exact(getattr(properties, name)) for name in SETTINGS})
+
+
+def assign_setting(properties: bpy.types.PropertyGroup, name: str, value) -> None:
+    """Give the setting `name` of `scene.raybatch` a value that `RenderSettings` takes. Numbers of bytes are kept as text."""
+    setattr(properties, name, str(value) if SETTINGS[name].unit == BYTES else value)
 
 
 def _exact(value):

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-import bpy
+from fractions import Fraction
 
-from ..core.settings import SETTINGS, SettingInfo
+import bpy
+import numpy as np
+
+from ..core.errors import SettingsError
+from ..core.settings import BYTES, SETTINGS, SettingInfo, parse_setting
+from ..export.settings import assign_setting
 
 
 def device_names() -> list[tuple[str, str]]:
@@ -33,6 +38,10 @@ def _property(info: SettingInfo):
         return bpy.props.EnumProperty(items=list(info.choices), **about)
     if info.kind is str:
         return bpy.props.StringProperty(**about)
+    if info.unit == BYTES:
+        # Blender's integers have 32 bits. The number is kept as text, exactly; `megabytes_name` shows it
+        about.update(default=str(info.default), description=f"{about['description']}; 1.5G is 1,500,000,000, and 512Mi is 536,870,912")
+        return bpy.props.StringProperty(**about)
     if info.kind is int:
         return bpy.props.IntProperty(min=int(info.minimum), max=int(info.maximum), **about)
     return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, precision=3, **about)
@@ -43,12 +52,42 @@ def _description(info: SettingInfo) -> str:
     return f"{info.description}{unit}"
 
 
+def megabytes_name(info: SettingInfo) -> str:
+    """The property that shows a number of bytes in megabytes."""
+    return f"{info.name}_mb"
+
+
+def _megabytes(info: SettingInfo):
+    """Blender's property for a number of bytes, shown in megabytes: a view of the one that keeps it."""
+
+    def get(properties) -> float:
+        try:
+            return parse_setting(info.name, getattr(properties, info.name)) / 1e6
+        except SettingsError:  # text that a script put there; the render will say so
+            return 0.0
+
+    def put(properties, value: float) -> None:
+        # Blender's floats are float32: the shortest decimal that means the same is what was typed
+        number = round(Fraction(str(np.float32(value))) * 10**6)
+        assign_setting(properties, info.name, min(max(number, int(info.minimum)), int(info.maximum)))
+
+    return bpy.props.FloatProperty(
+        name=info.label, description=f"{info.description} [MB, of 1,000,000 bytes]", min=info.minimum / 1e6, max=info.maximum / 1e6,
+        precision=3, step=100, options=set(), get=get, set=put,
+    )  # fmt: skip
+
+
+def _annotations() -> dict:
+    properties = {name: _property(info) for name, info in SETTINGS.items()}
+    return properties | {megabytes_name(info): _megabytes(info) for info in SETTINGS.values() if info.unit == BYTES}
+
+
 RayBatchSettings = type(
     "RayBatchSettings",
     (bpy.types.PropertyGroup,),
     {
         "__doc__": "RayBatch's settings of a scene.",
-        "__annotations__": {name: _property(info) for name, info in SETTINGS.items()},
+        "__annotations__": _annotations(),
     },
 )
 

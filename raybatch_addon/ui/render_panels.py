@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import bpy
 
-from ..core.settings import SETTINGS
+from ..core.settings import BYTES, GROUPS, SETTINGS, SettingInfo
+from ..core.setting_info import GroupInfo
 from .panel import EnginePanel
+from .properties import megabytes_name
 
-# group, label, closed at first
-_GROUPS = (
-    ("DEVICE", "Device", False),
-    ("SAMPLING", "Sampling", False),
-    ("LIGHT_PATHS", "Light Paths", True),
-    ("FILM", "Film", True),
-    ("SCHEDULE", "Schedule", True),
-)
 # Blender's own settings that belong to a group: shown at its end
 _BUILTIN = {"FILM": ("film_transparent",)}
+
+
+def shown_name(info: SettingInfo) -> str:
+    """The property that a panel shows for a setting."""
+    return megabytes_name(info) if info.unit == BYTES else info.name
 
 
 def _draw(self, context):
@@ -26,24 +25,29 @@ def _draw(self, context):
     column = layout.column()
     for info in SETTINGS.values():
         if info.group == self.group:
-            column.prop(context.scene.raybatch, info.name)
+            column.prop(context.scene.raybatch, shown_name(info))
     for name in _BUILTIN.get(self.group, ()):
         column.prop(context.scene.render, name)
 
 
-def _panel(group: str, label: str, closed: bool) -> type:
-    name = f"RAYBATCH_RENDER_PT_{group.lower()}"
+def _panel_name(group: str) -> str:
+    return f"RAYBATCH_RENDER_PT_{group.lower()}"
+
+
+def _panel(group: str, info: GroupInfo) -> type:
     values = {
-        "__doc__": f"Settings of the group {group}.",
-        "bl_label": label,
-        "bl_options": {"DEFAULT_CLOSED"} if closed else set(),
+        "__doc__": info.description,
+        "bl_label": info.label,
+        "bl_options": {"DEFAULT_CLOSED"} if info.closed else set(),
         "group": group,
         "draw": _draw,
     }
-    return type(name, (EnginePanel, bpy.types.Panel), values)
+    if info.parent:
+        values["bl_parent_id"] = _panel_name(info.parent)
+    return type(_panel_name(group), (EnginePanel, bpy.types.Panel), values)
 
 
-_classes = tuple(_panel(*group) for group in _GROUPS)
+_classes = tuple(_panel(name, info) for name, info in GROUPS.items())
 
 
 def register() -> None:

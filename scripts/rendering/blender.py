@@ -18,7 +18,7 @@ from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.export.scene import COST_PASS_PROPERTIES, PASS_PROPERTIES
-from raybatch_addon.export.settings import settings_from
+from raybatch_addon.export.settings import assign_setting, settings_from
 
 from .imported import import_geometry
 from .output import OutputError, OutputFolders, described, numbered, tell_saved, tell_warnings, write_film, write_json
@@ -206,7 +206,7 @@ def _choose_view_layers(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
 
 def _apply_settings(scene: bpy.types.Scene, request: Request) -> None:
     for name, value in request.settings.items():
-        setattr(scene.raybatch, name, value)
+        assign_setting(scene.raybatch, name, value)
     settings_from(scene)  # values that do not go together are told before the render
     if request.resolution:
         scene.render.resolution_x, scene.render.resolution_y = request.resolution

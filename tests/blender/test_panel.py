@@ -11,9 +11,12 @@ bpy = pytest.importorskip("bpy")
 from blender_builders import add_grid  # noqa: E402
 
 from raybatch_addon import reports  # noqa: E402
-from raybatch_addon.core.settings import SETTINGS, RenderSettings  # noqa: E402
-from raybatch_addon.export.settings import settings_from  # noqa: E402
+from raybatch_addon.core.errors import SettingsError  # noqa: E402
+from raybatch_addon.core.settings import BYTES, GROUPS, SETTINGS, RenderSettings  # noqa: E402
+from raybatch_addon.export.settings import assign_setting, settings_from  # noqa: E402
 from raybatch_addon.ui import builtin_panels, last_render  # noqa: E402
+from raybatch_addon.ui.properties import megabytes_name  # noqa: E402
+from raybatch_addon.ui.render_panels import shown_name  # noqa: E402
 
 ENGINE = "RAYBATCH"
 
@@ -68,6 +71,11 @@ def test_every_setting_is_a_property_made_from_its_definition(scene, name):
     if info.choices:
         assert [(item.identifier, item.name) for item in prop.enum_items] == [choice[:2] for choice in info.choices]
         assert prop.default == info.default
+    elif info.unit == BYTES:
+        assert prop.default == str(info.default)
+        shown = scene.raybatch.bl_rna.properties[megabytes_name(info)]
+        assert shown.name == info.label and info.description in shown.description
+        assert (shown.hard_min, shown.hard_max) == tuple(np.float32([info.minimum / 1e6, info.maximum / 1e6]))
     elif info.kind is int:
         assert (prop.default, prop.hard_min, prop.hard_max) == (info.default, info.minimum, info.maximum)
     elif info.kind is float:
@@ -82,13 +90,31 @@ def test_settings_of_a_new_scene_are_the_defaults(addon):
 
 
 @pytest.mark.parametrize("end", ["minimum", "maximum"])
-def test_the_ends_of_every_range_come_through(scene, end):
-    ends = {name: getattr(info, end) for name, info in SETTINGS.items() if info.kind is not str}
-    ends["ray_high_water"] = max(ends["ray_high_water"], ends["ray_low_water"])
-    for name, value in ends.items():
-        setattr(scene.raybatch, name, SETTINGS[name].kind(value))
-    settings = settings_from(scene)
-    assert {name: getattr(settings, name) for name in ends} == ends
+@pytest.mark.parametrize("name", [name for name, info in SETTINGS.items() if info.kind is not str])
+def test_the_ends_of_every_range_come_through(scene, name, end):
+    before = settings_from(scene)
+    others = {"ray_low_water": 0.0} if name == "ray_high_water" else {"ray_high_water": 1.0} if name == "ray_low_water" else {}
+    ends = {**others, name: SETTINGS[name].kind(getattr(SETTINGS[name], end))}
+    for each, value in ends.items():
+        assign_setting(scene.raybatch, each, value)
+    assert settings_from(scene) == before.replace(**ends)
+
+
+def test_bytes_are_kept_exactly_and_shown_in_megabytes(scene):
+    own = scene.raybatch
+    for number, shown in ((0, 0.0), (1, 1e-6), (1_500_000_001, 1500.0), (2**62, 2**62 / 1e6)):
+        assign_setting(own, "geometry_budget", number)
+        assert settings_from(scene).geometry_budget == number
+        assert own.geometry_budget_mb == np.float32(shown)
+    for typed, number in ((1.5, 1_500_000), (0.1, 100_000), (1234.567, 1_234_567_000), (1e13, 2**62), (0.0, 0)):
+        own.geometry_budget_mb = typed
+        assert settings_from(scene).geometry_budget == number, typed
+    own.geometry_budget = "512Mi"
+    assert settings_from(scene).geometry_budget == 2**29 and own.geometry_budget_mb == np.float32(536.870912)
+    own.geometry_budget = "a lot"
+    assert own.geometry_budget_mb == 0
+    with pytest.raises(SettingsError, match="geometry_budget = 'a lot'"):
+        settings_from(scene)
 
 
 def test_fractions_come_through_as_typed(scene):
@@ -121,7 +147,15 @@ def test_every_setting_is_in_one_panel(scene):
     for panel in own_panels():
         if panel.__name__.startswith(f"{ENGINE}_RENDER_PT_") and hasattr(panel, "group"):
             shown += [note[2] for note in drawn(panel, context_of(scene)) if note[:2] == ("prop", "RayBatchSettings")]
-    assert sorted(shown) == sorted(SETTINGS)
+    assert sorted(shown) == sorted(shown_name(info) for info in SETTINGS.values())
+
+
+def test_panels_of_groups_lie_in_that_of_their_parent(scene):
+    panels = {panel.group: panel for panel in own_panels() if hasattr(panel, "group")}
+    assert list(panels) == list(GROUPS)
+    for name, panel in panels.items():
+        assert getattr(panel, "bl_parent_id", None) == (panels[GROUPS[name].parent].__name__ if GROUPS[name].parent else None)
+    assert [panels[name].bl_label for name in GROUPS if GROUPS[name].parent] == ["Scheduler", "Queues", "Treelets", "Launch", "Memory"]
 
 
 def test_panels_are_there_for_this_engine_only(scene):
