@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import warp as wp
 
 # Parts of a render that are timed
-STAGES = ("generate", "lists", "sort", "trace", "shade", "film", "transfer")
+STAGES = ("generate", "lists", "sort", "queue", "top level", "treelet", "trace", "copy", "shade", "film", "transfer")
 # Intervals under way at most on a device; at more the oldest is waited for
 PENDING_MAX = 1024
 # Every so many intervals those that are over are read
