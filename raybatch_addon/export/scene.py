@@ -15,7 +15,10 @@ from .world import export_world
 # Passes that can be rendered, by the property of a view layer that asks for them
 PASS_PROPERTIES = {"use_pass_z": "Depth", "use_pass_position": "Position", "use_pass_normal": "Normal"}
 # Passes that show cost, by the property of a view layer's `raybatch`
-COST_PASS_PROPERTIES = {"use_pass_rays": "Rays", "use_pass_node_steps": "Node Steps", "use_pass_triangle_tests": "Triangle Tests"}
+COST_PASS_PROPERTIES = {
+    "use_pass_rays": "Rays", "use_pass_node_steps": "Node Steps", "use_pass_triangle_tests": "Triangle Tests",
+    "use_pass_treelet_visits": "Treelet Visits", "use_pass_times_queued": "Times Queued",
+}  # fmt: skip
 
 
 def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool] | None = None) -> Scene | None:

@@ -110,6 +110,8 @@ class RayBatchViewLayer(bpy.types.PropertyGroup):
     use_pass_rays: _cost_pass("Rays", "Rays that a path takes, shadow rays included")
     use_pass_node_steps: _cost_pass("Node Steps", "Nodes of the tree that the rays of a path visit")
     use_pass_triangle_tests: _cost_pass("Triangle Tests", "Triangles that the rays of a path are tested with")
+    use_pass_treelet_visits: _cost_pass("Treelet Visits", "Treelets that the rays of a path visit; 0 unless the render batches")
+    use_pass_times_queued: _cost_pass("Times Queued", "How often the rays of a path wait in a queue; 0 unless the render batches")
 
 
 # what they are found at

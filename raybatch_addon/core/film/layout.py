@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Channels of every pass. The first sample alone decides "Depth" and "Position" (an average of them means nothing).
-PASSES: dict[str, int] = {"Combined": 4, "Depth": 1, "Position": 3, "Normal": 3, "Rays": 1, "Node Steps": 1, "Triangle Tests": 1}
-FIRST_SAMPLE_PASSES = ("Depth", "Position")
 # Passes that show what a pixel's paths cost, as the mean over its samples
-COST_PASSES = ("Rays", "Node Steps", "Triangle Tests")
+COST_PASSES = ("Rays", "Node Steps", "Triangle Tests", "Treelet Visits", "Times Queued")
+# Channels of every pass. The first sample alone decides "Depth" and "Position" (an average of them means nothing).
+PASSES: dict[str, int] = {"Combined": 4, "Depth": 1, "Position": 3, "Normal": 3, **dict.fromkeys(COST_PASSES, 1)}
+FIRST_SAMPLE_PASSES = ("Depth", "Position")
 
 
 @dataclass(frozen=True)

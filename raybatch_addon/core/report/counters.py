@@ -21,9 +21,13 @@ from .timing import StageTimer, clock_of
 
 # Numbered like `RayKind`
 RAY_KINDS = ("closest", "occlusion", "transparent_shadow")
-QUANTITIES = ("rays", "node_steps", "box_tests", "triangle_tests")
+QUANTITIES = ("rays", "node_steps", "box_tests", "triangle_tests", "treelet_visits", "queued")
+STEP_QUANTITIES = QUANTITIES[1:4]  # what tracers with a tree of ours tell
+BATCHING_QUANTITIES = QUANTITIES[4:]  # what tracers tell that let rays wait; 0 otherwise
+# Whose lanes are counted apart: kinds of rays, and launches that mix them
+LANE_KINDS = (*RAY_KINDS, "mixed")
 # What each of the film's `COST_PASSES` shows
-COST_QUANTITIES = dict(zip(COST_PASSES, ("rays", "node_steps", "triangle_tests"), strict=True))
+COST_QUANTITIES = dict(zip(COST_PASSES, ("rays", "node_steps", "triangle_tests", "treelet_visits", "queued"), strict=True))
 # Bounces that are counted apart at most; the last collects the rest
 BOUNCE_BINS_MAX = 32
 # Bytes of a ray that tracing reads (slot, origin, direction, t_max, visibility) and writes (t, instance, primitive, barycentrics;
@@ -40,32 +44,58 @@ class CounterFeatures:
 
     steps: bool  # the tracer tells what each ray did; otherwise rays alone are counted
     cost_passes: tuple[str, ...]  # of `COST_PASSES`
+    batches: bool = False  # the tracer lets rays wait: visits to treelets are counted, and times queued
 
     @staticmethod
-    def choose(counters: str, pass_names: tuple[str, ...], steps: bool) -> CounterFeatures | None:
+    def choose(counters: str, pass_names: tuple[str, ...], steps: bool, batches: bool = False) -> CounterFeatures | None:
         """For the setting `counters` (ON or OFF) and the passes of a frame; None: nothing is counted."""
         passes = tuple(name for name in pass_names if name in COST_PASSES)
-        return CounterFeatures(steps, passes) if passes or counters == "ON" else None
+        return CounterFeatures(steps, passes, batches) if passes or counters == "ON" else None
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """What is told by ray slot."""
+        return STEP_QUANTITIES * self.steps + BATCHING_QUANTITIES * self.batches
+
+    def is_filled(self, name: str) -> bool:
+        """Whether the pass `name` can be other than 0."""
+        return COST_QUANTITIES[name] == "rays" or COST_QUANTITIES[name] in self.told
+
+    def warnings(self) -> list[str]:
+        """Which passes of the frame stay 0, and why."""
+        empty = [name for name in self.cost_passes if not self.is_filled(name)]
+        lines = []
+        if steps := [name for name in empty if COST_QUANTITIES[name] in STEP_QUANTITIES]:
+            lines.append(f"{_stay(steps)} 0: Warp's own tree does not tell its steps; set batching to AUTO, ON or OFF")
+        if visits := [name for name in empty if COST_QUANTITIES[name] in BATCHING_QUANTITIES]:
+            lines.append(f"{_stay(visits)} 0: in this render no ray waits at a treelet; set batching to ON to see them")
+        return lines
+
+
+def _stay(names: list[str]) -> str:
+    return f"the passes {' and '.join(names)} stay" if len(names) > 1 else f"the pass {names[0]} stays"
 
 
 @wp.struct
 class CounterSums:
     """What was told of each ray, and sums over all rays so far."""
 
-    node_steps: wp.array(dtype=int)  # by ray slot, those of its last trace
+    node_steps: wp.array(dtype=int)  # by ray slot, those of its last trace; and so the next
     box_tests: wp.array(dtype=int)
     triangle_tests: wp.array(dtype=int)
+    treelet_visits: wp.array(dtype=int)
+    queued: wp.array(dtype=int)
     by_bounce: wp.array2d(dtype=wp.int64)  # shape [kinds * bins * quantities, copies]
     bins: int
 
 
 @functools.cache
 def count_kernel(features: CounterFeatures) -> wp.Kernel:
-    """Kernel (sums, bounce, pixel, kind, slots, count, cost): count rays of one kind that were just traced.
+    """Kernel (sums, bounce, pixel, kind, slots, count, cost): count rays of one kind that were just finished.
 
     `bounce` and `pixel` are those of each path; `cost`, int64, shape [cost passes, pixels of the tile], is that of the tile.
     """
-    steps, passes = features.steps, features.cost_passes
+    steps, passes, batches = features.steps, features.cost_passes, features.batches
 
     @wp.kernel(**KERNEL_OPTIONS)
     def count_rays(
@@ -86,12 +116,19 @@ def count_kernel(features: CounterFeatures) -> wp.Kernel:
             wp.atomic_add(sums.by_bounce, cell + 1, copy, wp.int64(sums.node_steps[slot]))
             wp.atomic_add(sums.by_bounce, cell + 2, copy, wp.int64(sums.box_tests[slot]))
             wp.atomic_add(sums.by_bounce, cell + 3, copy, wp.int64(sums.triangle_tests[slot]))
+        if wp.static(batches):
+            wp.atomic_add(sums.by_bounce, cell + 4, copy, wp.int64(sums.treelet_visits[slot]))
+            wp.atomic_add(sums.by_bounce, cell + 5, copy, wp.int64(sums.queued[slot]))
         if wp.static("Rays" in passes):
             wp.atomic_add(cost, wp.static(_row(passes, "Rays")), pixel[path], wp.int64(1))
         if wp.static(steps and "Node Steps" in passes):
             wp.atomic_add(cost, wp.static(_row(passes, "Node Steps")), pixel[path], wp.int64(sums.node_steps[slot]))
         if wp.static(steps and "Triangle Tests" in passes):
             wp.atomic_add(cost, wp.static(_row(passes, "Triangle Tests")), pixel[path], wp.int64(sums.triangle_tests[slot]))
+        if wp.static(batches and "Treelet Visits" in passes):
+            wp.atomic_add(cost, wp.static(_row(passes, "Treelet Visits")), pixel[path], wp.int64(sums.treelet_visits[slot]))
+        if wp.static(batches and "Times Queued" in passes):
+            wp.atomic_add(cost, wp.static(_row(passes, "Times Queued")), pixel[path], wp.int64(sums.queued[slot]))
 
     return count_rays
 
@@ -114,8 +151,8 @@ class CounterTotals:
     """Counts on the host, of one worker or of several."""
 
     by_bounce: np.ndarray  # int64, shape [kinds, bins, quantities]
-    lanes: np.ndarray  # int64, shape [kinds, len(LANE_PARTS), 2]: busy lanes, all lanes
-    steps: bool  # whether more than rays was counted
+    lanes: np.ndarray  # int64, shape [len(LANE_KINDS), len(LANE_PARTS), 2]: busy lanes, all lanes
+    steps: bool  # whether the tracer told what each ray did
     seconds: dict[str, float] = field(default_factory=dict)  # by stage
 
     def merge(self, other: CounterTotals) -> CounterTotals:
@@ -129,10 +166,10 @@ class CounterTotals:
 
     def report(self, tree: TreeBytes | None, hardware: dict[str, Any] | None = None) -> dict[str, Any]:
         """For statistics (see docs/statistics.md); `tree` is None for a tracer whose nodes are not known."""
-        counted = {name: self._by_kind(name) if self.steps or name == "rays" else UNAVAILABLE for name in QUANTITIES}
+        counted = {name: self._by_kind(name) if self.steps or name not in STEP_QUANTITIES else UNAVAILABLE for name in QUANTITIES}
         return {
             **counted,
-            "lanes_idle": {kind: self._lanes_idle(k) for k, kind in enumerate(RAY_KINDS)},
+            "lanes_idle": {kind: self._lanes_idle(k) for k, kind in enumerate(LANE_KINDS)},
             "seconds": {stage: round(value, 6) for stage, value in self.seconds.items()},
             "bytes": self._bytes(tree),
             "hardware": hardware or {},
@@ -167,10 +204,10 @@ class Counters:
         sums.bins = min(bounce_max + 2, BOUNCE_BINS_MAX)
         cells, copies = len(RAY_KINDS) * sums.bins * len(QUANTITIES), _CUDA_COPIES if device.is_cuda else 1
         sums.by_bounce = wp.zeros((cells, copies), dtype=wp.int64, device=device)
-        slots = slot_count if features.steps else 0
         for name in QUANTITIES[1:]:
-            setattr(sums, name, wp.zeros(slots, dtype=int, device=device))
+            setattr(sums, name, wp.zeros(slot_count if name in features.told else 0, dtype=int, device=device))
         self.work = [self._work() for _ in RAY_KINDS]  # what traversals fill, by kind of ray
+        self.mixed = self._work()  # the same for launches that mix kinds
 
     def _work(self) -> TraceCounts:
         work = TraceCounts()
@@ -184,7 +221,7 @@ class Counters:
         return wp.zeros((len(self.features.cost_passes), pixel_count), dtype=wp.int64, device=self._device)
 
     def add(self, kind: int, listed: Any, bounce: wp.array, pixel: wp.array, cost: wp.array) -> None:
-        """Count the rays of the `SlotList` `listed`, of `RayKind` `kind`, that were just traced.
+        """Count the rays of the `SlotList` `listed`, of `RayKind` `kind`, that were just finished: each ray once.
 
         `bounce` and `pixel` are those of each path, `cost` comes from `begin_tile`. Shadow rays are counted at their path's
         bounce too: 1 is a shadow ray from the first surface, unless the path went straight on through it.
@@ -197,10 +234,10 @@ class Counters:
         """All that was counted so far; waits for the device."""
         sums = self._sums
         by_bounce = sums.by_bounce.numpy().sum(1).reshape(len(RAY_KINDS), sums.bins, len(QUANTITIES))
-        lanes = np.stack([work.lanes.numpy().reshape(len(LANE_PARTS), 2) for work in self.work])
+        lanes = np.stack([work.lanes.numpy().reshape(len(LANE_PARTS), 2) for work in (*self.work, self.mixed)])
         return CounterTotals(by_bounce, lanes, self.features.steps, self.timer.totals())
 
 
 def counter_bytes_per_path(features: CounterFeatures | None, shadow_rays: bool) -> int:
     """Device memory of the counters for each path alive [bytes]."""
-    return 3 * 4 * (1 + shadow_rays) if features and features.steps else 0
+    return 4 * len(features.told) * (1 + shadow_rays) if features else 0

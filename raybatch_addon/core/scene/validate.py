@@ -14,7 +14,7 @@ COORDINATE_MAX = 1e18
 # Areas of smaller things leave the normal numbers of float32
 EXTENT_MIN = 1e-18
 # The passes that a film can hold (`film.PASSES`)
-PASS_NAMES = ("Combined", "Depth", "Position", "Normal", "Rays", "Node Steps", "Triangle Tests")
+PASS_NAMES = ("Combined", "Depth", "Position", "Normal", "Rays", "Node Steps", "Triangle Tests", "Treelet Visits", "Times Queued")
 
 
 def checked_scene(scene: Scene) -> Scene:

@@ -11,6 +11,7 @@ from raybatch_addon.core.film.layout import mean_costs
 from raybatch_addon.core.report.counters import (
     BOUNCE_BINS_MAX,
     COST_QUANTITIES,
+    LANE_KINDS,
     QUANTITIES,
     RAY_BYTES_READ,
     RAY_BYTES_WRITTEN,
@@ -45,10 +46,12 @@ class Work:
         bounce, pixel = rng.integers(0, 9, PATHS).astype(np.int32), rng.integers(0, PIXELS, PATHS).astype(np.int32)
         slots = rng.permutation(PATHS)[:bound].astype(np.int32)
         did = np.ones((2 * PATHS, len(QUANTITIES)), np.int64)
-        did[:, 1:] = rng.integers(0, 2**31, (2 * PATHS, 3))
-        if self.counters.features.steps:
-            for column, array in enumerate((work.node_steps, work.box_tests, work.triangle_tests), 1):
-                array.assign(did[:, column].astype(np.int32))
+        did[:, 1:] = rng.integers(0, 2**31, (2 * PATHS, len(QUANTITIES) - 1))
+        for column, name in enumerate(QUANTITIES[1:], 1):
+            if name in self.counters.features.told:
+                getattr(work, name).assign(did[:, column].astype(np.int32))
+            else:
+                did[:, column] = 0
         rays = slots + PATHS * (kind != RayKind.CLOSEST)
         listed = SlotList(wp.array(rays, dtype=int, device=DEVICE), wp.array([count], dtype=int, device=DEVICE), bound)
         arrays = (wp.array(each, dtype=int, device=DEVICE) for each in (bounce, pixel))
@@ -59,9 +62,10 @@ class Work:
             np.add.at(self.pixels[name], pixel[paths], did[:, QUANTITIES.index(quantity)])
 
 
-@pytest.mark.parametrize("passes", [(), ("Triangle Tests", "Rays"), tuple(COST_QUANTITIES)])
-def test_sums_by_kind_bounce_and_pixel(passes):
-    work = Work(CounterFeatures(True, passes))
+@pytest.mark.parametrize("batches", [False, True])
+@pytest.mark.parametrize("passes", [(), ("Triangle Tests", "Rays"), ("Times Queued", "Treelet Visits"), tuple(COST_QUANTITIES)])
+def test_sums_by_kind_bounce_and_pixel(passes, batches):
+    work = Work(CounterFeatures(True, passes, batches))
     for kind in RayKind:
         for count, bound in ((300, 400), (0, 100), (1, 1)):
             work.wave(kind, count, bound)
@@ -78,7 +82,7 @@ def test_a_tracer_that_does_not_tell_its_steps_has_its_rays_counted():
     work = Work(CounterFeatures(False, ("Rays", "Node Steps")))
     work.wave(RayKind.OCCLUSION, 200, 300)
     for each in work.counters.work:
-        assert each.node_steps.shape == each.box_tests.shape == each.triangle_tests.shape == (0,)
+        assert all(getattr(each, name).shape == (0,) for name in QUANTITIES[1:])
     totals = work.counters.totals()
     assert np.array_equal(totals.quantity("rays"), work.sums[..., 0])
     assert np.array_equal(work.cost.numpy(), [work.pixels["Rays"], np.zeros(PIXELS)])
@@ -91,6 +95,10 @@ def test_counters_are_made_only_where_they_are_asked_for():
     assert CounterFeatures.choose("OFF", ("Combined", "Depth"), True) is None
     assert CounterFeatures.choose("ON", ("Combined",), False) == CounterFeatures(False, ())
     assert CounterFeatures.choose("OFF", ("Combined", "Rays"), True) == CounterFeatures(True, ("Rays",))
+    assert CounterFeatures.choose("ON", ("Combined",), True, True) == CounterFeatures(True, (), True)
+    assert not Counters(CounterFeatures(True, ()), 7, 1, wp.get_device(DEVICE)).mixed.queued.size
+    assert Counters(CounterFeatures(True, (), True), 7, 1, wp.get_device(DEVICE)).mixed.queued.size == 7
+    assert counter_bytes_per_path(CounterFeatures(True, ()), False) == 12 and counter_bytes_per_path(CounterFeatures(True, (), True), True) == 40
     assert counter_bytes_per_path(None, True) == counter_bytes_per_path(CounterFeatures(False, ()), True) == 0
     assert counter_bytes_per_path(CounterFeatures(True, ()), True) == 2 * counter_bytes_per_path(CounterFeatures(True, ()), False) > 0
 
@@ -102,8 +110,20 @@ def test_what_is_not_counted_is_not_compiled(tmp_path):
         texts = [path for path in tmp_path.glob(f"wp_{kernel.module.name}*") if path.suffix in (".cpp", ".cu")]
         return texts[0].read_text()
 
-    everything, rays = source(CounterFeatures(True, tuple(COST_QUANTITIES))), source(CounterFeatures(False, ()))
-    assert everything.count("= wp::atomic_add(") == 7 and rays.count("= wp::atomic_add(") == 1
+    passes = tuple(COST_QUANTITIES)
+    for features, count in ((CounterFeatures(True, passes, True), 11), (CounterFeatures(True, passes), 7), (CounterFeatures(False, ()), 1)):
+        assert source(features).count("= wp::atomic_add(") == count
+
+
+def test_passes_that_stay_zero():
+    told = {features: [name for name in COST_QUANTITIES if features.is_filled(name)] for features in (
+        CounterFeatures(False, ()), CounterFeatures(True, ()), CounterFeatures(True, (), True),
+    )}  # fmt: skip
+    assert list(told.values()) == [["Rays"], ["Rays", "Node Steps", "Triangle Tests"], list(COST_QUANTITIES)]
+    steps, visits = CounterFeatures(False, ("Rays", "Node Steps", "Triangle Tests", "Times Queued")).warnings()
+    assert steps.startswith("the passes Node Steps and Triangle Tests stay 0: Warp's own tree does not tell its steps")
+    assert visits == "the pass Times Queued stays 0: in this render no ray waits at a treelet; set batching to ON to see them"
+    assert CounterFeatures(True, ("Rays", "Node Steps")).warnings() == CounterFeatures(True, tuple(COST_QUANTITIES), True).warnings() == []
 
 
 def test_kinds_are_numbered_like_those_of_rays():
@@ -112,7 +132,7 @@ def test_kinds_are_numbered_like_those_of_rays():
 
 def test_the_last_bin_takes_what_is_beyond():
     counters = Counters(CounterFeatures(False, ()), 0, 100_000, wp.get_device(DEVICE))
-    assert counters.totals().by_bounce.shape == (3, BOUNCE_BINS_MAX, 4)
+    assert counters.totals().by_bounce.shape == (3, BOUNCE_BINS_MAX, len(QUANTITIES))
 
 
 def test_the_report_is_json_and_sums_bytes():
@@ -127,7 +147,8 @@ def test_the_report_is_json_and_sums_bytes():
     nodes, triangles = 80 * work.sums[..., 1].sum(), 48 * work.sums[..., 3].sum()
     rays = 400 * RAY_BYTES_READ + 300 * RAY_BYTES_WRITTEN["closest"] + 100 * RAY_BYTES_WRITTEN["occlusion"]
     assert report["bytes"] == {"nodes": nodes, "triangles": triangles, "rays": rays, "total": nodes + triangles + rays}
-    assert report["lanes_idle"] == {"closest": {"turns": 0.25, "nodes": 0.75}, "occlusion": UNAVAILABLE, "transparent_shadow": UNAVAILABLE}
+    assert report["lanes_idle"] == {"closest": {"turns": 0.25, "nodes": 0.75}, **dict.fromkeys(LANE_KINDS[1:], UNAVAILABLE)}
+    assert report["treelet_visits"]["closest"] == report["queued"]["closest"] == [0] * BINS
     assert list(report["seconds"]) == list(STAGES) and report["hardware"] == {"cycles": 5}
 
 
@@ -140,7 +161,7 @@ def test_workers_are_added_up():
     totals.seconds["trace"], others.seconds["trace"] = 1.0, 2.0
     both = totals.merge(others)
     assert np.array_equal(both.by_bounce, one.sums + other.sums) and both.steps
-    assert both.lanes.tolist() == [[[0, 0]] * 3, [[6, 6]] * 3, [[0, 0]] * 3]
+    assert both.lanes.tolist() == [[[0, 0]] * 3, [[6, 6]] * 3, [[0, 0]] * 3, [[0, 0]] * 3]
     assert both.seconds["trace"] == 3.0
 
 
