@@ -7,6 +7,10 @@ from typing import Any
 
 # Points of the occupancy over time that a report keeps at most
 OCCUPANCY_POINTS = 256
+# Totals that stand at the top of every render's statistics, 0 where nothing batches
+TOP_LEVEL_TOTALS = ("treelet_visits", "rays_queued", "blocks_peak", "wait_max", "bytes_copied", "pages_loaded", "pages_evicted", "resident_peak")
+# Totals whose mean over all rays is reported too
+_MEANS = ("treelet_visits", "rays_queued", "bytes_copied")
 
 
 @dataclass
@@ -49,5 +53,21 @@ class BatchingTotals:
             self.occupancy = self.occupancy[::2]
 
     def report(self) -> dict[str, Any]:
-        """For the statistics."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
+        """For the statistics (see docs/statistics.md): every count, and means over the finished rays."""
+        counts = {each.name: getattr(self, each.name) for each in fields(self)}
+        means = {f"{name}_per_ray": round(counts[name] / self.finished, 4) if self.finished else 0.0 for name in _MEANS}
+        return {**counts, **means, "occupancy": [list(point) for point in self.occupancy]}
+
+
+def batching_statistics(totals: BatchingTotals | None, auto: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """What batching adds to the statistics of a render (see docs/statistics.md).
+
+    `totals` are those of all workers together; None where nothing batched. `auto` is what RayBatch chose, by the name of the setting that
+    let it: `{"value": ..., "why": ...}`, each ready for JSON.
+    """
+    whole = totals or BatchingTotals()
+    return {
+        **{name: getattr(whole, name) for name in TOP_LEVEL_TOTALS},
+        "batching": totals.report() if totals else None,
+        "auto": auto,
+    }
