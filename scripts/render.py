@@ -10,6 +10,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.presets import PRESETS
 from raybatch_addon.core.settings import SETTINGS
 from rendering.output import OutputFolders, leave, own_standard_output
 from rendering.request import ARCHIVE, NPZ, PASS_NAMES, Request, UsageError, kind_of, parse_frames, parse_heat_map, parse_pass, parse_settings
@@ -34,13 +35,19 @@ Any other name is taken as Blender's own -o does: the frame's number (#### if th
 the file's output format are added, and // at the start is the .blend's folder. Folders are made as needed.
 Without Blender (.npz, .scene.npz): .png, in sRGB without a view transform, or .exr, linear with every pass.
 """
+SETTINGS_HELP = "\n".join([
+    "settings of --set (docs/tuning.md has more; bytes may end in K, M, G, T, of 1000, or in Ki, Mi, Gi, Ti, of 1024):",
+    *(f"  {info.name} ({info.range_text()}): {info.description}" for info in SETTINGS.values()),
+    "presets:",
+    *(f"  {name}: {preset.description}" for name, preset in PRESETS.items()),
+])  # fmt: skip
 
 
 def argument_parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(
         prog="render.py", description=DESCRIPTION, formatter_class=argparse.RawTextHelpFormatter, allow_abbrev=False,
-        epilog="settings of --set:\n" + "\n".join(f"  {info.name} ({info.range_text()}): {info.description}" for info in SETTINGS.values()),
+        epilog=SETTINGS_HELP,
     )  # fmt: skip
     add = parser.add_argument
     add("file", nargs="?", type=Path, metavar="FILE", help="what to render")
@@ -49,11 +56,13 @@ def argument_parser() -> argparse.ArgumentParser:
     which.add_argument("--frame", type=int, metavar="N", help="the frame to render (default: the file's current one)")
     which.add_argument("--frames", metavar="A..B", help="the frames to render, both ends included")
     add("--view-layer", action="append", default=[], metavar="NAME", help="render this view layer only (may be repeated)")
+    add("--preset", metavar="NAME", help=f"set the whole schedule (all that changes only how long a render takes, but for the device): {', '.join(PRESETS)}.\n"
+        "--set then changes single settings of it")  # fmt: skip
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting (may be repeated); see below. resolution=160x120 sets the picture's size")
     add("--device", metavar="DEVICE", help="AUTO, cpu or cuda:N; the same as --set device=DEVICE")
     add("--json", metavar="FILE", help="write statistics; - is standard output. An object, or a list when several frames or view layers are rendered")
     add("--passes", metavar="NAMES", help=f"passes to render beside those of the file, with commas between: {', '.join(PASS_NAMES[1:])}.\n"
-        "The last three show what a pixel costs, as the mean over its samples, and make the render slower")  # fmt: skip
+        "The last five show what a pixel costs, as the mean over its samples, and make the render slower")  # fmt: skip
     add("--heat-map", action="append", default=[], metavar="PASS=FILE.png", help="write a picture of a pass that has one value a pixel, black where it is 0 and bright where it is largest\n"
         "(may be repeated; of the first view layer; frames are numbered as with -o)")  # fmt: skip
     add("--film", metavar="FILE.npz", help="write the linear passes: name -> float32 [height, width, channels], bottom row first.\n"
@@ -74,7 +83,7 @@ def request_from(options: argparse.Namespace) -> Request:
     if not (options.out or options.film or options.json or options.save_scene or options.heat_map):
         raise UsageError("nothing would be written: give at least one of -o, --film, --heat-map, --json and --save-scene")
     assignments = options.set + ([f"device={options.device}"] if options.device else [])
-    settings, resolution = parse_settings(assignments)
+    settings, resolution = parse_settings(assignments, options.preset)
     for name, option, ending in ((options.film, "--film", ".npz"), (options.save_scene, "--save-scene", ".scene.npz")):
         if name and not name.lower().endswith(ending):
             raise UsageError(f"{option} {name}: name it with the ending {ending}, by which it is known later")

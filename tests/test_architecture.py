@@ -18,6 +18,7 @@ ROOMS = (
     "core/kernel.py",
     "core/setting_info.py",
     "core/settings.py",
+    "core/presets.py",
     "core/device.py",
     "core/scene",
     "core/bvh",

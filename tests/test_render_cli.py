@@ -15,9 +15,10 @@ from rendering.output import numbered
 from rendering.pictures import HEAT_COLOURS, display_pixels, heat_pixels
 from rendering.standalone import resized
 
+from raybatch_addon.core.presets import PRESETS, preset_settings
 from raybatch_addon.core.scene.archive import load_scene, save_scene
 from raybatch_addon.core.scene.geometry_files import SKY_RADIANCE, load_geometry
-from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.settings import SETTINGS, RenderSettings
 
 SMALL = ("--device", "cpu", "--set", "resolution=16x12", "--set", "sample_count=2")
 CAMERA = "--camera=0,-4,0,0,0,0,40"  # looks along +y; the sheet fills the lower half
@@ -114,6 +115,11 @@ def test_up_is_the_axis_that_the_caller_says(sheet, tmp_path):
         (["{sheet}", "-o", "{folder}/x.png", "--set", "sample_count"], "has no value"),
         (["{sheet}", "-o", "{folder}/x.png", "--set", "bounce_max=-1"], "bounce_max.*0 to 100000"),
         (["{sheet}", "-o", "{folder}/x.png", "--set", "nee=maybe"], "nee.*one of ON, OFF, HALF"),
+        (["{sheet}", "-o", "{folder}/x.png", "--set", "geometry_budget=lots"], "geometry_budget = 'lots'.*1.5G is 1,500,000,000"),
+        (["{sheet}", "-o", "{folder}/x.png", "--set", "block_size=40"], "block_size = '40'.*0, or 32 to 1024 in steps of 32"),
+        (["{sheet}", "-o", "{folder}/x.png", "--set", "treelet_size=9", "--set", "treelet_size_min=10"], r"treelet_size_min \(10\) is above"),
+        (["{sheet}", "-o", "{folder}/x.png", "--preset", "unbatched", "--set", "geometry_budget=1G"], "batching is OFF.*set geometry_budget to 0"),
+        (["{sheet}", "-o", "{folder}/x.png", "--preset", "fast"], "no preset is called 'fast'; the presets are AUTO, THESIS, UNBATCHED"),
         (["{sheet}", "-o", "{folder}/x.png", "--set", "resolution=0x9"], "resolution"),
         (["{sheet}", "-o", "{folder}/x.png", "--set", "resolution=9"], "WIDTHxHEIGHT"),
         (["{sheet}", "-o", "{folder}/x.png", "--device", "cuda:99"], "no device 'cuda:99'"),
@@ -191,6 +197,24 @@ def test_prewarm_fills_the_cache_folder(tmp_path):
     assert done.stdout == ""
     folder = Path(done.stderr.strip().splitlines()[-1].partition("ready in ")[2])
     assert any(path.name.startswith("wp_") for path in folder.rglob("*"))
+
+
+def test_a_preset_comes_before_single_settings(sheet, tmp_path):
+    saved = tmp_path / "s.scene.npz"
+    sets = ("--set", "queue_size=9", "--set", "geometry_budget=1.5G", "--set", "sample_count=3")
+    assert render.main([str(sheet), "--save-scene", str(saved), *sets, "--preset", "thesis"]) == 0
+    settings = load_scene(saved)[1]
+    assert settings == RenderSettings(**preset_settings("THESIS")).replace(queue_size=9, geometry_budget=1_500_000_000, sample_count=3)
+    again = tmp_path / "again.scene.npz"
+    assert render.main([str(saved), "--save-scene", str(again), "--preset", "AUTO"]) == 0
+    assert load_scene(again)[1] == RenderSettings(sample_count=3), "a preset takes the place of the whole schedule that the file had"
+
+
+def test_the_help_lists_every_setting_and_preset():
+    text = render.argument_parser().format_help()
+    for name in (*SETTINGS, *PRESETS):
+        assert f"\n  {name}" in text
+    assert "Mi, Gi, Ti, of 1024" in text
 
 
 def test_numbered_names():

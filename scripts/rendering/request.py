@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from raybatch_addon.core.errors import RayBatchError, SettingsError
+from raybatch_addon.core.presets import preset_settings
 from raybatch_addon.core.scene.validate import PASS_NAMES
 from raybatch_addon.core.settings import parse_setting
 
@@ -86,9 +87,9 @@ def parse_heat_map(text: str) -> tuple[str, str]:
     return name, path
 
 
-def parse_settings(assignments: list[str]) -> tuple[dict[str, Any], tuple[int, int] | None]:
-    """Settings by name, and the resolution if one is given, from `name=value` texts; raises `SettingsError`."""
-    values: dict[str, Any] = {}
+def parse_settings(assignments: list[str], preset: str | None = None) -> tuple[dict[str, Any], tuple[int, int] | None]:
+    """Settings by name, and the resolution if one is given, from `name=value` texts, on top of a preset; raises `SettingsError`."""
+    values: dict[str, Any] = preset_settings(preset) if preset else {}
     resolution = None
     for assignment in assignments:
         name, equals, text = assignment.partition("=")

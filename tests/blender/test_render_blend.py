@@ -119,7 +119,7 @@ def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):
     """Everything by name, from the command line; the picture is the same."""
     out = tmp_path / "out"
     run(blend, "--film", tmp_path / "plain.npz")
-    arguments = [argument for pair in ("ray_sort=OFF", "counters=ON", "spatial_splits=ON", "batching=OFF") for argument in ("--set", pair)]
+    arguments = [argument for pair in ("ray_sort=OFF", "counters=ON", "spatial_splits=ON", "treelet_bytes=7MiB", "geometry_budget=1500000001") for argument in ("--set", pair)]
     run(blend, *arguments, "--passes", "normal, Triangle Tests", "--heat-map", f"node steps={out / 'steps.png'}", "--film", out / "a.npz", "--json", out / "a.json")
     assert names(out) == ["a.json", "a.npz", "steps.png"]
     with np.load(out / "a.npz") as film, np.load(tmp_path / "plain.npz") as plain:
@@ -132,7 +132,8 @@ def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):
     assert (np.diff(picture.ravel()[order]) >= 0).all() and picture.max() > 600
     statistics = json.loads((out / "a.json").read_text())
     assert statistics["settings"]["ray_sort"] == "OFF" and statistics["ray_sort"] is None
-    assert statistics["settings"]["spatial_splits"] == statistics["settings"]["counters"] == "ON" and statistics["settings"]["batching"] == "OFF"
+    assert statistics["settings"]["spatial_splits"] == statistics["settings"]["counters"] == "ON"
+    assert (statistics["settings"]["treelet_bytes"], statistics["settings"]["geometry_budget"]) == (7 << 20, 1_500_000_001)
     assert statistics["counters"]["seconds"]["trace"] > 0
     again = tmp_path / "frames"
     run(blend, "--frames", "1..2", "--heat-map", f"Rays={again / 'rays.png'}")
