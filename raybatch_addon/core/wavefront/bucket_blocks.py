@@ -1,0 +1,297 @@
+"""The memory of queues: blocks of one pool, and what is checked of them.
+
+A queue's rays lie in blocks of `queue_size` places. All of its blocks but the last are full, so the ray at position p of a queue lies in
+its block number p // queue_size: no list has to be walked. Where all blocks are taken, rays lie in single places behind the blocks, the
+overflow, until their queue is served.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+# Entries of `Blocks.state`
+FREE, OVERFLOW, IN_USE_PEAK, SHORT, WAIT_MAX, STEP, PUT, WAITING, STATE_SIZE = range(9)
+
+# Queues of 1024 rays keep the launches over blocks small; more would only waste places of queues that are nearly empty
+QUEUE_SIZE_MAX = 1024
+
+
+@wp.struct
+class Blocks:
+    """Device side of all queues."""
+
+    slots: wp.array(dtype=int)  # rays, shape [block_count * queue_size + overflow places]
+    # by block
+    owner: wp.array(dtype=int)  # its queue, or -1
+    link: wp.array(dtype=int)  # CPU: the queue's next block; CUDA: the block's number in its queue
+    free: wp.array(dtype=int)  # stack of blocks without an owner; `state[FREE]` of them
+    # by queue
+    first: wp.array(dtype=int)  # its first block (CPU)
+    open: wp.array(dtype=int)  # its last block
+    counts: wp.array(dtype=int)  # its rays
+    in_blocks: wp.array(dtype=int)  # those in blocks; the others are in the overflow
+    since: wp.array(dtype=int)  # the step in which it was empty last
+    # by place of the overflow
+    overflow_queue: wp.array(dtype=int)  # the ray's queue, or -1
+    overflow_link: wp.array(dtype=int)  # CPU: the next place of the same queue, or of the free places
+    overflow_first: wp.array(dtype=int)  # CPU, by queue: its first place of the overflow, or -1; the last entry: of the free places
+    state: wp.array(dtype=int)  # shape [STATE_SIZE]
+    queue_size: int
+    overflow_at: int  # first place of the overflow
+
+
+@wp.struct
+class QueueRule:
+    """Which queue stands for which treelet: queue = treelet * scale + shift."""
+
+    scale: int
+    shift: int
+    done_queue: int  # queue of rays that are done; -1: they leave
+    new_queue: int  # queue of rays that have not begun; -1: they are ignored
+
+
+@wp.struct
+class Listed:
+    """Rays on their way into or out of queues."""
+
+    slots: wp.array(dtype=int)
+    where: wp.array(dtype=int)
+    places: wp.array(dtype=int)  # where they lie or lay in the pool; -1: nowhere. Empty where nobody asks
+    count: wp.array(dtype=int)  # shape [1]
+    capacity: int
+
+
+@wp.struct
+class Moves:
+    """Scratch of transactions."""
+
+    # by ray of a batch
+    keys: wp.array(dtype=int)  # its queue; the number of queues: none. Twice as long, for sorting
+    order: wp.array(dtype=int)  # its place in the batch. Twice as long
+    # by queue
+    run_first: wp.array(dtype=int)  # its first ray among those sorted
+    run_end: wp.array(dtype=int)
+    amount: wp.array(dtype=int)  # put: new blocks; take: rays
+    amount_first: wp.array(dtype=int)  # sums of it, one entry more
+    part: wp.array(dtype=int)  # take: blocks
+    part_first: wp.array(dtype=int)  # sums of it, one entry more
+    mask: wp.array(dtype=int)  # take: 1: chosen
+    # by block
+    listed: wp.array(dtype=int)  # blocks that are taken
+    # of the overflow
+    flags: wp.array(dtype=int)  # by ray of a batch
+    flags_first: wp.array(dtype=int)
+    spare: wp.array(dtype=int)  # by place of the overflow
+    spare_first: wp.array(dtype=int)
+    spare_list: wp.array(dtype=int)
+    total: wp.array(dtype=int)  # put: rays that found a queue, shape [1]
+
+
+@wp.func
+def blocks_for(rays: int, size: int) -> int:
+    """Blocks that hold so many rays."""
+    return rays // size + wp.where(rays % size != 0, 1, 0)
+
+
+@wp.func
+def queue_of(rule: QueueRule, where: int) -> int:
+    """The queue in which a ray waits that is at `where`: a treelet, `NEW` (-2) or `DONE` (-1)."""
+    if where >= 0:
+        return where * rule.scale + rule.shift
+    return wp.where(where == -1, rule.done_queue, rule.new_queue)
+
+
+@wp.func
+def where_of(rule: QueueRule, queue: int) -> int:
+    """The other way round, whatever the shift."""
+    if queue == rule.new_queue:
+        return -2
+    if queue == rule.done_queue:
+        return -1
+    return queue // rule.scale
+
+
+@dataclass(frozen=True)
+class PoolSize:
+    """How many places there are."""
+
+    queue_size: int  # rays of a block
+    block_count: int
+    overflow: int  # single places: with them every ray has a place, however the rays spread over the queues
+
+    @property
+    def place_count(self) -> int:
+        """Places in all."""
+        return self.block_count * self.queue_size + self.overflow
+
+
+def pool_size(queue_total: int, queue_size: int, queue_count: int, slot_count: int) -> PoolSize:
+    """Sizes for `slot_count` rays in `queue_total` queues; `queue_size` rays a block and `queue_count` blocks, 0 for what suits.
+
+    Chosen freely, blocks never run out: every queue may have one that is nearly empty, and these take a quarter of the places at
+    most. Otherwise the pool is at most twice as large as the rays need, or as many blocks as asked for.
+    """
+    slot_count = max(1, slot_count)
+    if not queue_size:
+        if queue_count:
+            queue_size = -(-5 * slot_count // (4 * queue_count))
+        else:
+            queue_size = max(1, slot_count // (4 * queue_total))
+        queue_size = min(1 << (queue_size.bit_length() - 1), QUEUE_SIZE_MAX)
+    queue_size = min(queue_size, slot_count)  # no block gets more rays
+    most = min(-(-slot_count // queue_size) + queue_total, slot_count)  # each has at least a ray
+    if not queue_count:
+        queue_count = min(most, max(1, 2 * slot_count // queue_size))
+    queue_count = min(queue_count, most)
+    # blocks run out with as few rays as this in them: one in the last block of each queue, all other blocks full
+    queues = min(queue_total, queue_count)
+    held = queues + (queue_count - queues) * queue_size
+    return PoolSize(queue_size, queue_count, max(0, slot_count - held))
+
+
+def pool_bytes(size: PoolSize, queue_total: int, is_cuda: bool) -> int:
+    """Memory of the pool [bytes]."""
+    return 4 * (size.place_count + 3 * size.block_count + 6 * queue_total + size.overflow * (1 if is_cuda else 2))
+
+
+def allocate_blocks(size: PoolSize, queue_total: int, device: wp.Device, host: bool) -> Blocks:
+    """`Blocks`, all free; `host`: with the chains that one CPU thread goes along."""
+    blocks = Blocks()
+    with wp.ScopedDevice(device):
+        blocks.slots = wp.zeros(size.place_count, dtype=int)
+        blocks.owner = wp.full(size.block_count, -1, dtype=int)
+        blocks.link = wp.zeros(size.block_count, dtype=int)
+        blocks.free = wp.array(np.arange(size.block_count - 1, -1, -1, dtype=np.int32), dtype=int)
+        blocks.first = wp.full(queue_total if host else 0, -1, dtype=int)
+        blocks.open = wp.full(queue_total, -1, dtype=int)
+        blocks.counts = wp.zeros(queue_total, dtype=int)
+        blocks.in_blocks = wp.zeros(queue_total, dtype=int)
+        blocks.since = wp.zeros(queue_total, dtype=int)
+        blocks.overflow_queue = wp.full(size.overflow, -1, dtype=int)
+        links = np.append(np.arange(1, size.overflow), -1)[: size.overflow] if host else []
+        blocks.overflow_link = wp.array(np.asarray(links, np.int32), dtype=int)
+        firsts = np.full(queue_total + 1 if host else 0, -1, np.int32)
+        if host and size.overflow:
+            firsts[queue_total] = 0
+        blocks.overflow_first = wp.array(firsts, dtype=int)
+        state = np.zeros(STATE_SIZE, np.int32)
+        state[FREE] = size.block_count
+        blocks.state = wp.array(state, dtype=int)
+    blocks.queue_size, blocks.overflow_at = size.queue_size, size.block_count * size.queue_size
+    return blocks
+
+
+class BlockCheck:
+    """Looks at all queues after a transaction; for debugging, and slow."""
+
+    def __init__(self, blocks: Blocks, slot_count: int):
+        self._blocks = blocks
+        self._queue = np.full(slot_count, -1, np.int32)  # of every ray that waits
+
+    def put(self, slots: np.ndarray, where: np.ndarray, rule: QueueRule) -> None:
+        """The rays `slots` were put into their queues; raises `AssertionError` for what is wrong."""
+        queues = np.where(where >= 0, where * rule.scale + rule.shift, np.where(where == -1, rule.done_queue, rule.new_queue))
+        slots, queues = slots[queues >= 0], queues[queues >= 0]
+        assert len(np.unique(slots)) == len(slots), f"rays {_some(_repeated(slots))} were put twice"
+        known = (slots >= 0) & (slots < len(self._queue))
+        assert known.all(), f"there are no rays {_some(slots[~known])}; there are {len(self._queue)}"
+        strange = queues[queues >= self._blocks.counts.size]
+        assert not len(strange), f"there are no queues {_some(strange)}"
+        inside = slots[self._queue[slots] >= 0]
+        assert not len(inside), f"rays {_some(inside)} were put, but wait in queues {_some(self._queue[inside])}"
+        self._queue[slots] = queues
+        self._look()
+
+    def take(self, slots: np.ndarray, where: np.ndarray, rule: QueueRule, chosen: np.ndarray) -> None:
+        """The rays `slots` were taken from the queues `chosen`; raises `AssertionError` for what is wrong."""
+        assert len(np.unique(slots)) == len(slots), f"rays {_some(_repeated(slots))} were taken twice"
+        queues = self._queue[slots]
+        outside = slots[queues < 0]
+        assert not len(outside), f"rays {_some(outside)} were taken, but wait nowhere"
+        strange = queues[~np.isin(queues, chosen)]
+        assert not len(strange), f"rays were taken from queues {_some(strange)}, which were not chosen"
+        names = np.where(queues == rule.new_queue, -2, np.where(queues == rule.done_queue, -1, queues // rule.scale))
+        wrong = slots[names != where]
+        assert not len(wrong), f"rays {_some(wrong)} were taken, and it is not told where they waited"
+        self._queue[slots] = -1
+        self._look()
+
+    def _look(self) -> None:
+        blocks, size = self._blocks, self._blocks.queue_size
+        owner, counts, in_blocks, state = (each.numpy() for each in (blocks.owner, blocks.counts, blocks.in_blocks, blocks.state))
+        queue_total, free = len(counts), blocks.free.numpy()[: state[FREE]]
+        is_free = np.zeros(len(owner), bool)
+        is_free[free] = True
+        assert is_free.sum() == len(free), f"blocks {_some(_repeated(free))} are free twice"
+        both = np.flatnonzero(is_free & (owner >= 0))
+        assert not len(both), f"blocks {_some(both)} are free, but belong to queues {_some(owner[both])}"
+        lost = np.flatnonzero(~is_free & (owner < 0))
+        assert not len(lost), f"blocks {_some(lost)} are neither free nor a queue's"
+        strange = np.flatnonzero((owner < -1) | (owner >= queue_total))
+        assert not len(strange), f"blocks {_some(strange)} belong to queues {_some(owner[strange])}, which there are not"
+        owned = np.bincount(owner[owner >= 0], minlength=queue_total)
+        wrong = np.flatnonzero(owned != -(-in_blocks // size))
+        assert not len(wrong), f"queues {_some(wrong)} have {_some(owned[wrong])} blocks for {_some(in_blocks[wrong])} rays"
+        overflow = blocks.overflow_queue.numpy()
+        over = np.bincount(overflow[overflow >= 0], minlength=queue_total)
+        wrong = np.flatnonzero(counts != in_blocks + over)
+        assert not len(wrong), f"queues {_some(wrong)} count {_some(counts[wrong])} rays, and hold {_some((in_blocks + over)[wrong])}"
+        assert over.sum() == state[OVERFLOW], f"{state[OVERFLOW]} rays are counted in the overflow, which holds {over.sum()}"
+        assert counts.sum() == state[WAITING], f"{state[WAITING]} rays are counted in all, and {counts.sum()} by queue"
+        place, queue = self._places(owner, in_blocks)
+        filled = np.flatnonzero(overflow >= 0)
+        place = np.concatenate([place, blocks.overflow_at + filled])
+        queue = np.concatenate([queue, overflow[filled]])
+        slots = blocks.slots.numpy()[place]
+        assert len(np.unique(slots)) == len(slots), f"rays {_some(_repeated(slots))} wait twice"
+        wrong = slots[self._queue[slots] != queue]
+        assert not len(wrong), f"rays {_some(wrong)} wait in queues other than those that they were put into"
+        missing = np.setdiff1d(np.flatnonzero(self._queue >= 0), slots)
+        assert not len(missing), f"rays {_some(missing)} are lost"
+
+    def _places(self, owner: np.ndarray, in_blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places in blocks that hold rays, and their queues."""
+        blocks, size = self._blocks, self._blocks.queue_size
+        last = blocks.open.numpy()
+        if blocks.first.size:
+            rank = _ranks_of_chains(blocks, owner, in_blocks)
+        else:
+            rank = blocks.link.numpy()
+        used = np.flatnonzero(owner >= 0)
+        number = rank[used] * np.int64(len(in_blocks)) + owner[used]
+        assert len(np.unique(number)) == len(used), "two blocks have the same number in their queue"
+        fill = in_blocks[owner[used]] - rank[used] * size
+        assert (fill > 0).all() and (rank[used] >= 0).all(), f"blocks {_some(used[fill <= 0])} are empty"
+        ends = fill <= size
+        wrong = used[ends][last[owner[used[ends]]] != used[ends]]
+        assert not len(wrong), f"blocks {_some(wrong)} are the last of their queues, which do not know it"
+        empty = np.flatnonzero((in_blocks == 0) & (last != -1))
+        assert not len(empty), f"queues {_some(empty)} are empty, but have a last block"
+        inside = np.arange(size)[None, :] < fill[:, None]
+        place = (used[:, None] * np.int64(size) + np.arange(size)[None, :])[inside]
+        return place, np.broadcast_to(owner[used][:, None], inside.shape)[inside]
+
+
+def _ranks_of_chains(blocks: Blocks, owner: np.ndarray, in_blocks: np.ndarray) -> np.ndarray:
+    rank = np.full(len(owner), -1, np.int64)
+    first, link = blocks.first.numpy(), blocks.link.numpy()
+    for queue in np.flatnonzero(in_blocks):
+        block = first[queue]
+        for number in range(-(-int(in_blocks[queue]) // blocks.queue_size)):
+            assert owner[block] == queue, f"block {block} is in queue {queue}, and belongs to {owner[block]}"
+            rank[block] = number
+            block = link[block]
+    return rank
+
+
+def _repeated(values: np.ndarray) -> np.ndarray:
+    unique, counts = np.unique(values, return_counts=True)
+    return unique[counts > 1]
+
+
+def _some(values: np.ndarray) -> str:
+    """A few of `values`, for a message."""
+    return f"{values[:8].tolist()}{' ...' if len(values) > 8 else ''}"

@@ -1,0 +1,188 @@
+"""Queues of rays that wait: put in and taken out in batches, by counting, sums and scatter, without locks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+
+from ..kernel import KERNEL_OPTIONS
+from .bucket_blocks import (
+    FREE,
+    IN_USE_PEAK,
+    OVERFLOW,
+    PUT,
+    SHORT,
+    STEP,
+    WAIT_MAX,
+    WAITING,
+    BlockCheck,
+    Listed,
+    PoolSize,
+    QueueRule,
+    allocate_blocks,
+    pool_size,
+)
+from .bucket_blocks_device import DeviceQueues
+from .bucket_blocks_host import host_put_kernel, host_take_kernel
+from .stages.visit import Batch
+
+# Rays of a batch at most, so that what a batch needs does not grow with the rays alive
+CPU_BATCH, CUDA_BATCH = 1 << 16, 1 << 22
+
+
+def batch_capacity(slot_count: int, queue_size: int, is_cuda: bool) -> int:
+    """Rays of a batch at most."""
+    return max(queue_size, min(max(1, slot_count), CUDA_BATCH if is_cuda else CPU_BATCH))
+
+
+def queue_rule(scale: int = 1, shift: int = 0, done: int = -1, new: int = -1) -> QueueRule:
+    """`QueueRule`; as it is, the queue is the treelet."""
+    rule = QueueRule()
+    rule.scale, rule.shift, rule.done_queue, rule.new_queue = scale, shift, done, new
+    return rule
+
+
+SAME = queue_rule()
+
+
+class BucketQueues:
+    """All queues of a worker. A ray waits in one of them or in none.
+
+    Queues are numbered from 0. In batches `where` is the queue, or by a `QueueRule` what stands for it; rays whose `where` is `DONE` or
+    `NEW` wait nowhere, unless the rule has queues for them.
+    """
+
+    def __init__(
+        self, queue_total: int, queue_size: int, queue_count: int, slot_count: int, device: wp.Device, debug: bool = False,
+        capacity: int = 0, parallel: bool | None = None,
+    ):  # fmt: skip
+        """Queues for rays of `slot_count` slots at most, in blocks of `queue_size` rays, `queue_count` of them; 0 for what suits.
+
+        Batches that are taken have at most `capacity` rays (0: `batch_capacity`). `debug`: every transaction is checked. `parallel`: the
+        way of CUDA devices, which works on the CPU too.
+        """
+        self.device, self.queue_total, self.slot_count = device, queue_total, slot_count
+        self.size: PoolSize = pool_size(queue_total, queue_size, queue_count, slot_count)
+        block = self.size.queue_size
+        self.capacity = max(capacity, block) if capacity else batch_capacity(slot_count, block, device.is_cuda)
+        self._parallel = device.is_cuda if parallel is None else parallel
+        self.blocks = allocate_blocks(self.size, queue_total, device, not self._parallel)
+        self.parallel_queues = DeviceQueues(self.blocks, self.capacity, device) if self._parallel else None
+        self._check = BlockCheck(self.blocks, slot_count) if debug else None
+        self.taken = Listed()
+        with wp.ScopedDevice(device):
+            self.taken.slots, self.taken.where = wp.zeros(self.capacity, dtype=int), wp.zeros(self.capacity, dtype=int)
+            self.taken.count = wp.zeros(1, dtype=int)
+            self._nowhere = wp.zeros(0, dtype=int)
+            self._chunk_count = wp.zeros(1, dtype=int)
+        self.taken.places, self.taken.capacity = self._nowhere, self.capacity
+        self._given = Listed()
+        self._given.places, self._given.capacity = self._nowhere, 0
+        if not self._parallel:
+            # what the host looks at after every step, without a copy
+            self._state, self._counts, self._count = self.blocks.state.numpy(), self.blocks.counts.numpy(), self.taken.count.numpy()
+            self._chosen = wp.zeros(queue_total, dtype=int, device=device)
+            self._chosen_view = self._chosen.numpy()
+
+    @property
+    def counts(self) -> wp.array:
+        """Rays that wait in each queue, int32, shape [queue_total], on the device."""
+        return self.blocks.counts
+
+    def fetch_counts(self) -> np.ndarray:
+        """A copy of `counts` on the host."""
+        return self._counts.copy() if not self._parallel else self.blocks.counts.numpy().copy()
+
+    def put(self, batch: Batch, rule: QueueRule = SAME, places: wp.array | None = None) -> None:
+        """The rays of `batch` wait in queues from now on; their place in the pool goes to `places`, -1 for those that wait nowhere."""
+        if batch.bound == 0:
+            return
+        seen = self._seen(batch) if self._check else None
+        rays = self._given
+        for first in range(0, batch.bound, self.capacity) if self._parallel else (0,):
+            bound = min(batch.bound - first, self.capacity) if self._parallel else batch.bound
+            if first or bound < batch.bound:
+                rays.slots, rays.where = batch.slots[first : first + bound], batch.where[first : first + bound]
+                rays.count = self._chunk_count
+                wp.launch(rest_kernel, 1, [batch.count, first, self._chunk_count], device=self.device)
+                rays.places = self._nowhere if places is None else places[first : first + bound]
+            else:
+                rays.slots, rays.where, rays.count = batch.slots, batch.where, batch.count
+                rays.places = self._nowhere if places is None else places
+            if self._parallel:
+                self.parallel_queues.put(rule, rays, bound)
+            else:
+                wp.launch(host_put_kernel, 1, [self.blocks, rule, rays], device=self.device)
+        if seen:
+            self._check.put(*seen, rule)
+
+    def take(self, chosen: Sequence[int] | None, rule: QueueRule = SAME, bound: int = 0, places: wp.array | None = None) -> Batch:
+        """Rays of the queues `chosen` (None: all): all of them, or as many as a batch may have. The batch is overwritten by the next.
+
+        `bound`: the caller knows that there are no more rays. The places in the pool where the rays lay go to `places`.
+        """
+        rays = self.taken
+        rays.places = self._nowhere if places is None else places
+        bound = min(bound, self.capacity) if bound else self.capacity
+        if self._parallel:
+            self.parallel_queues.take(rule, rays, bound, self.parallel_queues.choose(chosen))
+        else:
+            if chosen is None:
+                count = -1
+            else:
+                count = len(chosen)
+                self._chosen_view[:count] = chosen
+            wp.launch(host_take_kernel, 1, [self.blocks, rule, rays, self._chosen, count], device=self.device)
+            bound = int(self._count[0])
+        batch = Batch(rays.slots, rays.where, rays.count, bound)
+        if self._check:
+            self._check.take(*self._seen(batch), rule, np.arange(self.queue_total) if chosen is None else np.asarray(chosen))
+        return batch
+
+    def set_step(self, step: int) -> None:
+        """Transactions from now on belong to `step`: for how long rays wait."""
+        self.blocks.state[STEP : STEP + 1].fill_(step)
+
+    def fetch_state(self) -> np.ndarray:
+        """`Blocks.state` on the host."""
+        return self._state if not self._parallel else self.blocks.state.numpy()
+
+    def totals(self) -> dict[str, int]:
+        """For `BatchingTotals`."""
+        state = self.fetch_state()
+        names = {"rays_queued": PUT, "blocks_peak": IN_USE_PEAK, "blocks_short": SHORT, "wait_max": WAIT_MAX}
+        return {name: int(state[place]) for name, place in names.items()} | {"block_count": self.size.block_count}
+
+    @property
+    def waiting(self) -> int:
+        """Rays that wait in all queues."""
+        return int(self.fetch_state()[WAITING])
+
+    @property
+    def overflowing(self) -> int:
+        """Rays that found no place in a block."""
+        return int(self.fetch_state()[OVERFLOW])
+
+    @property
+    def free_blocks(self) -> int:
+        """Blocks that no queue has."""
+        return int(self.fetch_state()[FREE])
+
+    def _seen(self, batch: Batch) -> tuple[np.ndarray, np.ndarray]:
+        """Copies of slots and places of a batch."""
+        count = int(batch.count.numpy()[0])
+        assert count <= batch.bound, f"a batch of {count} rays says that there are {batch.bound} at most"
+        return batch.slots.numpy()[:count].copy(), batch.where.numpy()[:count].copy()
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def rest_kernel(count: wp.array(dtype=int), first: int, rest: wp.array(dtype=int)):
+    """One thread: how many rays of a batch there are from `first` on."""
+    rest[0] = wp.max(count[0] - first, 0)
+
+
+def queue_kernels(device: wp.Device) -> tuple[wp.Kernel, ...]:
+    """The kernels that `BucketQueues` launch on `device`."""
+    return (*DeviceQueues.kernels, rest_kernel) if device.is_cuda else (host_put_kernel, host_take_kernel)
