@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from ..device import free_memory
+from ..errors import OutOfMemoryError
+from ..scene.flatten import FlatGeometry
+from .memory import TREE_BYTES
+from .mesh_tree import mesh_parts
 from .node import Layout
-from .page_store import Page, PageStore
+from .page_chunks import ChunkBuilder
+from .page_entries import instances_in
+from .page_file import PageFileWriter, delete_old_files, open_page_file, page_key
+from .page_resident import Resident, load_nodes, place_resident
+from .page_store import PAGE_ALIGNMENT, HostStore, Page, PageStore
+from .page_tables import PageBuilder, PageTables
 from .tree import Tree
+from .treelets import CutRule
+
+# A page is an eighth of the budget, and of these sizes where the budget allows [bytes]
+_BUDGET_SHARE = 8
+_PAGE_SIZES = (64 << 20, 32 << 20, 16 << 20)
+# Nodes stay on the device where they take no more than this share of the budget
+_NODES_SHARE = 0.5
 
 
 @dataclass
@@ -43,3 +62,181 @@ class PagedScene:
     def page_bytes_max(self) -> int:
         """Bytes of the largest page on the device."""
         return max((page.device_bytes for page in self.pages), default=0)
+
+
+def page_size(budget: int) -> int:
+    """Bytes of a page at most, of a budget of so many bytes; of few sizes, so that files serve nearly equal budgets."""
+    share = budget // _BUDGET_SHARE
+    return next((size for size in _PAGE_SIZES if size <= share), max(share // PAGE_ALIGNMENT, 2) * PAGE_ALIGNMENT)
+
+
+def build_paged_scene(
+    flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device, budget: int, store: str = "HOST", folder: Path | None = None,
+    rule: CutRule = CutRule(), nodes_resident: bool | None = None, spatial_splits: bool = False, on_device: bool | None = None,
+) -> PagedScene:  # fmt: skip
+    """Build `flat`, of at least one triangle, in chunks, or find what was built of it before.
+
+    Args:
+        visibility: `Visibility` bits of each instance, int, shape [instance_count].
+        layout: BOXES for the traversal of CPUs, QUANTISED for that of GPUs.
+        device: that traces.
+        budget: bytes of nodes and triangles on the device at most.
+        store: HOST or DISK.
+        folder: of the files of DISK.
+        rule: cuts the tree of each chunk; by default a chunk is one treelet.
+        nodes_resident: whether all nodes stay on the device; None: where they fit well.
+        spatial_splits, on_device: as for `MeshTrees`.
+
+    `statistics` say what was done, `page_file_warning` among them where a file could not be used.
+
+    Raises `OutOfMemoryError` for a budget that is too small, and says what is enough, and where a chunk or HOST does not fit;
+    `PageFileError` where the file cannot be written.
+    """
+    start = time.perf_counter()
+    page_bytes = page_size(budget)
+    # two segments are padded
+    builder = ChunkBuilder(layout, device, rule, max(page_bytes - 2 * PAGE_ALIGNMENT, page_bytes // 2), spatial_splits, on_device)
+    _check_budget(flat, layout, builder.size_max, page_bytes, budget)
+    known: dict[str, Any] = {"store": store, "page_bytes": page_bytes, "reused": False}
+    if store == "DISK":
+        tables, pages = _from_disk(flat, layout, builder, rule, page_bytes, Path(folder), known)
+    else:
+        expected, free = _expected_bytes(flat, layout), free_memory(wp.get_device("cpu"))
+        if expected > free:
+            raise OutOfMemoryError(f"the scene's geometry takes about {expected / 1e9:.2f} GB, and {free / 1e9:.2f} GB of memory are free; use DISK")
+        pages = HostStore(pinned=bool(wp.get_cuda_devices()))
+        tables = _build(flat, layout, builder, page_bytes, pages)
+    known["seconds_build"] = round(time.perf_counter() - start, 6)
+    return _assembled(flat, visibility, layout, device, budget, tables, pages, nodes_resident, known)
+
+
+def _from_disk(
+    flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, rule: CutRule, page_bytes: int, folder: Path, known: dict[str, Any]
+) -> tuple[PageTables, PageStore]:
+    """Tables and pages of the file in `folder`, which is written where there is none that is sound."""
+    key = _key(flat, layout, builder, rule, page_bytes)
+    found = open_page_file(folder, layout, key)
+    if isinstance(found, tuple):
+        try:
+            tables = PageTables.from_index(found[1])
+            known["reused"] = True
+            return tables, found[0]
+        except KeyError as error:
+            found = f"{found[0].path} does not hold {error}"
+    if found is not None:
+        known["page_file_warning"] = f"{found}: it was written anew"
+    writer = PageFileWriter(folder, layout, key, _expected_bytes(flat, layout))
+    try:
+        tables = _build(flat, layout, builder, page_bytes, writer)
+        store = writer.finish(tables.index())
+    except BaseException:
+        writer.abandon()
+        raise
+    delete_old_files(folder, writer.path)
+    return tables, store
+
+
+def _build(flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, page_bytes: int, target: HostStore | PageFileWriter) -> PageTables:
+    none = np.zeros(0, np.int32)
+    with PageBuilder(layout, page_bytes, target) as pages:
+        for i, part in enumerate(mesh_parts(flat)):
+            triangles = flat.triangles[part.triangle_first : part.triangle_first + part.triangle_count]
+            for chunk in builder.build(flat.positions, triangles):
+                pages.add(chunk, instances_in(flat.merged[i], chunk.faces) if i < len(flat.merged) else none)
+            pages.end_part()
+        return pages.finish()
+
+
+def _key(flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, rule: CutRule, page_bytes: int) -> bytes:
+    """Of everything that pages and tables depend on; instances and what they show do not change them, but for baked ones."""
+    arrays = [flat.positions, flat.triangles, *(group.instance_triangle_first for group in flat.merged)]
+    parts = [tuple(part) for part in mesh_parts(flat)]
+    return page_key(arrays, repr((layout, builder.choices, rule, page_bytes, parts)))
+
+
+def _assembled(
+    flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device, budget: int, tables: PageTables, store: PageStore,
+    nodes_resident: bool | None, known: dict[str, Any],
+) -> PagedScene:  # fmt: skip
+    """What stays on the device, beside its tables; all of it is within the budget, and a page too."""
+    start = time.perf_counter()
+    resident = place_resident(tables, flat, visibility, layout, device)
+    node_bytes = int(tables.page_bytes[:, 0].sum())
+    sizes = tables.page_bytes[:, 1] if nodes_resident else tables.page_bytes.sum(1)
+    if nodes_resident is None:
+        # room for more than one page without nodes
+        rest = budget - resident.bytes - node_bytes
+        nodes_resident = node_bytes <= _NODES_SHARE * budget and rest >= 2 * int(tables.page_bytes[:, 1].max())
+        sizes = tables.page_bytes[:, 1] if nodes_resident else tables.page_bytes.sum(1)
+    needed = resident.bytes + nodes_resident * node_bytes + int(sizes.max())
+    if needed > budget:
+        raise _too_small(budget, needed, resident, nodes_resident * node_bytes)
+    first, ends = tables.page_byte[:, 1 if nodes_resident else 0], tables.page_treelet
+    pages = [
+        Page(int(ends[i]), int(ends[i + 1] - ends[i]), int(first[i]), int(sizes[i]), int(sizes[i])) for i in range(len(sizes))
+    ]  # fmt: skip
+    page = tables.treelet_page
+    if nodes_resident:
+        nodes_first = np.cumsum(tables.page_bytes[:, 0]) - tables.page_bytes[:, 0]
+        node_byte, triangle_byte = nodes_first[page] + tables.treelet_node, tables.treelet_triangle
+        nodes = load_nodes(tables, store, device)
+    else:
+        node_byte, triangle_byte = tables.treelet_node, tables.page_bytes[page, 0] + tables.treelet_triangle
+        nodes = wp.empty(0, dtype=wp.uint8, device=device)
+    wp.synchronize_device(device)
+    known["seconds"] = round(time.perf_counter() - start + known["seconds_build"], 6)
+    return PagedScene(
+        layout=layout, tree=resident.tree, of_node=resident.of_node, root=resident.root, treelet_count=len(tables.treelet_root),
+        levels=resident.levels, pages=pages, treelet_page=page, treelet_node_byte=node_byte, treelet_triangle_byte=triangle_byte,
+        nodes_resident=bool(nodes_resident), resident_nodes=nodes, store=store, box=resident.box, resident_bytes=resident.bytes + nodes.size,
+        statistics={**known, **_description(tables, layout, resident, nodes_resident)},
+    )  # fmt: skip
+
+
+def _expected_bytes(flat: FlatGeometry, layout: Layout) -> int:
+    """Of all pages, about."""
+    return int(1.2 * TREE_BYTES[layout] * len(flat.triangles)) + (1 << 16)
+
+
+def _check_budget(flat: FlatGeometry, layout: Layout, size_max: int, page_bytes: int, budget: int) -> None:
+    """Raise `OutOfMemoryError` before anything is built where the least that must stay is more than the budget."""
+    chunks = sum(-(-part.triangle_count // size_max) for part in mesh_parts(flat))
+    least = chunks * 4 * layout.node_words
+    if least + PAGE_ALIGNMENT > budget:
+        # half as many chunks for twice the budget, and a few more entries than there are chunks
+        enough = int(np.sqrt(budget * least * 4)) + PAGE_ALIGNMENT
+        raise OutOfMemoryError(
+            f"a geometry budget of {budget:,} bytes is too small for {len(flat.triangles):,} triangles: what must stay on the device takes {least:,} at least "
+            f"with pages so small; about {enough:,} are enough"
+        )
+
+
+def _too_small(budget: int, needed: int, resident: Resident, nodes: int) -> OutOfMemoryError:
+    # the page that a larger budget gives is larger too; what stays is not
+    enough = max(needed, -(-(resident.bytes + nodes) * _BUDGET_SHARE // (_BUDGET_SHARE - 1)) + PAGE_ALIGNMENT)
+    return OutOfMemoryError(
+        f"a geometry budget of {budget:,} bytes is too small: top level, instances and the roots of treelets take {resident.bytes:,} and must stay on the "
+        f"device, beside a page; {enough:,} bytes are enough" + (f", or fewer without all nodes ({nodes:,}) on the device" if nodes else "")
+    )
+
+
+def _description(tables: PageTables, layout: Layout, resident: Resident, nodes_resident: bool) -> dict[str, Any]:
+    """What the pages are, for statistics."""
+    node_bytes, triangle_bytes = (int(each) for each in tables.page_bytes.sum(0))
+    return {
+        "layout": layout.value,
+        "trees": len(tables.chunk_first) - 1,
+        "chunks": len(tables.chunk_size),
+        "entries": resident.tree.entry_count,
+        "triangles": int(tables.chunk_size.sum()),
+        "treelets": len(tables.treelet_root),
+        "pages": len(tables.page_bytes),
+        "page_fill": round(float(tables.page_bytes.sum(1).mean() / max(tables.page_bytes.sum(1).max(), 1)), 4),
+        "bytes": node_bytes + triangle_bytes + tables.top_nodes.nbytes + tables.top_triangles.nbytes,
+        "node_bytes": node_bytes,
+        "triangle_bytes": triangle_bytes,
+        "nodes_resident": bool(nodes_resident),
+        "depth": int(tables.chunk_depth.max()),
+        "levels": resident.levels,
+        "sah": round(float(tables.chunk_sah.max()), 4),
+    }

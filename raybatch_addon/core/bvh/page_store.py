@@ -7,6 +7,7 @@ each of one kind (nodes of its treelets; their triangles), padded to `PAGE_ALIGN
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import zlib
 from dataclasses import dataclass
@@ -146,7 +147,7 @@ class DiskStore:
         """For the pages of the file at `path`; raises `PageFileError`."""
         self.path, self.byte_count = path, byte_count
         self._segments = segments
-        self._direct = -1
+        self._direct, self._refuses_direct = -1, False
         try:
             self._file = os.open(path, os.O_RDONLY | getattr(os, "O_BINARY", 0))
             if hasattr(os, "O_DIRECT"):
@@ -164,7 +165,12 @@ class DiskStore:
         data = host[: page.byte_count]
         self.read(page.byte_first, data, direct)
         if self._segments.wrong(page.byte_first, data):
-            raise PageFileError(f"the file of geometry {self.path} was altered (treelet {page.treelet_first} is not what was written); delete it and render again")
+            with contextlib.suppress(OSError):
+                self.path.unlink()
+            raise PageFileError(
+                f"the file of geometry {self.path} was damaged: the page at byte {page.byte_first:,} is not what was written. It is deleted; render again, "
+                "which writes it anew"
+            )
 
     def view(self, page: Page) -> None:
         """As `PageStore`: not in memory."""
@@ -182,13 +188,15 @@ class DiskStore:
         """Fill `data`, uint8, from `first` on; raises `PageFileError`."""
         aligned = (first | data.nbytes | data.ctypes.data) % PAGE_ALIGNMENT == 0
         try:
-            if direct and aligned and self._direct >= 0:
+            if direct and aligned and self._direct >= 0 and not self._refuses_direct:
                 try:
                     self._read(self._direct, first, data)
                     return
-                except OSError:
+                except OSError as error:
                     # a file system may refuse it only now
-                    self._direct = os.close(self._direct) or -1
+                    if error.errno != errno.EINVAL:
+                        raise
+                    self._refuses_direct = True
             self._read(self._file, first, data)
             if direct and hasattr(os, "posix_fadvise"):
                 os.posix_fadvise(self._file, first, data.nbytes, os.POSIX_FADV_DONTNEED)
