@@ -107,13 +107,15 @@ class TreeletTree:
 def cut_scene_tree(built: BuiltTree, rule: CutRule, device: wp.Device) -> TreeletTree:
     """Cut every mesh tree of `built`, which is on `device` and is left as it is, by `rule`.
 
-    Raises `OutOfMemoryError` where the result does not fit beside it.
+    Nothing of `built` but small arrays of its entries is used later. A frame whose tree was refitted is cut again. Raises
+    `OutOfMemoryError` where the result does not fit beside it.
     """
     layout, source = built.layout, built.tree
     needed, free = _VECTOR * (source.nodes.size + source.triangles.size), free_memory(device)
     if needed > free:
         raise OutOfMemoryError(
-            f"cutting the trees into treelets needs {needed / 1e9:.2f} GB more, and {device.name} has {free / 1e9:.2f} GB free; render with batching OFF"
+            f"cutting the trees into treelets needs {needed / 1e9:.2f} GB more, and {device.name} has {free / 1e9:.2f} GB free; render "
+            "with batching OFF"
         )
     top = _top_level(built) if built.instancing else np.empty((0, layout.node_words), layout.node_type)
     top_levels = len(tree_levels(layout, top)) if built.instancing else 0

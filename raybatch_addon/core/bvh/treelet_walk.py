@@ -79,10 +79,9 @@ def _check_units(walk: Walk, treelet: np.ndarray, unit_first: np.ndarray) -> Non
     first, end = walk.leaf_first[by_place], (walk.leaf_first + walk.leaf_count)[by_place]
     if first[0] != 0 or (first[1:] != end[:-1]).any() or end[-1] != unit_first[-1]:
         raise ValueError("a triangle is in no leaf, or in two")
-    # the block that a unit lies in; -1: resident
-    owner = np.searchsorted(unit_first, first, side="right") - 1
     holder = treelet[walk.leaf_node[by_place]]
-    if (np.where(holder == len(unit_first) - 1, -1, holder) != owner).any():
+    holder[holder == len(unit_first) - 1] = -1  # resident
+    if any((np.searchsorted(unit_first, unit, side="right") - 1 != holder).any() for unit in (first, end - 1)):
         raise ValueError("a leaf lists triangles of another block")
 
 

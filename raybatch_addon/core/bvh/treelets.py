@@ -193,7 +193,7 @@ def cut_nodes(layout: Layout, nodes: np.ndarray, rule: CutRule) -> Cut:
 
 def _links(layout: Layout, nodes: np.ndarray) -> _Links:
     if layout is Layout.BOXES:
-        child = nodes.view(BOXES_NODE)[:, 0]["child"]
+        child = nodes.view(BOXES_NODE)[:, 0]["child"].copy()  # together: each is looked at many times
         inner = (child >= 0) & (child != EMPTY_CHILD)
         run_node, run_slot = np.nonzero(child < 0)
         code = ~child[run_node, run_slot].astype(np.int64)
