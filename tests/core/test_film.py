@@ -13,7 +13,7 @@ from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.film import Film, layout_of
 from raybatch_addon.core.film import sums as sums_module
 from raybatch_addon.core.film.sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums
-from raybatch_addon.core.film.tile import FilmTile, FilmTiles, FinishedTile, take_spill
+from raybatch_addon.core.film.tile import FilmTile, FilmTiles, FinishedTile
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Frame
 
@@ -74,18 +74,24 @@ def test_any_order_and_partition_gives_the_same_bits(values, random):
     assert total.sums()[0, 0] == whole.sums()[0, 0] == math.fsum(values)
 
 
-def black_tile(pixel_count: int) -> FilmTile:
+def film_tiles(transparent: bool = False, spill_places: int = 12) -> FilmTiles:
     device = wp.get_device(DEVICE)
     spilled = wp.zeros(1, dtype=int, device=device)
-    return FilmTiles(4, layout_of(("Combined",), False), ("Combined",), device, spilled).begin(pixel_count)
+    return FilmTiles(layout_of(("Combined",), transparent), ("Combined",), device, spilled, spill_places)
+
+
+def black_tile(pixel_count: int) -> FilmTile:
+    return film_tiles().begin(pixel_count)
 
 
 def test_a_sample_outside_the_window_is_set_aside_and_kept():
-    tile = black_tile(1)
+    tiles = film_tiles()
+    tile = tiles.begin(1)
+    assert not tiles.take_spill(tile, 0) and tile.wide.size == 0
     tile.spill_index.assign(np.array([0, 2] + [0] * 10, np.int32))
     tile.spill_value.assign(np.array([1e30, 1e-30] + [0] * 10, np.float32))
     tile.spill_count.assign([2])
-    take_spill(tile, 2, wp.get_device(DEVICE))
+    assert not tiles.take_spill(tile, 2)
     sums = ExactSums(tile.window.numpy(), tile.wide.numpy(), 3).sums()[0]
     assert sums.tolist() == [float(np.float32(1e30)), 0.0, float(np.float32(1e-30))]
     assert tile.spill_count.numpy()[0] == 0
@@ -181,8 +187,7 @@ def test_finished_tiles_keep_no_array_of_their_worker_and_stay_until_they_are_fe
 
 def test_tiles_of_a_transparent_film_leave_the_rest_empty():
     layout = layout_of(("Combined",), True)
-    device = wp.get_device(DEVICE)
-    tile = FilmTiles(4, layout, ("Combined",), device, wp.zeros(1, dtype=int, device=device)).begin(1)
+    tile = film_tiles(transparent=True).begin(1)
     window = np.zeros((WINDOW_DIGITS, 4), np.int64)
     window[-1] = [1, 2, 3, 1]
     tile.window.assign(window)

@@ -17,6 +17,13 @@ from .layout import COST_PASSES, FIRST_SAMPLE_PASSES, PASSES, ChannelLayout, mea
 from .sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, add_wide, means_of, no_wide
 
 
+@wp.func
+def fits_window(value: float) -> bool:
+    """Whether the window's digits can hold `value` (`add_window`)."""
+    scaled = wp.float64(value) * wp.float64(79228162514264337593543950336.0)  # 2^96
+    return wp.abs(value) < 4294967296.0 and wp.trunc(scaled) == scaled
+
+
 @wp.struct
 class FilmTile:
     """Sums and counts of one tile."""
@@ -33,14 +40,21 @@ class FilmTile:
     spill_count: wp.array(dtype=int)  # shape [1]
 
 
+# Places for channels that are set aside. When they run out the paths that found none wait until there are wide digits
+SPILL_PLACES = 1 << 16
+
+
 class FilmTiles:
     """Makes the tiles of one worker; what is set aside at the window's ends has one place for all of them."""
 
-    def __init__(self, path_count: int, layout: ChannelLayout, passes: tuple[str, ...], device: wp.Device, spill_count: wp.array):
-        """`spill_count`, int32, shape [1], counts what is set aside."""
+    def __init__(
+        self, layout: ChannelLayout, passes: tuple[str, ...], device: wp.Device, spill_count: wp.array, spill_places: int = SPILL_PLACES
+    ):  # fmt: skip
+        """`spill_count`, int32, shape [1], counts what is set aside: whole pixels, of which `spill_places` channels have a place."""
         self._layout, self._passes, self._device, self._spill_count = layout, passes, device, spill_count
-        self._spill_index = wp.empty(path_count * layout.count, dtype=int, device=device)
-        self._spill_value = wp.empty(path_count * layout.count, dtype=float, device=device)
+        places = max(1, spill_places // layout.count) * layout.count
+        self._spill_index = wp.zeros(places, dtype=int, device=device)
+        self._spill_value = wp.zeros(places, dtype=float, device=device)
 
     def begin(self, pixel_count: int) -> FilmTile:
         """A black tile."""
@@ -60,6 +74,17 @@ class FilmTiles:
         tile.spill_count = self._spill_count
         return tile
 
+    def take_spill(self, film: FilmTile, spilled: int) -> bool:
+        """Add the `spilled` channels that were set aside to wide digits; whether some found no place, so that there is more to add."""
+        if spilled == 0:
+            return False
+        if film.wide.shape[0] == 0:
+            film.wide = wp.zeros((WIDE_DIGITS, film.window.shape[1]), dtype=wp.int64, device=self._device)
+        places = film.spill_index.shape[0]
+        wp.launch(add_spill_kernel, min(spilled, places), [film], device=self._device)
+        film.spill_count.zero_()
+        return spilled > places
+
 
 @wp.kernel(**KERNEL_OPTIONS)
 def add_spill_kernel(film: FilmTile):
@@ -67,14 +92,6 @@ def add_spill_kernel(film: FilmTile):
     i = wp.tid()
     if i < film.spill_count[0]:
         add_wide(film.wide, film.spill_index[i], film.spill_value[i])
-
-
-def take_spill(film: FilmTile, spilled: int, device: wp.Device) -> None:
-    """Give `film` wide digits and add the `spilled` channels to them."""
-    if film.wide.shape[0] == 0:
-        film.wide = wp.zeros((WIDE_DIGITS, film.window.shape[1]), dtype=wp.int64, device=device)
-    wp.launch(add_spill_kernel, spilled, [film], device=device)
-    film.spill_count.zero_()
 
 
 @wp.func

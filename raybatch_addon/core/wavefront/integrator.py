@@ -11,7 +11,7 @@ from typing import Any
 import warp as wp
 
 from ..film import layout_of
-from ..film.tile import FilmTile, FilmTiles, FinishedTile, take_spill
+from ..film.tile import FilmTile, FilmTiles, FinishedTile
 from ..report.counters import Counters, CounterTotals
 from ..report.timing import NoTimer
 from ..scene.description import Frame
@@ -19,20 +19,17 @@ from ..settings import RenderSettings
 from ..shading.sampling import filter_table
 from .device_scene import DeviceScene
 from .kernels import StageKernels
-from .queues import Counts, GatherRule, PairQueue, Scratch
+from .queues import Length, PathLists
 from .ray_order import RayOrder
-from .rays import RayKind, Status, allocate_paths, allocate_rays
+from .rays import RayKind, RayNeeds, allocate_paths, allocate_rays, bounce_kernel
 from .scheduler import Rectangle, WaterMarks
 from .stages.generate import TileWork
 from .stages.limits import path_limits
-from .stages.trace import counter_features, tracing_stages
+from .stages.trace import Traversal, counter_features, tracing_stages
 from .tracer import NO_SLOTS, SlotList, UnbatchedTracer
 
 # A stopped tile whose rays are not at their end after this long gives them up [s]
 DRAIN_SECONDS = 0.25
-
-_PENDING = int(Status.RAY_NEW | Status.RAY_OUT | Status.SHADOW_NEW | Status.SHADOW_OUT)
-_SHADE = int(Status.ALIVE | Status.ENDED | Status.HIT) | _PENDING
 
 
 @dataclass
@@ -58,42 +55,6 @@ class RayTotals:
         return self.camera + self.bounced + self.shadow
 
 
-# Places of the lists' lengths among the worker's counts
-_BOUNCE, _SHADOW, _MISS, _SURFACE, _DONE, _FREE, _CAMERA, _SPILL, _SPLIT, _SPLIT_2, _SPLIT_3, _COUNTS = range(12)
-
-
-class TileLists:
-    """The lists of a turn of the loop."""
-
-    def __init__(self, path_count: int, device: wp.Device):
-        new_ray, out_ray = int(Status.RAY_NEW), int(Status.RAY_NEW | Status.RAY_OUT)
-        new_shadow, out_shadow = int(Status.SHADOW_NEW), int(Status.SHADOW_NEW | Status.SHADOW_OUT)
-        alive, hit, ended = int(Status.ALIVE), int(Status.HIT), int(Status.ALIVE | Status.ENDED)
-        shade = ended | hit | out_ray | out_shadow
-        self.counts = Counts(_COUNTS, device)
-        self._scratch = Scratch(path_count, device)
-
-        def pair(a: GatherRule, b: GatherRule, place: int, b_has_a: bool = False) -> PairQueue:
-            return PairQueue(path_count, a, b, self.counts, place, b_has_a)
-
-        shadow = GatherRule(new_shadow, new_shadow, change=out_shadow, slot_first=path_count)
-        self._new = pair(GatherRule(new_ray, new_ray, change=out_ray), shadow, _BOUNCE)
-        self._back = pair(GatherRule(shade, alive), GatherRule(shade, alive | hit), _MISS)
-        self._over = pair(GatherRule(ended | out_ray | out_shadow, ended), GatherRule(alive, 0), _DONE, b_has_a=True)
-
-    def new_rays(self, status: wp.array, bound: int) -> tuple[SlotList, SlotList]:
-        """Scattered rays and shadow rays that wait to be traced; they count as under way from now on."""
-        return self._new.gather(status, self._scratch, bound)
-
-    def back(self, status: wp.array, bound: int) -> tuple[SlotList, SlotList]:
-        """Paths whose rays are all back: those that left the scene, and those that met a surface."""
-        return self._back.gather(status, self._scratch, bound)
-
-    def over(self, status: wp.array, path_count: int) -> tuple[SlotList, SlotList]:
-        """Paths at their end, and all slots that are free once these are in the film."""
-        return self._over.gather(status, self._scratch, path_count)
-
-
 class TileIntegrator:
     """One worker: its rays, queues and the loop that moves them."""
 
@@ -104,18 +65,21 @@ class TileIntegrator:
         self._limits = path_limits(settings, frame.width)
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, features, device)
-        self._rays = allocate_rays(count * (2 if scene.shadow_rays else 1), device)
+        needs = RayNeeds.of(features, scene.traversal == Traversal.REFERENCE)
+        self._rays = allocate_rays(count, device, dataclasses.replace(needs, shadow_rays=scene.shadow_rays))
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
-        self._lists = TileLists(count, device)
-        self._film_tiles = FilmTiles(count, self._layout, frame.passes, device, self._lists.counts.at(_SPILL))
-        self._free = self._bounced = self._shadow = NO_SLOTS
+        self._lists = PathLists(count, device)
+        self._film_tiles = FilmTiles(self._layout, frame.passes, device, self._lists.counts.at(Length.SPILL))
+        self._free: wp.array | None = None
+        self._bounced = self._shadow = NO_SLOTS
         counting = counter_features(settings, frame.passes, scene.traversal)
         self._counters = Counters(counting, self._rays.origin.size, settings.bounce_max, device) if counting else None
         self._counts_steps = bool(counting and counting.steps)
+        self._bounce = wp.zeros(count if counting else 0, dtype=int, device=device)  # of each path, for the counters
         self._timer = self._counters.timer if self._counters else NoTimer()
         self._order = None
         if scene.tree and settings.ray_sort != "OFF":
-            self._order = RayOrder(settings.ray_sort, count, scene.box, self._lists.counts, _SPLIT, self._timer)
+            self._order = RayOrder(settings.ray_sort, count, scene.box, device, self._timer)
         self._tracer = self._new_tracer() if scene.tree else None
         self._cost: wp.array | None = None
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
@@ -163,8 +127,7 @@ class TileIntegrator:
         work.frame_width = self._frame.width
         work.sample_first, work.sample_count = sample_first, sample_count
         work.filter_table = self._filter
-        # every slot is free
-        self._free = self._lists.over(self._paths.status, self._marks.path_count)[1]
+        self._free = self._lists.all_free(self._paths.status)
         if self._counters:
             self._cost = self._counters.begin_tile(tile.pixel_count)
         return work, self._film_tiles.begin(tile.pixel_count)
@@ -174,15 +137,15 @@ class TileIntegrator:
         if count == 0:
             return NO_SLOTS
         work.item_first, work.item_count = state.items_begun, count
-        lengths = self._lists.counts.at(_CAMERA)
+        length = self._lists.counts.at(Length.CAMERA)
         with self._timer.stage("generate"):
             self._launch(
-                self._kernels.generate, count, work, self._limits, self._scene.camera, self._paths, self._rays, self._free.slots, lengths
+                self._kernels.generate, count, work, self._limits, self._scene.camera, self._paths, self._rays, self._free, length
             )
         state.items_begun += count
         self._alive += count
         self.rays.camera += count
-        return SlotList(self._free.slots, lengths, count, coherent=True)
+        return SlotList(self._free, length, count, coherent=True)
 
     def _trace(self, camera: SlotList) -> None:
         waves = [(RayKind.CLOSEST, camera), (RayKind.CLOSEST, self._bounced), (self._shadow_kind, self._shadow)]
@@ -197,7 +160,8 @@ class TileIntegrator:
         self._tracer.advance()
         for kind, back in self._tracer.take_finished():
             if self._counters:
-                self._counters.add(kind, back, self._paths.bounce, self._paths.pixel, self._cost)
+                self._launch(bounce_kernel, self.path_count, self._paths.status, self._bounce)
+                self._counters.add(kind, back, self._bounce, self._paths.pixel, self._cost)
             with self._timer.stage("shade"):
                 self._take_back(kind, back)
 
@@ -224,26 +188,23 @@ class TileIntegrator:
 
     def _finish_paths(self, film: FilmTile) -> int:
         """Move paths that are over to the film, and list the rays of the next turn; how many were over."""
+        by_bounce = self._order is not None and self._order.wants_parts(self.rays.camera)
         with self._timer.stage("lists"):
-            done, self._free = self._lists.over(self._paths.status, self._marks.path_count)
-            bounced, shadow = self._lists.new_rays(self._paths.status, self._alive)
-            if self._order:
-                self._order.split(bounced, self._paths.bounce, self.rays.camera)
+            done = self._lists.end_turn(self._paths.status, self._alive, by_bounce)
         with self._timer.stage("film"):
-            # the list of the done is no longer than there are paths alive
-            self._launch(self._kernels.accumulate, self._alive, self._paths, film, done.slots, done.count)
-        counts = self._lists.counts.fetch()
-        if counts[_SPILL]:
-            take_spill(film, counts[_SPILL], self._device)
-        self._alive -= counts[_DONE]
-        self.items_done += counts[_DONE]
-        self.rays.bounced += counts[_BOUNCE]
-        self.rays.shadow += counts[_SHADOW]
-        self._bounced = dataclasses.replace(bounced, bound=counts[_BOUNCE])
-        self._shadow = dataclasses.replace(shadow, bound=counts[_SHADOW])
+            self._launch_over(self._kernels.accumulate, done, self._paths, film)
+        lengths = self._lists.counts.fetch()
+        if self._film_tiles.take_spill(film, lengths[Length.SPILL]):
+            self._launch_over(self._kernels.accumulate, done, self._paths, film)
+        self._alive -= lengths[Length.DONE]
+        self.items_done += lengths[Length.DONE]
+        self.rays.bounced += lengths[Length.BOUNCE]
+        self.rays.shadow += lengths[Length.SHADOW]
+        turn = self._lists.next_turn(lengths, by_bounce)
+        self._free, self._bounced, self._shadow = turn.free, turn.bounced, turn.shadow
         if self._order:
-            self._order.told(counts)
-        return counts[_DONE]
+            self._order.told(turn.bounced, turn.bounced_parts)
+        return lengths[Length.DONE]
 
     def _give_up(self, state: TileState) -> None:
         """Leave the rays that are under way; the tile can be shown but not resumed."""

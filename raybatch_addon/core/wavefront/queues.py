@@ -1,102 +1,210 @@
 """Lists of path slots by status, made by counting, exclusive scan and scatter: no locks, and always in slot order.
 
-Two lists are made at a time: their counts share the halves of one 64-bit scan.
+Paths are counted in blocks, so that only a block has places in the work arrays: on CUDA each warp counts a block, its lanes by
+votes; on the CPU one block holds all paths. All lists of a worker lie in one array of two entries a path, a list behind the one
+before it:
+
+- at the end of a turn paths at their end, free slots, and new extending rays by bounce: together at most one entry a path. Behind them
+  new shadow rays, of which a path may have one too;
+- when rays are back, paths that left the scene, and in the array's second half paths that met a surface. By then the lists of the turn
+  before are used up.
 """
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
+from enum import Enum, IntEnum
 
 import warp as wp
 
 from ..kernel import KERNEL_OPTIONS
-from .tracer import SlotList
+from .rays import BOUNCE_SHIFT, Status
+from .tracer import NO_SLOTS, SlotList
+
+# Paths that a warp counts, a multiple of 32
+CUDA_BLOCK = 256
 
 
-@wp.struct
-class PairRule:
-    """Which paths belong to the lists A and B: those with `status & mask == value`."""
+class Length(IntEnum):
+    """Places of the lists' lengths among a worker's counts."""
 
-    mask_a: int
-    value_a: int
-    change_a: int  # status bits that are flipped on the way
-    slot_first_a: int  # added to the path's number
-    mask_b: int
-    value_b: int
-    change_b: int
-    slot_first_b: int
-    b_has_a: int  # B takes the paths of A too
-    place: int  # of the two counts
-
-
-@wp.kernel(**KERNEL_OPTIONS)
-def flag_kernel(status: wp.array(dtype=int), rule: PairRule, flags: wp.array(dtype=wp.int64)):
-    """`flags` has 1 for list A, and 2^32 for list B."""
-    slot = wp.tid()
-    state = status[slot]
-    flag = wp.int64(0)
-    is_a = (state & rule.mask_a) == rule.value_a
-    if is_a:
-        flag = wp.int64(1)
-    if (state & rule.mask_b) == rule.value_b or (is_a and rule.b_has_a != 0):
-        flag = flag + wp.int64(4294967296)
-    flags[slot] = flag
+    DONE = 0  # paths at their end
+    FREE = 1  # slots that were free before
+    BOUNCE_1 = 2  # new extending rays of paths that have scattered once (or not yet, and only passed what is transparent)
+    BOUNCE_2 = 3  # twice
+    BOUNCE_LATER = 4  # more often
+    SHADOW = 5  # new shadow rays
+    BOUNCE = 6  # all new extending rays
+    MISS = 7  # paths that left the scene
+    SURFACE = 8  # paths that met a surface
+    CAMERA = 9  # new paths
+    SPILL = 10  # channels that were set aside
 
 
-@wp.kernel(**KERNEL_OPTIONS)
-def scatter_kernel(
-    flags: wp.array(dtype=wp.int64),
-    offsets: wp.array(dtype=wp.int64),
-    rule: PairRule,
-    status: wp.array(dtype=int),
-    slots_a: wp.array(dtype=int),
-    slots_b: wp.array(dtype=int),
-    counts: wp.array(dtype=int),
-):
-    """Write flagged slots in order, flip the `change` bits of their status, and count them."""
-    slot = wp.tid()
-    flag = flags[slot]
-    offset = offsets[slot]
-    if flag != wp.int64(0):
-        change = int(0)
-        if (flag & wp.int64(1)) != wp.int64(0):
-            slots_a[int(offset & wp.int64(0xFFFFFFFF))] = rule.slot_first_a + slot
-            change = rule.change_a
-        if flag > wp.int64(1):
-            slots_b[int(offset >> wp.int64(32))] = rule.slot_first_b + slot
-            change = change | rule.change_b
-        if change != 0:
-            status[slot] = status[slot] ^ change
-    if slot == flags.shape[0] - 1:
-        total = offset + flag
-        counts[rule.place] = int(total & wp.int64(0xFFFFFFFF))
-        counts[rule.place + 1] = int(total >> wp.int64(32))
+class ListSet(Enum):
+    """Lists that are made together, in the order of their `Length`s."""
+
+    TURN = 6  # DONE to SHADOW
+    BACK = 2  # MISS, SURFACE
 
 
-QUEUE_KERNELS = (flag_kernel, scatter_kernel)
+_ALIVE, _ENDED, _HIT = int(Status.ALIVE), int(Status.ENDED), int(Status.HIT)
+_RAY_NEW, _RAY_OUT, _SHADOW_NEW, _SHADOW_OUT = int(Status.RAY_NEW), int(Status.RAY_OUT), int(Status.SHADOW_NEW), int(Status.SHADOW_OUT)
+_WAITING = _RAY_NEW | _RAY_OUT | _SHADOW_NEW | _SHADOW_OUT
+
+_BLOCK = """
+    const int paths = status.shape[0];
+    #if defined(__CUDA_ARCH__)
+    const int block_number = thread / 32, lane = thread % 32;
+    #else
+    const int block_number = thread, lane = 0;
+    #endif
+    const int first = block_number * block_size, end = paths - first > block_size ? first + block_size : paths;
+"""
+
+# `lists_of`: which lists a path belongs to, as bits
+_RULES = {
+    ListSet.TURN: f"""
+    constexpr int LISTS = 6;
+    auto lists_of = [&](int word) -> unsigned int {{
+        if (!(word & {_ALIVE})) return 2u;
+        if ((word & {_ENDED | _WAITING}) == {_ENDED}) return 1u;
+        const unsigned int shadow = word & {_SHADOW_NEW} ? 32u : 0u;
+        if (!(word & {_RAY_NEW})) return shadow;
+        const int bounce = word >> {BOUNCE_SHIFT};
+        return shadow | (!by_bounce || bounce <= 1 ? 4u : bounce == 2 ? 8u : 16u);
+    }};
+    """,
+    ListSet.BACK: f"""
+    constexpr int LISTS = 2;
+    auto lists_of = [&](int word) -> unsigned int {{
+        if ((word & {_ALIVE | _ENDED | _WAITING}) != {_ALIVE}) return 0u;
+        return word & {_HIT} ? 2u : 1u;
+    }};
+    """,
+}
+
+_COUNT = """
+    const int blocks = (counts.shape[0] - 1) / LISTS;
+    int found[LISTS] = {};
+    #if defined(__CUDA_ARCH__)
+    for (int from = first; from < end; from += 32) {
+        const unsigned int lists = from + lane < end ? lists_of(status.data[from + lane]) : 0u;
+        for (int k = 0; k < LISTS; ++k) found[k] += __popc(__ballot_sync(0xffffffffu, lists >> k & 1u));
+    }
+    #else
+    for (int path = first; path < end; ++path)
+        for (unsigned int lists = lists_of(status.data[path]); lists; lists &= lists - 1u) ++found[__builtin_ctz(lists)];
+    #endif
+    if (lane == 0)
+        for (int k = 0; k < LISTS; ++k) counts.data[k * blocks + block_number] = found[k];
+"""
+
+_SCATTER = """
+    const int blocks = (offsets.shape[0] - 1) / LISTS;
+    int at[LISTS];
+    for (int k = 0; k < LISTS; ++k) at[k] = offsets.data[k * blocks + block_number];
+    if (block_number == 0 && lane == 0) tell(at);
+    place_apart(at);
+    #if defined(__CUDA_ARCH__)
+    for (int from = first; from < end; from += 32) {
+        const int path = from + lane;
+        const unsigned int lists = path < end ? lists_of(status.data[path]) : 0u;
+        for (int k = 0; k < LISTS; ++k) {
+            const unsigned int vote = __ballot_sync(0xffffffffu, lists >> k & 1u);
+            if (lists >> k & 1u) slots.data[at[k] + __popc(vote & ((1u << lane) - 1u))] = slot_of(path, k);
+            at[k] += __popc(vote);
+        }
+        if (lists) submit(path, lists);
+    }
+    #else
+    for (int path = first; path < end; ++path) {
+        const unsigned int lists = lists_of(status.data[path]);
+        for (unsigned int rest = lists; rest; rest &= rest - 1u) {
+            const int k = __builtin_ctz(rest);
+            slots.data[at[k]++] = slot_of(path, k);
+        }
+        if (lists) submit(path, lists);
+    }
+    #endif
+"""
+
+# What the scattering of either set does beside: it tells lengths, and counts rays that are listed as under way
+_SCATTERED = {
+    ListSet.TURN: f"""
+    auto tell = [&](const int* at) {{
+        for (int k = 0; k < LISTS; ++k) lengths.data[{Length.DONE} + k] = offsets.data[(k + 1) * blocks] - at[k];
+        lengths.data[{Length.BOUNCE}] = offsets.data[5 * blocks] - at[2];
+    }};
+    auto place_apart = [](int*) {{}};
+    auto slot_of = [&](int path, int k) {{ return k == 5 ? paths + path : path; }};
+    auto submit = [&](int path, unsigned int lists) {{
+        const int flipped = (lists & 28u ? {_RAY_NEW | _RAY_OUT} : 0) | (lists & 32u ? {_SHADOW_NEW | _SHADOW_OUT} : 0);
+        if (flipped) status.data[path] ^= flipped;
+    }};
+    """,
+    ListSet.BACK: f"""
+    auto tell = [&](const int* at) {{
+        for (int k = 0; k < LISTS; ++k) lengths.data[{Length.MISS} + k] = offsets.data[(k + 1) * blocks] - at[k];
+    }};
+    auto place_apart = [&](int* at) {{ at[1] += paths - offsets.data[blocks]; }};
+    auto slot_of = [](int path, int) {{ return path; }};
+    auto submit = [](int, unsigned int) {{}};
+    """,
+}
 
 
-@dataclass(frozen=True)
-class GatherRule:
-    """Which paths belong to a list: those with `status & mask == value`."""
+@functools.cache
+def list_kernels(lists: ListSet) -> tuple[wp.Kernel, wp.Kernel]:
+    """Kernels (status, block_size, by_bounce, counts) and (status, block_size, by_bounce, offsets, slots, lengths).
 
-    mask: int
-    value: int
-    change: int = 0  # status bits that are flipped on the way
-    slot_first: int = 0  # added to the path's number: 0 for extending rays, the path count for shadow rays
+    The first counts each block's paths of every list, the second writes the lists to `slots`, flips the status of rays that are listed, and
+    tells `lengths`. `counts` and `offsets`, its exclusive scan, have shape [lists * blocks + 1]. A block is `block_size` paths; on
+    CUDA 32 threads take one, on the CPU one thread.
+    """
+    before = _BLOCK + _RULES[lists]
+    scatter_text = before + _SCATTER.replace("    int at[LISTS];", _SCATTERED[lists] + "    int at[LISTS];")
+
+    @wp.func_native(before + _COUNT)
+    def count_block(status: wp.array(dtype=int), block_size: int, by_bounce: int, counts: wp.array(dtype=int), thread: int): ...
+
+    @wp.func_native(scatter_text)
+    def scatter_block(
+        status: wp.array(dtype=int), block_size: int, by_bounce: int, offsets: wp.array(dtype=int), slots: wp.array(dtype=int),
+        lengths: wp.array(dtype=int), thread: int,
+    ): ...  # fmt: skip
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def count_paths(status: wp.array(dtype=int), block_size: int, by_bounce: int, counts: wp.array(dtype=int)):
+        count_block(status, block_size, by_bounce, counts, wp.tid())
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def scatter_paths(
+        status: wp.array(dtype=int), block_size: int, by_bounce: int, offsets: wp.array(dtype=int), slots: wp.array(dtype=int),
+        lengths: wp.array(dtype=int),
+    ):  # fmt: skip
+        scatter_block(status, block_size, by_bounce, offsets, slots, lengths, wp.tid())
+
+    return count_paths, scatter_paths
+
+
+QUEUE_KERNELS = (*list_kernels(ListSet.TURN), *list_kernels(ListSet.BACK))
 
 
 class Counts:
     """Lengths of all lists of a worker, side by side on the device, so that one copy brings them to the host."""
 
-    def __init__(self, size: int, device: wp.Device):
+    def __init__(self, device: wp.Device):
+        size = len(Length)
         self.on_device = wp.zeros(size, dtype=int, device=device)
         # a CUDA device writes to memory that the host has pinned without a detour
         self._on_host = wp.zeros(size, dtype=int, device="cpu", pinned=True) if device.is_cuda else self.on_device
+        self._places = [self.on_device[place : place + 1] for place in range(size)]
 
     def at(self, place: int) -> wp.array:
         """One count, int32, shape [1]."""
-        return self.on_device[place : place + 1]
+        return self._places[place]
 
     def fetch(self) -> list[int]:
         """All of them, once the device is done with what it was told."""
@@ -107,38 +215,67 @@ class Counts:
         return self._on_host.numpy().tolist()
 
 
-class Scratch:
-    """Work arrays of `PairQueue.gather`, shared by the queues of one worker."""
+@dataclass(frozen=True)
+class TurnLists:
+    """What the next turn begins with."""
 
-    def __init__(self, path_count: int, device: wp.Device):
-        self.flags = wp.zeros(path_count, dtype=wp.int64, device=device)
-        self.offsets = wp.zeros(path_count, dtype=wp.int64, device=device)
+    free: wp.array | None  # free slots, those of paths at their end too
+    bounced: SlotList  # new extending rays
+    bounced_parts: list[SlotList]  # the same by bounce, if that was asked for
+    shadow: SlotList  # new shadow rays
 
 
-class PairQueue:
-    """Makes and holds two lists of slots."""
+class PathLists:
+    """Makes and holds the lists of one worker."""
 
-    def __init__(self, path_count: int, a: GatherRule, b: GatherRule, counts: Counts, place: int, b_has_a: bool = False):
-        """Lists by the rules `a` and `b`; their lengths are `counts` number `place` and the next."""
-        self._device = device = counts.on_device.device
-        self._path_count = path_count
-        self._slots = [wp.zeros(path_count, dtype=int, device=device) for _ in range(2)]
-        self._counts, self._place = counts, place
-        self._rule = PairRule()
-        for name, rule in (("a", a), ("b", b)):
-            for field in ("mask", "value", "change", "slot_first"):
-                setattr(self._rule, f"{field}_{name}", getattr(rule, field))
-        self._rule.b_has_a, self._rule.place = int(b_has_a), place
+    def __init__(self, path_count: int, device: wp.Device, block_size: int = 0):
+        """For `path_count` paths. `block_size`: paths of a block (0: as the device asks for)."""
+        self._device, self._path_count = device, path_count
+        self._block_size = block_size or (CUDA_BLOCK if device.is_cuda else path_count)
+        self._blocks = -(-path_count // self._block_size)
+        self.counts = Counts(device)
+        self._slots = wp.zeros(2 * path_count, dtype=int, device=device)
+        self._halves = [self._slots[:path_count], self._slots[path_count:]]
+        self._work = {}
+        shared = [wp.zeros(ListSet.TURN.value * self._blocks + 1, dtype=int, device=device) for _ in range(2)]
+        for lists in ListSet:
+            self._work[lists] = [array[: lists.value * self._blocks + 1] for array in shared]
 
-    def gather(self, status: wp.array, scratch: Scratch, bound: int) -> tuple[SlotList, SlotList]:
-        """The paths that the rules pick; the caller knows that neither list is longer than `bound`."""
-        count, (slots_a, slots_b) = self._path_count, self._slots
-        wp.launch(flag_kernel, count, [status, self._rule, scratch.flags], device=self._device)
-        wp.utils.array_scan(scratch.flags, scratch.offsets, inclusive=False)
-        wp.launch(
-            scatter_kernel, count,
-            [scratch.flags, scratch.offsets, self._rule, status, slots_a, slots_b, self._counts.on_device],
-            device=self._device,
-        )  # fmt: skip
-        lists = zip(self._slots, (self._counts.at(self._place), self._counts.at(self._place + 1)))
-        return tuple(SlotList(slots, count, bound) for slots, count in lists)
+    def all_free(self, status: wp.array) -> wp.array:
+        """The list of free slots while no path is alive."""
+        self._make(ListSet.TURN, status)
+        return self._halves[0]
+
+    def back(self, status: wp.array, bound: int) -> tuple[SlotList, SlotList]:
+        """Paths whose rays are all back: those that left the scene, and those that met a surface; neither is longer than `bound`."""
+        self._make(ListSet.BACK, status)
+        lengths = (self.counts.at(Length.MISS), self.counts.at(Length.SURFACE))
+        return tuple(SlotList(slots, length, bound) for slots, length in zip(self._halves, lengths))
+
+    def end_turn(self, status: wp.array, bound: int, by_bounce: bool) -> SlotList:
+        """Make all lists of the next turn; rays in them count as under way from now on. Returns the paths at their end, at most `bound`."""
+        self._make(ListSet.TURN, status, by_bounce)
+        return SlotList(self._halves[0], self.counts.at(Length.DONE), bound)
+
+    def next_turn(self, lengths: list[int], by_bounce: bool) -> TurnLists:
+        """The lists that `end_turn` has made, with the fetched `lengths`; valid until `back`."""
+        place, parts = lengths[Length.DONE] + lengths[Length.FREE], []
+        free = self._slots[:place] if place else None
+        bounced = self._part(place, lengths, Length.BOUNCE)
+        for length in (Length.BOUNCE_1, Length.BOUNCE_2, Length.BOUNCE_LATER):
+            parts.append(self._part(place, lengths, length))
+            place += lengths[length]
+        return TurnLists(free, bounced, parts if by_bounce else [], self._part(place, lengths, Length.SHADOW))
+
+    def _part(self, place: int, lengths: list[int], which: Length) -> SlotList:
+        length = lengths[which]
+        return SlotList(self._slots[place : place + length], self.counts.at(which), length) if length else NO_SLOTS
+
+    def _make(self, lists: ListSet, status: wp.array, by_bounce: bool = False) -> None:
+        count_paths, scatter_paths = list_kernels(lists)
+        counts, offsets = self._work[lists]
+        rule = [status, self._block_size, int(by_bounce)]
+        threads = self._blocks * (32 if self._device.is_cuda else 1)
+        wp.launch(count_paths, threads, [*rule, counts], device=self._device)
+        wp.utils.array_scan(counts, offsets, inclusive=False)
+        wp.launch(scatter_paths, threads, [*rule, offsets, self._slots, self.counts.on_device], device=self._device)

@@ -8,56 +8,59 @@ import numpy as np
 import warp as wp
 
 from ..report.timing import NoTimer, StageTimer, Stopwatch, cost_clock_of
-from .bounce_split import SPLIT_CLASSES, BounceSplit, split_kernels
-from .queues import Counts
 from .ray_sort import RaySorter, sort_bytes_per_ray, sort_kernel
 from .rays import RayKind, Rays
-from .sort_policy import BOUNCE, CAMERA, SHADOW, SortPolicy
+from .sort_policy import BOUNCE, BOUNCE_1, BOUNCE_2, BOUNCE_LATER, CAMERA, SHADOW, SortPolicy
 from .tracer import SlotList
 
 # Trials of sorting begin when this many times the paths alive were begun: the first waves are all camera rays
 ITEMS_FIRST = 4
+# Rays that are sorted at a time, so that sorting takes no more memory however many are alive; longer lists are sorted in parts
+CPU_SORTED_MAX, CUDA_SORTED_MAX = 1 << 18, 1 << 22
+# The parts of the list of scattered rays that are sorted or not each by itself
+SPLIT_CLASSES = (BOUNCE_1, BOUNCE_2, BOUNCE_LATER)
 
 
 def order_kernels(ray_sort: str, device: wp.Device) -> list[wp.Kernel]:
     """Everything that a `RayOrder` launches; nothing where rays are never sorted."""
-    return [] if ray_sort == "OFF" else [sort_kernel(device), *split_kernels(device)]
+    return [] if ray_sort == "OFF" else [sort_kernel(device)]
+
+
+def order_bytes(ray_sort: str, path_count: int, is_cuda: bool) -> int:
+    """Device memory that a `RayOrder` of so many paths takes at most: when it sorts first [bytes]."""
+    return 0 if ray_sort == "OFF" else _sorted_max(path_count, is_cuda) * sort_bytes_per_ray(is_cuda)
 
 
 def order_bytes_per_path(ray_sort: str, is_cuda: bool) -> int:
-    """Device memory of a `RayOrder` for each path alive [bytes]."""
-    if ray_sort == "OFF":
-        return 0
-    lists = 3 * 4 + (2 * 8 if is_cuda else 0)  # by bounce, with two work arrays of the scan on CUDA
-    return sort_bytes_per_ray(is_cuda) + lists
+    """What a `RayOrder` of few paths takes for each [bytes]; of many it takes less (`order_bytes`)."""
+    return order_bytes(ray_sort, 1, is_cuda)
+
+
+def _sorted_max(path_count: int, is_cuda: bool) -> int:
+    return min(path_count, CUDA_SORTED_MAX if is_cuda else CPU_SORTED_MAX)
 
 
 class RayOrder:
     """The order of one worker's rays."""
 
-    def __init__(self, mode: str, path_count: int, box: np.ndarray, counts: Counts, place: int, timer: StageTimer | NoTimer):
-        """`mode` is the setting `ray_sort`; `box`, two corners [m], holds the surfaces; `counts` from `place` on takes three lengths."""
-        device = counts.on_device.device
+    def __init__(self, mode: str, path_count: int, box: np.ndarray, device: wp.Device, timer: StageTimer | NoTimer):
+        """`mode` is the setting `ray_sort`; `box`, two corners [m], holds the surfaces."""
         self.policy = SortPolicy(mode, ITEMS_FIRST * path_count)
-        self._split = BounceSplit(path_count, counts.on_device, place)
-        self._sorter = RaySorter(path_count, device, *box)
+        self._box, self._device = box, device
+        self._sorted_max = _sorted_max(path_count, device.is_cuda)
+        self._sorter: RaySorter | None = None  # made when rays are sorted first
         self._watch = Stopwatch(cost_clock_of(device))
         self._timer = timer
-        self._place = place
-        self._parts: list[SlotList] | None = None  # of the list of scattered rays `_whole`
+        self._parts: list[SlotList] = []  # of the list of scattered rays `_whole`
         self._whole: wp.array | None = None
 
-    def split(self, bounced: SlotList, bounce: wp.array, items_begun: int) -> None:
-        """Cut the list of scattered rays by their bounce, where these are treated apart; `bounce` is that of each path."""
-        self._parts, self._whole = None, bounced.slots
-        if not self.policy.treats_alike(SPLIT_CLASSES, items_begun):
-            self._parts = self._split.split(bounced, bounce)
+    def wants_parts(self, items_begun: int) -> bool:
+        """Whether scattered rays are to be listed by bounce, because these are treated apart."""
+        return not self.policy.treats_alike(SPLIT_CLASSES, items_begun)
 
-    def told(self, counts: list[int]) -> None:
-        """The lengths of all lists have come to the host."""
-        if self._parts:
-            lengths = counts[self._place : self._place + len(self._parts)]
-            self._parts = [SlotList(part.slots, part.count, length) for part, length in zip(self._parts, lengths)]
+    def told(self, bounced: SlotList, parts: list[SlotList]) -> None:
+        """Scattered rays of the next turn, in one list, and by `SPLIT_CLASSES` if that was wanted."""
+        self._whole, self._parts = bounced.slots, parts
 
     def trace(self, kind: RayKind, listed: SlotList, rays: Rays, items_begun: int, launch: Callable[[SlotList], None]) -> None:
         """Call `launch` with lists that hold the rays of `listed`."""
@@ -69,19 +72,27 @@ class RayOrder:
             if measured:
                 self._watch.start((ray_class, sorts, part.bound))
             if sorts:
-                with self._timer.stage("sort"):
-                    part = self._sorter.sort(rays, part)
-            launch(part)
+                self._trace_sorted(rays, part, launch)
+            else:
+                launch(part)
             if measured:
                 self._watch.stop()
         for (ray_class, was_sorted, ray_count), seconds in self._watch.take():
             self.policy.record(ray_class, was_sorted, ray_count, seconds)
+
+    def _trace_sorted(self, rays: Rays, listed: SlotList, launch: Callable[[SlotList], None]) -> None:
+        if self._sorter is None:
+            self._sorter = RaySorter(self._sorted_max, self._device, *self._box)
+        for part in self._sorter.parts(listed):
+            with self._timer.stage("sort"):
+                part = self._sorter.sort(rays, part)
+            launch(part)
 
     def _classes(self, kind: RayKind, listed: SlotList) -> list[tuple[str, SlotList]]:
         if kind != RayKind.CLOSEST:
             return [(SHADOW, listed)]
         if listed.coherent:
             return [(CAMERA, listed)]
-        if self._parts is None or listed.slots is not self._whole:
+        if not self._parts or listed.slots is not self._whole:
             return [(BOUNCE, listed)]
         return list(zip(SPLIT_CLASSES, self._parts))

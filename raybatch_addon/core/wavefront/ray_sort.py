@@ -185,7 +185,7 @@ class RaySorter:
 
         `digit_bits` is how many leading bits of the key CUDA sorts by: it takes a pass for every eight.
         """
-        self._device = device
+        self._device, self._capacity = device, capacity
         self._first_bit = KEY_BITS - digit_bits
         self._kernel = sort_kernel(device, key)
         extent = np.asarray(high, np.float64) - np.asarray(low, np.float64)
@@ -198,6 +198,17 @@ class RaySorter:
         else:
             self._keys = wp.empty(2 * capacity, dtype=wp.uint64, device=device)
             self._sorted = wp.empty(capacity, dtype=int, device=device)
+
+    def parts(self, listed: SlotList) -> list[SlotList]:
+        """`listed`, whose length is exactly `bound`, in parts that are short enough to be sorted."""
+        if listed.bound <= self._capacity:
+            return [listed]
+        parts = []
+        for first in range(0, listed.bound, self._capacity):
+            length = min(self._capacity, listed.bound - first)
+            count = wp.full(1, length, dtype=int, device=self._device)
+            parts.append(dataclasses.replace(listed, slots=listed.slots[first : first + length], count=count, bound=length))
+        return parts
 
     def sort(self, rays: Rays, listed: SlotList) -> SlotList:
         """`listed` in sorted order, valid until the next call. `listed` itself stays as it is."""

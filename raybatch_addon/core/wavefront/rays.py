@@ -2,14 +2,19 @@
 
 A path has two ray slots: slot `p` holds the ray that extends path `p` (closest hit), slot `path_count + p` its
 shadow ray (occlusion). Both may be under way at once; the path goes on when both are back.
+
+There may be many millions of paths, so nothing is kept twice: `RayNeeds` says which arrays a render has, and which of them
+share memory.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 import warp as wp
 
+from ..kernel import KERNEL_OPTIONS
 from ..scene.features import SceneFeatures
 
 
@@ -22,7 +27,7 @@ class RayKind(IntEnum):
 
 
 class Status(IntFlag):
-    """Bits of `Paths.status`; 0 is a free slot."""
+    """The lowest bits of `Paths.status`; 0 is a free slot."""
 
     ALIVE = 1
     RAY_NEW = 2  # the extending ray waits to be submitted
@@ -33,17 +38,24 @@ class Status(IntFlag):
     HIT = 64  # the extending ray came back with a hit
 
 
+# Above the status: the `Visibility` bit of the extending ray (5 bits), and the bounce (up to 2^18 - 1)
+VISIBILITY_SHIFT = 8
+BOUNCE_SHIFT = 13
+# Places in lists: two lists, and blocks' counts of paths (`queues.py`)
+LIST_BYTES_PER_PATH = 2 * 4 + 1
+
+
 @wp.struct
 class Rays:
-    """Rays and their hits, one entry a ray slot."""
+    """Rays and their hits, one entry a ray slot; some arrays have entries only for the slots that need them (`allocate_rays`)."""
 
     origin: wp.array(dtype=wp.vec3)  # [m]
     direction: wp.array(dtype=wp.vec3)  # unit length in world space
     t_max: wp.array(dtype=float)  # only hits nearer than this count [m]
-    visibility: wp.array(dtype=int)  # `Visibility` bit of the ray: objects without it are passed
-    hit_t: wp.array(dtype=float)  # distance of the hit [m]
+    visibility: wp.array(dtype=int)  # `Visibility` bit of the ray: objects without it are passed. May have no entries
+    hit_t: wp.array(dtype=float)  # distance of the hit, or `t_max` [m]. May be the same memory as `t_max`
     hit_instance: wp.array(dtype=int)  # -1: nothing was hit. Of occlusion rays only this is set, and only its sign counts
-    hit_primitive: wp.array(dtype=int)  # triangle of the instance's mesh
+    hit_primitive: wp.array(dtype=int)  # triangle of the instance's mesh. Has entries for closest hits alone, like `hit_uv`
     hit_uv: wp.array(dtype=wp.vec2)  # barycentric weights of the triangle's second and third corner
 
 
@@ -51,10 +63,9 @@ class Rays:
 class Paths:
     """Shading state, one entry a path slot. Arrays that a scene does not need have no entries."""
 
-    status: wp.array(dtype=int)  # `Status` bits
+    status: wp.array(dtype=int)  # `Status` bits, the extending ray's visibility, and scattering events so far, without straight passes
     pixel: wp.array(dtype=int)  # within the tile, row by row from its bottom left
     sample: wp.array(dtype=wp.uint32)  # sample index of the pixel
-    bounce: wp.array(dtype=int)  # scattering events so far, straight passes not counted
     throughput: wp.array(dtype=wp.vec3)
     radiance: wp.array(dtype=wp.vec3)  # summed in bounce order
     pdf: wp.array(dtype=float)  # solid-angle density of the extending ray; 0: specular or from the camera
@@ -67,18 +78,62 @@ class Paths:
     normal: wp.array(dtype=wp.vec3)
 
 
-def allocate_rays(slot_count: int, device: wp.Device) -> Rays:
-    """`Rays` for `slot_count` ray slots."""
+@wp.func
+def bounce_of(status: int) -> int:
+    """Scattering events of a path so far."""
+    return status >> wp.static(BOUNCE_SHIFT)
+
+
+@wp.func
+def visibility_of(status: int) -> int:
+    """The `Visibility` bit of a path's extending ray."""
+    return (status >> wp.static(VISIBILITY_SHIFT)) & 31
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def bounce_kernel(status: wp.array(dtype=int), bounce: wp.array(dtype=int)):
+    """The bounce of every path, for who wants an array of it."""
+    path = wp.tid()
+    bounce[path] = bounce_of(status[path])
+
+
+@dataclass(frozen=True)
+class RayNeeds:
+    """What is kept of the rays of a render, beside origin, direction, `t_max` and `hit_instance`."""
+
+    shadow_rays: bool = False  # every path has a slot for a shadow ray
+    shadow_hits: bool = True  # shadow rays ask for closest hits
+    limits: bool = True  # `t_max` is read after the hit, so that `hit_t` needs memory of its own
+    visibility: bool = True  # the tracer reads which objects a ray sees
+
+    @staticmethod
+    def of(features: SceneFeatures, reference: bool = False) -> RayNeeds:
+        """For a scene with `features`. Warp's own tree (`reference`) reads everything, and leaves no `t_max` where nothing is hit."""
+        through = features.transparency
+        return RayNeeds(features.shadow_rays, through, through or reference, features.instancing or reference)
+
+    @property
+    def bytes_per_path(self) -> int:
+        """Device memory of the ray slots of one path [bytes]."""
+        slots = 1 + self.shadow_rays
+        closest = 1 + (self.shadow_rays and self.shadow_hits)
+        return slots * (12 + 12 + 4 + 4 + 4 * self.limits + 4 * self.visibility) + closest * (4 + 8)
+
+
+def allocate_rays(path_count: int, device: wp.Device, needs: RayNeeds = RayNeeds()) -> Rays:
+    """`Rays` for `path_count` paths; by default one slot each and every array in full."""
+    slots = path_count * (1 + needs.shadow_rays)
+    closest = slots if needs.shadow_hits else path_count
     rays = Rays()
     with wp.ScopedDevice(device):
-        rays.origin = wp.zeros(slot_count, dtype=wp.vec3)
-        rays.direction = wp.zeros(slot_count, dtype=wp.vec3)
-        rays.t_max = wp.zeros(slot_count, dtype=float)
-        rays.visibility = wp.zeros(slot_count, dtype=int)
-        rays.hit_t = wp.zeros(slot_count, dtype=float)
-        rays.hit_instance = wp.full(slot_count, -1, dtype=int)
-        rays.hit_primitive = wp.zeros(slot_count, dtype=int)
-        rays.hit_uv = wp.zeros(slot_count, dtype=wp.vec2)
+        rays.origin = wp.zeros(slots, dtype=wp.vec3)
+        rays.direction = wp.zeros(slots, dtype=wp.vec3)
+        rays.t_max = wp.zeros(slots, dtype=float)
+        rays.visibility = wp.zeros(slots if needs.visibility else 0, dtype=int)
+        rays.hit_t = wp.zeros(slots, dtype=float) if needs.limits else rays.t_max
+        rays.hit_instance = wp.full(slots, -1, dtype=int)
+        rays.hit_primitive = wp.zeros(closest, dtype=int)
+        rays.hit_uv = wp.zeros(closest, dtype=wp.vec2)
     return rays
 
 
@@ -92,7 +147,6 @@ def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) 
     paths.status = zeros(int)
     paths.pixel = zeros(int)
     paths.sample = zeros(wp.uint32)
-    paths.bounce = zeros(int)
     paths.throughput = zeros(wp.vec3)
     paths.radiance = zeros(wp.vec3)
     paths.pdf = zeros(float)
@@ -104,12 +158,9 @@ def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) 
     return paths
 
 
-def bytes_per_path(features: SceneFeatures) -> int:
-    """Device memory of one path alive: state, its ray slots, and its places in lists [bytes]."""
-    ray = 12 + 12 + 4 + 4 + 4 + 4 + 4 + 8
-    path = 4 * 4 + 12 + 12 + 4
+def bytes_per_path(features: SceneFeatures, reference: bool = False) -> int:
+    """Device memory of one path alive: state, its ray slots, and its places in lists [bytes]. `reference`: Warp's own tree is traced."""
+    path = 3 * 4 + 12 + 12 + 4
     path += 12 * features.shadow_rays + 8 * features.transparency
     path += 4 * features.film_transparent + 12 * ("Normal" in features.passes)
-    lists = 2 * 8 + 6 * 4  # two work arrays of the scan and six lists
-    spill = 8 * (4 + 3 * ("Normal" in features.passes))
-    return path + ray * (1 + features.shadow_rays) + lists + spill
+    return path + RayNeeds.of(features, reference).bytes_per_path + LIST_BYTES_PER_PATH

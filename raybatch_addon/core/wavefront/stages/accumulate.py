@@ -8,25 +8,52 @@ import warp as wp
 
 from ...film import ChannelLayout
 from ...film.sums import add_wide, add_window
-from ...film.tile import FilmTile
+from ...film.tile import FilmTile, fits_window
 from ...kernel import KERNEL_OPTIONS
 from ..rays import Paths
 
 
 @functools.cache
 def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
-    """Kernel (paths, film, slots, count)."""
+    """Kernel (paths, film, slots, count).
+
+    Where there are no wide digits yet, paths for which there is no room among the channels that are set aside stay as they are: a second
+    launch adds them, and no other, once there are wide digits.
+    """
     channels = layout.count
 
     @wp.func
-    def add(film: FilmTile, index: int, value: float):
-        if not add_window(film.window, index, value):
-            if film.wide.shape[0] > 0:
-                add_wide(film.wide, index, value)
-            else:
-                spilled = wp.atomic_add(film.spill_count, 0, 1)
-                film.spill_index[spilled] = index
-                film.spill_value[spilled] = value
+    def fits(paths: Paths, path: int) -> bool:
+        radiance = paths.radiance[path]
+        fits_all = fits_window(radiance[0]) and fits_window(radiance[1]) and fits_window(radiance[2])
+        if wp.static(layout.transparent):
+            fits_all = fits_all and fits_window(paths.alpha[path])
+        if wp.static(layout.normal):
+            normal = paths.normal[path]
+            fits_all = fits_all and fits_window(normal[0]) and fits_window(normal[1]) and fits_window(normal[2])
+        return fits_all
+
+    @wp.func
+    def places_aside(film: FilmTile) -> int:
+        """First of one path's places among the channels that are set aside, one a channel; -1: there is no room."""
+        places = film.spill_index.shape[0]
+        place = int(-1)
+        if film.spill_count[0] <= places:  # else it tells already that there is no room, and need not grow
+            place = wp.atomic_add(film.spill_count, 0, channels)
+            if place + channels > places:
+                place = -1
+        return place
+
+    @wp.func
+    def add(film: FilmTile, index: int, value: float, place: int):
+        left = value
+        if add_window(film.window, index, value):
+            left = 0.0
+        elif film.wide.shape[0] > 0:
+            add_wide(film.wide, index, value)
+        if place >= 0:
+            film.spill_index[place] = index
+            film.spill_value[place] = left
 
     @wp.kernel(**KERNEL_OPTIONS)
     def accumulate(paths: Paths, film: FilmTile, slots: wp.array(dtype=int), count: wp.array(dtype=int)):
@@ -34,6 +61,8 @@ def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
         if i >= count[0]:
             return
         path = slots[i]
+        if paths.status[path] == 0:
+            return  # added by the launch before
         pixel = paths.pixel[path]
         radiance = paths.radiance[path]
         valid = wp.isfinite(radiance[0]) and wp.isfinite(radiance[1]) and wp.isfinite(radiance[2])
@@ -43,13 +72,20 @@ def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
             normal = paths.normal[path]
             valid = valid and wp.isfinite(normal[0]) and wp.isfinite(normal[1]) and wp.isfinite(normal[2])
         if valid:
+            place = int(-channels)  # below 0 for all channels: nothing is set aside
+            if film.wide.shape[0] == 0:
+                if not fits(paths, path):
+                    place = places_aside(film)
+                    if place < 0:
+                        return
             for c in range(3):
-                add(film, pixel * channels + c, radiance[c])
+                add(film, pixel * channels + c, radiance[c], place + c)
             if wp.static(layout.transparent):
-                add(film, pixel * channels + 3, paths.alpha[path])
+                add(film, pixel * channels + 3, paths.alpha[path], place + 3)
             if wp.static(layout.normal):
                 for c in range(3):
-                    add(film, pixel * channels + wp.static(layout.span("Normal").start) + c, normal[c])
+                    channel = wp.static(layout.span("Normal").start) + c
+                    add(film, pixel * channels + channel, normal[c], place + channel)
         else:
             wp.atomic_add(film.invalid, 0, 1)
         wp.atomic_add(film.counts, pixel, wp.int64(1))

@@ -11,11 +11,11 @@ from ...kernel import KERNEL_OPTIONS
 from ...scene.description import CameraKind, Visibility
 from ...shading.camera import CameraData, CameraFeatures, make_camera_ray
 from ...shading.sampling import FILTER, LENS, make_sampler, pixel_key, sample_filter
-from ..rays import Paths, Rays, Status
+from ..rays import VISIBILITY_SHIFT, Paths, Rays, Status
 from .limits import PathLimits
 
-NEW_PATH = int(Status.ALIVE | Status.RAY_OUT)
 CAMERA_RAY = int(Visibility.CAMERA)
+NEW_PATH = int(Status.ALIVE | Status.RAY_OUT) | CAMERA_RAY << VISIBILITY_SHIFT
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,10 @@ def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
         rays.origin[path] = origin
         rays.direction[path] = direction
         rays.t_max[path] = t_max
-        rays.visibility[path] = wp.static(CAMERA_RAY)
+        if rays.visibility.shape[0] > 0:
+            rays.visibility[path] = wp.static(CAMERA_RAY)
         paths.pixel[path] = pixel
         paths.sample[path] = index
-        paths.bounce[path] = 0
         paths.throughput[path] = wp.vec3(1.0, 1.0, 1.0)
         paths.radiance[path] = wp.vec3(0.0, 0.0, 0.0)
         paths.pdf[path] = 0.0

@@ -12,7 +12,7 @@ from ...kernel import KERNEL_OPTIONS
 from ...scene.description import LightKind
 from ...shading.lights import LightFeatures, make_lights
 from ..device_scene import SceneData
-from ..rays import Paths, Rays, Status
+from ..rays import Paths, Rays, Status, bounce_of, visibility_of
 from .limits import PathLimits, clamped
 
 ENDED = int(Status.ENDED)
@@ -57,7 +57,8 @@ def light_hit_kernel(features: LightHitFeatures) -> wp.Kernel:
             return
         path = slots[i]
         direction = rays.direction[path]
-        visibility = rays.visibility[path]
+        status = paths.status[path]
+        visibility = visibility_of(status)
         pdf = paths.pdf[path]
         t_min = float(0.0)
         if wp.static(features.transparency):
@@ -72,7 +73,7 @@ def light_hit_kernel(features: LightHitFeatures) -> wp.Kernel:
             light = light + miss(data.lights, direction, visibility, pdf)
         light = wp.cw_mul(paths.throughput[path], light)
         if wp.static(features.clamping):
-            light = clamped(limits, light, paths.bounce[path])
+            light = clamped(limits, light, bounce_of(status))
         paths.radiance[path] = paths.radiance[path] + light
 
     return light_hits
@@ -96,21 +97,23 @@ def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
         if i >= count[0]:
             return
         path = slots[i]
+        status = paths.status[path]
+        bounce = bounce_of(status)
         throughput = paths.throughput[path]
         shows_world = bool(True)
         if wp.static(features.film_transparent):
-            if paths.bounce[path] == 0:
+            if bounce == 0:
                 shows_world = False
                 paths.alpha[path] = 1.0 - (throughput[0] + throughput[1] + throughput[2]) / 3.0
         if wp.static(features.world):
-            if shows_world and (data.world_visibility & rays.visibility[path]) != 0:
+            if shows_world and (data.world_visibility & visibility_of(status)) != 0:
                 light = wp.cw_mul(throughput, data.world)
                 if wp.static(features.clamping):
-                    light = clamped(limits, light, paths.bounce[path])
+                    light = clamped(limits, light, bounce)
                 paths.radiance[path] = paths.radiance[path] + light
         if wp.static(features.depth_pass):
-            if paths.sample[path] == wp.uint32(0) and paths.bounce[path] == 0 and film.depth[paths.pixel[path]] == 0.0:
+            if paths.sample[path] == wp.uint32(0) and bounce == 0 and film.depth[paths.pixel[path]] == 0.0:
                 film.depth[paths.pixel[path]] = wp.static(DEPTH_OF_NOTHING)
-        paths.status[path] = paths.status[path] | wp.static(ENDED)
+        paths.status[path] = status | wp.static(ENDED)
 
     return background

@@ -26,7 +26,7 @@ from ...shading.sampling import (
 )
 from ...shading.surface import SurfacePoint, make_surface, spawn_origin
 from ..device_scene import SceneData
-from ..rays import Paths, Rays, Status
+from ..rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of
 from .generate import TileWork
 from .limits import PathLimits, clamped
 
@@ -137,7 +137,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                 weight = power_heuristic(pdf, light_pdf)
             light = weight * wp.cw_mul(paths.throughput[path], emission)
             if wp.static(features.clamping):
-                light = clamped(limits, light, paths.bounce[path])
+                light = clamped(limits, light, bounce_of(paths.status[path]))
             paths.radiance[path] = paths.radiance[path] + light
 
     @wp.func
@@ -161,7 +161,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             return 0
         contribution = weight * wp.cw_mul(wp.cw_mul(paths.throughput[path], value), light.radiance)
         if wp.static(features.clamping):
-            contribution = clamped(limits, contribution, paths.bounce[path] + 1)
+            contribution = clamped(limits, contribution, bounce_of(paths.status[path]) + 1)
         if not is_positive(contribution):
             return 0
         if light.casts_shadow == 0:
@@ -181,7 +181,8 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         rays.origin[slot] = origin
         rays.direction[slot] = direction
         rays.t_max[slot] = distance
-        rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
+        if rays.visibility.shape[0] > 0:
+            rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
         paths.shadow_light[path] = contribution
         return wp.static(SHADOW_NEW)
 
@@ -200,7 +201,8 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if i >= count[0]:
             return
         path = slots[i]
-        bounce = paths.bounce[path]
+        status = paths.status[path] & ~wp.static(HIT)
+        bounce = bounce_of(status)
         pixel = paths.pixel[path]
         sample = paths.sample[path]
         direction = rays.direction[path]
@@ -225,7 +227,6 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if wp.static(features.emission):
             gather_emission(data, limits, paths, rays, path, surface.material, passed_t)
 
-        status = paths.status[path] & ~wp.static(HIT)
         # at its last surface a path scatters no more, but still passes what is transparent, as shadow rays do
         last = bounce > limits.bounce_max
         if wp.static(not features.transparency):
@@ -263,7 +264,6 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                 paths.passed[path] = passed + passed * wp.static(SHADOW_PASS)
                 paths.passed_t[path] = 0.0
         if (scattered.lobe & TRANSPARENT) == 0:
-            paths.bounce[path] = bounce + 1
             pdf = scattered.pdf
             if (scattered.lobe & DELTA) != 0 or x >= limits.nee_end:
                 pdf = 0.0
@@ -273,7 +273,11 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                 seen_by = wp.static(int(Visibility.TRANSMISSION))
             elif (scattered.lobe & DIFFUSE) != 0:
                 seen_by = wp.static(int(Visibility.DIFFUSE))
-            rays.visibility[path] = seen_by
+            # one bounce more, and the kind of ray that this scattering makes
+            status = (status & wp.static((1 << VISIBILITY_SHIFT) - 1)) | (seen_by << wp.static(VISIBILITY_SHIFT))
+            status = status | ((bounce + 1) << wp.static(BOUNCE_SHIFT))
+            if rays.visibility.shape[0] > 0:
+                rays.visibility[path] = seen_by
             if wp.static(features.roulette):
                 if goes_on and bounce >= limits.roulette_bounce:
                     survival = wp.min(wp.max(throughput[0], wp.max(throughput[1], throughput[2])), 1.0)

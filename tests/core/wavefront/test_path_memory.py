@@ -1,0 +1,164 @@
+"""What a path takes is told exactly: the arrays of an integrator grow with its paths by just that."""
+
+import numpy as np
+import pytest
+import scenes
+import warp as wp
+from under_test import DEVICE
+
+from raybatch_addon.core.bvh.build import layout_for
+from raybatch_addon.core.device import find_device
+from raybatch_addon.core.film import sums
+from raybatch_addon.core.film import tile as film_tile
+from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Visibility
+from raybatch_addon.core.scene.features import derive_features
+from raybatch_addon.core.scene.validate import checked_scene
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.wavefront import ray_order
+from raybatch_addon.core.wavefront.device_scene import DeviceScene
+from raybatch_addon.core.wavefront.geometry_cache import GeometryCache
+from raybatch_addon.core.wavefront.integrator import TileIntegrator, TileState
+from raybatch_addon.core.wavefront.ray_order import order_bytes
+from raybatch_addon.core.wavefront.rays import bytes_per_path
+from raybatch_addon.core.wavefront.scheduler import Rectangle, water_marks
+
+LEAST = 4096
+
+
+def lit(surface=None, frame=None, visibility=int(Visibility.ALL)):
+    surface = surface or scenes.diffuse()
+    objects = [(scenes.plane(size=4), scenes.translation(0, 0, -1), surface), (scenes.sphere(), scenes.IDENTITY, surface, visibility)]
+    return scenes.scene(objects, frame=frame or Frame(32, 32), lights=[scenes.area_light(3.0)], world=0.2)
+
+
+def veil():
+    return scenes.material(Closure(ClosureKind.TRANSPARENT, (0.5,) * 3), Closure(ClosureKind.DIFFUSE, (0.4,) * 3))
+
+
+def unlit(frame=None):
+    return scenes.scene([(scenes.sphere(), scenes.IDENTITY, scenes.diffuse())], frame=frame or Frame(32, 32), world=1.0)
+
+
+CASES = {
+    "opaque, lit": (lit(), {}),
+    "no light to aim at": (unlit(), {}),
+    "no light is sampled": (lit(), {"nee": "OFF"}),
+    "transparent": (lit(veil()), {}),
+    "transparent without light": (lit(veil()), {"nee": "OFF"}),
+    "hidden from some rays": (lit(visibility=int(Visibility.ALL & ~Visibility.SHADOW)), {}),
+    "passes": (lit(frame=Frame(32, 32, passes=("Combined", "Normal", "Depth"), transparent=True)), {}),
+    "everything": (scenes.mixed(Frame(32, 32, passes=("Combined", "Normal"), transparent=True)), {}),
+    "nothing to hit": (scenes.scene(frame=Frame(32, 32), world=1.0), {}),
+    "Warp's tree": (lit(), {"batching": "REFERENCE"}),
+}
+
+
+def integrator_of(scene, settings, path_count) -> tuple[TileIntegrator, DeviceScene]:
+    device = find_device(DEVICE)
+    scene = checked_scene(scene)
+    features = derive_features(scene, settings)
+    built = DeviceScene.build(scene, features, settings, layout_for(device), device, GeometryCache())
+    return TileIntegrator(built, scene.frame, settings, water_marks(settings, path_count)), built
+
+
+def arrays_in(value, seen: set[int]) -> list[wp.array]:
+    """All Warp arrays that can be reached from `value`."""
+    if id(value) in seen or isinstance(value, (DeviceScene, type, wp.Kernel, wp.Device)):
+        return []
+    seen.add(id(value))
+    if isinstance(value, wp.array):
+        return [value]
+    if isinstance(value, dict):
+        parts = list(value.values())
+    elif isinstance(value, (list, tuple)):
+        parts = list(value)
+    else:
+        parts = list(getattr(value, "__dict__", {}).values())
+        cls = getattr(value, "_cls", None)
+        if cls is not None and hasattr(cls, "vars"):  # a struct
+            parts = [getattr(value, name) for name in cls.vars]
+    return [array for part in parts for array in arrays_in(part, seen)]
+
+
+def bytes_held(integrator: TileIntegrator, scene: DeviceScene) -> int:
+    """Memory of all its arrays, what they share counted once [bytes]."""
+    seen = {id(scene), id(scene.tree), id(scene.data), id(scene.camera)}
+    spans = sorted((a.ptr, a.ptr + a.size * wp.types.type_size_in_bytes(a.dtype)) for a in arrays_in(integrator.__dict__, seen) if a.size)
+    total, last = 0, 0
+    for first, end in spans:
+        total += max(0, end - max(first, last))
+        last = max(last, end)
+    return total
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_memory_grows_by_what_is_told(case):
+    scene, changes = CASES[case]
+    settings = RenderSettings(**{"sample_count": 1, "bounce_max": 2, "ray_sort": "OFF", **changes})
+    features = derive_features(checked_scene(scene), settings)
+    held = []
+    for path_count in (LEAST, 3 * LEAST):
+        integrator, built = integrator_of(scene, settings, path_count)
+        integrator.render(TileState(Rectangle(0, 0, 32, 32)), 0, 1, lambda: False)
+        held.append(bytes_held(integrator, built))
+    told = bytes_per_path(features, settings.batching == "REFERENCE")
+    grown = (held[1] - held[0]) / (2 * LEAST)
+    assert told - 1 <= grown <= told, (case, told, grown)
+
+
+def test_a_path_of_an_opaque_scene_with_lights_is_small():
+    settings = RenderSettings()
+    assert bytes_per_path(derive_features(checked_scene(lit()), settings)) <= 140
+
+
+def test_sorting_takes_memory_when_it_begins_and_no_more_than_is_told(monkeypatch):
+    monkeypatch.setattr(ray_order, "CPU_SORTED_MAX", 500)
+    monkeypatch.setattr(ray_order, "CUDA_SORTED_MAX", 500)
+    scene, is_cuda = lit(), find_device(DEVICE).is_cuda
+    held = {}
+    for ray_sort in ("OFF", "ON"):
+        for path_count in (200, LEAST):
+            integrator, built = integrator_of(scene, RenderSettings(sample_count=1, ray_sort=ray_sort), path_count)
+            before = bytes_held(integrator, built)
+            integrator.render(TileState(Rectangle(0, 0, 32, 32)), 0, 1, lambda: False)
+            held[ray_sort, path_count] = bytes_held(integrator, built) - before
+    for path_count in (200, LEAST):
+        assert held["ON", path_count] - held["OFF", path_count] == pytest.approx(order_bytes("ON", path_count, is_cuda), abs=64)
+    assert order_bytes("ON", LEAST, is_cuda) == order_bytes("ON", 2 * LEAST, is_cuda) > order_bytes("ON", 200, is_cuda)
+    assert order_bytes("OFF", LEAST, is_cuda) == 0
+
+
+def bright():
+    """A scene whose samples do not fit the film's window: light of 1e20, and hardly any."""
+    objects = [
+        (scenes.plane("lamp", 1.0), scenes.translation(-0.7, 0, 0), scenes.emitter(1e20)),
+        (scenes.plane("glow", 1.0), scenes.translation(0.7, 0, 0), scenes.emitter(1e-35)),
+    ]
+    view = scenes.camera(eye=(0, -0.1, 3), half_width=0.6)
+    return scenes.scene(objects, view=view, frame=Frame(24, 24, passes=("Combined", "Normal"), transparent=True), world=0.3)
+
+
+@pytest.mark.parametrize("places", [1, 70, 1000])
+def test_a_film_is_the_same_when_there_is_no_room_to_set_channels_aside(monkeypatch, places):
+    films = []
+    for count in (film_tile.SPILL_PLACES, places):
+        monkeypatch.setattr(film_tile.FilmTiles.__init__, "__defaults__", (count,))
+        films.append(Session(DEVICE).render(bright(), RenderSettings(sample_count=3, thread_count=1)))
+    whole, short = films
+    for name, values in whole.passes.items():
+        assert np.array_equal(values.view(np.int32), short.passes[name].view(np.int32)), name
+    assert whole.sums.wide.shape[0] == sums.WIDE_DIGITS and whole.sums.wide.any()
+    assert np.array_equal(whole.sums.wide, short.sums.wide) and np.array_equal(whole.sums.window, short.sums.window)
+    assert np.array_equal(whole.counts, short.counts) and (whole.counts == 3).all()
+    assert whole.statistics["invalid_samples"] == short.statistics["invalid_samples"] == 0
+
+
+@pytest.mark.parametrize("sorted_max", [7, 300])
+def test_lists_that_are_sorted_in_parts_give_the_same_film(monkeypatch, sorted_max):
+    whole = Session(DEVICE).render(scenes.mixed(), RenderSettings(sample_count=2, ray_sort="ON", thread_count=1))
+    monkeypatch.setattr(ray_order, "CPU_SORTED_MAX", sorted_max)
+    monkeypatch.setattr(ray_order, "CUDA_SORTED_MAX", sorted_max)
+    parts = Session(DEVICE).render(scenes.mixed(), RenderSettings(sample_count=2, ray_sort="ON", thread_count=1, ray_count=2000))
+    for name, values in whole.passes.items():
+        assert np.array_equal(values, parts.passes[name]), name

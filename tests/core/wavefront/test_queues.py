@@ -1,0 +1,100 @@
+"""Lists of path slots hold every path that belongs to them, in slot order, whatever the blocks; compared with NumPy."""
+
+import numpy as np
+import pytest
+import warp as wp
+from under_test import DEVICE
+
+from raybatch_addon.core.wavefront.queues import Length, PathLists
+from raybatch_addon.core.wavefront.rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Status
+
+PATHS = 1000
+BLOCKS = (0, 32, 224, PATHS, 4096) if DEVICE != "cpu" else (0, 1, 7, 256, PATHS, 4096)
+
+
+def statuses(seed: int, paths: int = PATHS) -> np.ndarray:
+    """Statuses as they come up, and all others too, int32 [paths]."""
+    rng = np.random.default_rng(seed)
+    bounce = np.where(rng.random(paths) < 0.5, rng.integers(0, 5, paths), rng.integers(0, 100_002, paths))
+    return (rng.integers(0, 128, paths) | (1 << rng.integers(0, 5, paths)) << VISIBILITY_SHIFT | bounce << BOUNCE_SHIFT).astype(np.int32)
+
+
+def lists_of(paths: int, block_size: int) -> PathLists:
+    return PathLists(paths, wp.get_device(DEVICE), block_size)
+
+
+def slots_of(listed) -> list[int]:
+    return listed.slots.numpy()[: int(listed.count.numpy()[0])].tolist() if listed.bound else []
+
+
+def has(status: np.ndarray, bits: Status) -> np.ndarray:
+    return (status & int(bits)) != 0
+
+
+WAITING = Status.RAY_NEW | Status.RAY_OUT | Status.SHADOW_NEW | Status.SHADOW_OUT
+
+
+@pytest.mark.parametrize("by_bounce", [False, True])
+@pytest.mark.parametrize("block_size", BLOCKS)
+def test_the_lists_of_a_turn(block_size, by_bounce):
+    before = statuses(block_size)
+    status, lists = wp.array(before, device=DEVICE), lists_of(PATHS, block_size)
+    done = lists.end_turn(status, PATHS, by_bounce)
+    lengths = lists.counts.fetch()
+    turn = lists.next_turn(lengths, by_bounce)
+    alive = has(before, Status.ALIVE)
+    ended = alive & has(before, Status.ENDED) & ~has(before, WAITING)
+    goes_on = alive & ~ended
+    new, shadow, bounce = goes_on & has(before, Status.RAY_NEW), goes_on & has(before, Status.SHADOW_NEW), before >> BOUNCE_SHIFT
+    assert slots_of(done) == np.flatnonzero(ended).tolist()
+    assert turn.free.numpy().tolist() == [*np.flatnonzero(ended), *np.flatnonzero(~alive)]
+    assert slots_of(turn.shadow) == (PATHS + np.flatnonzero(shadow)).tolist() and turn.shadow.bound == shadow.sum()
+    classes = [np.flatnonzero(new & chosen).tolist() for chosen in (bounce <= 1, bounce == 2, bounce > 2)]
+    expected = sum(classes, []) if by_bounce else np.flatnonzero(new).tolist()
+    assert slots_of(turn.bounced) == expected and turn.bounced.bound == len(expected)
+    assert [slots_of(part) for part in turn.bounced_parts] == (classes if by_bounce else [])
+    flips = np.where(new, int(Status.RAY_NEW | Status.RAY_OUT), 0) | np.where(shadow, int(Status.SHADOW_NEW | Status.SHADOW_OUT), 0)
+    assert np.array_equal(status.numpy(), before ^ flips), "listed rays count as under way"
+
+
+@pytest.mark.parametrize("block_size", BLOCKS)
+def test_paths_whose_rays_are_back(block_size):
+    before = statuses(100 + block_size)
+    status, lists = wp.array(before, device=DEVICE), lists_of(PATHS, block_size)
+    miss, surface = lists.back(status, PATHS)
+    shaded = has(before, Status.ALIVE) & ~has(before, WAITING | Status.ENDED)
+    assert slots_of(miss) == np.flatnonzero(shaded & ~has(before, Status.HIT)).tolist()
+    assert slots_of(surface) == np.flatnonzero(shaded & has(before, Status.HIT)).tolist()
+    assert np.array_equal(status.numpy(), before)
+
+
+@pytest.mark.parametrize("bits", [0, int(Status.ALIVE | Status.RAY_NEW | Status.SHADOW_NEW), int(Status.ALIVE | Status.ENDED)])
+@pytest.mark.parametrize("paths", [1, 33, 64])
+def test_all_paths_alike(paths, bits):
+    lists = lists_of(paths, 0)
+    status = wp.full(paths, bits, dtype=int, device=DEVICE)
+    done = lists.end_turn(status, paths, True)
+    lengths = lists.counts.fetch()
+    turn = lists.next_turn(lengths, True)
+    everyone = list(range(paths))
+    waits = bool(bits & int(Status.RAY_NEW))
+    assert (turn.free is None) == waits and slots_of(done) == (everyone if bits & int(Status.ENDED) else [])
+    assert slots_of(turn.bounced) == slots_of(turn.bounced_parts[0]) == (everyone if waits else [])
+    assert slots_of(turn.shadow) == ([paths + p for p in everyone] if waits else [])
+    assert lengths[Length.DONE] + lengths[Length.FREE] == (0 if waits else paths)
+
+
+def test_at_first_every_slot_is_free():
+    lists = lists_of(PATHS, 0)
+    assert lists.all_free(wp.zeros(PATHS, dtype=int, device=DEVICE)).numpy().tolist() == list(range(PATHS))
+
+
+def test_lists_are_made_again_and_again_in_the_same_memory():
+    lists = lists_of(PATHS, 64)
+    for seed in range(4):
+        before = statuses(seed)
+        status = wp.array(before, device=DEVICE)
+        miss, surface = lists.back(status, PATHS)
+        lists.end_turn(status, PATHS, bool(seed % 2))
+        again, _ = lists.back(wp.array(before, device=DEVICE), PATHS)
+        assert slots_of(again) == slots_of(lists_of(PATHS, 0).back(wp.array(before, device=DEVICE), PATHS)[0])
