@@ -25,7 +25,7 @@ BLOCK_SIZE = 128
 """Threads of a block; `wp.launch` is told so with every launch."""
 
 # Levels of a mesh tree and of the top level: each has at most one group of nodes on the stack, the top level one of entries too
-_STACK_MESH, _STACK_ALL = 64, 129
+STACK_MESH, STACK_ALL = 64, 129
 
 
 @dataclass(frozen=True)
@@ -38,20 +38,23 @@ class TraceOptions:
     refill: int = 8  # lanes that must wait before a warp takes new rays, 1..32; 0: plainly, one thread a ray
     leaf_groups: int = 2  # groups of triangles that may wait while nodes are visited, 1 or 2
     every_triangle: bool = False  # test all waiting triangles in each turn, instead of one
+    single_lane: bool = False  # one ray at a time: the first of a single warp's lanes alone takes rays (`refill` is not 0)
 
     def __post_init__(self) -> None:
         if not (0 <= self.refill <= 32 and self.leaf_groups in (1, 2)):
             raise ValueError("refill is 0..32, leaf_groups 1 or 2")
+        if self.single_lane and not self.refill:
+            raise ValueError("a single lane takes rays from the list: refill must not be 0")
 
 
-_LOOP_TEXT = """
+LOOP_TEXT = """
     const int ray_count = count.data[0];
     bool more = true;  // the list has rays that no lane has taken
     auto is_alive = [&]() -> bool { return node != NONE || leaf.y != 0u; };
     for (;;) {
         if (REFILL > 0) {
             const unsigned idle = ballot(!is_alive());
-            const int wanted = bit_count(idle);
+            const int wanted = $wanted;
             if (idle == ALL_LANES || (more && wanted >= REFILL)) {
                 if (!is_alive() && slot >= 0) finish();
                 if (!more) break;
@@ -64,13 +67,13 @@ _LOOP_TEXT = """
                 cursor.data[0] += wanted;
     #endif
                 const int mine = first + bit_count(idle & lanes_below());
-                if (!is_alive() && mine < ray_count) take(slots.data[mine]);
+                if (!is_alive() && mine < $mine_end) take($mine);
                 more = first + wanted < ray_count;
             }
         } else if (!is_alive()) {
             if (slot >= 0) { finish(); break; }
             if (thread >= ray_count) break;
-            take(slots.data[thread]);
+            take($thread);
         }
         $count_turn
         if (TWO_LEVEL && is_alive()) {
@@ -92,8 +95,15 @@ def _turn_text(options: TraceOptions) -> str:
     return f"if (node != NONE && (in_mesh ? {room} : leaf.y == 0u)) visit(); {test}"
 
 
+_TRACE_PIECES = {
+    "go_to_top": "first_node = tree.top_node; first_triangle = 0u;",
+    "go_to_entry": "first_node = tree.entry_node.data[entry]; first_triangle = tree.entry_triangle.data[entry];",
+    "any_hit": "ANY_HIT",
+    "end_any_hit": "",
+}
+
 # Pieces of counting code, put in for kernels with counters alone
-_COUNTING = {
+COUNTING = {
     "counters": """int visits = 0, boxes = 0, tests = 0;
     unsigned lanes_busy[3] = {0u, 0u, 0u}, lanes_there[3] = {0u, 0u, 0u};
     // every lane that comes here is busy; one of them counts all lanes of the warp
@@ -123,16 +133,24 @@ _COUNTING = {
 }
 
 
+def loop_pieces(single_lane: bool, mine: str = "slots.data[mine]", thread: str = "slots.data[thread]") -> dict[str, str]:
+    """What `LOOP_TEXT` takes rays by."""
+    if not single_lane:
+        return {"wanted": "bit_count(idle)", "mine": mine, "mine_end": "ray_count", "thread": thread}
+    return {"wanted": "1", "mine": mine, "mine_end": "(thread == 0 ? ray_count : 0)", "thread": thread}
+
+
 def trace_text(options: TraceOptions) -> str:
     """The body of the native function for `options`."""
+    refill = 32 if options.single_lane else options.refill
     constants = f"""
     constexpr bool ANY_HIT = {str(options.any_hit).lower()}, TWO_LEVEL = {str(options.instancing).lower()};
-    constexpr int REFILL = {options.refill};
+    constexpr int REFILL = {refill};
     """
-    text = constants + TRIANGLE_TEXT + DEVICE_TEXT + RAY_TEXT + NODE_TEXT + LANE_TEXT + _LOOP_TEXT
-    counting = {name: piece if options.counters else "" for name, piece in _COUNTING.items()}
-    stack_size = _STACK_ALL if options.instancing else _STACK_MESH
-    return Template(text).substitute(stack_size=stack_size, turn=_turn_text(options), **counting)
+    text = constants + TRIANGLE_TEXT + DEVICE_TEXT + RAY_TEXT + NODE_TEXT + LANE_TEXT + LOOP_TEXT
+    pieces = {name: piece if options.counters else "" for name, piece in COUNTING.items()} | loop_pieces(options.single_lane) | _TRACE_PIECES
+    stack_size = STACK_ALL if options.instancing else STACK_MESH
+    return Template(text).substitute(stack_size=stack_size, turn=_turn_text(options), **pieces)
 
 
 @functools.cache
@@ -195,5 +213,10 @@ def thread_count(ray_bound: int, options: TraceOptions, device: wp.Device, block
         return ray_bound
     if not device.is_cuda:
         return 1
-    needed = -(-ray_bound // BLOCK_SIZE)
-    return min(needed, device.sm_count * blocks) * BLOCK_SIZE
+    return persistent_count(ray_bound, device, BLOCK_SIZE, blocks)
+
+
+def persistent_count(ray_bound: int, device: wp.Device, block_size: int, blocks: int = 16) -> int:
+    """Threads of persistent warps on CUDA for at most `ray_bound` rays: as many as in `blocks` blocks of `BLOCK_SIZE` a multiprocessor."""
+    needed = -(-ray_bound // block_size)
+    return min(needed, -(-device.sm_count * blocks * BLOCK_SIZE // block_size)) * block_size

@@ -146,7 +146,7 @@ NODE_TEXT = """
 # 24 which; below, which of the slots of their parent are inner) with more such groups on its stack; one or two groups of
 # triangles to test (the first, and which). In the top level the triangles are entries, and such groups may be on the stack too.
 # The triangle of the closest hit so far is in `hit_primitive`, its entry in `hit_instance`, until `finish` looks them up.
-LANE_TEXT = """
+_STATE_TEXT = """
     constexpr unsigned NONE = 0xffffffffu;
     const Words* nodes = (const Words*)tree.nodes.data;
     const Words* triangles = (const Words*)tree.triangles.data;
@@ -166,6 +166,10 @@ LANE_TEXT = """
     unsigned top_order = 0u;                  // `ray.order` in the top level
     Group stack[$stack_size];
     $counters
+"""
+
+# Parts that `traverse_cuda_visit.py` has too
+IDENTIFY_TEXT = """
     // instance and primitive of triangle `face` of entry `e`
     auto identify = [&](int e, int face, int& instance, int& primitive) {
         instance = tree.entry_instance.data[e];
@@ -179,6 +183,9 @@ LANE_TEXT = """
         instance = tree.merged_instance.data[low];
         primitive = face - tree.merged_triangle_first.data[low];
     };
+"""
+
+MAKE_RAY_TEXT = """
     auto make_ray = [&]() {
         const auto o = origin.data[slot];
         const auto d = direction.data[slot];
@@ -189,8 +196,7 @@ LANE_TEXT = """
             const auto c = tree.top_centre;
             ray = begin_ray(o[0], o[1], o[2], d[0], d[1], d[2], c[0], c[1], c[2], tree.top_margin);
             top_order = ray.order;
-            first_node = tree.top_node;
-            first_triangle = 0u;
+            $go_to_top
         } else {
             // as `transform_point` and `transform_vector`
             const auto& m = tree.entry_from_world.data[entry].data;
@@ -200,10 +206,12 @@ LANE_TEXT = """
                 m[2][0] * o[0] + m[2][1] * o[1] + m[2][2] * o[2] + m[2][3], m[0][0] * d[0] + m[0][1] * d[1] + m[0][2] * d[2],
                 m[1][0] * d[0] + m[1][1] * d[1] + m[1][2] * d[2], m[2][0] * d[0] + m[2][1] * d[1] + m[2][2] * d[2],
                 c[0], c[1], c[2], SLAB_MARGIN);
-            first_node = tree.entry_node.data[entry];
-            first_triangle = tree.entry_triangle.data[entry];
+            $go_to_entry
         }
     };
+""".replace("SLAB_MARGIN", f"{SLAB_MARGIN.hex()}f")
+
+_BEGIN_TEXT = """
     auto take = [&](int ray_slot) {
         slot = ray_slot;
         best = t_max.data[slot];
@@ -239,6 +247,9 @@ LANE_TEXT = """
         node = tree.entry_node.data[e];
         turned = true;
     };
+"""
+
+TEST_TEXT = """
     // one triangle of the group in hand
     auto test = [&]() {
         const unsigned bit = highest_bit(leaf.y);
@@ -252,13 +263,14 @@ LANE_TEXT = """
         float t, v, w;
         if (!meet_triangle(sheared, as_float(a.x), as_float(a.y), as_float(a.z), as_float(b.x), as_float(b.y), as_float(b.z),
                            as_float(c.x), as_float(c.y), as_float(c.z), t, v, w)) return;
-        if (ANY_HIT) {
+        if ($any_hit) {
             if (t < best) {
                 hit_instance.data[slot] = 0;
                 inner.y = leaf.y = later.y = 0u;
                 depth = bottom = 0;
                 entry = -1;
                 node = NONE;
+                $end_any_hit
             }
             return;
         }
@@ -281,6 +293,9 @@ LANE_TEXT = """
         if (TWO_LEVEL) hit_instance.data[slot] = entry;
         hit_uv.data[slot] = wp::vec_t<2, float>(v, w);
     };
+"""
+
+_STEP_TEXT = """
     // the node
     auto visit = [&]() {
         if (is_nodes(inner)) stack[depth++] = inner;
@@ -320,4 +335,6 @@ LANE_TEXT = """
         const unsigned child = (bit ^ (TWO_LEVEL && entry < 0 ? top_order : ray.order)) & 7u;
         node = inner.x + bit_count(mask & ((1u << child) - 1u));
     };
-""".replace("SLAB_MARGIN", f"{SLAB_MARGIN.hex()}f")
+"""
+
+LANE_TEXT = _STATE_TEXT + IDENTIFY_TEXT + MAKE_RAY_TEXT + _BEGIN_TEXT + TEST_TEXT + _STEP_TEXT

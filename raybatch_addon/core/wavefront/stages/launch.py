@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import warp as wp
 
+from ...bvh.traverse_cuda import persistent_count
 from ...kernel import KERNEL_OPTIONS, with_block_size
 
 WARP_SIZE = 32
@@ -36,18 +38,20 @@ class Launch:
                 f"{_REGISTERS}: lower block_size or register_cap"
             )
 
-    def lane_count(self, ray_bound: int, device: wp.Device, blocks: int = 16) -> int:
-        """Lanes to launch for at most `ray_bound` rays that are handed out to persistent warps: all of `warp_count` warps, or at most
-        `blocks` blocks of 128 lanes a multiprocessor. On a CPU one lane traces all rays.
-        """
+    def lane_count(self, ray_bound: int, device: wp.Device) -> int:
+        """Lanes to launch for at most `ray_bound` rays that are handed out to persistent warps. On a CPU one lane traces all rays."""
         if not device.is_cuda:
             return 1
         if self.single_lane:
             return WARP_SIZE
         if self.warp_count:
             return WARP_SIZE * self.warp_count
-        needed = -(-ray_bound // self.block_size)
-        return max(1, min(needed, max(1, device.sm_count * blocks * 128 // self.block_size))) * self.block_size
+        return persistent_count(ray_bound, device, self.block_size)
+
+    @property
+    def slice_count(self) -> int:
+        """On a CPU, BOXES: slices of a list that are traced one after another."""
+        return max(1, self.warp_count)
 
     def block_size_on(self, device: wp.Device) -> int:
         """The `block_dim` of launches."""
@@ -56,5 +60,16 @@ class Launch:
     def declare(self, kernel: wp.Kernel) -> wp.Kernel:
         """`kernel` as it is compiled for these launches: the same, or one of its own where registers are capped."""
         if self.register_cap:
-            kernel = wp.kernel(**KERNEL_OPTIONS, cuda_max_registers=self.register_cap)(kernel.func)
+            kernel = _capped(kernel, self.register_cap)
         return with_block_size(kernel, self.block_size)
+
+
+@functools.cache
+def _capped(kernel: wp.Kernel, registers: int) -> wp.Kernel:
+    return wp.kernel(**KERNEL_OPTIONS, cuda_max_registers=registers)(kernel.func)
+
+
+@wp.func
+def slice_first(count: int, part: int, part_count: int) -> int:
+    """First of `count` things that belongs to `part` of `part_count` parts of equal size."""
+    return int(wp.int64(count) * wp.int64(part) / wp.int64(part_count))

@@ -13,13 +13,14 @@ from ...bvh.node import Layout
 from ...bvh.reference import ReferenceTree, make_reference
 from ...bvh.trace_counts import TraceCounts
 from ...bvh.traverse_cpu import INTERLEAVE, make_cpu_traversal
-from ...bvh.traverse_cuda import BLOCK_SIZE, TraceOptions, thread_count, trace_function
+from ...bvh.traverse_cuda import TraceOptions, trace_function
 from ...bvh.tree import Tree
-from ...kernel import KERNEL_OPTIONS, with_block_size
+from ...kernel import KERNEL_OPTIONS
 from ...report.counters import CounterFeatures
 from ...settings import RenderSettings
 from ..rays import RayKind, Rays
 from ..tracer import SlotList
+from .launch import Launch, slice_first
 
 
 class Traversal(Enum):
@@ -62,18 +63,18 @@ class TraceStage(Protocol):
         """Trace the rays of `listed`; hits go to their slots, what was counted to `counts`."""
 
 
-def trace_stage(features: TraceFeatures) -> TraceStage:
-    """How rays are traced."""
+def trace_stage(features: TraceFeatures, launch: Launch = Launch()) -> TraceStage:
+    """How rays are traced. Warp's tree is traced the same way whatever `launch` says."""
     stages = {Traversal.REFERENCE: ReferenceStage, Traversal.BOXES: BoxesStage, Traversal.QUANTISED: QuantisedStage}
-    return stages[features.traversal](features)
+    return stages[features.traversal](features, launch)
 
 
-def tracing_stages(traversal: Traversal, instancing: bool, counters: bool) -> dict[RayKind, TraceStage]:
+def tracing_stages(traversal: Traversal, instancing: bool, counters: bool, launch: Launch = Launch()) -> dict[RayKind, TraceStage]:
     """The stages by what is asked of a ray."""
-    closest = trace_stage(TraceFeatures(traversal, False, instancing, counters))
+    closest = trace_stage(TraceFeatures(traversal, False, instancing, counters), launch)
     return {
         RayKind.CLOSEST: closest,
-        RayKind.OCCLUSION: trace_stage(TraceFeatures(traversal, True, instancing, counters)),
+        RayKind.OCCLUSION: trace_stage(TraceFeatures(traversal, True, instancing, counters), launch),
         RayKind.TRANSPARENT_SHADOW: closest,  # closest hits, in order
     }
 
@@ -84,16 +85,21 @@ def tracing_stages(traversal: Traversal, instancing: bool, counters: bool) -> di
 class BoxesStage:
     """One thread, on the CPU."""
 
-    def __init__(self, features: TraceFeatures):
+    def __init__(self, features: TraceFeatures, launch: Launch):
         self._counters = features.counters
-        self._kernel = boxes_kernel(features.any_hit, features.instancing, features.counters, 1 if features.plain else INTERLEAVE)
+        interleave = 1 if features.plain or launch.single_lane else INTERLEAVE
+        self._slice_count = launch.slice_count
+        make = sliced_boxes_kernel if self._slice_count > 1 else boxes_kernel
+        self._kernel = make(features.any_hit, features.instancing, features.counters, interleave)
         self.kernels = (self._kernel,)
 
     def launch(self, tree: Tree, rays: Rays, listed: SlotList, counts: TraceCounts | None) -> None:
         inputs = [tree, rays, listed.slots, listed.count]
+        if self._slice_count > 1:
+            inputs.append(self._slice_count)
         if self._counters:
             inputs.append(counts)
-        wp.launch(self._kernel, 1, inputs, device="cpu")
+        wp.launch(self._kernel, self._slice_count, inputs, device="cpu")
 
 
 @functools.cache
@@ -121,13 +127,41 @@ def boxes_kernel(any_hit: bool, instancing: bool, counters: bool, interleave: in
     return trace_boxes
 
 
+@functools.cache
+def sliced_boxes_kernel(any_hit: bool, instancing: bool, counters: bool, interleave: int) -> wp.Kernel:
+    """As `boxes_kernel`, with (slice_count) before counts, and launched with so many threads."""
+    trace = make_cpu_traversal(any_hit, instancing, interleave, counters)
+    if counters:
+
+        @wp.kernel(**KERNEL_OPTIONS)
+        def trace_counted_slice(
+            tree: Tree, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int), slice_count: int, counts: TraceCounts
+        ):
+            trace(
+                tree, rays.origin, rays.direction, rays.t_max, rays.visibility, rays.hit_t, rays.hit_instance, rays.hit_primitive,
+                rays.hit_uv, slots, slice_first(count[0], wp.tid(), slice_count), slice_first(count[0], wp.tid() + 1, slice_count), counts,
+            )  # fmt: skip
+
+        return trace_counted_slice
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def trace_slice(tree: Tree, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int), slice_count: int):
+        trace(
+            tree, rays.origin, rays.direction, rays.t_max, rays.visibility, rays.hit_t, rays.hit_instance, rays.hit_primitive,
+            rays.hit_uv, slots, slice_first(count[0], wp.tid(), slice_count), slice_first(count[0], wp.tid() + 1, slice_count),
+        )  # fmt: skip
+
+    return trace_slice
+
+
 class QuantisedStage:
     """Persistent warps; on the CPU one ray at a time, for tests."""
 
-    def __init__(self, features: TraceFeatures):
-        options = TraceOptions(features.any_hit, features.instancing, features.counters)
-        self._options = replace(options, refill=0) if features.plain else options
-        self._kernel = quantised_kernel(self._options)
+    def __init__(self, features: TraceFeatures, launch: Launch):
+        options = TraceOptions(features.any_hit, features.instancing, features.counters, single_lane=launch.single_lane)
+        self._options = replace(options, refill=0) if features.plain and not launch.single_lane else options
+        self._launch = launch
+        self._kernel = launch.declare(quantised_kernel(self._options))
         self._cursor: wp.array | None = None
         self.kernels = (self._kernel,)
 
@@ -140,8 +174,8 @@ class QuantisedStage:
         inputs = [tree, rays, listed.slots, listed.count, self._cursor]
         if self._options.counters:
             inputs.append(counts)
-        threads = thread_count(listed.bound, self._options, device)
-        wp.launch(self._kernel, threads, inputs, device=device, block_dim=BLOCK_SIZE if device.is_cuda else 1)
+        threads = self._launch.lane_count(listed.bound, device) if self._options.refill else listed.bound
+        wp.launch(self._kernel, threads, inputs, device=device, block_dim=self._launch.block_size_on(device))
 
 
 @functools.cache
@@ -159,7 +193,7 @@ def quantised_kernel(options: TraceOptions) -> wp.Kernel:
                 rays.hit_uv, slots, count, cursor, wp.tid(), counts,
             )  # fmt: skip
 
-        return with_block_size(trace_counted, BLOCK_SIZE)
+        return trace_counted
 
     @wp.kernel(**KERNEL_OPTIONS)
     def trace_quantised(
@@ -170,7 +204,7 @@ def quantised_kernel(options: TraceOptions) -> wp.Kernel:
             rays.hit_uv, slots, count, cursor, wp.tid(),
         )  # fmt: skip
 
-    return with_block_size(trace_quantised, BLOCK_SIZE)
+    return trace_quantised
 
 
 # --- Warp's tree
@@ -179,7 +213,7 @@ def quantised_kernel(options: TraceOptions) -> wp.Kernel:
 class ReferenceStage:
     """One thread a ray; nothing is counted."""
 
-    def __init__(self, features: TraceFeatures):
+    def __init__(self, features: TraceFeatures, launch: Launch):
         self._kernel = reference_kernel(features.any_hit, features.instancing)
         self.kernels = (self._kernel,)
 
