@@ -1,0 +1,373 @@
+"""Which pages of a scene are on the device: a pool of slots that workers share, each slot as large as the largest page.
+
+A page is *absent*, *coming* (chosen; on its way), *there*, or *leaving* (shown to no launch any more, but one that sees it may still
+run). What is brought in, and what leaves, is decided elsewhere (`Residency.ask`); here it is seen to that no launch ever sees a page
+that is not whole. On the CPU a launch holds its pages until it is over; on CUDA marks (events) order copies behind it, and the host
+waits for neither.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ..errors import OutOfMemoryError
+from ..kernel import KERNEL_OPTIONS
+from .page_build import PagedScene
+from .page_facts import PageFacts
+from .page_line import PageLine, page_line
+from .page_store import PAGE_ALIGNMENT, padded
+from .tree import Treelets
+
+ABSENT, COMING, THERE, LEAVING = range(4)
+
+Choose = Callable[[PageFacts, int], list[int]]
+"""Chooses at most so many pages."""
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def address_kernel(
+    page: wp.array(dtype=int),
+    page_address: wp.array(dtype=wp.uint64),
+    node_byte: wp.array(dtype=wp.int64),
+    triangle_byte: wp.array(dtype=wp.int64),
+    node_address: wp.uint64,
+    treelets: Treelets,
+):
+    """Addresses of the blocks of every treelet, from that of its page (0: absent). `node_address` is that of all nodes where these
+    stay on the device, and otherwise 0."""
+    treelet = wp.tid()
+    address = page_address[page[treelet]]
+    nodes = wp.uint64(0)
+    triangles = wp.uint64(0)
+    if address != wp.uint64(0):
+        triangles = address + wp.uint64(triangle_byte[treelet])
+        nodes = address + wp.uint64(node_byte[treelet])
+    if node_address != wp.uint64(0):
+        nodes = node_address + wp.uint64(node_byte[treelet])
+    treelets.nodes[treelet] = nodes
+    treelets.triangles[treelet] = triangles
+
+
+@dataclass
+class PageCounts:
+    """What was moved for one worker, or for several."""
+
+    bytes_copied: int = 0
+    loaded: int = 0
+    evicted: int = 0
+
+
+def slot_bytes_of(scene: PagedScene) -> int:
+    """Bytes of a slot of the pool."""
+    return padded(max(1, scene.page_bytes_max))
+
+
+def slots_in(scene: PagedScene, budget: int) -> int:
+    """Pages that fit in `budget` bytes beside what stays on the device, at most all; raises `OutOfMemoryError` for none."""
+    least = scene.resident_bytes + slot_bytes_of(scene)
+    if budget < least:
+        raise OutOfMemoryError(
+            f"geometry_budget is {budget:,} bytes, and this scene needs {least:,} at least ({scene.resident_bytes:,} that always stay on "
+            f"the device, and one page); raise it, or set it to 0"
+        )
+    return max(1, min(len(scene.pages), (budget - scene.resident_bytes) // slot_bytes_of(scene)))
+
+
+class Residency:
+    """The pool of pages of a scene on one device; safe to be used by several threads."""
+
+    def __init__(self, scene: PagedScene, budget: int, device: wp.Device, make_line: Callable[..., PageLine] = page_line):
+        """At most `budget` bytes of the scene are on the device, with what always stays there. Raises `OutOfMemoryError`."""
+        self.scene, self.device = scene, device
+        self.slot_count, self.slot_bytes = slots_in(scene, budget), slot_bytes_of(scene)
+        count = len(scene.pages)
+        self._memory = wp.empty(self.slot_count * self.slot_bytes + PAGE_ALIGNMENT, dtype=wp.uint8, device=device)
+        start = -self._memory.ptr % PAGE_ALIGNMENT
+        self._pool = self._memory[start : start + self.slot_count * self.slot_bytes]
+        self._line = make_line(scene, self._pool, self.slot_bytes, device)
+        self._zero_copy: np.ndarray | None = None  # addresses of pages in pinned memory
+        self._changed = threading.Condition()
+        self._changes = 0
+        self._error: BaseException | None = None
+        self._state = np.full(count, ABSENT, np.int8)
+        self._slot = np.full(count, -1, np.int32)
+        self._pins = np.zeros(count, np.int32)
+        self._filled: dict[int, Any] = {}  # by page: the mark behind its copy, until a launch has waited for it
+        self._free = deque((slot, None) for slot in range(self.slot_count))  # slots, and the marks behind the last launch that saw them
+        self._used: list[Any] = [None] * self.slot_count
+        self._wanted: deque[int] = deque()  # coming pages that have no slot yet
+        self._clock = 0
+        self._waiting, self._since, self._loaded_at, self._left_at, self._served = (np.zeros(count, np.int64) for _ in range(5))
+        self._bytes_there = 0
+        self.bytes_peak = scene.resident_bytes  # of geometry on the device at most
+
+        with wp.ScopedDevice(device):
+            self._tables = (
+                wp.array(np.asarray(scene.treelet_page, np.int32), dtype=int),
+                wp.array(np.asarray(scene.treelet_node_byte, np.int64), dtype=wp.int64),
+                wp.array(np.asarray(scene.treelet_triangle_byte, np.int64), dtype=wp.int64),
+            )
+
+    def __del__(self):
+        # the last to know it may be a thread that reads
+        with contextlib.suppress(RuntimeError):
+            self.close()
+
+    @property
+    def page_of(self) -> wp.array:
+        """Page of every treelet, on the device."""
+        return self._tables[0]
+
+    @property
+    def has_zero_copy(self) -> bool:
+        """Whether launches can read pages where they lie in pinned memory."""
+        scene = self.scene
+        return bool(self.device.is_cuda and not scene.encoded and scene.pages and scene.store.view(scene.pages[0]) is not None)
+
+    def view(self) -> ResidencyView:
+        """A worker's window to the pages; to be closed."""
+        return ResidencyView(self)
+
+    def close(self) -> None:
+        """Wait for pages on their way, and start no more."""
+        line = getattr(self, "_line", None)
+        if line is not None:
+            with self._changed:
+                self._wanted.clear()
+            line.close()
+
+    # --- what is brought in
+
+    def ask(self, choose: Choose, victims: Choose, coming_most: int, counts: PageCounts) -> list[int]:
+        """Bring in what `choose` says, while no more than `coming_most` pages are on their way; `victims` make room. Returns the pages."""
+        with self._changed:
+            self._check()
+            room = coming_most - int((self._state == COMING).sum()) - len(self._filled)
+            chosen = choose(self._facts(), room) if room > 0 else []
+            if not chosen:
+                return []
+            self._vacate(victims, len(chosen), counts)
+            chosen = chosen[: self._vacant()]
+            for page in chosen:
+                self._clock += 1
+                self._state[page] = COMING
+                self._loaded_at[page], self._served[page] = self._clock, self._waiting[page]
+                counts.loaded += 1
+                counts.bytes_copied += self.scene.pages[page].byte_count
+                self._wanted.append(page)
+            self._start()
+            return chosen
+
+    def make_room(self, victims: Choose, count: int, counts: PageCounts) -> None:
+        """See to it that `count` slots are free for pages to come, as far as `victims` allow: what leaves is shown to no launch from
+        now on, so that copies can begin while the next ones run."""
+        with self._changed:
+            self._vacate(victims, count, counts)
+
+    def wait(self, changes: int, seconds: float) -> bool:
+        """Wait until something has changed since `changes` was the number of changes; False if it took longer than `seconds`."""
+        with self._changed:
+            self._check()
+            told = self._changed.wait_for(lambda: self._changes != changes or self._error, seconds)
+            self._check()
+            return bool(told)
+
+    @property
+    def changes(self) -> int:
+        """Number of pages that arrived or left so far."""
+        return self._changes
+
+    def is_coming(self) -> bool:
+        """Whether any page is on its way that no launch was shown yet."""
+        with self._changed:
+            return bool((self._state == COMING).any() or self._filled)
+
+    def facts(self) -> PageFacts:
+        """What is known now."""
+        with self._changed:
+            return self._facts()
+
+    def there(self) -> np.ndarray:
+        """Which pages the next launch would be shown, bool, shape [page_count]."""
+        with self._changed:
+            return self._state == THERE
+
+    # --- with the lock held
+
+    def _check(self) -> None:
+        if self._error is not None:
+            raise self._error
+
+    def _facts(self) -> PageFacts:
+        return PageFacts(
+            self._waiting.copy(), self._since.copy(), self._state == ABSENT, self._state == THERE, self._loaded_at.copy(),
+            self._left_at.copy(), self._served.copy(), self._clock, self.slot_count,
+        )  # fmt: skip
+
+    def _vacant(self) -> int:
+        return len(self._free) + int((self._state == LEAVING).sum()) - len(self._wanted)
+
+    def _vacate(self, victims: Choose, count: int, counts: PageCounts) -> None:
+        need = count - self._vacant()
+        for page in victims(self._facts(), need) if need > 0 else ():
+            self._state[page] = LEAVING
+            self._filled.pop(page, None)
+            counts.evicted += 1
+            self._let_go(page)
+
+    def _let_go(self, page: int) -> None:
+        """A leaving page's slot is free once no launch holds it."""
+        if self._state[page] == LEAVING and self._pins[page] == 0:
+            slot = int(self._slot[page])
+            self._state[page], self._slot[page], self._left_at[page] = ABSENT, -1, self._clock
+            self._bytes_there -= self.scene.pages[page].device_bytes
+            self._free.append((slot, self._used[slot]))
+            self._told()
+
+    def _start(self) -> None:
+        while self._wanted and self._free:
+            page = self._wanted.popleft()
+            slot, used = self._free.popleft()
+            self._slot[page] = slot
+            self._bytes_there += self.scene.pages[page].device_bytes
+            self.bytes_peak = max(self.bytes_peak, self.scene.resident_bytes + self._bytes_there)
+            self._line.fill(page, slot, used, self._arrived)
+
+    def _arrived(self, page: int, filled: Any, error: BaseException | None) -> None:
+        with self._changed:
+            if error is not None:
+                self._error = error
+            else:
+                self._state[page] = THERE
+                if filled is not None:
+                    self._filled[page] = filled
+            self._told()
+
+    def _told(self) -> None:
+        self._changes += 1
+        self._changed.notify_all()
+
+    # --- for views
+
+    def _show(self) -> tuple[np.ndarray, np.ndarray]:
+        """Pages that a launch is shown from now on, and their addresses (0: absent), uint64."""
+        with self._changed:
+            self._check()
+            shown = np.flatnonzero(self._state == THERE)
+            self._pins[shown] += 1
+            addresses = np.zeros(len(self._state), np.uint64)
+            addresses[shown] = self._pool.ptr + self._slot[shown].astype(np.int64) * self.slot_bytes
+            for filled in self._filled.values():
+                self._line.wait_for(filled)
+            self._filled.clear()
+            return shown, addresses
+
+    def _hide(self, shown: np.ndarray) -> None:
+        with self._changed:
+            mark = self._line.mark()
+            for page in shown.tolist():
+                self._used[self._slot[page]] = mark
+                self._pins[page] -= 1
+                self._let_go(page)
+            self._start()
+
+    def _wait_changed(self, old: np.ndarray, new: np.ndarray) -> None:
+        with self._changed:
+            before = self._waiting
+            self._waiting = before + new - old
+            self._since[(before == 0) & (self._waiting > 0)] = self._clock
+
+    def zero_copy_addresses(self) -> np.ndarray:
+        """Addresses of all pages in pinned memory, uint64."""
+        if self._zero_copy is None:
+            self._zero_copy = np.array([self.scene.store.view(page).ptr for page in self.scene.pages], np.uint64)
+        return self._zero_copy
+
+
+class AddressRing:
+    """Addresses of pages on their way to the device: written by the host where a kernel reads them, several steps ahead."""
+
+    def __init__(self, count: int, device: wp.Device, steps: int = 4):
+        self._cuda = device.is_cuda
+        self._turn = 0
+        self._host = [wp.zeros(count, dtype=wp.uint64, device="cpu", pinned=self._cuda) for _ in range(steps if self._cuda else 1)]
+        # the device reads pinned memory at the same address
+        self._device = [wp.array(ptr=each.ptr, dtype=wp.uint64, shape=each.shape, device=device) if self._cuda else each for each in self._host]
+        self._read: list[wp.Event | None] = [None] * len(self._host)
+
+    def put(self, addresses: np.ndarray) -> wp.array:
+        """`addresses` as the device sees them."""
+        self._turn = (self._turn + 1) % len(self._host)
+        if self._read[self._turn] is not None:
+            wp.synchronize_event(self._read[self._turn])
+        self._host[self._turn].numpy()[:] = addresses
+        return self._device[self._turn]
+
+    def was_read(self) -> None:
+        """The kernel that reads what was put last is launched."""
+        if self._cuda:
+            self._read[self._turn] = self._device[self._turn].device.stream.record_event()
+
+
+class ResidencyView:
+    """One worker's window: addresses of the pages that its next launches see."""
+
+    def __init__(self, residency: Residency):
+        self._residency = residency
+        scene, device = residency.scene, residency.device
+        self.counts = PageCounts()
+        self.treelets = Treelets()
+        self.treelets.of_node, self.treelets.root = scene.of_node, scene.root
+        self.treelets.nodes = wp.zeros(scene.treelet_count, dtype=wp.uint64, device=device)
+        self.treelets.triangles = wp.zeros(scene.treelet_count, dtype=wp.uint64, device=device)
+        self._ring = AddressRing(len(scene.pages), device)
+        self._waiting = np.zeros(len(scene.pages), np.int64)
+        self._shown: np.ndarray | None = None
+
+    def __del__(self):
+        if hasattr(self, "_waiting"):
+            self.close()
+
+    @property
+    def shown(self) -> np.ndarray:
+        """Numbers of the pages that the launches since `begin` see."""
+        return self._shown
+
+    def begin(self, zero_copy: bool = False) -> None:
+        """Launches from now on see the pages that are there, and with `zero_copy` the others in pinned memory. They stay until `end`."""
+        assert self._shown is None, "the last launch has not ended"
+        residency = self._residency
+        self._shown, addresses = residency._show()
+        if zero_copy:
+            addresses = np.where(addresses == 0, residency.zero_copy_addresses(), addresses)
+        scene = residency.scene
+        page, node_byte, triangle_byte = residency._tables
+        nodes = wp.uint64(scene.resident_nodes.ptr if scene.nodes_resident else 0)
+        inputs = [page, self._ring.put(addresses), node_byte, triangle_byte, nodes, self.treelets]
+        wp.launch(address_kernel, scene.treelet_count, inputs, device=residency.device)
+        self._ring.was_read()
+
+    def end(self) -> None:
+        """The launches are over, or, on CUDA, all launched."""
+        shown, self._shown = self._shown, None
+        self._residency._hide(shown)
+
+    def set_waiting(self, counts: np.ndarray) -> None:
+        """So many of this worker's rays wait for each page, int64, shape [page_count]."""
+        counts = np.asarray(counts, np.int64)
+        self._residency._wait_changed(self._waiting, counts)
+        self._waiting = counts.copy()
+
+    def close(self) -> None:
+        """Nobody waits here any more."""
+        self.set_waiting(np.zeros_like(self._waiting))
+        if self._shown is not None:
+            self.end()
