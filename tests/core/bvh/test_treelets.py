@@ -190,6 +190,9 @@ def test_nodes_are_opened_by_area_until_they_fill_what_they_may(layout):
             opened += 1
             waiting.update({int(child): min(least, area[child]) for child in below})
         assert (cut.top_treelet < 0).sum() == opened
+        if limit:  # what just fits is opened
+            again = cut_nodes(layout, made.nodes, CutRule(top_bytes_max=resident))
+            assert np.array_equal(again.top_treelet, cut.top_treelet)
     assert (cut.top_treelet < 0).sum() == (inner > 0).sum()
 
 
