@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import textwrap
 from typing import Any
 
 import bpy
 
 from .. import reports
-from .panel import EnginePanel
-
-# Mean width of a letter of Blender's interface [pixels at scale 1], for breaking lines
-_LETTER_WIDTH = 6.5
+from .panel import EnginePanel, draw_lines
 
 
 class RAYBATCH_RENDER_PT_last_render(EnginePanel, bpy.types.Panel):
@@ -30,18 +26,10 @@ class RAYBATCH_RENDER_PT_last_render(EnginePanel, bpy.types.Panel):
 
     def draw(self, context):
         report = reports.last()
-        scale = context.preferences.system.ui_scale
-        letters = max(20, int(context.region.width / (_LETTER_WIDTH * scale)))
-        column = self.layout.column(align=True)
-        column.label(text=f"{report.scene}, frame {report.frame}")
-        for text in report_lines(report):
-            for line in textwrap.wrap(text, letters):
-                column.label(text=line)
+        draw_lines(self.layout, context, [f"{report.scene}, frame {report.frame}", *report_lines(report)])
         for icon, texts in (("ERROR", report.errors), ("INFO", report.warnings)):
             for text in texts:
-                box = self.layout.box().column(align=True)
-                for i, line in enumerate(textwrap.wrap(text, letters) or [""]):
-                    box.label(text=line, icon=icon if i == 0 else "BLANK1")
+                draw_lines(self.layout.box(), context, [text], icon)
         if not report.errors and not report.warnings:
             self.layout.label(text="No warnings", icon="CHECKMARK")
 
@@ -53,7 +41,7 @@ def report_lines(report: reports.RenderReport) -> list[str]:
         seconds = statistics["seconds"]
         rays = statistics["rays"]["total"] / seconds["render"] / 1e6 if seconds.get("render") else 0.0
         lines.append(f"{name}: {seconds['total']:.2f} s on {statistics['device']['alias']}, {rays:.2f} Mrays/s")
-        lines += _tree_lines(statistics.get("tree")) + _counter_lines(statistics.get("counters"))
+        lines += _tree_lines(statistics.get("tree")) + _batching_lines(statistics.get("batching")) + _counter_lines(statistics.get("counters"))
         if statistics["invalid_samples"]:
             lines.append(f"{name}: {statistics['invalid_samples']:,} samples were not finite and count as black")
     return lines
@@ -68,6 +56,19 @@ def _tree_lines(tree: dict[str, Any] | None) -> list[str]:
         done = [done[0].removeprefix("1 ")]
     work = f"{', '.join(done)} in {tree['seconds']:.2f} s" if done else "kept"
     return [f"Tree: {_short(tree['triangles'])} triangles, {_short(tree['nodes'])} nodes, {tree['bytes'] / 1e6:.1f} MB, {work}"]
+
+
+def _batching_lines(batching: dict[str, Any] | None) -> list[str]:
+    """How often rays waited, and what was copied for them; nothing where nothing batched."""
+    if batching is None:
+        return []
+    lines = [f"Batched: {batching['treelet_visits_per_ray']:.1f} treelets, {batching['rays_queued_per_ray']:.1f} times queued a ray"]
+    if batching["blocks_short"]:
+        lines.append(f"The {_short(batching['block_count'])} blocks of queues ran out {_short(batching['blocks_short'])} times")
+    if batching["pages_loaded"]:
+        copied = f"{_short(batching['pages_loaded'])} pages, {batching['bytes_copied'] / 1e9:.2f} GB"
+        lines.append(f"Geometry on the device {batching['resident_peak'] / 1e6:,.0f} MB at most; brought there: {copied}")
+    return lines
 
 
 def _counter_lines(counters: dict[str, Any] | None) -> list[str]:

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import bpy
 
-from ..core.settings import BYTES, GROUPS, SETTINGS, SettingInfo
+from ..core.errors import SettingsError
 from ..core.setting_info import GroupInfo
-from .panel import EnginePanel
+from ..core.settings import BYTES, GROUPS, SETTINGS, SettingInfo
+from ..export.settings import settings_from
+from .choices import draw_choice
+from .memory import estimate_lines
+from .panel import EnginePanel, draw_lines
+from .presets import RAYBATCH_MT_schedule_presets
 from .properties import megabytes_name
 
 # Blender's own settings that belong to a group: shown at its end
 _BUILTIN = {"FILM": ("film_transparent",)}
+_SCHEDULE = "PERFORMANCE"
 
 
 def shown_name(info: SettingInfo) -> str:
@@ -25,9 +31,27 @@ def _draw(self, context):
     column = layout.column()
     for info in SETTINGS.values():
         if info.group == self.group:
-            column.prop(context.scene.raybatch, shown_name(info))
+            row = column.row(align=True)
+            row.prop(context.scene.raybatch, shown_name(info))
+            draw_choice(row, context, info)
     for name in _BUILTIN.get(self.group, ()):
         column.prop(context.scene.render, name)
+    if self.group == _SCHEDULE:
+        _draw_complaint(layout, context)
+    elif self.group == "MEMORY":
+        draw_lines(layout, context, estimate_lines(context))
+
+
+def _draw_complaint(layout, context) -> None:
+    """Settings that do not go together are told before a render is tried."""
+    try:
+        settings_from(context.scene)
+    except SettingsError as error:
+        draw_lines(layout.box(), context, [str(error)], "ERROR")
+
+
+def _draw_presets(self, _context):
+    self.layout.menu(RAYBATCH_MT_schedule_presets.__name__, text="", icon="PRESET")
 
 
 def _panel_name(group: str) -> str:
@@ -42,6 +66,8 @@ def _panel(group: str, info: GroupInfo) -> type:
         "group": group,
         "draw": _draw,
     }
+    if group == _SCHEDULE:
+        values["draw_header_preset"] = _draw_presets
     if info.parent:
         values["bl_parent_id"] = _panel_name(info.parent)
     return type(_panel_name(group), (EnginePanel, bpy.types.Panel), values)

@@ -1,7 +1,6 @@
 """Settings and panels in Blender."""
 
 import re
-import types
 
 import numpy as np
 import pytest
@@ -9,6 +8,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from blender_builders import add_grid  # noqa: E402
+from panel_layout import ENGINE, context_of, drawn, enabled_panels, own_panels  # noqa: E402
 
 from raybatch_addon import reports  # noqa: E402
 from raybatch_addon.core.errors import SettingsError  # noqa: E402
@@ -17,49 +17,6 @@ from raybatch_addon.export.settings import assign_setting, settings_from  # noqa
 from raybatch_addon.ui import builtin_panels, last_render  # noqa: E402
 from raybatch_addon.ui.properties import megabytes_name  # noqa: E402
 from raybatch_addon.ui.render_panels import shown_name  # noqa: E402
-
-ENGINE = "RAYBATCH"
-
-
-def own_panels():
-    return [panel for panel in bpy.types.Panel.__subclasses__() if panel.__name__.startswith(f"{ENGINE}_")]
-
-
-def enabled_panels():
-    return {panel.__name__ for panel in bpy.types.Panel.__subclasses__() if ENGINE in getattr(panel, "COMPAT_ENGINES", ())}
-
-
-class Layout:
-    """A layout that notes what is drawn, and only takes properties that exist."""
-
-    def __init__(self, notes=None):
-        self.notes = [] if notes is None else notes
-
-    def column(self, **_options):
-        return Layout(self.notes)
-
-    row = box = column
-
-    def label(self, text="", icon="NONE"):
-        assert icon in bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items
-        self.notes.append(("label", text, icon))
-
-    def prop(self, owner, name, **_options):
-        assert name in owner.bl_rna.properties, name
-        self.notes.append(("prop", owner.bl_rna.identifier, name))
-
-
-def drawn(panel, context, draw="draw"):
-    layout = Layout()
-    getattr(panel, draw)(types.SimpleNamespace(layout=layout, group=getattr(panel, "group", None)), context)
-    return layout.notes
-
-
-def context_of(scene, **extra):
-    area = types.SimpleNamespace(width=300)
-    preferences = types.SimpleNamespace(system=types.SimpleNamespace(ui_scale=1.0))  # it is 0 without a window
-    own = dict(scene=scene, view_layer=scene.view_layers[0], engine=ENGINE, region=area, object=None, light=None)
-    return types.SimpleNamespace(**{**own, "preferences": preferences, **extra})
 
 
 @pytest.mark.parametrize("name", list(SETTINGS))
