@@ -1,0 +1,192 @@
+"""Scenes built in chunks and kept in pages: sound trees, all triangles, the hits of the scene in memory."""
+
+import functools
+import re
+
+import numpy as np
+import paged_scenes
+import pytest
+import scenes
+import warp as wp
+
+from raybatch_addon.core.bvh import page_chunks
+from raybatch_addon.core.bvh.build import build_scene_tree
+from raybatch_addon.core.bvh.node import Layout, triangle_corners, triangle_faces
+from raybatch_addon.core.bvh.page_build import PagedScene, build_paged_scene, page_size
+from raybatch_addon.core.bvh.treelet_walk import walk_treelets
+from raybatch_addon.core.bvh.treelets import CutRule
+from raybatch_addon.core.errors import OutOfMemoryError
+from raybatch_addon.core.scene.flatten import flatten
+from raybatch_addon.core.scene.geometry import upload_geometry
+from raybatch_addon.core.wavefront.rays import allocate_rays
+from raybatch_addon.core.wavefront.stages.trace import TraceFeatures, Traversal, trace_stage
+from raybatch_addon.core.wavefront.tracer import SlotList
+
+# layout, built where rays are traced
+KINDS = {"boxes": (Layout.BOXES, False), "quantised": (Layout.QUANTISED, False), "device": (Layout.QUANTISED, True)}
+MANY = CutRule(size=4, size_min=1)
+
+
+@functools.cache
+def scene():
+    made = paged_scenes.everything()
+    return made, flatten(made)
+
+
+def paged(kind: str, budget: int, store: str = "HOST", **more) -> PagedScene:
+    layout, on_device = KINDS[kind]
+    made, flat = scene()
+    return build_paged_scene(flat, made.instances.visibility, layout, wp.get_device("cpu"), budget, store, on_device=on_device, **more)
+
+
+@pytest.mark.parametrize("rule", [CutRule(), MANY, CutRule(size=1)], ids=["one", "many", "all"])
+@pytest.mark.parametrize("budget", [300_000, 600_000, 100_000_000])
+@pytest.mark.parametrize("kind", KINDS)
+def test_chunks_are_sound_trees_and_hold_every_triangle_once(kind, budget, rule):
+    built, (_, flat) = paged(kind, budget, rule=rule, nodes_resident=False), scene()
+    held = []
+    chunks = paged_scenes.cut_blocks(built)
+    assert len(chunks) == built.statistics["chunks"] and sum(len(chunk.nodes) for chunk in chunks) == built.treelet_count
+    first = np.unique(built.tree.entry_node.numpy())
+    for chunk, node in zip(chunks, first):
+        walk_treelets(built.layout, chunk)
+        # the mesh that the chunk is of: baked ones share a part
+        instance = int(built.tree.entry_instance.numpy()[np.flatnonzero(built.tree.entry_node.numpy() == node)[0]])
+        e = int(np.flatnonzero(built.tree.entry_node.numpy() == node)[0])
+        if instance < 0:
+            instance = int(built.tree.merged_instance.numpy()[built.tree.merged_first.numpy()[e]])
+        start = next(
+            (group.triangle_first for group in flat.merged if instance in group.instance), flat.mesh_triangle_first[flat.instance_mesh[instance]]
+        )
+        for words in (chunk.top_triangles, *chunk.triangles):
+            faces, corners = triangle_faces(built.layout, words), triangle_corners(built.layout, words)
+            held.append(start + faces[faces >= 0])
+            assert np.array_equal(corners[faces >= 0], flat.positions[flat.triangles[held[-1]]])
+    assert np.array_equal(np.sort(np.concatenate(held)), np.arange(len(flat.triangles)))
+    assert built.statistics["triangles"] == len(flat.triangles)
+
+
+@pytest.mark.parametrize("nodes_resident", [False, True])
+@pytest.mark.parametrize("kind", KINDS)
+def test_pages_are_runs_of_whole_treelets_within_their_size(kind, nodes_resident):
+    budget = 500_000
+    built = paged(kind, budget, nodes_resident=nodes_resident, rule=MANY)
+    assert len(built.pages) > 3 and built.nodes_resident == nodes_resident
+    ends = [page.treelet_first + page.treelet_count for page in built.pages]
+    assert [page.treelet_first for page in built.pages] == [0, *ends[:-1]] and ends[-1] == built.treelet_count
+    assert np.array_equal(built.treelet_page, np.repeat(np.arange(len(built.pages)), [page.treelet_count for page in built.pages]))
+    assert built.page_bytes_max <= page_size(budget) <= budget // 8
+    assert all(page.byte_first % 4096 == page.byte_count % 4096 == 0 for page in built.pages)
+    assert built.resident_bytes + built.page_bytes_max <= budget
+    assert np.array_equal(np.sort(built.of_node.numpy()[built.root.numpy()]), np.arange(built.treelet_count))
+    nodes, triangles = paged_scenes.blocks(built)
+    for k, page in enumerate(built.treelet_page):
+        assert 0 <= built.treelet_triangle_byte[k] and built.treelet_triangle_byte[k] + triangles[k].nbytes <= built.pages[page].device_bytes
+    if nodes_resident:
+        assert built.resident_nodes.size >= sum(block.nbytes for block in nodes)
+
+
+def test_nodes_stay_where_they_fit_well():
+    assert not paged("quantised", 130_000).nodes_resident
+    assert paged("quantised", 2_000_000).nodes_resident
+
+
+@pytest.mark.parametrize("budget", [250_000, 2_000_000])
+@pytest.mark.parametrize("kind", KINDS)
+def test_hits_are_those_of_the_scene_in_memory(kind, budget):
+    """Ties between touching meshes too: distances, instances and primitives are the same bit for bit."""
+    made, flat = scene()
+    layout, on_device = KINDS[kind]
+    device = wp.get_device("cpu")
+    built = build_scene_tree(flat, upload_geometry(flat, made, device), made.instances.visibility, True, device, layout, on_device=on_device)
+    for visibility in (1, 255):
+        expected = traced(built.tree, layout, visibility)
+        found = traced(paged_scenes.whole_tree(paged(kind, budget)), layout, visibility)
+        assert (expected[1] >= 0).sum() > 500
+        for a, b in zip(expected, found):
+            assert np.array_equal(a, b)
+
+
+def traced(tree, layout, visibility) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(3)
+    count = 3000
+    rays = allocate_rays(count, wp.get_device("cpu"))
+    origin = rng.normal(size=(count, 3)) * 4
+    vertices = scene()[1].positions
+    # half of them through vertices, where triangles tie
+    aim = np.where(np.arange(count)[:, None] % 2, vertices[rng.integers(0, len(vertices), count)], rng.normal(size=(count, 3)) * 1.5)
+    rays.origin.assign(origin.astype(np.float32))
+    rays.direction.assign((aim - origin).astype(np.float32))
+    rays.t_max.fill_(np.inf)
+    rays.visibility.fill_(visibility)
+    listed = SlotList(wp.array(np.arange(count, dtype=np.int32), device="cpu"), wp.array([count], dtype=int, device="cpu"), count)
+    trace_stage(TraceFeatures(Traversal.of("OFF", layout), False, True, False)).launch(tree, rays, listed, None)
+    return rays.hit_t.numpy(), rays.hit_instance.numpy(), rays.hit_primitive.numpy(), rays.hit_uv.numpy()
+
+
+def test_chunks_that_come_out_too_large_are_divided(monkeypatch):
+    monkeypatch.setitem(page_chunks.CHUNK_BYTES_EACH, Layout.BOXES, 10)
+    built = paged("boxes", 600_000, nodes_resident=False)
+    assert built.page_bytes_max <= page_size(600_000)
+    assert sum(len(chunk.triangles) for chunk in paged_scenes.cut_blocks(built)) == built.statistics["chunks"]
+
+
+def test_a_budget_of_one_page():
+    """The least budget at which anything works: all of it is what stays and one page."""
+    budget = next(b for b in range(40_000, 1_000_000, 5_000) if fits(b))
+    built = paged("boxes", budget)
+    assert built.resident_bytes + built.page_bytes_max <= budget
+
+
+def fits(budget: int) -> bool:
+    try:
+        paged("boxes", budget)
+    except OutOfMemoryError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("budget", [1, 1_000, 20_000])
+@pytest.mark.parametrize("kind", ["boxes", "quantised"])
+def test_a_budget_that_is_too_small_is_refused_with_one_that_is_enough(kind, budget):
+    with pytest.raises(OutOfMemoryError, match="too small") as error:
+        paged(kind, budget)
+    enough = int(re.findall(r"([\d,]+) (?:bytes )?are enough", str(error.value))[-1].replace(",", ""))
+    assert enough < 400_000
+    while not fits_kind(kind, enough):
+        # estimates are made before anything is built; the second answer is exact
+        with pytest.raises(OutOfMemoryError, match="too small") as error:
+            paged(kind, enough)
+        larger = int(re.findall(r"([\d,]+) (?:bytes )?are enough", str(error.value))[-1].replace(",", ""))
+        assert larger > enough
+        assert "beside a page" not in str(error.value) or fits_kind(kind, larger)
+        enough = larger
+
+
+def fits_kind(kind: str, budget: int) -> bool:
+    try:
+        paged(kind, budget)
+    except OutOfMemoryError:
+        return False
+    return True
+
+
+def test_sizes_of_pages():
+    assert [page_size(b) for b in (0, 100_000, 2 << 20, 127 << 20, 200 << 20, 256 << 20, 1 << 40)] == [
+        8192, 12288 - 4096 + 4096, 256 << 10, (127 << 17) // 4096 * 4096, 16 << 20, 32 << 20, 64 << 20,
+    ]  # fmt: skip
+
+
+def test_a_scene_of_one_triangle():
+    made = scenes.scene([(scenes.Mesh("one", np.float32([[0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.int32([[0, 1, 2]])), scenes.IDENTITY, scenes.diffuse())])
+    flat = flatten(made)
+    for layout in Layout:
+        built = build_paged_scene(flat, made.instances.visibility, layout, wp.get_device("cpu"), 100_000)
+        assert built.treelet_count == len(built.pages) == 1 and built.levels >= 2
+        assert built.tree.entry_instance.numpy().tolist() == [0]
+
+
+def test_memory_that_is_not_there_is_told(monkeypatch):
+    monkeypatch.setattr("raybatch_addon.core.bvh.page_build.free_memory", lambda device: 1000)
+    with pytest.raises(OutOfMemoryError, match="use DISK"):
+        paged("boxes", 600_000)
