@@ -77,11 +77,10 @@ LOOP_TEXT = """
         }
         $count_turn
         if (TWO_LEVEL && is_alive()) {
-            if (entry < 0 && leaf.y) enter();
-            if (turned) make_ray();
-            turned = false;
+            if ($in_top && leaf.y) enter();
+            $make_ray
         }
-        const bool in_mesh = !TWO_LEVEL || entry >= 0;
+        const bool in_mesh = !TWO_LEVEL || $in_mesh;
         $turn
         if (node == NONE) choose();
     }
@@ -98,6 +97,9 @@ def _turn_text(options: TraceOptions) -> str:
 _TRACE_PIECES = {
     "go_to_top": "first_node = tree.top_node; first_triangle = 0u;",
     "go_to_entry": "first_node = tree.entry_node.data[entry]; first_triangle = tree.entry_triangle.data[entry];",
+    "in_top": "entry < 0",
+    "in_mesh": "entry >= 0",
+    "make_ray": "if (turned) make_ray(); turned = false;",
     "any_hit": "ANY_HIT",
     "end_any_hit": "",
 }

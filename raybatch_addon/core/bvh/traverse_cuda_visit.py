@@ -47,6 +47,9 @@ _PIECES = {
     "go_to_top": "nodes = resident_nodes + 5ull * (unsigned)tree.top_node;",
     "go_to_entry": "nodes = resident_nodes + 5ull * (unsigned)tree.entry_node.data[entry]; "
     "triangles = resident_triangles + 3ull * (unsigned)tree.entry_triangle.data[entry];",
+    "in_top": "!(state & IN_MESH)",
+    "in_mesh": "(state & IN_MESH)",
+    "make_ray": "if (state & TURNED) { make_ray(); state ^= TURNED; }",
     "any_hit": "slot >= any_first",
     "end_any_hit": "treelet = -1; state = STOPPED;",
     # a treelet's root waits until no triangle does: its own are elsewhere

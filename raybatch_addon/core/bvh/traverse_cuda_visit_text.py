@@ -19,11 +19,13 @@ VISIT_STATE_TEXT = """
     constexpr unsigned CAME = 1u << 19;       // the ray has come from a queue into `treelet`: its way there is in `progress` alone
     constexpr unsigned NODES_ONLY = 1u << 20; // no triangles of `treelet` are there
     constexpr unsigned STOPPED = 1u << 21;    // no more nodes are visited
+    constexpr unsigned IN_MESH = 1u << 22;    // with a top level: the ray is below it
+    constexpr unsigned TURNED = 1u << 23;     // the ray has come to another tree, for which `ray` is not made yet
     const Words* const resident_nodes = (const Words*)tree.nodes.data;
     const Words* const resident_triangles = (const Words*)tree.triangles.data;
     auto is_nodes = [](const Group& g) -> bool { return g.y > 0x00ffffffu; };
 
-    int position = 0, slot = -1;              // of the ray in the batch, and its slot, -1: none
+    int slot = -1;                            // of the ray, -1: none
     Ray ray = {};
     float best = 0.0f;                        // distance of the closest hit so far, or t_max
     const Words* nodes = resident_nodes;
@@ -32,15 +34,20 @@ VISIT_STATE_TEXT = """
     Group inner = {0u, 0u}, leaf = {0u, 0u};
     Group later = {0u, 0u};                   // triangles of an earlier node; none unless `leaf` has some
     int depth = 0;                            // groups on the stack
-    int entry = -1;                           // the tree that the ray is in, -1: the top level
-    int bottom = 0;                           // groups on the stack that belong to the top level
-    bool turned = false;                      // the ray has come to another tree, for which `ray` is not made yet
-    unsigned top_order = 0u;                  // `ray.order` in the top level
-    unsigned entry_level = 0u;                // `state` at the node that lists `entry`, in its LEVEL
     unsigned state = 0u;
-    int treelet = -1;                         // where the ray is, stops, or comes from; -1: none
-    int visit_count = 0;
-    Group stack[$stack_size];
+    Group stack[$stack_size + 4];
+    // What is seldom used lies behind the stack, in memory: registers are few
+    unsigned& position = stack[$stack_size].x;          // of the ray in the batch
+    unsigned& entry_level = stack[$stack_size].y;       // `state` at the node that lists `entry`, in its LEVEL
+    int& treelet = (int&)stack[$stack_size + 1].x;      // where the ray is, stops, or comes from; -1: none
+    unsigned& visit_count = stack[$stack_size + 1].y;
+    int no_entry = -1, no_bottom = 0;                   // constants where there is no top level
+    int& entry = TWO_LEVEL ? (int&)stack[$stack_size + 2].x : no_entry;     // the tree that the ray is in, -1: the top level
+    int& bottom = TWO_LEVEL ? (int&)stack[$stack_size + 2].y : no_bottom;   // groups on the stack that belong to the top level
+    unsigned& top_order = stack[$stack_size + 3].x;     // `ray.order` in the top level
+    treelet = entry = -1;
+    bottom = 0;
+    visit_count = 0u;
     unsigned char trail[$trail_size];         // the bit that was taken, by level
     $counters
 """
@@ -69,7 +76,7 @@ VISIT_RAY_TEXT = """
         node = 0u;
         if (TWO_LEVEL) {
             entry = -1;
-            turned = true;
+            state |= TURNED;
         } else {
             nodes = resident_nodes;
             triangles = resident_triangles;
@@ -83,7 +90,7 @@ VISIT_RAY_TEXT = """
     auto take = [&](int ray_position) {
         const int place = where.data[ray_position];
         if (place == DONE || (TASK == TREELET && place < 0)) return;
-        position = ray_position;
+        position = (unsigned)ray_position;
         slot = slots.data[position];
         const bool any = slot >= any_first;
         best = any || place < 0 ? t_max.data[slot] : hit_t.data[slot];
@@ -109,13 +116,14 @@ VISIT_RAY_TEXT = """
                 if (TWO_LEVEL) {
                     entry = progress.entry.data[slot];
                     node -= (unsigned)tree.entry_node.data[entry];
+                    state |= IN_MESH;
                 }
             } else {
                 state = CAME | STOPPED;
             }
         }
         if (TWO_LEVEL) {
-            turned = true;
+            state |= TURNED;
         } else {
             nodes = resident_nodes;
             triangles = resident_triangles;
@@ -162,7 +170,7 @@ VISIT_STEP_TEXT = """
         bottom = depth;
         entry = e;
         node = 0u;
-        turned = true;
+        state |= IN_MESH | TURNED;
         entry_level = state & LEVEL;
         trail[entry_level / ONE_LEVEL] = (unsigned char)bit;
         state += ONE_LEVEL;
@@ -177,12 +185,12 @@ VISIT_STEP_TEXT = """
     };
     // to the node of `bit` of the group in hand
     auto go_down = [&](unsigned bit, unsigned mask) {
-        const unsigned child = (bit ^ (TWO_LEVEL && entry < 0 ? top_order : ray.order)) & 7u;
+        const unsigned child = (bit ^ (TWO_LEVEL && !(state & IN_MESH) ? top_order : ray.order)) & 7u;
         node = inner.x + bit_count(mask & ((1u << child) - 1u));
         if (TASK == TREELET || (state & IN_TREELET)) return;
         trail[(mask & LEVEL) / ONE_LEVEL] = (unsigned char)bit;
         state = (state & ~LEVEL) | ((mask & LEVEL) + ONE_LEVEL);
-        if (!TWO_LEVEL) look_at(0u); else if (entry >= 0) look_at((unsigned)tree.entry_node.data[entry]);
+        if (!TWO_LEVEL) look_at(0u); else if (state & IN_MESH) look_at((unsigned)tree.entry_node.data[entry]);
     };
     // what was `hits` of the node, but only what comes after the ray's way, on which it goes on: in the top level entries come
     // first, and triangles were tested before
@@ -241,7 +249,7 @@ VISIT_STEP_TEXT = """
     // the next node: of the group, else of the stack; a treelet or tree that is done is left, and the ray is done where all are
     auto choose = [&]() {
         if (state & STOPPED) return;
-        const bool in_mesh = !TWO_LEVEL || entry >= 0;
+        const bool in_mesh = !TWO_LEVEL || (state & IN_MESH);
         if (!in_mesh && leaf.y) return;
         if (!is_nodes(inner)) {
             if (TASK != TOP && (state & IN_TREELET) && (depth == bottom || !(stack[depth - 1].y & IN_TREELET))) {
@@ -264,8 +272,7 @@ VISIT_STEP_TEXT = """
                 if (TWO_LEVEL && in_mesh) {
                     entry = -1;
                     bottom = 0;
-                    turned = true;
-                    state = (state & ~LEVEL) | entry_level;
+                    state = (state & ~(LEVEL | IN_MESH)) | TURNED | entry_level;
                 }
                 if (depth == 0) return;
             }
