@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import fields
+from pathlib import Path
 
 from raybatch_addon.core.report.batching import OCCUPANCY_POINTS, TOP_LEVEL_TOTALS, BatchingTotals, batching_statistics
 
@@ -36,6 +37,13 @@ def test_totals_stand_at_the_top_and_all_in_an_object_of_their_own():
 def test_a_render_that_does_not_batch_says_zero():
     told = batching_statistics(None, {})
     assert all(told[name] == 0 for name in TOP_LEVEL_TOTALS) and told["batching"] is None and told["auto"] == {}
+
+
+def test_all_of_it_is_documented():
+    text = (Path(__file__).resolve().parents[3] / "docs/statistics.md").read_text(encoding="utf-8")
+    told = batching_statistics(ONE, {})
+    for name in (*told, *told["batching"]):
+        assert f"`{name}`" in text, name
 
 
 def test_occupancy_is_thinned_out():
