@@ -35,12 +35,16 @@ def everything() -> Scene:
 
 
 def page_bytes(paged: PagedScene) -> list[np.ndarray]:
-    """The contents of every page."""
+    """The contents of every page as it lies on the device."""
     pages = []
-    for page in paged.pages:
-        buffer = page_buffer(page.byte_count).numpy()
-        paged.store.read_into(page, buffer, direct=True)
-        pages.append(buffer)
+    for number, page in enumerate(paged.pages):
+        buffer = page_buffer(page.byte_count)
+        paged.store.read_into(page, buffer.numpy(), direct=True)
+        if paged.encoded:
+            target = wp.zeros(page.device_bytes, dtype=wp.uint8, device="cpu")
+            paged.expand(number, buffer, target)
+            buffer = target
+        pages.append(buffer.numpy())
     return pages
 
 

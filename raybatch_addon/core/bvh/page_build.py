@@ -17,6 +17,7 @@ from .memory import TREE_BYTES
 from .mesh_tree import mesh_parts
 from .node import Layout
 from .page_chunks import ChunkBuilder
+from .page_encode import expand_page
 from .page_entries import instances_in
 from .page_file import PageFileWriter, delete_old_files, open_page_file, page_key
 from .page_resident import Resident, load_nodes, place_resident
@@ -55,13 +56,20 @@ class PagedScene:
     store: PageStore
     box: np.ndarray  # two corners that hold all surfaces [m], float64, shape [2, 3]
     resident_bytes: int  # of `tree`, `of_node`, `root` and `resident_nodes`
-    encoded: bool = False  # pages are expanded on the device (`page_encode.py`)
+    page_node_bytes: np.ndarray  # where the triangles of each page begin, in the store and on the device, int64, shape [pages]
+    page_units: np.ndarray  # triangles, or groups of them (BOXES), of each page, likewise
+    encoded: bool = False  # triangles are packed, and every page must be expanded where it arrives
     statistics: dict[str, Any] = field(default_factory=dict)
 
     @property
     def page_bytes_max(self) -> int:
         """Bytes of the largest page on the device."""
         return max((page.device_bytes for page in self.pages), default=0)
+
+    def expand(self, page: int, source: wp.array, target: wp.array) -> None:
+        """Bring page number `page` of an encoded scene from `source` to `target`, in the current stream; as `expand_page`."""
+        nodes = int(self.page_node_bytes[page])
+        expand_page(source, target, nodes, nodes, int(self.page_units[page]))
 
 
 def page_size(budget: int) -> int:
@@ -73,6 +81,7 @@ def page_size(budget: int) -> int:
 def build_paged_scene(
     flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device, budget: int, store: str = "HOST", folder: Path | None = None,
     rule: CutRule = CutRule(), nodes_resident: bool | None = None, spatial_splits: bool = False, on_device: bool | None = None,
+    encoded: bool = False,
 ) -> PagedScene:  # fmt: skip
     """Build `flat`, of at least one triangle, in chunks, or find what was built of it before.
 
@@ -86,35 +95,39 @@ def build_paged_scene(
         rule: cuts the tree of each chunk; by default a chunk is one treelet.
         nodes_resident: whether all nodes stay on the device; None: where they fit well.
         spatial_splits, on_device: as for `MeshTrees`.
+        encoded: pages hold triangles packed, to be expanded on arrival (`PagedScene.expand`); QUANTISED only.
 
     `statistics` say what was done, `page_file_warning` among them where a file could not be used.
 
     Raises `OutOfMemoryError` for a budget that is too small, and says what is enough, and where a chunk or HOST does not fit;
     `PageFileError` where the file cannot be written.
     """
+    if encoded and layout is not Layout.QUANTISED:
+        raise ValueError("only triangles of QUANTISED are packed")
     start = time.perf_counter()
     page_bytes = page_size(budget)
     # two segments are padded
     builder = ChunkBuilder(layout, device, rule, max(page_bytes - 2 * PAGE_ALIGNMENT, page_bytes // 2), spatial_splits, on_device)
     _check_budget(flat, layout, builder.size_max, page_bytes, budget)
-    known: dict[str, Any] = {"store": store, "page_bytes": page_bytes, "reused": False}
+    known: dict[str, Any] = {"store": store, "page_bytes": page_bytes, "encoded": encoded, "reused": False}
     if store == "DISK":
-        tables, pages = _from_disk(flat, layout, builder, rule, page_bytes, Path(folder), known)
+        tables, pages = _from_disk(flat, layout, builder, rule, Path(folder), known)
     else:
         expected, free = _expected_bytes(flat, layout), free_memory(wp.get_device("cpu"))
         if expected > free:
             raise OutOfMemoryError(f"the scene's geometry takes about {expected / 1e9:.2f} GB, and {free / 1e9:.2f} GB of memory are free; use DISK")
         pages = HostStore(pinned=bool(wp.get_cuda_devices()))
-        tables = _build(flat, layout, builder, page_bytes, pages)
+        tables = _build(flat, layout, builder, page_bytes, encoded, pages)
     known["seconds_build"] = round(time.perf_counter() - start, 6)
     return _assembled(flat, visibility, layout, device, budget, tables, pages, nodes_resident, known)
 
 
 def _from_disk(
-    flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, rule: CutRule, page_bytes: int, folder: Path, known: dict[str, Any]
+    flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, rule: CutRule, folder: Path, known: dict[str, Any]
 ) -> tuple[PageTables, PageStore]:
     """Tables and pages of the file in `folder`, which is written where there is none that is sound."""
-    key = _key(flat, layout, builder, rule, page_bytes)
+    page_bytes, encoded = known["page_bytes"], known["encoded"]
+    key = _key(flat, layout, builder, rule, page_bytes, encoded)
     found = open_page_file(folder, layout, key)
     if isinstance(found, tuple):
         try:
@@ -127,7 +140,7 @@ def _from_disk(
         known["page_file_warning"] = f"{found}: it was written anew"
     writer = PageFileWriter(folder, layout, key, _expected_bytes(flat, layout))
     try:
-        tables = _build(flat, layout, builder, page_bytes, writer)
+        tables = _build(flat, layout, builder, page_bytes, encoded, writer)
         store = writer.finish(tables.index())
     except BaseException:
         writer.abandon()
@@ -136,22 +149,24 @@ def _from_disk(
     return tables, store
 
 
-def _build(flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, page_bytes: int, target: HostStore | PageFileWriter) -> PageTables:
+def _build(
+    flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, page_bytes: int, encoded: bool, target: HostStore | PageFileWriter
+) -> PageTables:
     none = np.zeros(0, np.int32)
-    with PageBuilder(layout, page_bytes, target) as pages:
+    with PageBuilder(layout, page_bytes, target, flat.positions if encoded else None) as pages:
         for i, part in enumerate(mesh_parts(flat)):
             triangles = flat.triangles[part.triangle_first : part.triangle_first + part.triangle_count]
             for chunk in builder.build(flat.positions, triangles):
-                pages.add(chunk, instances_in(flat.merged[i], chunk.faces) if i < len(flat.merged) else none)
+                pages.add(chunk, instances_in(flat.merged[i], chunk.faces) if i < len(flat.merged) else none, triangles)
             pages.end_part()
         return pages.finish()
 
 
-def _key(flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, rule: CutRule, page_bytes: int) -> bytes:
+def _key(flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, rule: CutRule, page_bytes: int, encoded: bool) -> bytes:
     """Of everything that pages and tables depend on; instances and what they show do not change them, but for baked ones."""
     arrays = [flat.positions, flat.triangles, *(group.instance_triangle_first for group in flat.merged)]
     parts = [tuple(part) for part in mesh_parts(flat)]
-    return page_key(arrays, repr((layout, builder.choices, rule, page_bytes, parts)))
+    return page_key(arrays, repr((layout, builder.choices, rule, page_bytes, encoded, parts)))
 
 
 def _assembled(
@@ -162,18 +177,17 @@ def _assembled(
     start = time.perf_counter()
     resident = place_resident(tables, flat, visibility, layout, device)
     node_bytes = int(tables.page_bytes[:, 0].sum())
-    sizes = tables.page_bytes[:, 1] if nodes_resident else tables.page_bytes.sum(1)
     if nodes_resident is None:
         # room for more than one page without nodes
         rest = budget - resident.bytes - node_bytes
-        nodes_resident = node_bytes <= _NODES_SHARE * budget and rest >= 2 * int(tables.page_bytes[:, 1].max())
-        sizes = tables.page_bytes[:, 1] if nodes_resident else tables.page_bytes.sum(1)
+        nodes_resident = node_bytes <= _NODES_SHARE * budget and rest >= 2 * int(tables.page_device[:, 1].max())
+    sizes, stored = ((each[:, 1] if nodes_resident else each.sum(1)) for each in (tables.page_device, tables.page_bytes))
     needed = resident.bytes + nodes_resident * node_bytes + int(sizes.max())
     if needed > budget:
         raise _too_small(budget, needed, resident, nodes_resident * node_bytes)
     first, ends = tables.page_byte[:, 1 if nodes_resident else 0], tables.page_treelet
     pages = [
-        Page(int(ends[i]), int(ends[i + 1] - ends[i]), int(first[i]), int(sizes[i]), int(sizes[i])) for i in range(len(sizes))
+        Page(int(ends[i]), int(ends[i + 1] - ends[i]), int(first[i]), int(stored[i]), int(sizes[i])) for i in range(len(sizes))
     ]  # fmt: skip
     page = tables.treelet_page
     if nodes_resident:
@@ -189,6 +203,7 @@ def _assembled(
         layout=layout, tree=resident.tree, of_node=resident.of_node, root=resident.root, treelet_count=len(tables.treelet_root),
         levels=resident.levels, pages=pages, treelet_page=page, treelet_node_byte=node_byte, treelet_triangle_byte=triangle_byte,
         nodes_resident=bool(nodes_resident), resident_nodes=nodes, store=store, box=resident.box, resident_bytes=resident.bytes + nodes.size,
+        encoded=known["encoded"], page_node_bytes=tables.page_bytes[:, 0] * (not nodes_resident), page_units=tables.page_units,
         statistics={**known, **_description(tables, layout, resident, nodes_resident)},
     )  # fmt: skip
 
@@ -222,7 +237,7 @@ def _too_small(budget: int, needed: int, resident: Resident, nodes: int) -> OutO
 
 def _description(tables: PageTables, layout: Layout, resident: Resident, nodes_resident: bool) -> dict[str, Any]:
     """What the pages are, for statistics."""
-    node_bytes, triangle_bytes = (int(each) for each in tables.page_bytes.sum(0))
+    node_bytes, triangle_bytes = (int(each) for each in tables.page_device.sum(0))
     return {
         "layout": layout.value,
         "trees": len(tables.chunk_first) - 1,
@@ -231,10 +246,11 @@ def _description(tables: PageTables, layout: Layout, resident: Resident, nodes_r
         "triangles": int(tables.chunk_size.sum()),
         "treelets": len(tables.treelet_root),
         "pages": len(tables.page_bytes),
-        "page_fill": round(float(tables.page_bytes.sum(1).mean() / max(tables.page_bytes.sum(1).max(), 1)), 4),
+        "page_fill": round(float(tables.page_device.sum(1).mean() / max(tables.page_device.sum(1).max(), 1)), 4),
         "bytes": node_bytes + triangle_bytes + tables.top_nodes.nbytes + tables.top_triangles.nbytes,
         "node_bytes": node_bytes,
         "triangle_bytes": triangle_bytes,
+        "stored_bytes": int(tables.page_bytes.sum()),
         "nodes_resident": bool(nodes_resident),
         "depth": int(tables.chunk_depth.max()),
         "levels": resident.levels,

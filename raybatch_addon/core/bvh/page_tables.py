@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, fields
 
 import numpy as np
+import warp as wp
 
-from .node import Layout
+from ..device import worker_count
+from .node import Layout, triangle_faces
 from .page_chunks import Chunk
+from .page_encode import encode_triangles
 from .page_entries import ChunkInstances
 from .page_file import PageFileWriter
 from .page_store import HostStore, padded, page_buffer
+
+# Pages that are packed and written while the next chunks are built
+_AHEAD = 4
 
 
 @dataclass(frozen=True)
@@ -40,6 +47,8 @@ class PageTables:
     page_treelet: np.ndarray  # first treelet of each page, then their count, int64
     page_byte: np.ndarray  # first byte in the store: of the segments of nodes and of triangles, int64, shape [P, 2]
     page_bytes: np.ndarray  # bytes of these segments, likewise
+    page_device: np.ndarray  # bytes of these segments on the device: more for packed triangles (`page_encode.py`), likewise
+    page_units: np.ndarray  # triangles, or groups of them, of each page, int64, shape [P]
 
     @property
     def baked(self) -> ChunkInstances:
@@ -59,19 +68,25 @@ class PageTables:
 class PageBuilder:
     """Puts chunks into pages as they come, and pages into a store; a thread does the copying."""
 
-    def __init__(self, layout: Layout, page_bytes: int, target: HostStore | PageFileWriter):
-        """Pages of at most `page_bytes`, but for single chunks that are larger, to `target`."""
-        self._layout, self._page_bytes, self._target = layout, page_bytes, target
-        self._pool = ThreadPoolExecutor(1)
-        self._writing: Future | None = None
+    def __init__(self, layout: Layout, page_bytes: int, target: HostStore | PageFileWriter, positions: np.ndarray | None):
+        """Pages of at most `page_bytes` on the device, but for single chunks that are larger, to `target`.
+
+        With the mesh's `positions`, float32 [v, 3], triangles are packed.
+        """
+        self._layout, self._page_bytes, self._target, self._positions = layout, page_bytes, target, positions
+        self._pool = ThreadPoolExecutor(min(worker_count(wp.get_device("cpu"), 0), _AHEAD))
+        self._writer = ThreadPoolExecutor(1)
+        self._writing: deque[Future] = deque()
         self._buffer: np.ndarray | None = None
         self._parts: list[int] = [0]
         self._chunks: list[dict] = []
         self._baked: list[np.ndarray] = []
         self._top: dict[str, list[np.ndarray]] = {"nodes": [], "treelet": [], "root": [], "triangles": []}
         self._treelets: list[np.ndarray] = []  # page, first byte of nodes, of triangles
-        self._pages: list[tuple] = []  # treelet after the last, bytes in the store and first bytes
+        self._pages: list[tuple] = []  # what is known of those that are written
+        self._page_count = 0
         self._blocks: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])  # of the page in hand
+        self._corners: list[tuple[int, np.ndarray]] = []  # likewise: so many triangles, of this mesh
         self._sizes = [0, 0]
         self._treelet_count = self._node_count = 0
 
@@ -79,16 +94,17 @@ class PageBuilder:
         return self
 
     def __exit__(self, *_) -> None:
+        self._writer.shutdown(cancel_futures=True)
         self._pool.shutdown(cancel_futures=True)
 
-    def add(self, chunk: Chunk, places: np.ndarray) -> None:
-        """Behind the others; `places` as of `ChunkInstances`."""
+    def add(self, chunk: Chunk, places: np.ndarray, triangles: np.ndarray) -> None:
+        """Behind the others; `places` as of `ChunkInstances`, `triangles` those of the mesh, int32 [n, 3]."""
         blocks = (chunk.nodes, chunk.triangles)
         sizes = [np.array([block.nbytes for block in each], np.int64) for each in blocks]
         if self._blocks[1] and sum(padded(self._sizes[k] + int(sizes[k].sum())) for k in range(2)) > self._page_bytes:
             self._flush()
         starts = [self._sizes[k] + np.cumsum(sizes[k]) - sizes[k] for k in range(2)]
-        self._treelets.append(np.stack([np.full(len(sizes[0]), len(self._pages)), *starts]))
+        self._treelets.append(np.stack([np.full(len(sizes[0]), self._page_count), *starts]))
         self._top["nodes"].append(chunk.top_nodes)
         self._top["treelet"].append(np.where(chunk.top_treelet < 0, -1, chunk.top_treelet + self._treelet_count).astype(np.int32))
         self._top["root"].append((chunk.treelet_root + self._node_count).astype(np.int32))
@@ -96,6 +112,7 @@ class PageBuilder:
         for k in range(2):
             self._blocks[k].extend(blocks[k])
             self._sizes[k] += int(sizes[k].sum())
+        self._corners.append((sum(len(block) for block in chunk.triangles), triangles))
         self._treelet_count += len(chunk.nodes)
         self._node_count += len(chunk.top_nodes)
         self._baked.append(places)
@@ -114,7 +131,7 @@ class PageBuilder:
         """Write what is left; raises what writing raised."""
         if self._blocks[1]:
             self._flush()
-        self._wait()
+        self._wait(0)
 
         def column(name: str) -> np.ndarray:
             return np.array([chunk[name] for chunk in self._chunks])
@@ -127,7 +144,7 @@ class PageBuilder:
 
         baked = ChunkInstances.of(self._baked)
         treelets = np.concatenate([np.zeros((3, 0), np.int64), *self._treelets], 1)
-        pages = np.array(self._pages, np.int64).reshape(-1, 5)
+        pages = np.array(self._pages, np.int64).reshape(-1, 8)
         return PageTables(
             chunk_first=np.array(self._parts, np.int64),
             chunk_node=firsts("node"), chunk_triangle=firsts("triangle"), chunk_treelet=firsts("treelet"), chunk_size=column("size"),
@@ -139,21 +156,37 @@ class PageBuilder:
             top_triangles=joined("triangles", self._layout.triangle_words, np.float32),
             treelet_page=treelets[0].astype(np.int32), treelet_node=treelets[1], treelet_triangle=treelets[2],
             page_treelet=np.concatenate([[0], pages[:, 0]]), page_byte=pages[:, 1:3], page_bytes=pages[:, 3:5],
+            page_device=pages[:, 5:7], page_units=pages[:, 7],
         )  # fmt: skip
 
     def _flush(self) -> None:
         """The page in hand to the store."""
-        self._wait()
-        self._writing = self._pool.submit(self._write, self._blocks, tuple(padded(size) for size in self._sizes), self._treelet_count)
-        self._pages.append(())  # comes when it is written
-        self._blocks, self._sizes = ([], []), [0, 0]
+        self._wait(_AHEAD - 1)
+        page = self._pool.submit(self._segments, self._blocks, self._corners)
+        self._writing.append(self._writer.submit(self._write, page, self._treelet_count))
+        self._page_count += 1
+        self._blocks, self._corners, self._sizes = ([], []), [], [0, 0]
 
-    def _wait(self) -> None:
-        if self._writing is not None:
-            self._pages[-1] = self._writing.result()
-            self._writing = None
+    def _wait(self, left: int) -> None:
+        """Until no more than `left` pages are on their way."""
+        while len(self._writing) > left:
+            self._pages.append(self._writing.popleft().result())
 
-    def _write(self, blocks: tuple[list[np.ndarray], list[np.ndarray]], sizes: tuple[int, int], treelet_end: int) -> tuple:
+    def _segments(self, blocks: tuple[list[np.ndarray], list[np.ndarray]], corners: list[tuple[int, np.ndarray]]) -> tuple:
+        """Blocks of nodes and of triangles as the store has them, their bytes on the device, and the number of units."""
+        device = [sum(block.nbytes for block in each) for each in blocks]
+        units = device[1] // (4 * self._layout.triangle_words)
+        if self._positions is None:
+            return *blocks, device, units
+        triangles = np.concatenate(blocks[1])
+        faces, ends = triangle_faces(self._layout, triangles), np.cumsum([0, *(count for count, _ in corners)])
+        vertices = [mesh[faces[a:b]] for (_, mesh), a, b in zip(corners, ends[:-1], ends[1:])]
+        return blocks[0], [encode_triangles(triangles, np.concatenate(vertices), self._positions)], device, units
+
+    def _write(self, page: Future, treelet_end: int) -> tuple:
+        nodes, triangles, device, units = page.result()
+        blocks = (nodes, triangles)
+        sizes = [padded(sum(block.nbytes for block in each)) for each in blocks]
         total = sum(sizes)
         if isinstance(self._target, HostStore):
             first, memory = self._target.add(total)
@@ -172,4 +205,4 @@ class PageBuilder:
                 at = self._target.add(memory[start:end])
                 first = at if start == 0 else first
             place = end
-        return treelet_end, first, first + sizes[0], *sizes
+        return treelet_end, first, first + sizes[0], *sizes, *(padded(size) for size in device), units

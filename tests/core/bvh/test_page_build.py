@@ -190,3 +190,25 @@ def test_memory_that_is_not_there_is_told(monkeypatch):
     monkeypatch.setattr("raybatch_addon.core.bvh.page_build.free_memory", lambda device: 1000)
     with pytest.raises(OutOfMemoryError, match="use DISK"):
         paged("boxes", 600_000)
+
+
+@pytest.mark.parametrize("nodes_resident", [False, True])
+@pytest.mark.parametrize("store", ["HOST", "DISK"])
+@pytest.mark.parametrize("rule", [CutRule(), MANY], ids=["one", "many"])
+@pytest.mark.parametrize("kind", ["quantised", "device"])
+def test_packed_pages_are_the_same_on_the_device(kind, rule, store, nodes_resident, tmp_path):
+    plain = paged(kind, 500_000, nodes_resident=nodes_resident, rule=rule)
+    for reused in (False, True) if store == "DISK" else (False,):
+        packed = paged(kind, 500_000, store, nodes_resident=nodes_resident, rule=rule, encoded=True, folder=tmp_path)
+        assert packed.encoded and packed.statistics["reused"] == reused and packed.page_bytes_max == plain.page_bytes_max
+        assert [page.device_bytes for page in packed.pages] == [page.device_bytes for page in plain.pages]
+        for a, b in zip(paged_scenes.page_bytes(packed), paged_scenes.page_bytes(plain), strict=True):
+            assert np.array_equal(a, b)
+        assert np.array_equal(packed.treelet_triangle_byte, plain.treelet_triangle_byte)
+        assert np.array_equal(packed.resident_nodes.numpy(), plain.resident_nodes.numpy())
+        assert packed.statistics["stored_bytes"] < 0.6 * plain.statistics["stored_bytes"]
+
+
+def test_boxes_are_not_packed():
+    with pytest.raises(ValueError, match="QUANTISED"):
+        paged("boxes", 500_000, encoded=True)
