@@ -18,7 +18,7 @@ import functools
 import warp as wp
 
 from .trace_counts import TraceCounts
-from .traverse_cpu_text import RAY_TEXT, STEP_TEXT
+from .traverse_cpu_text import WHOLE_TREE_TEXT, filled
 from .tree import Tree
 from .vector_text import INLINE, VECTOR_TEXT
 
@@ -163,7 +163,7 @@ _EMPTY_TEXT = """
 """
 
 # Lines that are there with counters alone
-_COUNTING = {
+COUNTING = {
     "COUNTS_OF_RAY": "int node_steps, box_tests, triangle_tests;",
     "BEGIN_COUNTS": "ray.node_steps = ray.box_tests = ray.triangle_tests = 0;",
     "END_COUNTS": "counts.node_steps.data[slot] = ray.node_steps; counts.box_tests.data[slot] = ray.box_tests; "
@@ -173,16 +173,19 @@ _COUNTING = {
 }
 
 
+def counting(counters: bool) -> dict[str, str]:
+    """The lines of `COUNTING`, or none."""
+    return {name: lines if counters else "" for name, lines in COUNTING.items()}
+
+
 def traversal_text(any_hit: bool, instancing: bool, interleave: int, counters: bool) -> str:
     """The body of the native function."""
     constants = f"""
     constexpr bool ANY_HIT = {str(any_hit).lower()}, TWO_LEVEL = {str(instancing).lower()};
     constexpr int RAYS = {interleave};
     """
-    text = constants + VECTOR_TEXT + RAY_TEXT + STEP_TEXT + _EMPTY_TEXT + (_INTERLEAVED_TEXT if interleave > 1 else _PLAIN_TEXT)
-    for name, lines in _COUNTING.items():
-        text = text.replace(name, lines if counters else "")
-    text = text.replace("INLINE", INLINE)
+    text = constants + VECTOR_TEXT + WHOLE_TREE_TEXT + _EMPTY_TEXT + (_INTERLEAVED_TEXT if interleave > 1 else _PLAIN_TEXT)
+    text = filled(text, counting(counters) | {"INLINE": INLINE})
     return f"\n#if !defined(__CUDA_ARCH__)\n{text}\n#endif\n"
 
 

@@ -102,6 +102,9 @@ RAY_TEXT = """
         return set_slabs(
             ray.slabs, FourFloats{o[0], o[1], o[2], 0.0f}, FourFloats{d[0], d[1], d[2], 0.0f}, FourFloats{c[0], c[1], c[2], 0.0f}, SLAB_MARGIN);
     };
+"""
+
+_RESET_TEXT = """\
     auto reset = [&](Ray& ray, int slot) INLINE {
         // where the hit will be written: slots of sorted rays are anywhere
         __builtin_prefetch(&hit_instance.data[slot], 1);
@@ -118,12 +121,18 @@ RAY_TEXT = """
         ray.top = 8;
         BEGIN_COUNTS
     };
+"""
+
+TO_TOP_TEXT = """\
     auto to_top = [&](Ray& ray) INLINE {
         ray.slabs = ray.top_slabs;
         ray.entry = -1;
         ray.nodes = NODES + 256ll * tree.top_node;
         ray.triangles = NODES;  // never read, but asked for ahead
     };
+"""
+
+_BEGIN_TEXT = """\
     // At the root; whether the ray can be traced
     auto begin = [&](Ray& ray, int slot) INLINE -> bool {
         reset(ray, slot);
@@ -139,6 +148,9 @@ RAY_TEXT = """
         ray.child = 0;
         return sound;
     };
+"""
+
+IDENTIFY_TEXT = """\
     // instance and primitive of triangle `face` of entry `e`
     auto identify = [&](int e, int face, int& instance, int& primitive) {
         instance = tree.entry_instance.data[e];
@@ -153,6 +165,9 @@ RAY_TEXT = """
         instance = tree.merged_instance.data[low];
         primitive = face - tree.merged_triangle_first.data[low];
     };
+"""
+
+_FINISH_TEXT = """\
     auto finish = [&](Ray& ray) INLINE {
         const int slot = ray.slot;
         END_COUNTS
@@ -172,8 +187,8 @@ STEP_TEXT = """
     };
     // Address of a child. Nodes and leaves come in no order that a processor could guess: no branch.
     auto address = [&](const Ray& ray, int child) INLINE -> const char* {
-        const char* node = (TWO_LEVEL ? ray.nodes : ONLY_NODES) + 256ll * child;
-        const char* group = (TWO_LEVEL ? ray.triangles : ONLY_TRIANGLES) + 320ll * ((unsigned)~child >> 3);
+        const char* node = NODES_OF_RAY + 256ll * NODE_OF_CHILD;
+        const char* group = TRIANGLES_OF_RAY + 320ll * ((unsigned)~child >> 3);
         long long leaf = (long long)child >> 63;
         __asm__("" : "+r"(leaf));  // else the compiler finds a branch here
         return (const char*)(((long long)node & ~leaf) | ((long long)group & leaf));
@@ -197,7 +212,7 @@ STEP_TEXT = """
         const int count = __builtin_popcount(met);
         key = __builtin_expect(count <= 4, 1) ? sorted_four(key) : sorted_eight(key);
         *(LooseInts*)(ray.waiting + ray.top) = picked(*(const Ints*)(p + 192), key & 7);
-        *(LooseInts*)(ray.distance + ray.top) = key & ~7;
+        *(LooseInts*)(ray.distance + ray.top) = key & ~7;KEEP_PLACES
         return count;
     };
     // A hit of triangle `face` at the distance t
@@ -247,8 +262,8 @@ STEP_TEXT = """
             wr[k] = fw;
             hits |= 1u << k;
         }
-        hits &= below(all(0.0f), t) & (ANY_HIT ? below(t, all(ray.best)) : at_most(t, all(ray.best)));
-        if (ANY_HIT) {
+        hits &= below(all(0.0f), t) & (ASKS_ANY ? below(t, all(ray.best)) : at_most(t, all(ray.best)));
+        if (ASKS_ANY) {
             if (hits) { ray.face = 0; ray.top = 8; }
             return;
         }
@@ -270,6 +285,9 @@ STEP_TEXT = """
         test(ray, p);
         while (__builtin_expect(more-- > 0, 0)) test(ray, p += 320);
     };
+"""
+
+_ENTER_TEXT = """\
     // A leaf of the top level was just taken from the stack: into its first entry, the others wait. Whether there is anything to see.
     auto enter_tree = [&](Ray& ray) INLINE -> bool {
         const int code = ~ray.child, entry = tree.top_entry.data[code >> 3];
@@ -283,6 +301,9 @@ STEP_TEXT = """
         ray.distance[ray.top++] = __builtin_nanf("");
         return true;
     };
+"""
+
+POP_TEXT = """\
     // The highest child on the stack that is not beyond the closest hit, or an end; it is taken off
     auto pop = [&](Ray& ray) INLINE -> int {
         const Floats best = all(ray.best);
@@ -295,11 +316,33 @@ STEP_TEXT = """
     auto clear_stack = [](Ray& ray) INLINE {
         for (int k = 0; k < 8; ++k) { ray.waiting[k] = END; ray.distance[k] = __builtin_nanf(""); }
     };
-""".replace("EDGE_TINY", f"{EDGE_TINY.hex()}f")
+"""
 
-RAY_TEXT = (
-    RAY_TEXT.replace("DIRECTION_LEAST", f"{DIRECTION_LEAST.hex()}f")
-    .replace("SLAB_MARGIN", f"{SLAB_MARGIN.hex()}f")
-    .replace("STACK_ALL", str(STACK_ALL))
-    .replace("STACK_MESH", str(STACK_MESH))
+# What kernels of whole trees put in place of these words
+_WHOLE_TREE = {
+    "NODES_OF_RAY": "(TWO_LEVEL ? ray.nodes : ONLY_NODES)",
+    "TRIANGLES_OF_RAY": "(TWO_LEVEL ? ray.triangles : ONLY_TRIANGLES)",
+    "NODE_OF_CHILD": "child",
+    "KEEP_PLACES": "",
+    "ASKS_ANY": "ANY_HIT",
+}
+_CONSTANTS = {
+    "DIRECTION_LEAST": f"{DIRECTION_LEAST.hex()}f",
+    "SLAB_MARGIN": f"{SLAB_MARGIN.hex()}f",
+    "EDGE_TINY": f"{EDGE_TINY.hex()}f",
+    "STACK_ALL": str(STACK_ALL),
+    "STACK_MESH": str(STACK_MESH),
+}
+
+
+def filled(text: str, words: dict[str, str]) -> str:
+    """`text` with other words in place of the keys of `words`, one after another."""
+    for word, replacement in words.items():
+        text = text.replace(word, replacement)
+    return text
+
+
+RAY_TEXT, STEP_TEXT = filled(RAY_TEXT, _CONSTANTS), filled(STEP_TEXT, _CONSTANTS)
+WHOLE_TREE_TEXT = filled(
+    RAY_TEXT + _RESET_TEXT + TO_TOP_TEXT + _BEGIN_TEXT + IDENTIFY_TEXT + _FINISH_TEXT + STEP_TEXT + _ENTER_TEXT + POP_TEXT, _WHOLE_TREE
 )
