@@ -284,6 +284,9 @@ class Residency:
             before = self._waiting
             self._waiting = before + new - old
             self._since[(before == 0) & (self._waiting > 0)] = self._clock
+            if ((before > 0) & (self._waiting == 0)).any():
+                # such pages may make room
+                self._told()
 
     def zero_copy_addresses(self) -> np.ndarray:
         """Addresses of all pages in pinned memory, uint64."""
@@ -341,13 +344,16 @@ class ResidencyView:
         """Numbers of the pages that the launches since `begin` see."""
         return self._shown
 
-    def begin(self, zero_copy: bool = False) -> None:
-        """Launches from now on see the pages that are there, and with `zero_copy` the others in pinned memory. They stay until `end`."""
+    def begin(self, zero_copy: bool = False, only: np.ndarray | None = None) -> None:
+        """Launches from now on see the pages that are there, and with `zero_copy` the others in pinned memory. They stay until `end`.
+        `only` these (bool, shape [page_count]) are shown, where it is given."""
         assert self._shown is None, "the last launch has not ended"
         residency = self._residency
         self._shown, addresses = residency._show()
         if zero_copy:
             addresses = np.where(addresses == 0, residency.zero_copy_addresses(), addresses)
+        if only is not None:
+            addresses[~only] = 0
         scene = residency.scene
         page, node_byte, triangle_byte = residency._tables
         nodes = wp.uint64(scene.resident_nodes.ptr if scene.nodes_resident else 0)

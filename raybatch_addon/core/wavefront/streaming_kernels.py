@@ -67,12 +67,7 @@ _FINISHED = r"""
     auto is_second = [&](int place, int slot) { return place == DONE && slot >= waiting.shadow_first; };
     constexpr bool READY = false;
 """
-_LIMITS = r"""
-    auto limits = [&](unsigned int all_first, unsigned int all_second, int& first, int& second) {
-        const int capacity = taken.slots.shape[0];
-        first = min((int)all_first, capacity);
-        second = min(min((int)all_second, second_most), capacity - first);
-    };
+_WRITE = r"""
     // once, when it is known how many are taken
     auto write_counts = [&](int first, int second) {
         taken.count.data[0] = first + second;
@@ -125,9 +120,9 @@ _SCAN = r"""
         before += part;
     }
     if (thread == THREADS - 1) {
-        int first, second;
-        limits((unsigned int)sums[thread], (unsigned int)(sums[thread] >> 32), first, second);
-        write_counts(first, second);
+        const int capacity = taken.slots.shape[0];
+        const int first = min((int)(unsigned int)sums[thread], capacity);
+        write_counts(first, min(min((int)(sums[thread] >> 32), second_most), capacity - first));
     }
 #endif
 """
@@ -214,10 +209,10 @@ def take_kernels(ready: bool) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel]:
     @wp.func_native(kinds + _COUNT)
     def count_native(waiting: Waiting, there: wp.array(dtype=wp.uint64), thread: int): ...
 
-    @wp.func_native(kinds + _LIMITS + _SCAN.replace("THREADS", str(SCAN_THREADS)))
+    @wp.func_native(kinds + _WRITE + _SCAN.replace("THREADS", str(SCAN_THREADS)))
     def scan_native(waiting: Waiting, there: wp.array(dtype=wp.uint64), taken: Taken, second_most: int, thread: int): ...
 
-    @wp.func_native(kinds + _LIMITS + _SCATTER)
+    @wp.func_native(kinds + _WRITE + _SCATTER)
     def scatter_native(waiting: Waiting, there: wp.array(dtype=wp.uint64), taken: Taken, second_most: int, thread: int): ...
 
     @wp.kernel(**KERNEL_OPTIONS)

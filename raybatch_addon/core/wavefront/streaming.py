@@ -1,0 +1,265 @@
+"""The tracer of scenes that are larger than the device's memory.
+
+Rays go on through all that is on the device, and where they come to a page that is not, they wait for it. Pages that most rays wait
+for are brought in first, so that each is copied once for many of them (`page_policy.py`). Copies and tracing go on at the same time:
+
+    host     step i launched | counts of step i-1 read | pages for step i+1 chosen, copies begun, behind those for step i
+    device   tracing of step i (its pages have arrived)
+    copies   pages for step i+1, into slots that no launch since step i sees
+
+A page leaves one step before its slot is filled again, so that a copy waits for a launch that is over, and the counts that decide are
+one step old, so that the device never waits for the host. On the CPU, where launches return when they are over, both are exact, and
+threads read pages while rays are traced.
+"""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections import deque
+import numpy as np
+import warp as wp
+
+from ..bvh.node import Layout
+from ..bvh.page_build import PagedScene
+from ..bvh.residency import Residency
+from ..bvh.trace_counts import TraceCounts
+from ..bvh.tree import TRAIL_LEVELS, TopProgress
+from ..report.batching import BatchingTotals
+from ..report.timing import NoTimer, StageTimer
+from ..settings import RenderSettings
+from .page_policy import choose_pages, choose_victims, copies_pay
+from .rays import RayKind, Rays
+from .stages.trace import Traversal
+from .stages.visit import NO_ANY_HIT, Launch, VisitFeatures, VisitStage, VisitTask, visit_stage
+from .streaming_kernels import streaming_kernels
+from .streaming_rays import PendingCounts, RayCounts, WaitingRays, streaming_bytes_per_slot
+from .tracer import SlotList
+
+# Pages that are brought in for a step: this share of the pool. Of a pool of 1.3 GB, 0.3 GB a step copied the fewest bytes (H200, 64M rays)
+_STEP_SHARE = 4
+# Rays that begin in a step at most: few enough that the first pages are on their way early
+_NEW_CUDA, _NEW_CPU = 1 << 22, 1 << 16
+# `advance` returns when this share of the rays alive is finished
+_FINISHED_SHARE = 8
+# A worker that waited this long for a page takes the place of pages that other workers wait for [s]
+_PATIENCE = 1.0
+
+
+def allocate_progress(slot_count: int, levels: int, device: wp.Device) -> TopProgress:
+    """Progress of rays through `levels` levels of resident nodes."""
+    progress = TopProgress()
+    with wp.ScopedDevice(device):
+        progress.trail = wp.zeros((max(1, -(-levels // TRAIL_LEVELS)), slot_count), dtype=wp.uint32)
+        progress.entry = wp.zeros(slot_count, dtype=int)
+        progress.visits = wp.zeros(1, dtype=wp.int64)
+    return progress
+
+
+def streaming_bytes_per_path(path_count: int, shadow_rays: bool, levels: int) -> int:
+    """Device memory of the tracer that grows with paths alive, for each [bytes]."""
+    slots = 1 + shadow_rays
+    return -(-int(slots * (streaming_bytes_per_slot(slots * path_count) + 4 + 4 * max(1, -(-levels // TRAIL_LEVELS)))) // 1)
+
+
+def go_on_stage(layout: Layout, counters: bool, settings: RenderSettings) -> VisitStage:
+    """The stage that traces."""
+    traversal = Traversal.BOXES if layout is Layout.BOXES else Traversal.QUANTISED
+    launch = Launch(settings.warp_count, settings.single_lane == "ON", settings.register_cap, settings.block_size or Launch.block_size)
+    return visit_stage(VisitFeatures(traversal, VisitTask.GO_ON, instancing=True, counters=counters), launch)
+
+
+def compiled_ahead(layout: Layout, counters: bool, settings: RenderSettings) -> list[wp.Kernel]:
+    """Kernels of a `StreamingTracer`."""
+    from ..bvh.residency import address_kernel
+
+    return [*streaming_kernels(), address_kernel, *go_on_stage(layout, counters, settings).kernels]
+
+
+class StreamingTracer:
+    """A `Tracer` whose rays wait for pages of geometry."""
+
+    def __init__(
+        self, paged: PagedScene, residency: Residency, rays: Rays, path_count: int, shadow_kind: RayKind, settings: RenderSettings,
+        timer: StageTimer | NoTimer | None = None, counts: TraceCounts | None = None, device: wp.Device | None = None,
+        stage: VisitStage | None = None, capacity: int = 0,
+    ):  # fmt: skip
+        """Rays in the first `path_count` slots of `rays` are extending rays, the others shadow rays of `shadow_kind`. `residency`, of
+        the same scene, is shared by all workers. `counts`, where there are any, are counted up. `stage` and `capacity` (rays of a batch
+        at most; 0: chosen here) are for tests. To be closed."""
+        device = device or residency.device
+        slot_count = rays.origin.size
+        self._paged, self._residency, self._rays, self._device = paged, residency, rays, device
+        self._shadow_kind, self._timer, self._trace_counts = shadow_kind, timer or NoTimer(), counts
+        self._any_first = path_count if shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
+        self._debug = settings.debug_checks == "ON"
+        self._stage = stage or go_on_stage(paged.layout, counts is not None, settings)
+        self._progress = allocate_progress(slot_count, paged.levels, device)
+        self._waiting = WaitingRays(slot_count, path_count, residency.page_of, len(paged.pages), device, capacity)
+        self._view = residency.view()
+        self._slot_count = slot_count
+        self._new_most = min(self._waiting.capacity, _NEW_CUDA if device.is_cuda else _NEW_CPU)
+        # two at least, where there is room for them and for two that are traced
+        self._step_pages = max(1, residency.slot_count // _STEP_SHARE, min(2, residency.slot_count // 2))
+        # on CUDA the counts of one step are read while the next runs
+        self._lag = 1 if device.is_cuda and not self._debug else 0
+        self._pending: deque[PendingCounts] = deque()
+        self._known = RayCounts(slot_count, 0, 0, 0, np.zeros(len(paged.pages), np.int64), 0, 0)
+        self._submitted = 0  # bound of rays that came in since the last step
+        self._new_expected = 0  # rays that are new behind the last step, as far as the host can tell
+        self._zero_copy = False
+        self._totals = BatchingTotals()
+        self._waits_since = np.zeros(len(paged.pages), np.int64)  # step since which rays wait for each page
+        self._start = time.perf_counter()
+
+    def __del__(self):
+        if hasattr(self, "_view"):
+            self.close()
+
+    # --- the tracer
+
+    def submit(self, kind: RayKind, rays: SlotList) -> None:
+        """As `Tracer.submit`."""
+        if not rays.bound:
+            return
+        if self._debug:
+            self._waiting.check_idle(rays)
+        with self._timer.stage("queue"):
+            self._waiting.submit(rays)
+        self._submitted += rays.bound
+
+    def advance(self) -> None:
+        """As `Tracer.advance`: an eighth of the rays alive is finished, or all."""
+        alive = self._slot_count - self._known.idle + self._submitted
+        goal = max(1, alive // _FINISHED_SHARE)
+        while True:
+            worked = self._step()
+            if self._known.done >= goal or self._is_over():
+                break
+            if not worked:
+                self._wait()
+        # the device comes to rest here, copies go on
+        while self._pending:
+            self._read_counts()
+        self._ask(2 * self._step_pages)
+
+    def take_finished(self) -> list[tuple[RayKind, SlotList]]:
+        """As `Tracer.take_finished`."""
+        with self._timer.stage("queue"):
+            lists = self._waiting.take_done(self._known)
+        if not lists:
+            return []
+        handed = sum(rays.bound for _, rays in lists)
+        self._totals.finished += handed
+        closest = sum(rays.bound for shadow, rays in lists if not shadow)
+        known = self._known
+        self._known = RayCounts(
+            known.idle + handed, known.new, known.done_closest - closest, known.done_shadow - (handed - closest), known.waiting, known.taken, known.visits
+        )  # fmt: skip
+        if self._debug and not self._submitted:
+            self._waiting.check(self._known)
+        return [(self._shadow_kind if shadow else RayKind.CLOSEST, rays) for shadow, rays in lists]
+
+    def totals(self) -> BatchingTotals:
+        """What was done so far."""
+        while self._pending:
+            self._read_counts()
+        totals, pages = self._totals, self._view.counts
+        totals.bytes_copied, totals.pages_loaded, totals.pages_evicted = pages.bytes_copied, pages.loaded, pages.evicted
+        totals.resident_peak = self._residency.bytes_peak
+        totals.treelet_visits = self._known.visits
+        totals.rays = totals.finished + self._slot_count - self._known.idle
+        return totals
+
+    def close(self) -> None:
+        """Nobody waits here any more; rays under way are given up."""
+        if self._device.is_cuda:
+            # launches that are under way see pages, and write counts
+            while self._pending:
+                self._pending.popleft().read()
+        self._view.close()
+
+    # --- steps
+
+    def _step(self) -> bool:
+        """Launch a step if there may be rays for it, read the counts of the one before, and choose pages; whether anything was done."""
+        if self._lag and not self._zero_copy:
+            # what leaves now is not seen by this step, so that copies for the next begin at once
+            wanted = int(np.count_nonzero(self._known.waiting[~self._residency.there()]))
+            self._residency.make_room(choose_victims, min(self._step_pages, wanted), self._view.counts)
+        launched = self._has_work()
+        if launched:
+            self._launch()
+        worked = launched or bool(self._pending)
+        if len(self._pending) > (self._lag if launched else 0):
+            self._read_counts()
+        return bool(self._ask(self._step_pages)) or worked
+
+    def _has_work(self) -> bool:
+        """Whether rays may be new, or wait for pages that are there. Where the counts are old it may be too late, never for good."""
+        if self._submitted or self._new_expected or self._known.new or self._zero_copy:
+            return True
+        return bool((self._known.waiting[self._residency.there()] > 0).any())
+
+    def _launch(self) -> None:
+        view, waiting = self._view, self._waiting
+        with self._timer.stage("copy"):
+            view.begin(self._zero_copy)
+        try:
+            with self._timer.stage("queue"):
+                alive = self._slot_count - self._known.idle + self._submitted
+                batch = waiting.take(view.treelets.triangles, self._new_most, alive)
+            with self._timer.stage("trace"):
+                self._stage.launch(self._paged.tree, view.treelets, self._rays, self._progress, batch, self._any_first, self._trace_counts)
+        finally:
+            view.end()
+        with self._timer.stage("queue"):
+            waiting.put(batch)
+            self._pending.append(waiting.count(self._progress.visits))
+        self._new_expected, self._submitted = max(0, self._new_expected + self._submitted - self._new_most), 0
+        self._totals.steps += 1
+
+    def _read_counts(self) -> None:
+        before, self._known = self._known, self._pending.popleft().read()
+        known, totals = self._known, self._totals
+        self._view.set_waiting(known.waiting)
+        totals.rays_queued += known.taken - (known.done - before.done)
+        step = totals.steps
+        served = (before.waiting > 0) & (known.waiting == 0)
+        if served.any():
+            totals.wait_max = max(totals.wait_max, int((step - self._waits_since[served]).max()))
+        self._waits_since[(before.waiting == 0) & (known.waiting > 0)] = step
+        totals.note_occupancy(time.perf_counter() - self._start, int(known.waiting.sum()))
+        if self._debug:
+            self._waiting.check(known)
+
+    def _ask(self, pages: int) -> list[int]:
+        """Bring in what rays wait for, or let them go on through pinned memory if they are too few for that."""
+        known, residency = self._known, self._residency
+        there = residency.there()
+        away = np.where(there, 0, known.waiting)
+        alone, self._zero_copy = self._zero_copy, False
+        if not away.any():
+            return []
+        if residency.has_zero_copy and not (known.new or self._submitted or self._new_expected or residency.is_coming()):
+            most = int(away.argmax())
+            if not copies_pay(int(away[most]), self._paged.pages[most].byte_count, self._paged.nodes_resident):
+                # rays that are being traced may still make it worth it
+                self._zero_copy = not known.waiting[there].any()
+                if self._zero_copy and not alone:
+                    self._totals.rays_unbatched += int(away.sum())
+                return []
+        return residency.ask(choose_pages, choose_victims, pages, self._view.counts)
+
+    def _is_over(self) -> bool:
+        known = self._known
+        return not (self._pending or self._submitted or known.new or known.waiting.any())
+
+    def _wait(self) -> None:
+        """Nothing can go on until a page arrives. If none does for long, one that others wait for makes room: they may have given up."""
+        residency, changes = self._residency, self._residency.changes
+        with self._timer.stage("copy"):
+            if not self._has_work() and not residency.wait(changes, _PATIENCE) and not residency.is_coming():
+                forced = functools.partial(choose_victims, forced=True)
+                residency.ask(choose_pages, forced, self._step_pages, self._view.counts)
+

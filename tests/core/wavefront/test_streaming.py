@@ -1,0 +1,299 @@
+"""Rays that wait for pages come to the hits of rays that find the whole scene in memory, bit for bit, and each is finished once."""
+
+import functools
+import gc
+import threading
+
+import numpy as np
+import paged_scenes
+import pytest
+import warp as wp
+
+from raybatch_addon.core.bvh.build import build_scene_tree
+from raybatch_addon.core.bvh.node import Layout
+from raybatch_addon.core.bvh.page_build import build_paged_scene
+from raybatch_addon.core.bvh.residency import Residency
+from raybatch_addon.core.bvh.trace_counts import TraceCounts
+from raybatch_addon.core.bvh.treelets import CutRule
+from raybatch_addon.core.scene.flatten import flatten
+from raybatch_addon.core.scene.geometry import upload_geometry
+from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.wavefront.ray_order_paging import RayOrderPager
+from raybatch_addon.core.wavefront.rays import RayKind, RayNeeds, Rays, allocate_rays
+from raybatch_addon.core.wavefront.stages.trace import TraceFeatures, Traversal, trace_stage
+from raybatch_addon.core.wavefront.streaming import StreamingTracer, go_on_stage
+from raybatch_addon.core.wavefront.tracer import SlotList
+
+PATHS = 3000
+LAYOUTS = list(Layout)
+CHECKED = RenderSettings(debug_checks="ON")
+BUDGET = 250_000
+
+
+@functools.cache
+def scene():
+    made = paged_scenes.everything()
+    return made, flatten(made)
+
+
+def cpu() -> wp.Device:
+    return wp.get_device("cpu")
+
+
+@functools.cache
+def paged_of(layout: Layout, budget: int = BUDGET, nodes_resident: bool | None = False, many: bool = False):
+    """In memory; tests do not change it."""
+    made, flat = scene()
+    rule = CutRule(size=4, size_min=1) if many else CutRule()
+    return build_paged_scene(flat, made.instances.visibility, layout, cpu(), budget, nodes_resident=nodes_resident, rule=rule)
+
+
+def new_rays(paths: int = PATHS, seed: int = 3) -> Rays:
+    """Extending rays, then as many shadow rays, which end somewhere."""
+    rng = np.random.default_rng(seed)
+    rays = allocate_rays(paths, cpu(), RayNeeds(shadow_rays=True))
+    count = rays.origin.size
+    origin = rng.normal(size=(count, 3)) * 4
+    vertices = scene()[1].positions
+    aim = np.where(np.arange(count)[:, None] % 2, vertices[rng.integers(0, len(vertices), count)], rng.normal(size=(count, 3)) * 1.5)
+    rays.origin.assign(origin.astype(np.float32))
+    rays.direction.assign((aim - origin).astype(np.float32))
+    shadow = np.arange(count) >= paths
+    rays.t_max.assign(np.where(shadow, rng.uniform(0.3, 1.5, count), np.inf).astype(np.float32))
+    rays.visibility.assign(rng.choice([1, 255], count).astype(np.int32))
+    return rays
+
+
+def list_of(slots) -> SlotList:
+    slots = np.asarray(slots, np.int32)
+    return SlotList(wp.array(slots, dtype=int, device="cpu"), wp.array([len(slots)], dtype=int, device="cpu"), len(slots))
+
+
+def hits_of(rays: Rays, paths: int, any_hit: bool) -> list[np.ndarray]:
+    """What counts of them."""
+    instance = rays.hit_instance.numpy().copy()
+    hit = instance >= 0
+    last = paths if any_hit else len(instance)
+    if any_hit:
+        instance[paths:] = hit[paths:]
+    closest = hit[:last]
+    return [
+        instance, rays.hit_t.numpy()[:last][closest], rays.hit_primitive.numpy()[:last][closest], rays.hit_uv.numpy()[:last][closest],
+    ]  # fmt: skip
+
+
+@functools.cache
+def expected(layout: Layout, any_hit: bool, seed: int = 3) -> list[np.ndarray]:
+    """By the tree in memory, each ray at once."""
+    made, flat = scene()
+    built = build_scene_tree(flat, upload_geometry(flat, made, cpu()), made.instances.visibility, True, cpu(), layout)
+    rays = new_rays(seed=seed)
+    for kind, slots in ((False, np.arange(PATHS)), (any_hit, np.arange(PATHS, 2 * PATHS))):
+        trace_stage(TraceFeatures(Traversal.of("OFF", layout), kind, True, False)).launch(built.tree, rays, list_of(slots), None)
+    return hits_of(rays, PATHS, any_hit)
+
+
+def drain(tracer, finished: dict, most: int = 10_000) -> None:
+    """Advance until no ray is under way; `finished` counts the times that each (kind, slot) came back."""
+    for _ in range(most):
+        tracer.advance()
+        lists = tracer.take_finished()
+        for kind, rays in lists:
+            for slot in rays.slots.numpy()[: int(rays.count.numpy()[0])].tolist():
+                finished[kind, slot] = finished.get((kind, slot), 0) + 1
+            assert rays.bound >= int(rays.count.numpy()[0])
+        if not lists:
+            return
+    raise AssertionError("rays stay under way")
+
+
+def run(tracer, shadow: RayKind, paths: int = PATHS) -> None:
+    """All rays, submitted in two parts."""
+    finished: dict = {}
+    half = paths // 2
+    tracer.submit(RayKind.CLOSEST, list_of(np.arange(half)))
+    tracer.submit(shadow, list_of(paths + np.arange(paths)))
+    tracer.advance()
+    for kind, rays in tracer.take_finished():
+        for slot in rays.slots.numpy()[: int(rays.count.numpy()[0])].tolist():
+            finished[kind, slot] = 1
+    tracer.submit(RayKind.CLOSEST, list_of(half + np.arange(paths - half)))
+    drain(tracer, finished)
+    wanted = {(RayKind.CLOSEST, slot) for slot in range(paths)} | {(shadow, paths + slot) for slot in range(paths)}
+    assert finished == dict.fromkeys(wanted, 1)
+
+
+def same(found: list[np.ndarray], wanted: list[np.ndarray]) -> None:
+    assert (wanted[0] >= 0).sum() > 500
+    for a, b in zip(found, wanted):
+        assert np.array_equal(a, b)
+
+
+@pytest.mark.parametrize("shadow", [RayKind.OCCLUSION, RayKind.TRANSPARENT_SHADOW], ids=["any", "closest"])
+@pytest.mark.parametrize("slots", [1, 3, 1000])
+@pytest.mark.parametrize("nodes_resident, many", [(False, False), (True, False), (False, True)], ids=["nodes in pages", "nodes there", "treelets"])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_hits_are_those_of_the_whole_tree(layout, nodes_resident, many, slots, shadow):
+    budget = 400_000 if nodes_resident else BUDGET
+    paged = paged_of(layout, budget, nodes_resident, many)
+    assert len(paged.pages) > 3
+    residency = Residency(paged, paged.resident_bytes + min(slots, len(paged.pages)) * paged.page_bytes_max, cpu())
+    assert residency.slot_count == min(slots, len(paged.pages))
+    rays = new_rays()
+    tracer = StreamingTracer(paged, residency, rays, PATHS, shadow, CHECKED, capacity=700)
+    run(tracer, shadow)
+    same(hits_of(rays, PATHS, shadow == RayKind.OCCLUSION), expected(layout, shadow == RayKind.OCCLUSION))
+    totals = tracer.totals()
+    assert totals.rays == totals.finished == 2 * PATHS
+    assert totals.pages_loaded - totals.pages_evicted <= residency.slot_count
+    assert totals.bytes_copied >= totals.pages_loaded * 4096 and totals.treelet_visits > PATHS and totals.rays_queued > 0
+    assert paged.resident_bytes < totals.resident_peak <= paged.resident_bytes + residency.slot_count * residency.slot_bytes
+    if slots == 1000:
+        assert totals.pages_loaded <= len(paged.pages) and totals.pages_evicted == 0
+    tracer.close()
+    residency.close()
+
+
+@pytest.mark.parametrize("store", ["HOST", "DISK"])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_from_host_memory_and_from_a_file(layout, store, tmp_path):
+    made, flat = scene()
+    paged = build_paged_scene(flat, made.instances.visibility, layout, cpu(), BUDGET, store, tmp_path, nodes_resident=False)
+    residency = Residency(paged, BUDGET, cpu())
+    rays = new_rays()
+    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
+    run(tracer, RayKind.OCCLUSION)
+    same(hits_of(rays, PATHS, True), expected(layout, True))
+    tracer.close()
+    residency.close()
+
+
+@pytest.mark.parametrize("slots", [1, 2, 5])
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_workers_share_the_pool(layout, slots):
+    paged = paged_of(layout)
+    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, cpu())
+    go_on_stage(layout, False, CHECKED)  # compiled before threads start
+    warm = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
+    run(warm, RayKind.OCCLUSION)
+    warm.close()
+    results, errors = {}, []
+
+    def work(seed: int) -> None:
+        try:
+            rays = new_rays(seed=seed)
+            tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED, capacity=1500)
+            run(tracer, RayKind.OCCLUSION)
+            results[seed] = hits_of(rays, PATHS, True), tracer.totals()
+            tracer.close()
+        except BaseException as error:  # noqa: BLE001
+            errors.append(error)
+
+    threads = [threading.Thread(target=work, args=(seed,)) for seed in (3, 4, 5)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert not errors and len(results) == 3
+    for seed, (found, totals) in results.items():
+        same(found, expected(layout, True, seed))
+        assert totals.rays == totals.finished == 2 * PATHS
+    residency.close()
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_the_control_comes_to_the_same_hits(layout):
+    paged = paged_of(layout)
+    for slots in (1, 4, 1000):
+        residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, cpu())
+        rays = new_rays()
+        pager = RayOrderPager(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
+        run(pager, RayKind.OCCLUSION)
+        same(hits_of(rays, PATHS, True), expected(layout, True))
+        totals = pager.totals()
+        assert totals.rays == totals.finished == 2 * PATHS
+        if slots == 1000:
+            assert totals.pages_loaded <= len(paged.pages)
+        residency.close()
+
+
+def test_streaming_copies_less_than_the_control():
+    """Rays in no order, a pool of three pages."""
+    paged = paged_of(Layout.BOXES)
+    copied = {}
+    for kind in (StreamingTracer, RayOrderPager):
+        residency = Residency(paged, paged.resident_bytes + 3 * paged.page_bytes_max, cpu())
+        tracer = kind(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, RenderSettings(), **({"window": 64} if kind is RayOrderPager else {}))
+        run(tracer, RayKind.OCCLUSION)
+        copied[kind] = tracer.totals().bytes_copied
+        residency.close()
+    assert 3 * copied[StreamingTracer] < copied[RayOrderPager]
+
+
+def test_given_up_rays_leave_nothing_behind():
+    paged = paged_of(Layout.BOXES)
+    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, cpu())
+    given_up = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
+    given_up.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
+    given_up.advance()
+    assert residency.facts().waiting.sum() > 0
+    del given_up
+    gc.collect()
+    assert residency.facts().waiting.sum() == 0
+    rays = new_rays()
+    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
+    run(tracer, RayKind.OCCLUSION)
+    same(hits_of(rays, PATHS, True), expected(Layout.BOXES, True))
+    residency.close()
+
+
+def test_one_ray_at_a_time():
+    paged = paged_of(Layout.BOXES)
+    residency = Residency(paged, paged.resident_bytes + paged.page_bytes_max, cpu())
+    rays = new_rays()
+    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED, capacity=1)
+    finished: dict = {}
+    for slot in (0, 1, PATHS + 1, 2):
+        tracer.submit(RayKind.CLOSEST if slot < PATHS else RayKind.OCCLUSION, list_of([slot]))
+        drain(tracer, finished)
+    assert list(finished.values()) == [1] * 4
+    residency.close()
+
+
+def test_debug_checks_find_a_ray_that_comes_in_twice():
+    paged = paged_of(Layout.BOXES)
+    residency = Residency(paged, paged.resident_bytes + paged.page_bytes_max, cpu())
+    tracer = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
+    with pytest.raises(AssertionError, match="twice at once"):
+        tracer.submit(RayKind.CLOSEST, list_of([4, 4]))
+    tracer.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
+    with pytest.raises(AssertionError, match="under way already, the first in slot 7"):
+        tracer.submit(RayKind.CLOSEST, list_of([7]))
+    residency.close()
+
+
+def test_nothing_to_do():
+    paged = paged_of(Layout.BOXES)
+    residency = Residency(paged, BUDGET, cpu())
+    tracer = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
+    tracer.advance()
+    assert tracer.take_finished() == []
+    residency.close()
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_counters_count_every_visit(layout):
+    paged = paged_of(layout)
+    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, cpu())
+    rays = new_rays()
+    counts = TraceCounts()
+    for name in ("node_steps", "box_tests", "triangle_tests", "treelet_visits", "queued"):
+        setattr(counts, name, wp.full(2 * PATHS, 77, dtype=int, device="cpu"))
+    counts.lanes = wp.zeros(6, dtype=wp.int64, device="cpu")
+    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED, counts=counts)
+    run(tracer, RayKind.OCCLUSION)
+    totals = tracer.totals()
+    assert counts.treelet_visits.numpy().sum() == totals.treelet_visits
+    assert counts.queued.numpy().sum() == totals.rays_queued
+    assert 0 < totals.wait_max <= totals.steps
+    residency.close()
