@@ -110,6 +110,17 @@ def test_presets_are_in_a_menu_of_the_panel_and_can_be_undone(scene):
     assert not bpy.ops.raybatch.schedule_preset.poll()
 
 
+def test_a_preset_is_undone(scene):
+    bpy.context.preferences.edit.use_global_undo = True
+    scene.raybatch.queue_size = 9
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.raybatch.schedule_preset(preset="THESIS")
+    assert bpy.context.scene.raybatch.queue_size == 64
+    bpy.ops.ed.undo_push(message="behind")
+    bpy.ops.ed.undo()
+    assert bpy.context.scene.raybatch.queue_size == 9
+
+
 def test_settings_that_do_not_go_together_are_told_in_the_panel(scene):
     def icons():
         return [note[2] for note in drawn(panel("PERFORMANCE"), context_of(scene)) if note[0] == "label"]
