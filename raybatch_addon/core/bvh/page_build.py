@@ -31,6 +31,8 @@ _BUDGET_SHARE = 8
 _PAGE_SIZES = (64 << 20, 32 << 20, 16 << 20)
 # Nodes stay on the device where they take no more than this share of the budget
 _NODES_SHARE = 0.5
+# A packed triangle with its share of nodes, mostly
+_ENCODED_BYTES = 25
 
 
 @dataclass
@@ -113,10 +115,10 @@ def build_paged_scene(
     if store == "DISK":
         tables, pages = _from_disk(flat, layout, builder, rule, Path(folder), known)
     else:
-        expected, free = _expected_bytes(flat, layout), free_memory(wp.get_device("cpu"))
+        expected, free = _expected_bytes(flat, layout, encoded), free_memory(wp.get_device("cpu"))
         if expected > free:
             raise OutOfMemoryError(f"the scene's geometry takes about {expected / 1e9:.2f} GB, and {free / 1e9:.2f} GB of memory are free; use DISK")
-        pages = HostStore(pinned=bool(wp.get_cuda_devices()))
+        pages = HostStore(pinned=device.is_cuda)
         tables = _build(flat, layout, builder, page_bytes, encoded, pages)
     known["seconds_build"] = round(time.perf_counter() - start, 6)
     return _assembled(flat, visibility, layout, device, budget, tables, pages, nodes_resident, known)
@@ -138,7 +140,7 @@ def _from_disk(
             found = f"{found[0].path} does not hold {error}"
     if found is not None:
         known["page_file_warning"] = f"{found}: it was written anew"
-    writer = PageFileWriter(folder, layout, key, _expected_bytes(flat, layout))
+    writer = PageFileWriter(folder, layout, key, _expected_bytes(flat, layout, encoded))
     try:
         tables = _build(flat, layout, builder, page_bytes, encoded, writer)
         store = writer.finish(tables.index())
@@ -208,9 +210,9 @@ def _assembled(
     )  # fmt: skip
 
 
-def _expected_bytes(flat: FlatGeometry, layout: Layout) -> int:
+def _expected_bytes(flat: FlatGeometry, layout: Layout, encoded: bool) -> int:
     """Of all pages, about."""
-    return int(1.2 * TREE_BYTES[layout] * len(flat.triangles)) + (1 << 16)
+    return int(1.2 * (_ENCODED_BYTES if encoded else TREE_BYTES[layout]) * len(flat.triangles)) + (1 << 16)
 
 
 def _check_budget(flat: FlatGeometry, layout: Layout, size_max: int, page_bytes: int, budget: int) -> None:

@@ -107,7 +107,24 @@ def test_hits_are_those_of_the_scene_in_memory(kind, budget):
             assert np.array_equal(a, b)
 
 
-def traced(tree, layout, visibility) -> tuple[np.ndarray, ...]:
+@pytest.mark.parametrize("layout", Layout)
+def test_hits_are_those_of_a_scene_in_memory_without_instancing(layout):
+    """Entries of identity change no bit of a ray, also of those along axes."""
+    device = wp.get_device("cpu")
+    ball, other = scenes.sphere("ball", 40, 20), scenes.sphere("other", 40, 20)
+    made = scenes.scene([(ball, scenes.IDENTITY, scenes.diffuse()), (other, scenes.translation(0.5, 0, 0), scenes.diffuse())])
+    flat = flatten(made)
+    built = build_scene_tree(flat, upload_geometry(flat, made, device), made.instances.visibility, False, device, layout)
+    assert not built.instancing
+    paged = build_paged_scene(flat, made.instances.visibility, layout, device, 150_000)
+    assert paged.statistics["chunks"] > 5
+    expected, found = traced(built.tree, layout, 255, instancing=False), traced(paged_scenes.whole_tree(paged), layout, 255)
+    assert (expected[1] >= 0).sum() > 500
+    for a, b in zip(expected, found):
+        assert np.array_equal(a, b)
+
+
+def traced(tree, layout, visibility, instancing=True) -> tuple[np.ndarray, ...]:
     rng = np.random.default_rng(3)
     count = 3000
     rays = allocate_rays(count, wp.get_device("cpu"))
@@ -115,12 +132,16 @@ def traced(tree, layout, visibility) -> tuple[np.ndarray, ...]:
     vertices = scene()[1].positions
     # half of them through vertices, where triangles tie
     aim = np.where(np.arange(count)[:, None] % 2, vertices[rng.integers(0, len(vertices), count)], rng.normal(size=(count, 3)) * 1.5)
+    direction = aim - origin
+    # some along axes, with zeros of either sign, from vertices' own coordinates
+    direction[:600] = np.where(np.arange(3) == rng.integers(0, 3, (600, 1)), np.sign(direction[:600]), np.copysign(0.0, direction[:600]))
+    origin[:600] = vertices[rng.integers(0, len(vertices), 600)] - 5 * direction[:600]
     rays.origin.assign(origin.astype(np.float32))
-    rays.direction.assign((aim - origin).astype(np.float32))
+    rays.direction.assign(direction.astype(np.float32))
     rays.t_max.fill_(np.inf)
     rays.visibility.fill_(visibility)
     listed = SlotList(wp.array(np.arange(count, dtype=np.int32), device="cpu"), wp.array([count], dtype=int, device="cpu"), count)
-    trace_stage(TraceFeatures(Traversal.of("OFF", layout), False, True, False)).launch(tree, rays, listed, None)
+    trace_stage(TraceFeatures(Traversal.of("OFF", layout), False, instancing, False)).launch(tree, rays, listed, None)
     return rays.hit_t.numpy(), rays.hit_instance.numpy(), rays.hit_primitive.numpy(), rays.hit_uv.numpy()
 
 
