@@ -21,9 +21,10 @@ from .device_scene import DeviceScene
 from .kernels import StageKernels
 from .queues import Length, PathLists
 from .ray_order import RayOrder
-from .rays import RayKind, RayNeeds, allocate_paths, allocate_rays, bounce_kernel
+from .rays import RayKind, RayNeeds, allocate_paths, allocate_rays
 from .scheduler import Rectangle, WaterMarks
-from .stages.generate import TileWork
+from .stages import generate
+from .stages.generate import TileWork, counted_kernel
 from .stages.limits import path_limits
 from .stages.trace import Traversal, counter_features, tracing_stages
 from .tracer import NO_SLOTS, SlotList, UnbatchedTracer
@@ -75,7 +76,8 @@ class TileIntegrator:
         counting = counter_features(settings, frame.passes, scene.traversal)
         self._counters = Counters(counting, self._rays.origin.size, settings.bounce_max, device) if counting else None
         self._counts_steps = bool(counting and counting.steps)
-        self._bounce = wp.zeros(count if counting else 0, dtype=int, device=device)  # of each path, for the counters
+        # of each path, for the counters
+        self._bounce, self._pixel = (wp.zeros(count if counting else 0, dtype=int, device=device) for _ in range(2))
         self._timer = self._counters.timer if self._counters else NoTimer()
         self._order = None
         if scene.tree and settings.ray_sort != "OFF":
@@ -107,9 +109,9 @@ class TileIntegrator:
                 self._give_up(state)
             if self._alive == 0:
                 break
-            self._trace(camera)
+            self._trace(work, camera)
             self._shade(work, film)
-            done += self._finish_paths(film)
+            done += self._finish_paths(work, film)
         tile = state.tile
         with self._timer.stage("transfer"):
             finished = FinishedTile(
@@ -127,13 +129,19 @@ class TileIntegrator:
         work.frame_width = self._frame.width
         work.sample_first, work.sample_count = sample_first, sample_count
         work.filter_table = self._filter
+        work.pixel_first = int(self._settings.sample_order == "PIXEL_FIRST")
+        work.item_base = state.items_begun
         self._free = self._lists.all_free(self._paths.status)
         if self._counters:
             self._cost = self._counters.begin_tile(tile.pixel_count)
         return work, self._film_tiles.begin(tile.pixel_count)
 
     def _generate(self, state: TileState, work: TileWork, items: int) -> SlotList:
-        count = self._marks.to_generate(self._alive, items - state.items_begun)
+        if self._alive == 0:
+            work.item_base = state.items_begun
+        # paths are numbered by 32 bits: beyond them, numbers begin anew when no path is alive
+        left = min(items, work.item_base + generate.ITEMS_NUMBERED) - state.items_begun
+        count = self._marks.to_generate(self._alive, left)
         if count == 0:
             return NO_SLOTS
         work.item_first, work.item_count = state.items_begun, count
@@ -147,7 +155,7 @@ class TileIntegrator:
         self.rays.camera += count
         return SlotList(self._free, length, count, coherent=True)
 
-    def _trace(self, camera: SlotList) -> None:
+    def _trace(self, work: TileWork, camera: SlotList) -> None:
         waves = [(RayKind.CLOSEST, camera), (RayKind.CLOSEST, self._bounced), (self._shadow_kind, self._shadow)]
         waves = [(kind, rays) for kind, rays in waves if rays.bound]
         if self._tracer is None:
@@ -160,8 +168,8 @@ class TileIntegrator:
         self._tracer.advance()
         for kind, back in self._tracer.take_finished():
             if self._counters:
-                self._launch(bounce_kernel, self.path_count, self._paths.status, self._bounce)
-                self._counters.add(kind, back, self._bounce, self._paths.pixel, self._cost)
+                self._launch(counted_kernel, self.path_count, work, self._paths, self._bounce, self._pixel)
+                self._counters.add(kind, back, self._bounce, self._pixel, self._cost)
             with self._timer.stage("shade"):
                 self._take_back(kind, back)
 
@@ -180,22 +188,22 @@ class TileIntegrator:
         with self._timer.stage("shade"):
             if self._kernels.light_hits:
                 self._launch_over(self._kernels.light_hits, miss, data, limits, paths, rays)
-            self._launch_over(self._kernels.background, miss, data, limits, paths, rays, film)
+            self._launch_over(self._kernels.background, miss, data, work, limits, paths, rays, film)
             if self._kernels.surface:
                 if self._kernels.light_hits:
                     self._launch_over(self._kernels.light_hits, surface, data, limits, paths, rays)
                 self._launch_over(self._kernels.surface, surface, data, work, limits, paths, rays, film)
 
-    def _finish_paths(self, film: FilmTile) -> int:
+    def _finish_paths(self, work: TileWork, film: FilmTile) -> int:
         """Move paths that are over to the film, and list the rays of the next turn; how many were over."""
         by_bounce = self._order is not None and self._order.wants_parts(self.rays.camera)
         with self._timer.stage("lists"):
             done = self._lists.end_turn(self._paths.status, self._alive, by_bounce)
         with self._timer.stage("film"):
-            self._launch_over(self._kernels.accumulate, done, self._paths, film)
+            self._launch_over(self._kernels.accumulate, done, work, self._paths, film)
         lengths = self._lists.counts.fetch()
         if self._film_tiles.take_spill(film, lengths[Length.SPILL]):
-            self._launch_over(self._kernels.accumulate, done, self._paths, film)
+            self._launch_over(self._kernels.accumulate, done, work, self._paths, film)
         self._alive -= lengths[Length.DONE]
         self.items_done += lengths[Length.DONE]
         self.rays.bounced += lengths[Length.BOUNCE]

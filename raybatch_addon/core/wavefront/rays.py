@@ -14,7 +14,6 @@ from enum import IntEnum, IntFlag
 
 import warp as wp
 
-from ..kernel import KERNEL_OPTIONS
 from ..scene.features import SceneFeatures
 
 
@@ -64,8 +63,7 @@ class Paths:
     """Shading state, one entry a path slot. Arrays that a scene does not need have no entries."""
 
     status: wp.array(dtype=int)  # `Status` bits, the extending ray's visibility, and scattering events so far, without straight passes
-    pixel: wp.array(dtype=int)  # within the tile, row by row from its bottom left
-    sample: wp.array(dtype=wp.uint32)  # sample index of the pixel
+    item: wp.array(dtype=wp.uint32)  # number of the path within its tile: pixel and sample (`pixel_sample`)
     throughput: wp.array(dtype=wp.vec3)
     radiance: wp.array(dtype=wp.vec3)  # summed in bounce order
     pdf: wp.array(dtype=float)  # solid-angle density of the extending ray; 0: specular or from the camera
@@ -88,13 +86,6 @@ def bounce_of(status: int) -> int:
 def visibility_of(status: int) -> int:
     """The `Visibility` bit of a path's extending ray."""
     return (status >> wp.static(VISIBILITY_SHIFT)) & 31
-
-
-@wp.kernel(**KERNEL_OPTIONS)
-def bounce_kernel(status: wp.array(dtype=int), bounce: wp.array(dtype=int)):
-    """The bounce of every path, for who wants an array of it."""
-    path = wp.tid()
-    bounce[path] = bounce_of(status[path])
 
 
 @dataclass(frozen=True)
@@ -145,8 +136,7 @@ def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) 
 
     paths = Paths()
     paths.status = zeros(int)
-    paths.pixel = zeros(int)
-    paths.sample = zeros(wp.uint32)
+    paths.item = zeros(wp.uint32)
     paths.throughput = zeros(wp.vec3)
     paths.radiance = zeros(wp.vec3)
     paths.pdf = zeros(float)
@@ -160,7 +150,7 @@ def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) 
 
 def bytes_per_path(features: SceneFeatures, reference: bool = False) -> int:
     """Device memory of one path alive: state, its ray slots, and its places in lists [bytes]. `reference`: Warp's own tree is traced."""
-    path = 3 * 4 + 12 + 12 + 4
+    path = 2 * 4 + 12 + 12 + 4
     path += 12 * features.shadow_rays + 8 * features.transparency
     path += 4 * features.film_transparent + 12 * ("Normal" in features.passes)
     return path + RayNeeds.of(features, reference).bytes_per_path + LIST_BYTES_PER_PATH

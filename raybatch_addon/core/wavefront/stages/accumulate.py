@@ -11,11 +11,12 @@ from ...film.sums import add_wide, add_window
 from ...film.tile import FilmTile, fits_window
 from ...kernel import KERNEL_OPTIONS
 from ..rays import Paths
+from .generate import TileWork, pixel_sample
 
 
 @functools.cache
 def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
-    """Kernel (paths, film, slots, count).
+    """Kernel (work, paths, film, slots, count).
 
     Where there are no wide digits yet, paths for which there is no room among the channels that are set aside stay as they are: a second
     launch adds them, and no other, once there are wide digits.
@@ -56,14 +57,14 @@ def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
             film.spill_value[place] = left
 
     @wp.kernel(**KERNEL_OPTIONS)
-    def accumulate(paths: Paths, film: FilmTile, slots: wp.array(dtype=int), count: wp.array(dtype=int)):
+    def accumulate(work: TileWork, paths: Paths, film: FilmTile, slots: wp.array(dtype=int), count: wp.array(dtype=int)):
         i = wp.tid()
         if i >= count[0]:
             return
         path = slots[i]
         if paths.status[path] == 0:
             return  # added by the launch before
-        pixel = paths.pixel[path]
+        pixel = pixel_sample(work, paths.item[path]).pixel
         radiance = paths.radiance[path]
         valid = wp.isfinite(radiance[0]) and wp.isfinite(radiance[1]) and wp.isfinite(radiance[2])
         if wp.static(layout.transparent):

@@ -11,9 +11,11 @@ from ...kernel import KERNEL_OPTIONS
 from ...scene.description import CameraKind, Visibility
 from ...shading.camera import CameraData, CameraFeatures, make_camera_ray
 from ...shading.sampling import FILTER, LENS, make_sampler, pixel_key, sample_filter
-from ..rays import VISIBILITY_SHIFT, Paths, Rays, Status
+from ..rays import VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of
 from .limits import PathLimits
 
+# Paths that are numbered from one `TileWork.item_base`, by 32 bits
+ITEMS_NUMBERED = 1 << 32
 CAMERA_RAY = int(Visibility.CAMERA)
 NEW_PATH = int(Status.ALIVE | Status.RAY_OUT) | CAMERA_RAY << VISIBILITY_SHIFT
 
@@ -33,7 +35,7 @@ class GenerateFeatures:
 
 @wp.struct
 class TileWork:
-    """The paths of a tile, numbered: item -> (pixel, sample)."""
+    """The paths of a tile, numbered: item -> (pixel, sample). A path keeps its number alone."""
 
     x: int  # of the tile's bottom left in the frame [pixels]
     y: int
@@ -42,6 +44,8 @@ class TileWork:
     frame_width: int
     sample_first: wp.int64
     sample_count: wp.int64
+    pixel_first: int  # 1: all samples of a pixel come one after another; 0: all pixels for each sample
+    item_base: wp.int64  # the item that paths have as number 0
     item_first: wp.int64  # next item that was not begun
     item_count: int  # how many to begin
     filter_table: wp.array(dtype=float)
@@ -53,10 +57,60 @@ def pixel_in_blocks(number: int, width: int, height: int) -> wp.vec2i:
     strip = number / (8 * width)
     rows = wp.min(8, height - 8 * strip)
     rest = number - 8 * width * strip
-    block = rest / (8 * rows)
+    block = rest / 64
+    if rows < 8:
+        block = rest / (8 * rows)
     columns = wp.min(8, width - 8 * block)
     rest -= 8 * rows * block
-    return wp.vec2i(8 * block + rest % columns, 8 * strip + rest / columns)
+    row = rest / 8
+    if columns < 8:
+        row = rest / columns
+    return wp.vec2i(8 * block + rest - row * columns, 8 * strip + row)
+
+
+@wp.struct
+class PixelSample:
+    """What an item stands for."""
+
+    x: int  # column and row in the frame
+    y: int
+    pixel: int  # within the tile, row by row from its bottom left
+    sample: wp.uint32  # index of the pixel's sample
+
+
+@wp.func
+def pixel_sample(work: TileWork, number: wp.uint32) -> PixelSample:
+    """Pixel and sample of the path with this number."""
+    item = work.item_base + wp.int64(number)
+    fast_count = wp.int64(work.width) * wp.int64(work.height)  # how far the index that changes faster goes
+    if work.pixel_first != 0:
+        fast_count = work.sample_count
+    slow = wp.int64(0)
+    if item < wp.static(wp.int64(1 << 32)) and fast_count < wp.static(wp.int64(1 << 32)):
+        slow = wp.int64(wp.uint32(item) / wp.uint32(fast_count))  # much faster, and nearly always enough
+    else:
+        slow = item / fast_count
+    fast = item - slow * fast_count
+    pixel = int(fast)
+    sample = slow
+    if work.pixel_first != 0:
+        pixel = int(slow)
+        sample = fast
+    place = pixel_in_blocks(pixel, work.width, work.height)
+    result = PixelSample()
+    result.x = work.x + place[0]
+    result.y = work.y + place[1]
+    result.pixel = place[1] * work.width + place[0]
+    result.sample = wp.uint32(work.sample_first + sample)
+    return result
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def counted_kernel(work: TileWork, paths: Paths, bounce: wp.array(dtype=int), pixel: wp.array(dtype=int)):
+    """What counters ask for: the bounce and the pixel of every path."""
+    path = wp.tid()
+    bounce[path] = bounce_of(paths.status[path])
+    pixel[path] = pixel_sample(work, paths.item[path]).pixel
 
 
 @functools.cache
@@ -75,23 +129,12 @@ def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
         if i == 0:
             count[0] = work.item_count
         path = slots[i]
-        item = work.item_first + wp.int64(i)
-        pixel_count = wp.int64(work.width) * wp.int64(work.height)
-        pixel = int(0)
-        sample = wp.int64(0)
-        if wp.static(features.pixel_first):
-            pixel = int(item / work.sample_count)
-            sample = work.sample_first + item % work.sample_count
-        else:
-            pixel = int(item % pixel_count)
-            sample = work.sample_first + item / pixel_count
-        place = pixel_in_blocks(pixel, work.width, work.height)
-        pixel = place[1] * work.width + place[0]
-        x = work.x + place[0]
-        y = work.y + place[1]
-
+        number = wp.uint32(work.item_first - work.item_base) + wp.uint32(i)
+        where = pixel_sample(work, number)
+        x = where.x
+        y = where.y
         key = pixel_key(limits.seed, wp.uint32(y) * wp.uint32(work.frame_width) + wp.uint32(x))
-        index = wp.uint32(sample)
+        index = where.sample
         offset = sample_filter(work.filter_table, sample_2d(key, index, wp.uint32(FILTER)))
         lens = wp.vec2(0.5, 0.5)
         if wp.static(features.depth_of_field):
@@ -103,8 +146,7 @@ def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
         rays.t_max[path] = t_max
         if rays.visibility.shape[0] > 0:
             rays.visibility[path] = wp.static(CAMERA_RAY)
-        paths.pixel[path] = pixel
-        paths.sample[path] = index
+        paths.item[path] = number
         paths.throughput[path] = wp.vec3(1.0, 1.0, 1.0)
         paths.radiance[path] = wp.vec3(0.0, 0.0, 0.0)
         paths.pdf[path] = 0.0

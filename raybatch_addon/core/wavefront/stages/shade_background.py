@@ -13,6 +13,7 @@ from ...scene.description import LightKind
 from ...shading.lights import LightFeatures, make_lights
 from ..device_scene import SceneData
 from ..rays import Paths, Rays, Status, bounce_of, visibility_of
+from .generate import TileWork, pixel_sample
 from .limits import PathLimits, clamped
 
 ENDED = int(Status.ENDED)
@@ -81,11 +82,12 @@ def light_hit_kernel(features: LightHitFeatures) -> wp.Kernel:
 
 @functools.cache
 def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
-    """Kernel (data, limits, paths, rays, film, slots, count): rays that leave the scene."""
+    """Kernel (data, work, limits, paths, rays, film, slots, count): rays that leave the scene."""
 
     @wp.kernel(**KERNEL_OPTIONS)
     def background(
         data: SceneData,
+        work: TileWork,
         limits: PathLimits,
         paths: Paths,
         rays: Rays,
@@ -112,8 +114,10 @@ def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
                     light = clamped(limits, light, bounce)
                 paths.radiance[path] = paths.radiance[path] + light
         if wp.static(features.depth_pass):
-            if paths.sample[path] == wp.uint32(0) and bounce == 0 and film.depth[paths.pixel[path]] == 0.0:
-                film.depth[paths.pixel[path]] = wp.static(DEPTH_OF_NOTHING)
+            if bounce == 0:
+                where = pixel_sample(work, paths.item[path])
+                if where.sample == wp.uint32(0) and film.depth[where.pixel] == 0.0:
+                    film.depth[where.pixel] = wp.static(DEPTH_OF_NOTHING)
         paths.status[path] = status | wp.static(ENDED)
 
     return background

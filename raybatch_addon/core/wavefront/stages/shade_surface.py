@@ -27,7 +27,7 @@ from ...shading.sampling import (
 from ...shading.surface import SurfacePoint, make_surface, spawn_origin
 from ..device_scene import SceneData
 from ..rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of
-from .generate import TileWork
+from .generate import TileWork, pixel_sample
 from .limits import PathLimits, clamped
 
 RAY_NEW = int(Status.RAY_NEW)
@@ -203,8 +203,8 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         path = slots[i]
         status = paths.status[path] & ~wp.static(HIT)
         bounce = bounce_of(status)
-        pixel = paths.pixel[path]
-        sample = paths.sample[path]
+        where = pixel_sample(work, paths.item[path])
+        sample = where.sample
         direction = rays.direction[path]
         hit_t = rays.hit_t[path]
         passed = int(0)
@@ -220,9 +220,9 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                 paths.normal[path] = frame.normal
             if sample == wp.uint32(0):
                 if wp.static("Depth" in features.passes):
-                    film.depth[pixel] = wp.dot(surface.position - data.view_origin, data.view_axis)
+                    film.depth[where.pixel] = wp.dot(surface.position - data.view_origin, data.view_axis)
                 if wp.static("Position" in features.passes):
-                    film.position[pixel] = surface.position
+                    film.position[where.pixel] = surface.position
 
         if wp.static(features.emission):
             gather_emission(data, limits, paths, rays, path, surface.material, passed_t)
@@ -234,9 +234,8 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                 paths.status[path] = status | wp.static(ENDED)
                 return
 
-        x = work.x + pixel % work.width
-        y = work.y + pixel / work.width
-        key = pixel_key(limits.seed, wp.uint32(y) * wp.uint32(work.frame_width) + wp.uint32(x))
+        x = where.x
+        key = pixel_key(limits.seed, wp.uint32(where.y) * wp.uint32(work.frame_width) + wp.uint32(x))
         # every surface that a path meets has numbers of its own, also those that it passes
         dimension = wp.uint32(bounce + passed) * wp.uint32(DIMENSIONS_PER_BOUNCE)
 
