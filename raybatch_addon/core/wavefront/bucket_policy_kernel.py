@@ -8,15 +8,19 @@ from ..kernel import KERNEL_OPTIONS
 from .bucket_blocks import OVERFLOW, STEP, WAITING, Blocks
 from .bucket_policy import Selection, Step
 
-# Entries of `PolicyState.choice`
-STEP_KIND, QUEUE, AMOUNT, LAST, GO, CHOICE_SIZE = range(6)
+# Entries of `PolicyState.choice`: a `Step`, the queue it serves and its rays, the bucket that was served last, and rays that are done;
+# whether the device goes on by itself, and for how many steps it still may (-1: the host leads); with so many rays done nothing is chosen
+STEP_KIND, QUEUE, AMOUNT, LAST, FINISHED, GO, BUDGET, TARGET, CHOICE_SIZE = range(9)
+# Sizes of launches that a device chooses from, as shares of the largest batch
+SIZES = (1024, 64, 8, 1)
 # Threads at most
 _THREADS = 4096
 
 _MOST_FULL, _NEXT, _ALL = (wp.constant(int(each)) for each in (Selection.MOST_FULL, Selection.NEXT, Selection.ALL))
 _NOTHING, _TOP, _TREELET = (wp.constant(int(each)) for each in (Step.NOTHING, Step.TOP, Step.TREELET))
 _SWEEP, _UNBATCHED = (wp.constant(int(each)) for each in (Step.SWEEP, Step.UNBATCHED))
-_KIND, _QUEUE, _AMOUNT, _LAST, _GO = (wp.constant(each) for each in (STEP_KIND, QUEUE, AMOUNT, LAST, GO))
+_KIND, _QUEUE, _AMOUNT, _LAST, _FINISHED = (wp.constant(each) for each in (STEP_KIND, QUEUE, AMOUNT, LAST, FINISHED))
+_GO, _BUDGET, _TARGET = wp.constant(GO), wp.constant(BUDGET), wp.constant(TARGET)
 _STEP, _OVERFLOW, _WAITING = wp.constant(STEP), wp.constant(OVERFLOW), wp.constant(WAITING)
 
 
@@ -31,7 +35,9 @@ class PolicyState:
     rays_few: int
     # keys and what they belong to in one number, so that the largest is found by its bits
     best: wp.array(dtype=wp.int64)  # fullest bucket, chosen bucket, queue that waits longest, shape [3]
-    choice: wp.array(dtype=int)  # shape [CHOICE_SIZE]: a `Step`, the queue, its rays, the bucket served last, whether to go on on the device
+    choice: wp.array(dtype=int)  # shape [CHOICE_SIZE]
+    sizes: wp.array(dtype=int)  # of launches, ascending
+    branches: wp.array(dtype=int)  # 1 for the size and the step that is next, shape [sizes, 2]: exit queues, entry queues
 
 
 @wp.func
@@ -111,14 +117,15 @@ def decide(blocks: Blocks, policy: PolicyState):
     fullest = policy.best[0]
     chosen = policy.best[1]
     oldest = policy.best[2]
-    waiting = blocks.state[_WAITING] - blocks.counts[2 * policy.bucket_count]
+    finished = blocks.counts[2 * policy.bucket_count]
+    waiting = blocks.state[_WAITING] - finished
     few = int(fullest >> wp.int64(32))
     if policy.selection == _ALL:
         few = waiting
     kind = int(_NOTHING)
     queue = int(-1)
     amount = int(waiting)
-    if waiting > 0:
+    if waiting > 0 and finished < policy.choice[_TARGET] and policy.choice[_BUDGET] != 0:
         if few < policy.rays_few:
             kind = _UNBATCHED
         elif policy.selection == _ALL:
@@ -137,9 +144,26 @@ def decide(blocks: Blocks, policy: PolicyState):
             kind = wp.where(queue % 2 == 1, _TOP, _TREELET)
             amount = blocks.counts[queue]
             policy.choice[_LAST] = queue // 2
+        blocks.state[_STEP] = blocks.state[_STEP] + 1
     policy.choice[_KIND] = kind
     policy.choice[_QUEUE] = queue
     policy.choice[_AMOUNT] = amount
+    policy.choice[_FINISHED] = finished
+    budget = policy.choice[_BUDGET]
+    go = int(0)
+    if queue >= 0 and budget > 0:
+        go = 1
+    policy.choice[_GO] = go
+    policy.choice[_BUDGET] = budget - go
+    below = int(0)
+    for i in range(policy.sizes.shape[0]):
+        size = policy.sizes[i]
+        taken = int(0)
+        if go == 1 and amount > below and (amount <= size or i == policy.sizes.shape[0] - 1):
+            taken = 1
+        policy.branches[2 * i] = taken * (queue % 2)
+        policy.branches[2 * i + 1] = taken * (1 - queue % 2)
+        below = size
     for i in range(3):
         policy.best[i] = wp.int64(0)
 
@@ -163,13 +187,21 @@ def host_choose_kernel(blocks: Blocks, policy: PolicyState):
     decide(blocks, policy)
 
 
+@wp.kernel(**KERNEL_OPTIONS)
+def begin_kernel(policy: PolicyState, target: int, budget: int):
+    """One thread."""
+    policy.choice[_TARGET] = target
+    policy.choice[_BUDGET] = budget
+
+
 class DevicePolicy:
     """Launches the choice; what is chosen lies in `state.choice`."""
 
     def __init__(
-        self, selection: Selection, wait_max: int, seed: int, bucket_count: int, rays_few: int, blocks: Blocks, parallel: bool | None = None
+        self, selection: Selection, wait_max: int, seed: int, bucket_count: int, rays_few: int, blocks: Blocks, parallel: bool | None = None,
+        capacity: int = 1,
     ):  # fmt: skip
-        """As `BucketPolicy`, of the queues in `blocks`."""
+        """As `BucketPolicy`, of the queues in `blocks`. `capacity`: rays of a batch at most."""
         self.device = device = blocks.counts.device
         self.blocks, self.state = blocks, PolicyState()
         self._parallel = device.is_cuda if parallel is None else parallel
@@ -178,7 +210,22 @@ class DevicePolicy:
         state.selection, state.wait_max, state.bucket_count, state.rays_few = int(selection), wait_max, bucket_count, rays_few
         state.seed = (seed & 0xFFFFFFFF) - ((seed & 0x80000000) << 1)
         state.best = wp.zeros(3, dtype=wp.int64, device=device)
-        state.choice = wp.array([0, -1, 0, -1, 0], dtype=int, device=device)
+        start = [0] * CHOICE_SIZE
+        start[QUEUE], start[LAST], start[BUDGET], start[TARGET] = -1, -1, -1, 2**31 - 1
+        state.choice = wp.array(start, dtype=int, device=device)
+        self.sizes = sorted({-(-capacity // share) for share in SIZES})
+        state.sizes = wp.array(self.sizes, dtype=int, device=device)
+        state.branches = wp.zeros(2 * len(self.sizes), dtype=int, device=device)
+        # a CPU's memory is the host's
+        self._on_host = state.choice.numpy() if device.is_cpu else None
+
+    def begin(self, target: int, budget: int = -1) -> None:
+        """Nothing is chosen any more when `target` rays are done, or the device has taken `budget` steps by itself (-1: the host leads)."""
+        wp.launch(begin_kernel, 1, [self.state, target, budget], device=self.device)
+
+    def fetch(self) -> list[int]:
+        """`PolicyState.choice`."""
+        return (self._on_host if self._on_host is not None else self.state.choice.numpy()).tolist()
 
     def launch(self) -> None:
         """Choose for the step that is written in the queues' state."""
@@ -191,4 +238,4 @@ class DevicePolicy:
 
 def policy_kernels(device: wp.Device) -> tuple[wp.Kernel, ...]:
     """The kernels that a `DevicePolicy` launches on `device`."""
-    return (look_kernel, decide_kernel) if device.is_cuda else (host_choose_kernel,)
+    return (begin_kernel, look_kernel, decide_kernel) if device.is_cuda else (begin_kernel, host_choose_kernel)

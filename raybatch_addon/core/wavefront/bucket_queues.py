@@ -76,7 +76,7 @@ class BucketQueues:
             self.taken.slots, self.taken.where = wp.zeros(self.capacity, dtype=int), wp.zeros(self.capacity, dtype=int)
             self.taken.count = wp.zeros(1, dtype=int)
             self._nowhere = wp.zeros(0, dtype=int)
-            self._chunk_count = wp.zeros(1, dtype=int)
+            self._part_count = wp.zeros(1, dtype=int)
         self.taken.places, self.taken.capacity = self._nowhere, self.capacity
         self._given = Listed()
         self._given.places, self._given.capacity = self._nowhere, 0
@@ -102,17 +102,11 @@ class BucketQueues:
         seen = self._seen(batch) if self._check else None
         rays = self._given
         for first in range(0, batch.bound, self.capacity) if self._parallel else (0,):
-            bound = min(batch.bound - first, self.capacity) if self._parallel else batch.bound
-            if first or bound < batch.bound:
-                rays.slots, rays.where = batch.slots[first : first + bound], batch.where[first : first + bound]
-                rays.count = self._chunk_count
-                wp.launch(rest_kernel, 1, [batch.count, first, self._chunk_count], device=self.device)
-                rays.places = self._nowhere if places is None else places[first : first + bound]
-            else:
-                rays.slots, rays.where, rays.count = batch.slots, batch.where, batch.count
-                rays.places = self._nowhere if places is None else places
+            part = self.part(batch, first) if self._parallel else batch
+            rays.slots, rays.where, rays.count = part.slots, part.where, part.count
+            rays.places = self._nowhere if places is None else places[first : first + part.bound]
             if self._parallel:
-                self.parallel_queues.put(rule, rays, bound)
+                self.parallel_queues.put(rule, rays, part.bound)
             else:
                 wp.launch(host_put_kernel, 1, [self.blocks, rule, rays], device=self.device)
         if seen:
@@ -140,6 +134,21 @@ class BucketQueues:
         if self._check:
             self._check.take(*self._seen(batch), rule, np.arange(self.queue_total) if chosen is None else np.asarray(chosen))
         return batch
+
+    def take_marked(self, rule: QueueRule, bound: int, places: wp.array | None = None) -> Batch:
+        """As `take`, of one queue that was marked on the device; not checked, and nothing is asked of the host."""
+        self.taken.places = self._nowhere if places is None else places
+        self.parallel_queues.take(rule, self.taken, bound, 1)
+        return Batch(self.taken.slots, self.taken.where, self.taken.count, bound)
+
+    def part(self, batch: Batch, first: int) -> Batch:
+        """At most `capacity` rays of `batch` from `first` on; the next part overwrites their count."""
+        bound = min(batch.bound - first, self.capacity)
+        if bound == batch.bound:
+            return batch
+        end = first + bound
+        wp.launch(rest_kernel, 1, [batch.count, first, bound, self._part_count], device=self.device)
+        return Batch(batch.slots[first:end], batch.where[first:end], self._part_count, bound)
 
     def set_step(self, step: int) -> None:
         """Transactions from now on belong to `step`: for how long rays wait."""
@@ -178,11 +187,11 @@ class BucketQueues:
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def rest_kernel(count: wp.array(dtype=int), first: int, rest: wp.array(dtype=int)):
-    """One thread: how many rays of a batch there are from `first` on."""
-    rest[0] = wp.max(count[0] - first, 0)
+def rest_kernel(count: wp.array(dtype=int), first: int, bound: int, rest: wp.array(dtype=int)):
+    """One thread: how many rays of a batch there are from `first` on, `bound` at most."""
+    rest[0] = wp.clamp(count[0] - first, 0, bound)
 
 
 def queue_kernels(device: wp.Device) -> tuple[wp.Kernel, ...]:
     """The kernels that `BucketQueues` launch on `device`."""
-    return (*DeviceQueues.kernels, rest_kernel) if device.is_cuda else (host_put_kernel, host_take_kernel)
+    return (*DeviceQueues.kernels, rest_kernel) if device.is_cuda else (host_put_kernel, host_take_kernel, rest_kernel)
