@@ -150,7 +150,8 @@ def trace_text(options: TraceOptions) -> str:
     constexpr int REFILL = {refill};
     """
     text = constants + TRIANGLE_TEXT + DEVICE_TEXT + RAY_TEXT + NODE_TEXT + LANE_TEXT + LOOP_TEXT
-    pieces = {name: piece if options.counters else "" for name, piece in COUNTING.items()} | loop_pieces(options.single_lane) | _TRACE_PIECES
+    pieces = {name: piece if options.counters else "" for name, piece in COUNTING.items()}
+    pieces |= loop_pieces(options.single_lane) | _TRACE_PIECES
     stack_size = STACK_ALL if options.instancing else STACK_MESH
     return Template(text).substitute(stack_size=stack_size, turn=_turn_text(options), **pieces)
 

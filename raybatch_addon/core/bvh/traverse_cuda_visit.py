@@ -92,7 +92,8 @@ def visit_text(options: VisitOptions) -> str:
     )  # fmt: skip
     counting = COUNTING | _VISIT_COUNTING
     counting["counters"] += " int entered = 0;"
-    pieces = {name: piece if options.counters else "" for name, piece in counting.items()} | loop_pieces(options.single_lane, "mine", "thread")
+    pieces = {name: piece if options.counters else "" for name, piece in counting.items()}
+    pieces |= loop_pieces(options.single_lane, "mine", "thread")
     levels = 2 * STACK_MESH if options.instancing else STACK_MESH  # of trees that the stack is made for
     sizes = {"stack_size": STACK_ALL if options.instancing else STACK_MESH, "trail_size": levels + 1, "trail_levels": TRAIL_LEVELS}
     return Template("".join(parts)).substitute(**sizes, **pieces, **_PIECES)
@@ -103,10 +104,11 @@ def quantised_visit_function(options: VisitOptions) -> wp.Function:
     """Native function (tree, treelets, progress, origin, direction, t_max, visibility, hit_t, hit_instance, hit_primitive, hit_uv, slots,
     where, count, cursor, any_first, thread), with counters also `counts` at the end.
 
-    Does the task for the rays `slots[0 : count[0]]` of the arrays, which are those of `Rays`, that wait at `where[0 : count[0]]`, and writes
-    there where they came to. Rays in slots from `any_first` on ask for any hit. Rays that are done have their hits
-    as `trace_function` writes them; others have in `hit_t` their best distance so far, and `hit_primitive` and `hit_instance` as `TopProgress`
-    says. All threads of all warps call it, with their numbers. `cursor[0]` is 0 before. What `TREELET` visits must be there.
+    Does the task for the rays `slots[0 : count[0]]` of the arrays, which are those of `Rays`, that wait at `where[0 : count[0]]`, and
+    writes there where they came to. Rays in slots from `any_first` on ask for any hit. Rays that are done have their hits as
+    `trace_function` writes them; others what `TopProgress` says. `t_max` of a closest-hit ray is read when it is `NEW`, and may be
+    the same memory as `hit_t`. All threads of all warps call it, with their numbers. `cursor[0]` is 0 before. What `TREELET` visits
+    must be there.
     """
     text = visit_text(options)
     if options.counters:

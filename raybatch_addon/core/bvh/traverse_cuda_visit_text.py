@@ -6,8 +6,9 @@ As `traverse_cuda_text.py`, of which `traverse_cuda_visit.py` takes all but what
 from __future__ import annotations
 
 # What a lane holds: as in `traverse_cuda_text.py`, but that indices are relative to the blocks of the tree or treelet that the ray is
-# in, whose places are the lane's own. Groups of nodes have in bits 8 to 15 the level of the node that holds them, counted from the root of the
-# top level or, where there is none, of the mesh; in bit 16 whether they are of a treelet, and then the level is that of its root.
+# in, whose places are the lane's own. Groups of nodes have in bits 8 to 15 the level of the node that holds them, counted from the
+# root of the top level or, where there is none, of the mesh; in bit 16 whether they are of a treelet, and then the level is that
+# of its root.
 VISIT_STATE_TEXT = """
     constexpr unsigned NONE = 0xffffffffu;
     // in `state`

@@ -6,7 +6,6 @@ One file for the three, which are one text (`VisitTask`) and are launched alike.
 from __future__ import annotations
 
 import functools
-import importlib
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -14,6 +13,7 @@ import warp as wp
 
 from ...bvh.trace_counts import TraceCounts
 from ...bvh.traverse_cpu import INTERLEAVE
+from ...bvh.traverse_cpu_visit import visit_function
 from ...bvh.traverse_cuda_visit import VisitOptions, quantised_visit_function
 from ...bvh.tree import TopProgress, Tree, Treelets
 from ...bvh.visit_task import VisitTask
@@ -62,8 +62,8 @@ class VisitStage(Protocol):
     ) -> None:
         """Do the task for the rays of `batch`, and write where they came to.
 
-        Rays in slots from `any_first` on ask whether anything is hit before their `t_max`; the others for the closest hit. Of these `t_max` is
-        read when they are `NEW`, and never again. With counters, `counts` of a `NEW` ray are set, and of others are added to.
+        Rays in slots from `any_first` on ask whether anything is hit before their `t_max`; the others for the closest hit. Of these
+        `t_max` is read when they are `NEW`, and never again: it may be the same array as `hit_t`. With counters, `counts` of a `NEW` ray are set, and of others are added to.
         """
 
 
@@ -96,7 +96,9 @@ class _Stage:
     def prepare(self, device: wp.Device) -> None:
         """Allocate what launches need; otherwise the first one does."""
 
-    def _inputs(self, tree: Tree, treelets: Treelets, rays: Rays, progress: TopProgress, batch: VisitBatch, counts: TraceCounts | None) -> list[Any]:
+    def _inputs(
+        self, tree: Tree, treelets: Treelets, rays: Rays, progress: TopProgress, batch: VisitBatch, counts: TraceCounts | None
+    ) -> list[Any]:
         return [tree, treelets, rays, progress, batch] + ([counts] if self._counters else [])
 
 
@@ -132,7 +134,8 @@ class QuantisedVisitStage(_Stage):
         work = _visit_batch(batch, any_first)
         work.cursor = self._cursor
         inputs = self._inputs(tree, treelets, rays, progress, work, counts)
-        wp.launch(self._kernel, self._launch.lane_count(batch.bound, device), inputs, device=device, block_dim=self._launch.block_size_on(device))
+        lanes = self._launch.lane_count(batch.bound, device)
+        wp.launch(self._kernel, lanes, inputs, device=device, block_dim=self._launch.block_size_on(device))
 
 
 @functools.cache
@@ -170,7 +173,8 @@ class BoxesVisitStage(_Stage):
 
     def __init__(self, features: VisitFeatures, launch: Launch):
         interleave = 1 if launch.single_lane else INTERLEAVE
-        super().__init__(boxes_visit_kernel(features.task, features.instancing, interleave, features.counters, features.interlocked), features.counters)
+        kernel = boxes_visit_kernel(features.task, features.instancing, interleave, features.counters, features.interlocked)
+        super().__init__(kernel, features.counters)
         self._slice_count = launch.slice_count
 
     def launch(
@@ -184,8 +188,7 @@ class BoxesVisitStage(_Stage):
 @functools.cache
 def boxes_visit_kernel(task: VisitTask, instancing: bool, interleave: int, counters: bool, interlocked: bool) -> wp.Kernel:
     """Kernel (tree, treelets, rays, progress, batch), with counters also (counts), of `batch.slice_count` threads."""
-    text = importlib.import_module("...bvh.traverse_cpu_visit", __package__)
-    visit = text.visit_function(task, instancing, interleave, counters, interlocked)
+    visit = visit_function(task, instancing, interleave, counters, interlocked)
     if counters:
 
         @wp.kernel(**KERNEL_OPTIONS)
