@@ -1,7 +1,9 @@
 """Brings pages of geometry from their store into the slots of a pool on the device, while rays are traced.
 
 On CUDA copies have a stream of their own, and marks (events) order them against the stream that traces: the host waits for neither.
-Pages that are read from a file, or copied by the CPU, are read by threads; reading lets go of Python's lock.
+Pages that are read from a file, or copied by the CPU, are read by threads; reading lets go of Python's lock. Encoded pages arrive in
+staging buffers and are expanded into their slots: on the CPU by the thread that read them, on CUDA by the stream that traces, because
+a kernel on the stream of copies would wait for the blocks of a launch that runs for long.
 """
 
 from __future__ import annotations
@@ -33,14 +35,28 @@ class PageLine(Protocol):
     def fill(self, number: int, slot: int, used: Any, arrived: Arrived) -> None:
         """Bring page `number` to `slot`, behind the mark `used` (None: at once)."""
 
+    def room(self) -> int:
+        """How many more pages can be on their way now; those that have not landed are."""
+
     def mark(self) -> Any:
         """The point behind everything that was launched so far; None where launches are over when they return."""
 
-    def wait_for(self, filled: Any) -> None:
-        """What is launched from now on comes behind the mark `filled`."""
+    def land(self, number: int, slot: int, filled: Any) -> None:
+        """What is launched from now on finds page `number` in `slot`, where it came behind the mark `filled`."""
 
     def close(self) -> None:
         """Returns when nothing is on its way any more."""
+
+
+def pages_a_step(slot_count: int) -> int:
+    """Pages that are brought in for a step of tracing, of a pool of `slot_count`: a quarter (of a pool of 1.3 GB, 0.3 GB a step copied
+    the fewest bytes; H200, 64 million rays), but two where there is room for them and for two that are traced."""
+    return max(1, slot_count // 4, min(2, slot_count // 2))
+
+
+def staging_count(slot_count: int) -> int:
+    """Staging buffers for encoded pages on a CUDA device: for those of a step, and of the next."""
+    return 2 * pages_a_step(slot_count) if slot_count > 1 else 1
 
 
 def page_line(scene: PagedScene, pool: wp.array, slot_bytes: int, device: wp.Device) -> PageLine:
@@ -54,25 +70,45 @@ class HostLine:
     """Threads read pages straight into the pool."""
 
     def __init__(self, scene: PagedScene, pool: wp.array, slot_bytes: int):
-        self._scene, self._memory, self._slot_bytes = scene, pool.numpy(), slot_bytes
+        self._scene, self._pool, self._slot_bytes = scene, pool, slot_bytes
         self._threads = ThreadPoolExecutor(READER_COUNT, thread_name_prefix="pages")
+        self._staging: queue.SimpleQueue = queue.SimpleQueue()
+        if scene.encoded:
+            for _ in range(READER_COUNT):
+                self._staging.put(page_buffer(_largest(scene)))
 
     def fill(self, number: int, slot: int, used: Any, arrived: Arrived) -> None:
         self._threads.submit(_told, arrived, number, self._read, slot)
 
     def _read(self, number: int, slot: int) -> None:
         start = slot * self._slot_bytes
-        page = self._scene.pages[number]
-        self._scene.store.read_into(page, self._memory[start : start + page.byte_count], direct=True)
+        scene, page = self._scene, self._scene.pages[number]
+        if not scene.encoded:
+            scene.store.read_into(page, self._pool.numpy()[start : start + page.byte_count], direct=True)
+            return
+        buffer = self._staging.get()
+        try:
+            scene.store.read_into(page, buffer.numpy(), direct=True)
+            scene.expand(number, buffer[: page.byte_count], self._pool[start : start + page.device_bytes])
+        finally:
+            self._staging.put(buffer)
+
+    def room(self) -> int:
+        return 2**31 - 1
 
     def mark(self) -> None:
         return None
 
-    def wait_for(self, filled: Any) -> None:
+    def land(self, number: int, slot: int, filled: Any) -> None:
         """Launches find pages in place."""
 
     def close(self) -> None:
         self._threads.shutdown(wait=True, cancel_futures=True)
+
+
+def _largest(scene: PagedScene) -> int:
+    """Bytes of the largest page in the store."""
+    return max((page.byte_count for page in scene.pages), default=0)
 
 
 def _told(arrived: Arrived, number: int, read: Callable[[int, int], Any], slot: int) -> None:
@@ -85,29 +121,36 @@ def _told(arrived: Arrived, number: int, read: Callable[[int, int], Any], slot: 
 
 
 class CudaLine:
-    """Copies on a stream of their own: from where pages lie in pinned memory, or from staging buffers that threads fill."""
+    """Copies on a stream of their own: from where pages lie in pinned memory, or from pinned buffers that threads fill."""
 
     def __init__(self, scene: PagedScene, pool: wp.array, slot_bytes: int, device: wp.Device):
         self._scene, self._pool, self._slot_bytes, self._device = scene, pool, slot_bytes, device
         self._stream = copy_stream(device.alias)
-        # the pool was allocated on the stream that traces
-        self._stream.wait_event(device.stream.record_event())
         self._threads: ThreadPoolExecutor | None = None
-        self._staging: queue.SimpleQueue = queue.SimpleQueue()  # (pinned buffer, mark behind its last copy or None)
+        # buffers, and the mark behind what was last done with them, or None
+        self._pinned: queue.SimpleQueue = queue.SimpleQueue()
+        self._staging: queue.SimpleQueue = queue.SimpleQueue()
+        self._staged: dict[int, wp.array] = {}  # by page, until it has landed
+        self._staging_free = staging_count(pool.size // slot_bytes)
+        if scene.encoded:
+            for _ in range(self._staging_free):
+                self._staging.put((wp.empty(_largest(scene), dtype=wp.uint8, device=device), None))
         if scene.pages and scene.store.view(scene.pages[0]) is None:
             self._threads = ThreadPoolExecutor(READER_COUNT, thread_name_prefix="pages")
-            largest = max(page.byte_count for page in scene.pages)
             for _ in range(READER_COUNT):
-                self._staging.put((page_buffer(largest, pinned=True), None))
+                self._pinned.put((page_buffer(_largest(scene), pinned=True), None))
+        # memory was allocated on the stream that traces
+        self._stream.wait_event(device.stream.record_event())
 
     def fill(self, number: int, slot: int, used: Any, arrived: Arrived) -> None:
+        self._staging_free -= 1
         if self._threads is None:
             arrived(number, self._copy(number, slot, self._scene.store.view(self._scene.pages[number]), used), None)
         else:
             self._threads.submit(_told, arrived, number, lambda page, place: self._read(page, place, used), slot)
 
     def _read(self, number: int, slot: int, used: Any) -> wp.Event:
-        buffer, copied = self._staging.get()
+        buffer, copied = self._pinned.get()
         try:
             if copied is not None:
                 wp.synchronize_event(copied)
@@ -115,21 +158,35 @@ class CudaLine:
             self._scene.store.read_into(self._scene.pages[number], buffer.numpy(), direct=True)
             copied = self._copy(number, slot, buffer, used)
         finally:
-            self._staging.put((buffer, copied))
+            self._pinned.put((buffer, copied))
         return copied
 
     def _copy(self, number: int, slot: int, source: wp.array, used: Any) -> wp.Event:
+        target, first = self._pool, slot * self._slot_bytes
+        if self._scene.encoded:
+            # the slot is written by the stream that traces: only the buffer must be free
+            target, used = self._staging.get()
+            self._staged[number], first = target, 0
         if used is not None:
             self._stream.wait_event(used)
-        size = self._scene.pages[number].byte_count
-        wp.copy(self._pool, source, dest_offset=slot * self._slot_bytes, count=size, stream=self._stream)
+        wp.copy(target, source, dest_offset=first, count=self._scene.pages[number].byte_count, stream=self._stream)
         return self._stream.record_event()
+
+    def room(self) -> int:
+        return self._staging_free if self._scene.encoded else 2**31 - 1
+
+    def land(self, number: int, slot: int, filled: wp.Event) -> None:
+        stream, page = self._device.stream, self._scene.pages[number]
+        stream.wait_event(filled)
+        self._staging_free += 1
+        if self._scene.encoded:
+            buffer = self._staged.pop(number)
+            start = slot * self._slot_bytes
+            self._scene.expand(number, buffer[: page.byte_count], self._pool[start : start + page.device_bytes])
+            self._staging.put((buffer, stream.record_event()))
 
     def mark(self) -> wp.Event:
         return self._device.stream.record_event()
-
-    def wait_for(self, filled: wp.Event) -> None:
-        self._device.stream.wait_event(filled)
 
     def close(self) -> None:
         if self._threads:

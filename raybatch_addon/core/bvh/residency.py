@@ -22,7 +22,7 @@ from ..errors import OutOfMemoryError
 from ..kernel import KERNEL_OPTIONS
 from .page_build import PagedScene
 from .page_facts import PageFacts
-from .page_line import PageLine, page_line
+from .page_line import PageLine, page_line, staging_count
 from .page_store import PAGE_ALIGNMENT, padded
 from .tree import Treelets
 
@@ -70,15 +70,26 @@ def slot_bytes_of(scene: PagedScene) -> int:
     return padded(max(1, scene.page_bytes_max))
 
 
-def slots_in(scene: PagedScene, budget: int) -> int:
+def staging_bytes_of(scene: PagedScene, slots: int, device: wp.Device) -> int:
+    """Device memory of the buffers in which the pages of a pool of `slots` arrive before they are expanded [bytes]."""
+    if not (device.is_cuda and scene.encoded):
+        return 0
+    return staging_count(slots) * max((page.byte_count for page in scene.pages), default=0)
+
+
+def slots_in(scene: PagedScene, budget: int, device: wp.Device) -> int:
     """Pages that fit in `budget` bytes beside what stays on the device, at most all; raises `OutOfMemoryError` for none."""
-    least = scene.resident_bytes + slot_bytes_of(scene)
+    size = slot_bytes_of(scene)
+    least = scene.resident_bytes + size + staging_bytes_of(scene, 1, device)
     if budget < least:
         raise OutOfMemoryError(
             f"geometry_budget is {budget:,} bytes, and this scene needs {least:,} at least ({scene.resident_bytes:,} that always stay on "
             f"the device, and one page); raise it, or set it to 0"
         )
-    return max(1, min(len(scene.pages), (budget - scene.resident_bytes) // slot_bytes_of(scene)))
+    slots = min(max(1, len(scene.pages)), (budget - scene.resident_bytes) // size)
+    while slots > 1 and scene.resident_bytes + slots * size + staging_bytes_of(scene, slots, device) > budget:
+        slots -= 1
+    return slots
 
 
 class Residency:
@@ -87,7 +98,7 @@ class Residency:
     def __init__(self, scene: PagedScene, budget: int, device: wp.Device, make_line: Callable[..., PageLine] = page_line):
         """At most `budget` bytes of the scene are on the device, with what always stays there. Raises `OutOfMemoryError`."""
         self.scene, self.device = scene, device
-        self.slot_count, self.slot_bytes = slots_in(scene, budget), slot_bytes_of(scene)
+        self.slot_count, self.slot_bytes = slots_in(scene, budget, device), slot_bytes_of(scene)
         count = len(scene.pages)
         self._memory = wp.empty(self.slot_count * self.slot_bytes + PAGE_ALIGNMENT, dtype=wp.uint8, device=device)
         start = -self._memory.ptr % PAGE_ALIGNMENT
@@ -107,7 +118,8 @@ class Residency:
         self._clock = 0
         self._waiting, self._since, self._loaded_at, self._left_at, self._served = (np.zeros(count, np.int64) for _ in range(5))
         self._bytes_there = 0
-        self.bytes_peak = scene.resident_bytes  # of geometry on the device at most
+        self._bytes_always = scene.resident_bytes + staging_bytes_of(scene, self.slot_count, device)
+        self.bytes_peak = self._bytes_always  # of geometry on the device at most
 
         with wp.ScopedDevice(device):
             self._tables = (
@@ -150,7 +162,7 @@ class Residency:
         """Bring in what `choose` says, while no more than `coming_most` pages are on their way; `victims` make room. Returns the pages."""
         with self._changed:
             self._check()
-            room = coming_most - int((self._state == COMING).sum()) - len(self._filled)
+            room = min(coming_most - int((self._state == COMING).sum()) - len(self._filled), self._line.room() - len(self._wanted))
             chosen = choose(self._facts(), room) if room > 0 else []
             if not chosen:
                 return []
@@ -207,8 +219,10 @@ class Residency:
             raise self._error
 
     def _facts(self) -> PageFacts:
+        evictable = self._state == THERE
+        evictable[list(self._filled)] = False  # no launch was shown them yet
         return PageFacts(
-            self._waiting.copy(), self._since.copy(), self._state == ABSENT, self._state == THERE, self._loaded_at.copy(),
+            self._waiting.copy(), self._since.copy(), self._state == ABSENT, evictable, self._loaded_at.copy(),
             self._left_at.copy(), self._served.copy(), self._clock, self.slot_count,
         )  # fmt: skip
 
@@ -219,7 +233,6 @@ class Residency:
         need = count - self._vacant()
         for page in victims(self._facts(), need) if need > 0 else ():
             self._state[page] = LEAVING
-            self._filled.pop(page, None)
             counts.evicted += 1
             self._let_go(page)
 
@@ -238,7 +251,7 @@ class Residency:
             slot, used = self._free.popleft()
             self._slot[page] = slot
             self._bytes_there += self.scene.pages[page].device_bytes
-            self.bytes_peak = max(self.bytes_peak, self.scene.resident_bytes + self._bytes_there)
+            self.bytes_peak = max(self.bytes_peak, self._bytes_always + self._bytes_there)
             self._line.fill(page, slot, used, self._arrived)
 
     def _arrived(self, page: int, filled: Any, error: BaseException | None) -> None:
@@ -265,8 +278,8 @@ class Residency:
             self._pins[shown] += 1
             addresses = np.zeros(len(self._state), np.uint64)
             addresses[shown] = self._pool.ptr + self._slot[shown].astype(np.int64) * self.slot_bytes
-            for filled in self._filled.values():
-                self._line.wait_for(filled)
+            for page, filled in self._filled.items():
+                self._line.land(page, int(self._slot[page]), filled)
             self._filled.clear()
             return shown, addresses
 

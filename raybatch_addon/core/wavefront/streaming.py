@@ -22,7 +22,9 @@ import warp as wp
 
 from ..bvh.node import Layout
 from ..bvh.page_build import PagedScene
-from ..bvh.residency import Residency
+from ..bvh.page_encode import PAGE_KERNELS
+from ..bvh.page_line import pages_a_step
+from ..bvh.residency import Residency, address_kernel
 from ..bvh.trace_counts import TraceCounts
 from ..bvh.tree import TRAIL_LEVELS, TopProgress
 from ..report.batching import BatchingTotals
@@ -36,8 +38,6 @@ from .streaming_kernels import streaming_kernels
 from .streaming_rays import PendingCounts, RayCounts, WaitingRays, streaming_bytes_per_slot
 from .tracer import SlotList
 
-# Pages that are brought in for a step: this share of the pool. Of a pool of 1.3 GB, 0.3 GB a step copied the fewest bytes (H200, 64M rays)
-_STEP_SHARE = 4
 # Rays that begin in a step at most: few enough that the first pages are on their way early
 _NEW_CUDA, _NEW_CPU = 1 << 22, 1 << 16
 # `advance` returns when this share of the rays alive is finished
@@ -71,9 +71,7 @@ def go_on_stage(layout: Layout, counters: bool, settings: RenderSettings) -> Vis
 
 def compiled_ahead(layout: Layout, counters: bool, settings: RenderSettings) -> list[wp.Kernel]:
     """Kernels of a `StreamingTracer`."""
-    from ..bvh.residency import address_kernel
-
-    return [*streaming_kernels(), address_kernel, *go_on_stage(layout, counters, settings).kernels]
+    return [*streaming_kernels(), address_kernel, *PAGE_KERNELS, *go_on_stage(layout, counters, settings).kernels]
 
 
 class StreamingTracer:
@@ -99,8 +97,7 @@ class StreamingTracer:
         self._view = residency.view()
         self._slot_count = slot_count
         self._new_most = min(self._waiting.capacity, _NEW_CUDA if device.is_cuda else _NEW_CPU)
-        # two at least, where there is room for them and for two that are traced
-        self._step_pages = max(1, residency.slot_count // _STEP_SHARE, min(2, residency.slot_count // 2))
+        self._step_pages = pages_a_step(residency.slot_count)
         # on CUDA the counts of one step are read while the next runs
         self._lag = 1 if device.is_cuda and not self._debug else 0
         self._pending: deque[PendingCounts] = deque()

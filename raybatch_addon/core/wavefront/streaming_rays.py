@@ -99,7 +99,7 @@ class WaitingRays:
             self._batch, self._done = self._list(True), self._list(False)
             self._totals = wp.zeros(self._classes + 2, dtype=wp.int64)
             # as many as are on their way to the host at once
-            self._on_host = [wp.zeros(self._totals.shape, dtype=wp.int64, device="cpu", pinned=cuda) for _ in range(4 if cuda else 1)]
+            self._on_host = [wp.zeros(self._totals.shape, dtype=wp.int64, device="cpu", pinned=cuda) for _ in range(4)]
         self._turn = 0
 
     def _list(self, with_where: bool) -> Taken:
