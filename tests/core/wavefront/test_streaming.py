@@ -154,12 +154,14 @@ def test_hits_are_those_of_the_whole_tree(layout, nodes_resident, many, slots, s
     residency.close()
 
 
+@pytest.mark.parametrize("slots", [1, 3])
 @pytest.mark.parametrize("store", ["HOST", "DISK"])
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_from_host_memory_and_from_a_file(layout, store, tmp_path):
+@pytest.mark.parametrize("layout, encoded", [(Layout.BOXES, False), (Layout.QUANTISED, False), (Layout.QUANTISED, True)], ids=["boxes", "plain", "encoded"])
+def test_from_host_memory_and_from_a_file(layout, encoded, store, slots, tmp_path):
     made, flat = scene()
-    paged = build_paged_scene(flat, made.instances.visibility, layout, cpu(), BUDGET, store, tmp_path, nodes_resident=False)
-    residency = Residency(paged, BUDGET, cpu())
+    paged = build_paged_scene(flat, made.instances.visibility, layout, cpu(), BUDGET, store, tmp_path, nodes_resident=False, encoded=encoded)
+    assert paged.encoded == encoded and (paged.pages[0].byte_count < paged.pages[0].device_bytes) == encoded
+    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, cpu())
     rays = new_rays()
     tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
     run(tracer, RayKind.OCCLUSION)
@@ -296,4 +298,105 @@ def test_counters_count_every_visit(layout):
     assert counts.treelet_visits.numpy().sum() == totals.treelet_visits
     assert counts.queued.numpy().sum() == totals.rays_queued
     assert 0 < totals.wait_max <= totals.steps
+    residency.close()
+
+
+# --- what a CUDA device does, with its marks and without the device
+
+
+class NotedLine:
+    """Fills slots at once, as a device may at the earliest, and notes what its streams were told."""
+
+    def __init__(self, scene, pool, slot_bytes, device):
+        self.scene, self.memory, self.slot_bytes = scene, pool.numpy(), slot_bytes
+        self.marks = 0  # launches so far
+        self.fills: list[tuple[int, int, int, int]] = []  # page, slot, launches that the copy waits for, launches so far
+        self.landed: list[tuple[int, int]] = []  # page, launches before
+        self.on_their_way = 0
+
+    def fill(self, number, slot, used, arrived):
+        page, start = self.scene.pages[number], slot * self.slot_bytes
+        self.scene.store.read_into(page, self.memory[start : start + page.byte_count], direct=False)
+        self.fills.append((number, slot, used or 0, self.marks))
+        arrived(number, len(self.fills), None)
+
+    def room(self):
+        return 1000
+
+    def mark(self):
+        self.marks += 1
+        return self.marks
+
+    def land(self, number, slot, filled):
+        assert self.fills[filled - 1][:2] == (number, slot)
+        self.landed.append((number, self.marks))
+
+    def close(self):
+        pass
+
+
+def pipelined(paged, slots: int, zero_copy: bool = False, monkeypatch=None):
+    """A tracer that is run as on CUDA: counts are one step old, and copies are ordered by marks."""
+    lines, shown = [], []
+
+    def make_line(*given):
+        lines.append(NotedLine(*given))
+        return lines[0]
+
+    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, cpu(), make_line)
+    if zero_copy:
+        monkeypatch.setattr(Residency, "has_zero_copy", True)
+    rays = new_rays()
+    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, RenderSettings())
+    tracer._lag = 1
+    launch = tracer._stage.launch
+
+    class Stage:
+        def launch(self, *given):
+            shown.append({page: int(residency._slot[page]) for page in tracer._view.shown})
+            launch(*given)
+
+    tracer._stage = Stage()
+    return residency, rays, tracer, lines[0], shown
+
+
+@pytest.mark.parametrize("slots", [1, 2, 3, 8])
+def test_no_copy_overwrites_what_a_launch_sees(slots):
+    paged = paged_of(Layout.BOXES, many=True)
+    residency, rays, tracer, line, shown = pipelined(paged, slots)
+    run(tracer, RayKind.OCCLUSION)
+    same(hits_of(rays, PATHS, True), expected(Layout.BOXES, True))
+    assert len(shown) == line.marks > 3 and len(line.fills) > slots
+    for page, slot, waits_for, launched in line.fills:
+        saw = [i + 1 for i in range(launched) if slot in shown[i].values()]
+        assert waits_for >= max(saw, default=0), f"page {page} is copied over what launch {max(saw)} sees"
+    for i, pages in enumerate(shown):
+        for page in pages:
+            last = max(k for k, fill in enumerate(line.fills) if fill[0] == page and fill[3] <= i)
+            assert any(number == page and line.fills[last][3] <= before <= i for number, before in line.landed), "a launch sees a page that has not landed"
+    residency.close()
+
+
+def test_copies_do_not_wait_for_the_launch_that_runs():
+    """What is chosen while launch i is under way is copied into slots that it does not see."""
+    paged = paged_of(Layout.BOXES, many=True)
+    assert len(paged.pages) > 10
+    residency, rays, tracer, line, shown = pipelined(paged, 8)
+    tracer.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
+    tracer.submit(RayKind.OCCLUSION, list_of(PATHS + np.arange(PATHS)))
+    for _ in range(12):
+        tracer._step()
+    behind = [launched - waits_for for _, _, waits_for, launched in line.fills]
+    assert len(behind) > 8 and min(behind) >= 1
+    residency.close()
+
+
+def test_too_few_rays_go_on_where_pages_lie(monkeypatch):
+    paged = paged_of(Layout.BOXES)
+    residency, rays, tracer, line, shown = pipelined(paged, 1, True, monkeypatch)
+    run(tracer, RayKind.OCCLUSION)
+    same(hits_of(rays, PATHS, True), expected(Layout.BOXES, True))
+    totals = tracer.totals()
+    # a page of 31 kB is copied while 4 rays go on
+    assert totals.rays_unbatched > 0 and totals.rays == totals.finished == 2 * PATHS
     residency.close()
