@@ -27,6 +27,8 @@ _CELLS_MAX, _CELLS_MIN = 1 << 21, 64
 _COARSE_CELLS = 4
 # A triangle is long whose box is larger than this share of a chunk's estimated edge, unless so many are that it tells nothing
 _LONG_EDGE, _LONG_SHARE_MAX = 0.5, 0.25
+# Long triangles of a chunk, or more, for not many more than so many chunks of them
+_LONG_CHUNK, _LONG_CHUNKS = 32, 64
 
 
 def partition_triangles(positions: np.ndarray, triangles: np.ndarray, size_max: int, thread_count: int = 0) -> list[np.ndarray]:
@@ -59,7 +61,8 @@ class _Mesh:
         triangles = self.triangles[numbers]
         a, b, c = (self.positions.take(triangles[:, k], axis=0) for k in range(3))
         low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-        return low + high, (high - low).max(1)
+        extent = high - low
+        return low + high, np.maximum(np.maximum(extent[:, 0], extent[:, 1]), extent[:, 2])  # NumPy is slow along short rows
 
     def share(self, count: int, work: Callable[[Iterator[slice]], object]) -> list:
         """`work` for runs of slices of 0..count, each run in a thread; its results in order."""
@@ -111,9 +114,11 @@ def _divide(mesh: _Mesh, numbers: np.ndarray | None, size_max: int) -> list[np.n
     groups = _sorted(mesh, np.append(labels.ravel(), leaf_count), cells, leaf_count + 1, listed)
     del cells
     chunks = []
-    for group in groups:
-        if len(group) > size_max:
-            chunks += _divide(mesh, group, size_max)
+    # long triangles meet rays everywhere: smaller chunks of them
+    sizes = [size_max] * leaf_count + [min(size_max, max(_LONG_CHUNK, len(groups[-1]) // _LONG_CHUNKS))]
+    for group, most in zip(groups, sizes, strict=True):
+        if len(group) > most:
+            chunks += _divide(mesh, group, most)
         elif len(group):
             chunks.append(group)
     return chunks
