@@ -18,6 +18,7 @@ from ..bvh.tree import TRAIL_LEVELS
 from ..kernel import KERNEL_OPTIONS
 from ..report.batching import BatchingTotals
 from ..report.timing import NoTimer
+from .batching_host import HostSteps, host_step_kernel
 from .batching_loop import LOOP_KERNELS, LOOP_STEPS, DeviceLoop
 from .batching_storage import STORAGE_KERNELS, VALUE_BYTES, DirectStorage, allocate_progress
 from .bucket_blocks import STEP, QueueRule, pool_bytes, pool_size
@@ -90,8 +91,7 @@ def batching_kernels(layout: Layout, instancing: bool, counters: bool, settings:
     """What a `BatchingTracer` launches, to be compiled ahead."""
     stages = visit_stages(_traversal(layout), instancing, counters, settings)
     kernels = [*queue_kernels(device), *policy_kernels(device), *Scan.kernels, split_flag_kernel, split_kernel]
-    if device.is_cuda:
-        kernels += LOOP_KERNELS
+    kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
     if settings.ray_storage == "DIRECT":
         kernels += STORAGE_KERNELS
     return kernels + [kernel for stage in stages.values() for kernel in stage.kernels]
@@ -168,9 +168,13 @@ class BatchingTracer:
             self._firsts = wp.zeros(self._queues.capacity + 1, dtype=int)
             self._lists = wp.zeros((2, self._queues.capacity), dtype=int)
             self._lengths = wp.zeros(2, dtype=int)
+        self._host = None
+        if not self._queues.parallel_queues and self._selection != Selection.ALL and not debug and not direct:
+            self._host = HostSteps(self._queues, self._policy, self._entry, self._exit)
         self._loop = None
         if self._queues.parallel_queues and self._selection != Selection.ALL and not debug and counts is None:
-            self._loop = DeviceLoop(self._policy, self._queues.parallel_queues.moves, self._serve_marked)
+            kernels = batching_kernels(treelet_tree.layout, instancing, False, settings, device) if stages is None else []
+            self._loop = DeviceLoop(self._policy, self._queues.parallel_queues.moves, self._serve_marked, kernels)
         self._totals = BatchingTotals(block_count=self._queues.size.block_count)
         self._made_at = time.perf_counter()
         self._host_steps = 0
@@ -194,12 +198,12 @@ class BatchingTracer:
         """Serve queues until a share of the rays under way is done, or none waits."""
         waiting = self._queues.waiting
         self._note_occupancy(waiting)
+        if self._loop and not self._loop.prepare():
+            self._loop = None
         target, budget = max(1, int(waiting * ADVANCE_SHARE)), LOOP_STEPS if self._loop else -1
         self._policy.begin(target, budget)
         while True:
-            with self._timer.stage("queue"):
-                self._policy.launch()
-                choice = self._policy.fetch()
+            choice = self._choose()
             if choice[GO]:
                 self._run_loop()
                 choice = self._policy.fetch()
@@ -213,6 +217,10 @@ class BatchingTracer:
                 self._go_on_unbatched()
             elif step == Step.SWEEP:
                 self._sweep(choice[AMOUNT])
+            elif self._host:
+                self._trace(self._host.batch(), VisitTask.TOP if step == Step.TOP else VisitTask.TREELET)
+                with self._timer.stage("queue"):
+                    self._host.put(step)
             else:
                 self._do_queue(step, self._take([choice[QUEUE]], choice[AMOUNT]))
             self._host_steps += 1
@@ -253,6 +261,14 @@ class BatchingTracer:
 
     # --- the steps
 
+    def _choose(self) -> list[int]:
+        """`PolicyState.choice`."""
+        with self._timer.stage("queue"):
+            if self._host:
+                return self._host.next()
+            self._policy.launch()
+            return self._policy.fetch()
+
     def _do_queue(self, step: Step, batch: Batch) -> None:
         """Rays of an exit queue go on through the top level, those of an entry queue visit their treelet."""
         if step == Step.TOP:
@@ -263,17 +279,17 @@ class BatchingTracer:
             self._put(batch, self._exit)
 
     def _serve_marked(self, step: Step, bound: int) -> None:
-        """`_do_queue` for the queue that is marked on the device."""
-        self._do_queue(step, self._queues.take_marked(self._entry, bound, self._direct.places if self._direct else None))
+        """`_do_queue` for the queue that is marked on the device; no part of it is timed."""
+        timer, self._timer = self._timer, NoTimer()
+        try:
+            self._do_queue(step, self._queues.take_marked(self._entry, bound, self._direct.places if self._direct else None))
+        finally:
+            self._timer = timer
 
     def _run_loop(self) -> None:
         """The device takes steps; they are timed as one."""
-        timer, self._timer = self._timer, NoTimer()
-        try:
-            with timer.stage("treelet"):
-                self._loop.run()
-        finally:
-            self._timer = timer
+        with self._timer.stage("treelet"):
+            self._loop.run()
 
     def _sweep(self, amount: int) -> None:
         """All entry queues, or where rays have not begun or wait behind their treelet, all exit queues."""

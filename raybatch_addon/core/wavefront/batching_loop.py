@@ -7,12 +7,12 @@ holds every step for several sizes of launches, and the policy says which of the
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import warp as wp
 
-from ..kernel import KERNEL_OPTIONS
+from ..kernel import KERNEL_OPTIONS, block_size_of
 from .bucket_blocks import Moves
 from .bucket_policy import Step
 from .bucket_policy_kernel import GO, QUEUE, DevicePolicy, PolicyState
@@ -33,31 +33,39 @@ LOOP_KERNELS = [mask_choice_kernel]
 
 
 class DeviceLoop:
-    """Takes steps until the policy wants the host's help."""
+    """Takes steps until the policy wants the host's help. On the CPU too, for tests."""
 
-    def __init__(self, policy: DevicePolicy, moves: Moves, serve: Callable[[Step, int], None]):
-        """`serve(step, bound)` launches a step for the queue that is marked, which has at most `bound` rays."""
-        self._policy, self._moves, self._serve, self._device = policy, moves, serve, policy.device
+    def __init__(self, policy: DevicePolicy, moves: Moves, serve: Callable[..., None], kernels: Iterable[wp.Kernel]):
+        """`serve(step=, bound=)` launches a step for the queue that is marked, which has at most `bound` rays, with `kernels`."""
+        self._policy, self._moves, self._serve, self._device, self._kernels = policy, moves, serve, policy.device, list(kernels)
         self._graph: Any = None
-        self._can_capture = self._device.is_cuda and wp.is_conditional_graph_supported()
+
+    def prepare(self) -> bool:
+        """Capture the loop, once; whether the device can take steps by itself."""
+        if self._graph is not None or self._device.is_cpu:
+            return True
+        if not wp.is_conditional_graph_supported():
+            return False
+        for kernel in self._kernels:  # which must not happen while capturing
+            kernel.module.load(self._device, block_size_of(kernel))
+        try:
+            with wp.ScopedCapture(self._device) as capture:
+                self._loop()
+        except Exception as error:  # of whatever kind a driver has: the host can lead as well
+            warnings.warn(
+                f"{self._device.alias} cannot take steps of the scheduler by itself ({error}); the host leads, which is slower",
+                stacklevel=2,
+            )
+            return False
+        self._graph = capture.graph
+        return True
 
     def run(self) -> None:
         """Take steps as long as `PolicyState.choice[GO]` says so."""
-        if self._graph is None and self._can_capture:
-            self._capture()
         if self._graph is not None:
             wp.capture_launch(self._graph)
         else:
             self._loop()
-
-    def _capture(self) -> None:
-        try:
-            with wp.ScopedCapture(self._device) as capture:
-                self._loop()
-            self._graph = capture.graph
-        except Exception as error:  # of whatever kind a driver has: the host can lead as well
-            self._can_capture = False
-            warnings.warn(f"{self._device.alias} cannot take steps of the scheduler by itself ({error}); the host leads, which is slower", stacklevel=2)
 
     def _loop(self) -> None:
         wp.capture_while(self._policy.state.choice[GO : GO + 1], self._step)

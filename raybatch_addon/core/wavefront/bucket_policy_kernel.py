@@ -198,8 +198,8 @@ class DevicePolicy:
     """Launches the choice; what is chosen lies in `state.choice`."""
 
     def __init__(
-        self, selection: Selection, wait_max: int, seed: int, bucket_count: int, rays_few: int, blocks: Blocks, parallel: bool | None = None,
-        capacity: int = 1,
+        self, selection: Selection, wait_max: int, seed: int, bucket_count: int, rays_few: int, blocks: Blocks,
+        parallel: bool | None = None, capacity: int = 1,
     ):  # fmt: skip
         """As `BucketPolicy`, of the queues in `blocks`. `capacity`: rays of a batch at most."""
         self.device = device = blocks.counts.device

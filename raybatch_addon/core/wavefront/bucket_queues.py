@@ -75,11 +75,11 @@ class BucketQueues:
         with wp.ScopedDevice(device):
             self.taken.slots, self.taken.where = wp.zeros(self.capacity, dtype=int), wp.zeros(self.capacity, dtype=int)
             self.taken.count = wp.zeros(1, dtype=int)
-            self._nowhere = wp.zeros(0, dtype=int)
+            self.nowhere = wp.zeros(0, dtype=int)
             self._part_count = wp.zeros(1, dtype=int)
-        self.taken.places, self.taken.capacity = self._nowhere, self.capacity
+        self.taken.places, self.taken.capacity = self.nowhere, self.capacity
         self._given = Listed()
-        self._given.places, self._given.capacity = self._nowhere, 0
+        self._given.places, self._given.capacity = self.nowhere, 0
         if not self._parallel:
             # what the host looks at after every step, without a copy
             self._state, self._counts, self._count = self.blocks.state.numpy(), self.blocks.counts.numpy(), self.taken.count.numpy()
@@ -104,7 +104,7 @@ class BucketQueues:
         for first in range(0, batch.bound, self.capacity) if self._parallel else (0,):
             part = self.part(batch, first) if self._parallel else batch
             rays.slots, rays.where, rays.count = part.slots, part.where, part.count
-            rays.places = self._nowhere if places is None else places[first : first + part.bound]
+            rays.places = self.nowhere if places is None else places[first : first + part.bound]
             if self._parallel:
                 self.parallel_queues.put(rule, rays, part.bound)
             else:
@@ -118,7 +118,7 @@ class BucketQueues:
         `bound`: the caller knows that there are no more rays. The places in the pool where the rays lay go to `places`.
         """
         rays = self.taken
-        rays.places = self._nowhere if places is None else places
+        rays.places = self.nowhere if places is None else places
         bound = min(bound, self.capacity) if bound else self.capacity
         if self._parallel:
             self.parallel_queues.take(rule, rays, bound, self.parallel_queues.choose(chosen))
@@ -137,7 +137,7 @@ class BucketQueues:
 
     def take_marked(self, rule: QueueRule, bound: int, places: wp.array | None = None) -> Batch:
         """As `take`, of one queue that was marked on the device; not checked, and nothing is asked of the host."""
-        self.taken.places = self._nowhere if places is None else places
+        self.taken.places = self.nowhere if places is None else places
         self.parallel_queues.take(rule, self.taken, bound, 1)
         return Batch(self.taken.slots, self.taken.where, self.taken.count, bound)
 

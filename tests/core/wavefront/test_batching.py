@@ -14,7 +14,7 @@ from wide_trees import soup, sphere
 from raybatch_addon.core.bvh.build import build_scene_tree
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.trace_counts import TraceCounts
-from raybatch_addon.core.bvh.tree import NEW, TopProgress, Tree, Treelets
+from raybatch_addon.core.bvh.tree import Tree, Treelets
 from raybatch_addon.core.bvh.treelet_tree import cut_scene_tree
 from raybatch_addon.core.bvh.treelets import CutRule
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
@@ -26,7 +26,7 @@ from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.wavefront.batching import BatchingTracer, batching_bytes_per_path, batching_kernels
 from raybatch_addon.core.wavefront.rays import RayKind, Rays, allocate_rays
 from raybatch_addon.core.wavefront.stages.trace import Traversal, tracing_stages
-from raybatch_addon.core.wavefront.stages.visit import NO_ANY_HIT, VisitTask
+from raybatch_addon.core.wavefront.stages.visit import VisitTask
 from raybatch_addon.core.wavefront.tracer import SlotList, UnbatchedTracer
 
 SELECTIONS = ("MOST_FULL", "NEXT", "RANDOM", "ALL")
@@ -38,10 +38,10 @@ PARALLEL = (False, True) if DEVICE == "cpu" else (True,)
 
 @wp.kernel(**KERNEL_OPTIONS)
 def wander_kernel(
-    slots: wp.array(dtype=int), where: wp.array(dtype=int), count: wp.array(dtype=int), task: int, treelets: int, any_first: int,
+    slots: wp.array(dtype=int), where: wp.array(dtype=int), count: wp.array(dtype=int), task: int, treelets: int,
     visits: wp.array2d(dtype=int),
 ):  # fmt: skip
-    """TOP (0), TREELET (1) or GO_ON (2). `visits` by slot: begun, visits, finished. Ray s visits s % 7 treelets; the kinds differ in which."""
+    """TOP (0), TREELET (1) or GO_ON (2). `visits` by slot: begun, visits, finished. The ray in slot s visits s % 7 treelets."""
     i = wp.tid()
     if i >= count[0] or where[i] == -1:
         return
@@ -71,7 +71,7 @@ class Wander:
         pass
 
     def launch(self, tree, treelets, rays, progress, batch, any_first, counts):
-        inputs = [batch.slots, batch.where, batch.count, self._task, self._treelets, any_first, self._visits]
+        inputs = [batch.slots, batch.where, batch.count, self._task, self._treelets, self._visits]
         wp.launch(wander_kernel, batch.bound, inputs, device=DEVICE)
 
 
@@ -119,8 +119,10 @@ def test_every_ray_is_finished_once(parallel, selection, sizes):
     treelets, queue_size, queue_count = sizes
     paths = 300
     few = 0 if treelets < 100 else 2
-    more = {"bucket_selection": selection, "queue_size": queue_size, "queue_count": queue_count, "debug_checks": "ON" if treelets == 20 else "OFF"}
-    tracer, visits = wandering(treelets, paths, parallel, few, seed=3, **more)
+    tracer, visits = wandering(
+        treelets, paths, parallel, few, seed=3, bucket_selection=selection, queue_size=queue_size, queue_count=queue_count,
+        debug_checks="ON" if treelets == 20 else "OFF",
+    )  # fmt: skip
     closest, shadow = np.random.default_rng(0).permutation(paths)[:250], paths + np.arange(0, 300, 2)
     tracer.submit(RayKind.CLOSEST, slot_list(closest))
     tracer.submit(RayKind.OCCLUSION, slot_list(shadow))
