@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -94,7 +94,7 @@ def build_paged_scene(
         budget: bytes of nodes and triangles on the device at most.
         store: HOST or DISK.
         folder: of the files of DISK.
-        rule: cuts the tree of each chunk; by default a chunk is one treelet.
+        rule: cuts the tree of each chunk (`top_bytes_max` is that of all together); by default a chunk is one treelet.
         nodes_resident: whether all nodes stay on the device; None: where they fit well.
         spatial_splits, on_device: as for `MeshTrees`.
         encoded: pages hold triangles packed, to be expanded on arrival (`PagedScene.expand`); QUANTISED only.
@@ -109,7 +109,8 @@ def build_paged_scene(
     start = time.perf_counter()
     page_bytes = page_size(budget)
     # two segments are padded
-    builder = ChunkBuilder(layout, device, rule, max(page_bytes - 2 * PAGE_ALIGNMENT, page_bytes // 2), spatial_splits, on_device)
+    treelets_max = max(page_bytes - 2 * PAGE_ALIGNMENT, page_bytes // 2)
+    builder = ChunkBuilder(layout, device, rule, len(flat.triangles), treelets_max, spatial_splits, on_device)
     _check_budget(flat, layout, builder.size_max, page_bytes, budget)
     known: dict[str, Any] = {"store": store, "page_bytes": page_bytes, "encoded": encoded, "reused": False}
     if store == "DISK":

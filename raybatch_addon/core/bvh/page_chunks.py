@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -62,9 +62,16 @@ class Chunk:
 class ChunkBuilder:
     """Builds the chunks of meshes."""
 
-    def __init__(self, layout: Layout, device: wp.Device, rule: CutRule, page_bytes: int, spatial_splits: bool = False, on_device: bool | None = None):
-        """Chunks whose treelets take at most `page_bytes`, those of single triangles excepted. `on_device` as for `MeshTrees`."""
+    def __init__(
+        self, layout: Layout, device: wp.Device, rule: CutRule, triangle_count: int, page_bytes: int, spatial_splits: bool = False,
+        on_device: bool | None = None,
+    ):  # fmt: skip
+        """Chunks whose treelets take at most `page_bytes`, those of single triangles excepted. `on_device` as for `MeshTrees`.
+
+        `rule` cuts the tree of each chunk, but its `top_bytes_max` is shared by all `triangle_count` triangles of the scene.
+        """
         self.layout, self._device, self._rule, self._page_bytes = layout, device, rule, page_bytes
+        self._top_bytes_each = rule.top_bytes_max / max(triangle_count, 1)
         self.on_device = device.is_cuda and not spatial_splits if on_device is None else on_device
         leaves = {"leaf_group": 1, "leaf_max": TRIANGLES_MAX_QUANTISED} if layout is Layout.QUANTISED else {}
         self._options = BuildOptions(**leaves, spatial_splits=spatial_splits)
@@ -135,7 +142,10 @@ class ChunkBuilder:
         """The chunk of a tree that calls its triangles 0, 1, ..."""
         listed = triangle_faces(self.layout, triangles)
         listed[:] = np.where(listed >= 0, faces[listed], -1)
-        cut = cut_nodes(self.layout, nodes, self._rule)
+        rule = self._rule
+        if rule.top_bytes_max:
+            rule = replace(rule, top_bytes_max=max(int(self._top_bytes_each * len(faces)), 1))
+        cut = cut_nodes(self.layout, nodes, rule)
         if not np.array_equal(cut.triangle_order, np.arange(len(triangles))):
             triangles = triangles[cut.triangle_order]
         ends = cut.triangle_first

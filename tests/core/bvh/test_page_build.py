@@ -86,6 +86,18 @@ def test_pages_are_runs_of_whole_treelets_within_their_size(kind, nodes_resident
         assert built.resident_nodes.size >= sum(block.nbytes for block in nodes)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_chunks_share_what_may_be_resident(kind):
+    least = paged(kind, 500_000, nodes_resident=False)
+    built = paged(kind, 500_000, nodes_resident=False, rule=CutRule(top_bytes_max=60_000))
+    assert built.treelet_count > 2 * least.treelet_count
+    top = 4 * built.layout.node_words * built.tree.top_node + 16 * built.tree.triangles.size
+    # a root stays in any case
+    assert 15_000 < top <= 60_000 + 4 * built.layout.node_words * built.statistics["chunks"]
+    for chunk in paged_scenes.cut_blocks(built):
+        walk_treelets(built.layout, chunk)
+
+
 def test_nodes_stay_where_they_fit_well():
     assert not paged("quantised", 130_000).nodes_resident
     assert paged("quantised", 2_000_000).nodes_resident

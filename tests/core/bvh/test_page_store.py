@@ -67,7 +67,7 @@ def test_other_geometry_or_choices_get_a_file_of_their_own(tmp_path):
         assert not built("DISK", tmp_path, **changes).statistics["reused"]
         assert built("DISK", tmp_path, **changes).statistics["reused"]
     moved = flatten(SCENE)
-    moved.positions[0, 0] = np.nextafter(moved.positions[0, 0], 9)
+    moved.positions[0, 0] = np.nextafter(moved.positions[0, 0], np.float32(9))
     other = build_paged_scene(moved, SCENE.instances.visibility, Layout.BOXES, wp.get_device("cpu"), BUDGET, "DISK", tmp_path)
     assert not other.statistics["reused"] and len(list(tmp_path.iterdir())) == 6
 
