@@ -177,7 +177,7 @@ class BatchingTracer:
             self._loop = DeviceLoop(self._policy, self._queues.parallel_queues.moves, self._serve_marked, kernels)
         self._totals = BatchingTotals(block_count=self._queues.size.block_count)
         self._made_at = time.perf_counter()
-        self._host_steps = 0
+        self._host_steps = self._forgotten = self._forgotten_done = 0
         self._note_every = _OCCUPANCY_STEPS
 
     # --- the interface
@@ -247,14 +247,20 @@ class BatchingTracer:
             for k, (kind, length) in enumerate(zip(kinds, lengths)) if length
         ]  # fmt: skip
 
+    def forget(self) -> None:
+        """The rays that are under way do not come back."""
+        self._forgotten += self._queues.waiting
+        self._forgotten_done += int(self._queues.fetch_counts()[self._done])
+        self._queues.clear()
+
     def totals(self) -> BatchingTotals:
         """What was done so far; waits for the device."""
         totals, queues = self._totals, self._queues
         for name, value in queues.totals().items():
             setattr(totals, name, value)
-        totals.rays = totals.finished + queues.waiting
+        totals.rays = totals.finished + queues.waiting + self._forgotten
         # rays that are done wait in a queue too, which is none of those that cost
-        totals.rays_queued -= totals.finished + int(queues.fetch_counts()[self._done])
+        totals.rays_queued -= totals.finished + int(queues.fetch_counts()[self._done]) + self._forgotten_done
         totals.treelet_visits = int(self._progress.visits.numpy()[0])
         totals.steps = int(queues.fetch_state()[STEP])
         return totals.merge(BatchingTotals())

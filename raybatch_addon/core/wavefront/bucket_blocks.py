@@ -161,27 +161,32 @@ def allocate_blocks(size: PoolSize, queue_total: int, device: wp.Device, host: b
     """`Blocks`, all free; `host`: with the chains that one CPU thread goes along."""
     blocks = Blocks()
     with wp.ScopedDevice(device):
-        blocks.slots = wp.zeros(size.place_count, dtype=int)
-        blocks.owner = wp.full(size.block_count, -1, dtype=int)
-        blocks.link = wp.zeros(size.block_count, dtype=int)
-        blocks.free = wp.array(np.arange(size.block_count - 1, -1, -1, dtype=np.int32), dtype=int)
-        blocks.first = wp.full(queue_total if host else 0, -1, dtype=int)
-        blocks.open = wp.full(queue_total, -1, dtype=int)
-        blocks.counts = wp.zeros(queue_total, dtype=int)
-        blocks.in_blocks = wp.zeros(queue_total, dtype=int)
-        blocks.since = wp.zeros(queue_total, dtype=int)
-        blocks.overflow_queue = wp.full(size.overflow, -1, dtype=int)
-        links = np.append(np.arange(1, size.overflow), -1)[: size.overflow] if host else []
-        blocks.overflow_link = wp.array(np.asarray(links, np.int32), dtype=int)
-        firsts = np.full(queue_total + 1 if host else 0, -1, np.int32)
-        if host and size.overflow:
-            firsts[queue_total] = 0
-        blocks.overflow_first = wp.array(firsts, dtype=int)
-        state = np.zeros(STATE_SIZE, np.int32)
-        state[FREE] = size.block_count
-        blocks.state = wp.array(state, dtype=int)
+        for name, count in (
+            ("slots", size.place_count), ("owner", size.block_count), ("link", size.block_count), ("free", size.block_count),
+            ("first", queue_total if host else 0), ("open", queue_total), ("counts", queue_total), ("in_blocks", queue_total),
+            ("since", queue_total), ("overflow_queue", size.overflow), ("overflow_link", size.overflow if host else 0),
+            ("overflow_first", queue_total + 1 if host else 0), ("state", STATE_SIZE),
+        ):  # fmt: skip
+            setattr(blocks, name, wp.zeros(count, dtype=int))
     blocks.queue_size, blocks.overflow_at = size.queue_size, size.block_count * size.queue_size
+    clear_blocks(blocks)
     return blocks
+
+
+def clear_blocks(blocks: Blocks) -> None:
+    """No ray waits any more; what was counted stays."""
+    for array in (blocks.owner, blocks.first, blocks.open, blocks.overflow_queue, blocks.overflow_first):
+        array.fill_(-1)
+    for array in (blocks.counts, blocks.in_blocks):
+        array.zero_()
+    block_count, overflow = blocks.owner.size, blocks.overflow_queue.size
+    blocks.free.assign(np.arange(block_count - 1, -1, -1, dtype=np.int32))
+    if blocks.overflow_link.size:
+        blocks.overflow_link.assign(np.append(np.arange(1, overflow, dtype=np.int32), np.int32(-1)))
+        blocks.overflow_first[-1:].zero_()
+    state = blocks.state.numpy().copy()
+    state[FREE], state[OVERFLOW], state[WAITING] = block_count, 0, 0
+    blocks.state.assign(state)
 
 
 class BlockCheck:
@@ -217,6 +222,11 @@ class BlockCheck:
         wrong = slots[names != where]
         assert not len(wrong), f"rays {_some(wrong)} were taken, and it is not told where they waited"
         self._queue[slots] = -1
+        self._look()
+
+    def clear(self) -> None:
+        """No ray waits any more."""
+        self._queue[:] = -1
         self._look()
 
     def _look(self) -> None:

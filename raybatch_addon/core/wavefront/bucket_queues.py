@@ -22,6 +22,7 @@ from .bucket_blocks import (
     PoolSize,
     QueueRule,
     allocate_blocks,
+    clear_blocks,
     pool_size,
 )
 from .bucket_blocks_device import DeviceQueues
@@ -149,6 +150,12 @@ class BucketQueues:
         end = first + bound
         wp.launch(rest_kernel, 1, [batch.count, first, bound, self._part_count], device=self.device)
         return Batch(batch.slots[first:end], batch.where[first:end], self._part_count, bound)
+
+    def clear(self) -> None:
+        """The rays that wait are forgotten."""
+        clear_blocks(self.blocks)
+        if self._check:
+            self._check.clear()
 
     def set_step(self, step: int) -> None:
         """Transactions from now on belong to `step`: for how long rays wait."""

@@ -173,6 +173,23 @@ def test_rays_come_in_and_go_out_at_any_time(parallel):
     assert not alive
 
 
+@pytest.mark.parametrize("parallel", PARALLEL)
+@pytest.mark.parametrize("sizes", [(0, 0), (4, 5)])
+def test_rays_can_be_forgotten(parallel, sizes):
+    """As when a tile is given up."""
+    tracer, visits = wandering(30, 200, parallel, debug_checks="ON", queue_size=sizes[0], queue_count=sizes[1])
+    for turn in range(3):
+        visits.zero_()
+        tracer.submit(RayKind.CLOSEST, slot_list(np.arange(200)))
+        tracer.advance()
+        if turn < 2:
+            tracer.forget()
+            assert tracer.take_finished() == []
+    assert len(drain(tracer)[RayKind.CLOSEST]) == 200
+    totals = tracer.totals()
+    assert (totals.rays, totals.finished) == (600, 200)
+
+
 def test_few_rays_go_on_unbatched():
     tracer, visits = wandering(50, 100, PARALLEL[0], rays_few=20)
     tracer.submit(RayKind.CLOSEST, slot_list(np.arange(100)))
