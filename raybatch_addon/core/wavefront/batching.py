@@ -35,9 +35,9 @@ from .tracer import SlotList
 # A call of `advance` ends when this share of the rays under way is done: then new ones can be begun, and buckets stay full
 ADVANCE_SHARE = 0.25
 # With fewer rays in its fullest bucket a step costs more than it saves (some 30 microseconds on the CPU, 150 on CUDA, against what the
-# rays take unbatched); a sweep costs as much as many steps
-CPU_RAYS_FEW, CUDA_RAYS_FEW = 16, 256
-SWEEP_RAYS_FEW = 16  # times as many
+# rays take unbatched). A sweep serves all buckets, and costs as much whatever waits
+CPU_RAYS_FEW, CPU_SWEEP_FEW = 16, 256
+CUDA_RAYS_FEW, CUDA_SWEEP_FEW = 256, 1 << 16
 # DIRECT: a batch's memory is twice as large as its rays
 CUDA_DIRECT_BATCH = 1 << 20
 _OCCUPANCY_STEPS = 32  # of the host between points of the occupancy
@@ -145,8 +145,8 @@ class BatchingTracer:
         self._entry, self._exit = queue_rule(2, 0, done, new), queue_rule(2, 1, done, new)
         self._begin = queue_rule(0, new)  # whatever stands for the place
         if rays_few is None:
-            rays_few = CUDA_RAYS_FEW if device.is_cuda else CPU_RAYS_FEW
-            rays_few *= SWEEP_RAYS_FEW if self._selection == Selection.ALL else 1
+            few, sweep_few = (CUDA_RAYS_FEW, CUDA_SWEEP_FEW) if device.is_cuda else (CPU_RAYS_FEW, CPU_SWEEP_FEW)
+            rays_few = sweep_few if self._selection == Selection.ALL else few
         self._policy = DevicePolicy(
             self._selection, settings.bucket_wait_max, settings.seed, self._bucket_count, rays_few, self._queues.blocks, parallel,
             self._queues.capacity,

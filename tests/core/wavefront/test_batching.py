@@ -190,6 +190,14 @@ def test_rays_can_be_forgotten(parallel, sizes):
     assert (totals.rays, totals.finished) == (600, 200)
 
 
+@pytest.mark.parametrize("parallel", PARALLEL)
+@pytest.mark.parametrize("selection", SELECTIONS)
+def test_a_tree_without_treelets(parallel, selection):
+    tracer, visits = wandering(0, 100, parallel, bucket_selection=selection, debug_checks="ON" if selection == "NEXT" else "OFF")
+    tracer.submit(RayKind.CLOSEST, slot_list(np.arange(0, 100, 7)))
+    assert len(drain(tracer)[RayKind.CLOSEST]) == 15
+
+
 def test_few_rays_go_on_unbatched():
     tracer, visits = wandering(50, 100, PARALLEL[0], rays_few=20)
     tracer.submit(RayKind.CLOSEST, slot_list(np.arange(100)))
