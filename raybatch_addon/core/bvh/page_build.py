@@ -81,8 +81,8 @@ def page_size(budget: int) -> int:
 
 
 def build_paged_scene(
-    flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device, budget: int, store: str = "HOST", folder: Path | None = None,
-    rule: CutRule = CutRule(), nodes_resident: bool | None = None, spatial_splits: bool = False, on_device: bool | None = None,
+    flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device, budget: int, store: str = "HOST",
+    folder: Path | None = None, rule: CutRule = CutRule(), nodes_resident: bool | None = None, spatial_splits: bool = False, on_device: bool | None = None,
     encoded: bool = False,
 ) -> PagedScene:  # fmt: skip
     """Build `flat`, of at least one triangle, in chunks, or find what was built of it before.
@@ -118,7 +118,9 @@ def build_paged_scene(
     else:
         expected, free = _expected_bytes(flat, layout, encoded), free_memory(wp.get_device("cpu"))
         if expected > free:
-            raise OutOfMemoryError(f"the scene's geometry takes about {expected / 1e9:.2f} GB, and {free / 1e9:.2f} GB of memory are free; use DISK")
+            raise OutOfMemoryError(
+                f"the scene's geometry takes about {expected / 1e9:.2f} GB, and {free / 1e9:.2f} GB of memory are free; use DISK"
+            )
         pages = HostStore(pinned=device.is_cuda)
         tables = _build(flat, layout, builder, page_bytes, encoded, pages)
     known["seconds_build"] = round(time.perf_counter() - start, 6)
@@ -205,8 +207,8 @@ def _assembled(
     return PagedScene(
         layout=layout, tree=resident.tree, of_node=resident.of_node, root=resident.root, treelet_count=len(tables.treelet_root),
         levels=resident.levels, pages=pages, treelet_page=page, treelet_node_byte=node_byte, treelet_triangle_byte=triangle_byte,
-        nodes_resident=bool(nodes_resident), resident_nodes=nodes, store=store, box=resident.box, resident_bytes=resident.bytes + nodes.size,
-        encoded=known["encoded"], page_node_bytes=tables.page_bytes[:, 0] * (not nodes_resident), page_units=tables.page_units,
+        nodes_resident=bool(nodes_resident), resident_nodes=nodes, store=store, box=resident.box,
+        resident_bytes=resident.bytes + nodes.size, encoded=known["encoded"], page_node_bytes=tables.page_bytes[:, 0] * (not nodes_resident), page_units=tables.page_units,
         statistics={**known, **_description(tables, layout, resident, nodes_resident)},
     )  # fmt: skip
 
@@ -224,8 +226,8 @@ def _check_budget(flat: FlatGeometry, layout: Layout, size_max: int, page_bytes:
         # half as many chunks for twice the budget, and a few more entries than there are chunks
         enough = int(np.sqrt(budget * least * 4)) + PAGE_ALIGNMENT
         raise OutOfMemoryError(
-            f"a geometry budget of {budget:,} bytes is too small for {len(flat.triangles):,} triangles: what must stay on the device takes {least:,} at least "
-            f"with pages so small; about {enough:,} are enough"
+            f"a geometry budget of {budget:,} bytes is too small for {len(flat.triangles):,} triangles: what must stay on the "
+            f"device takes {least:,} at least with pages so small; about {enough:,} are enough"
         )
 
 
@@ -233,8 +235,8 @@ def _too_small(budget: int, needed: int, resident: Resident, nodes: int) -> OutO
     # the page that a larger budget gives is larger too; what stays is not
     enough = max(needed, -(-(resident.bytes + nodes) * _BUDGET_SHARE // (_BUDGET_SHARE - 1)) + PAGE_ALIGNMENT)
     return OutOfMemoryError(
-        f"a geometry budget of {budget:,} bytes is too small: top level, instances and the roots of treelets take {resident.bytes:,} and must stay on the "
-        f"device, beside a page; {enough:,} bytes are enough" + (f", or fewer without all nodes ({nodes:,}) on the device" if nodes else "")
+        f"a geometry budget of {budget:,} bytes is too small: top level, instances and the roots of treelets take "
+        f"{resident.bytes:,} and must stay on the device, beside a page; {enough:,} bytes are enough" + (f", or fewer without all nodes ({nodes:,}) on the device" if nodes else "")
     )
 
 

@@ -118,9 +118,10 @@ def expand_kernel(words: wp.array(dtype=wp.uint32), out: wp.array(dtype=wp.vec4)
         else:
             high = (words[int(words[5]) + (triangle >> 1)] >> wp.uint32(16 * (triangle & 1))) & wp.uint32(0xFFFF)
         last = words[at + 1] + (high << wp.uint32(8) | packed >> wp.uint32(24))
-    out[i] = wp.vec4(
-        wp.cast(words[vertex], wp.float32), wp.cast(words[vertex + 1], wp.float32), wp.cast(words[vertex + 2], wp.float32), wp.cast(last, wp.float32)
-    )
+    x = wp.cast(words[vertex], wp.float32)
+    y = wp.cast(words[vertex + 1], wp.float32)
+    z = wp.cast(words[vertex + 2], wp.float32)
+    out[i] = wp.vec4(x, y, z, wp.cast(last, wp.float32))
 
 
 PAGE_KERNELS = (expand_kernel,)
@@ -130,7 +131,7 @@ def expand_page(source: wp.array, target: wp.array, node_bytes: int, triangle_fi
     """Bring a packed page to the form in which it is traced, in the current stream.
 
     Args:
-        source: the page as the store has it, uint8, where the device can read it: on the device, or in pinned memory. Begins at a multiple of 16.
+        source: the page as the store has it, uint8, where the device can read it (there, or in pinned memory), from a multiple of 16 on.
         target: on the device, uint8, room for the page's `device_bytes`; nothing else is written.
         node_bytes: bytes of nodes, which lie first in both.
         triangle_first: byte of `target` where its triangles begin.

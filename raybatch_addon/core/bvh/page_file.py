@@ -75,7 +75,9 @@ class PageFileWriter:
         except PageFileError:
             raise
         except OSError as error:
-            raise PageFileError(f"geometry cannot be kept in {folder} ({error.strerror}); make it writable, choose another folder, or HOST memory") from error
+            raise PageFileError(
+                f"geometry cannot be kept in {folder} ({error.strerror}); make it writable, choose another folder, or HOST memory"
+            ) from error
 
     def add(self, data: np.ndarray, checksum: int | None = None) -> int:
         """Append a segment, uint8, of whole `PAGE_ALIGNMENT`; returns its first byte. Raises `PageFileError`."""
@@ -92,7 +94,8 @@ class PageFileWriter:
         data = memory.getvalue()
         room = padded(len(data)) - len(data)
         self._write(np.frombuffer(data + bytes(room), np.uint8))
-        header = _HEADER.pack(_MAGIC, VERSION, _layout_number(self._layout), self._key, self._end + len(data) + room, self._end, len(data), zlib.crc32(data))
+        number, size = _layout_number(self._layout), self._end + len(data) + room
+        header = _HEADER.pack(_MAGIC, VERSION, number, self._key, size, self._end, len(data), zlib.crc32(data))
         header += struct.pack("<I", zlib.crc32(header))
         try:
             self._file.seek(0)
@@ -131,13 +134,13 @@ class PageFileWriter:
     def _fail(self, error: OSError) -> None:
         self.abandon()
         raise PageFileError(
-            f"geometry cannot be written to {self.path.parent} ({error.strerror}) after {self._end:,} bytes; free some space, choose another folder, or "
-            "HOST memory. Nothing was left there"
+            f"geometry cannot be written to {self.path.parent} ({error.strerror}) after {self._end:,} bytes; free some space, choose "
+            "another folder, or HOST memory. Nothing was left there"
         ) from error
 
 
 def open_page_file(folder: Path, layout: Layout, key: bytes) -> tuple[DiskStore, dict[str, np.ndarray]] | str | None:
-    """The pages of the scene with this key and what else was kept; None where there is no file; what is wrong with it, where it cannot be used.
+    """The pages of the scene with this key and what else was kept; None where there is no file; what is wrong with a useless one.
 
     Pages are checked when they are read.
     """
@@ -176,7 +179,7 @@ def open_page_file(folder: Path, layout: Layout, key: bytes) -> tuple[DiskStore,
 
 
 def delete_old_files(folder: Path, kept: Path | None = None, bytes_max: int = KEPT_BYTES_MAX) -> list[Path]:
-    """Delete files of pages in `folder`, least recently used first, until all of them together, `kept` among them, have at most `bytes_max`.
+    """Delete files of pages in `folder`, least recently used first, until all of them, `kept` among them, have at most `bytes_max`.
 
     Returns what was deleted, half-written files that somebody left among it.
     """
@@ -204,8 +207,8 @@ def _make_room(folder: Path, needed: int) -> None:
         files = sorted((path.stat().st_mtime, path.stat().st_size, path) for path in folder.glob(f"*{SUFFIX}"))
         if free + sum(size for _, size, _ in files) < needed or not _deleted(files[0][2]):
             raise PageFileError(
-                f"the scene's geometry takes about {needed / 1e9:.2f} GB in {folder}, and {free / 1e9:.2f} GB are free there; free some space, choose another "
-                "folder, or HOST memory"
+                f"the scene's geometry takes about {needed / 1e9:.2f} GB in {folder}, and {free / 1e9:.2f} GB are free there; free some space, "
+                "choose another folder, or HOST memory"
             )
 
 

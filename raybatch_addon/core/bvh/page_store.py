@@ -92,7 +92,9 @@ def page_buffer(byte_count: int, pinned: bool = False) -> wp.array:
         memory = wp.empty(byte_count + PAGE_ALIGNMENT, dtype=wp.uint8, device="cpu", pinned=pinned)
     except (MemoryError, RuntimeError) as error:
         kind = "locked " if pinned else ""
-        raise OutOfMemoryError(f"{byte_count:,} bytes of {kind}memory could not be had for geometry; close other programs, or use DISK") from error
+        raise OutOfMemoryError(
+            f"{byte_count:,} bytes of {kind}memory could not be had for geometry; close other programs, or use DISK"
+        ) from error
     start = -memory.ptr % PAGE_ALIGNMENT
     return memory[start : start + byte_count]
 
@@ -168,8 +170,8 @@ class DiskStore:
             with contextlib.suppress(OSError):
                 self.path.unlink()
             raise PageFileError(
-                f"the file of geometry {self.path} was damaged: the page at byte {page.byte_first:,} is not what was written. It is deleted; render again, "
-                "which writes it anew"
+                f"the file of geometry {self.path} was damaged: the page at byte {page.byte_first:,} is not what was written. It is "
+                "deleted; render again, which writes it anew"
             )
 
     def view(self, page: Page) -> None:
@@ -203,7 +205,9 @@ class DiskStore:
         except OSError as error:
             if isinstance(error, PageFileError):
                 raise
-            raise PageFileError(f"the file of geometry {self.path} cannot be read ({error.strerror}); delete it and render again") from error
+            raise PageFileError(
+                f"the file of geometry {self.path} cannot be read ({error.strerror}); delete it and render again"
+            ) from error
 
     def _read(self, number: int, first: int, data: np.ndarray) -> None:
         rest = memoryview(data)
