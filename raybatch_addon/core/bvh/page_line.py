@@ -24,6 +24,8 @@ from .page_store import page_buffer
 
 # Pages that are read at the same time; as many are staged on their way to a CUDA device
 READER_COUNT = 2
+# Bytes that are copied for a step, if the pool is large enough: 3.5 ms at 55 GB/s, many times the cost of a step's launches
+_STEP_BYTES = 192 << 20
 
 Arrived = Callable[[int, Any, BaseException | None], None]
 """Called once a page is in its slot, or will be behind a mark: (page, mark or None, error or None); from any thread."""
@@ -48,15 +50,22 @@ class PageLine(Protocol):
         """Returns when nothing is on its way any more."""
 
 
-def pages_a_step(slot_count: int) -> int:
-    """Pages that are brought in for a step of tracing, of a pool of `slot_count`: a quarter (of a pool of 1.3 GB, 0.3 GB a step copied
-    the fewest bytes; H200, 64 million rays), but two where there is room for them and for two that are traced."""
-    return max(1, slot_count // 4, min(2, slot_count // 2))
+def largest_page(scene: PagedScene) -> int:
+    """Bytes of the largest page in the store."""
+    return max((page.byte_count for page in scene.pages), default=0)
 
 
-def staging_count(slot_count: int) -> int:
+def pages_a_step(scene: PagedScene, slot_count: int) -> int:
+    """Pages that are brought in for a step of tracing, of a pool of `slot_count`: so many that a step's own cost does not count, but a
+    quarter of the pool at most, since with fewer a step each is chosen better (of a pool of 20, one page a step copied 12 % less than five).
+    Two at least, where there is room for them and for two that are traced."""
+    enough = -(-_STEP_BYTES // max(1, largest_page(scene)))
+    return max(1, min(slot_count // 4, enough), min(2, slot_count // 2))
+
+
+def staging_count(scene: PagedScene, slot_count: int) -> int:
     """Staging buffers for encoded pages on a CUDA device: for those of a step, and of the next."""
-    return 2 * pages_a_step(slot_count) if slot_count > 1 else 1
+    return 2 * pages_a_step(scene, slot_count) if slot_count > 1 else 1
 
 
 def page_line(scene: PagedScene, pool: wp.array, slot_bytes: int, device: wp.Device) -> PageLine:
@@ -75,7 +84,7 @@ class HostLine:
         self._staging: queue.SimpleQueue = queue.SimpleQueue()
         if scene.encoded:
             for _ in range(READER_COUNT):
-                self._staging.put(page_buffer(_largest(scene)))
+                self._staging.put(page_buffer(largest_page(scene)))
 
     def fill(self, number: int, slot: int, used: Any, arrived: Arrived) -> None:
         self._threads.submit(_told, arrived, number, self._read, slot)
@@ -106,11 +115,6 @@ class HostLine:
         self._threads.shutdown(wait=True, cancel_futures=True)
 
 
-def _largest(scene: PagedScene) -> int:
-    """Bytes of the largest page in the store."""
-    return max((page.byte_count for page in scene.pages), default=0)
-
-
 def _told(arrived: Arrived, number: int, read: Callable[[int, int], Any], slot: int) -> None:
     try:
         mark = read(number, slot)
@@ -131,14 +135,14 @@ class CudaLine:
         self._pinned: queue.SimpleQueue = queue.SimpleQueue()
         self._staging: queue.SimpleQueue = queue.SimpleQueue()
         self._staged: dict[int, wp.array] = {}  # by page, until it has landed
-        self._staging_free = staging_count(pool.size // slot_bytes)
+        self._staging_free = staging_count(scene, pool.size // slot_bytes)
         if scene.encoded:
             for _ in range(self._staging_free):
-                self._staging.put((wp.empty(_largest(scene), dtype=wp.uint8, device=device), None))
+                self._staging.put((wp.empty(largest_page(scene), dtype=wp.uint8, device=device), None))
         if scene.pages and scene.store.view(scene.pages[0]) is None:
             self._threads = ThreadPoolExecutor(READER_COUNT, thread_name_prefix="pages")
             for _ in range(READER_COUNT):
-                self._pinned.put((page_buffer(_largest(scene), pinned=True), None))
+                self._pinned.put((page_buffer(largest_page(scene), pinned=True), None))
         # memory was allocated on the stream that traces
         self._stream.wait_event(device.stream.record_event())
 

@@ -22,7 +22,7 @@ from ..errors import OutOfMemoryError
 from ..kernel import KERNEL_OPTIONS
 from .page_build import PagedScene
 from .page_facts import PageFacts
-from .page_line import PageLine, page_line, staging_count
+from .page_line import PageLine, largest_page, page_line, staging_count
 from .page_store import PAGE_ALIGNMENT, padded
 from .tree import Treelets
 
@@ -74,7 +74,7 @@ def staging_bytes_of(scene: PagedScene, slots: int, device: wp.Device) -> int:
     """Device memory of the buffers in which the pages of a pool of `slots` arrive before they are expanded [bytes]."""
     if not (device.is_cuda and scene.encoded):
         return 0
-    return staging_count(slots) * max((page.byte_count for page in scene.pages), default=0)
+    return staging_count(scene, slots) * largest_page(scene)
 
 
 def slots_in(scene: PagedScene, budget: int, device: wp.Device) -> int:
@@ -141,8 +141,7 @@ class Residency:
     @property
     def has_zero_copy(self) -> bool:
         """Whether launches can read pages where they lie in pinned memory."""
-        scene = self.scene
-        return bool(self.device.is_cuda and not scene.encoded and scene.pages and scene.store.view(scene.pages[0]) is not None)
+        return bool(self.device.is_cuda and self.scene.pages and self._plain(0) is not None)
 
     def view(self) -> ResidencyView:
         """A worker's window to the pages; to be closed."""
@@ -304,8 +303,15 @@ class Residency:
     def zero_copy_addresses(self) -> np.ndarray:
         """Addresses of all pages in pinned memory, uint64."""
         if self._zero_copy is None:
-            self._zero_copy = np.array([self.scene.store.view(page).ptr for page in self.scene.pages], np.uint64)
+            self._zero_copy = np.array([self._plain(page).ptr for page in range(len(self.scene.pages))], np.uint64)
         return self._zero_copy
+
+    def _plain(self, page: int) -> wp.array | None:
+        """Page number `page` in host memory as rays can read it; None where it is in a file, or encoded there alone."""
+        if self.scene.encoded:
+            plain = getattr(self.scene, "plain_view", None)
+            return plain(page) if plain else None
+        return self.scene.store.view(self.scene.pages[page])
 
 
 class AddressRing:

@@ -97,7 +97,7 @@ class StreamingTracer:
         self._view = residency.view()
         self._slot_count = slot_count
         self._new_most = min(self._waiting.capacity, _NEW_CUDA if device.is_cuda else _NEW_CPU)
-        self._step_pages = pages_a_step(residency.slot_count)
+        self._step_pages = pages_a_step(paged, residency.slot_count)
         # on CUDA the counts of one step are read while the next runs
         self._lag = 1 if device.is_cuda and not self._debug else 0
         self._pending: deque[PendingCounts] = deque()

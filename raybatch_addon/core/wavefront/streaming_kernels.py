@@ -23,6 +23,8 @@ TALLY_COPIES = 32
 """Copies of the tally on CUDA, so that not all threads add to the same few words."""
 CHUNKS_MOST = 1 << 14
 """Warps that go over all slots, each over a chunk."""
+SLOTS_A_TURN = 128
+"""Slots that a warp looks at at once."""
 SCAN_THREADS = 1024
 
 
@@ -37,7 +39,7 @@ class Waiting:
     copies: int
     shadow_first: int  # first slot of shadow rays
     # scratch of taking
-    chunk: int  # slots a warp goes over, a multiple of 32
+    chunk: int  # slots a warp goes over, a multiple of `SLOTS_A_TURN`
     parts: wp.array(dtype=wp.uint64)  # rays of the first kind (low half) and of the second in each chunk, then before it
 
 
@@ -85,18 +87,37 @@ _WRITE = r"""
         else waiting.where.data[slot] = IDLE;
     };
 """
+# A warp goes over its chunk 128 slots at a time, 4 a lane, and asks for the next ones before it looks at these
+_WALK = r"""
+    const int lane = thread & 31, warp = thread >> 5;
+    const long long begin = (long long)warp * waiting.chunk;
+    const long long end = begin + waiting.chunk < (long long)waiting.where.shape[0] ? begin + waiting.chunk : (long long)waiting.where.shape[0];
+    auto four = [&](long long i) {
+        int4 places = make_int4(IDLE, IDLE, IDLE, IDLE);
+        if (i + 3 < end) return *(const int4*)(waiting.where.data + i);
+        if (i < end) places.x = waiting.where.data[i];
+        if (i + 1 < end) places.y = waiting.where.data[i + 1];
+        if (i + 2 < end) places.z = waiting.where.data[i + 2];
+        return places;
+    };
+    int4 next = four(begin + 4 * lane);
+"""
 _COUNT = r"""
 #if defined(__CUDA_ARCH__)
-    const int n = waiting.where.shape[0], lane = thread & 31, warp = thread >> 5;
-    const long long begin = (long long)warp * waiting.chunk, end = min(begin + waiting.chunk, (long long)n);
+    WALK
     unsigned int first = 0, second = 0;
-    for (long long base = begin; base < end; base += 32) {
-        const long long i = base + lane;
-        const int place = i < end ? waiting.where.data[i] : IDLE;
-        first += __popc(__ballot_sync(0xffffffffu, is_first(place, (int)i)));
-        second += __popc(__ballot_sync(0xffffffffu, is_second(place, (int)i)));
+    for (long long base = begin; base < end; base += 128) {
+        const int slot = (int)base + 4 * lane;
+        const int places[4] = {next.x, next.y, next.z, next.w};
+        next = four(base + 128 + 4 * lane);
+        for (int k = 0; k < 4; ++k) {
+            first += is_first(places[k], slot + k) ? 1 : 0;
+            second += is_second(places[k], slot + k) ? 1 : 0;
+        }
     }
-    if (lane == 0) waiting.parts.data[warp] = (unsigned long long)second << 32 | first;
+    unsigned long long both = (unsigned long long)second << 32 | first;
+    for (int step = 16; step > 0; step /= 2) both += __shfl_xor_sync(0xffffffffu, both, step);
+    if (lane == 0) waiting.parts.data[warp] = both;
 #endif
 """
 _SCAN = r"""
@@ -128,21 +149,33 @@ _SCAN = r"""
 """
 _SCATTER = r"""
 #if defined(__CUDA_ARCH__)
-    const int n = waiting.where.shape[0], lane = thread & 31, warp = thread >> 5;
-    const long long begin = (long long)warp * waiting.chunk, end = min(begin + waiting.chunk, (long long)n);
+    WALK
     const unsigned int before = (1u << lane) - 1;
     const int first = taken.count_first.data[0], second = taken.count_second.data[0];
     int rank_first = (int)(unsigned int)waiting.parts.data[warp], rank_second = (int)(waiting.parts.data[warp] >> 32);
-    for (long long base = begin; base < end; base += 32) {
-        const long long i = base + lane;
-        const int place = i < end ? waiting.where.data[i] : IDLE;
-        const bool a = is_first(place, (int)i), b = is_second(place, (int)i);
-        const unsigned int all_a = __ballot_sync(0xffffffffu, a), all_b = __ballot_sync(0xffffffffu, b);
-        const int rank_a = rank_first + __popc(all_a & before), rank_b = rank_second + __popc(all_b & before);
-        if (a && rank_a < first) write_ray(rank_a, (int)i, place);
-        if (b && rank_b < second) write_ray(first + rank_b, (int)i, place);
-        rank_first += __popc(all_a);
-        rank_second += __popc(all_b);
+    for (long long base = begin; base < end; base += 128) {
+        const int slot = (int)base + 4 * lane;
+        const int places[4] = {next.x, next.y, next.z, next.w};
+        next = four(base + 128 + 4 * lane);
+        // those of lanes before this one, then its own in order
+        int rank_a = rank_first, rank_b = rank_second;
+        for (int k = 0; k < 4; ++k) {
+            const unsigned int all_a = __ballot_sync(0xffffffffu, is_first(places[k], slot + k));
+            const unsigned int all_b = __ballot_sync(0xffffffffu, is_second(places[k], slot + k));
+            rank_a += __popc(all_a & before);
+            rank_b += __popc(all_b & before);
+            rank_first += __popc(all_a);
+            rank_second += __popc(all_b);
+        }
+        for (int k = 0; k < 4; ++k) {
+            if (is_first(places[k], slot + k)) {
+                if (rank_a < first) write_ray(rank_a, slot + k, places[k]);
+                ++rank_a;
+            } else if (is_second(places[k], slot + k)) {
+                if (rank_b < second) write_ray(first + rank_b, slot + k, places[k]);
+                ++rank_b;
+            }
+        }
     }
 #else
     const int n = waiting.where.shape[0], capacity = taken.slots.shape[0];
@@ -206,13 +239,13 @@ def take_kernels(ready: bool) -> tuple[wp.Kernel, wp.Kernel, wp.Kernel]:
     """
     kinds = _CONSTANTS + (_READY if ready else _FINISHED)
 
-    @wp.func_native(kinds + _COUNT)
+    @wp.func_native(kinds + _COUNT.replace("WALK", _WALK))
     def count_native(waiting: Waiting, there: wp.array(dtype=wp.uint64), thread: int): ...
 
     @wp.func_native(kinds + _WRITE + _SCAN.replace("THREADS", str(SCAN_THREADS)))
     def scan_native(waiting: Waiting, there: wp.array(dtype=wp.uint64), taken: Taken, second_most: int, thread: int): ...
 
-    @wp.func_native(kinds + _WRITE + _SCATTER)
+    @wp.func_native(kinds + _WRITE + _SCATTER.replace("WALK", _WALK))
     def scatter_native(waiting: Waiting, there: wp.array(dtype=wp.uint64), taken: Taken, second_most: int, thread: int): ...
 
     @wp.kernel(**KERNEL_OPTIONS)

@@ -14,6 +14,7 @@ from .streaming_kernels import (
     CLASS_PAGES,
     IDLE,
     SCAN_THREADS,
+    SLOTS_A_TURN,
     TALLY_COPIES,
     Taken,
     Waiting,
@@ -94,7 +95,7 @@ class WaitingRays:
             waiting.tally = wp.zeros(waiting.classes * waiting.copies, dtype=int)
             waiting.tally[:1].fill_(slot_count)
             waiting.shadow_first = shadow_first
-            waiting.chunk = _WARP * -(-slot_count // (_WARP * CHUNKS_MOST))
+            waiting.chunk = SLOTS_A_TURN * -(-slot_count // (SLOTS_A_TURN * CHUNKS_MOST))
             waiting.parts = wp.zeros(-(-slot_count // waiting.chunk) if cuda else 0, dtype=wp.uint64)
             self._batch, self._done = self._list(True), self._list(False)
             self._totals = wp.zeros(self._classes + 2, dtype=wp.int64)

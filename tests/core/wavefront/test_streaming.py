@@ -8,11 +8,12 @@ import numpy as np
 import paged_scenes
 import pytest
 import warp as wp
+from under_test import DEVICE
 
 from raybatch_addon.core.bvh.build import build_scene_tree
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.page_build import build_paged_scene
-from raybatch_addon.core.bvh.residency import Residency
+from raybatch_addon.core.bvh.residency import Residency, staging_bytes_of
 from raybatch_addon.core.bvh.trace_counts import TraceCounts
 from raybatch_addon.core.bvh.treelets import CutRule
 from raybatch_addon.core.scene.flatten import flatten
@@ -25,7 +26,9 @@ from raybatch_addon.core.wavefront.streaming import StreamingTracer, go_on_stage
 from raybatch_addon.core.wavefront.tracer import SlotList
 
 PATHS = 3000
-LAYOUTS = list(Layout)
+LAYOUTS = list(Layout) if DEVICE == "cpu" else [Layout.QUANTISED]
+ONE = LAYOUTS[0]
+ON_CPU = pytest.mark.skipif(DEVICE != "cpu", reason="on the CPU alone")
 CHECKED = RenderSettings(debug_checks="ON")
 BUDGET = 250_000
 
@@ -36,8 +39,8 @@ def scene():
     return made, flatten(made)
 
 
-def cpu() -> wp.Device:
-    return wp.get_device("cpu")
+def device() -> wp.Device:
+    return wp.get_device(DEVICE)
 
 
 @functools.cache
@@ -45,13 +48,13 @@ def paged_of(layout: Layout, budget: int = BUDGET, nodes_resident: bool | None =
     """In memory; tests do not change it."""
     made, flat = scene()
     rule = CutRule(size=4, size_min=1) if many else CutRule()
-    return build_paged_scene(flat, made.instances.visibility, layout, cpu(), budget, nodes_resident=nodes_resident, rule=rule)
+    return build_paged_scene(flat, made.instances.visibility, layout, device(), budget, nodes_resident=nodes_resident, rule=rule)
 
 
 def new_rays(paths: int = PATHS, seed: int = 3) -> Rays:
     """Extending rays, then as many shadow rays, which end somewhere."""
     rng = np.random.default_rng(seed)
-    rays = allocate_rays(paths, cpu(), RayNeeds(shadow_rays=True))
+    rays = allocate_rays(paths, device(), RayNeeds(shadow_rays=True))
     count = rays.origin.size
     origin = rng.normal(size=(count, 3)) * 4
     vertices = scene()[1].positions
@@ -66,7 +69,7 @@ def new_rays(paths: int = PATHS, seed: int = 3) -> Rays:
 
 def list_of(slots) -> SlotList:
     slots = np.asarray(slots, np.int32)
-    return SlotList(wp.array(slots, dtype=int, device="cpu"), wp.array([len(slots)], dtype=int, device="cpu"), len(slots))
+    return SlotList(wp.array(slots, dtype=int, device=DEVICE), wp.array([len(slots)], dtype=int, device=DEVICE), len(slots))
 
 
 def hits_of(rays: Rays, paths: int, any_hit: bool) -> list[np.ndarray]:
@@ -86,7 +89,7 @@ def hits_of(rays: Rays, paths: int, any_hit: bool) -> list[np.ndarray]:
 def expected(layout: Layout, any_hit: bool, seed: int = 3) -> list[np.ndarray]:
     """By the tree in memory, each ray at once."""
     made, flat = scene()
-    built = build_scene_tree(flat, upload_geometry(flat, made, cpu()), made.instances.visibility, True, cpu(), layout)
+    built = build_scene_tree(flat, upload_geometry(flat, made, device()), made.instances.visibility, True, device(), layout)
     rays = new_rays(seed=seed)
     for kind, slots in ((False, np.arange(PATHS)), (any_hit, np.arange(PATHS, 2 * PATHS))):
         trace_stage(TraceFeatures(Traversal.of("OFF", layout), kind, True, False)).launch(built.tree, rays, list_of(slots), None)
@@ -137,7 +140,7 @@ def test_hits_are_those_of_the_whole_tree(layout, nodes_resident, many, slots, s
     budget = 400_000 if nodes_resident else BUDGET
     paged = paged_of(layout, budget, nodes_resident, many)
     assert len(paged.pages) > 3
-    residency = Residency(paged, paged.resident_bytes + min(slots, len(paged.pages)) * paged.page_bytes_max, cpu())
+    residency = Residency(paged, paged.resident_bytes + min(slots, len(paged.pages)) * paged.page_bytes_max, device())
     assert residency.slot_count == min(slots, len(paged.pages))
     rays = new_rays()
     tracer = StreamingTracer(paged, residency, rays, PATHS, shadow, CHECKED, capacity=700)
@@ -156,12 +159,12 @@ def test_hits_are_those_of_the_whole_tree(layout, nodes_resident, many, slots, s
 
 @pytest.mark.parametrize("slots", [1, 3])
 @pytest.mark.parametrize("store", ["HOST", "DISK"])
-@pytest.mark.parametrize("layout, encoded", [(Layout.BOXES, False), (Layout.QUANTISED, False), (Layout.QUANTISED, True)], ids=["boxes", "plain", "encoded"])
+@pytest.mark.parametrize("layout, encoded", [*((layout, False) for layout in LAYOUTS), (Layout.QUANTISED, True)])
 def test_from_host_memory_and_from_a_file(layout, encoded, store, slots, tmp_path):
     made, flat = scene()
-    paged = build_paged_scene(flat, made.instances.visibility, layout, cpu(), BUDGET, store, tmp_path, nodes_resident=False, encoded=encoded)
+    paged = build_paged_scene(flat, made.instances.visibility, layout, device(), BUDGET, store, tmp_path, nodes_resident=False, encoded=encoded)
     assert paged.encoded == encoded and (paged.pages[0].byte_count < paged.pages[0].device_bytes) == encoded
-    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, cpu())
+    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max + staging_bytes_of(paged, slots, device()), device())
     rays = new_rays()
     tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
     run(tracer, RayKind.OCCLUSION)
@@ -170,11 +173,12 @@ def test_from_host_memory_and_from_a_file(layout, encoded, store, slots, tmp_pat
     residency.close()
 
 
+@ON_CPU
 @pytest.mark.parametrize("slots", [1, 2, 5])
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_workers_share_the_pool(layout, slots):
     paged = paged_of(layout)
-    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, cpu())
+    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, device())
     go_on_stage(layout, False, CHECKED)  # compiled before threads start
     warm = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
     run(warm, RayKind.OCCLUSION)
@@ -203,11 +207,12 @@ def test_workers_share_the_pool(layout, slots):
     residency.close()
 
 
+@ON_CPU
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_the_control_comes_to_the_same_hits(layout):
     paged = paged_of(layout)
     for slots in (1, 4, 1000):
-        residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, cpu())
+        residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, device())
         rays = new_rays()
         pager = RayOrderPager(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
         run(pager, RayKind.OCCLUSION)
@@ -219,12 +224,13 @@ def test_the_control_comes_to_the_same_hits(layout):
         residency.close()
 
 
+@ON_CPU
 def test_streaming_copies_less_than_the_control():
     """Rays in no order, a pool of three pages."""
-    paged = paged_of(Layout.BOXES)
+    paged = paged_of(ONE)
     copied = {}
     for kind in (StreamingTracer, RayOrderPager):
-        residency = Residency(paged, paged.resident_bytes + 3 * paged.page_bytes_max, cpu())
+        residency = Residency(paged, paged.resident_bytes + 3 * paged.page_bytes_max, device())
         tracer = kind(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, RenderSettings(), **({"window": 64} if kind is RayOrderPager else {}))
         run(tracer, RayKind.OCCLUSION)
         copied[kind] = tracer.totals().bytes_copied
@@ -233,8 +239,8 @@ def test_streaming_copies_less_than_the_control():
 
 
 def test_given_up_rays_leave_nothing_behind():
-    paged = paged_of(Layout.BOXES)
-    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, cpu())
+    paged = paged_of(ONE)
+    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, device())
     given_up = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
     given_up.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
     given_up.advance()
@@ -245,13 +251,13 @@ def test_given_up_rays_leave_nothing_behind():
     rays = new_rays()
     tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
     run(tracer, RayKind.OCCLUSION)
-    same(hits_of(rays, PATHS, True), expected(Layout.BOXES, True))
+    same(hits_of(rays, PATHS, True), expected(ONE, True))
     residency.close()
 
 
 def test_one_ray_at_a_time():
-    paged = paged_of(Layout.BOXES)
-    residency = Residency(paged, paged.resident_bytes + paged.page_bytes_max, cpu())
+    paged = paged_of(ONE)
+    residency = Residency(paged, paged.resident_bytes + paged.page_bytes_max, device())
     rays = new_rays()
     tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED, capacity=1)
     finished: dict = {}
@@ -263,8 +269,8 @@ def test_one_ray_at_a_time():
 
 
 def test_debug_checks_find_a_ray_that_comes_in_twice():
-    paged = paged_of(Layout.BOXES)
-    residency = Residency(paged, paged.resident_bytes + paged.page_bytes_max, cpu())
+    paged = paged_of(ONE)
+    residency = Residency(paged, paged.resident_bytes + paged.page_bytes_max, device())
     tracer = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
     with pytest.raises(AssertionError, match="twice at once"):
         tracer.submit(RayKind.CLOSEST, list_of([4, 4]))
@@ -275,8 +281,8 @@ def test_debug_checks_find_a_ray_that_comes_in_twice():
 
 
 def test_nothing_to_do():
-    paged = paged_of(Layout.BOXES)
-    residency = Residency(paged, BUDGET, cpu())
+    paged = paged_of(ONE)
+    residency = Residency(paged, BUDGET, device())
     tracer = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
     tracer.advance()
     assert tracer.take_finished() == []
@@ -286,12 +292,12 @@ def test_nothing_to_do():
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_counters_count_every_visit(layout):
     paged = paged_of(layout)
-    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, cpu())
+    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, device())
     rays = new_rays()
     counts = TraceCounts()
     for name in ("node_steps", "box_tests", "triangle_tests", "treelet_visits", "queued"):
-        setattr(counts, name, wp.full(2 * PATHS, 77, dtype=int, device="cpu"))
-    counts.lanes = wp.zeros(6, dtype=wp.int64, device="cpu")
+        setattr(counts, name, wp.full(2 * PATHS, 77, dtype=int, device=DEVICE))
+    counts.lanes = wp.zeros(6, dtype=wp.int64, device=DEVICE)
     tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED, counts=counts)
     run(tracer, RayKind.OCCLUSION)
     totals = tracer.totals()
@@ -343,7 +349,7 @@ def pipelined(paged, slots: int, zero_copy: bool = False, monkeypatch=None):
         lines.append(NotedLine(*given))
         return lines[0]
 
-    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, cpu(), make_line)
+    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, device(), make_line)
     if zero_copy:
         monkeypatch.setattr(Residency, "has_zero_copy", True)
     rays = new_rays()
@@ -360,12 +366,13 @@ def pipelined(paged, slots: int, zero_copy: bool = False, monkeypatch=None):
     return residency, rays, tracer, lines[0], shown
 
 
+@ON_CPU
 @pytest.mark.parametrize("slots", [1, 2, 3, 8])
 def test_no_copy_overwrites_what_a_launch_sees(slots):
-    paged = paged_of(Layout.BOXES, many=True)
+    paged = paged_of(ONE, many=True)
     residency, rays, tracer, line, shown = pipelined(paged, slots)
     run(tracer, RayKind.OCCLUSION)
-    same(hits_of(rays, PATHS, True), expected(Layout.BOXES, True))
+    same(hits_of(rays, PATHS, True), expected(ONE, True))
     assert len(shown) == line.marks > 3 and len(line.fills) > slots
     for page, slot, waits_for, launched in line.fills:
         saw = [i + 1 for i in range(launched) if slot in shown[i].values()]
@@ -377,9 +384,10 @@ def test_no_copy_overwrites_what_a_launch_sees(slots):
     residency.close()
 
 
+@ON_CPU
 def test_copies_do_not_wait_for_the_launch_that_runs():
     """What is chosen while launch i is under way is copied into slots that it does not see."""
-    paged = paged_of(Layout.BOXES, many=True)
+    paged = paged_of(ONE, many=True)
     assert len(paged.pages) > 10
     residency, rays, tracer, line, shown = pipelined(paged, 8)
     tracer.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
@@ -391,11 +399,12 @@ def test_copies_do_not_wait_for_the_launch_that_runs():
     residency.close()
 
 
+@ON_CPU
 def test_too_few_rays_go_on_where_pages_lie(monkeypatch):
-    paged = paged_of(Layout.BOXES)
+    paged = paged_of(ONE)
     residency, rays, tracer, line, shown = pipelined(paged, 1, True, monkeypatch)
     run(tracer, RayKind.OCCLUSION)
-    same(hits_of(rays, PATHS, True), expected(Layout.BOXES, True))
+    same(hits_of(rays, PATHS, True), expected(ONE, True))
     totals = tracer.totals()
     # a page of 31 kB is copied while 4 rays go on
     assert totals.rays_unbatched > 0 and totals.rays == totals.finished == 2 * PATHS
