@@ -178,7 +178,7 @@ class BatchingTracer:
         self._totals = BatchingTotals(block_count=self._queues.size.block_count)
         self._made_at = time.perf_counter()
         self._host_steps = self._forgotten = self._forgotten_done = 0
-        self._note_every = _OCCUPANCY_STEPS
+        self._notes, self._note_every = 0, 1
 
     # --- the interface
 
@@ -224,7 +224,7 @@ class BatchingTracer:
             else:
                 self._do_queue(step, self._take([choice[QUEUE]], choice[AMOUNT]))
             self._host_steps += 1
-            if self._host_steps % self._note_every == 0:
+            if self._host_steps % _OCCUPANCY_STEPS == 0:
                 self._note_occupancy(self._queues.waiting)
 
     def take_finished(self) -> list[tuple[RayKind, SlotList]]:
@@ -348,7 +348,10 @@ class BatchingTracer:
                 self._direct.store(batch)
 
     def _note_occupancy(self, waiting: int) -> None:
-        points = len(self._totals.occupancy)
-        self._totals.note_occupancy(time.perf_counter() - self._made_at, waiting)
-        if len(self._totals.occupancy) < points:
-            self._note_every *= 2
+        """Points are forgotten when there are many; from then on fewer are noted, so that they lie evenly."""
+        self._notes += 1
+        if self._notes % self._note_every == 0:
+            points = len(self._totals.occupancy)
+            self._totals.note_occupancy(time.perf_counter() - self._made_at, waiting)
+            if len(self._totals.occupancy) < points:
+                self._note_every *= 2
