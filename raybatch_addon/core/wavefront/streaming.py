@@ -124,11 +124,12 @@ class StreamingTracer:
         with self._timer.stage("queue"):
             self._waiting.submit(rays)
         self._submitted += rays.bound
+        self._zero_copy = False
 
     def advance(self) -> None:
         """As `Tracer.advance`: an eighth of the rays alive is finished, or all."""
         alive = self._slot_count - self._known.idle + self._submitted
-        goal = max(1, alive // _FINISHED_SHARE)
+        goal = max(1, min(alive // _FINISHED_SHARE, self._waiting.capacity))
         while True:
             worked = self._step()
             if self._known.done >= goal or self._is_over():
@@ -141,7 +142,7 @@ class StreamingTracer:
         self._ask(2 * self._step_pages)
 
     def take_finished(self) -> list[tuple[RayKind, SlotList]]:
-        """As `Tracer.take_finished`."""
+        """As `Tracer.take_finished`; the lists are valid until `advance`."""
         with self._timer.stage("queue"):
             lists = self._waiting.take_done(self._known)
         if not lists:
@@ -151,7 +152,7 @@ class StreamingTracer:
         closest = sum(rays.bound for shadow, rays in lists if not shadow)
         known = self._known
         self._known = RayCounts(
-            known.idle + handed, known.new, known.done_closest - closest, known.done_shadow - (handed - closest), known.waiting, known.taken, known.visits
+            known.idle + handed, known.new, known.done_closest - closest, known.done_shadow - (handed - closest), known.waiting, 0, known.visits
         )  # fmt: skip
         if self._debug and not self._submitted:
             self._waiting.check(self._known)

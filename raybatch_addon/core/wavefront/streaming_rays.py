@@ -27,7 +27,7 @@ from .tracer import SlotList
 
 _WARP = 32
 # A batch holds this share of all rays at most, and lists of finished ones too, or so many: what bounds their memory
-_BATCH_SHARE = 8
+_BATCH_SHARE = 16
 _BATCH_LEAST = 1 << 20
 _SECOND_ALL = 2**31 - 1
 
@@ -41,7 +41,7 @@ class RayCounts:
     done_closest: int
     done_shadow: int
     waiting: np.ndarray  # by page, int64
-    taken: int  # rays of the last batch
+    taken: int  # rays of the last batch; 0 once others were handed back
     visits: int  # of rays to treelets, so far
 
     @property
@@ -73,7 +73,7 @@ def batch_capacity(slot_count: int) -> int:
 
 def streaming_bytes_per_slot(slot_count: int) -> float:
     """Device memory of `WaitingRays` for each ray slot [bytes]."""
-    return 4 + 12 * batch_capacity(slot_count) / slot_count
+    return 4 + 8 * batch_capacity(slot_count) / slot_count
 
 
 class WaitingRays:
@@ -97,16 +97,18 @@ class WaitingRays:
             waiting.shadow_first = shadow_first
             waiting.chunk = SLOTS_A_TURN * -(-slot_count // (SLOTS_A_TURN * CHUNKS_MOST))
             waiting.parts = wp.zeros(-(-slot_count // waiting.chunk) if cuda else 0, dtype=wp.uint64)
-            self._batch, self._done = self._list(True), self._list(False)
+            self._batch, self._done = self._list(), self._list()
+            # rays are handed back when no batch is under way
+            self._batch.slots = self._done.slots = wp.zeros(self.capacity, dtype=int)
+            self._batch.where, self._done.where = wp.zeros(self.capacity, dtype=int), wp.zeros(0, dtype=int)
             self._totals = wp.zeros(self._classes + 2, dtype=wp.int64)
             # as many as are on their way to the host at once
             self._on_host = [wp.zeros(self._totals.shape, dtype=wp.int64, device="cpu", pinned=cuda) for _ in range(4)]
         self._turn = 0
 
-    def _list(self, with_where: bool) -> Taken:
+    @staticmethod
+    def _list() -> Taken:
         taken = Taken()
-        taken.slots = wp.zeros(self.capacity, dtype=int)
-        taken.where = wp.zeros(self.capacity if with_where else 0, dtype=int)
         taken.count, taken.count_first, taken.count_second = (wp.zeros(1, dtype=int) for _ in range(3))
         return taken
 
@@ -128,7 +130,7 @@ class WaitingRays:
 
     def take_done(self, counts: RayCounts) -> list[tuple[bool, SlotList]]:
         """Finished rays, whose slots are idle from now on: (whether they are shadow rays, their list). `counts` must be up to date.
-        Lists are valid until the next call; what they do not hold is left for it."""
+        Lists are valid until rays are taken again; what they do not hold is left for the next call."""
         if not counts.done:
             return []
         closest = min(counts.done_closest, self.capacity)
