@@ -37,6 +37,11 @@ def start_warp(cache_folder: str | Path | None = None) -> None:
             wp.config.kernel_cache_dir = str(folder)
 
 
+def kernel_cache_folder() -> Path:
+    """Where compiled kernels are kept, of every version of Warp."""
+    return Path(wp.config.kernel_cache_dir).parent
+
+
 def find_device(name: str) -> wp.Device:
     """The device called `name`: AUTO, cpu or cuda:N; raises `DeviceError` that lists what there is."""
     start_warp()

@@ -15,7 +15,8 @@ import numpy as np
 import warp as wp
 
 from .bvh.build import build_kernels, layout_for
-from .device import find_device, free_memory, load_kernels, start_warp, worker_count
+from .bvh.memory import GeometrySize
+from .device import find_device, free_memory, kernel_cache_folder, load_kernels, start_warp, worker_count
 from .errors import OutOfMemoryError, RayBatchError
 from .film import Film, layout_of
 from .film.sums import WINDOW_DIGITS
@@ -27,15 +28,16 @@ from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features, ordinary_features
 from .scene.validate import checked_scene
 from .settings import RenderSettings
-from .wavefront.device_scene import DeviceScene
-from .wavefront.geometry_cache import GeometryCache
+from .wavefront.device_scene import DeviceScene, traces_instances, traversal_of
+from .wavefront.geometry_cache import GeometryCache, GeometryRequest
 from .wavefront.integrator import TileIntegrator, TileState
-from .wavefront.kernels import StageKernels, tracing_kernels
+from .wavefront.kernels import StageKernels, Tracing, tracing_kernels
+from .wavefront.plan import Choice, Memory, Method, TracingPlan, plan_tracing
 from .wavefront.ray_order import order_bytes_per_path
 from .wavefront.rays import bytes_per_path
 from .wavefront.resume import ResumeState, estimator_settings, film_to_fill
 from .wavefront.scheduler import paths_a_worker, reduced_path_count, tile_edge, tiles, water_marks
-from .wavefront.stages.trace import Traversal, counter_features
+from .wavefront.stages.trace import counter_features
 from .wavefront.summary import ray_totals, workers_summary
 
 # How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
@@ -77,6 +79,7 @@ class _Job:
     scene: Scene
     settings: RenderSettings
     features: SceneFeatures
+    plan: TracingPlan
     sample_first: int
     on_tile: Callable[[Tile], None]
     on_progress: Callable[[Progress], None]
@@ -85,18 +88,24 @@ class _Job:
     seconds: dict[str, float]
     warnings: list[str]
     hardware: dict[str, Any] = field(default_factory=dict)  # what the processor counted
+    chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open, once the scene was there
 
 
 class Session:
     """A device with its caches. One render at a time; make one session a device and keep it."""
 
-    def __init__(self, device: str | None = None, settings: RenderSettings | None = None, cache_folder: str | Path | None = None):
+    def __init__(
+        self, device: str | None = None, settings: RenderSettings | None = None, cache_folder: str | Path | None = None,
+        page_folder: str | Path | None = None,
+    ):  # fmt: skip
         """Open `device` (AUTO, cpu or cuda:N; default: that of `settings`); raises `DeviceError`.
 
-        Compiled kernels are cached in `cache_folder` (default: Warp's own folder in the user's cache).
+        Compiled kernels are cached in `cache_folder` (default: Warp's own folder in the user's cache). Geometry that does not fit in memory
+        goes to files in `page_folder` (default: a folder beside the compiled kernels), where the setting `geometry_store` is DISK.
         """
         self.settings = settings or RenderSettings()
         start_warp(cache_folder)
+        self._page_folder = Path(page_folder) if page_folder else kernel_cache_folder() / "pages"
         self.device = find_device(device or self.settings.device)
         self.layout = layout_for(self.device)  # of trees
         self._geometry = GeometryCache()
@@ -108,12 +117,14 @@ class Session:
 
     def prewarm(self, features: Sequence[SceneFeatures] | None = None, on_progress: Callable[[int, int], None] | None = None) -> list[str]:
         """Compile ahead for `features` (default: those of ordinary scenes); returns the names of the modules."""
-        kernels = [k for f in features or ordinary_features() for k in self._kernels(f, self.settings)] + build_kernels(self.device)
+        method = {"REFERENCE": Method.REFERENCE, "ON": Method.BATCHED}.get(self.settings.batching, Method.UNBATCHED)
+        kernels = [k for f in features or ordinary_features() for k in self._kernels(f, self.settings, TracingPlan(method))]
+        kernels += build_kernels(self.device)
         return load_kernels(kernels, self.device, on_progress or (lambda done, total: None))
 
-    def _kernels(self, features: SceneFeatures, settings: RenderSettings) -> list[wp.Kernel]:
-        traversal = Traversal.of(settings.batching, self.layout)
-        return StageKernels.choose(features, settings).all() + tracing_kernels(features, settings, traversal, self.device)
+    def _kernels(self, features: SceneFeatures, settings: RenderSettings, plan: TracingPlan) -> list[wp.Kernel]:
+        tracing = Tracing(traversal_of(plan, self.layout), plan.method, traces_instances(plan, features))
+        return StageKernels.choose(features, settings).all() + tracing_kernels(features, settings, tracing, self.device)
 
     def render(
         self,
@@ -185,8 +196,12 @@ class Session:
 
             return call
 
+        size = GeometrySize.of(checked)
+        free = free_memory(self.device) + self._geometry.device_bytes
+        memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
+        plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory)
         return _Job(
-            checked, settings, derive_features(checked, settings), sample_first,
+            checked, settings, derive_features(checked, settings), plan, sample_first,
             to_all("on_tile", on_tile), to_all("on_progress", on_progress), cancelled or (lambda: False),
             time.perf_counter(), {}, warnings,
         )  # fmt: skip
@@ -194,13 +209,14 @@ class Session:
     def _all_tiles(self, job: _Job) -> ResumeState:
         frame = job.scene.frame
         x0, y0, x1, y1 = frame.region
-        edge = tile_edge(job.settings, self.device.is_cuda, x1 - x0, y1 - y0)
+        paged = worker_count(self.device, job.settings.thread_count) if job.plan.method is Method.PAGED else 0
+        edge = tile_edge(job.settings, self.device.is_cuda, x1 - x0, y1 - y0, paged)
         states = [TileState(tile) for tile in tiles(frame.region, edge)]
         return ResumeState(states, job.sample_first, job.settings.sample_count, job.settings.sample_order, estimator_settings(job.settings))
 
     def _prepare(self, job: _Job) -> tuple[DeviceScene, list[str]] | None:
         """Build the tree and compile the kernels, side by side; None when cancelled meanwhile."""
-        kernels = self._kernels(job.features, job.settings)
+        kernels = self._kernels(job.features, job.settings, job.plan)
         done_modules = [0, max(1, len(kernels))]
 
         def compile_kernels() -> list[str]:
@@ -211,7 +227,8 @@ class Session:
 
         def build() -> DeviceScene:
             start = time.perf_counter()
-            built = DeviceScene.build(job.scene, job.features, job.settings, self.layout, self.device, self._geometry)
+            request = GeometryRequest(job.settings, job.plan, self.layout, job.features.instancing, self._page_folder)
+            built = DeviceScene.build(job.scene, job.features, request, self.device, self._geometry)
             wp.synchronize_device(self.device)
             job.seconds["build"] = time.perf_counter() - start
             return built
@@ -247,10 +264,11 @@ class Session:
         if job.settings.ray_count:
             workers = min(workers, job.settings.ray_count)
         # no tile needs more paths than it has samples
-        asked = min(paths_a_worker(job.settings, workers, self.device.is_cuda), max(areas) * state.sample_count)
+        paged = job.plan.method is Method.PAGED
+        asked = min(paths_a_worker(job.settings, workers, self.device.is_cuda, paged), max(areas) * state.sample_count)
         counting = counter_features(job.settings, job.features.passes, scene.traversal)
         each = bytes_per_path(job.features) + order_bytes_per_path(job.settings.ray_sort, self.device.is_cuda)
-        each += counter_bytes_per_path(counting, job.features.shadow_rays)
+        each += counter_bytes_per_path(counting, job.features.shadow_rays) + scene.tracer_bytes_per_path(job.settings)
         layout = layout_of(job.scene.frame.passes, job.scene.frame.transparent)
         # sums of finished tiles stay on a CUDA device until the film is asked for them
         tile_bytes = (sum(areas) if self.device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
@@ -270,7 +288,9 @@ class Session:
                 if count == 1 or not ("memory" in str(error).lower() or isinstance(error, MemoryError)):
                     raise
                 count //= 2
-        if count < asked:
+        if paged and not job.settings.ray_count:
+            job.chosen["ray_count"] = Choice(count * workers, f"as many as fit in {budget * workers / 1e9:.1f} GB, and as a tile has samples")
+        elif count < asked:
             job.warnings.append(
                 f"ray_count was reduced from {asked * workers:,} to {count * workers:,}: {self.device.alias} has not enough free memory"
             )

@@ -60,15 +60,28 @@ def triangle_vertices(geometry: Geometry, instance: int, primitive: int) -> tupl
     return a, b, c
 
 
-def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device) -> Geometry:
-    """`flat`, the geometry of `scene`, on `device`."""
+def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device, on_host: bool = False) -> Geometry:
+    """`flat`, the geometry of `scene`, on `device`; with `on_host` arrays that grow with the triangles stay in pinned memory of the host,
+    where a CUDA device reads them through the bus."""
     geometry = Geometry()
-    geometry.triangles = wp.array(flat.triangles, dtype=wp.vec3i, device=device)
-    geometry.mesh_triangle_first = wp.array(flat.mesh_triangle_first, dtype=int, device=device)
-    geometry.instance_mesh = wp.array(flat.instance_mesh, dtype=int, device=device)
-    for name, values, dtype in _what_moves(flat, scene):
-        setattr(geometry, name, wp.array(values, dtype=dtype, device=device))
+    triangles = [("triangles", flat.triangles, wp.vec3i)]
+    per_mesh = [("mesh_triangle_first", flat.mesh_triangle_first, int), ("instance_mesh", flat.instance_mesh, int)]
+    for name, values, dtype in triangles + per_mesh + _what_moves(flat, scene):
+        stays = on_host and device.is_cuda and name in _BY_TRIANGLE
+        setattr(geometry, name, host_array(values, dtype, device) if stays else wp.array(values, dtype=dtype, device=device))
     return geometry
+
+
+_BY_TRIANGLE = ("triangles", "positions", "corner_normals", "triangle_slot")
+
+
+def host_array(values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array:
+    """An array of the CUDA device `device` that lies in pinned memory of the host."""
+    pinned = wp.array(values, dtype=dtype, device="cpu", pinned=True)
+    if pinned.size == 0:
+        return wp.zeros(0, dtype=dtype, device=device)
+    # the host's addresses are the device's too; the alias keeps the memory
+    return wp.array(ptr=pinned.ptr, dtype=dtype, shape=pinned.shape, device=device, deleter=lambda pointer, size, kept=pinned: None)
 
 
 def update_geometry(geometry: Geometry, flat: FlatGeometry, scene: Scene) -> None:

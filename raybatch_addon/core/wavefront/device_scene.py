@@ -7,18 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ..bvh.build import BuiltTree
-from ..bvh.node import Layout
-from ..bvh.reference import BuiltReference, ReferenceTree
+from ..bvh.reference import ReferenceTree
 from ..bvh.tree import Tree
+from ..bvh.treelet_tree import TreeletTree
+from ..bvh.node import Layout
 from ..scene.description import ClosureKind, Scene
 from ..scene.features import SceneFeatures
 from ..scene.geometry import Geometry
-from ..settings import RenderSettings
 from ..shading.camera import CameraData, upload_camera
 from ..shading.closures import ClosureFeatures, MaterialTable, upload_materials
 from ..shading.light_table import LightTable, UploadedLights, upload_lights
-from .geometry_cache import GeometryCache
+from .geometry_cache import BuiltGeometry, GeometryCache, GeometryRequest, PagedTree
+from .plan import Method, TracingPlan
 from .stages.trace import Traversal
 
 
@@ -45,21 +45,23 @@ class DeviceScene:
     camera: CameraData
     tree: Tree | ReferenceTree | None  # None: there is nothing to hit
     traversal: Traversal
+    plan: TracingPlan
+    tree_instancing: bool  # rays are traced through a top level of many trees
+    treelets: TreeletTree | None  # where rays wait at treelets in memory
     box: np.ndarray | None  # two corners that hold all surfaces [m], float64, shape [2, 3]
     transparent_shadows: bool  # some surface lets shadow rays through
     lights: UploadedLights  # keeps the tree of the lights alive
     shadow_rays: bool  # there is an emitter to aim at, not only code for it
-    built: BuiltReference | BuiltTree | None
+    built: BuiltGeometry | None
 
     @staticmethod
-    def build(
-        scene: Scene, features: SceneFeatures, settings: RenderSettings, layout: Layout, device: wp.Device, cache: GeometryCache
-    ) -> DeviceScene:
+    def build(scene: Scene, features: SceneFeatures, request: GeometryRequest, device: wp.Device, cache: GeometryCache) -> DeviceScene:
         """Upload `scene` and build its tree."""
         data = SceneData()
-        built = None
+        built = treelets = None
         if features.surfaces:
-            data.geometry, built = cache.get(scene, features.instancing, settings, layout, device)
+            kept = cache.get(scene, request, device)
+            data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
         lights = upload_lights(scene, device)
         data.lights = lights.table
@@ -75,5 +77,23 @@ class DeviceScene:
         )
         return DeviceScene(
             device, features, data, upload_camera(scene.camera, scene.frame.width, scene.frame.height), built.tree if built else None,
-            Traversal.of(settings.batching, layout), built.box if built else None, lets_through, lights, features.shadow_rays and lights.emitter_count > 0, built,
+            traversal_of(request.plan, request.layout), request.plan, traces_instances(request.plan, features), treelets,
+            built.box if built else None, lets_through, lights, features.shadow_rays and lights.emitter_count > 0, built,
         )  # fmt: skip
+
+    @property
+    def paged(self) -> PagedTree | None:
+        """The tree, where it lies beyond memory."""
+        return self.built if isinstance(self.built, PagedTree) else None
+
+
+def traversal_of(plan: TracingPlan, layout: Layout) -> Traversal:
+    """Which tree rays visit, and how."""
+    if plan.method is Method.REFERENCE:
+        return Traversal.REFERENCE
+    return Traversal.BOXES if layout is Layout.BOXES else Traversal.QUANTISED
+
+
+def traces_instances(plan: TracingPlan, features: SceneFeatures) -> bool:
+    """Whether rays are traced through a top level: what is beyond memory is always many trees."""
+    return features.instancing or plan.method is Method.PAGED

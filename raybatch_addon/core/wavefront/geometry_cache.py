@@ -7,6 +7,8 @@ import threading
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -15,11 +17,17 @@ from ..bvh.build import BuiltTree, build_scene_tree, refit_scene_tree, splits_tr
 from ..bvh.memory import GeometrySize, check_counts, check_memory, memory_told
 from ..bvh.mesh_tree import mesh_parts
 from ..bvh.node import Layout
+from ..bvh.page_build import PagedScene, build_paged_scene
 from ..bvh.reference import BuiltReference, build_reference
+from ..bvh.residency import Residency
+from ..bvh.treelet_tree import TreeletTree, cut_scene_tree
+from ..bvh.treelets import CutRule
 from ..scene.description import Scene
 from ..scene.flatten import FlatGeometry, flatten
 from ..scene.geometry import Geometry, update_geometry, upload_geometry
+from ..bvh.tree import Tree
 from ..settings import RenderSettings
+from .plan import Method, TracingPlan
 
 
 @dataclass(frozen=True)
@@ -54,53 +62,115 @@ def _digest(arrays: Iterable[np.ndarray]) -> bytes:
 
 
 @dataclass
-class _Kept:
+class PagedTree:
+    """A scene beyond memory, and what of it is on the device."""
+
+    scene: PagedScene
+    residency: Residency
+
+    @property
+    def tree(self) -> Tree:
+        """What stays on the device."""
+        return self.scene.tree
+
+    @property
+    def box(self) -> np.ndarray:
+        """Two corners that hold all surfaces [m], float64, shape [2, 3]."""
+        return self.scene.box
+
+    @property
+    def statistics(self) -> dict[str, Any]:
+        """What the trees are."""
+        return self.scene.statistics
+
+
+BuiltGeometry = BuiltReference | BuiltTree | PagedTree
+
+
+@dataclass
+class Kept:
+    """The geometry and tree of a frame."""
+
     fingerprint: _Fingerprint
     geometry: Geometry
-    built: BuiltReference | BuiltTree
+    built: BuiltGeometry
+    treelets: TreeletTree | None = None  # of `built`, where rays wait at treelets in memory
+    cut: CutRule | None = None  # that they were cut by
+
+    @property
+    def device_bytes(self) -> int:
+        """Memory of the tree on the device [bytes]; 0 where it is not told."""
+        if isinstance(self.built, BuiltTree):
+            return int(self.built.statistics.get("bytes", 0)) + (self.treelets.bytes if self.treelets else 0)
+        return self.built.residency.pool_bytes + self.built.scene.resident_bytes if isinstance(self.built, PagedTree) else 0
+
+
+@dataclass(frozen=True)
+class GeometryRequest:
+    """What is wanted of a scene's geometry."""
+
+    settings: RenderSettings
+    plan: TracingPlan
+    layout: Layout
+    instancing: bool  # as the kernels that shade (`SceneFeatures.instancing`)
+    page_folder: Path  # for geometry that lies on disk
+
+    def kind(self) -> tuple:
+        """The choices that a tree depends on."""
+        plan = self.plan
+        paged = (plan.geometry_budget, plan.geometry_store, self.cut_rule()) if plan.method is Method.PAGED else ()
+        return (self.instancing, plan.method is Method.REFERENCE, self.settings.spatial_splits, self.layout, *paged)
+
+    def cut_rule(self) -> CutRule:
+        """Where trees are cut into treelets."""
+        settings = self.settings
+        return CutRule(self.plan.treelet_size, settings.treelet_size_min, settings.top_level_depth_max, self.plan.treelet_bytes)
 
 
 class GeometryCache:
     """The geometry and tree of the last frame, for the next one: kept where it shows the same, refitted where things only moved."""
 
     def __init__(self):
-        self._last: _Kept | None = None
+        self._last: Kept | None = None
         self._lock = threading.Lock()  # the build of a cancelled render may still be going on
 
     def clear(self) -> None:
         """Forget it."""
         self._last = None
 
-    def get(
-        self, scene: Scene, instancing: bool, settings: RenderSettings, layout: Layout, device: wp.Device
-    ) -> tuple[Geometry, BuiltReference | BuiltTree]:
+    @property
+    def device_bytes(self) -> int:
+        """Memory that the last frame's tree holds on the device, and the next one's may have [bytes]."""
+        last = self._last
+        return last.device_bytes if last else 0
+
+    def get(self, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept:
         """Geometry and tree of `scene`; those of the last call cannot be used any more.
 
         Raises `SceneError` for too large a scene, `OutOfMemoryError` for one that does not fit, before or where memory is asked for.
         """
         size = GeometrySize.of(scene)
         check_counts(size)
-        check_memory(size, layout, device, all_of_it=True)
-        with memory_told(size, layout, device):
-            return self._get(scene, size, instancing, settings, layout, device)
+        whole = request.plan.method is not Method.PAGED
+        if whole:
+            check_memory(size, request.layout, device, all_of_it=True)
+        with memory_told(size, request.layout, device):
+            flat = flatten(scene)
+            fingerprint = _Fingerprint.of(flat, scene, request.kind())
+            with self._lock:
+                # nothing is kept until the new one is whole: not what an error left half done, nor two of them
+                last, self._last = self._last, None
+                if last is None or not _follow(last, fingerprint, flat, scene, device):
+                    del last
+                    if whole:
+                        check_memory(size, request.layout, device, all_of_it=False)
+                    last = _build(fingerprint, flat, scene, request, device)
+                _cut(last, request, device)
+                self._last = last
+                return last
 
-    def _get(
-        self, scene: Scene, size: GeometrySize, instancing: bool, settings: RenderSettings, layout: Layout, device: wp.Device
-    ) -> tuple[Geometry, BuiltReference | BuiltTree]:
-        flat = flatten(scene)
-        fingerprint = _Fingerprint.of(flat, scene, (instancing, settings.batching, settings.spatial_splits, layout))
-        with self._lock:
-            # nothing is kept until the new one is whole: not what an error left half done, nor two of them
-            last, self._last = self._last, None
-            if last is None or not _follow(last, fingerprint, flat, scene, device):
-                del last
-                check_memory(size, layout, device, all_of_it=False)
-                last = _build(fingerprint, flat, scene, instancing, settings, layout, device)
-            self._last = last
-            return last.geometry, last.built
 
-
-def _follow(last: _Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, device: wp.Device) -> bool:
+def _follow(last: Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, device: wp.Device) -> bool:
     """Make `last` show the frame; False where it cannot."""
     start = time.perf_counter()
     before, last.fingerprint = last.fingerprint, fingerprint
@@ -111,6 +181,7 @@ def _follow(last: _Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: S
         update_geometry(last.geometry, flat, scene)
         moved = [i for i, (old, new) in enumerate(zip(before.positions, fingerprint.positions, strict=True)) if old != new]
         if moved or fingerprint.transforms != before.transforms:
+            last.treelets = last.cut = None  # copies of what is changed now
             refit_scene_tree(last.built, flat, last.geometry, scene.instances.visibility, moved, device)
             return True
     if own:
@@ -118,11 +189,27 @@ def _follow(last: _Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: S
     return True
 
 
-def _build(
-    fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, instancing: bool, settings: RenderSettings, layout: Layout, device: wp.Device
-) -> _Kept:
-    geometry, visibility = upload_geometry(flat, scene, device), scene.instances.visibility
-    if settings.batching == "REFERENCE":
-        return _Kept(fingerprint, geometry, build_reference(flat, visibility, instancing, device))
+def _build(fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept:
+    plan, settings, layout, visibility = request.plan, request.settings, request.layout, scene.instances.visibility
+    geometry = upload_geometry(flat, scene, device, on_host=plan.method is Method.PAGED)
+    if plan.method is Method.PAGED:
+        paged = build_paged_scene(
+            flat, visibility, layout, device, plan.geometry_budget, plan.geometry_store, request.page_folder, request.cut_rule()
+        )  # fmt: skip
+        return Kept(fingerprint, geometry, PagedTree(paged, Residency(paged, plan.geometry_budget, device)))
+    if plan.method is Method.REFERENCE:
+        return Kept(fingerprint, geometry, build_reference(flat, visibility, request.instancing, device))
     splits = splits_triangles(settings.spatial_splits, layout)
-    return _Kept(fingerprint, geometry, build_scene_tree(flat, geometry, visibility, instancing, device, layout, splits, settings.spatial_splits == "ON"))
+    built = build_scene_tree(flat, geometry, visibility, request.instancing, device, layout, splits, settings.spatial_splits == "ON")
+    return Kept(fingerprint, geometry, built)
+
+
+def _cut(kept: Kept, request: GeometryRequest, device: wp.Device) -> None:
+    """Treelets of the tree, where rays wait at them; else none are kept."""
+    if request.plan.method is not Method.BATCHED:
+        kept.treelets = kept.cut = None
+        return
+    rule = request.cut_rule()
+    if kept.treelets is None or kept.cut != rule:
+        kept.treelets, kept.cut = None, rule
+        kept.treelets = cut_scene_tree(kept.built, rule, device)

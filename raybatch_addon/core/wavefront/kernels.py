@@ -11,6 +11,8 @@ from ..film.tile import add_spill_kernel, resolve_kernel
 from ..report.counters import count_kernel
 from ..scene.features import SceneFeatures, narrow
 from ..settings import RenderSettings
+from .batching import batching_kernels
+from .plan import Method
 from .queues import QUEUE_KERNELS
 from .ray_order import order_kernels
 from .rays import RayKind
@@ -20,6 +22,7 @@ from .stages.generate import GenerateFeatures, generate_kernel
 from .stages.shade_background import BackgroundFeatures, LightHitFeatures, background_kernel, light_hit_kernel
 from .stages.shade_surface import SurfaceFeatures, surface_kernel, transparent_shadow_kernel
 from .stages.trace import Traversal, counter_features, tracing_stages
+from .streaming import streaming_kernels
 
 
 @dataclass(frozen=True)
@@ -70,13 +73,29 @@ class StageKernels:
         return [kernel for kernel in stages if kernel is not None] + [*QUEUE_KERNELS, add_spill_kernel]
 
 
-def tracing_kernels(features: SceneFeatures, settings: RenderSettings, traversal: Traversal, device: wp.Device) -> list[wp.Kernel]:
+@dataclass(frozen=True)
+class Tracing:
+    """What the kernels that trace are chosen by."""
+
+    traversal: Traversal
+    method: Method
+    instancing: bool
+
+
+def tracing_kernels(features: SceneFeatures, settings: RenderSettings, tracing: Tracing, device: wp.Device) -> list[wp.Kernel]:
     """Everything that tracing, sorting and counting launch."""
-    counting = counter_features(settings, features.passes, traversal)
+    counting = counter_features(settings, features.passes, tracing.traversal)
     kernels = [count_kernel(counting)] if counting else []
-    if features.surfaces:
-        kernels += order_kernels(settings.ray_sort, device)
-        stages = tracing_stages(traversal, features.instancing, bool(counting and counting.steps))
+    if not features.surfaces:
+        return kernels
+    kernels += order_kernels(settings.ray_sort, device)
+    counts = bool(counting and counting.steps)
+    if tracing.method is Method.BATCHED:
+        kernels += batching_kernels(settings, tracing.traversal, tracing.instancing, counts, device)
+    elif tracing.method is Method.PAGED:
+        kernels += streaming_kernels(settings, tracing.traversal, counts, device)
+    else:
+        stages = tracing_stages(tracing.traversal, tracing.instancing, counts)
         for kind, stage in stages.items():
             if features.shadow_rays or kind == RayKind.CLOSEST:
                 kernels += stage.kernels

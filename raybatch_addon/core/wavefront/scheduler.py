@@ -12,6 +12,8 @@ from ..settings import RenderSettings
 # needs some ten thousand threads many times over, so that a wave's tail does not leave it idle.
 CPU_RAYS_A_WORKER = 1 << 15
 CUDA_RAYS = 1 << 22
+# Beyond memory every page that is brought in should serve as many rays as there can be
+RAYS_MOST = {True: 1 << 28, False: 1 << 24}  # on CUDA; of a worker on the CPU
 # Edges of tiles where `tile_size` is 0
 CPU_TILE = 128
 CUDA_TILE = 2048
@@ -56,20 +58,26 @@ def water_marks(settings: RenderSettings, path_count: int) -> WaterMarks:
     return WaterMarks(path_count, low, high)
 
 
-def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool) -> int:
-    """Path slots of each worker."""
+def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool, paged: bool) -> int:
+    """Path slots of each worker; `paged`: geometry is brought in by pages."""
     if settings.ray_count:
         return max(1, settings.ray_count // workers)
+    if paged:
+        return RAYS_MOST[is_cuda]
     return CUDA_RAYS if is_cuda else CPU_RAYS_A_WORKER
 
 
-def tile_edge(settings: RenderSettings, is_cuda: bool, width: int, height: int) -> int:
+def tile_edge(settings: RenderSettings, is_cuda: bool, width: int, height: int, paged_workers: int = 0) -> int:
     """Edge of the tiles [pixels]. Where it is chosen here, at least four tiles cover a frame that can be cut so.
 
-    On CUDA small work is one tile, and tiles shrink with the samples so that they come at some pace.
+    On CUDA small work is one tile, and tiles shrink with the samples so that they come at some pace. Where geometry is brought in by pages
+    (for so many workers) tiles are as large as there are workers: no more rays can be alive than a tile has.
     """
     if settings.tile_size:
         return settings.tile_size
+    if paged_workers:
+        shares = math.ceil(math.sqrt(width * height / paged_workers))
+        return min(CUDA_TILE, max(width, height) if paged_workers == 1 else shares)
     quarter = max(1, min(-(-max(width, height) // 2), -(-min(width, height) // 2) if min(width, height) > 1 else 1 << 30))
     if not is_cuda:
         return min(CPU_TILE, quarter)
