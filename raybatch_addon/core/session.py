@@ -17,33 +17,29 @@ import warp as wp
 from .bvh.build import build_kernels, layout_for
 from .bvh.memory import GeometrySize
 from .device import find_device, free_memory, kernel_cache_folder, load_kernels, start_warp, worker_count
-from .errors import OutOfMemoryError, RayBatchError
-from .film import Film, layout_of
-from .film.sums import WINDOW_DIGITS
+from .errors import RayBatchError
+from .film import Film
 from .film.tile import FinishedTile
-from .report.counters import counter_bytes_per_path
+from .report.batching import batching_statistics
 from .report.hardware import hardware_counters
 from .report.statistics import render_statistics
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features, ordinary_features
 from .scene.validate import checked_scene
 from .settings import RenderSettings
-from .wavefront.device_scene import DeviceScene, traces_instances, traversal_of
+from .wavefront.device_scene import DeviceScene
 from .wavefront.geometry_cache import GeometryCache, GeometryRequest
 from .wavefront.integrator import TileIntegrator, TileState
-from .wavefront.kernels import StageKernels, Tracing, tracing_kernels
-from .wavefront.plan import Choice, Memory, Method, TracingPlan, plan_tracing
-from .wavefront.ray_order import order_bytes_per_path
-from .wavefront.rays import bytes_per_path
+from .wavefront.kernels import StageKernels, tracing_kernels
+from .wavefront.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
 from .wavefront.resume import ResumeState, estimator_settings, film_to_fill
-from .wavefront.scheduler import paths_a_worker, reduced_path_count, tile_edge, tiles, water_marks
-from .wavefront.stages.trace import counter_features
-from .wavefront.summary import ray_totals, workers_summary
+from .wavefront.scheduler import tile_edge, tiles
+from .wavefront.tracing import Tracing
+from .wavefront.workers import make_workers
+from .wavefront.summary import batching_totals, ray_totals, workers_summary
 
 # How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
 POLL_SECONDS = 0.05
-# Share of the free memory that paths may take
-PATH_MEMORY_SHARE = 0.6
 
 
 @dataclass(frozen=True)
@@ -89,6 +85,7 @@ class _Job:
     warnings: list[str]
     hardware: dict[str, Any] = field(default_factory=dict)  # what the processor counted
     chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open, once the scene was there
+    path_bytes: int = 0  # of a path alive, all that grows with their number
 
 
 class Session:
@@ -123,7 +120,7 @@ class Session:
         return load_kernels(kernels, self.device, on_progress or (lambda done, total: None))
 
     def _kernels(self, features: SceneFeatures, settings: RenderSettings, plan: TracingPlan) -> list[wp.Kernel]:
-        tracing = Tracing(traversal_of(plan, self.layout), plan.method, traces_instances(plan, features))
+        tracing = Tracing.of(plan, self.layout, features)
         return StageKernels.choose(features, settings).all() + tracing_kernels(features, settings, tracing, self.device)
 
     def render(
@@ -161,7 +158,7 @@ class Session:
         integrators: list[TileIntegrator] = []
         if prepared is not None:
             device_scene, modules = prepared
-            integrators = self._integrators(job, device_scene, state)
+            integrators = self._workers(job, device_scene, state)
             if any(each.is_counting for each in integrators):
                 with hardware_counters(self.device.is_cuda) as counters:
                     self._run(job, integrators, state, film)
@@ -182,8 +179,6 @@ class Session:
         settings = settings or self.settings
         checked = checked_scene(scene)
         warnings = list(checked.warnings)
-        if settings.batching == "REFERENCE" and {"Node Steps", "Triangle Tests"} & set(checked.frame.passes):
-            warnings.append("the passes Node Steps and Triangle Tests stay 0: Warp's own tree does not tell its steps; set batching to OFF")
         if sample_first < 0 or sample_first + settings.sample_count > 2**32:
             raise RayBatchError(f"samples {sample_first} to {sample_first + settings.sample_count} are out of range: use 0 to 2^32")
 
@@ -256,45 +251,13 @@ class Session:
         finally:
             pool.shutdown(wait=False)  # a cancelled render does not wait for the compiler
 
-    def _integrators(self, job: _Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
+    def _workers(self, job: _Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
         areas = [t.tile.pixel_count for t in state.tiles if t.items_begun < t.tile.pixel_count * state.sample_count]
-        if not areas:
-            return []
-        workers = min(worker_count(self.device, job.settings.thread_count), len(areas))
-        if job.settings.ray_count:
-            workers = min(workers, job.settings.ray_count)
-        # no tile needs more paths than it has samples
-        paged = job.plan.method is Method.PAGED
-        asked = min(paths_a_worker(job.settings, workers, self.device.is_cuda, paged), max(areas) * state.sample_count)
-        counting = counter_features(job.settings, job.features.passes, scene.traversal)
-        each = bytes_per_path(job.features) + order_bytes_per_path(job.settings.ray_sort, self.device.is_cuda)
-        each += counter_bytes_per_path(counting, job.features.shadow_rays) + scene.tracer_bytes_per_path(job.settings)
-        layout = layout_of(job.scene.frame.passes, job.scene.frame.transparent)
-        # sums of finished tiles stay on a CUDA device until the film is asked for them
-        tile_bytes = (sum(areas) if self.device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
-        budget = max(0, int(free_memory(self.device) * PATH_MEMORY_SHARE) // workers - tile_bytes)
-        count = reduced_path_count(asked, each, budget)
-        if count == 0:
-            raise OutOfMemoryError(
-                f"{self.device.alias} has {budget * workers:,} bytes left for rays beside the film's tiles, and one path takes {each}; "
-                "close other programs, lower tile_size, or render a smaller scene"
-            )
-        while True:
-            try:
-                marks = water_marks(job.settings, count)
-                made = [TileIntegrator(scene, job.scene.frame, job.settings, marks) for _ in range(workers)]
-                break
-            except (MemoryError, RuntimeError) as error:
-                if count == 1 or not ("memory" in str(error).lower() or isinstance(error, MemoryError)):
-                    raise
-                count //= 2
-        if paged and not job.settings.ray_count:
-            job.chosen["ray_count"] = Choice(count * workers, f"as many as fit in {budget * workers / 1e9:.1f} GB, and as a tile has samples")
-        elif count < asked:
-            job.warnings.append(
-                f"ray_count was reduced from {asked * workers:,} to {count * workers:,}: {self.device.alias} has not enough free memory"
-            )
-        return made
+        workers = make_workers(scene, job.scene.frame, job.settings, areas, state.sample_count)
+        job.warnings += workers.warnings
+        job.chosen.update(workers.chosen)
+        job.path_bytes = workers.path_bytes
+        return workers.integrators
 
     # --- the render itself
 
@@ -378,7 +341,8 @@ class Session:
             rays=ray_totals(integrators),
             samples=film.sample_total,
             counts={
-                **workers_summary(integrators, device_scene, job.hardware),
+                **workers_summary(integrators, device_scene, job.hardware, job.path_bytes),
+                **batching_statistics(batching_totals(integrators), report_of({**job.plan.choices, **job.chosen})),
                 "complete": film.complete,
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),

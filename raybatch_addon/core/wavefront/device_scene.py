@@ -10,7 +10,6 @@ import warp as wp
 from ..bvh.reference import ReferenceTree
 from ..bvh.tree import Tree
 from ..bvh.treelet_tree import TreeletTree
-from ..bvh.node import Layout
 from ..scene.description import ClosureKind, Scene
 from ..scene.features import SceneFeatures
 from ..scene.geometry import Geometry
@@ -18,8 +17,7 @@ from ..shading.camera import CameraData, upload_camera
 from ..shading.closures import ClosureFeatures, MaterialTable, upload_materials
 from ..shading.light_table import LightTable, UploadedLights, upload_lights
 from .geometry_cache import BuiltGeometry, GeometryCache, GeometryRequest, PagedTree
-from .plan import Method, TracingPlan
-from .stages.trace import Traversal
+from .tracing import Tracing
 
 
 @wp.struct
@@ -44,9 +42,7 @@ class DeviceScene:
     data: SceneData
     camera: CameraData
     tree: Tree | ReferenceTree | None  # None: there is nothing to hit
-    traversal: Traversal
-    plan: TracingPlan
-    tree_instancing: bool  # rays are traced through a top level of many trees
+    tracing: Tracing
     treelets: TreeletTree | None  # where rays wait at treelets in memory
     box: np.ndarray | None  # two corners that hold all surfaces [m], float64, shape [2, 3]
     transparent_shadows: bool  # some surface lets shadow rays through
@@ -77,7 +73,7 @@ class DeviceScene:
         )
         return DeviceScene(
             device, features, data, upload_camera(scene.camera, scene.frame.width, scene.frame.height), built.tree if built else None,
-            traversal_of(request.plan, request.layout), request.plan, traces_instances(request.plan, features), treelets,
+            Tracing.of(request.plan, request.layout, features), treelets,
             built.box if built else None, lets_through, lights, features.shadow_rays and lights.emitter_count > 0, built,
         )  # fmt: skip
 
@@ -85,15 +81,3 @@ class DeviceScene:
     def paged(self) -> PagedTree | None:
         """The tree, where it lies beyond memory."""
         return self.built if isinstance(self.built, PagedTree) else None
-
-
-def traversal_of(plan: TracingPlan, layout: Layout) -> Traversal:
-    """Which tree rays visit, and how."""
-    if plan.method is Method.REFERENCE:
-        return Traversal.REFERENCE
-    return Traversal.BOXES if layout is Layout.BOXES else Traversal.QUANTISED
-
-
-def traces_instances(plan: TracingPlan, features: SceneFeatures) -> bool:
-    """Whether rays are traced through a top level: what is beyond memory is always many trees."""
-    return features.instancing or plan.method is Method.PAGED

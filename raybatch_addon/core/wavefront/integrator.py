@@ -12,6 +12,7 @@ import warp as wp
 
 from ..film import layout_of
 from ..film.tile import FilmTile, FilmTiles, FinishedTile
+from ..report.batching import BatchingTotals
 from ..report.counters import Counters, CounterTotals
 from ..report.timing import NoTimer
 from ..scene.description import Frame
@@ -26,8 +27,9 @@ from .scheduler import Rectangle, WaterMarks
 from .stages import generate
 from .stages.generate import TileWork, counted_kernel
 from .stages.limits import path_limits
-from .stages.trace import Traversal, counter_features, tracing_stages
-from .tracer import NO_SLOTS, SlotList, UnbatchedTracer
+from .plan import Method
+from .tracer import NO_SLOTS, SlotList, Tracer
+from .tracers import make_tracer
 
 # A stopped tile whose rays are not at their end after this long gives them up [s]
 DRAIN_SECONDS = 0.25
@@ -66,23 +68,25 @@ class TileIntegrator:
         self._limits = path_limits(settings, frame.width)
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, features, device)
-        needs = RayNeeds.of(features, scene.traversal == Traversal.REFERENCE)
+        tracing = scene.tracing
+        needs = RayNeeds.of(dataclasses.replace(features, instancing=tracing.instancing), tracing.method is Method.REFERENCE)
         self._rays = allocate_rays(count, device, dataclasses.replace(needs, shadow_rays=scene.shadow_rays))
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = PathLists(count, device)
         self._film_tiles = FilmTiles(self._layout, frame.passes, device, self._lists.counts.at(Length.SPILL))
         self._free: wp.array | None = None
         self._bounced = self._shadow = NO_SLOTS
-        counting = counter_features(settings, frame.passes, scene.traversal)
+        counting = tracing.counters(settings, frame.passes)
         self._counters = Counters(counting, self._rays.origin.size, settings.bounce_max, device) if counting else None
         self._counts_steps = bool(counting and counting.steps)
         # of each path, for the counters
         self._bounce, self._pixel = (wp.zeros(count if counting else 0, dtype=int, device=device) for _ in range(2))
         self._timer = self._counters.timer if self._counters else NoTimer()
         self._order = None
-        if scene.tree and settings.ray_sort != "OFF":
+        if scene.tree and settings.ray_sort != "OFF" and (settings.ray_sort == "ON" or not tracing.waits):
             self._order = RayOrder(settings.ray_sort, count, scene.box, device, self._timer)
         self._tracer = self._new_tracer() if scene.tree else None
+        self._given_up = BatchingTotals()  # of tracers that were left with their rays
         self._cost: wp.array | None = None
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
         self._alive = 0
@@ -164,7 +168,11 @@ class TileIntegrator:
                 self._launch_over(self._kernels.settle, rays, self._paths, self._rays)
             return
         for kind, rays in waves:
-            self._tracer.submit(kind, rays)
+            if self._order and self._scene.tracing.waits:
+                # rays that wait are sorted before; a tracer takes them in at once
+                self._order.trace(kind, rays, self._rays, self.rays.camera, lambda part, kind=kind: self._tracer.submit(kind, part))
+            else:
+                self._tracer.submit(kind, rays)
         self._tracer.advance()
         for kind, back in self._tracer.take_finished():
             if self._counters:
@@ -220,13 +228,22 @@ class TileIntegrator:
         self._paths.status.zero_()
         self._alive = 0
         self._bounced = self._shadow = NO_SLOTS
-        self._tracer = self._new_tracer() if self._tracer else None
+        if self._tracer:
+            self._given_up = self.batching_totals() or self._given_up
+            self._tracer = None  # its memory, before that of the next
+            self._tracer = self._new_tracer()
 
     # --- tracing
 
-    def _new_tracer(self) -> UnbatchedTracer:
-        stages = tracing_stages(self._scene.traversal, self._scene.features.instancing, self._counts_steps)
-        return UnbatchedTracer(self._scene.tree, self._rays, stages, self._trace_in_order)
+    def _new_tracer(self) -> Tracer:
+        counters = self._counters if self._counts_steps else None
+        return make_tracer(
+            self._scene, self._rays, self.path_count, self._shadow_kind, self._settings, counters, self._timer, self._trace_in_order
+        )  # fmt: skip
+
+    def batching_totals(self) -> BatchingTotals | None:
+        """What rays waited for so far; None where they do not wait."""
+        return self._given_up.merge(self._tracer.totals()) if self._tracer and self._scene.tracing.waits else None
 
     def _trace_in_order(self, kind: RayKind, listed: SlotList, launch: Callable) -> None:
         counts = self._counters.work[kind] if self._counts_steps else None

@@ -11,18 +11,15 @@ from ..film.tile import add_spill_kernel, resolve_kernel
 from ..report.counters import count_kernel
 from ..scene.features import SceneFeatures, narrow
 from ..settings import RenderSettings
-from .batching import batching_kernels
-from .plan import Method
 from .queues import QUEUE_KERNELS
 from .ray_order import order_kernels
-from .rays import RayKind
 from .stages.accumulate import accumulate_kernel
 from .stages.connect import connect_kernel, settle_kernel
 from .stages.generate import GenerateFeatures, generate_kernel
 from .stages.shade_background import BackgroundFeatures, LightHitFeatures, background_kernel, light_hit_kernel
 from .stages.shade_surface import SurfaceFeatures, surface_kernel, transparent_shadow_kernel
-from .stages.trace import Traversal, counter_features, tracing_stages
-from .streaming import streaming_kernels
+from .tracers import tracer_kernels
+from .tracing import Tracing
 
 
 @dataclass(frozen=True)
@@ -73,30 +70,11 @@ class StageKernels:
         return [kernel for kernel in stages if kernel is not None] + [*QUEUE_KERNELS, add_spill_kernel]
 
 
-@dataclass(frozen=True)
-class Tracing:
-    """What the kernels that trace are chosen by."""
-
-    traversal: Traversal
-    method: Method
-    instancing: bool
-
-
 def tracing_kernels(features: SceneFeatures, settings: RenderSettings, tracing: Tracing, device: wp.Device) -> list[wp.Kernel]:
     """Everything that tracing, sorting and counting launch."""
-    counting = counter_features(settings, features.passes, tracing.traversal)
+    counting = tracing.counters(settings, features.passes)
     kernels = [count_kernel(counting)] if counting else []
-    if not features.surfaces:
-        return kernels
-    kernels += order_kernels(settings.ray_sort, device)
-    counts = bool(counting and counting.steps)
-    if tracing.method is Method.BATCHED:
-        kernels += batching_kernels(settings, tracing.traversal, tracing.instancing, counts, device)
-    elif tracing.method is Method.PAGED:
-        kernels += streaming_kernels(settings, tracing.traversal, counts, device)
-    else:
-        stages = tracing_stages(tracing.traversal, tracing.instancing, counts)
-        for kind, stage in stages.items():
-            if features.shadow_rays or kind == RayKind.CLOSEST:
-                kernels += stage.kernels
+    if features.surfaces:
+        kernels += order_kernels(settings.ray_sort, device)
+        kernels += tracer_kernels(tracing, settings, features.shadow_rays, bool(counting and counting.steps), device)
     return kernels

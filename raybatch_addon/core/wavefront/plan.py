@@ -56,9 +56,10 @@ class TracingPlan:
     treelet_size: int = 0  # most nodes of a treelet; 0: no limit
     choices: dict[str, Choice] = field(default_factory=dict)  # by setting
 
-    def report(self) -> dict[str, dict[str, Any]]:
-        """For the statistics."""
-        return {name: {"value": choice.value, "why": choice.why} for name, choice in self.choices.items()}
+
+def report_of(choices: dict[str, Choice]) -> dict[str, dict[str, Any]]:
+    """For the statistics."""
+    return {name: {"value": choice.value, "why": choice.why} for name, choice in choices.items()}
 
 
 @dataclass(frozen=True)

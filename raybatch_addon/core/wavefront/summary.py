@@ -6,9 +6,10 @@ import functools
 from collections.abc import Sequence
 from typing import Any
 
-from ..bvh.build import BuiltTree
 from ..bvh.node import Layout
+from ..bvh.reference import BuiltReference
 from ..report.counters import CounterTotals, TreeBytes
+from ..report.batching import BatchingTotals
 from .device_scene import DeviceScene
 from .integrator import TileIntegrator
 from .sort_policy import merged_reports
@@ -23,18 +24,26 @@ def ray_totals(integrators: Sequence[TileIntegrator]) -> dict[str, int]:
     }
 
 
-def workers_summary(integrators: Sequence[TileIntegrator], scene: DeviceScene | None, hardware: dict[str, Any]) -> dict[str, Any]:
+def batching_totals(integrators: Sequence[TileIntegrator]) -> BatchingTotals | None:
+    """What the workers' rays waited for; None where no ray waits."""
+    found = [totals for totals in (integrator.batching_totals() for integrator in integrators) if totals]
+    return functools.reduce(BatchingTotals.merge, found) if found else None
+
+
+def workers_summary(
+    integrators: Sequence[TileIntegrator], scene: DeviceScene | None, hardware: dict[str, Any], path_bytes: int
+) -> dict[str, Any]:
     """The parts of the statistics that tell of tracing; `scene` is None where nothing was begun, `hardware` what the processor counted."""
     built = scene.built if scene else None
-    own = isinstance(built, BuiltTree)
+    own = built is not None and not isinstance(built, BuiltReference)
     counted = [each for each in (integrator.counted() for integrator in integrators) if each]
     totals = functools.reduce(CounterTotals.merge, counted) if counted else None
     reports = [report for report in (integrator.order_report() for integrator in integrators) if report]
     return {
-        "schedule": {"workers": len(integrators), "ray_count": sum(each.path_count for each in integrators)},
-        "tree": built.statistics if own else None,
+        "schedule": {"workers": len(integrators), "ray_count": sum(each.path_count for each in integrators), "bytes_per_path": path_bytes},
+        "tree": {**built.statistics, **({"cut": scene.treelets.statistics} if scene.treelets else {})} if own else None,
         "ray_sort": merged_reports(reports),
-        "counters": totals.report(tree_bytes(built.layout) if own else None, hardware) if totals else None,
+        "counters": totals.report(tree_bytes(scene.tracing.layout) if own else None, hardware) if totals else None,
     }
 
 

@@ -16,8 +16,6 @@ from ...bvh.traverse_cpu import INTERLEAVE, make_cpu_traversal
 from ...bvh.traverse_cuda import TraceOptions, trace_function
 from ...bvh.tree import Tree
 from ...kernel import KERNEL_OPTIONS
-from ...report.counters import CounterFeatures
-from ...settings import RenderSettings
 from ..rays import RayKind, Rays
 from ..tracer import SlotList
 from .launch import Launch, slice_first
@@ -47,11 +45,6 @@ class TraceFeatures:
     instancing: bool
     counters: bool
     plain: bool = False  # of the own tree, to compare with: one ray after another a thread, and no refill
-
-
-def counter_features(settings: RenderSettings, passes: tuple[str, ...], traversal: Traversal) -> CounterFeatures | None:
-    """What is counted; None: nothing. Warp's tree tells nothing of its steps."""
-    return CounterFeatures.choose(settings.counters, passes, steps=traversal != Traversal.REFERENCE)
 
 
 class TraceStage(Protocol):

@@ -1,0 +1,43 @@
+"""How the rays of a render are traced, as far as that is known before its scene is built."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..bvh.node import Layout
+from ..report.counters import CounterFeatures
+from ..scene.features import SceneFeatures
+from ..settings import RenderSettings
+from .plan import Method, TracingPlan
+from .stages.trace import Traversal
+
+# Rays that wait: whether visits and times queued can be counted
+WAITING_METHODS = (Method.BATCHED, Method.PAGED)
+
+
+@dataclass(frozen=True)
+class Tracing:
+    """How rays are traced, as far as it is known before the scene is built."""
+
+    layout: Layout
+    method: Method
+    instancing: bool  # through a top level of many trees
+
+    @staticmethod
+    def of(plan: TracingPlan, layout: Layout, features: SceneFeatures) -> Tracing:
+        """For a scene with `features`; what is beyond memory is always many trees."""
+        return Tracing(layout, plan.method, features.instancing or plan.method is Method.PAGED)
+
+    @property
+    def traversal(self) -> Traversal:
+        """Which tree rays visit."""
+        return Traversal.of("REFERENCE" if self.method is Method.REFERENCE else "OFF", self.layout)
+
+    @property
+    def waits(self) -> bool:
+        """Whether rays wait for others."""
+        return self.method in WAITING_METHODS
+
+    def counters(self, settings: RenderSettings, passes: tuple[str, ...]) -> CounterFeatures | None:
+        """What is counted; None: nothing. Warp's tree tells nothing of its steps."""
+        return CounterFeatures.choose(settings.counters, passes, steps=self.traversal != Traversal.REFERENCE, batches=self.waits)

@@ -1,0 +1,86 @@
+"""The workers of a render: as many integrators as there are threads, each with as many paths as memory allows."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from ..device import free_memory, worker_count
+from ..errors import OutOfMemoryError
+from ..film import layout_of
+from ..film.sums import WINDOW_DIGITS
+from ..report.counters import counter_bytes_per_path
+from ..scene.description import Frame
+from ..settings import RenderSettings
+from .device_scene import DeviceScene
+from .integrator import TileIntegrator
+from .plan import Choice, Method
+from .ray_order import order_bytes_per_path
+from .rays import bytes_per_path
+from .scheduler import paths_a_worker, reduced_path_count, water_marks
+from .tracers import tracer_bytes_per_path
+
+# Share of the free memory that paths may take
+PATH_MEMORY_SHARE = 0.6
+
+
+@dataclass
+class Workers:
+    """The integrators of a render, and what was found when they were made."""
+
+    integrators: list[TileIntegrator] = field(default_factory=list)
+    path_bytes: int = 0  # device memory of a path alive: all that grows with their number
+    warnings: list[str] = field(default_factory=list)
+    chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open
+
+
+def make_workers(scene: DeviceScene, frame: Frame, settings: RenderSettings, areas: Sequence[int], sample_count: int) -> Workers:
+    """Workers for tiles of so many pixels and samples; raises `OutOfMemoryError` where not even one path fits."""
+    made = Workers()
+    if not areas:
+        return made
+    device, paged = scene.device, scene.tracing.method is Method.PAGED
+    workers = min(worker_count(device, settings.thread_count), len(areas))
+    if settings.ray_count:
+        workers = min(workers, settings.ray_count)
+    # no tile needs more paths than it has samples
+    asked = min(paths_a_worker(settings, workers, device.is_cuda, paged), max(areas) * sample_count)
+    made.path_bytes = each = path_bytes(scene, frame, settings, asked)
+    layout = layout_of(frame.passes, frame.transparent)
+    # sums of finished tiles stay on a CUDA device until the film is asked for them
+    tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
+    budget = max(0, int(free_memory(device) * PATH_MEMORY_SHARE) // workers - tile_bytes)
+    count = reduced_path_count(asked, each, budget)
+    if count == 0:
+        raise OutOfMemoryError(
+            f"{device.alias} has {budget * workers:,} bytes left for rays beside the film's tiles, and one path takes {each}; "
+            "close other programs, lower tile_size, or render a smaller scene"
+        )
+    while True:
+        try:
+            marks = water_marks(settings, count)
+            made.integrators = [TileIntegrator(scene, frame, settings, marks) for _ in range(workers)]
+            break
+        except (MemoryError, RuntimeError) as error:
+            if count == 1 or not ("memory" in str(error).lower() or isinstance(error, MemoryError)):
+                raise
+            count //= 2
+    if not settings.ray_count:
+        why = "as many as memory and the samples of a tile allow: every page that is brought in serves more of them" if paged else (
+            "some times what keeps the device busy" if device.is_cuda else "a wave stays within the outer caches"
+        )
+        made.chosen["ray_count"] = Choice(count * workers, why)
+    if count < asked and not (paged and not settings.ray_count):
+        made.warnings.append(
+            f"ray_count was reduced from {asked * workers:,} to {count * workers:,}: {device.alias} has not enough free memory"
+        )
+    return made
+
+
+def path_bytes(scene: DeviceScene, frame: Frame, settings: RenderSettings, path_count: int) -> int:
+    """Device memory of one of `path_count` paths alive, with all that its tracer, sorting and counters keep of it [bytes]."""
+    features, tracing = dataclasses.replace(scene.features, instancing=scene.tracing.instancing), scene.tracing
+    size = bytes_per_path(features, tracing.method is Method.REFERENCE) + tracer_bytes_per_path(scene, settings, path_count)
+    size += counter_bytes_per_path(tracing.counters(settings, frame.passes), features.shadow_rays)
+    return size + (0 if tracing.waits and settings.ray_sort == "AUTO" else order_bytes_per_path(settings.ray_sort, scene.device.is_cuda))
