@@ -238,7 +238,7 @@ class TileIntegrator:
     def _new_tracer(self) -> Tracer:
         counters = self._counters if self._counts_steps else None
         return make_tracer(
-            self._scene, self._rays, self.path_count, self._shadow_kind, self._settings, counters, self._timer, self._trace_in_order
+            self._scene, self._rays, self._marks.path_count, self._shadow_kind, self._settings, counters, self._timer, self._trace_in_order
         )  # fmt: skip
 
     def batching_totals(self) -> BatchingTotals | None:
