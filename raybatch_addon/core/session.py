@@ -34,9 +34,9 @@ from .wavefront.kernels import StageKernels, tracing_kernels
 from .wavefront.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
 from .wavefront.resume import ResumeState, estimator_settings, film_to_fill
 from .wavefront.scheduler import tile_edge, tiles
+from .wavefront.summary import batching_totals, ray_totals, workers_summary
 from .wavefront.tracing import Tracing
 from .wavefront.workers import make_workers
-from .wavefront.summary import batching_totals, ray_totals, workers_summary
 
 # How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
 POLL_SECONDS = 0.05

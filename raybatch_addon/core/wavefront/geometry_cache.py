@@ -20,12 +20,12 @@ from ..bvh.node import Layout
 from ..bvh.page_build import PagedScene, build_paged_scene
 from ..bvh.reference import BuiltReference, build_reference
 from ..bvh.residency import Residency
+from ..bvh.tree import Tree
 from ..bvh.treelet_tree import TreeletTree, cut_scene_tree
 from ..bvh.treelets import CutRule
 from ..scene.description import Scene
 from ..scene.flatten import FlatGeometry, flatten
 from ..scene.geometry import Geometry, update_geometry, upload_geometry
-from ..bvh.tree import Tree
 from ..settings import RenderSettings
 from .plan import Method, TracingPlan
 

@@ -20,6 +20,7 @@ from ..settings import RenderSettings
 from ..shading.sampling import filter_table
 from .device_scene import DeviceScene
 from .kernels import StageKernels
+from .plan import Method
 from .queues import Length, PathLists
 from .ray_order import RayOrder
 from .rays import RayKind, RayNeeds, allocate_paths, allocate_rays
@@ -27,7 +28,6 @@ from .scheduler import Rectangle, WaterMarks
 from .stages import generate
 from .stages.generate import TileWork, counted_kernel
 from .stages.limits import path_limits
-from .plan import Method
 from .tracer import NO_SLOTS, SlotList, Tracer
 from .tracers import make_tracer
 

@@ -58,7 +58,7 @@ def water_marks(settings: RenderSettings, path_count: int) -> WaterMarks:
     return WaterMarks(path_count, low, high)
 
 
-def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool, paged: bool) -> int:
+def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool, paged: bool = False) -> int:
     """Path slots of each worker; `paged`: geometry is brought in by pages."""
     if settings.ray_count:
         return max(1, settings.ray_count // workers)

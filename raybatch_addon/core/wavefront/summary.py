@@ -8,8 +8,8 @@ from typing import Any
 
 from ..bvh.node import Layout
 from ..bvh.reference import BuiltReference
-from ..report.counters import CounterTotals, TreeBytes
 from ..report.batching import BatchingTotals
+from ..report.counters import CounterTotals, TreeBytes
 from .device_scene import DeviceScene
 from .integrator import TileIntegrator
 from .sort_policy import merged_reports

@@ -25,7 +25,8 @@ from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.wavefront import geometry_cache
-from raybatch_addon.core.wavefront.geometry_cache import GeometryCache
+from raybatch_addon.core.wavefront.geometry_cache import GeometryCache, GeometryRequest
+from raybatch_addon.core.wavefront.plan import Method, TracingPlan
 
 SETTINGS = RenderSettings(device=DEVICE, sample_count=2, bounce_max=3, spatial_splits="OFF")
 FRAME = Frame(20, 16, passes=("Combined", "Depth", "Normal", "Position"))
@@ -105,7 +106,9 @@ def counts(statistics) -> tuple[int, int]:
 
 
 def followed(cache: GeometryCache, scene, layout=Layout.QUANTISED, settings=SETTINGS):
-    return cache.get(scene, needs_instancing(scene), settings, layout, find_device(DEVICE))[1]
+    plan = TracingPlan(Method.REFERENCE if settings.batching == "REFERENCE" else Method.UNBATCHED)
+    request = GeometryRequest(settings, plan, layout, needs_instancing(scene), Path("unused"))
+    return cache.get(scene, request, find_device(DEVICE)).built
 
 
 @layouts

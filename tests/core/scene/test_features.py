@@ -1,21 +1,24 @@
 """A scene pays only for what it has: what it lacks is neither compiled nor allocated nor uploaded."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 import scenes
 
 from raybatch_addon.core.bvh.build import layout_for
+from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.device import find_device
 from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame, Light, LightKind, Visibility
 from raybatch_addon.core.scene.features import SceneFeatures, derive_features, ordinary_features
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.wavefront.device_scene import DeviceScene
-from raybatch_addon.core.wavefront.geometry_cache import GeometryCache
+from raybatch_addon.core.wavefront.geometry_cache import GeometryCache, GeometryRequest
 from raybatch_addon.core.wavefront.kernels import StageKernels, tracing_kernels
+from raybatch_addon.core.wavefront.plan import Method, TracingPlan
 from raybatch_addon.core.wavefront.rays import allocate_paths, bytes_per_path
-from raybatch_addon.core.wavefront.stages.trace import Traversal
+from raybatch_addon.core.wavefront.tracing import Tracing
 
 SETTINGS = RenderSettings()
 
@@ -37,7 +40,7 @@ def with_material(kind):
 def source(features: SceneFeatures) -> str:
     """All code that is compiled for `features`."""
     text = []
-    tracing = tracing_kernels(features, SETTINGS, Traversal.QUANTISED, find_device("cpu"))
+    tracing = tracing_kernels(features, SETTINGS, Tracing(Layout.QUANTISED, Method.UNBATCHED, features.instancing), find_device("cpu"))
     for kernel in StageKernels.choose(features, SETTINGS).all() + tracing:
         builder = __import__("warp")._src.context.ModuleBuilder(kernel.module, {**kernel.module.options, "block_dim": 1, "mode": "release"})
         text.append(builder.codegen("cpu"))
@@ -113,7 +116,9 @@ def test_arrays_of_a_feature_are_allocated_only_for_scenes_that_have_it(device):
 def test_a_flat_scene_of_one_material_uploads_no_normals_and_no_slots(device):
     scene = plain()
     where = find_device(device)
-    built = DeviceScene.build(scene, derive_features(scene, SETTINGS), SETTINGS, layout_for(where), where, GeometryCache())
+    features = derive_features(scene, SETTINGS)
+    request = GeometryRequest(SETTINGS, TracingPlan(Method.UNBATCHED), layout_for(where), features.instancing, Path("unused"))
+    built = DeviceScene.build(scene, features, request, where, GeometryCache())
     assert built.data.geometry.corner_normals.size == 0 and built.data.geometry.triangle_slot.size == 0
     assert built.tree.top_entry.size == 0
 
