@@ -159,6 +159,9 @@ class Session:
         if prepared is not None:
             device_scene, modules = prepared
             integrators = self._workers(job, device_scene, state)
+            counting = device_scene.tracing.counters(job.settings, job.features.passes)
+            if counting:
+                job.warnings += counting.warnings()
             if any(each.is_counting for each in integrators):
                 with hardware_counters(self.device.is_cuda) as counters:
                     self._run(job, integrators, state, film)

@@ -13,10 +13,11 @@ import warp as wp
 from rendering.request import UsageError
 
 from raybatch_addon.core import session as session_module
+from raybatch_addon.core.scene.description import Visibility
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
-from raybatch_addon.core.wavefront.rays import Paths, RayKind, Rays
+from raybatch_addon.core.wavefront.rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Paths, RayKind, Rays
 from raybatch_addon.core.wavefront.tracer import SlotList, Tracer
 from raybatch_addon.kernel_cache import kernel_cache_folder
 
@@ -86,7 +87,8 @@ class RayCollector:
         slots = submitted.slots.numpy()[: int(submitted.count.numpy()[0])]
         shadow = kind != RayKind.CLOSEST
         path = slots - paths.status.shape[0] if shadow else slots
-        bounce = paths.bounce.numpy()[path]
+        status = paths.status.numpy()
+        bounce = status[path] >> BOUNCE_SHIFT
         if shadow:
             bounce = np.maximum(bounce, 1)  # a path that passed straight through its first surface has not scattered yet
         else:
@@ -98,8 +100,10 @@ class RayCollector:
             chosen = slots[bounce == wanted.bounce][:left]
             if len(chosen):
                 indices = wp.array(chosen, dtype=int, device=rays.origin.device)
-                columns = (rays.origin, rays.direction, rays.t_max, rays.visibility)
-                self._parts.setdefault(wanted.name, []).append(tuple(_gathered(column, indices) for column in columns))
+                columns = [_gathered(column, indices) for column in (rays.origin, rays.direction, rays.t_max)]
+                # the tracer's own array is there only if it reads it
+                seen = np.full(len(chosen), int(Visibility.SHADOW)) if shadow else status[chosen] >> VISIBILITY_SHIFT & int(Visibility.ALL)
+                self._parts.setdefault(wanted.name, []).append((*columns, seen.astype(np.int32)))
                 self._counts[wanted.name] = self._counts.get(wanted.name, 0) + len(chosen)
 
     def captured(self) -> list[CapturedRays]:

@@ -239,5 +239,5 @@ class Counters:
 
 
 def counter_bytes_per_path(features: CounterFeatures | None, shadow_rays: bool) -> int:
-    """Device memory of the counters for each path alive [bytes]."""
-    return 4 * len(features.told) * (1 + shadow_rays) if features else 0
+    """Device memory of the counters for each path alive [bytes]; with its bounce and pixel, which they ask for."""
+    return 4 * len(features.told) * (1 + shadow_rays) + 8 if features else 0

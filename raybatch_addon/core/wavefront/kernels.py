@@ -15,7 +15,7 @@ from .queues import QUEUE_KERNELS
 from .ray_order import order_kernels
 from .stages.accumulate import accumulate_kernel
 from .stages.connect import connect_kernel, settle_kernel
-from .stages.generate import GenerateFeatures, generate_kernel
+from .stages.generate import GenerateFeatures, counted_kernel, generate_kernel
 from .stages.shade_background import BackgroundFeatures, LightHitFeatures, background_kernel, light_hit_kernel
 from .stages.shade_surface import SurfaceFeatures, surface_kernel, transparent_shadow_kernel
 from .tracers import tracer_kernels
@@ -47,7 +47,7 @@ class StageKernels:
             generate=generate_kernel(
                 GenerateFeatures(
                     has.camera, has.depth_of_field, has.sample_sequence, has.transparency, has.film_transparent,
-                    "Normal" in has.passes, settings.sample_order == "PIXEL_FIRST",
+                    "Normal" in has.passes,
                 )  # fmt: skip
             ),
             settle=settle_kernel,
@@ -73,7 +73,7 @@ class StageKernels:
 def tracing_kernels(features: SceneFeatures, settings: RenderSettings, tracing: Tracing, device: wp.Device) -> list[wp.Kernel]:
     """Everything that tracing, sorting and counting launch."""
     counting = tracing.counters(settings, features.passes)
-    kernels = [count_kernel(counting)] if counting else []
+    kernels = [count_kernel(counting), counted_kernel] if counting else []
     if features.surfaces:
         kernels += order_kernels(settings.ray_sort, device)
         kernels += tracer_kernels(tracing, settings, features.shadow_rays, bool(counting and counting.steps), device)

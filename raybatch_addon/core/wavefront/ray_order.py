@@ -31,11 +31,6 @@ def order_bytes(ray_sort: str, path_count: int, is_cuda: bool) -> int:
     return 0 if ray_sort == "OFF" else _sorted_max(path_count, is_cuda) * sort_bytes_per_ray(is_cuda)
 
 
-def order_bytes_per_path(ray_sort: str, is_cuda: bool) -> int:
-    """What a `RayOrder` of few paths takes for each [bytes]; of many it takes less (`order_bytes`)."""
-    return order_bytes(ray_sort, 1, is_cuda)
-
-
 def _sorted_max(path_count: int, is_cuda: bool) -> int:
     return min(path_count, CUDA_SORTED_MAX if is_cuda else CPU_SORTED_MAX)
 

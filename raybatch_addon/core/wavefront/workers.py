@@ -16,13 +16,15 @@ from ..settings import RenderSettings
 from .device_scene import DeviceScene
 from .integrator import TileIntegrator
 from .plan import Choice, Method
-from .ray_order import order_bytes_per_path
+from .ray_order import order_bytes
 from .rays import bytes_per_path
 from .scheduler import paths_a_worker, reduced_path_count, water_marks
 from .tracers import tracer_bytes_per_path
 
 # Share of the free memory that paths may take
 PATH_MEMORY_SHARE = 0.6
+# Of samples that are set aside on their way to the film [bytes]
+SPILL_BYTES = 1 << 19
 
 
 @dataclass
@@ -50,7 +52,8 @@ def make_workers(scene: DeviceScene, frame: Frame, settings: RenderSettings, are
     layout = layout_of(frame.passes, frame.transparent)
     # sums of finished tiles stay on a CUDA device until the film is asked for them
     tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
-    budget = max(0, int(free_memory(device) * PATH_MEMORY_SHARE) // workers - tile_bytes)
+    sorting = 0 if scene.tracing.waits and settings.ray_sort == "AUTO" else order_bytes(settings.ray_sort, asked, device.is_cuda)
+    budget = max(0, int(free_memory(device) * PATH_MEMORY_SHARE) // workers - tile_bytes - sorting - SPILL_BYTES)
     count = reduced_path_count(asked, each, budget)
     if count == 0:
         raise OutOfMemoryError(
@@ -79,8 +82,7 @@ def make_workers(scene: DeviceScene, frame: Frame, settings: RenderSettings, are
 
 
 def path_bytes(scene: DeviceScene, frame: Frame, settings: RenderSettings, path_count: int) -> int:
-    """Device memory of one of `path_count` paths alive, with all that its tracer, sorting and counters keep of it [bytes]."""
+    """Device memory of one of `path_count` paths alive, with all that its tracer and counters keep of it [bytes]."""
     features, tracing = dataclasses.replace(scene.features, instancing=scene.tracing.instancing), scene.tracing
     size = bytes_per_path(features, tracing.method is Method.REFERENCE) + tracer_bytes_per_path(scene, settings, path_count)
-    size += counter_bytes_per_path(tracing.counters(settings, frame.passes), features.shadow_rays)
-    return size + (0 if tracing.waits and settings.ray_sort == "AUTO" else order_bytes_per_path(settings.ray_sort, scene.device.is_cuda))
+    return size + counter_bytes_per_path(tracing.counters(settings, frame.passes), features.shadow_rays)

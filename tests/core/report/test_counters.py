@@ -98,9 +98,9 @@ def test_counters_are_made_only_where_they_are_asked_for():
     assert CounterFeatures.choose("ON", ("Combined",), True, True) == CounterFeatures(True, (), True)
     assert not Counters(CounterFeatures(True, ()), 7, 1, wp.get_device(DEVICE)).mixed.queued.size
     assert Counters(CounterFeatures(True, (), True), 7, 1, wp.get_device(DEVICE)).mixed.queued.size == 7
-    assert counter_bytes_per_path(CounterFeatures(True, ()), False) == 12 and counter_bytes_per_path(CounterFeatures(True, (), True), True) == 40
-    assert counter_bytes_per_path(None, True) == counter_bytes_per_path(CounterFeatures(False, ()), True) == 0
-    assert counter_bytes_per_path(CounterFeatures(True, ()), True) == 2 * counter_bytes_per_path(CounterFeatures(True, ()), False) > 0
+    assert counter_bytes_per_path(CounterFeatures(True, ()), False) == 20 and counter_bytes_per_path(CounterFeatures(True, (), True), True) == 48
+    assert counter_bytes_per_path(None, True) == 0 and counter_bytes_per_path(CounterFeatures(False, ()), True) == 8
+    assert counter_bytes_per_path(CounterFeatures(True, ()), True) == 32
 
 
 def test_what_is_not_counted_is_not_compiled(tmp_path):

@@ -30,7 +30,6 @@ class GenerateFeatures:
     transparency: bool
     film_transparent: bool
     normal_pass: bool
-    pixel_first: bool
 
 
 @wp.struct
