@@ -12,10 +12,10 @@ import numpy as np
 import warp as wp
 from rendering.request import UsageError
 
-from raybatch_addon.core import session as session_module
 from raybatch_addon.core.scene.description import Visibility
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.wavefront import workers
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
 from raybatch_addon.core.wavefront.rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Paths, RayKind, Rays
 from raybatch_addon.core.wavefront.tracer import SlotList, Tracer
@@ -149,12 +149,12 @@ def observed(collector: RayCollector) -> Iterator[None]:
             if self._tracer is not None:
                 self._tracer = ObservedTracer(self._tracer, self._paths, self._rays, collector)
 
-    original = session_module.TileIntegrator
-    session_module.TileIntegrator = ObservedIntegrator
+    original = workers.TileIntegrator
+    workers.TileIntegrator = ObservedIntegrator
     try:
         yield
     finally:
-        session_module.TileIntegrator = original
+        workers.TileIntegrator = original
 
 
 def capture_rays(

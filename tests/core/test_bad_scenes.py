@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 import scenes
 
-from raybatch_addon.core import session as session_module
 from raybatch_addon.core.device import find_device
 from raybatch_addon.core.errors import DeviceError, OutOfMemoryError, RayBatchError, SceneError, SettingsError
 from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame, Light, LightKind, Mesh
 from raybatch_addon.core.scene.validate import COORDINATE_MAX, checked_scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.core.wavefront import integrator
+from raybatch_addon.core.wavefront import integrator, workers
 
 SETTINGS = RenderSettings(sample_count=2, bounce_max=2)
 BAD_NUMBERS = [math.nan, math.inf, -math.inf]
@@ -303,7 +302,7 @@ def test_cuda_where_there_is_none(monkeypatch):
 def test_fewer_rays_where_memory_is_short(session, monkeypatch):
     scene, settings = scenes.mixed(), SETTINGS.replace(sample_count=64, tile_size=32, ray_count=1 << 14, thread_count=1)
     ample = session.render(scene, settings)
-    monkeypatch.setattr(session_module, "free_memory", lambda device: 2**20)
+    monkeypatch.setattr(workers, "free_memory", lambda device: 3 << 20)
     short = session.render(scene, settings)
     (warning,) = short.statistics["warnings"]
     assert "ray_count was reduced from 16,384 to" in warning and session.device.alias in warning and "memory" in warning
@@ -331,7 +330,7 @@ def test_fewer_rays_where_an_allocation_fails(session, monkeypatch):
 
 
 def test_no_memory_for_a_single_path(session, monkeypatch):
-    monkeypatch.setattr(session_module, "free_memory", lambda device: 64)
+    monkeypatch.setattr(workers, "free_memory", lambda device: 64)
     with pytest.raises(OutOfMemoryError, match="bytes left for rays.*close other programs"):
         session.render(lamp_and(), SETTINGS)
 

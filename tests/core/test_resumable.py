@@ -6,7 +6,7 @@ import scenes
 import warp as wp
 
 from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.core.wavefront import integrator
+from raybatch_addon.core.wavefront import tracers
 from raybatch_addon.core.wavefront.tracer import SlotList, UnbatchedTracer
 
 
@@ -42,7 +42,7 @@ def test_rays_that_wait_do_not_change_the_film(session, monkeypatch, features):
     frame = scenes.Frame(16, 12, passes=("Combined", "Depth", "Normal"), transparent=features != "everything")
     settings = RenderSettings(sample_count=4, ray_count=300, bounce_max=5, roulette_bounce=1)
     expected = session.render(scenes.mixed(frame), settings).passes
-    monkeypatch.setattr(integrator, "UnbatchedTracer", HesitantTracer)
+    monkeypatch.setattr(tracers, "UnbatchedTracer", HesitantTracer)
     held = session.render(scenes.mixed(frame), settings)
     assert HesitantTracer.waited > 1000
     for name, values in expected.items():

@@ -1,5 +1,7 @@
 """What a path takes is told exactly: the arrays of an integrator grow with its paths by just that."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import scenes
@@ -17,8 +19,9 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.wavefront import ray_order
 from raybatch_addon.core.wavefront.device_scene import DeviceScene
-from raybatch_addon.core.wavefront.geometry_cache import GeometryCache
+from raybatch_addon.core.wavefront.geometry_cache import GeometryCache, GeometryRequest
 from raybatch_addon.core.wavefront.integrator import TileIntegrator, TileState
+from raybatch_addon.core.wavefront.plan import Method, TracingPlan
 from raybatch_addon.core.wavefront.ray_order import order_bytes
 from raybatch_addon.core.wavefront.rays import bytes_per_path
 from raybatch_addon.core.wavefront.scheduler import Rectangle, water_marks
@@ -59,7 +62,9 @@ def integrator_of(scene, settings, path_count) -> tuple[TileIntegrator, DeviceSc
     device = find_device(DEVICE)
     scene = checked_scene(scene)
     features = derive_features(scene, settings)
-    built = DeviceScene.build(scene, features, settings, layout_for(device), device, GeometryCache())
+    plan = TracingPlan(Method.REFERENCE if settings.batching == "REFERENCE" else Method.UNBATCHED)
+    request = GeometryRequest(settings, plan, layout_for(device), features.instancing, Path("unused"))
+    built = DeviceScene.build(scene, features, request, device, GeometryCache())
     return TileIntegrator(built, scene.frame, settings, water_marks(settings, path_count)), built
 
 
