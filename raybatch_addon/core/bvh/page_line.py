@@ -57,8 +57,8 @@ def largest_page(scene: PagedScene) -> int:
 
 def pages_a_step(scene: PagedScene, slot_count: int) -> int:
     """Pages that are brought in for a step of tracing, of a pool of `slot_count`: so many that a step's own cost does not count, but a
-    quarter of the pool at most, since with fewer a step each is chosen better (of a pool of 20, one page a step copied 12 % less than five).
-    Two at least, where there is room for them and for two that are traced."""
+    quarter of the pool at most, since with fewer a step each is chosen better (of a pool of 20, one page a step copied 12 % less than
+    five). Two at least, where there is room for them and for two that are traced."""
     enough = -(-_STEP_BYTES // max(1, largest_page(scene)))
     return max(1, min(slot_count // 4, enough), min(2, slot_count // 2))
 

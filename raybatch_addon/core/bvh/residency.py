@@ -20,6 +20,7 @@ import warp as wp
 
 from ..errors import OutOfMemoryError
 from ..kernel import KERNEL_OPTIONS
+from .address_ring import AddressRing
 from .page_build import PagedScene
 from .page_facts import PageFacts
 from .page_line import PageLine, largest_page, page_line, staging_count
@@ -312,31 +313,6 @@ class Residency:
             plain = getattr(self.scene, "plain_view", None)
             return plain(page) if plain else None
         return self.scene.store.view(self.scene.pages[page])
-
-
-class AddressRing:
-    """Addresses of pages on their way to the device: written by the host where a kernel reads them, several steps ahead."""
-
-    def __init__(self, count: int, device: wp.Device, steps: int = 4):
-        self._cuda = device.is_cuda
-        self._turn = 0
-        self._host = [wp.zeros(count, dtype=wp.uint64, device="cpu", pinned=self._cuda) for _ in range(steps if self._cuda else 1)]
-        # the device reads pinned memory at the same address
-        self._device = [wp.array(ptr=each.ptr, dtype=wp.uint64, shape=each.shape, device=device) if self._cuda else each for each in self._host]
-        self._read: list[wp.Event | None] = [None] * len(self._host)
-
-    def put(self, addresses: np.ndarray) -> wp.array:
-        """`addresses` as the device sees them."""
-        self._turn = (self._turn + 1) % len(self._host)
-        if self._read[self._turn] is not None:
-            wp.synchronize_event(self._read[self._turn])
-        self._host[self._turn].numpy()[:] = addresses
-        return self._device[self._turn]
-
-    def was_read(self) -> None:
-        """The kernel that reads what was put last is launched."""
-        if self._cuda:
-            self._read[self._turn] = self._device[self._turn].device.stream.record_event()
 
 
 class ResidencyView:

@@ -152,7 +152,8 @@ class StreamingTracer:
         closest = sum(rays.bound for shadow, rays in lists if not shadow)
         known = self._known
         self._known = RayCounts(
-            known.idle + handed, known.new, known.done_closest - closest, known.done_shadow - (handed - closest), known.waiting, 0, known.visits
+            known.idle + handed, known.new, known.done_closest - closest, known.done_shadow - (handed - closest), known.waiting, 0,
+            known.visits,
         )  # fmt: skip
         if self._debug and not self._submitted:
             self._waiting.check(self._known)

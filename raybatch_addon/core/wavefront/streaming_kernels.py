@@ -56,7 +56,8 @@ class Taken:
 
 _CONSTANTS = f"""
     constexpr int IDLE = {IDLE}, NEW = {NEW}, DONE = {DONE};
-    constexpr int C_IDLE = {CLASS_IDLE}, C_NEW = {CLASS_NEW}, C_CLOSEST = {CLASS_DONE_CLOSEST}, C_SHADOW = {CLASS_DONE_SHADOW}, C_PAGES = {CLASS_PAGES};
+    constexpr int C_IDLE = {CLASS_IDLE}, C_NEW = {CLASS_NEW}, C_CLOSEST = {CLASS_DONE_CLOSEST}, C_SHADOW = {CLASS_DONE_SHADOW};
+    constexpr int C_PAGES = {CLASS_PAGES};
 """
 # Kinds of rays that are taken together
 _READY = r"""
@@ -91,7 +92,7 @@ _WRITE = r"""
 _WALK = r"""
     const int lane = thread & 31, warp = thread >> 5;
     const long long begin = (long long)warp * waiting.chunk;
-    const long long end = begin + waiting.chunk < (long long)waiting.where.shape[0] ? begin + waiting.chunk : (long long)waiting.where.shape[0];
+    const long long all = waiting.where.shape[0], end = begin + waiting.chunk < all ? begin + waiting.chunk : all;
     auto four = [&](long long i) {
         int4 places = make_int4(IDLE, IDLE, IDLE, IDLE);
         if (i + 3 < end) return *(const int4*)(waiting.where.data + i);

@@ -154,7 +154,8 @@ class WaitingRays:
     def check(self, counts: RayCounts) -> None:
         """Every slot is in one class, and the counts agree; raises AssertionError that says what is wrong."""
         where, page_of = self._waiting.where.numpy(), self._page_of.numpy()
-        assert where.min() >= IDLE and where.max() < len(page_of), f"a ray waits for treelet {where.max()} of {len(page_of)}, or in {where.min()}"
+        known = where.min() >= IDLE and where.max() < len(page_of)
+        assert known, f"a ray waits for treelet {where.max()} of {len(page_of)}, or in {where.min()}"
         found = np.bincount(page_of[where[where >= 0]], minlength=self._classes - CLASS_PAGES)
         done, shadow = where == -1, np.arange(len(where)) >= self._shadow_first
         told = {
