@@ -43,11 +43,15 @@ rays     primary; bounceN: rays that go on from the Nth hit of a path; shadowN: 
 orders   natural (the integrator's), shuffled, sorted (by octant and Morton code, before the clock starts)
 tracers  off: RayBatch's own tree without queues; off-plain: the same tree, one ray after another a thread, without refill on
          CUDA; off-sorted: as off, and sorts its rays first; reference: Warp's tree; embree and embree-robust: Intel's
-         Embree through the package embreex, on the CPU. Default: all that can be measured here
+         Embree through the package embreex, on the CPU. Default: all of these that can be measured here.
+         on: rays wait at treelets, or with --budget for pages of geometry; auto: what RayBatch chooses. Controls beyond
+         memory: zero-copy (CUDA): off, its tree in pinned memory of the host, whole (zero-copy) and with only the triangles
+         there (zero-copy-triangles); ray-order (CPU): the pages of on, brought in as rays need them in their order
 
 Hits are compared before anything is timed; where tracers disagree, every triangle is asked in float64, and answers
 beyond the error bound of float32 are told as faults. Then tracers take turns, run by run. One CPU thread is timed by its
-own clock, several by the wall's, CUDA devices by their events. Mrays/s are medians and include the time of sorting.
+own clock, several by the wall's, CUDA devices by their events; tracers whose rays wait for pages by the wall's. Mrays/s are
+medians and include the time of sorting, queues and copies.
 """
 
 
@@ -89,6 +93,8 @@ def argument_parser() -> argparse.ArgumentParser:
     traversal.add_argument("--orders", default="natural,shuffled,sorted", metavar="ORDER[,ORDER]", help="default: %(default)s")
     traversal.add_argument("--no-counters", action="store_true", help="leave out node steps and triangle tests, which cost a compilation and a run")
     traversal.add_argument("--runs", type=int, default=5, help="timed runs (default: 5)")
+    traversal.add_argument("--budget", metavar="BYTES", default="0", help="geometry on the device at most, such as 1.5G, for on, auto and ray-order (default: all of it)")
+    traversal.add_argument("--nodes", choices=("resident", "paged"), help="with --budget: whether all nodes stay on the device (default: where they fit well)")
     traversal.add_argument("--ray-count", type=int, metavar="N", help="rays of each kind (default: 1,000,000 on the CPU, 4,000,000 on CUDA)")
     return parser
 
@@ -119,13 +125,15 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from benchmarking.scenes import SceneRequest
     from benchmarking.traversal import TraversalRequest, measure_traversal
 
+    from raybatch_addon.core.settings import parse_setting
+
     if resolution:
         raise UsageError("--set resolution has no use here: the frame has about as many pixels as there are rays (--ray-count)")
     request = TraversalRequest(
         SceneRequest(options.scene, options.grid, options.camera, options.up), options.device,
         [name.strip() for name in options.tracers.split(",") if name.strip()], parse_ray_types(options.rays),
         parse_orders(options.orders), parse_threads(options.threads), options.runs, options.ray_count,
-        not options.no_counters, changes,
+        not options.no_counters, {None: None, "resident": True, "paged": False}[options.nodes], parse_setting("geometry_budget", options.budget), changes,
     )  # fmt: skip
     report = measure_traversal(request)
     return report, traversal_text(report)

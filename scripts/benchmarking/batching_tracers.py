@@ -8,36 +8,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import warp as wp
 from rendering.request import UsageError
 
 from raybatch_addon.core.bvh.build import layout_for
 from raybatch_addon.core.bvh.memory import GeometrySize
 from raybatch_addon.core.bvh.page_build import build_paged_scene
+from raybatch_addon.core.wavefront.geometry_cache import encodes
 from raybatch_addon.core.bvh.residency import Residency
 from raybatch_addon.core.bvh.treelet_tree import cut_scene_tree
 from raybatch_addon.core.bvh.treelets import CutRule
 from raybatch_addon.core.device import free_memory, load_kernels
-from raybatch_addon.core.report.timing import NoTimer, StageTimer
+from raybatch_addon.core.report.timing import NoTimer, StageTimer, clock_of
 from raybatch_addon.core.scene.geometry import host_array
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.wavefront.batching import BatchingTracer, batching_kernels
-from raybatch_addon.core.wavefront.plan import Method, TracingPlan, plan_tracing
+from raybatch_addon.core.wavefront.plan import Memory, Method, plan_tracing
 from raybatch_addon.core.wavefront.ray_order_paging import RayOrderPager
-from raybatch_addon.core.wavefront.ray_sort import RaySorter, sort_kernel
 from raybatch_addon.core.wavefront.rays import RayKind
-from raybatch_addon.core.wavefront.stages.trace import TraceFeatures, Traversal, trace_stage
-from raybatch_addon.core.wavefront.streaming import StreamingTracer, streaming_kernels
-from raybatch_addon.core.wavefront.tracer import SlotList, Tracer
+from raybatch_addon.core.wavefront.streaming import StreamingTracer, compiled_ahead
+from raybatch_addon.core.wavefront.tracer import Tracer
 
 from .rays import CapturedRays
 from .scenes import BenchmarkScene
 from .stage_tracers import SceneTrees, StageTracer, slot_list, upload_rays
 from .timing import seconds_of
 from .tracers import Hits, MeasuredTracer, Timing, Tree
-
-NO_WORK = {"treelet_visits": None, "queued": None, "bytes_copied": None}
 
 
 class ZeroCopyTracer(StageTracer):
@@ -66,8 +62,8 @@ class Budget:
     """What of the geometry may be on the device."""
 
     bytes: int  # 0: all of it
-    store: str
     folder: Path
+    nodes: bool | None = None  # whether all nodes stay on the device; None: where they fit well
 
 
 class WaitingTracer(MeasuredTracer):
@@ -84,23 +80,22 @@ class WaitingTracer(MeasuredTracer):
     def build(self, scene: BenchmarkScene) -> Tree:
         self._scene = scene
         size = GeometrySize.of(scene.scene)
-        needed = size.needed(self._layout, self._device)
-        self.plan = plan_tracing(self._settings, size, self._layout, self._device.is_cuda, needed, free_memory(self._device))
+        memory = Memory(size.needed(self._layout, self._device), free_memory(self._device), free_memory(wp.get_device("cpu")))
+        self.plan = plan_tracing(self._settings, size, self._layout, self._device.is_cuda, memory)
         if self._in_ray_order and self.plan.method is not Method.PAGED:
             raise UsageError(f"{self.name} pages geometry that does not fit: give --budget BYTES below what the tree needs")
-        traversal = Traversal.BOXES if not self._device.is_cuda else Traversal.QUANTISED
         settings = self._settings
         if self.plan.method is Method.PAGED:
             start = time.perf_counter()
             paged = self._paged(scene)
             told = Tree(time.perf_counter() - start, paged.resident_bytes)
-            kernels = streaming_kernels(settings, traversal, False, self._device)
+            kernels = compiled_ahead(self._layout, False, settings)
         elif self.plan.method is Method.BATCHED:
             kept = self._trees.get(scene, "OFF")
             start = time.perf_counter()
             self._treelets = cut_scene_tree(kept.keep[0], self._rule(), self._device)
             told = Tree(kept.told.build_seconds + time.perf_counter() - start, kept.told.bytes)
-            kernels = batching_kernels(settings, traversal, scene.instancing, False, self._device)
+            kernels = batching_kernels(self._layout, scene.instancing, False, settings, self._device)
         else:
             self._off = StageTracer(self.name, self._trees, self._device, "OFF")
             return self._off.build(scene)
@@ -112,14 +107,14 @@ class WaitingTracer(MeasuredTracer):
         return CutRule(self.plan.treelet_size, settings.treelet_size_min, settings.top_level_depth_max, self.plan.treelet_bytes)
 
     def _paged(self, scene: BenchmarkScene) -> Any:
-        found = self._trees.paged.get(self.plan.geometry_budget)
-        if found is None:
-            paged = build_paged_scene(
-                scene.flat, scene.scene.instances.visibility, self._layout, self._device, self.plan.geometry_budget, self._budget.store,
-                self._budget.folder, self._rule(),
+        plan = self.plan
+        if self._trees.paged is None:
+            # of one budget and store: all tracers of a run share them
+            self._trees.paged = build_paged_scene(
+                scene.flat, scene.scene.instances.visibility, self._layout, self._device, plan.geometry_budget, plan.geometry_store,
+                self._budget.folder, self._rule(), nodes_resident=self._budget.nodes, encoded=encodes(self._layout),
             )  # fmt: skip
-            found = self._trees.paged[self.plan.geometry_budget] = paged
-        self._paged_scene = found
+        self._paged_scene = found = self._trees.paged
         self._residency = Residency(found, self.plan.geometry_budget, self._device)
         return found
 
@@ -184,11 +179,11 @@ class WaitingTracer(MeasuredTracer):
             "pages_loaded": after.pages_loaded - before.pages_loaded,
             "resident_peak": after.resident_peak,
         }
-        timer = StageTimer(self._device)
+        timer = StageTimer(clock_of(self._device))
         self._tracer = None
         timed = self._made(timer)
         wp.copy(self._rays.t_max, self._limits)
         self._run(timed)
-        stages = {f"{stage}_s": round(seconds, 6) for stage, seconds in timer.seconds().items() if seconds}
+        stages = {f"{stage}_s": round(seconds, 6) for stage, seconds in timer.totals().items() if seconds}
         self._tracer = self._made(NoTimer())
         return super().work() | told | {"stages": stages}

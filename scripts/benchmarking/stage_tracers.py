@@ -41,6 +41,7 @@ class SceneTrees:
     def __init__(self, device: wp.Device, settings: RenderSettings):
         self._device, self._settings = device, settings
         self._built: dict[str, BuiltScene] = {}
+        self.paged: Any = None  # what is kept beyond memory, shared by the tracers that bring it in
 
     def get(self, scene: BenchmarkScene, batching: str) -> BuiltScene:
         """The tree for the setting `batching`."""
@@ -145,7 +146,7 @@ class StageTracer(MeasuredTracer):
         found = {name: round(float(getattr(told, name).numpy().mean()), 3) for name in ("node_steps", "box_tests", "triangle_tests")}
         lanes = told.lanes.numpy().reshape(-1, 2)
         shares = {name: round(busy / there, 4) for name, (busy, there) in zip(LANE_PARTS, lanes.tolist(), strict=True) if there}
-        return found | {"lanes_active": shares if self._device.is_cuda else None}
+        return super().work() | found | {"lanes_active": shares if self._device.is_cuda else None}
 
 
 def slot_list(part: slice, device: wp.Device) -> SlotList:

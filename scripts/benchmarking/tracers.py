@@ -67,4 +67,4 @@ class MeasuredTracer(ABC):
 
     def work(self) -> dict[str, Any]:
         """What the loaded rays cost; None where the tracer does not count."""
-        return {"node_steps": None, "box_tests": None, "triangle_tests": None, "lanes_active": None}
+        return dict.fromkeys(("node_steps", "box_tests", "triangle_tests", "lanes_active", "treelet_visits", "queued", "bytes_copied", "stages"))

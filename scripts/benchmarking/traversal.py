@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import statistics
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import warp as wp
@@ -12,7 +13,9 @@ from rendering.request import UsageError
 from raybatch_addon.core.device import device_description, find_device
 from raybatch_addon.core.report.statistics import versions
 from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.kernel_cache import kernel_cache_folder
 
+from .batching_tracers import Budget, WaitingTracer, ZeroCopyTracer
 from .embree import PACKAGE, EmbreeTracer, embree_version
 from .judge import Judge, Verdict
 from .orders import ordered
@@ -24,7 +27,8 @@ from .timing import spread
 from .tracers import MeasuredTracer, Timing, Tree
 
 EMBREE = ("embree", "embree-robust")
-TRACERS = ("off", "off-plain", "off-sorted", "reference", *EMBREE)
+WAITING = ("on", "auto", "zero-copy", "zero-copy-triangles", "ray-order")
+TRACERS = ("off", "off-plain", "off-sorted", "reference", *EMBREE)  # what is measured unless said otherwise
 RAY_COUNT = {"cpu": 1_000_000, "cuda": 4_000_000}  # where --ray-count is not given
 WARM_UPS = 1  # runs before those that are timed
 
@@ -42,14 +46,20 @@ class TraversalRequest:
     runs: int
     ray_count: int | None = None
     counters: bool = True  # tell node steps and triangle tests where the tracer can
+    nodes_resident: bool | None = None  # whether all nodes stay on the device; None: where they fit well
+    budget: int = 0  # bytes of geometry on the device, for tracers that let rays wait; 0: all of it
     settings: dict[str, Any] = field(default_factory=dict)  # of the render that the rays are taken from, and of the tree
 
 
-def chosen_tracers(names: list[str], device: wp.Device, settings: RenderSettings, counts: bool) -> list[MeasuredTracer]:
+def chosen_tracers(names: list[str], device: wp.Device, settings: RenderSettings, counts: bool, budget: Budget) -> list[MeasuredTracer]:
     """The tracers called `names`, or all that can be measured on `device`; raises `UsageError`."""
     for name in names:
-        if name not in TRACERS:
-            raise UsageError(f"--tracers {name!r} is not known: choose of {', '.join(TRACERS)}")
+        if name not in TRACERS + WAITING:
+            raise UsageError(f"--tracers {name!r} is not known: choose of {', '.join(TRACERS + WAITING)}")
+        if name.startswith("zero-copy") and not device.is_cuda:
+            raise UsageError(f"{name} reads the host's memory through the bus of a CUDA device: leave it out of --tracers, or measure with --device cuda")
+        if name == "ray-order" and (device.is_cuda or not budget.bytes):
+            raise UsageError("ray-order pages geometry on the CPU: measure with --device cpu, and give --budget BYTES below what the tree needs")
         if name in EMBREE and device.is_cuda:
             raise UsageError(f"{name} runs on the CPU alone: leave it out of --tracers, or measure with --device cpu")
         if name in EMBREE and embree_version() is None:
@@ -61,11 +71,23 @@ def chosen_tracers(names: list[str], device: wp.Device, settings: RenderSettings
         "off": lambda: StageTracer("off", trees, device, "OFF", counts=counts),
         "off-plain": lambda: StageTracer("off-plain", trees, device, "OFF", plain=True, counts=counts),
         "off-sorted": lambda: StageTracer("off-sorted", trees, device, "OFF", sorts=True, counts=counts),
+        "on": lambda: WaitingTracer("on", trees, device, settings, budget),
+        "auto": lambda: WaitingTracer("auto", trees, device, settings, budget),
+        "ray-order": lambda: WaitingTracer("ray-order", trees, device, settings, budget, in_ray_order=True),
+        "zero-copy": lambda: ZeroCopyTracer("zero-copy", trees, device, triangles_only=False),
+        "zero-copy-triangles": lambda: ZeroCopyTracer("zero-copy-triangles", trees, device, triangles_only=True),
         "reference": lambda: StageTracer("reference", trees, device, "REFERENCE"),
         "embree": lambda: EmbreeTracer(robust=False),
         "embree-robust": lambda: EmbreeTracer(robust=True),
     }
+    if "zero-copy" in names:  # whole, and with the triangles alone there
+        names = [*names, "zero-copy-triangles"]
     return [makers[name]() for name in dict.fromkeys(names)]
+
+
+def page_folder() -> Path:
+    """Where files of pages are kept."""
+    return Path(kernel_cache_folder() or wp.config.kernel_cache_dir).parent / "pages"
 
 
 def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
@@ -73,7 +95,7 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
     device = find_device(request.device)
     if device.is_cuda and request.threads != [1]:
         raise UsageError("--threads is for the CPU: one thread drives a CUDA device")
-    tracers = chosen_tracers(request.tracers, device, RenderSettings().replace(**request.settings), request.counters)
+    tracers = chosen_tracers(request.tracers, device, RenderSettings().replace(**request.settings), request.counters, Budget(request.budget, page_folder(), request.nodes_resident))
     ray_count = request.ray_count or RAY_COUNT["cuda" if device.is_cuda else "cpu"]
     scene = load_benchmark_scene(request.scene, ray_count)
     steps = Steps(1 + len(tracers) + len(request.ray_types) * (1 + len(request.orders) * len(request.threads)))

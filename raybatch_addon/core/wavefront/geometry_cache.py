@@ -194,7 +194,8 @@ def _build(fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, request:
     geometry = upload_geometry(flat, scene, device, on_host=plan.method is Method.PAGED)
     if plan.method is Method.PAGED:
         paged = build_paged_scene(
-            flat, visibility, layout, device, plan.geometry_budget, plan.geometry_store, request.page_folder, request.cut_rule()
+            flat, visibility, layout, device, plan.geometry_budget, plan.geometry_store, request.page_folder, request.cut_rule(),
+            encoded=encodes(layout),
         )  # fmt: skip
         return Kept(fingerprint, geometry, PagedTree(paged, Residency(paged, plan.geometry_budget, device)))
     if plan.method is Method.REFERENCE:
@@ -202,6 +203,11 @@ def _build(fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, request:
     splits = splits_triangles(settings.spatial_splits, layout)
     built = build_scene_tree(flat, geometry, visibility, request.instancing, device, layout, splits, settings.spatial_splits == "ON")
     return Kept(fingerprint, geometry, built)
+
+
+def encodes(layout: Layout) -> bool:
+    """Whether pages are packed on their way: where the device expands them faster than the bus brings them."""
+    return layout is Layout.QUANTISED
 
 
 def _cut(kept: Kept, request: GeometryRequest, device: wp.Device) -> None:
