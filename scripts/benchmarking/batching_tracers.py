@@ -145,7 +145,7 @@ class WaitingTracer(MeasuredTracer):
         if self.plan.method is Method.UNBATCHED:
             return self._off.trace()
         wp.copy(self._rays.t_max, self._limits)  # may be where distances are written
-        self._before = self._tracer.totals()
+        self._before = dataclasses.replace(self._tracer.totals())
         if self._device.is_cuda or self.plan.method is Method.PAGED:
             wp.synchronize_device(self._device)
             start = time.perf_counter()
