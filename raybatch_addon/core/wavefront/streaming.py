@@ -103,6 +103,7 @@ class StreamingTracer:
         self._pending: deque[PendingCounts] = deque()
         self._known = RayCounts(slot_count, 0, 0, 0, np.zeros(len(paged.pages), np.int64), 0, 0)
         self._submitted = 0  # bound of rays that came in since the last step
+        self._alive = 0  # rays that are not idle at most: counts that are one step old do not know the newest
         self._new_expected = 0  # rays that are new behind the last step, as far as the host can tell
         self._zero_copy = False
         self._totals = BatchingTotals()
@@ -124,12 +125,12 @@ class StreamingTracer:
         with self._timer.stage("queue"):
             self._waiting.submit(rays)
         self._submitted += rays.bound
+        self._alive += rays.bound
         self._zero_copy = False
 
     def advance(self) -> None:
         """As `Tracer.advance`: an eighth of the rays alive is finished, or all."""
-        alive = self._slot_count - self._known.idle + self._submitted
-        goal = max(1, min(alive // _FINISHED_SHARE, self._waiting.capacity))
+        goal = max(1, min(self._alive // _FINISHED_SHARE, self._waiting.capacity))
         while True:
             worked = self._step()
             if self._known.done >= goal or self._is_over():
@@ -139,6 +140,7 @@ class StreamingTracer:
         # the device comes to rest here, copies go on
         while self._pending:
             self._read_counts()
+        self._alive = self._slot_count - self._known.idle
         self._ask(2 * self._step_pages)
 
     def take_finished(self) -> list[tuple[RayKind, SlotList]]:
@@ -149,6 +151,7 @@ class StreamingTracer:
             return []
         handed = sum(rays.bound for _, rays in lists)
         self._totals.finished += handed
+        self._alive -= handed
         closest = sum(rays.bound for shadow, rays in lists if not shadow)
         known = self._known
         self._known = RayCounts(
@@ -206,8 +209,7 @@ class StreamingTracer:
             view.begin(self._zero_copy)
         try:
             with self._timer.stage("queue"):
-                alive = self._slot_count - self._known.idle + self._submitted
-                batch = waiting.take(view.treelets.triangles, self._new_most, alive)
+                batch = waiting.take(view.treelets.triangles, self._new_most, self._alive)
             with self._timer.stage("trace"):
                 self._stage.launch(self._paged.tree, view.treelets, self._rays, self._progress, batch, self._any_first, self._trace_counts)
         finally:
