@@ -158,6 +158,8 @@ class Session:
         integrators: list[TileIntegrator] = []
         if prepared is not None:
             device_scene, modules = prepared
+            if device_scene.paged and "page_file_warning" in device_scene.paged.statistics:
+                job.warnings.append(device_scene.paged.statistics["page_file_warning"])
             integrators = self._workers(job, device_scene, state)
             counting = device_scene.tracing.counters(job.settings, job.features.passes)
             if counting:

@@ -19,7 +19,7 @@ from ..bvh.mesh_tree import mesh_parts
 from ..bvh.node import Layout
 from ..bvh.page_build import PagedScene, build_paged_scene
 from ..bvh.reference import BuiltReference, build_reference
-from ..bvh.residency import Residency
+from ..bvh.residency import Residency, staging_bytes_of
 from ..bvh.tree import Tree
 from ..bvh.treelet_tree import TreeletTree, cut_scene_tree
 from ..bvh.treelets import CutRule
@@ -102,7 +102,10 @@ class Kept:
         """Memory of the tree on the device [bytes]; 0 where it is not told."""
         if isinstance(self.built, BuiltTree):
             return int(self.built.statistics.get("bytes", 0)) + (self.treelets.bytes if self.treelets else 0)
-        return self.built.residency.pool_bytes + self.built.scene.resident_bytes if isinstance(self.built, PagedTree) else 0
+        if isinstance(self.built, PagedTree):
+            scene, pool = self.built.scene, self.built.residency
+            return scene.resident_bytes + pool.slot_count * pool.slot_bytes + staging_bytes_of(scene, pool.slot_count, pool.device)
+        return 0
 
 
 @dataclass(frozen=True)
