@@ -30,7 +30,9 @@ from .treelets import CutRule
 _BUDGET_SHARE = 8
 _PAGE_SIZES = (64 << 20, 32 << 20, 16 << 20)
 # Nodes stay on the device where they take no more than this share of the budget
-_NODES_SHARE = 0.5
+_NODES_SHARE = 0.75
+# Of the free memory of the host that pages may take once more, as the device has them
+_PLAIN_SHARE = 0.5
 # A packed triangle with its share of nodes, mostly
 _ENCODED_BYTES = 25
 
@@ -61,12 +63,20 @@ class PagedScene:
     page_node_bytes: np.ndarray  # where the triangles of each page begin, in the store and on the device, int64, shape [pages]
     page_units: np.ndarray  # triangles, or groups of them (BOXES), of each page, likewise
     encoded: bool = False  # triangles are packed, and every page must be expanded where it arrives
+    plain: HostStore | None = field(default=None, repr=False)  # pages of an encoded scene as the device has them, for rays to read there
+    plain_byte: list[int] = field(default_factory=list, repr=False)  # where each begins
     statistics: dict[str, Any] = field(default_factory=dict)
 
     @property
     def page_bytes_max(self) -> int:
         """Bytes of the largest page on the device."""
         return max((page.device_bytes for page in self.pages), default=0)
+
+    def plain_view(self, page: int) -> wp.array | None:
+        """Page number `page` in host memory as the device has it; None where there is no such copy."""
+        if self.plain is None:
+            return None
+        return self.plain.view(replace(self.pages[page], byte_first=self.plain_byte[page], byte_count=self.pages[page].device_bytes))
 
     def expand(self, page: int, source: wp.array, target: wp.array) -> None:
         """Bring page number `page` of an encoded scene from `source` to `target`, in the current stream; as `expand_page`."""
@@ -83,7 +93,7 @@ def page_size(budget: int) -> int:
 def build_paged_scene(
     flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device, budget: int, store: str = "HOST",
     folder: Path | None = None, rule: CutRule = CutRule(), nodes_resident: bool | None = None, spatial_splits: bool = False, on_device: bool | None = None,
-    encoded: bool = False,
+    encoded: bool = False, plain: bool | None = None,
 ) -> PagedScene:  # fmt: skip
     """Build `flat`, of at least one triangle, in chunks, or find what was built of it before.
 
@@ -98,6 +108,7 @@ def build_paged_scene(
         nodes_resident: whether all nodes stay on the device; None: where they fit well.
         spatial_splits, on_device: as for `MeshTrees`.
         encoded: pages hold triangles packed, to be expanded on arrival (`PagedScene.expand`); QUANTISED only.
+        plain: HOST keeps encoded pages as the device has them besides, so that rays can read them there; None: for CUDA, where memory allows.
 
     `statistics` say what was done, `page_file_warning` among them where a file could not be used.
 
@@ -113,6 +124,7 @@ def build_paged_scene(
     builder = ChunkBuilder(layout, device, rule, len(flat.triangles), treelets_max, spatial_splits, on_device)
     _check_budget(flat, layout, builder.size_max, page_bytes, budget)
     known: dict[str, Any] = {"store": store, "page_bytes": page_bytes, "encoded": encoded, "reused": False}
+    copy: HostStore | None = None
     if store == "DISK":
         tables, pages = _from_disk(flat, layout, builder, rule, Path(folder), known)
     else:
@@ -122,9 +134,17 @@ def build_paged_scene(
                 f"the scene's geometry takes about {expected / 1e9:.2f} GB, and {free / 1e9:.2f} GB of memory are free; use DISK"
             )
         pages = HostStore(pinned=device.is_cuda)
-        tables = _build(flat, layout, builder, page_bytes, encoded, pages)
+        if plain is None:
+            plain = device.is_cuda and expected + _expected_bytes(flat, layout, False) < _PLAIN_SHARE * free
+        copy = HostStore(pinned=device.is_cuda) if encoded and plain else None
+        tables, copy_byte = _build(flat, layout, builder, page_bytes, encoded, pages, copy)
     known["seconds_build"] = round(time.perf_counter() - start, 6)
-    return _assembled(flat, visibility, layout, device, budget, tables, pages, nodes_resident, known)
+    made = _assembled(flat, visibility, layout, device, budget, tables, pages, nodes_resident, known)
+    if copy:
+        # where nodes stay on the device, a page begins with its triangles
+        skipped = tables.page_device[:, 0] * made.nodes_resident
+        made.plain, made.plain_byte = copy, (np.array(copy_byte, np.int64) + skipped).tolist()
+    return made
 
 
 def _from_disk(
@@ -145,7 +165,7 @@ def _from_disk(
         known["page_file_warning"] = f"{found}: it was written anew"
     writer = PageFileWriter(folder, layout, key, _expected_bytes(flat, layout, encoded))
     try:
-        tables = _build(flat, layout, builder, page_bytes, encoded, writer)
+        tables, _ = _build(flat, layout, builder, page_bytes, encoded, writer)
         store = writer.finish(tables.index())
     except BaseException:
         writer.abandon()
@@ -155,16 +175,18 @@ def _from_disk(
 
 
 def _build(
-    flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, page_bytes: int, encoded: bool, target: HostStore | PageFileWriter
-) -> PageTables:
+    flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, page_bytes: int, encoded: bool, target: HostStore | PageFileWriter,
+    plain: HostStore | None = None,
+) -> tuple[PageTables, list[int]]:  # fmt: skip
+    """Tables of what goes to `target`, and where each page begins in `plain`."""
     none = np.zeros(0, np.int32)
-    with PageBuilder(layout, page_bytes, target, flat.positions if encoded else None) as pages:
+    with PageBuilder(layout, page_bytes, target, flat.positions if encoded else None, plain) as pages:
         for i, part in enumerate(mesh_parts(flat)):
             triangles = flat.triangles[part.triangle_first : part.triangle_first + part.triangle_count]
             for chunk in builder.build(flat.positions, triangles):
                 pages.add(chunk, instances_in(flat.merged[i], chunk.faces) if i < len(flat.merged) else none, triangles)
             pages.end_part()
-        return pages.finish()
+        return pages.finish(), pages.plain_byte
 
 
 def _key(flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, rule: CutRule, page_bytes: int, encoded: bool) -> bytes:

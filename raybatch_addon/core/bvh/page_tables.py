@@ -68,11 +68,15 @@ class PageTables:
 class PageBuilder:
     """Puts chunks into pages as they come, and pages into a store; a thread does the copying."""
 
-    def __init__(self, layout: Layout, page_bytes: int, target: HostStore | PageFileWriter, positions: np.ndarray | None):
+    def __init__(
+        self, layout: Layout, page_bytes: int, target: HostStore | PageFileWriter, positions: np.ndarray | None, plain: HostStore | None = None
+    ):  # fmt: skip
         """Pages of at most `page_bytes` on the device, but for single chunks that are larger, to `target`.
 
-        With the mesh's `positions`, float32 [v, 3], triangles are packed.
+        With the mesh's `positions`, float32 [v, 3], triangles are packed; `plain`, if given, takes pages as the device has them besides.
         """
+        self._plain = plain
+        self.plain_byte: list[int] = []  # first byte of each page in `plain`
         self._layout, self._page_bytes, self._target, self._positions = layout, page_bytes, target, positions
         self._pool = ThreadPoolExecutor(min(worker_count(wp.get_device("cpu"), 0), _AHEAD))
         self._writer = ThreadPoolExecutor(1)
@@ -177,15 +181,19 @@ class PageBuilder:
         device = [sum(block.nbytes for block in each) for each in blocks]
         units = device[1] // (4 * self._layout.triangle_words)
         if self._positions is None:
-            return *blocks, device, units
+            return *blocks, device, units, blocks
         triangles = np.concatenate(blocks[1])
         faces, ends = triangle_faces(self._layout, triangles), np.cumsum([0, *(count for count, _ in corners)])
         vertices = [mesh[faces[a:b]] for (_, mesh), a, b in zip(corners, ends[:-1], ends[1:])]
-        return blocks[0], [encode_triangles(triangles, np.concatenate(vertices), self._positions)], device, units
+        return blocks[0], [encode_triangles(triangles, np.concatenate(vertices), self._positions)], device, units, blocks
 
     def _write(self, page: Future, treelet_end: int) -> tuple:
-        nodes, triangles, device, units = page.result()
+        nodes, triangles, device, units, plain = page.result()
         blocks = (nodes, triangles)
+        if self._plain:
+            place, memory = self._plain.add(sum(padded(size) for size in device))
+            self.plain_byte.append(place)
+            _fill(memory, plain, [padded(size) for size in device])
         sizes = [padded(sum(block.nbytes for block in each)) for each in blocks]
         total = sum(sizes)
         if isinstance(self._target, HostStore):
@@ -194,15 +202,19 @@ class PageBuilder:
             if self._buffer is None or len(self._buffer) < total:
                 self._buffer = page_buffer(total).numpy()
             memory = self._buffer[:total]
-        place = 0
-        for part, size in zip(blocks, sizes):
-            start, end = place, place + size
-            for block in part:
-                memory[place : place + block.nbytes] = block.view(np.uint8).reshape(-1)
-                place += block.nbytes
-            memory[place:end] = 0
-            if not isinstance(self._target, HostStore):
-                at = self._target.add(memory[start:end])
-                first = at if start == 0 else first
-            place = end
+        _fill(memory, blocks, sizes)
+        if not isinstance(self._target, HostStore):
+            first = self._target.add(memory[: sizes[0]])
+            self._target.add(memory[sizes[0] : total])
         return treelet_end, first, first + sizes[0], *sizes, *(padded(size) for size in device), units
+
+
+def _fill(memory: np.ndarray, segments: tuple[list[np.ndarray], list[np.ndarray]], sizes: list[int]) -> None:
+    """Blocks of each segment into `memory`, uint8, and 0 up to its size [bytes]."""
+    end = 0
+    for blocks, size in zip(segments, sizes, strict=True):
+        place, end = end, end + size
+        for block in blocks:
+            memory[place : place + block.nbytes] = block.view(np.uint8).reshape(-1)
+            place += block.nbytes
+        memory[place:end] = 0
