@@ -106,8 +106,10 @@ def pixel_sample(work: TileWork, number: wp.uint32) -> PixelSample:
 
 @wp.kernel(**KERNEL_OPTIONS)
 def counted_kernel(work: TileWork, paths: Paths, bounce: wp.array(dtype=int), pixel: wp.array(dtype=int)):
-    """What counters ask for: the bounce and the pixel of every path."""
+    """What counters ask for: the bounce and the pixel of every path. A free slot's number may be of another tile, where this one has no pixel."""
     path = wp.tid()
+    if paths.status[path] == 0:
+        return
     bounce[path] = bounce_of(paths.status[path])
     pixel[path] = pixel_sample(work, paths.item[path]).pixel
 
