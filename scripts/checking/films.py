@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from raybatch_addon.core.errors import OutOfMemoryError
+from raybatch_addon.core.errors import OutOfMemoryError, SettingsError
 from raybatch_addon.core.film import Film
+from raybatch_addon.core.film.sums import WIDE_DIGITS, normalised
 from raybatch_addon.core.scene.description import Frame, Scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
@@ -21,6 +22,7 @@ from .schedules import Draws, DrawnSizes, drawn_schedule, part_to_render
 # What the engine says when a budget is too small; the number is taken at its word
 _ENOUGH = re.compile(r"(?:about |; )([\d,]+) (?:bytes )?are enough|needs ([\d,]+) at least")
 _RAISES_MOST = 8  # of a budget
+_DRAWS_MOST = 1000  # of a schedule that goes with what is fixed
 
 
 @dataclass(frozen=True)
@@ -54,10 +56,28 @@ class FilmComparer:
         placed = sum(len(mesh.triangles) for mesh in scene.meshes)
         self.sizes = DrawnSizes(triangles, TREE_BYTES_MOST[session.layout] * max(placed, 1), (x1 - x0) * (y1 - y0) * estimator.sample_count)
 
-    def compare_drawn(self, draws: Draws, fixed: dict[str, Any] | None = None) -> ComparedFilm:
-        """Render under a schedule that is drawn, but for what is `fixed`."""
-        drawn = {**drawn_schedule(draws, self.sizes), **(fixed or {})}
-        return self.compare(drawn, part_to_render(draws, self._scene.frame, self._estimator.replace(**drawn), self._turns))
+    def compare_drawn(self, draws: Draws, fixed: dict[str, Any] | None = None, keep_errors: bool = False) -> ComparedFilm:
+        """Render under a schedule that is drawn, but for what is `fixed`. With `keep_errors` what is raised counts as a difference."""
+        drawn = self._legal(draws, fixed or {})
+        frame = part_to_render(draws, self._scene.frame, self._estimator.replace(**drawn), self._turns)
+        try:
+            return self.compare(drawn, frame)
+        except Exception as error:
+            if not keep_errors:
+                raise
+            return ComparedFilm(drawn, frame.region, [f"{type(error).__name__}: {error}"])
+
+    def _legal(self, draws: Draws, fixed: dict[str, Any]) -> dict[str, Any]:
+        """What is drawn is legal, but may not go with what is fixed; raises `SettingsError` where nothing does."""
+        for left in reversed(range(_DRAWS_MOST)):
+            drawn = {**drawn_schedule(draws, self.sizes), **fixed}
+            try:
+                self._estimator.replace(**drawn)
+                break
+            except SettingsError:
+                if not (fixed and left):
+                    raise
+        return drawn
 
     def compare(self, schedule: dict[str, Any], frame: Frame | None = None) -> ComparedFilm:
         """Render under `schedule`. A budget that is too small is raised to what the message says."""
@@ -108,8 +128,6 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 def _by_pixel(film: Film) -> np.ndarray:
     """All digits of the exact sums, the wide ones (0 where there are none) behind those of the window; shape [digits, height, width, channels]."""
-    from raybatch_addon.core.film.sums import WIDE_DIGITS, normalised
-
     sums, shape = film.sums, (*film.shape, film.layout.count)
     wide = sums.wide if len(sums.wide) else np.zeros((WIDE_DIGITS, sums.window.shape[1]), np.int64)
     return np.concatenate([normalised(each).reshape(len(each), *shape) for each in (sums.window, wide)])
