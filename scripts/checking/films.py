@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import re
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from raybatch_addon.core.film import Film
 from raybatch_addon.core.film.sums import WIDE_DIGITS, normalised
 from raybatch_addon.core.scene.description import Frame, Scene
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.settings import SETTINGS, RenderSettings
 from raybatch_addon.core.wavefront.plan import TREE_BYTES_MOST
 
 from .schedules import Draws, DrawnSizes, drawn_schedule, part_to_render
@@ -60,12 +61,7 @@ class FilmComparer:
         """Render under a schedule that is drawn, but for what is `fixed`. With `keep_errors` what is raised counts as a difference."""
         drawn = self._legal(draws, fixed or {})
         frame = part_to_render(draws, self._scene.frame, self._estimator.replace(**drawn), self._turns)
-        try:
-            return self.compare(drawn, frame)
-        except Exception as error:
-            if not keep_errors:
-                raise
-            return ComparedFilm(drawn, frame.region, [f"{type(error).__name__}: {error}"])
+        return self._tried(drawn, frame) if keep_errors else self.compare(drawn, frame)
 
     def _legal(self, draws: Draws, fixed: dict[str, Any]) -> dict[str, Any]:
         """What is drawn is legal, but may not go with what is fixed; raises `SettingsError` where nothing does."""
@@ -78,6 +74,14 @@ class FilmComparer:
                 if not (fixed and left):
                     raise
         return drawn
+
+    def _tried(self, schedule: dict[str, Any], frame: Frame) -> ComparedFilm:
+        try:
+            return self.compare(schedule, frame)
+        except SettingsError:
+            raise
+        except Exception as error:
+            return ComparedFilm(schedule, frame.region, [f"{type(error).__name__}: {error}"])
 
     def compare(self, schedule: dict[str, Any], frame: Frame | None = None) -> ComparedFilm:
         """Render under `schedule`. A budget that is too small is raised to what the message says."""
@@ -95,6 +99,18 @@ class FilmComparer:
                 schedule["geometry_budget"] = enough
                 raised += 1
         return ComparedFilm(schedule, frame.region, self.faults(film), raised, film.statistics)
+
+    def simplest(self, found: ComparedFilm) -> dict[str, Any]:
+        """The settings of `found` that differ from the defaults, and cannot be left at them without that all is well."""
+        kept = {name: value for name, value in found.settings.items() if value != SETTINGS[name].default}
+        x0, y0, x1, y1 = found.region
+        frame = dataclasses.replace(self._scene.frame, border=(x0, y0, x1, y1))
+        for name in sorted(kept):
+            fewer = {other: value for other, value in kept.items() if other != name}
+            with contextlib.suppress(SettingsError):
+                if self._tried(fewer, frame).differs:
+                    kept = fewer
+        return kept
 
     def faults(self, film: Film) -> list[str]:
         """What is not as it should be in `film`, of the whole frame or a part of it; an empty list where all is well."""

@@ -102,6 +102,7 @@ def _check(
         if found.differs:
             fault = {"number": number, "differs": found.differs, "region": list(found.region), "settings": found.settings}
             if not faults:
+                fault["simplest"] = comparer.simplest(found)
                 line.show(f"{path.name}: schedule {number}: {'; '.join(found.differs)}\n{json.dumps(fault, indent=2)}", always=True)
             faults.append(fault)
             if len(faults) == FAULTS_MOST:
