@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,12 +17,14 @@ from raybatch_addon.core.film.sums import WIDE_DIGITS, normalised
 from raybatch_addon.core.scene.description import Frame, Scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import SETTINGS, RenderSettings
+from raybatch_addon.core.wavefront import batching
 from raybatch_addon.core.wavefront.plan import TREE_BYTES_MOST
 
 from .schedules import Draws, DrawnSizes, drawn_schedule, part_to_render
 
 # What the engine says when a budget is too small; the number is taken at its word
 _ENOUGH = re.compile(r"(?:about |; )([\d,]+) (?:bytes )?are enough|needs ([\d,]+) at least")
+_FEW = ("CPU_RAYS_FEW", "CPU_SWEEP_FEW", "CUDA_RAYS_FEW", "CUDA_SWEEP_FEW")
 _RAISES_MOST = 8  # of a budget
 _DRAWS_MOST = 1000  # of a schedule that goes with what is fixed
 
@@ -35,6 +38,7 @@ class ComparedFilm:
     differs: list[str]  # what is not as it should be; empty: all is well
     raised: int = 0  # times the budget was too small
     statistics: dict[str, Any] = dataclasses.field(default_factory=dict)
+    rays_few: int | None = None  # as for `FilmComparer.compare`
 
     @property
     def method(self) -> str:
@@ -61,7 +65,8 @@ class FilmComparer:
         """Render under a schedule that is drawn, but for what is `fixed`. With `keep_errors` what is raised counts as a difference."""
         drawn = self._legal(draws, fixed or {})
         frame = part_to_render(draws, self._scene.frame, self._estimator.replace(**drawn), self._turns)
-        return self._tried(drawn, frame) if keep_errors else self.compare(drawn, frame)
+        few = draws.pick((None, 0))
+        return self._tried(drawn, frame, few) if keep_errors else self.compare(drawn, frame, few)
 
     def _legal(self, draws: Draws, fixed: dict[str, Any]) -> dict[str, Any]:
         """What is drawn is legal, but may not go with what is fixed; raises `SettingsError` where nothing does."""
@@ -75,30 +80,32 @@ class FilmComparer:
                     raise
         return drawn
 
-    def _tried(self, schedule: dict[str, Any], frame: Frame) -> ComparedFilm:
+    def _tried(self, schedule: dict[str, Any], frame: Frame, rays_few: int | None) -> ComparedFilm:
         try:
-            return self.compare(schedule, frame)
+            return self.compare(schedule, frame, rays_few)
         except SettingsError:
             raise
         except Exception as error:
-            return ComparedFilm(schedule, frame.region, [f"{type(error).__name__}: {error}"])
+            return ComparedFilm(schedule, frame.region, [f"{type(error).__name__}: {error}"], rays_few=rays_few)
 
-    def compare(self, schedule: dict[str, Any], frame: Frame | None = None) -> ComparedFilm:
-        """Render under `schedule`. A budget that is too small is raised to what the message says."""
+    def compare(self, schedule: dict[str, Any], frame: Frame | None = None, rays_few: int | None = None) -> ComparedFilm:
+        """Render under `schedule`. A budget that is too small is raised to what the message says. `rays_few`: with fewer rays in every
+        bucket they go on unbatched; None: as it is outside of checks, where that is most of a small film."""
         schedule, frame, raised = dict(schedule), frame or self._scene.frame, 0
         scene = dataclasses.replace(self._scene, frame=frame)
         while True:
             try:
-                film = self._session.render(scene, self._estimator.replace(**schedule))
+                with _few(rays_few):
+                    film = self._session.render(scene, self._estimator.replace(**schedule))
                 break
             except OutOfMemoryError as error:
                 found = _ENOUGH.search(str(error))
                 enough = int(next(filter(None, found.groups())).replace(",", "")) if found else 0
                 if raised == _RAISES_MOST or enough <= schedule.get("geometry_budget", 0):
-                    return ComparedFilm(schedule, frame.region, [f"refused: {error}"], raised)
+                    return ComparedFilm(schedule, frame.region, [f"refused: {error}"], raised, rays_few=rays_few)
                 schedule["geometry_budget"] = enough
                 raised += 1
-        return ComparedFilm(schedule, frame.region, self.faults(film), raised, film.statistics)
+        return ComparedFilm(schedule, frame.region, self.faults(film), raised, film.statistics, rays_few)
 
     def simplest(self, found: ComparedFilm) -> dict[str, Any]:
         """The settings of `found` that differ from the defaults, and cannot be left at them without that all is well."""
@@ -108,7 +115,7 @@ class FilmComparer:
         for name in sorted(kept):
             fewer = {other: value for other, value in kept.items() if other != name}
             with contextlib.suppress(SettingsError):
-                if self._tried(fewer, frame).differs:
+                if self._tried(fewer, frame, found.rays_few).differs:
                     kept = fewer
         return kept
 
@@ -136,6 +143,18 @@ class FilmComparer:
         if waited and not waited["rays"] == waited["finished"] == rays:
             faults.append(f"of {rays:,} rays {waited['rays']:,} were taken in, and {waited['finished']:,} finished")
         return faults
+
+
+@contextlib.contextmanager
+def _few(rays: int | None) -> Iterator[None]:
+    kept = {name: getattr(batching, name) for name in _FEW}
+    try:
+        for name, value in kept.items():
+            setattr(batching, name, value if rays is None else rays)
+        yield
+    finally:
+        for name, value in kept.items():
+            setattr(batching, name, value)
 
 
 def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:

@@ -100,7 +100,7 @@ def _check(
         methods[found.method] += 1
         rays += found.statistics.get("rays", {}).get("total", 0)
         if found.differs:
-            fault = {"number": number, "differs": found.differs, "region": list(found.region), "settings": found.settings}
+            fault = {"number": number, "differs": found.differs, "region": list(found.region), "rays_few": found.rays_few, "settings": found.settings}
             if not faults:
                 fault["simplest"] = comparer.simplest(found)
                 line.show(f"{path.name}: schedule {number}: {'; '.join(found.differs)}\n{json.dumps(fault, indent=2)}", always=True)
