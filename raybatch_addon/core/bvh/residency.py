@@ -144,6 +144,11 @@ class Residency:
         """Whether launches can read pages where they lie in pinned memory."""
         return bool(self.device.is_cuda and self.scene.pages and self._plain(0) is not None)
 
+    @property
+    def has_failed(self) -> bool:
+        """Whether a page could not be brought in: from then on every launch raises what befell it."""
+        return self._error is not None
+
     def view(self) -> ResidencyView:
         """A worker's window to the pages; to be closed."""
         return ResidencyView(self)

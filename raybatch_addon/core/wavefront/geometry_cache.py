@@ -178,6 +178,8 @@ def _follow(last: Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Sc
     start = time.perf_counter()
     before, last.fingerprint = last.fingerprint, fingerprint
     own = isinstance(last.built, BuiltTree)
+    if isinstance(last.built, PagedTree) and last.built.residency.has_failed:
+        return False  # its file is no good; a new one may be
     if fingerprint != before:
         if not own or fingerprint.topology != before.topology:
             return False
