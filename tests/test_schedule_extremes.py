@@ -104,6 +104,15 @@ def test_few_lanes(comparer, change, paged):
     assert not comparer.compare({**CHECKED, **change, **more}, part(schedule_scenes.frame(), 8, 6)).differs
 
 
+@pytest.mark.parametrize("order", ["FRAME_FIRST", "PIXEL_FIRST"])
+@pytest.mark.parametrize("tile_size", [5, 7, 24])
+def test_counters_pass_over_paths_of_other_tiles(comparer, tile_size, order):
+    """Slots of which a smaller tile has no pixel: what is free is left alone."""
+    drawn = dict(counters="ON", thread_count=1, tile_size=tile_size, sample_order=order, ray_count=92)
+    assert not comparer.compare(drawn).differs
+    assert not comparer.compare({**CHECKED, **drawn, "ray_sort": "ON", "ray_low_water": 0.3, "ray_high_water": 0.65}).differs
+
+
 # --- stopped and gone on
 
 
