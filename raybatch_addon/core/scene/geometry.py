@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,8 @@ mat34 = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
 class Geometry:
     """Device arrays of `FlatGeometry`."""
 
-    positions: wp.array(dtype=wp.vec3)  # [m], shape [vertex_count]
-    triangles: wp.array(dtype=wp.vec3i)  # indices into `positions`, shape [triangle_count]
+    positions: wp.array(dtype=wp.vec3)  # [m], shape [vertex_count], or the corners of every triangle, shape [3 * triangle_count]
+    triangles: wp.array(dtype=wp.vec3i)  # indices into `positions`, shape [triangle_count]; no entries where there are the corners
     mesh_triangle_first: wp.array(dtype=int)  # shape [mesh_count + 1]
     instance_mesh: wp.array(dtype=int)  # shape [instance_count]
     instance_transform: wp.array(dtype=mat34)  # object to world, shape [instance_count]
@@ -50,9 +51,17 @@ def transform_vector(m: mat34, d: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def corners_of(geometry: Geometry, triangle: int) -> wp.vec3i:
+    """Where the corners of `triangle` are in `positions`."""
+    if geometry.triangles.shape[0] == 0:
+        return wp.vec3i(3 * triangle, 3 * triangle + 1, 3 * triangle + 2)
+    return geometry.triangles[triangle]
+
+
+@wp.func
 def triangle_vertices(geometry: Geometry, instance: int, primitive: int) -> tuple[wp.vec3, wp.vec3, wp.vec3]:
     """World-space corners [m] of triangle `primitive` of the mesh that `instance` places."""
-    triangle = geometry.triangles[geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive]
+    triangle = corners_of(geometry, geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive)
     matrix = geometry.instance_transform[instance]
     a = transform_point(matrix, geometry.positions[triangle[0]])
     b = transform_point(matrix, geometry.positions[triangle[1]])
@@ -61,10 +70,16 @@ def triangle_vertices(geometry: Geometry, instance: int, primitive: int) -> tupl
 
 
 def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device, on_host: bool = False) -> Geometry:
-    """`flat`, the geometry of `scene`, on `device`; with `on_host` arrays that grow with the triangles stay in pinned memory of the host,
-    where a CUDA device reads them through the bus."""
+    """`flat`, the geometry of `scene`, on `device`.
+
+    With `on_host` arrays that grow with the triangles stay in host memory, pinned for a CUDA device, which reads them through the bus: there
+    the corners of a triangle lie together, so that it takes two reads instead of five.
+    """
     geometry = Geometry()
     triangles = [("triangles", flat.triangles, wp.vec3i)]
+    if on_host:
+        triangles = [("triangles", flat.triangles[:0], wp.vec3i)]
+        flat = replace(flat, positions=flat.positions[flat.triangles.ravel()])
     per_mesh = [("mesh_triangle_first", flat.mesh_triangle_first, int), ("instance_mesh", flat.instance_mesh, int)]
     for name, values, dtype in triangles + per_mesh + _what_moves(flat, scene):
         stays = on_host and device.is_cuda and name in _BY_TRIANGLE

@@ -196,7 +196,7 @@ def _follow(last: Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Sc
 
 def _build(fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept:
     plan, settings, layout, visibility = request.plan, request.settings, request.layout, scene.instances.visibility
-    geometry = upload_geometry(flat, scene, device, on_host=plan.method is Method.PAGED)
+    geometry = upload_geometry(flat, scene, device, on_host=plan.method is Method.PAGED and device.is_cuda)
     if plan.method is Method.PAGED:
         paged = build_paged_scene(
             flat, visibility, layout, device, plan.geometry_budget, plan.geometry_store, request.page_folder, request.cut_rule(),

@@ -1,0 +1,37 @@
+"""Geometry whose triangles hold their corners, as it lies in host memory, is shaded to the same bits."""
+
+import numpy as np
+import scenes
+
+from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.wavefront import geometry_cache
+
+
+def test_corners_instead_of_indices_change_no_film(session, monkeypatch):
+    settings = RenderSettings(sample_count=2, bounce_max=4)
+    frame = scenes.Frame(24, 18, passes=("Combined", "Normal", "Position", "Depth"))
+    expected = session.render(scenes.mixed(frame), settings).passes
+    session.close()
+    upload, seen = geometry_cache.upload_geometry, []
+
+    def upload_corners(flat, scene, device, on_host=False):
+        geometry = upload(flat, scene, device, on_host=True)
+        seen.append((geometry.triangles.size, geometry.positions.size - 3 * len(flat.triangles)))
+        # trees are built from indices
+        built = upload(flat, scene, device)
+        built.shaded = geometry
+        return built
+
+    monkeypatch.setattr(geometry_cache, "upload_geometry", upload_corners)
+    get = geometry_cache.GeometryCache.get
+
+    def get_corners(self, scene, request, device):
+        kept = get(self, scene, request, device)
+        kept.geometry = kept.geometry.shaded
+        return kept
+
+    monkeypatch.setattr(geometry_cache.GeometryCache, "get", get_corners)
+    film = session.render(scenes.mixed(frame), settings)
+    assert seen == [(0, 0)]
+    for name, values in expected.items():
+        assert np.array_equal(film.passes[name].view(np.int32), values.view(np.int32)), name
