@@ -12,22 +12,20 @@ def test_corners_instead_of_indices_change_no_film(session, monkeypatch):
     frame = scenes.Frame(24, 18, passes=("Combined", "Normal", "Position", "Depth"))
     expected = session.render(scenes.mixed(frame), settings).passes
     session.close()
-    upload, seen = geometry_cache.upload_geometry, []
+    upload, seen, corners = geometry_cache.upload_geometry, [], []
 
     def upload_corners(flat, scene, device, on_host=False):
         geometry = upload(flat, scene, device, on_host=True)
         seen.append((geometry.triangles.size, geometry.positions.size - 3 * len(flat.triangles)))
-        # trees are built from indices
-        built = upload(flat, scene, device)
-        built.shaded = geometry
-        return built
+        corners.append(geometry)
+        return upload(flat, scene, device)  # trees are built from indices
 
     monkeypatch.setattr(geometry_cache, "upload_geometry", upload_corners)
     get = geometry_cache.GeometryCache.get
 
     def get_corners(self, scene, request, device):
         kept = get(self, scene, request, device)
-        kept.geometry = kept.geometry.shaded
+        kept.geometry = corners[-1]
         return kept
 
     monkeypatch.setattr(geometry_cache.GeometryCache, "get", get_corners)
