@@ -32,7 +32,7 @@ def closed_scene() -> Scene:
             *((sheet, scenes.translation(0.3 * z, 0, z), veil) for z in (0.9, 1.4, 1.9)),
             (scenes.plane("lamp", 1), scenes.translation(0, 0, 2.7), scenes.emitter(8.0)),
         ],
-        view=scenes.camera(eye=(0, -2.8, 0.2), half_width=0.8, aspect=4 / 3), frame=frame(), lights=[scenes.area_light(4.0, 0.6, scenes.translation(1, 1, 2.8))],
+        view=scenes.camera(eye=(0, -2.8, 0.2), half_width=0.8, aspect=4 / 3), frame=frame(12, 9), lights=[scenes.area_light(4.0, 0.6, scenes.translation(1, 1, 2.8))],
     )  # fmt: skip
 
 
