@@ -39,10 +39,14 @@ def argument_parser() -> argparse.ArgumentParser:
     parser.add_argument("--size", type=int, default=64, metavar="PIXELS", help="the frame's longer side (default: %(default)s)")
     parser.add_argument("--samples", type=int, default=2, metavar="N", help="per pixel (default: %(default)s)")
     parser.add_argument("--bounces", type=int, metavar="N", help="instead of the scene's own")
-    parser.add_argument("--turns", type=int, default=24, metavar="N", help="waves of paths of a film at most, by a smaller part of the frame (default: %(default)s)")
+    parser.add_argument(
+        "--turns", type=int, default=24, metavar="N", help="waves of paths of a film at most, by a smaller part of the frame (default: %(default)s)"
+    )
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting that is not drawn")
     parser.add_argument("--kernel-cache", metavar="FOLDER", help="where compiled kernels are kept")
-    parser.add_argument("--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there")
+    parser.add_argument(
+        "--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there"
+    )
     parser.add_argument("--verbose", action="store_true", help="pass on what Warp prints, to standard error")
     return parser
 

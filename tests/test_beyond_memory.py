@@ -21,8 +21,7 @@ from raybatch_addon.core.settings import RenderSettings
 
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2)
 CHECKED = dict(batching="ON", debug_checks="ON")
-BUDGET = 13_000
-DISK = dict(CHECKED, geometry_budget=BUDGET, geometry_store="DISK")
+DISK = dict(CHECKED, geometry_store="DISK")
 
 
 @pytest.fixture
@@ -47,7 +46,9 @@ def plain(device):
 
 
 def render(session, name="mixed", **change):
-    return session.render(schedule_scenes.SCENES[name](), ESTIMATOR.replace(**{**DISK, **change}))
+    """Little more than one page is on the device."""
+    budget = schedule_scenes.least_budget(session.device.alias, name) + 500
+    return session.render(schedule_scenes.SCENES[name](), ESTIMATOR.replace(**{**DISK, "geometry_budget": budget, **change}))
 
 
 def the_file(pages: Path) -> Path:
@@ -215,8 +216,7 @@ def test_a_file_that_is_deleted_under_a_session(session, pages, plain):
     render(session)
     shutil.rmtree(pages)
     assert not plain["mixed"].faults(render(session))
-    film = session.render(schedule_scenes.SCENES["open"](), ESTIMATOR.replace(**DISK))
-    assert not plain["open"].faults(film)
+    assert not plain["open"].faults(render(session, "open"))
 
 
 # --- nowhere to write
@@ -240,7 +240,7 @@ def test_a_folder_that_may_not_be_written(session, pages, plain, monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(page_file, "open", refuses, raising=False)
-        with pytest.raises(PageFileError, match=r"cannot be kept in .*pages \(Permission denied\); make it writable, choose another folder, or HOST memory"):
+        with pytest.raises(PageFileError, match=r"cannot be kept in .*pages \(Permission denied\); make it writable, .* HOST memory"):
             render(session)
     assert not list(pages.iterdir())
     assert not plain["mixed"].faults(render(session))
@@ -296,8 +296,9 @@ def test_a_disk_that_fills_up_while_it_is_written(session, pages, plain, monkeyp
 
 
 @pytest.mark.parametrize("store", ["HOST", "DISK"])
-@pytest.mark.parametrize("budget", [1, 100, 5000, 12_000])
-def test_a_budget_smaller_than_what_must_stay_is_refused_and_the_message_says_what_is_enough(session, pages, plain, budget, store):
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.4, 0.999])
+def test_a_budget_smaller_than_what_must_stay_is_refused_and_the_message_says_what_is_enough(session, plain, share, store):
+    budget = max(1, int(share * schedule_scenes.least_budget(session.device.alias)))
     with pytest.raises(OutOfMemoryError, match=r"budget of [\d,]+ bytes is too small.*enough"):
         render(session, geometry_budget=budget, geometry_store=store)
     assert not plain["mixed"].compare(dict(DISK, geometry_budget=budget, geometry_store=store)).differs
@@ -324,6 +325,8 @@ def test_a_frame_that_moves_is_built_anew(session, plain):
     transform[1, :, 3] += 0.3
     moved = dataclasses.replace(moved, instances=dataclasses.replace(moved.instances, transform=transform))
     expected = session.render(moved, ESTIMATOR.replace(batching="OFF"))
-    film = session.render(moved, ESTIMATOR.replace(**DISK))
+    budget = film.statistics["settings"]["geometry_budget"] * 2
+    film = session.render(moved, ESTIMATOR.replace(**DISK, geometry_budget=budget))
+    assert "pages" in film.statistics["tree"]
     assert all(np.array_equal(film.passes[name], values) for name, values in expected.passes.items())
     assert not all(np.array_equal(film.passes[name], values) for name, values in plain["mixed"].plain.passes.items())

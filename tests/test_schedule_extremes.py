@@ -6,6 +6,7 @@ import pytest
 import scenes
 import schedule_scenes
 from checking.films import FilmComparer
+from under_test import DEVICE
 
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.scene.description import Frame
@@ -15,7 +16,6 @@ from raybatch_addon.core.wavefront import integrator
 
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2)
 CHECKED = dict(batching="ON", debug_checks="ON")
-BUDGET = 13_000  # of the mixed scene: most of its pages wait elsewhere
 STORAGES = ("INDIRECT", "DIRECT")
 SELECTIONS = ("MOST_FULL", "NEXT", "RANDOM", "ALL")
 
@@ -32,6 +32,15 @@ def comparer(session):
     return FilmComparer(session, schedule_scenes.mixed_scene(), ESTIMATOR, 24)
 
 
+def paged_settings() -> dict:
+    """Most pages of the mixed scene wait elsewhere."""
+    return dict(geometry_budget=schedule_scenes.least_budget(DEVICE) + 1000)
+
+
+def settings_of(way: str) -> dict:
+    return {**WAYS[way], **(paged_settings() if way == "paged" else {})}
+
+
 def part(frame: Frame, width: int, height: int) -> Frame:
     """The middle of `frame`."""
     x, y = (frame.width - width) // 2, (frame.height - height) // 2
@@ -42,9 +51,12 @@ SMALL = part(schedule_scenes.frame(), 4, 3)
 
 
 @pytest.mark.parametrize("paged", [False, True], ids=["batched", "paged"])
-@pytest.mark.parametrize("change", [dict(ray_count=1), dict(ray_count=1, thread_count=4), dict(ray_count=2, ray_low_water=0.0, ray_high_water=0.0), dict(tile_size=1)], ids=str)
+@pytest.mark.parametrize(
+    "change",
+    [dict(ray_count=1), dict(ray_count=1, thread_count=4), dict(ray_count=2, ray_low_water=0.0, ray_high_water=0.0), dict(tile_size=1)], ids=str,
+)  # fmt: skip
 def test_one_ray_at_a_time(comparer, change, paged):
-    more = dict(geometry_budget=BUDGET) if paged else {}
+    more = paged_settings() if paged else {}
     assert not comparer.compare({**CHECKED, **change, **more}, SMALL).differs
 
 
@@ -86,7 +98,11 @@ def fine(session):
 
 
 @pytest.mark.parametrize(
-    "more", [dict(), dict(queue_count=64, queue_size=1), dict(bucket_selection="NEXT", ray_count=300), dict(bucket_selection="ALL"), dict(bucket_wait_max=3)],
+    "more",
+    [
+        dict(), dict(queue_count=64, queue_size=1), dict(bucket_selection="NEXT", ray_count=300), dict(bucket_selection="ALL"),
+        dict(bucket_wait_max=3),
+    ],
     ids=str,
 )  # fmt: skip
 def test_ten_thousand_buckets(fine, more):
@@ -100,7 +116,7 @@ def test_ten_thousand_buckets(fine, more):
     "change", [dict(single_lane="ON"), dict(warp_count=1), dict(single_lane="ON", warp_count=1, ray_count=40), dict(warp_count=500)], ids=str
 )  # fmt: skip
 def test_few_lanes(comparer, change, paged):
-    more = dict(geometry_budget=BUDGET) if paged else {}
+    more = paged_settings() if paged else {}
     assert not comparer.compare({**CHECKED, **change, **more}, part(schedule_scenes.frame(), 8, 6)).differs
 
 
@@ -131,7 +147,7 @@ class Stop:
 
 WAYS = {
     "batched": dict(CHECKED), "few blocks": dict(CHECKED, queue_size=2, queue_count=3, bucket_selection="NEXT"),
-    "by value": dict(CHECKED, ray_storage="DIRECT", bucket_selection="ALL"), "paged": dict(CHECKED, geometry_budget=BUDGET),
+    "by value": dict(CHECKED, ray_storage="DIRECT", bucket_selection="ALL"), "paged": dict(CHECKED),
 }  # fmt: skip
 
 
@@ -145,7 +161,7 @@ def rays_of(film) -> tuple[int, int, int]:
 def test_stopped_between_tiles_and_resumed(session, comparer, way, monkeypatch):
     """Paths under way are brought to their end, however long that takes; each film counts the rays of its own part."""
     monkeypatch.setattr(integrator, "DRAIN_SECONDS", 1e9)
-    slow = ESTIMATOR.replace(tile_size=6, thread_count=1, ray_count=20, **WAYS[way])
+    slow = ESTIMATOR.replace(tile_size=6, thread_count=1, ray_count=20, **settings_of(way))
     film, parts = None, []
     while film is None or not film.complete:
         stop = Stop(tiles=2)
@@ -175,7 +191,7 @@ def stop_in_a_tile(monkeypatch, after: int):
 
 @pytest.mark.parametrize("way", WAYS)
 def test_stopped_in_the_middle_of_a_tile_and_resumed(session, comparer, way):
-    slow = ESTIMATOR.replace(tile_size=16, thread_count=1, ray_count=30, **WAYS[way])
+    slow = ESTIMATOR.replace(tile_size=16, thread_count=1, ray_count=30, **settings_of(way))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(integrator, "DRAIN_SECONDS", 1e9)
         stop_in_a_tile(patch, 6)
@@ -190,9 +206,9 @@ def test_stopped_in_the_middle_of_a_tile_and_resumed(session, comparer, way):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_rays_that_are_given_up_are_told_and_the_next_render_is_whole(session, comparer, way, monkeypatch):
+def test_rays_that_are_given_up_are_told_and_the_next_render_is_whole(session, comparer, way):
     """Where rays take too long to come to their end they are left; the film cannot be resumed then, and says so."""
-    slow = ESTIMATOR.replace(tile_size=16, thread_count=1, ray_count=30, **WAYS[way])
+    slow = ESTIMATOR.replace(tile_size=16, thread_count=1, ray_count=30, **settings_of(way))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(integrator, "DRAIN_SECONDS", 0.0)
         stop_in_a_tile(patch, 6)
@@ -201,4 +217,4 @@ def test_rays_that_are_given_up_are_told_and_the_next_render_is_whole(session, c
     assert not film.complete and traced >= taken >= finished > 0
     with pytest.raises(RayBatchError, match="render it again"):
         session.render(schedule_scenes.mixed_scene(), slow, resume=film)
-    assert not comparer.compare({**WAYS[way], "tile_size": 16, "thread_count": 1, "ray_count": 30}).differs
+    assert not comparer.compare({**settings_of(way), "tile_size": 16, "thread_count": 1, "ray_count": 30}).differs

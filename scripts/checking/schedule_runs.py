@@ -142,12 +142,15 @@ def _fixed(texts: tuple[str, ...]) -> dict[str, Any]:
     return fixed
 
 
+def _figures(scene: dict[str, Any]) -> list[int]:
+    methods = [scene["methods"].get(method, 0) for method in ("unbatched", "batched", "paged")]
+    return [scene["triangles"], scene["compared"], *methods, scene["budgets_raised"], scene["rays"], len(scene["faults"])]
+
+
 def report_text(report: dict[str, Any]) -> str:
     """The report as a person reads it."""
     rows = [
-        [each["scene"], "", *(f"{n:,}" for n in (each["triangles"], each["compared"], *(each["methods"].get(m, 0) for m in ("unbatched", "batched", "paged")),
-         each["budgets_raised"], each["rays"], len(each["faults"]))), f"{each['seconds']:.0f}"]
-        for each in report["scenes"]
+        [each["scene"], "", *(f"{number:,}" for number in _figures(each)), f"{each['seconds']:.0f}"] for each in report["scenes"]
     ]  # fmt: skip
     head = ["scene", "", "triangles", "schedules", "unbatched", "batched", "paged", "budget raised", "rays", "faults", "seconds"]
     return f"{report['device']['name']}: {report['compared']:,} schedules, {report['faults']:,} faults\n" + table(head, rows)
