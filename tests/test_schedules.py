@@ -17,8 +17,8 @@ from raybatch_addon.core.settings import SETTINGS, RenderSettings
 
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2, clamp_indirect=3.0)
 SIZES = DrawnSizes(triangles=5000, tree_bytes=400_000, paths=3000)
-EXAMPLES = 80  # of each scene
-TURNS = 24
+EXAMPLES = 60  # of each scene
+TURNS = 16
 
 
 @pytest.fixture(scope="module")
