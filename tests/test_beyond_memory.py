@@ -5,19 +5,26 @@ import errno
 import os
 import shutil
 import struct
+import time
 import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 import schedule_scenes
+import warp as wp
 from checking.films import FilmComparer
 
 from raybatch_addon.core.bvh import page_file
+from raybatch_addon.core.bvh.build import layout_for
+from raybatch_addon.core.bvh.page_build import build_paged_scene
 from raybatch_addon.core.bvh.page_store import PAGE_ALIGNMENT, PageFileError
+from raybatch_addon.core.bvh.residency import Residency
 from raybatch_addon.core.errors import OutOfMemoryError
+from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.wavefront.geometry_cache import encodes
 
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2)
 CHECKED = dict(batching="ON", debug_checks="ON")
@@ -330,3 +337,34 @@ def test_a_frame_that_moves_is_built_anew(session, plain):
     assert "pages" in film.statistics["tree"]
     assert all(np.array_equal(film.passes[name], values) for name, values in expected.passes.items())
     assert not all(np.array_equal(film.passes[name], values) for name, values in plain["mixed"].plain.passes.items())
+
+
+def test_a_page_that_a_launch_sees_is_not_overwritten(device):
+    """It leaves, but its slot is filled with another page when the launch is over."""
+    scene, on = schedule_scenes.mixed_scene(), wp.get_device(device)
+    layout = layout_for(on)
+    flat, visibility = flatten(scene), scene.instances.visibility
+    budget = schedule_scenes.least_budget(device)
+    paged = build_paged_scene(flat, visibility, layout, on, budget, encoded=encodes(layout))
+    residency = Residency(paged, budget, on)
+    assert residency.slot_count == 1
+    view = residency.view()
+
+    def bring(page: int, victims: list[int]) -> None:
+        assert residency.ask(lambda facts, most: [page], lambda facts, most: victims, 1, view.counts) == [page]
+
+    def arrives(page: int, seconds: float) -> bool:
+        end = time.perf_counter() + seconds
+        while not residency.there()[page] and time.perf_counter() < end:
+            time.sleep(0.01)
+        return bool(residency.there()[page])
+
+    bring(0, [])
+    assert arrives(0, 30)
+    view.begin()
+    bring(1, [0])
+    assert not residency.there()[0] and not arrives(1, 0.3)
+    view.end()
+    assert arrives(1, 30) and not residency.there()[0]
+    view.close()
+    residency.close()
