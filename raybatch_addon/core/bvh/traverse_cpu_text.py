@@ -295,7 +295,7 @@ _ENTER_TEXT = """\
             ray.waiting[ray.top] = ~(code + 7);  // one further, one less
             ray.distance[ray.top++] = 0.0f;  // an only child was never given one
         }
-        if (!(tree.entry_visibility.data[entry] & visibility.data[ray.slot])) return false;
+        if (visibility.shape[0] != 0 && !(tree.entry_visibility.data[entry] & visibility.data[ray.slot])) return false;
         if (!set_entry(ray, entry)) { to_top(ray); return false; }
         ray.waiting[ray.top] = LEAVE;
         ray.distance[ray.top++] = __builtin_nanf("");

@@ -86,7 +86,7 @@ LOOP_TEXT = """
             for (; entry != stopped_in && (code & 7); entry = tree.top_entry.data[code >> 3]) code += 7;  // one further, one less
         }
         if (code & 7) push(ray, ~(code + 7), 0.0f);
-        if (!known && !(tree.entry_visibility.data[entry] & visibility.data[ray.slot])) {
+        if (!known && visibility.shape[0] != 0 && !(tree.entry_visibility.data[entry] & visibility.data[ray.slot])) {
             go_on(ray);
             return true;
         }

@@ -238,7 +238,7 @@ _BEGIN_TEXT = """
         const unsigned bit = highest_bit(leaf.y);
         leaf.y ^= 1u << bit;
         const int e = tree.top_entry.data[leaf.x + bit];
-        if ((tree.entry_visibility.data[e] & visibility.data[slot]) == 0) return;
+        if (visibility.shape[0] != 0 && (tree.entry_visibility.data[e] & visibility.data[slot]) == 0) return;
         if (is_nodes(inner)) stack[depth++] = inner;
         if (leaf.y) stack[depth++] = leaf;
         inner.y = leaf.y = 0u;

@@ -181,7 +181,7 @@ VISIT_STEP_TEXT = """
         const unsigned bit = highest_bit(leaf.y);
         leaf.y ^= 1u << bit;
         const int e = tree.top_entry.data[leaf.x + bit];
-        if ((tree.entry_visibility.data[e] & visibility.data[slot]) == 0) return;
+        if (visibility.shape[0] != 0 && (tree.entry_visibility.data[e] & visibility.data[slot]) == 0) return;
         go_into(e, bit);
     };
     // to the node of `bit` of the group in hand

@@ -69,7 +69,7 @@ class TileIntegrator:
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, features, device)
         tracing = scene.tracing
-        needs = RayNeeds.of(dataclasses.replace(features, instancing=tracing.instancing), tracing.method is Method.REFERENCE)
+        needs = RayNeeds.of(features, tracing.method is Method.REFERENCE)
         self._rays = allocate_rays(count, device, dataclasses.replace(needs, shadow_rays=scene.shadow_rays))
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = PathLists(count, device)

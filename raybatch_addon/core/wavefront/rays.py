@@ -51,7 +51,7 @@ class Rays:
     origin: wp.array(dtype=wp.vec3)  # [m]
     direction: wp.array(dtype=wp.vec3)  # unit length in world space
     t_max: wp.array(dtype=float)  # only hits nearer than this count [m]
-    visibility: wp.array(dtype=int)  # `Visibility` bit of the ray: objects without it are passed. May have no entries
+    visibility: wp.array(dtype=int)  # `Visibility` bit of the ray: objects without it are passed. No entries: all is seen
     hit_t: wp.array(dtype=float)  # distance of the hit, or `t_max` [m]. May be the same memory as `t_max`
     hit_instance: wp.array(dtype=int)  # -1: nothing was hit. Of occlusion rays only this is set, and only its sign counts
     hit_primitive: wp.array(dtype=int)  # triangle of the instance's mesh. Has entries for closest hits alone, like `hit_uv`

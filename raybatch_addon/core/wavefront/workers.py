@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -83,6 +82,6 @@ def make_workers(scene: DeviceScene, frame: Frame, settings: RenderSettings, are
 
 def path_bytes(scene: DeviceScene, frame: Frame, settings: RenderSettings, path_count: int) -> int:
     """Device memory of one of `path_count` paths alive, with all that its tracer and counters keep of it [bytes]."""
-    features, tracing = dataclasses.replace(scene.features, instancing=scene.tracing.instancing), scene.tracing
+    features, tracing = scene.features, scene.tracing
     size = bytes_per_path(features, tracing.method is Method.REFERENCE) + tracer_bytes_per_path(scene, settings, path_count)
     return size + counter_bytes_per_path(tracing.counters(settings, frame.passes), features.shadow_rays)
