@@ -18,9 +18,8 @@ mat34 = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
 class Geometry:
     """Device arrays of `FlatGeometry`."""
 
-    positions: wp.array(dtype=wp.vec3)  # [m], shape [vertex_count]; no entries where there are `corners`
-    triangles: wp.array(dtype=wp.vec3i)  # indices into `positions`, shape [triangle_count]; likewise
-    corners: wp.array(dtype=wp.vec4)  # of every triangle [m], the fourth unused, shape [3 * triangle_count]; or no entries
+    positions: wp.array(dtype=wp.vec3)  # [m], shape [vertex_count], or the corners of every triangle, shape [3 * triangle_count]
+    triangles: wp.array(dtype=wp.vec3i)  # indices into `positions`, shape [triangle_count]; no entries where there are the corners
     mesh_triangle_first: wp.array(dtype=int)  # shape [mesh_count + 1]
     instance_mesh: wp.array(dtype=int)  # shape [instance_count]
     instance_transform: wp.array(dtype=mat34)  # object to world, shape [instance_count]
@@ -51,46 +50,22 @@ def transform_vector(m: mat34, d: wp.vec3) -> wp.vec3:
     )
 
 
-# Three loads of 16 bytes: through the bus nine of 4 bytes would cost nine times their latency
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    const float4* p = (const float4*)corners.data + 3ll * triangle;
-    const float4 a = __ldg(p), b = __ldg(p + 1), c = __ldg(p + 2);
-    return wp::mat_t<3, 3, float>(a.x, a.y, a.z, b.x, b.y, b.z, c.x, c.y, c.z);
-#else
-    const wp::vec_t<4, float>* p = corners.data + 3ll * triangle;
-    return wp::mat_t<3, 3, float>(p[0][0], p[0][1], p[0][2], p[1][0], p[1][1], p[1][2], p[2][0], p[2][1], p[2][2]);
-#endif
-""")
-def _read_corners(corners: wp.array(dtype=wp.vec4), triangle: int) -> wp.mat33: ...
-
-
 @wp.func
-def corners_of(geometry: Geometry, triangle: int) -> wp.mat33:
-    """The corners of `triangle`, in rows, in its own space [m]."""
-    if geometry.corners.shape[0] > 0:
-        return _read_corners(geometry.corners, triangle)
-    index = geometry.triangles[triangle]
-    a = geometry.positions[index[0]]
-    b = geometry.positions[index[1]]
-    c = geometry.positions[index[2]]
-    return wp.mat33(a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2])
-
-
-@wp.func
-def corner(corners: wp.mat33, k: int) -> wp.vec3:
-    """Row `k` of what `corners_of` gives."""
-    return wp.vec3(corners[k, 0], corners[k, 1], corners[k, 2])
+def corners_of(geometry: Geometry, triangle: int) -> wp.vec3i:
+    """Where the corners of `triangle` are in `positions`."""
+    if geometry.triangles.shape[0] == 0:
+        return wp.vec3i(3 * triangle, 3 * triangle + 1, 3 * triangle + 2)
+    return geometry.triangles[triangle]
 
 
 @wp.func
 def triangle_vertices(geometry: Geometry, instance: int, primitive: int) -> tuple[wp.vec3, wp.vec3, wp.vec3]:
     """World-space corners [m] of triangle `primitive` of the mesh that `instance` places."""
-    corners = corners_of(geometry, geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive)
+    triangle = corners_of(geometry, geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive)
     matrix = geometry.instance_transform[instance]
-    a = transform_point(matrix, corner(corners, 0))
-    b = transform_point(matrix, corner(corners, 1))
-    c = transform_point(matrix, corner(corners, 2))
+    a = transform_point(matrix, geometry.positions[triangle[0]])
+    b = transform_point(matrix, geometry.positions[triangle[1]])
+    c = transform_point(matrix, geometry.positions[triangle[2]])
     return a, b, c
 
 
@@ -98,15 +73,13 @@ def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device, on_host
     """`flat`, the geometry of `scene`, on `device`.
 
     With `on_host` arrays that grow with the triangles stay in host memory, pinned for a CUDA device, which reads them through the bus: there
-    the corners of a triangle lie together.
+    the corners of a triangle lie together, so that it takes two reads instead of five.
     """
     geometry = Geometry()
-    corners = np.zeros((3 * len(flat.triangles) * on_host, 4), np.float32)
-    triangles = [("triangles", flat.triangles, wp.vec3i), ("corners", corners, wp.vec4)]
+    triangles = [("triangles", flat.triangles, wp.vec3i)]
     if on_host:
-        corners[:, :3] = flat.positions[flat.triangles.ravel()]
-        triangles[0] = ("triangles", flat.triangles[:0], wp.vec3i)
-        flat = replace(flat, positions=flat.positions[:0])
+        triangles = [("triangles", flat.triangles[:0], wp.vec3i)]
+        flat = replace(flat, positions=flat.positions[flat.triangles.ravel()])
     per_mesh = [("mesh_triangle_first", flat.mesh_triangle_first, int), ("instance_mesh", flat.instance_mesh, int)]
     for name, values, dtype in triangles + per_mesh + _what_moves(flat, scene):
         stays = on_host and device.is_cuda and name in _BY_TRIANGLE
@@ -114,7 +87,7 @@ def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device, on_host
     return geometry
 
 
-_BY_TRIANGLE = ("corners", "corner_normals", "triangle_slot")
+_BY_TRIANGLE = ("triangles", "positions", "corner_normals", "triangle_slot")
 
 
 def host_array(values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array:

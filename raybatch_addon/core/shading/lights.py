@@ -12,7 +12,7 @@ from typing import NamedTuple
 import warp as wp
 
 from ..scene.description import LightKind, Visibility
-from ..scene.geometry import Geometry, corner, corners_of, triangle_vertices
+from ..scene.geometry import Geometry, corners_of, triangle_vertices
 from .light_shapes import (
     LightSample,
     meet_area_light,
@@ -167,10 +167,10 @@ def triangle_distance_error(
     Rounding moves the plane of the triangle, or the ray, by at most `error` along each axis; the slant of the ray
     stretches what that is along the normal.
     """
-    corners = corners_of(geometry, geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive)
-    p0 = wp.abs(corner(corners, 0))
-    p1 = wp.abs(corner(corners, 1))
-    p2 = wp.abs(corner(corners, 2))
+    triangle = corners_of(geometry, geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive)
+    p0 = wp.abs(geometry.positions[triangle[0]])
+    p1 = wp.abs(geometry.positions[triangle[1]])
+    p2 = wp.abs(geometry.positions[triangle[2]])
     m = geometry.instance_transform[instance]
     largest = wp.max(p0, wp.max(p1, p2))
     # terms of the corners in world space; the shaded point is at most `distance` from there, and so are the products

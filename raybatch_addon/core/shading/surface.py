@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
-from ..scene.geometry import Geometry, corner, corners_of, mat34, transform_vector
+from ..scene.geometry import Geometry, corners_of, mat34, transform_vector
 
 # Unit roundoff of float32. n operations are wrong by at most n u / (1 - n u), relatively (Higham 2002, section 3.1).
 _U = 2.0**-24
@@ -110,9 +110,9 @@ def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
     def point(geometry: Geometry, instance: int, primitive: int, uv: wp.vec2) -> SurfacePoint:
         triangle = geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive
         corners = corners_of(geometry, triangle)
-        p0 = corner(corners, 0)
-        p1 = corner(corners, 1)
-        p2 = corner(corners, 2)
+        p0 = geometry.positions[corners[0]]
+        p1 = geometry.positions[corners[1]]
+        p2 = geometry.positions[corners[2]]
         w = 1.0 - uv[0] - uv[1]
 
         surface = SurfacePoint()
