@@ -199,7 +199,7 @@ def test_a_tree_without_treelets(parallel, selection):
 
 
 def test_few_rays_go_on_unbatched():
-    tracer, visits = wandering(50, 100, PARALLEL[0], rays_few=20)
+    tracer, visits = wandering(50, 100, PARALLEL[0], rays_few=20, bucket_selection="MOST_FULL")
     tracer.submit(RayKind.CLOSEST, slot_list(np.arange(100)))
     drain(tracer)
     totals = tracer.totals()
