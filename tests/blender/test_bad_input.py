@@ -18,7 +18,7 @@ from blender_watch import watch_engines  # noqa: E402
 
 from raybatch_addon import frame, reports, sessions  # noqa: E402
 from raybatch_addon.core import session as core_session  # noqa: E402
-from raybatch_addon.core.wavefront import integrator  # noqa: E402
+from raybatch_addon.core.wavefront import integrator, workers  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 BACKGROUND = (0.25, 0.5, 0.75)
@@ -253,7 +253,7 @@ def test_cuda_where_there_is_none(lit, tmp_path, monkeypatch):
 def test_the_ray_count_is_reduced_when_memory_is_short(lit, films, monkeypatch):
     lit.raybatch.sample_count = 64
     render()
-    monkeypatch.setattr(core_session, "free_memory", lambda device: 2**20)
+    monkeypatch.setattr(workers, "free_memory", lambda device: 4 << 20)
     (warning,) = render()
     assert "ray_count was reduced from" in warning and "memory" in warning
     assert films[1].statistics["warnings"] == [warning]
@@ -262,7 +262,7 @@ def test_the_ray_count_is_reduced_when_memory_is_short(lit, films, monkeypatch):
 
 
 def test_no_memory_at_all(lit, tmp_path, monkeypatch):
-    monkeypatch.setattr(core_session, "free_memory", lambda device: 100)
+    monkeypatch.setattr(workers, "free_memory", lambda device: 100)
     assert_fails(tmp_path, "bytes left for rays", "close other programs")
 
 
