@@ -1,13 +1,15 @@
-"""Draw the plots and write the tables of docs/experiments/traversal.md from docs/experiments/data: python scripts/experiment_plots.py
+"""Draw the plots of docs/experiments and write the tables of traversal.md there, from docs/experiments/data: python scripts/experiment_plots.py
 
-Needs matplotlib. `traversal-SCENE-DEVICE.json` are reports of `scripts/benchmark.py traversal`; `variants-*.json` are kernels that
+Needs matplotlib. `traversal-SCENE-DEVICE.json` and `batching-*.json` are reports of `scripts/benchmark.py traversal`; `variants-*.json` are kernels that
 were compiled apart for the comparison; the others hold single figures. Nothing on the page is typed in by hand between marks.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,11 @@ NAMES = {
 }  # fmt: skip
 COLOURS = {"off": "#0072b2", "off-plain": "#999999", "off-sorted": "#56b4e9", "reference": "#d55e00", "embree": "#d55e00", "embree-robust": "#e69f00"}
 RAYS = {"primary": "camera", "bounce1": "bounce 1", "bounce4": "bounce 4", "shadow1": "shadow 1"}
+BATCHING = {
+    "off": ("unbatched, all in memory", "#0072b2"), "off-sorted": ("unbatched, sorted", "#56b4e9"), "auto": ("chosen by RayBatch", "#009e73"),
+    "on": ("batched", "#d55e00"), "zero-copy-triangles": ("unbatched, triangles read from the host", "#777777"),
+    "zero-copy": ("unbatched, all read from the host", "#bbbbbb"), "ray-order": ("pages brought in by the rays' order", "#cc79a7"),
+}  # of plots about batching: name and colour by tracer, in the order of bars  # fmt: skip
 PLAIN, REFILL = "plain, all triangles a turn", "refill 4"
 
 
@@ -79,8 +86,8 @@ def tracers_table(reports: dict[str, dict[str, Any]]) -> str:
 
 
 def rate_text(rate: float | None) -> str:
-    """Mrays/s, with three digits or more."""
-    return "" if rate is None else f"{rate:.0f}" if rate >= 100 else f"{rate:.1f}" if rate >= 10 else f"{rate:.2f}"
+    """Mrays/s, with three digits or more; with two where it is small."""
+    return "" if rate is None else f"{rate:.0f}" if rate >= 100 else f"{rate:.1f}" if rate >= 10 else f"{rate:.2f}" if rate >= 0.1 else f"{rate:.2g}"
 
 
 def draw_tracers(reports: dict[str, dict[str, Any]], peer: str, name: str) -> None:
@@ -178,6 +185,59 @@ def variants_table(data: dict[str, Any]) -> str:
     return table(["kernel", "registers", *(f"{RAYS[column.split()[0]]}, {column.split()[1]}" for column in columns)], rows)
 
 
+# --- batching
+
+
+def draw_bars(panel: pyplot.Axes, groups: dict[str, dict[str, dict[str, Any]]], gap: float = 0.8) -> None:
+    """Bars of Mrays/s by tracer, a group for each name; the tracers that a group lacks take no room."""
+    width = gap / max(len(by_name) for by_name in groups.values())
+    for index, by_name in enumerate(groups.values()):
+        tracers = [tracer for tracer in BATCHING if tracer in by_name]
+        for place, tracer in enumerate(tracers):
+            words, colour = BATCHING[tracer]
+            bar = panel.bar(index + (place - (len(tracers) - 1) / 2) * width, by_name[tracer]["mrays_per_s"], width, color=colour, label=words)
+            panel.bar_label(bar, [rate_text(by_name[tracer]["mrays_per_s"])], fontsize=7, padding=1)
+    panel.set_xticks(range(len(groups)), list(groups), fontsize=8)
+    panel.set_xlim(-0.6, len(groups) - 0.4)
+
+
+def legend(figure: pyplot.Figure) -> None:
+    """One legend at the right of all panels, each tracer once."""
+    found = {words: handle for panel in figure.axes for handle, words in zip(*panel.get_legend_handles_labels(), strict=True)}
+    order = [words for words, _ in BATCHING.values() if words in found]
+    figure.legend([found[words] for words in order], order, fontsize=8, loc="center left", bbox_to_anchor=(0.91, 0.5))
+
+
+def draw_batching(reports: dict[str, dict[str, Any]]) -> None:
+    """Rates of batched rays: with geometry beyond the memory, on CUDA and on the CPU, and with all of it in memory."""
+    beyond: list[tuple[str, dict[str, dict[str, dict[str, Any]]]]] = []
+    for device, pattern in (("CUDA", "batching-cuda-*-rays"), ("CPU", "batching-cpu-*-disk")):
+        found = [report for name, report in reports.items() if fnmatch(name, pattern)]
+        groups = {}
+        for report in found:
+            for (rays, order, _), by_name in cases(report).items():
+                count = next(iter(by_name.values()))["ray_count"]
+                groups[f"{count / 1e6:.0f}M rays\n{RAYS[rays]}, {order}"] = by_name
+        held = max(result["resident_peak"] for report in found for result in report["results"] if result["tracer"] == "on")
+        beyond.append((f"{device}, {found[0]['triangles'] / 1e6:.0f}M triangles,\nbatched in {held / 1e9:.1f} GB", groups))
+    figure, panels = pyplot.subplots(1, len(beyond), figsize=(9.5, 3.4), width_ratios=[len(groups) for _, groups in beyond])
+    for panel, (words, groups) in zip(panels, beyond, strict=True):
+        draw_bars(panel, groups)
+        panel.set_yscale("log")
+        found = [math.log10(result["mrays_per_s"]) for by_name in groups.values() for result in by_name.values()]
+        panel.set_ylim(10 ** math.floor(min(found)), 10 ** math.ceil(max(found)))  # whole decades: no labels between them
+        panel.set_title(words)
+    panels[0].set_ylabel("Mrays/s, logarithmic")
+    legend(figure)
+    save(figure, "batching-beyond-memory")
+    report = reports["batching-cuda-in-memory"]
+    figure, panel = pyplot.subplots(figsize=(7.5, 3.4))
+    draw_bars(panel, {f"{RAYS[rays]}\n{order}": by_name for (rays, order, _), by_name in cases(report).items()})
+    panel.set(ylabel="Mrays/s", title=f"CUDA, {report['triangles'] / 1e6:.0f}M triangles")
+    legend(figure)
+    save(figure, "batching-in-memory")
+
+
 # --- single figures
 
 
@@ -223,6 +283,7 @@ def main() -> None:
     draw_refill(variants)
     draw_lanes(variants)
     draw_waves(sorting)
+    draw_batching(load("batching-*.json"))
     parts = {
         "cpu": tracers_table(cpu), "cuda": tracers_table(cuda), "lanes": lanes_table(variants), "profile": profile_table(load("profile-*.json")),
         "cpu scenes": scenes_table(load("cpu-scenes.json")["cpu-scenes"]), "build": build_table(build), "renders": renders_table(sorting),
