@@ -211,6 +211,8 @@ class Session:
         x0, y0, x1, y1 = frame.region
         paged = worker_count(self.device, job.settings.thread_count) if job.plan.method is Method.PAGED else 0
         edge = tile_edge(job.settings, self.device.is_cuda, x1 - x0, y1 - y0, paged)
+        if not job.settings.tile_size:
+            job.chosen["tile_size"] = Choice(edge, "by device, frame and samples")
         states = [TileState(tile) for tile in tiles(frame.region, edge)]
         return ResumeState(states, job.sample_first, job.settings.sample_count, job.settings.sample_order, estimator_settings(job.settings))
 

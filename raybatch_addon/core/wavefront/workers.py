@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from ..bvh.build import splits_triangles
 from ..device import free_memory, worker_count
 from ..errors import OutOfMemoryError
 from ..film import layout_of
@@ -12,6 +13,7 @@ from ..film.sums import WINDOW_DIGITS
 from ..report.counters import counter_bytes_per_path
 from ..scene.description import Frame
 from ..settings import RenderSettings
+from .batching import selection_of
 from .device_scene import DeviceScene
 from .integrator import TileIntegrator
 from .plan import Choice, Method
@@ -73,6 +75,13 @@ def make_workers(scene: DeviceScene, frame: Frame, settings: RenderSettings, are
             "some times what keeps the device busy" if device.is_cuda else "a wave stays within the outer caches"
         )
         made.chosen["ray_count"] = Choice(count * workers, why)
+    if settings.bucket_selection == "AUTO" and scene.treelets:
+        made.chosen["bucket_selection"] = Choice(
+            selection_of(settings, device.is_cuda).name, "every launch is large" if device.is_cuda else "a step costs little, and fuller buckets save more"
+        )
+    if settings.spatial_splits == "AUTO" and scene.built and scene.tracing.method is not Method.REFERENCE:
+        splits = splits_triangles("AUTO", scene.tracing.layout) and not paged
+        made.chosen["spatial_splits"] = Choice("ON" if splits else "OFF", "faster rays for a slower build" if splits else "the builder that is used here is faster without")
     if count < asked and not (paged and not settings.ray_count):
         made.warnings.append(
             f"ray_count was reduced from {asked * workers:,} to {count * workers:,}: {device.alias} has not enough free memory"
