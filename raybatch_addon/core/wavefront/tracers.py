@@ -6,6 +6,8 @@ from collections.abc import Callable
 
 import warp as wp
 
+from ..bvh.page_encode import PAGE_KERNELS
+from ..bvh.treelet_tree import TREELET_KERNELS
 from ..report.counters import Counters
 from ..report.timing import NoTimer, StageTimer
 from ..settings import RenderSettings
@@ -28,9 +30,11 @@ def launch_of(settings: RenderSettings) -> Launch:
 def tracer_kernels(tracing: Tracing, settings: RenderSettings, shadow_rays: bool, counts: bool, device: wp.Device) -> list[wp.Kernel]:
     """What the tracer launches, for compiling ahead; `counts`: steps are counted."""
     if tracing.method is Method.BATCHED:
-        return batching_kernels(tracing.layout, tracing.instancing, counts, settings, device)
+        cut = TREELET_KERNELS if device.is_cuda else ()
+        return [*batching_kernels(tracing.layout, tracing.instancing, counts, settings, device), *cut]
     if tracing.method is Method.PAGED:
-        return compiled_ahead(tracing.layout, counts, settings)
+        expand = PAGE_KERNELS if device.is_cuda else ()
+        return [*compiled_ahead(tracing.layout, counts, settings), *expand]
     stages = tracing_stages(tracing.traversal, tracing.instancing, counts, launch_of(settings))
     return [kernel for kind, stage in stages.items() if shadow_rays or kind == RayKind.CLOSEST for kernel in stage.kernels]
 
