@@ -121,7 +121,7 @@ class Session:
 
     def _kernels(self, features: SceneFeatures, settings: RenderSettings, plan: TracingPlan) -> list[wp.Kernel]:
         tracing = Tracing.of(plan, self.layout, features)
-        return StageKernels.choose(features, settings).all() + tracing_kernels(features, settings, tracing, self.device)
+        return StageKernels.choose(features).all() + tracing_kernels(features, settings, tracing, self.device)
 
     def render(
         self,

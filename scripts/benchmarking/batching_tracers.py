@@ -17,13 +17,12 @@ from raybatch_addon.core.bvh.page_build import build_paged_scene
 from raybatch_addon.core.wavefront.geometry_cache import encodes
 from raybatch_addon.core.bvh.residency import Residency
 from raybatch_addon.core.bvh.treelet_tree import cut_scene_tree
-from raybatch_addon.core.bvh.treelets import CutRule
 from raybatch_addon.core.device import free_memory, load_kernels
 from raybatch_addon.core.report.timing import NoTimer, StageTimer, clock_of
 from raybatch_addon.core.scene.geometry import host_array
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.wavefront.batching import BatchingTracer, batching_kernels
-from raybatch_addon.core.wavefront.plan import Memory, Method, plan_tracing
+from raybatch_addon.core.wavefront.plan import Memory, Method, cut_rule, plan_tracing
 from raybatch_addon.core.wavefront.ray_order_paging import RayOrderPager
 from raybatch_addon.core.wavefront.rays import RayKind
 from raybatch_addon.core.wavefront.streaming import StreamingTracer, compiled_ahead
@@ -93,7 +92,7 @@ class WaitingTracer(MeasuredTracer):
         elif self.plan.method is Method.BATCHED:
             kept = self._trees.get(scene, "OFF")
             start = time.perf_counter()
-            self._treelets = cut_scene_tree(kept.keep[0], self._rule(), self._device)
+            self._treelets = cut_scene_tree(kept.keep[0], cut_rule(self.plan, self._settings), self._device)
             told = Tree(kept.told.build_seconds + time.perf_counter() - start, kept.told.bytes)
             kernels = batching_kernels(self._layout, scene.instancing, False, settings, self._device)
         else:
@@ -102,17 +101,13 @@ class WaitingTracer(MeasuredTracer):
         load_kernels(kernels, self._device, lambda done, total: None)
         return told
 
-    def _rule(self) -> CutRule:
-        settings = self._settings
-        return CutRule(self.plan.treelet_size, settings.treelet_size_min, settings.top_level_depth_max, self.plan.treelet_bytes)
-
     def _paged(self, scene: BenchmarkScene) -> Any:
         plan = self.plan
         if self._trees.paged is None:
             # of one budget and store: all tracers of a run share them
             self._trees.paged = build_paged_scene(
                 scene.flat, scene.scene.instances.visibility, self._layout, self._device, plan.geometry_budget, plan.geometry_store,
-                self._budget.folder, self._rule(), nodes_resident=self._budget.nodes, encoded=encodes(self._layout),
+                self._budget.folder, cut_rule(self.plan, self._settings), nodes_resident=self._budget.nodes, encoded=encodes(self._layout),
             )  # fmt: skip
         self._paged_scene = found = self._trees.paged
         self._residency = Residency(found, self.plan.geometry_budget, self._device)

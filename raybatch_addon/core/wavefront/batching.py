@@ -14,19 +14,18 @@ import warp as wp
 
 from ..bvh.node import Layout
 from ..bvh.trace_counts import TraceCounts
-from ..bvh.tree import TRAIL_LEVELS
 from ..kernel import KERNEL_OPTIONS
 from ..report.batching import BatchingTotals
 from ..report.timing import NoTimer
 from .batching_host import HostSteps, host_step_kernel
 from .batching_loop import LOOP_KERNELS, LOOP_STEPS, DeviceLoop
-from .batching_storage import STORAGE_KERNELS, VALUE_BYTES, DirectStorage, allocate_progress
+from .batching_storage import STORAGE_KERNELS, VALUE_BYTES, DirectStorage
 from .bucket_blocks import STEP, QueueRule, pool_bytes, pool_size
 from .bucket_policy import Selection, Step
 from .bucket_policy_kernel import AMOUNT, BUDGET, GO, QUEUE, STEP_KIND, DevicePolicy, policy_kernels
 from .bucket_queues import BucketQueues, batch_capacity, queue_kernels, queue_rule
 from .bucket_scan import Scan
-from .rays import RayKind, Rays
+from .rays import RayKind, Rays, allocate_progress, trail_words
 from .stages.launch import Launch
 from .stages.trace import Traversal
 from .stages.visit import NO_ANY_HIT, Batch, VisitFeatures, VisitStage, VisitTask, visit_stage
@@ -79,17 +78,16 @@ def selection_of(settings: Any, is_cuda: bool) -> Selection:
 
 def visit_stages(traversal: Traversal, instancing: bool, counters: bool, settings: Any) -> dict[VisitTask, VisitStage]:
     """The stages that rays go through."""
-    launch = Launch(settings.warp_count, settings.single_lane == "ON", settings.register_cap, settings.block_size or 128)
     interlocked = settings.top_level_traversal == "INTERLOCKED"
     return {
-        task: visit_stage(VisitFeatures(traversal, task, instancing, counters, interlocked and task == VisitTask.TOP), launch)
+        task: visit_stage(VisitFeatures(traversal, task, instancing, counters, interlocked and task == VisitTask.TOP), Launch.of(settings))
         for task in VisitTask
     }
 
 
 def batching_kernels(layout: Layout, instancing: bool, counters: bool, settings: Any, device: wp.Device) -> list[wp.Kernel]:
     """What a `BatchingTracer` launches, to be compiled ahead."""
-    stages = visit_stages(_traversal(layout), instancing, counters, settings)
+    stages = visit_stages(Traversal.of("OFF", layout), instancing, counters, settings)
     kernels = [*queue_kernels(device), *policy_kernels(device), *Scan.kernels, split_flag_kernel, split_kernel]
     kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
     if settings.ray_storage == "DIRECT":
@@ -101,14 +99,10 @@ def batching_bytes_per_path(settings: Any, shadow_rays: bool, instancing: bool, 
     """Device memory of a `BatchingTracer` for each path alive, but for what batches need, which is bounded [bytes]."""
     many, queues = 1 << 22, 512
     size = pool_size(queues, settings.queue_size, settings.queue_count, many)
-    state = 4 * -(-levels // TRAIL_LEVELS) + 4 * instancing
+    state = 4 * trail_words(levels) + 4 * instancing
     if settings.ray_storage == "DIRECT":
         state = (state + VALUE_BYTES + 4 * instancing) * size.place_count / many
     return -int(-(1 + shadow_rays) * (state + pool_bytes(size, queues, is_cuda) / many) // 1)
-
-
-def _traversal(layout: Layout) -> Traversal:
-    return Traversal.BOXES if layout is Layout.BOXES else Traversal.QUANTISED
 
 
 class BatchingTracer:
@@ -127,7 +121,7 @@ class BatchingTracer:
         slot_count = rays.origin.size
         self._tree, self._treelets, self._bucket_count = treelet_tree.tree, treelet_tree.treelets, treelet_tree.treelet_count
         self._path_count, self._shadow_kind, self._device, self._timer, self._counts = path_count, shadow_kind, device, timer, counts
-        self._stages = stages or visit_stages(_traversal(treelet_tree.layout), instancing, counts is not None, settings)
+        self._stages = stages or visit_stages(Traversal.of("OFF", treelet_tree.layout), instancing, counts is not None, settings)
         for stage in self._stages.values():
             stage.prepare(device)
         self._selection = selection_of(settings, device.is_cuda)
@@ -151,7 +145,7 @@ class BatchingTracer:
             self._selection, settings.bucket_wait_max, settings.seed, self._bucket_count, rays_few, self._queues.blocks, parallel,
             self._queues.capacity,
         )  # fmt: skip
-        words = max(1, -(-treelet_tree.levels // TRAIL_LEVELS))
+        words = trail_words(treelet_tree.levels)
         any_first = path_count if shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
         self._direct = None
         if direct:

@@ -11,7 +11,7 @@ import warp as wp
 from ..bvh.trace_counts import TraceCounts
 from ..bvh.tree import DONE, NEW, TopProgress
 from ..kernel import KERNEL_OPTIONS
-from .rays import Rays
+from .rays import Rays, allocate_progress
 from .stages.visit import NO_ANY_HIT, Batch
 
 _DONE, _NEW = wp.constant(DONE), wp.constant(NEW)
@@ -128,16 +128,6 @@ def add_counts_kernel(counts: TraceCounts, moved: Moved, total: TraceCounts):
 STORAGE_KERNELS = (store_new_kernel, load_kernel, store_kernel, reset_counts_kernel, add_counts_kernel)
 # Bytes of a ray that are stored, without trail and entry: origin, direction, limit, instance, triangle, weights
 VALUE_BYTES = 12 + 12 + 4 + 4 + 4 + 8
-
-
-def allocate_progress(count: int, levels_words: int, instancing: bool, device: wp.Device) -> TopProgress:
-    """`TopProgress` of `count` rays with trails of `levels_words` words."""
-    progress = TopProgress()
-    with wp.ScopedDevice(device):
-        progress.trail = wp.zeros((levels_words, count), dtype=wp.uint32)
-        progress.entry = wp.zeros(count if instancing else 0, dtype=int)
-        progress.visits = wp.zeros(1, dtype=wp.int64)
-    return progress
 
 
 def _allocate_values(count: int, visibility: bool, device: wp.Device) -> Rays:

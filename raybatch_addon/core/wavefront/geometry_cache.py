@@ -27,7 +27,7 @@ from ..scene.description import Scene
 from ..scene.flatten import FlatGeometry, flatten
 from ..scene.geometry import Geometry, update_geometry, upload_geometry
 from ..settings import RenderSettings
-from .plan import Method, TracingPlan
+from .plan import Method, TracingPlan, cut_rule
 
 
 @dataclass(frozen=True)
@@ -121,13 +121,8 @@ class GeometryRequest:
     def kind(self) -> tuple:
         """The choices that a tree depends on."""
         plan = self.plan
-        paged = (plan.geometry_budget, plan.geometry_store, self.cut_rule()) if plan.method is Method.PAGED else ()
+        paged = (plan.geometry_budget, plan.geometry_store, cut_rule(plan, self.settings)) if plan.method is Method.PAGED else ()
         return (self.instancing, plan.method is Method.REFERENCE, self.settings.spatial_splits, self.layout, *paged)
-
-    def cut_rule(self) -> CutRule:
-        """Where trees are cut into treelets."""
-        settings = self.settings
-        return CutRule(self.plan.treelet_size, settings.treelet_size_min, settings.top_level_depth_max, self.plan.treelet_bytes)
 
 
 class GeometryCache:
@@ -199,7 +194,7 @@ def _build(fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, request:
     geometry = upload_geometry(flat, scene, device, on_host=plan.method is Method.PAGED and device.is_cuda)
     if plan.method is Method.PAGED:
         paged = build_paged_scene(
-            flat, visibility, layout, device, plan.geometry_budget, plan.geometry_store, request.page_folder, request.cut_rule(),
+            flat, visibility, layout, device, plan.geometry_budget, plan.geometry_store, request.page_folder, cut_rule(request.plan, request.settings),
             encoded=encodes(layout),
         )  # fmt: skip
         return Kept(fingerprint, geometry, PagedTree(paged, Residency(paged, plan.geometry_budget, device)))
@@ -220,7 +215,7 @@ def _cut(kept: Kept, request: GeometryRequest, device: wp.Device) -> None:
     if request.plan.method is not Method.BATCHED:
         kept.treelets = kept.cut = None
         return
-    rule = request.cut_rule()
+    rule = cut_rule(request.plan, request.settings)
     if kept.treelets is None or kept.cut != rule:
         kept.treelets, kept.cut = None, rule
         kept.treelets = cut_scene_tree(kept.built, rule, device)

@@ -64,7 +64,7 @@ class TileIntegrator:
     def __init__(self, scene: DeviceScene, frame: Frame, settings: RenderSettings, marks: WaterMarks):
         features, device, count = scene.features, scene.device, marks.path_count
         self._scene, self._frame, self._settings, self._marks, self._device = scene, frame, settings, marks, device
-        self._kernels = StageKernels.choose(features, settings)
+        self._kernels = StageKernels.choose(features)
         self._limits = path_limits(settings, frame.width)
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, features, device)

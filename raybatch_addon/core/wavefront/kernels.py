@@ -37,7 +37,7 @@ class StageKernels:
     resolve: wp.Kernel
 
     @staticmethod
-    def choose(features: SceneFeatures, settings: RenderSettings) -> StageKernels:
+    def choose(features: SceneFeatures) -> StageKernels:
         """The kernels for a scene with `features`."""
         has = features
         surface = SurfaceFeatures(

@@ -13,6 +13,7 @@ from typing import Any
 
 from ..bvh.memory import GeometrySize
 from ..bvh.node import Layout
+from ..bvh.treelets import CutRule
 from ..settings import RenderSettings
 from .cost_model import batching_cost, costs_of, unbatched_cost
 
@@ -60,6 +61,11 @@ class TracingPlan:
 def report_of(choices: dict[str, Choice]) -> dict[str, dict[str, Any]]:
     """For the statistics."""
     return {name: {"value": choice.value, "why": choice.why} for name, choice in choices.items()}
+
+
+def cut_rule(plan: TracingPlan, settings: RenderSettings) -> CutRule:
+    """Where trees are cut into treelets."""
+    return CutRule(plan.treelet_size, settings.treelet_size_min, settings.top_level_depth_max, plan.treelet_bytes)
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ from ..bvh.trace_counts import TraceCounts
 from ..report.batching import BatchingTotals
 from ..report.timing import NoTimer, StageTimer
 from ..settings import RenderSettings
-from .rays import RayKind, Rays
+from .rays import RayKind, Rays, allocate_progress, trail_words
 from .stages.visit import NO_ANY_HIT, Batch, VisitStage
-from .streaming import allocate_progress, go_on_stage
+from .streaming import go_on_stage
 from .tracer import SlotList
 
 WINDOW = 4096
@@ -49,7 +49,7 @@ class RayOrderPager:
         self._any_first = path_count if shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
         self._stage = stage or go_on_stage(paged.layout, counts is not None, settings)
         self._window = window
-        self._progress = allocate_progress(rays.origin.size, paged.levels, self._device)
+        self._progress = allocate_progress(rays.origin.size, trail_words(paged.levels), True, self._device)
         self._view = residency.view()
         self._page_of = np.asarray(paged.treelet_page)
         self._used = np.zeros(len(paged.pages), np.int64)  # window in which each page was used last

@@ -14,6 +14,7 @@ from enum import IntEnum, IntFlag
 
 import warp as wp
 
+from ..bvh.tree import TRAIL_LEVELS, TopProgress
 from ..scene.features import SceneFeatures
 
 
@@ -146,6 +147,21 @@ def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) 
     paths.alpha = zeros(float, features.film_transparent)
     paths.normal = zeros(wp.vec3, "Normal" in features.passes)
     return paths
+
+
+def trail_words(levels: int) -> int:
+    """Words of a ray's trail through `levels` levels of resident nodes."""
+    return max(1, -(-levels // TRAIL_LEVELS))
+
+
+def allocate_progress(count: int, words: int, instancing: bool, device: wp.Device) -> TopProgress:
+    """`TopProgress` of `count` rays with trails of `words` words."""
+    progress = TopProgress()
+    with wp.ScopedDevice(device):
+        progress.trail = wp.zeros((words, count), dtype=wp.uint32)
+        progress.entry = wp.zeros(count if instancing else 0, dtype=int)
+        progress.visits = wp.zeros(1, dtype=wp.int64)
+    return progress
 
 
 def bytes_per_path(features: SceneFeatures, reference: bool = False) -> int:

@@ -26,12 +26,11 @@ from ..bvh.page_encode import PAGE_KERNELS
 from ..bvh.page_line import pages_a_step
 from ..bvh.residency import Residency, address_kernel
 from ..bvh.trace_counts import TraceCounts
-from ..bvh.tree import TRAIL_LEVELS, TopProgress
 from ..report.batching import BatchingTotals
 from ..report.timing import NoTimer, StageTimer
 from ..settings import RenderSettings
 from .page_policy import choose_pages, choose_victims, copies_pay
-from .rays import RayKind, Rays
+from .rays import RayKind, Rays, allocate_progress, trail_words
 from .stages.trace import Traversal
 from .stages.visit import NO_ANY_HIT, Launch, VisitFeatures, VisitStage, VisitTask, visit_stage
 from .streaming_kernels import streaming_kernels
@@ -46,27 +45,16 @@ _FINISHED_SHARE = 8
 _PATIENCE = 1.0
 
 
-def allocate_progress(slot_count: int, levels: int, device: wp.Device) -> TopProgress:
-    """Progress of rays through `levels` levels of resident nodes."""
-    progress = TopProgress()
-    with wp.ScopedDevice(device):
-        progress.trail = wp.zeros((max(1, -(-levels // TRAIL_LEVELS)), slot_count), dtype=wp.uint32)
-        progress.entry = wp.zeros(slot_count, dtype=int)
-        progress.visits = wp.zeros(1, dtype=wp.int64)
-    return progress
-
-
 def streaming_bytes_per_path(path_count: int, shadow_rays: bool, levels: int) -> int:
     """Device memory of the tracer that grows with paths alive, for each [bytes]."""
     slots = 1 + shadow_rays
-    return -(-int(slots * (streaming_bytes_per_slot(slots * path_count) + 4 + 4 * max(1, -(-levels // TRAIL_LEVELS)))) // 1)
+    return -(-int(slots * (streaming_bytes_per_slot(slots * path_count) + 4 + 4 * trail_words(levels))) // 1)
 
 
 def go_on_stage(layout: Layout, counters: bool, settings: RenderSettings) -> VisitStage:
     """The stage that traces."""
-    traversal = Traversal.BOXES if layout is Layout.BOXES else Traversal.QUANTISED
-    launch = Launch(settings.warp_count, settings.single_lane == "ON", settings.register_cap, settings.block_size or Launch.block_size)
-    return visit_stage(VisitFeatures(traversal, VisitTask.GO_ON, instancing=True, counters=counters), launch)
+    features = VisitFeatures(Traversal.of("OFF", layout), VisitTask.GO_ON, instancing=True, counters=counters)
+    return visit_stage(features, Launch.of(settings))
 
 
 def compiled_ahead(layout: Layout, counters: bool, settings: RenderSettings) -> list[wp.Kernel]:
@@ -92,7 +80,7 @@ class StreamingTracer:
         self._any_first = path_count if shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
         self._debug = settings.debug_checks == "ON"
         self._stage = stage or go_on_stage(paged.layout, counts is not None, settings)
-        self._progress = allocate_progress(slot_count, paged.levels, device)
+        self._progress = allocate_progress(slot_count, trail_words(paged.levels), True, device)
         self._waiting = WaitingRays(slot_count, path_count, residency.page_of, len(paged.pages), device, capacity)
         self._view = residency.view()
         self._slot_count = slot_count

@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import warp as wp
 
-from ..bvh.page_encode import PAGE_KERNELS
 from ..bvh.treelet_tree import TREELET_KERNELS
 from ..report.counters import Counters
 from ..report.timing import NoTimer, StageTimer
@@ -22,20 +21,14 @@ from .tracer import Tracer, UnbatchedTracer
 from .tracing import Tracing
 
 
-def launch_of(settings: RenderSettings) -> Launch:
-    """How the kernels of traversals are launched."""
-    return Launch(settings.warp_count, settings.single_lane == "ON", settings.register_cap, settings.block_size or Launch.block_size)
-
-
 def tracer_kernels(tracing: Tracing, settings: RenderSettings, shadow_rays: bool, counts: bool, device: wp.Device) -> list[wp.Kernel]:
     """What the tracer launches, for compiling ahead; `counts`: steps are counted."""
     if tracing.method is Method.BATCHED:
         cut = TREELET_KERNELS if device.is_cuda else ()
         return [*batching_kernels(tracing.layout, tracing.instancing, counts, settings, device), *cut]
     if tracing.method is Method.PAGED:
-        expand = PAGE_KERNELS if device.is_cuda else ()
-        return [*compiled_ahead(tracing.layout, counts, settings), *expand]
-    stages = tracing_stages(tracing.traversal, tracing.instancing, counts, launch_of(settings))
+        return compiled_ahead(tracing.layout, counts, settings)
+    stages = tracing_stages(tracing.traversal, tracing.instancing, counts, Launch.of(settings))
     return [kernel for kind, stage in stages.items() if shadow_rays or kind == RayKind.CLOSEST for kernel in stage.kernels]
 
 
@@ -58,5 +51,5 @@ def make_tracer(
         return BatchingTracer(scene.treelets, rays, path_count, shadow_kind, settings, tracing.instancing, timer, counts, scene.device)
     if scene.paged:
         return StreamingTracer(scene.paged.scene, scene.paged.residency, rays, path_count, shadow_kind, settings, timer, counts, scene.device)
-    stages = tracing_stages(tracing.traversal, tracing.instancing, counts is not None, launch_of(settings))
+    stages = tracing_stages(tracing.traversal, tracing.instancing, counts is not None, Launch.of(settings))
     return UnbatchedTracer(scene.tree, rays, stages, trace)

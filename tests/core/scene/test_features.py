@@ -41,7 +41,7 @@ def source(features: SceneFeatures) -> str:
     """All code that is compiled for `features`."""
     text = []
     tracing = tracing_kernels(features, SETTINGS, Tracing(Layout.QUANTISED, Method.UNBATCHED, features.instancing), find_device("cpu"))
-    for kernel in StageKernels.choose(features, SETTINGS).all() + tracing:
+    for kernel in StageKernels.choose(features).all() + tracing:
         builder = __import__("warp")._src.context.ModuleBuilder(kernel.module, {**kernel.module.options, "block_dim": 1, "mode": "release"})
         text.append(builder.codegen("cpu"))
     return "\n".join(text)
@@ -138,7 +138,7 @@ def test_kinds_count_by_node_and_not_by_value():
 
 def test_ordinary_features_can_be_rendered():
     for features in ordinary_features():
-        assert StageKernels.choose(features, SETTINGS).surface is not None and features.camera == CameraKind.PERSPECTIVE
+        assert StageKernels.choose(features).surface is not None and features.camera == CameraKind.PERSPECTIVE
 
 
 def test_a_render_without_surfaces_shows_the_world(session):

@@ -9,6 +9,7 @@ import warp as wp
 
 from ...bvh.traverse_cuda import persistent_count
 from ...kernel import KERNEL_OPTIONS, with_block_size
+from ...settings import RenderSettings
 
 WARP_SIZE = 32
 # Of a multiprocessor, and the steps in which a warp gets them
@@ -23,6 +24,11 @@ class Launch:
     single_lane: bool = False  # one ray at a time in the whole device, for debugging
     register_cap: int = 0  # most registers of a lane, 16..255; 0: as the compiler likes
     block_size: int = 128  # lanes of a block: 32..1024, a multiple of 32
+
+    @staticmethod
+    def of(settings: RenderSettings) -> Launch:
+        """What the settings of the group LAUNCH ask for."""
+        return Launch(settings.warp_count, settings.single_lane == "ON", settings.register_cap, settings.block_size or Launch.block_size)
 
     def __post_init__(self) -> None:
         if self.warp_count < 0:
