@@ -81,3 +81,8 @@ class DeviceScene:
     def paged(self) -> PagedTree | None:
         """The tree, where it lies beyond memory."""
         return self.built if isinstance(self.built, PagedTree) else None
+
+    @property
+    def geometry_on_host(self) -> bool:
+        """Whether a CUDA device reads what shading needs of triangles through the bus."""
+        return self.paged is not None and self.device.is_cuda

@@ -19,6 +19,7 @@ from ..scene.description import Frame
 from ..settings import RenderSettings
 from ..shading.sampling import filter_table
 from .device_scene import DeviceScene
+from .hit_order import HitOrder
 from .kernels import StageKernels
 from .plan import Method
 from .queues import Length, PathLists
@@ -85,6 +86,7 @@ class TileIntegrator:
         self._order = None
         if scene.tree and settings.ray_sort != "OFF" and (settings.ray_sort == "ON" or not tracing.waits):
             self._order = RayOrder(settings.ray_sort, count, scene.box, device, self._timer)
+        self._hit_order = HitOrder(count, scene.data.geometry, device, self._timer) if scene.geometry_on_host else None
         self._tracer = self._new_tracer() if scene.tree else None
         self._given_up = BatchingTotals()  # of tracers that were left with their rays
         self._cost: wp.array | None = None
@@ -113,8 +115,8 @@ class TileIntegrator:
                 self._give_up(state)
             if self._alive == 0:
                 break
-            self._trace(work, camera)
-            self._shade(work, film)
+            back = self._trace(work, camera)
+            self._shade(work, film, min(back, self._alive))
             done += self._finish_paths(work, film)
         tile = state.tile
         with self._timer.stage("transfer"):
@@ -159,14 +161,15 @@ class TileIntegrator:
         self.rays.camera += count
         return SlotList(self._free, length, count, coherent=True)
 
-    def _trace(self, work: TileWork, camera: SlotList) -> None:
+    def _trace(self, work: TileWork, camera: SlotList) -> int:
+        """Rays go on; how many came back at most."""
         waves = [(RayKind.CLOSEST, camera), (RayKind.CLOSEST, self._bounced), (self._shadow_kind, self._shadow)]
         waves = [(kind, rays) for kind, rays in waves if rays.bound]
         if self._tracer is None:
             # nothing to hit: ray slots say so from the start
             for _, rays in waves:
                 self._launch_over(self._kernels.settle, rays, self._paths, self._rays)
-            return
+            return sum(rays.bound for _, rays in waves)
         for kind, rays in waves:
             if self._order and self._scene.tracing.waits:
                 # rays that wait are sorted before; a tracer takes them in at once
@@ -174,12 +177,14 @@ class TileIntegrator:
             else:
                 self._tracer.submit(kind, rays)
         self._tracer.advance()
-        for kind, back in self._tracer.take_finished():
+        finished = self._tracer.take_finished()
+        for kind, back in finished:
             if self._counters:
                 self._launch(counted_kernel, self.path_count, work, self._paths, self._bounce, self._pixel)
                 self._counters.add(kind, back, self._bounce, self._pixel, self._cost)
             with self._timer.stage("shade"):
                 self._take_back(kind, back)
+        return sum(back.bound for _, back in finished)
 
     def _take_back(self, kind: RayKind, back: SlotList) -> None:
         if kind == RayKind.CLOSEST:
@@ -189,18 +194,22 @@ class TileIntegrator:
         else:
             self._launch_over(self._kernels.connect_transparent, back, self._scene.data, self._limits, self._paths, self._rays)
 
-    def _shade(self, work: TileWork, film: FilmTile) -> None:
+    def _shade(self, work: TileWork, film: FilmTile, bound: int) -> None:
+        """Paths whose rays are all back go on: at most `bound`."""
         data, limits, paths, rays = self._scene.data, self._limits, self._paths, self._rays
         with self._timer.stage("lists"):
-            miss, surface = self._lists.back(paths.status, self._alive)
+            miss, surface = self._lists.back(paths.status, bound)
         with self._timer.stage("shade"):
             if self._kernels.light_hits:
                 self._launch_over(self._kernels.light_hits, miss, data, limits, paths, rays)
             self._launch_over(self._kernels.background, miss, data, work, limits, paths, rays, film)
-            if self._kernels.surface:
+        if not self._kernels.surface:
+            return
+        for hits in self._hit_order.parts(rays, surface) if self._hit_order else (surface,):
+            with self._timer.stage("shade"):
                 if self._kernels.light_hits:
-                    self._launch_over(self._kernels.light_hits, surface, data, limits, paths, rays)
-                self._launch_over(self._kernels.surface, surface, data, work, limits, paths, rays, film)
+                    self._launch_over(self._kernels.light_hits, hits, data, limits, paths, rays)
+                self._launch_over(self._kernels.surface, hits, data, work, limits, paths, rays, film)
 
     def _finish_paths(self, work: TileWork, film: FilmTile) -> int:
         """Move paths that are over to the film, and list the rays of the next turn; how many were over."""

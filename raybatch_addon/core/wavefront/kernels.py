@@ -11,6 +11,8 @@ from ..film.tile import add_spill_kernel, resolve_kernel
 from ..report.counters import count_kernel
 from ..scene.features import SceneFeatures, narrow
 from ..settings import RenderSettings
+from .hit_order import hit_key_kernel
+from .plan import Method
 from .queues import QUEUE_KERNELS
 from .ray_order import order_kernels
 from .stages.accumulate import accumulate_kernel
@@ -76,5 +78,7 @@ def tracing_kernels(features: SceneFeatures, settings: RenderSettings, tracing: 
     kernels = [count_kernel(counting), counted_kernel] if counting else []
     if features.surfaces:
         kernels += order_kernels(settings.ray_sort, device)
+        if tracing.method is Method.PAGED and device.is_cuda:
+            kernels.append(hit_key_kernel)
         kernels += tracer_kernels(tracing, settings, features.shadow_rays, bool(counting and counting.steps), device)
     return kernels

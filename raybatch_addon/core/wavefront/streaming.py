@@ -38,7 +38,7 @@ from .streaming_rays import PendingCounts, RayCounts, WaitingRays, streaming_byt
 from .tracer import SlotList
 
 # Rays that begin in a step at most: few enough that the first pages are on their way early
-_NEW_CUDA, _NEW_CPU = 1 << 22, 1 << 16
+_NEW_CUDA, _NEW_CPU = 1 << 24, 1 << 16
 # `advance` returns when this share of the rays alive is finished
 _FINISHED_SHARE = 8
 # A worker that waited this long for a page takes the place of pages that other workers wait for [s]

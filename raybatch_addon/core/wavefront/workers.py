@@ -15,6 +15,7 @@ from ..scene.description import Frame
 from ..settings import RenderSettings
 from .batching import selection_of
 from .device_scene import DeviceScene
+from .hit_order import hit_order_bytes
 from .integrator import TileIntegrator
 from .plan import Choice, Method
 from .ray_order import order_bytes
@@ -54,6 +55,8 @@ def make_workers(scene: DeviceScene, frame: Frame, settings: RenderSettings, are
     # sums of finished tiles stay on a CUDA device until the film is asked for them
     tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
     sorting = 0 if scene.tracing.waits and settings.ray_sort == "AUTO" else order_bytes(settings.ray_sort, asked, device.is_cuda)
+    if scene.geometry_on_host:
+        sorting += hit_order_bytes(asked)
     budget = max(0, int(free_memory(device) * PATH_MEMORY_SHARE) // workers - tile_bytes - sorting - SPILL_BYTES)
     count = reduced_path_count(asked, each, budget)
     if count == 0:
