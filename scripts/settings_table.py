@@ -36,9 +36,14 @@ def _values(info: SettingInfo) -> str:
     return text + (f"{unit}, or with a unit: `1.5G`, `512Mi`" if info.unit == BYTES else unit)
 
 
+def _continued(sentence: str) -> str:
+    """`sentence` behind a colon; words in capitals stay."""
+    return sentence[0].lower() + sentence[1:] if sentence[1:2].islower() or sentence[1:2] == " " else sentence
+
+
 def _meaning(info: SettingInfo) -> str:
     lines = [f"{info.description}."]
-    lines += [f"`{identifier}`: {about[0].lower() if about[1:2].islower() or about[1:2] == " " else about[0]}{about[1:]}." for identifier, _, about in info.choices]
+    lines += [f"`{identifier}`: {_continued(about)}." for identifier, _, about in info.choices]
     return "<br>".join(lines)
 
 
