@@ -171,7 +171,7 @@ class BatchingTracer:
             self._loop = DeviceLoop(self._policy, self._queues.parallel_queues.moves, self._serve_marked, kernels)
         self._totals = BatchingTotals(block_count=self._queues.size.block_count)
         self._made_at = time.perf_counter()
-        self._host_steps = self._forgotten = self._forgotten_done = 0
+        self._step = self._host_steps = self._forgotten = self._forgotten_done = 0
         self._notes, self._note_every = 0, 1
 
     # --- the interface
@@ -190,6 +190,7 @@ class BatchingTracer:
 
     def advance(self) -> None:
         """Serve queues until a share of the rays under way is done, or none waits."""
+        self._count_steps()
         waiting = self._queues.waiting
         self._note_occupancy(waiting)
         if self._loop and not self._loop.prepare():
@@ -256,7 +257,7 @@ class BatchingTracer:
         # rays that are done wait in a queue too, which is none of those that cost
         totals.rays_queued -= totals.finished + int(queues.fetch_counts()[self._done]) + self._forgotten_done
         totals.treelet_visits = int(self._progress.visits.numpy()[0])
-        totals.steps = int(queues.fetch_state()[STEP])
+        self._count_steps()
         return totals.merge(BatchingTotals())
 
     # --- the steps
@@ -340,6 +341,12 @@ class BatchingTracer:
             self._queues.put(batch, rule, self._direct.places if self._direct else None)
             if self._direct:
                 self._direct.store(batch)
+
+    def _count_steps(self) -> None:
+        """The device counts them with 32 bits, which a long render uses up."""
+        step = int(self._queues.fetch_state()[STEP])
+        self._totals.steps += (step - self._step) & 0xFFFFFFFF
+        self._step = step
 
     def _note_occupancy(self, waiting: int) -> None:
         """Points are forgotten when there are many; from then on fewer are noted, so that they lie evenly."""

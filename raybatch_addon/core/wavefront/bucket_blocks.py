@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 # Entries of `Blocks.state`
-FREE, OVERFLOW, IN_USE_PEAK, SHORT, WAIT_MAX, STEP, PUT, WAITING, STATE_SIZE = range(9)
+FREE, OVERFLOW, IN_USE_PEAK, SHORT, WAIT_MAX, STEP, WAITING, STATE_SIZE = range(8)
 
 # Queues of 1024 rays keep the launches over blocks small; more would only waste places of queues that are nearly empty
 QUEUE_SIZE_MAX = 1024
@@ -39,6 +39,7 @@ class Blocks:
     overflow_link: wp.array(dtype=int)  # CPU: the next place of the same queue, or of the free places
     overflow_first: wp.array(dtype=int)  # CPU, by queue: its first place of the overflow, or -1; the last entry: of the free places
     state: wp.array(dtype=int)  # shape [STATE_SIZE]
+    put: wp.array(dtype=wp.int64)  # times a ray was put into a queue so far, shape [1]: more than 32 bits hold within minutes
     queue_size: int
     overflow_at: int  # first place of the overflow
 
@@ -168,6 +169,7 @@ def allocate_blocks(size: PoolSize, queue_total: int, device: wp.Device, host: b
             ("overflow_first", queue_total + 1 if host else 0), ("state", STATE_SIZE),
         ):  # fmt: skip
             setattr(blocks, name, wp.zeros(count, dtype=int))
+        blocks.put = wp.zeros(1, dtype=wp.int64)
     blocks.queue_size, blocks.overflow_at = size.queue_size, size.block_count * size.queue_size
     clear_blocks(blocks)
     return blocks

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from ..kernel import KERNEL_OPTIONS
-from .bucket_blocks import FREE, IN_USE_PEAK, OVERFLOW, PUT, SHORT, STEP, WAITING, WAIT_MAX, Blocks, Listed, QueueRule, queue_of, where_of
+from .bucket_blocks import FREE, IN_USE_PEAK, OVERFLOW, SHORT, STEP, WAITING, WAIT_MAX, Blocks, Listed, QueueRule, queue_of, where_of
 
 _FREE = wp.constant(FREE)
 _OVERFLOW = wp.constant(OVERFLOW)
@@ -13,7 +13,6 @@ _PEAK = wp.constant(IN_USE_PEAK)
 _SHORT = wp.constant(SHORT)
 _WAIT = wp.constant(WAIT_MAX)
 _STEP = wp.constant(STEP)
-_PUT = wp.constant(PUT)
 _WAITING = wp.constant(WAITING)
 
 
@@ -66,7 +65,7 @@ def put_rays(blocks: Blocks, rule: QueueRule, rays: Listed):
             rays.places[i] = place
     blocks.state[_FREE] = free
     blocks.state[_PEAK] = wp.max(blocks.state[_PEAK], blocks.owner.shape[0] - free)
-    blocks.state[_PUT] = blocks.state[_PUT] + put
+    blocks.put[0] = blocks.put[0] + wp.int64(put)
     blocks.state[_WAITING] = blocks.state[_WAITING] + put
     if over > 0:
         blocks.state[_OVERFLOW] = blocks.state[_OVERFLOW] + over

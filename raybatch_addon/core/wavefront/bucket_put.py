@@ -5,14 +5,13 @@ from __future__ import annotations
 import warp as wp
 
 from ..kernel import KERNEL_OPTIONS
-from .bucket_blocks import FREE, IN_USE_PEAK, OVERFLOW, PUT, SHORT, STEP, WAITING, Blocks, Listed, Moves, QueueRule, blocks_for, queue_of
+from .bucket_blocks import FREE, IN_USE_PEAK, OVERFLOW, SHORT, STEP, WAITING, Blocks, Listed, Moves, QueueRule, blocks_for, queue_of
 
 _FREE = wp.constant(FREE)
 _OVERFLOW = wp.constant(OVERFLOW)
 _PEAK = wp.constant(IN_USE_PEAK)
 _SHORT = wp.constant(SHORT)
 _STEP = wp.constant(STEP)
-_PUT = wp.constant(PUT)
 _WAITING = wp.constant(WAITING)
 
 
@@ -160,7 +159,7 @@ def put_state_kernel(blocks: Blocks, moves: Moves, bound: int):
     free = wp.max(free - wanted, 0)
     blocks.state[_FREE] = free
     blocks.state[_PEAK] = wp.max(blocks.state[_PEAK], blocks.owner.shape[0] - free)
-    blocks.state[_PUT] = blocks.state[_PUT] + moves.total[0]
+    blocks.put[0] = blocks.put[0] + wp.int64(moves.total[0])
     blocks.state[_WAITING] = blocks.state[_WAITING] + moves.total[0]
     if moves.flags.shape[0] > 0:
         over = moves.flags_first[bound]

@@ -12,7 +12,6 @@ from .bucket_blocks import (
     FREE,
     IN_USE_PEAK,
     OVERFLOW,
-    PUT,
     SHORT,
     STEP,
     WAIT_MAX,
@@ -168,8 +167,9 @@ class BucketQueues:
     def totals(self) -> dict[str, int]:
         """For `BatchingTotals`."""
         state = self.fetch_state()
-        names = {"rays_queued": PUT, "blocks_peak": IN_USE_PEAK, "blocks_short": SHORT, "wait_max": WAIT_MAX}
-        return {name: int(state[place]) for name, place in names.items()} | {"block_count": self.size.block_count}
+        names = {"blocks_peak": IN_USE_PEAK, "blocks_short": SHORT, "wait_max": WAIT_MAX}
+        counts = {name: int(state[place]) for name, place in names.items()}
+        return counts | {"rays_queued": int(self.blocks.put.numpy()[0]), "block_count": self.size.block_count}
 
     @property
     def waiting(self) -> int:

@@ -24,6 +24,7 @@ from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import upload_geometry
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.wavefront.batching import BatchingTracer, batching_bytes_per_path, batching_kernels
+from raybatch_addon.core.wavefront.bucket_blocks import STEP
 from raybatch_addon.core.wavefront.rays import RayKind, Rays, allocate_rays
 from raybatch_addon.core.wavefront.stages.trace import Traversal, tracing_stages
 from raybatch_addon.core.wavefront.stages.visit import VisitTask
@@ -206,6 +207,16 @@ def test_few_rays_go_on_unbatched():
     assert 50 < totals.rays_unbatched < 100
     assert totals.steps == 2
     np.testing.assert_array_equal(visits.numpy()[2, :100], 1)
+
+
+@pytest.mark.parametrize("parallel", PARALLEL)
+def test_more_steps_are_counted_than_32_bits_hold(parallel):
+    tracer, _ = wandering(50, 100, parallel, bucket_selection="MOST_FULL")
+    tracer._queues.set_step(2**31 - 3)
+    tracer.submit(RayKind.CLOSEST, slot_list(np.arange(100)))
+    drain(tracer)
+    assert tracer._queues.fetch_state()[STEP] < 0
+    assert 2**31 < tracer.totals().steps < 2**31 + 10_000
 
 
 def test_waits_and_occupancy_are_told():

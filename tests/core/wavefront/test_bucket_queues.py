@@ -136,6 +136,13 @@ def test_waiting_and_shortage_are_counted(way):
     assert queues.totals()["wait_max"] == 7
 
 
+def test_more_puts_are_counted_than_32_bits_hold(way):
+    queues = BucketQueues(2, 4, 0, 10, **way)
+    queues.blocks.put.fill_(2**31 - 1)
+    queues.put(batch_of(way["device"], np.arange(10), np.arange(10) % 2))
+    assert queues.totals()["rays_queued"] == 2**31 + 9
+
+
 def test_checks_find_what_is_wrong(way):
     device = way["device"]
     queues = BucketQueues(4, 2, 0, 12, debug=True, **way)
