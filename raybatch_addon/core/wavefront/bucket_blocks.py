@@ -15,6 +15,8 @@ import warp as wp
 # Entries of `Blocks.state`
 FREE, OVERFLOW, IN_USE_PEAK, SHORT, WAIT_MAX, STEP, WAITING, STATE_SIZE = range(8)
 
+# Places that can be numbered
+PLACES_MAX = 2**31 - 1
 # Queues of 1024 rays keep the launches over blocks small; more would only waste places of queues that are nearly empty
 QUEUE_SIZE_MAX = 1024
 
@@ -146,7 +148,8 @@ def pool_size(queue_total: int, queue_size: int, queue_count: int, slot_count: i
     most = min(-(-slot_count // queue_size) + queue_total, slot_count)  # each has at least a ray
     if not queue_count:
         queue_count = min(most, max(1, 2 * slot_count // queue_size))
-    queue_count = min(queue_count, most)
+    # places are numbered by 31 bits, and the overflow has fewer than there are rays
+    queue_count = min(queue_count, most, max(1, (PLACES_MAX - slot_count) // queue_size))
     # blocks run out with as few rays as this in them: one in the last block of each queue, all other blocks full
     queues = min(queue_total, queue_count)
     held = queues + (queue_count - queues) * queue_size

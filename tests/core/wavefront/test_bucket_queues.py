@@ -178,6 +178,13 @@ def test_sizes_have_a_place_for_every_ray(queue_total, slot_count):
     assert pool_size(queue_total, 0, 3, slot_count).block_count <= 3
 
 
+def test_places_can_be_numbered_whatever_is_asked_for():
+    """The most that settings allow, with a shadow ray for every path."""
+    for queue_size, queue_count in ((2**24, 127), (2**23, 255), (7, 2**28), (2**24, 0), (0, 2**28), (1, 1)):
+        size = pool_size(40_002, queue_size, queue_count, 2**29)
+        assert 2**29 <= size.place_count <= 2**31 - 1 and size.block_count > 0, (queue_size, queue_count)
+
+
 @pytest.mark.parametrize("count", [1, 31, 64, 1000, 70_000])
 def test_scan(count):
     for device in {way[0] for way in WAYS}:
