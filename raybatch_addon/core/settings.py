@@ -17,8 +17,10 @@ from .setting_info import BYTES, GROUPS, INT_MAX, SettingInfo, checked, infos_of
 
 __all__ = ["BYTES", "GROUPS", "SETTINGS", "RenderSettings", "SettingInfo", "parse_setting", "setting_info"]
 
-# 32-bit registers of a block of threads, on every CUDA device since 2014
-REGISTERS_MAX = 65_536
+# 32-bit registers of a block of threads, on every CUDA device since 2014, and the steps in which a thread gets them
+REGISTERS_MAX, REGISTER_STEP = 65_536, 8
+# Threads of a block where `block_size` is 0
+BLOCK_SIZE = 128
 
 
 @dataclass(frozen=True)
@@ -280,10 +282,10 @@ class RenderSettings:
                 f"single_lane is ON, so one lane of one warp works, but warp_count is {self.warp_count}; "
                 "set warp_count to 0 or 1, or single_lane to OFF"
             )
-        if self.register_cap * self.block_size > REGISTERS_MAX:
+        if block_registers(self.register_cap, self.block_size or BLOCK_SIZE) > REGISTERS_MAX:
             return (
                 f"register_cap ({self.register_cap}) times block_size ({self.block_size}) is more than the {REGISTERS_MAX:,} registers "
-                "that a block of threads can have; lower one of the two, or set it to 0"
+                f"that a block of threads can have, and a thread gets them in steps of {REGISTER_STEP}; lower one of the two, or set it to 0"
             )
         return None
 
@@ -302,6 +304,11 @@ class RenderSettings:
         for name in changes:
             setting_info(name)
         return dataclasses.replace(self, **changes)
+
+
+def block_registers(register_cap: int, block_size: int) -> int:
+    """Registers that a block of `block_size` threads takes, each with up to `register_cap`; 0 where they are not capped."""
+    return -(-register_cap // REGISTER_STEP) * REGISTER_STEP * block_size
 
 
 def setting_info(name: str) -> SettingInfo:

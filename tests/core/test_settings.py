@@ -54,6 +54,7 @@ def test_water_marks_in_the_wrong_order_are_refused():
         (dict(queue_size=2**20, queue_count=2**12), ["queue_size (1048576)", "queue_count (4096)", "4,294,967,296", "set queue_count to 0"]),
         (dict(single_lane="ON", warp_count=2), ["single_lane is ON", "warp_count is 2", "set warp_count to 0 or 1"]),
         (dict(register_cap=65, block_size=1024), ["register_cap (65)", "block_size (1024)", "65,536", "lower one"]),
+        (dict(register_cap=66, block_size=992), ["register_cap (66)", "block_size (992)", "steps of 8", "lower one"]),
         (dict(batching="REFERENCE", geometry_budget="1M"), ["batching is REFERENCE", "geometry_budget (1000000 bytes)", "set geometry_budget to 0"]),
         (dict(batching="OFF", geometry_budget=1), ["batching is OFF", "geometry_budget (1 bytes)", "batching to AUTO or ON"]),
     ],

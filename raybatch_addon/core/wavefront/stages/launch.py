@@ -9,11 +9,9 @@ import warp as wp
 
 from ...bvh.traverse_cuda import persistent_count
 from ...kernel import KERNEL_OPTIONS, with_block_size
-from ...settings import RenderSettings
+from ...settings import BLOCK_SIZE, REGISTERS_MAX, RenderSettings, block_registers
 
 WARP_SIZE = 32
-# Of a multiprocessor, and the steps in which a warp gets them
-_REGISTERS, _REGISTER_STEP = 65536, 8
 
 
 @dataclass(frozen=True)
@@ -23,7 +21,7 @@ class Launch:
     warp_count: int = 0  # 32 x so many lanes share the work (CPU, BOXES: so many slices, one after another); 0: as suits the device
     single_lane: bool = False  # one ray at a time in the whole device, for debugging
     register_cap: int = 0  # most registers of a lane, 16..255; 0: as the compiler likes
-    block_size: int = 128  # lanes of a block: 32..1024, a multiple of 32
+    block_size: int = BLOCK_SIZE  # lanes of a block: 32..1024, a multiple of 32
 
     @staticmethod
     def of(settings: RenderSettings) -> Launch:
@@ -37,11 +35,11 @@ class Launch:
             raise ValueError(f"register_cap is {self.register_cap}, and must be 0 or 16 to 255")
         if not 32 <= self.block_size <= 1024 or self.block_size % WARP_SIZE:
             raise ValueError(f"block_size is {self.block_size}, and must be a multiple of 32 from 32 to 1024")
-        registers = -(-self.register_cap // _REGISTER_STEP) * _REGISTER_STEP * self.block_size
-        if registers > _REGISTERS:
+        registers = block_registers(self.register_cap, self.block_size)
+        if registers > REGISTERS_MAX:
             raise ValueError(
                 f"blocks of {self.block_size} lanes with {self.register_cap} registers each need {registers}, and a multiprocessor has "
-                f"{_REGISTERS}: lower block_size or register_cap"
+                f"{REGISTERS_MAX}: lower block_size or register_cap"
             )
 
     def lane_count(self, ray_bound: int, device: wp.Device) -> int:
