@@ -204,11 +204,11 @@ def _split(held: np.ndarray, edge: np.ndarray, size_max: int) -> tuple[np.ndarra
     labels = np.zeros(held.shape, np.int32)
     leaf_count = 0
     stack = [tuple(slice(0, n) for n in held.shape)]
-    whole = True
+    coarse = 1  # the whole is split wherever it can be, so that every division comes to an end
     while stack:
         box = _tight(held, stack.pop())
         part = held[box]
-        if part.sum() > size_max and (whole or max(part.shape) > _COARSE_CELLS):
+        if part.sum() > size_max and max(part.shape) > coarse:
             axis, plane = _best_plane(part, edge, size_max)
             middle = box[axis].start + plane
             # the first is on top
@@ -217,7 +217,7 @@ def _split(held: np.ndarray, edge: np.ndarray, size_max: int) -> tuple[np.ndarra
         else:
             labels[box] = leaf_count
             leaf_count += 1
-        whole = False
+        coarse = _COARSE_CELLS
     return labels, leaf_count
 
 

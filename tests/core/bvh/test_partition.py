@@ -65,6 +65,17 @@ def test_long_triangles_lie_apart():
     assert any(np.array_equal(chunk, [len(triangles), len(triangles) + 1]) for chunk in chunks)
 
 
+def test_all_but_the_long_triangles_may_lie_in_one_cell():
+    """A small thing in a large room: its walls set the grid, and lie apart."""
+    positions, triangles = wide_trees.soup(3000)
+    small = (positions - positions.min(0)) / np.ptp(positions, axis=0) * 0.1 + 0.1
+    low, high = np.float32([[-50, -50, -50], [50, -50, -50], [50, 50, -50]]), np.float32([[-50, -50, 50], [50, -50, 50], [50, 50, 50]])
+    walls = np.concatenate([np.roll(wall, k, 1) for k in range(3) for wall in (low, high)])
+    both = np.concatenate([triangles, len(positions) + np.arange(18, dtype=np.int32).reshape(-1, 3)])
+    chunks = check(np.concatenate([small, walls]).astype(np.float32), both, 500)
+    assert any(np.array_equal(chunk, len(triangles) + np.arange(6)) for chunk in chunks)
+
+
 @pytest.mark.parametrize("scale", [0.0, 1e-30, 1e-18, 1e17])
 def test_triangles_that_cannot_be_told_apart_are_divided_all_the_same(scale):
     positions, triangles = wide_trees.soup(500)
