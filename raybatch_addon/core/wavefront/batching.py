@@ -243,7 +243,7 @@ class BatchingTracer:
         ]  # fmt: skip
 
     def forget(self) -> None:
-        """The rays that are under way do not come back."""
+        """As `Tracer.forget`."""
         self._forgotten += self._queues.waiting
         self._forgotten_done += int(self._queues.fetch_counts()[self._done])
         self._queues.clear()

@@ -87,8 +87,11 @@ class TileIntegrator:
         if scene.tree and settings.ray_sort != "OFF" and (settings.ray_sort == "ON" or not tracing.waits):
             self._order = RayOrder(settings.ray_sort, count, scene.box, device, self._timer)
         self._hit_order = HitOrder(count, scene.data.geometry, device, self._timer) if scene.geometry_on_host else None
-        self._tracer = self._new_tracer() if scene.tree else None
-        self._given_up = BatchingTotals()  # of tracers that were left with their rays
+        self._tracer: Tracer | None = None  # there is nothing to hit
+        if scene.tree:
+            self._tracer = make_tracer(
+                scene, self._rays, count, self._shadow_kind, settings, self._counters if self._counts_steps else None, self._timer, self._trace_in_order
+            )  # fmt: skip
         self._cost: wp.array | None = None
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
         self._alive = 0
@@ -236,23 +239,18 @@ class TileIntegrator:
         state.drained = False
         self._paths.status.zero_()
         self._alive = 0
+        # rays of the next turn were not traced
+        self.rays.bounced -= self._bounced.bound
+        self.rays.shadow -= self._shadow.bound
         self._bounced = self._shadow = NO_SLOTS
         if self._tracer:
-            self._given_up = self.batching_totals() or self._given_up
-            self._tracer = None  # its memory, before that of the next
-            self._tracer = self._new_tracer()
+            self._tracer.forget()
 
     # --- tracing
 
-    def _new_tracer(self) -> Tracer:
-        counters = self._counters if self._counts_steps else None
-        return make_tracer(
-            self._scene, self._rays, self._marks.path_count, self._shadow_kind, self._settings, counters, self._timer, self._trace_in_order
-        )  # fmt: skip
-
     def batching_totals(self) -> BatchingTotals | None:
         """What rays waited for so far; None where they do not wait."""
-        return self._given_up.merge(self._tracer.totals()) if self._tracer and self._scene.tracing.waits else None
+        return self._tracer.totals() if self._tracer and self._scene.tracing.waits else None
 
     def _trace_in_order(self, kind: RayKind, listed: SlotList, launch: Callable) -> None:
         counts = self._counters.work[kind] if self._counts_steps else None

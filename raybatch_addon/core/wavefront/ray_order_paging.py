@@ -19,6 +19,7 @@ from ..bvh.page_build import PagedScene
 from ..bvh.page_facts import PageFacts
 from ..bvh.residency import Residency
 from ..bvh.trace_counts import TraceCounts
+from ..bvh.tree import DONE, NEW
 from ..report.batching import BatchingTotals
 from ..report.timing import NoTimer, StageTimer
 from ..settings import RenderSettings
@@ -29,7 +30,6 @@ from .tracer import SlotList
 
 WINDOW = 4096
 """Rays of a window."""
-_NEW, _DONE = -2, -1
 _PATIENCE = 1.0
 
 
@@ -81,6 +81,10 @@ class RayOrderPager:
         finished, self._finished = self._finished, []
         return finished
 
+    def forget(self) -> None:
+        """As `Tracer.forget`."""
+        self._under_way, self._finished = [], []
+
     def totals(self) -> BatchingTotals:
         """What was done so far."""
         totals, pages = self._totals, self._view.counts
@@ -96,11 +100,11 @@ class RayOrderPager:
     def _trace(self, window: np.ndarray) -> None:
         """A window, to the end of all its rays."""
         self._windows += 1
-        slots, where = window.copy(), np.full(len(window), _NEW, np.int32)
+        slots, where = window.copy(), np.full(len(window), NEW, np.int32)
         seen = np.zeros(len(self._paged.pages), bool)
         while len(slots):
             where = self._go_on(slots, where, seen)
-            alive = where != _DONE
+            alive = where != DONE
             slots, where = slots[alive], where[alive]
             self._totals.rays_queued += len(slots)
             if not len(slots):

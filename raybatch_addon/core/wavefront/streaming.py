@@ -95,6 +95,7 @@ class StreamingTracer:
         self._new_expected = 0  # rays that are new behind the last step, as far as the host can tell
         self._zero_copy = False
         self._totals = BatchingTotals()
+        self._forgotten = 0  # rays that were given up
         self._waits_since = np.zeros(len(paged.pages), np.int64)  # step since which rays wait for each page
         self._start = time.perf_counter()
 
@@ -150,6 +151,19 @@ class StreamingTracer:
             self._waiting.check(self._known)
         return [(self._shadow_kind if shadow else RayKind.CLOSEST, rays) for shadow, rays in lists]
 
+    def forget(self) -> None:
+        """As `Tracer.forget`."""
+        while self._pending:
+            self._read_counts()
+        # those that came in since the last step too
+        known = self._waiting.count(self._progress.visits).read()
+        self._forgotten += self._slot_count - known.idle
+        self._waiting.clear()
+        self._known = RayCounts(self._slot_count, 0, 0, 0, np.zeros_like(known.waiting), 0, known.visits)
+        self._view.set_waiting(self._known.waiting)
+        self._submitted = self._alive = self._new_expected = 0
+        self._zero_copy = False
+
     def totals(self) -> BatchingTotals:
         """What was done so far."""
         while self._pending:
@@ -158,7 +172,7 @@ class StreamingTracer:
         totals.bytes_copied, totals.pages_loaded, totals.pages_evicted = pages.bytes_copied, pages.loaded, pages.evicted
         totals.resident_peak = self._residency.bytes_peak
         totals.treelet_visits = self._known.visits
-        totals.rays = totals.finished + self._slot_count - self._known.idle
+        totals.rays = totals.finished + self._forgotten + self._slot_count - self._known.idle
         return totals
 
     def close(self) -> None:

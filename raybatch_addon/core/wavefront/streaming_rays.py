@@ -11,6 +11,7 @@ import warp as wp
 from .stages.visit import Batch
 from .streaming_kernels import (
     CHUNKS_MOST,
+    CLASS_IDLE,
     CLASS_PAGES,
     IDLE,
     SCAN_THREADS,
@@ -89,11 +90,10 @@ class WaitingRays:
         cuda = device.is_cuda
         waiting = self._waiting = Waiting()
         with wp.ScopedDevice(device):
-            waiting.where = wp.full(slot_count, IDLE, dtype=int)
+            waiting.where = wp.empty(slot_count, dtype=int)
             waiting.page = page_of
             waiting.classes, waiting.copies = self._classes, TALLY_COPIES if cuda else 1
-            waiting.tally = wp.zeros(waiting.classes * waiting.copies, dtype=int)
-            waiting.tally[:1].fill_(slot_count)
+            waiting.tally = wp.empty(waiting.classes * waiting.copies, dtype=int)
             waiting.shadow_first = shadow_first
             waiting.chunk = SLOTS_A_TURN * -(-slot_count // (SLOTS_A_TURN * CHUNKS_MOST))
             waiting.parts = wp.zeros(-(-slot_count // waiting.chunk) if cuda else 0, dtype=wp.uint64)
@@ -105,12 +105,19 @@ class WaitingRays:
             # as many as are on their way to the host at once
             self._on_host = [wp.zeros(self._totals.shape, dtype=wp.int64, device="cpu", pinned=cuda) for _ in range(4)]
         self._turn = 0
+        self.clear()
 
     @staticmethod
     def _list() -> Taken:
         taken = Taken()
         taken.count, taken.count_first, taken.count_second = (wp.zeros(1, dtype=int) for _ in range(3))
         return taken
+
+    def clear(self) -> None:
+        """No slot has a ray."""
+        self._waiting.where.fill_(IDLE)
+        self._waiting.tally.zero_()
+        self._waiting.tally[CLASS_IDLE : CLASS_IDLE + 1].fill_(self._slot_count)
 
     def submit(self, rays: SlotList) -> None:
         """Rays come in."""

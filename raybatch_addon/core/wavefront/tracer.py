@@ -37,6 +37,9 @@ class Tracer(Protocol):
     def take_finished(self) -> list[tuple[RayKind, SlotList]]:
         """Rays that are done since the last call, their hits written to their slots."""
 
+    def forget(self) -> None:
+        """The rays that are under way do not come back, nor do those that are done; their slots are no more the tracer's."""
+
 
 class UnbatchedTracer:
     """A `Tracer` in which every ray visits the whole tree as soon as it is told to advance."""
@@ -67,3 +70,6 @@ class UnbatchedTracer:
     def take_finished(self) -> list[tuple[RayKind, SlotList]]:
         finished, self._finished = self._finished, []
         return finished
+
+    def forget(self) -> None:
+        self._under_way, self._finished = [], []

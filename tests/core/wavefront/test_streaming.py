@@ -255,6 +255,24 @@ def test_given_up_rays_leave_nothing_behind():
     residency.close()
 
 
+def test_rays_can_be_forgotten():
+    """As when a tile is given up: some are done, some wait, and some came in last."""
+    paged = paged_of(ONE)
+    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, device())
+    rays = new_rays()
+    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
+    tracer.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
+    tracer.advance()
+    tracer.submit(RayKind.OCCLUSION, list_of(np.arange(PATHS, PATHS + 50)))
+    tracer.forget()
+    assert tracer.take_finished() == [] and residency.facts().waiting.sum() == 0
+    assert (tracer.totals().rays, tracer.totals().finished) == (PATHS + 50, 0)
+    run(tracer, RayKind.OCCLUSION)
+    same(hits_of(rays, PATHS, True), expected(ONE, True))
+    assert (tracer.totals().rays, tracer.totals().finished) == (3 * PATHS + 50, 2 * PATHS)
+    residency.close()
+
+
 def test_one_ray_at_a_time():
     paged = paged_of(ONE)
     residency = Residency(paged, paged.resident_bytes + paged.page_bytes_max, device())
