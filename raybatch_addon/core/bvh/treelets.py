@@ -58,12 +58,6 @@ class CutRule:
                 raise ValueError(f"{name} of a cut is {value}, and must be 0 or more")
 
 
-def rule_of(treelet_size: int, treelet_size_min: int, treelet_bytes: int, top_level_depth_max: int, cache_bytes: int) -> CutRule:
-    """The rule that settings of these names ask for; where neither size is given (0), a treelet fills `cache_bytes` at most."""
-    chosen = treelet_bytes if treelet_size or treelet_bytes else cache_bytes
-    return CutRule(treelet_size, treelet_size_min, top_level_depth_max, chosen)
-
-
 @dataclass(frozen=True)
 class Cut:
     """A mesh tree that was cut. Units are triangles (QUANTISED) or groups of triangles (BOXES).

@@ -19,7 +19,7 @@ from raybatch_addon.core.bvh.collapse import collapse_mesh
 from raybatch_addon.core.bvh.node import BOXES_NODE, EMPTY_CHILD, QUANTISED_NODE, Layout, WideMesh, decode_children, walk_tree
 from raybatch_addon.core.bvh.treelet_tree import TreeletTree, cut_scene_tree
 from raybatch_addon.core.bvh.treelet_walk import CutBlocks, check_same, walk_treelets
-from raybatch_addon.core.bvh.treelets import TREELET_CHILD, Cut, CutRule, cut_nodes, rule_of, tree_levels
+from raybatch_addon.core.bvh.treelets import TREELET_CHILD, Cut, CutRule, cut_nodes, tree_levels
 from raybatch_addon.core.errors import OutOfMemoryError
 from raybatch_addon.core.scene.description import Mesh
 from raybatch_addon.core.scene.flatten import flatten
@@ -428,10 +428,3 @@ def test_what_does_not_fit_is_told(monkeypatch):
     monkeypatch.setattr(treelet_tree, "free_memory", lambda device: 1000)
     with pytest.raises(OutOfMemoryError, match="treelets needs .* GB more"):
         cut_scene_tree(built, CutRule(), wp.get_device(DEVICE))
-
-
-def test_the_rule_of_settings():
-    assert rule_of(0, 1, 0, 64, 1 << 20) == CutRule(0, 1, 64, 1 << 20)
-    assert rule_of(800, 2, 0, 15, 1 << 20) == CutRule(800, 2, 15, 0)
-    assert rule_of(0, 1, 4096, 64, 1 << 20) == CutRule(0, 1, 64, 4096)
-    assert rule_of(7, 1, 4096, 64, 1 << 20) == CutRule(7, 1, 64, 4096)
