@@ -185,12 +185,12 @@ def delete_old_files(folder: Path, kept: Path | None = None, bytes_max: int = KE
     """
     deleted = []
     with contextlib.suppress(OSError):
-        for path in folder.glob(f"*{SUFFIX}.*.part"):
-            if time.time() - path.stat().st_mtime > _LEFT_SECONDS and _deleted(path):
+        for used, _, path in _by_age(folder.glob(f"*{SUFFIX}.*.part")):
+            if time.time() - used > _LEFT_SECONDS and _deleted(path):
                 deleted.append(path)
-        files = sorted(((path.stat().st_mtime, path.stat().st_size, path) for path in folder.glob(f"*{SUFFIX}")), reverse=True)
+        files = _by_age(folder.glob(f"*{SUFFIX}"))
         total = sum(size for _, size, path in files if path == kept)
-        for _, size, path in files:
+        for _, size, path in reversed(files):
             if path == kept:
                 continue
             total += size
@@ -203,13 +203,25 @@ def delete_old_files(folder: Path, kept: Path | None = None, bytes_max: int = KE
 def _make_room(folder: Path, needed: int) -> None:
     """Delete old files until there is room; raises `PageFileError` where there would not be."""
     delete_old_files(folder, None, max(KEPT_BYTES_MAX - needed, 0))
+    files = _by_age(folder.glob(f"*{SUFFIX}"))
+    helps = shutil.disk_usage(folder).free + sum(size for _, size, _ in files) >= needed
     while (free := shutil.disk_usage(folder).free) < needed:
-        files = sorted((path.stat().st_mtime, path.stat().st_size, path) for path in folder.glob(f"*{SUFFIX}"))
-        if free + sum(size for _, size, _ in files) < needed or not _deleted(files[0][2]):
+        if not (helps and files):
             raise PageFileError(
                 f"the scene's geometry takes about {needed / 1e9:.2f} GB in {folder}, and {free / 1e9:.2f} GB are free there; free some space, "
                 "choose another folder, or HOST memory"
             )
+        _deleted(files.pop(0)[2])
+
+
+def _by_age(paths: Iterable[Path]) -> list[tuple[float, int, Path]]:
+    """When each was used last [s], its size [bytes] and itself, the oldest first; without those that another process deletes meanwhile."""
+    found = []
+    for path in paths:
+        with contextlib.suppress(FileNotFoundError):
+            known = path.stat()
+            found.append((known.st_mtime, known.st_size, path))
+    return sorted(found)
 
 
 def _deleted(path: Path) -> bool:

@@ -167,16 +167,24 @@ class DiskStore:
         data = host[: page.byte_count]
         self.read(page.byte_first, data, direct)
         if self._segments.wrong(page.byte_first, data):
-            with contextlib.suppress(OSError):
-                self.path.unlink()
+            self._spoil()
             raise PageFileError(
-                f"the file of geometry {self.path} was damaged: the page at byte {page.byte_first:,} is not what was written. It is "
-                "deleted; render again, which writes it anew"
+                f"the file of geometry {self.path} was damaged: the page at byte {page.byte_first:,} is not what was written; "
+                "render again, which writes it anew"
             )
 
     def view(self, page: Page) -> None:
         """As `PageStore`: not in memory."""
         return None
+
+    def _spoil(self) -> None:
+        """Nobody takes the file for a sound one any more."""
+        try:
+            self.path.unlink()
+        except OSError:
+            # a system may not delete what is open: then its header goes
+            with contextlib.suppress(OSError), open(self.path, "r+b") as file:
+                file.write(bytes(PAGE_ALIGNMENT))
 
     def close(self) -> None:
         """As `PageStore`."""

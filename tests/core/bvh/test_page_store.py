@@ -161,6 +161,21 @@ def test_an_altered_page_is_found_when_it_is_read_and_the_file_goes(tmp_path, di
     assert not third.statistics["reused"] and same(third, built("HOST", nodes_resident=False))
 
 
+def test_a_damaged_file_that_cannot_be_deleted_while_it_is_open_is_not_taken_again(tmp_path, monkeypatch):
+    first = built("DISK", tmp_path, nodes_resident=False)
+    page, path = first.pages[2], first.store.path
+    with open(path, "r+b") as file:
+        file.seek(page.byte_first)
+        file.write(bytes(PAGE_ALIGNMENT))
+    again = built("DISK", tmp_path, nodes_resident=False)
+    with monkeypatch.context() as patch:
+        patch.setattr(type(path), "unlink", lambda path, missing_ok=False: (_ for _ in ()).throw(PermissionError(errno.EACCES, "in use")))
+        with pytest.raises(PageFileError, match="damaged"):
+            again.store.read_into(page, page_buffer(page.byte_count).numpy(), True)
+    third = built("DISK", tmp_path, nodes_resident=False)
+    assert not third.statistics["reused"] and same(third, built("HOST", nodes_resident=False))
+
+
 def test_a_file_that_gets_shorter_meanwhile_is_told(tmp_path):
     first = built("DISK", tmp_path)
     os.truncate(first.store.path, 3 * PAGE_ALIGNMENT)
@@ -282,6 +297,38 @@ def test_room_is_made_by_deleting_old_files(tmp_path, monkeypatch):
     monkeypatch.setattr(page_file.shutil, "disk_usage", disk_usage)
     PageFileWriter(tmp_path, Layout.BOXES, KEY, 2500).abandon()
     assert [path.name for path in tmp_path.iterdir()] == ["2.pages"]
+
+
+def test_files_that_another_process_deletes_meanwhile_do_no_harm(tmp_path, monkeypatch):
+    for i in range(3):
+        path = tmp_path / f"{i}.pages"
+        path.write_bytes(bytes(1000))
+        os.utime(path, (1000 + i, 1000 + i))
+    usage, glob = shutil.disk_usage(tmp_path), type(tmp_path).glob
+    monkeypatch.setattr(type(tmp_path), "glob", lambda folder, *more: [folder / f"gone{more[0][1:]}", *glob(folder, *more)])
+    monkeypatch.setattr(page_file.shutil, "disk_usage", lambda folder: usage._replace(free=4000 - 1000 * len(list(glob(tmp_path, "*.pages")))))
+    PageFileWriter(tmp_path, Layout.BOXES, KEY, 2500).abandon()
+    assert [path.name for path in tmp_path.iterdir()] == ["2.pages"]
+    assert [path.name for path in delete_old_files(tmp_path, None, 0)] == ["2.pages"]
+
+
+def test_a_file_that_is_in_use_does_not_keep_others_from_making_room(tmp_path, monkeypatch):
+    for i in range(3):
+        path = tmp_path / f"{i}.pages"
+        path.write_bytes(bytes(1000))
+        os.utime(path, (1000 + i, 1000 + i))
+    usage, deleted = shutil.disk_usage(tmp_path), page_file._deleted
+    monkeypatch.setattr(page_file, "_deleted", lambda path: path.name != "0.pages" and deleted(path))
+    monkeypatch.setattr(page_file.shutil, "disk_usage", lambda folder: usage._replace(free=4000 - 1000 * len(list(tmp_path.glob("*.pages")))))
+    PageFileWriter(tmp_path, Layout.BOXES, KEY, 1500).abandon()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["0.pages", "2.pages"]
+
+
+def test_what_is_written_does_not_depend_on_the_run(tmp_path):
+    """Two processes may write the same file, and one of them reads what the other wrote."""
+    for layout, encoded in ((Layout.BOXES, False), (Layout.QUANTISED, True)):
+        written = [built("DISK", tmp_path / str(i), layout, encoded=encoded).store.path.read_bytes() for i in range(2)]
+        assert written[0] == written[1]
 
 
 def test_files_say_what_they_hold(tmp_path):
