@@ -11,11 +11,12 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.presets import PRESETS
 from rendering.output import OutputFolders, leave, own_standard_output, write_json
-from rendering.request import UsageError, parse_settings
+from rendering.request import RESOLUTION_DEFAULT, UsageError, parse_settings
 
 RENDER = """\
-Measure whole renders of SCENE: a .blend (needs bpy) or a .scene.npz (does not).
+Measure whole renders of SCENE: a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do not).
 
 Runs of RayBatch and of Cycles alternate; medians are told, with the spread (largest less smallest, over the median). A
 whole render is everything but reading the file: the tree is built anew each time. RayBatch's first render, with
@@ -29,6 +30,12 @@ seeds and the samples of the timed runs. relMSE is half the squared difference o
 brightness (+ 0.01), and averaged over pixels and channels. Error and time are taken as inversely proportional: what is
 compared is time x relMSE, and its inverse is told as efficiency. Set-up counts as time, so take samples enough that it
 does not matter; a few very bright samples can rule the figure, so take samples enough for that too.
+
+--against memory: the same with --budgets of geometry on the device, beside all of it there (geometry_budget 0, batching OFF).
+A budget is in bytes, or a share of what tree and triangles take in memory. Renders take turns; speed is that of a
+render relative to the one in memory in the same turn, trees apart. --set and --preset hold for all of them. All films are
+compared bit for bit; where one differs the report says so, and the exit code is 1. Stages are timed in renders of their own,
+with counters (--no-counters leaves them out).
 """
 TRAVERSAL = """\
 Measure how fast tracers find hits, all on the same rays of real paths.
@@ -66,27 +73,34 @@ def argument_parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
         added.add_argument("--device", default="AUTO", help="AUTO, cpu or cuda:N")
+        added.add_argument("--preset", metavar="NAME", help=f"set the whole schedule: {', '.join(PRESETS)}. --set then changes single settings of it")
         added.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="change a render setting (may be repeated); render.py --help lists them")
         added.add_argument("--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there")
         added.add_argument("--verbose", action="store_true", help="pass on what Blender and Warp print, to standard error")
         return added
 
+    def geometry_options(added: argparse.ArgumentParser) -> None:
+        added.add_argument("--grid", type=int, default=1, metavar="N", help="repeat the mesh N x N times as triangles of their own, seen from above")
+        added.add_argument("--camera", metavar="EX,EY,EZ,TX,TY,TZ,FOV", help="of geometry: eye, target and field of view [degrees] (write --camera=-1,... for a negative first number); default: shows all of it")
+        added.add_argument("--up", choices=("y", "z"), help="of geometry: the axis that points up (default: z)")
+
     render = command("render", RENDER)
     render.add_argument("scene", type=Path, metavar="SCENE")
+    geometry_options(render)
     render.add_argument("--samples", type=int, default=16, help="per pixel (default: 16)")
     render.add_argument("--bounces", type=int, default=7, help="default: 7")
-    render.add_argument("--size", metavar="WxH", help="pixels; default: the file's")
+    render.add_argument("--size", metavar="WxH", help=f"pixels; default: the file's; of geometry: {'x'.join(map(str, RESOLUTION_DEFAULT))}")
     render.add_argument("--threads", type=int, default=0, help="of the CPU, for both engines; default: every core")
     render.add_argument("--runs", type=int, default=3, help="timed runs (default: 3)")
-    render.add_argument("--against", choices=("cycles",), help="measure this engine beside RayBatch")
+    render.add_argument("--against", choices=("cycles", "memory"), help="measure that engine, or all geometry in memory, beside RayBatch")
+    render.add_argument("--budgets", metavar="BUDGET[,BUDGET]", help="with --against memory: geometry on the device at most, such as 1.5G,700M or 10%%,5%%")
+    render.add_argument("--no-counters", action="store_true", help="with --against memory: leave out the time of stages, which costs a compilation and a render of each")
     render.add_argument("--equal-error", action="store_true", help="compare at equal error too; see above")
     render.add_argument("--picture", type=Path, metavar="FILE", help="save the picture as .png or .exr")
 
     traversal = command("traversal", TRAVERSAL)
     traversal.add_argument("--scene", type=Path, required=True, metavar="FILE")
-    traversal.add_argument("--grid", type=int, default=1, metavar="N", help="repeat the mesh N x N times as triangles of their own, seen from above")
-    traversal.add_argument("--camera", metavar="EX,EY,EZ,TX,TY,TZ,FOV", help="of geometry: eye, target and field of view [degrees] (write --camera=-1,... for a negative first number); default: shows all of it")
-    traversal.add_argument("--up", choices=("y", "z"), help="of geometry: the axis that points up (default: z)")
+    geometry_options(traversal)
     traversal.add_argument("--threads", default="1", metavar="T[,T]", help="threads of the CPU (default: 1)")
     traversal.add_argument("--tracers", default="", metavar="NAME[,NAME]")
     traversal.add_argument("--rays", default="primary,bounce1,bounce4,shadow1", metavar="KIND[,KIND]", help="default: %(default)s")
@@ -101,28 +115,30 @@ def argument_parser() -> argparse.ArgumentParser:
 
 def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """The report that was asked for, and the same in words; raises `RayBatchError`."""
-    from benchmarking.tables import render_text, traversal_text
+    from benchmarking.scenes import SceneRequest
+    from benchmarking.tables import memory_text, render_text, traversal_text
 
     for name in ("runs", "ray_count", "samples"):
         value = getattr(options, name, None)
         if value is not None and value < 1:
             raise UsageError(f"--{name.replace('_', '-')} {value} is not valid: it must be 1 or more")
-    changes, resolution = parse_settings(options.set)
+    changes, resolution = parse_settings(options.set, options.preset)
+    scene = SceneRequest(options.scene, options.grid, options.camera, options.up)
     if options.command == "render":
-        from benchmarking.render import RenderRequest, measure_render
+        from benchmarking.render import measure_render
+        from benchmarking.whole_render import RenderRequest
 
         if options.size:
             resolution = parse_settings([f"resolution={options.size}"])[1]
         request = RenderRequest(
-            options.scene, options.device, options.samples, options.bounces, options.threads, options.runs, resolution,
-            options.against, options.equal_error, options.picture, changes,
+            scene, options.device, options.samples, options.bounces, options.threads, options.runs, resolution, options.against,
+            options.budgets, not options.no_counters, options.equal_error, options.picture, changes,
         )  # fmt: skip
         report = measure_render(request)
-        return report, render_text(report)
+        return report, memory_text(report) if options.against == "memory" else render_text(report)
 
     from benchmarking.orders import parse_orders
     from benchmarking.rays import parse_ray_types
-    from benchmarking.scenes import SceneRequest
     from benchmarking.traversal import TraversalRequest, measure_traversal
 
     from raybatch_addon.core.settings import parse_setting
@@ -130,7 +146,7 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     if resolution:
         raise UsageError("--set resolution has no use here: the frame has about as many pixels as there are rays (--ray-count)")
     request = TraversalRequest(
-        SceneRequest(options.scene, options.grid, options.camera, options.up), options.device,
+        scene, options.device,
         [name.strip() for name in options.tracers.split(",") if name.strip()], parse_ray_types(options.rays),
         parse_orders(options.orders), parse_threads(options.threads), options.runs, options.ray_count,
         not options.no_counters, {None: None, "resident": True, "paged": False}[options.nodes], parse_setting("geometry_budget", options.budget), changes,
@@ -161,6 +177,9 @@ def main(arguments: list[str] | None = None) -> int:
                 write_json(options.json, [report], standard_output)
             if options.json != "-":
                 standard_output.write(text + "\n")
+            if not report.get("films", {"equal": True})["equal"]:  # told in the report, which is of use
+                print(f"benchmark.py: error: films differ: {'; '.join(report['films']['differences'])}", file=sys.stderr)
+                return 1
         except RayBatchError as error:
             folders.take_back()
             print(f"benchmark.py: error: {' '.join(str(error).split())}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""scripts/benchmark.py: what it measures, what it writes, and what it says when it cannot."""
+"""scripts/benchmark.py traversal: what it measures, what it writes, and what it says when it cannot."""
 
 import importlib.util
 import json
@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import scenes
 import warp as wp
+from benchmark_scenes import assert_one_error, bowl, save_bowl
 from benchmarking.judge import Judge, faults
 from benchmarking.orders import ORDERS, ordered, sort_keys
 from benchmarking.rays import CapturedRays, capture_rays, parse_ray_types
-from benchmarking.render import equal_error
 from benchmarking.scenes import SceneRequest, load_benchmark_scene, repeated
 from benchmarking.timing import slices, spread
 from benchmarking.tracers import Hits
@@ -21,7 +21,7 @@ from benchmarking.traversal import TRACERS
 from command_line import HIDE_BPY, run_script
 
 from raybatch_addon.core.scene.archive import save_scene
-from raybatch_addon.core.scene.description import Closure, ClosureKind, Mesh
+from raybatch_addon.core.scene.description import Closure, ClosureKind
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.settings import RenderSettings
 
@@ -30,19 +30,10 @@ TYPES = "primary,bounce1,bounce2,shadow1"
 SMALL = ("--device", "cpu", "--ray-count", "500", "--runs", "2", "--rays", TYPES)
 
 
-def bowl() -> Mesh:
-    """The lower half of a sphere that is open above: light gets in, and paths bounce inside."""
-    ball = scenes.sphere(segments=24, rings=12)
-    centres = ball.positions[ball.triangles].mean(1)
-    return Mesh("bowl", ball.positions, ball.triangles[centres[:, 2] < 0.2])
-
-
 @pytest.fixture(scope="module")
 def geometry(tmp_path_factory) -> Path:
     """The bowl as a NumPy archive."""
-    path = tmp_path_factory.mktemp("geometry") / "bowl.npz"
-    np.savez(path, v=bowl().positions, f=bowl().triangles)
-    return path
+    return save_bowl(tmp_path_factory.mktemp("geometry"))
 
 
 @pytest.fixture(scope="module")
@@ -245,21 +236,6 @@ def test_standard_output_is_json_alone_and_no_blender_is_needed(geometry):
     assert json.loads(done.stdout)["scene"] == "bowl.npz"
 
 
-def test_whole_renders_are_told_in_words_or_as_json(tmp_path, capfd):
-    archive, picture = tmp_path / "mixed.scene.npz", tmp_path / "a.png"
-    save_scene(archive, scenes.mixed(scenes.Frame(16, 12)), RenderSettings())
-    options = ["render", str(archive), "--device", "cpu", "--samples", "2", "--runs", "2", "--threads", "1", "--set", "nee=OFF"]
-    assert benchmark.main([*options, "--json", "--size", "32x24"]) == 0
-    report = json.loads(capfd.readouterr().out)
-    assert report["frame"]["width"] == 32 and report["samples_per_pixel"] == 2 and report["bounces"] == 7
-    assert report["settings"]["nee"] == "OFF" and report["settings"]["thread_count"] == 1 and report["rays"]["shadow"] == 0
-    assert report["raybatch"]["runs"] == 2 and report["raybatch"]["seconds"] >= report["raybatch"]["render"]["seconds"] > 0
-    assert benchmark.main([*options, "--picture", str(picture)]) == 0
-    said = capfd.readouterr().out
-    assert said.startswith("mixed.scene.npz") and "whole render" in said and "{" not in said
-    assert picture.is_file()
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -276,6 +252,7 @@ def test_whole_renders_are_told_in_words_or_as_json(tmp_path, capfd):
         (["--scene", "{bowl}", "--threads", "two"], "--threads two is not valid"),
         (["--scene", "{bowl}", "--camera", "1,2"], "seven numbers"),
         (["--scene", "{bowl}", "--device", "cuda:99"], "no device 'cuda:99'"),
+        (["--scene", "{bowl}", "--preset", "fast"], "no preset is called 'fast'; the presets are AUTO"),
         (["--scene", "{bowl}", "--set", "samples=3"], "no setting is called 'samples'"),
         (["--scene", "{bowl}", "--set", "resolution=8x8"], "--ray-count"),
         (["--scene", "{bowl}", "--json", "{bowl}/x.json"], "x.json cannot be written"),
@@ -291,33 +268,6 @@ def test_errors_of_traversal_are_one_clear_line(geometry, tmp_path, capfd, argum
     assert_one_error(capfd, message)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["{folder}/none.scene.npz"], "no file .*none.scene.npz"),
-        (["{bowl}"], "bowl.npz cannot be measured: give a .blend"),
-        (["{folder}/a.scene.npz", "--against", "cycles"], "--against cycles needs a .blend"),
-        (["{folder}/a.scene.npz", "--equal-error"], "give --against cycles too"),
-        (["{folder}/a.scene.npz", "--size", "8"], "WIDTHxHEIGHT"),
-        (["{folder}/a.scene.npz", "--picture", "{folder}/x.gif"], "without Blender as .gif"),
-        (["{folder}/a.scene.npz", "--samples", "0"], "--samples 0 is not valid"),
-        (["{folder}/a.scene.npz", "--threads", "5000"], "thread_count"),
-    ],
-)
-def test_errors_of_render_are_one_clear_line(geometry, tmp_path, capfd, arguments, message):
-    save_scene(tmp_path / "a.scene.npz", scenes.mixed(scenes.Frame(8, 6)), RenderSettings())
-    assert benchmark.main(["render", *(argument.format(folder=tmp_path, bowl=geometry) for argument in arguments), "--device", "cpu"]) == 1
-    assert_one_error(capfd, message)
-
-
-def assert_one_error(capfd, message: str) -> None:
-    said = capfd.readouterr()
-    assert said.out == ""
-    (line,) = [line for line in said.err.splitlines() if not line.startswith(("Warp CUDA warning", "["))]
-    assert line.startswith("benchmark.py: error: ")
-    assert re.search(message, line), line
-
-
 def test_embree_that_is_not_installed_is_named(geometry, capfd, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert benchmark.main(["traversal", "--scene", str(geometry), "--device", "cpu", "--tracers", "embree"]) == 1
@@ -325,23 +275,6 @@ def test_embree_that_is_not_installed_is_named(geometry, capfd, monkeypatch):
 
 
 # --- figures
-
-
-def test_error_falls_as_samples_rise():
-    """Noise of a known size: relMSE is its variance over the squared brightness."""
-    random = np.random.default_rng(3)
-    truth = random.uniform(0.5, 2, (64, 64, 3))
-
-    def pictures(deviation):
-        return [truth + random.normal(0, deviation, truth.shape) for _ in range(2)]
-
-    found = equal_error(8.0, pictures(0.02), 1.0, pictures(0.04))
-    assert found["relmse"]["raybatch"] == pytest.approx((0.02**2 / (truth**2 + 0.01)).mean(), rel=0.05)
-    assert found["relmse"]["cycles"] == pytest.approx(4 * found["relmse"]["raybatch"], rel=0.1)
-    # eight times slower with a quarter of the error: twice the cost
-    assert found["raybatch_over_cycles"] == pytest.approx(2, rel=0.1)
-    assert found["raybatch_seconds_to_cycles_error"] == pytest.approx(2, rel=0.1)
-    assert found["mean_ratio"] == pytest.approx(1, abs=1e-3)
 
 
 def test_shares_and_spread():

@@ -1,109 +1,49 @@
-"""Whole renders, beside Cycles when asked: at equal samples, and at equal error."""
+"""Whole renders, beside Cycles when asked: at equal samples, and at equal error. What is in memory alone is compared in `memory.py`."""
 
 from __future__ import annotations
 
 import statistics
-import time
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from rendering.pictures import picture_path, write_picture
-from rendering.request import ARCHIVE, BLEND, UsageError, kind_of
-from rendering.standalone import resized
+from rendering.request import BLEND, UsageError, kind_of
 
 from raybatch_addon.core.device import find_device
 from raybatch_addon.core.film import Film
-from raybatch_addon.core.scene.archive import load_scene
-from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.kernel_cache import kernel_cache_folder
 
+from .memory import measure_against_memory, parse_budgets
 from .progress import Steps
-from .timing import spread
+from .timing import summary
+from .whole_render import OpenedScene, RenderRequest, TimedRender, open_scene, scene_report, timed_render
 
 EPSILON = 1e-2  # of relMSE: keeps what is nearly black from counting most
 ERROR_SEEDS = (1, 2)
 
 
-@dataclass(frozen=True)
-class RenderRequest:
-    """One call of `benchmark.py render`."""
-
-    path: Path
-    device: str = "AUTO"
-    samples: int = 16
-    bounces: int = 7
-    threads: int = 0  # 0: every core
-    runs: int = 3
-    size: tuple[int, int] | None = None
-    against: str | None = None
-    equal_error: bool = False
-    picture: Path | None = None
-    settings: dict[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class _Opened:
-    """What is rendered."""
-
-    scene: Scene
-    settings: RenderSettings
-    blender_scene: Any = None  # of a .blend
-    export_seconds: float | None = None
-
-
-def _open(request: RenderRequest) -> _Opened:
-    kind = kind_of(request.path)
-    if not request.path.is_file():
-        raise UsageError(f"there is no file {request.path}")
-    if kind == BLEND:
-        return _open_blend(request)
-    if kind != ARCHIVE:
-        raise UsageError(f"{request.path} cannot be measured: give a .blend, or a scene that render.py --save-scene wrote (.scene.npz)")
-    scene, settings = load_scene(request.path)
-    return _Opened(resized(scene, *request.size) if request.size else scene, settings.replace(device="AUTO", thread_count=0))
-
-
-def _open_blend(request: RenderRequest) -> _Opened:
-    try:
-        import bpy
-    except ImportError:
-        raise UsageError(f"{request.path} needs Blender's Python module bpy, which cannot be imported here; .scene.npz does without") from None
-    import raybatch_addon
-    from raybatch_addon.export.scene import export_scene
-    from raybatch_addon.export.settings import settings_from
-
-    raybatch_addon.register()
-    bpy.ops.wm.open_mainfile(filepath=str(request.path.resolve()))
-    scene = bpy.context.scene
-    if request.size:
-        scene.render.resolution_x, scene.render.resolution_y = request.size
-        scene.render.resolution_percentage = 100
-    scene.render.engine = "RAYBATCH"
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    start = time.perf_counter()
-    exported = export_scene(depsgraph)
-    seconds = time.perf_counter() - start
-    return _Opened(exported, settings_from(scene).replace(device="AUTO", thread_count=0), scene, seconds)
-
 
 def measure_render(request: RenderRequest) -> dict[str, Any]:
     """The report of `benchmark.py render`; raises `RayBatchError`."""
-    if request.equal_error and not request.against:
-        raise UsageError("--equal-error compares two engines: give --against cycles too")
-    if request.against and kind_of(request.path) != BLEND:
-        raise UsageError(f"--against cycles needs a .blend, not {request.path.name}")
+    _check_combination(request)
+    budgets = parse_budgets(request.budgets) if request.budgets else []
     picture = picture_path(request.picture.absolute()) if request.picture else None
-    opened = _open(request)
+    opened = open_scene(request)
     settings = opened.settings.replace(sample_count=request.samples, bounce_max=request.bounces, thread_count=request.threads)
     settings = settings.replace(**request.settings)
     device = find_device(request.device)
     session = Session(device.alias, settings, kernel_cache_folder())
+    if request.against == "memory":
+        try:
+            report, film = measure_against_memory(session, opened, settings, request, budgets)
+            if picture:
+                write_picture(picture, film)
+        finally:
+            session.close()
+        return report
     cycles = None
-    if request.against:
+    if request.against == "cycles":
         from .cycles import CyclesPeer
 
         cycles = CyclesPeer(opened.blender_scene, device, settings, settings.thread_count)
@@ -119,7 +59,7 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
             if cycles:
                 cycles_runs.append(cycles.render())
             steps.end()
-        report = _report(request, opened, cold, runs)
+        report = _report(opened, cold, runs)
         if cycles:
             ratios = [run.seconds / other for run, other in zip(runs, cycles_runs, strict=True)]
             report |= {"cycles": summary(cycles_runs) | {"device": cycles.device}, "raybatch_over_cycles": round(statistics.median(ratios), 3)}
@@ -137,42 +77,25 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
     return report
 
 
-@dataclass(frozen=True)
-class TimedRender:
-    """One whole render."""
-
-    seconds: float
-    film: Film
-
-
-def timed_render(session: Session, scene: Scene, settings: RenderSettings) -> TimedRender:
-    """One whole render, tree included: caches of geometry are given back first."""
-    session.close()
-    start = time.perf_counter()
-    film = session.render(scene, settings)
-    return TimedRender(time.perf_counter() - start, film)
-
-
-def summary(seconds: list[float]) -> dict[str, Any]:
-    """Median and spread of several runs."""
-    return {"seconds": round(statistics.median(seconds), 4), "spread": round(spread(seconds), 3), "runs": len(seconds)}
+def _check_combination(request: RenderRequest) -> None:
+    """Raise `UsageError` for options that do not go together."""
+    if request.equal_error and request.against != "cycles":
+        raise UsageError("--equal-error compares two engines: give --against cycles too")
+    if request.against == "cycles" and kind_of(request.scene.path) != BLEND:
+        raise UsageError(f"--against cycles needs a .blend, not {request.scene.path.name}")
+    if request.against == "memory":
+        if not request.budgets:
+            raise UsageError("--against memory compares budgets of geometry with all of it in memory: give --budgets, such as 10% or 1.5G,0.7G")
+        return
+    for given, option in ((request.budgets, "--budgets"), (not request.counters, "--no-counters")):
+        if given:
+            raise UsageError(f"{option} belongs to the comparison with a render in memory: give --against memory too")
 
 
-def _report(request: RenderRequest, opened: _Opened, cold: TimedRender, runs: list[TimedRender]) -> dict[str, Any]:
-    told = runs[-1].film.statistics
+def _report(opened: OpenedScene, cold: TimedRender, runs: list[TimedRender]) -> dict[str, Any]:
     stages = {stage: summary([run.film.statistics["seconds"][stage] for run in runs]) for stage in ("build", "render")}
     return {
-        "scene": request.path.name,
-        "device": told["device"],
-        "versions": told["versions"],
-        "settings": told["settings"],
-        "frame": told["frame"],
-        "triangles": told["triangles"],
-        "samples_per_pixel": told["settings"]["sample_count"],
-        "bounces": told["settings"]["bounce_max"],
-        "rays": told["rays"],
-        "invalid_samples": told["invalid_samples"],
-        "export_s": None if opened.export_seconds is None else round(opened.export_seconds, 4),
+        **scene_report(opened, runs[-1].film.statistics),
         "cold": {"seconds": round(cold.seconds, 3), "stages": cold.film.statistics["seconds"]},
         "raybatch": summary([run.seconds for run in runs]) | stages,
     }

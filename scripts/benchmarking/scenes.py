@@ -1,4 +1,4 @@
-"""The scene that traversal is measured on: an archive, or a mesh that is repeated in a grid, with a light and a camera."""
+"""The scenes that are measured: archives, and meshes that are repeated in a grid, with a light and a camera."""
 
 from __future__ import annotations
 
@@ -32,6 +32,11 @@ class SceneRequest:
     grid: int = 1  # copies along each of two axes
     camera: str | None = None
     up: str | None = None
+
+    @property
+    def name(self) -> str:
+        """For reports."""
+        return self.path.name + (f" {self.grid} x {self.grid}" if self.grid > 1 else "")
 
 
 @dataclass(frozen=True)
@@ -68,15 +73,12 @@ class BenchmarkScene:
 
 def load_benchmark_scene(request: SceneRequest, pixel_count: int) -> BenchmarkScene:
     """The scene of `request`, in a frame of about `pixel_count` pixels; raises `RayBatchError`."""
-    if request.grid < 1:
-        raise UsageError(f"--grid {request.grid} is not valid: it must be 1 or more")
     kind = kind_of(request.path)
     if kind == NPZ:
         edge = max(2, math.isqrt(pixel_count - 1) + 1)
-        scene, settings = _geometry(request, edge), RenderSettings()
+        scene, settings = geometry_scene(request, edge, edge), RenderSettings()
     elif kind == ARCHIVE:
-        if request.grid > 1 or request.camera or request.up:
-            raise UsageError(f"{request.path} is a whole scene; --grid, --camera and --up are for geometry")
+        refuse_geometry_options(request)
         scene, settings = load_scene(request.path)
         scene = _of_pixels(scene, pixel_count)
         settings = settings.replace(device="AUTO", thread_count=0)
@@ -86,8 +88,7 @@ def load_benchmark_scene(request: SceneRequest, pixel_count: int) -> BenchmarkSc
     features = derive_features(scene, settings)
     if not features.surfaces:
         raise UsageError(f"{request.path} has no triangles to trace rays against")
-    name = request.path.name + (f" {request.grid} x {request.grid}" if request.grid > 1 else "")
-    return BenchmarkScene(name, scene, settings, flatten(scene), features.instancing)
+    return BenchmarkScene(request.name, scene, settings, flatten(scene), features.instancing)
 
 
 def with_paths(scene: Scene, settings: RenderSettings, up: str) -> Scene:
@@ -107,15 +108,24 @@ def _view_of(camera: Camera) -> View:
     return View(tuple(eye.tolist()), tuple((eye - back).tolist()), GRID_FOV)
 
 
-def _geometry(request: SceneRequest, edge: int) -> Scene:
+def refuse_geometry_options(request: SceneRequest) -> None:
+    """Raise `UsageError` where a scene that is whole is to be repeated, turned, or seen from elsewhere."""
+    if request.grid != 1 or request.camera or request.up:
+        raise UsageError(f"{request.path} is a whole scene; --grid, --camera and --up are for geometry")
+
+
+def geometry_scene(request: SceneRequest, width: int, height: int) -> Scene:
+    """The geometry of `request` in its light, repeated where that is asked for, in a frame of `width` x `height` pixels; raises `RayBatchError`."""
+    if request.grid < 1:
+        raise UsageError(f"--grid {request.grid} is not valid: it must be 1 or more")
     up = request.up or "z"
     view = parse_view(request.camera) if request.camera else None
-    scene = load_geometry(request.path, width=edge, height=edge, view=view, up=up)
+    scene = load_geometry(request.path, width=width, height=height, view=view, up=up)
     if request.grid == 1:
         return scene
     mesh = repeated(scene.meshes[0], request.grid, up)
     view = view or grid_view(mesh, up)
-    return dataclasses.replace(scene, meshes=(mesh,), camera=look_at(view, up, edge, edge), lights=(sun(view, up),))
+    return dataclasses.replace(scene, meshes=(mesh,), camera=look_at(view, up, width, height), lights=(sun(view, up),))
 
 
 def repeated(mesh: Mesh, grid: int, up: str) -> Mesh:

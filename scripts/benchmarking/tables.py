@@ -75,5 +75,38 @@ def render_text(report: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def memory_text(report: dict[str, Any]) -> str:
+    """The report of `benchmark.py render --against memory`."""
+    frame, memory = report["frame"], report["memory"]
+    lines = [
+        f"{report['scene']}, {report['triangles']:,} triangles, {report['geometry_bytes'] / 1e6:,.1f} MB of tree, on {report['device']['name']}",
+        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, {report['bounces']} bounces, "
+        f"{report['rays']['total']:,} rays",
+        "",
+    ]
+    rows = [["memory", f"{report['geometry_bytes'] / 1e6:,.1f}", *_times(memory), "1", "", "", "", ""]]
+    for each in report["budgets"]:
+        rows.append([
+            each["budget"], f"{each['geometry_budget'] / 1e6:,.1f}", *_times(each), f"{each['speed']:.3f}", f"{each['bytes_copied'] / 1e6:,.1f}",
+            f"{each['pages_loaded']:,}", f"{each['rays_queued_per_ray']:.2f}", f"{each['steps']:,}",
+        ])  # fmt: skip
+    heads = ["geometry", "MB", "paths alive", "tree", "render", "Mrays/s", "speed", "MB copied", "pages", "queued a ray", "steps"]
+    lines += [table(heads, rows), "medians, ± half the spread; speed: of the render in memory, trees apart", ""]
+    for name, each in [("memory", memory), *((each["budget"], each) for each in report["budgets"])]:
+        if each["stages"]:
+            stages = ", ".join(f"{stage} {seconds:.3f} s" for stage, seconds in each["stages"].items() if seconds)
+            lines.append(f"stages of {name}, with counters: {stages}")
+        lines += [f"{name}: {warning}" for warning in each["warnings"]]
+    films = report["films"]
+    lines.append(f"{films['compared']} films are equal bit for bit" if films["equal"] else "FILMS DIFFER: " + "; ".join(films["differences"]))
+    if report["invalid_samples"]:
+        lines.append(f"{report['invalid_samples']:,} samples were not finite")
+    return "\n".join(lines)
+
+
+def _times(part: dict[str, Any]) -> list[str]:
+    return [f"{part['schedule']['ray_count']:,}", _time(part["build"]).strip(), _time(part["render"]).strip(), f"{part['rays_per_second'] / 1e6:.2f}"]
+
+
 def _time(part: dict[str, Any]) -> str:
     return f"{part['seconds']:9.3f} s ±{50 * part['spread']:.0f} %"

@@ -6,6 +6,7 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import warp as wp
 
@@ -14,6 +15,11 @@ def spread(values: Sequence[float]) -> float:
     """Largest less smallest, over the median."""
     middle = statistics.median(values)
     return (max(values) - min(values)) / middle if middle else 0.0
+
+
+def summary(seconds: Sequence[float]) -> dict[str, Any]:
+    """Median and spread of several runs."""
+    return {"seconds": round(statistics.median(seconds), 4), "spread": round(spread(seconds), 3), "runs": len(seconds)}
 
 
 def seconds_of(tasks: Sequence[Callable[[], object]], device: wp.Device) -> float:

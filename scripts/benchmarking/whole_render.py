@@ -1,0 +1,123 @@
+"""One whole render: what is asked for, the scene that it is of, and its time."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from rendering.request import ARCHIVE, BLEND, NPZ, RESOLUTION_DEFAULT, UsageError, kind_of
+from rendering.standalone import resized
+
+from raybatch_addon.core.film import Film
+from raybatch_addon.core.scene.archive import load_scene
+from raybatch_addon.core.scene.description import Scene
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings import RenderSettings
+
+from .scenes import SceneRequest, geometry_scene, refuse_geometry_options
+
+
+@dataclass(frozen=True)
+class RenderRequest:
+    """One call of `benchmark.py render`."""
+
+    scene: SceneRequest
+    device: str = "AUTO"
+    samples: int = 16
+    bounces: int = 7
+    threads: int = 0  # 0: every core
+    runs: int = 3
+    size: tuple[int, int] | None = None
+    against: str | None = None  # "cycles" or "memory"
+    budgets: str | None = None  # with "memory": as `parse_budgets` takes them
+    counters: bool = True  # with "memory": tell the time of stages, from renders of their own
+    equal_error: bool = False
+    picture: Path | None = None
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class OpenedScene:
+    """What is rendered."""
+
+    name: str
+    scene: Scene
+    settings: RenderSettings
+    blender_scene: Any = None  # of a .blend
+    export_seconds: float | None = None
+
+
+def open_scene(request: RenderRequest) -> OpenedScene:
+    """The scene of `request`, in its frame; raises `RayBatchError`."""
+    path = request.scene.path
+    kind = kind_of(path)
+    if not path.is_file():
+        raise UsageError(f"there is no file {path}")
+    if kind == NPZ:
+        return OpenedScene(request.scene.name, geometry_scene(request.scene, *(request.size or RESOLUTION_DEFAULT)), RenderSettings())
+    refuse_geometry_options(request.scene)
+    if kind == BLEND:
+        return _open_blend(request)
+    if kind != ARCHIVE:
+        raise UsageError(f"{path} cannot be measured: give a .blend, geometry (.npz), or a scene that render.py --save-scene wrote (.scene.npz)")
+    scene, settings = load_scene(path)
+    return OpenedScene(path.name, resized(scene, *request.size) if request.size else scene, settings.replace(device="AUTO", thread_count=0))
+
+
+def _open_blend(request: RenderRequest) -> OpenedScene:
+    path = request.scene.path
+    try:
+        import bpy
+    except ImportError:
+        raise UsageError(f"{path} needs Blender's Python module bpy, which cannot be imported here; .npz and .scene.npz do without") from None
+    import raybatch_addon
+    from raybatch_addon.export.scene import export_scene
+    from raybatch_addon.export.settings import settings_from
+
+    raybatch_addon.register()
+    bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
+    scene = bpy.context.scene
+    if request.size:
+        scene.render.resolution_x, scene.render.resolution_y = request.size
+        scene.render.resolution_percentage = 100
+    scene.render.engine = "RAYBATCH"
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    start = time.perf_counter()
+    exported = export_scene(depsgraph)
+    seconds = time.perf_counter() - start
+    return OpenedScene(path.name, exported, settings_from(scene).replace(device="AUTO", thread_count=0), scene, seconds)
+
+
+@dataclass(frozen=True)
+class TimedRender:
+    """One whole render."""
+
+    seconds: float
+    film: Film
+
+
+def timed_render(session: Session, scene: Scene, settings: RenderSettings) -> TimedRender:
+    """One whole render, tree included: caches of geometry are given back first."""
+    session.close()
+    start = time.perf_counter()
+    film = session.render(scene, settings)
+    return TimedRender(time.perf_counter() - start, film)
+
+
+def scene_report(opened: OpenedScene, told: dict[str, Any]) -> dict[str, Any]:
+    """What every report of whole renders begins with; `told` are the statistics of one of them."""
+    return {
+        "scene": opened.name,
+        "device": told["device"],
+        "versions": told["versions"],
+        "settings": told["settings"],
+        "frame": told["frame"],
+        "triangles": told["triangles"],
+        "samples_per_pixel": told["settings"]["sample_count"],
+        "bounces": told["settings"]["bounce_max"],
+        "rays": told["rays"],
+        "invalid_samples": told["invalid_samples"],
+        "export_s": None if opened.export_seconds is None else round(opened.export_seconds, 4),
+    }
