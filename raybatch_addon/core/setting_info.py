@@ -39,7 +39,7 @@ GROUPS = {
     "SCHEDULER": GroupInfo("Scheduler", "Which rays are alive, and what is done next.", "PERFORMANCE"),
     "QUEUES": GroupInfo("Queues", "Where rays wait. For renders that batch.", "PERFORMANCE"),
     "TREELETS": GroupInfo("Treelets", "How trees are cut into parts that rays visit together. For renders that batch.", "PERFORMANCE"),
-    "LAUNCH": GroupInfo("Launch", "How the kernels that visit treelets are compiled and launched. For renders that batch.", "PERFORMANCE"),
+    "LAUNCH": GroupInfo("Launch", "How the kernels that trace rays are compiled and launched, but for those of Warp's own tree.", "PERFORMANCE"),
     "MEMORY": GroupInfo("Memory", "How much of the scene's geometry is on the device, and where the rest is.", "PERFORMANCE"),
 }
 

@@ -112,7 +112,7 @@ class RenderSettings:
         group="PERFORMANCE", effect="schedule", auto="AUTO",
         choices=(
             ("AUTO", "Automatic", "Where that was measured to save time, by kind of ray"),
-            ("ON", "On", "Always"),
+            ("ON", "On", "Always, but for rays that wait for geometry beyond memory: these are traced in the order of their paths"),
             ("OFF", "Off", "Never"),
         ),
     )
@@ -218,7 +218,7 @@ class RenderSettings:
     )
 
     warp_count: int = setting(
-        0, "Warps", "Warps that are launched, of 32 lanes each; 0 launches all that the device holds. On the CPU: rays are traced in slices of 32 times as many",
+        0, "Warps", "Warps that are launched, of 32 lanes each; 0 launches all that the device holds. On the CPU: slices of a list of rays, traced one after another",
         group="LAUNCH", effect="schedule", unit="warps", minimum=0, maximum=2**20, auto=0,
     )
     single_lane: str = setting(

@@ -83,9 +83,9 @@ class TileIntegrator:
         # of each path, for the counters
         self._bounce, self._pixel = (wp.zeros(count if counting else 0, dtype=int, device=device) for _ in range(2))
         self._timer = self._counters.timer if self._counters else NoTimer()
-        self._order = None
-        if scene.tree and settings.ray_sort != "OFF" and (settings.ray_sort == "ON" or not tracing.waits):
-            self._order = RayOrder(settings.ray_sort, count, scene.box, device, self._timer)
+        self._order, sort_mode = None, tracing.sort_mode(settings)
+        if scene.tree and sort_mode != "OFF":
+            self._order = RayOrder(sort_mode, count, scene.box, device, self._timer)
         self._hit_order = HitOrder(count, scene.data.geometry, device, self._timer) if scene.geometry_on_host else None
         self._tracer: Tracer | None = None  # there is nothing to hit
         if scene.tree:

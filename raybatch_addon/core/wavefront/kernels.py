@@ -77,7 +77,7 @@ def tracing_kernels(features: SceneFeatures, settings: RenderSettings, tracing: 
     counting = tracing.counters(settings, features.passes)
     kernels = [count_kernel(counting), counted_kernel] if counting else []
     if features.surfaces:
-        kernels += order_kernels(settings.ray_sort, device)
+        kernels += order_kernels(tracing.sort_mode(settings), device)
         if tracing.method is Method.PAGED and device.is_cuda:
             kernels.append(hit_key_kernel)
         kernels += tracer_kernels(tracing, settings, features.shadow_rays, bool(counting and counting.steps), device)

@@ -38,6 +38,13 @@ class Tracing:
         """Whether rays wait for others."""
         return self.method in WAITING_METHODS
 
+    def sort_mode(self, settings: RenderSettings) -> str:
+        """The setting `ray_sort` as far as it is of use: OFF where rays are never sorted. Queues keep the order in which rays come, and
+        measure nothing; of rays that wait for pages the order is that of their slots."""
+        if self.method is Method.PAGED or self.waits and settings.ray_sort == "AUTO":
+            return "OFF"
+        return settings.ray_sort
+
     def counters(self, settings: RenderSettings, passes: tuple[str, ...]) -> CounterFeatures | None:
         """What is counted; None: nothing. Warp's tree tells nothing of its steps."""
         return CounterFeatures.choose(settings.counters, passes, steps=self.traversal != Traversal.REFERENCE, batches=self.waits)

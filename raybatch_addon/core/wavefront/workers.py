@@ -54,7 +54,7 @@ def make_workers(scene: DeviceScene, frame: Frame, settings: RenderSettings, are
     layout = layout_of(frame.passes, frame.transparent)
     # sums of finished tiles stay on a CUDA device until the film is asked for them
     tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
-    sorting = 0 if scene.tracing.waits and settings.ray_sort == "AUTO" else order_bytes(settings.ray_sort, asked, device.is_cuda)
+    sorting = order_bytes(scene.tracing.sort_mode(settings), asked, device.is_cuda)
     if scene.geometry_on_host:
         sorting += hit_order_bytes(asked)
     budget = max(0, int(free_memory(device) * PATH_MEMORY_SHARE) // workers - tile_bytes - sorting - SPILL_BYTES)
