@@ -40,6 +40,24 @@ class RenderSettings:
         128, "Samples", "Paths traced through every pixel",
         group="SAMPLING", unit="samples per pixel", minimum=1, maximum=INT_MAX,
     )
+    time_limit: float = setting(
+        0.0, "Time Limit", "A render ends when no more samples of every pixel are expected to fit in this time, counted without build and compilation; "
+        "0 sets no limit. One sample is always rendered",
+        group="SAMPLING", unit="s", minimum=0.0, maximum=1e9,
+    )
+    error_estimate: str = setting(
+        "OFF", "Error Estimate", "Tell how far the picture is from its limit at infinitely many samples, without a reference",
+        group="SAMPLING",
+        choices=(
+            ("OFF", "Off", "All samples have the same seed"),
+            ("ON", "On", "Every other sample has another seed, and either half a film of its own: how far they differ tells the error of both together"),
+        ),
+    )
+    error_target: float = setting(
+        0.0, "Stop at Error", "A render ends when its estimated error is no larger than this: the mean over pixels and channels of the squared error over "
+        "the squared value (relMSE). It implies Error Estimate; 0 renders all samples",
+        group="SAMPLING", unit="relMSE", minimum=0.0, maximum=1e9,
+    )
     seed: int = setting(
         0, "Seed", "Chooses another set of random numbers, and so another pattern of noise",
         group="SAMPLING", minimum=0, maximum=INT_MAX,
@@ -298,6 +316,11 @@ class RenderSettings:
                 "wait elsewhere; set geometry_budget to 0, or batching to AUTO or ON"
             )
         return None
+
+    @property
+    def half_count(self) -> int:
+        """In how many films samples come: 2 where the error is estimated."""
+        return 2 if self.error_estimate == "ON" or self.error_target > 0 else 1
 
     def replace(self, **changes: Any) -> RenderSettings:
         """A copy with `changes`; raises `SettingsError` for an unknown name or an illegal value."""
