@@ -6,6 +6,7 @@ through the top level. On the CPU, and for ALL, the host leads from step to step
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Mapping
 from typing import Any
@@ -102,7 +103,7 @@ def batching_bytes_per_path(settings: Any, shadow_rays: bool, instancing: bool, 
     state = 4 * trail_words(levels) + 4 * instancing
     if settings.ray_storage == "DIRECT":
         state = (state + VALUE_BYTES + 4 * instancing) * size.place_count / many
-    return -int(-(1 + shadow_rays) * (state + pool_bytes(size, queues, is_cuda) / many) // 1)
+    return math.ceil((1 + shadow_rays) * (state + pool_bytes(size, queues, is_cuda) / many))
 
 
 class BatchingTracer:

@@ -14,6 +14,7 @@ from typing import Any
 from ..bvh.memory import GeometrySize
 from ..bvh.node import Layout
 from ..bvh.treelets import CutRule
+from ..report.memory_estimate import size_text
 from ..settings import RenderSettings
 from .cost_model import batching_cost, costs_of, unbatched_cost
 
@@ -89,20 +90,22 @@ def plan_tracing(settings: RenderSettings, size: GeometrySize, layout: Layout, i
     budget, choices = settings.geometry_budget, {}
     device = "the device" if is_cuda else "the machine"
     if budget:
-        fits, why = tree <= budget, f"geometry_budget is {_size(budget)}"
+        wanted = tree
+        fits, why = tree <= budget, f"geometry_budget is {size_text(budget)}"
     else:
         budget = int(free * WHOLE_SHARE)
-        fits, why = needed <= budget, f"{device} has {_size(free)} free"
+        wanted = max(tree, needed)
+        fits, why = needed <= budget, f"{device} has {size_text(free)} free"
     if not fits:
-        return _paged(settings, is_cuda, tree, memory, why)
+        return _paged(settings, is_cuda, tree, memory, f"the scene needs up to {size_text(wanted)}, and {why}")
     if mode == "ON":
         return _batched(settings, layout, choices)
     costs = costs_of(is_cuda)
     unbatched, batched = unbatched_cost(costs, tree), batching_cost(costs, tree, TREELET_BYTES[layout])
     choices["batching"] = Choice(
         "OFF" if unbatched <= batched else "ON",
-        f"the scene needs up to {_size(tree)} and {why}; inside memory a ray is expected to take {unbatched:.2g} ns unbatched, and "
-        f"{batched:.2g} ns batched",
+        f"the scene needs up to {size_text(wanted)}, and {why}; inside memory a ray is expected to take {_time(unbatched)} unbatched, and "
+        f"{_time(batched)} batched",
     )
     if unbatched <= batched:
         return TracingPlan(Method.UNBATCHED, choices=choices)
@@ -121,16 +124,15 @@ def _batched(settings: RenderSettings, layout: Layout, choices: dict[str, Choice
 def _paged(settings: RenderSettings, is_cuda: bool, tree: int, memory: Memory, why: str) -> TracingPlan:
     budget, store, choices = settings.geometry_budget, settings.geometry_store, {}
     if settings.batching == "AUTO":
-        wanted = tree if budget else max(tree, memory.needed)
-        choices["batching"] = Choice("ON", f"the scene needs up to {_size(wanted)}, and {why}: its geometry is brought in by pages")
+        choices["batching"] = Choice("ON", f"{why}: its geometry is brought in by pages")
     if not budget:
         budget = int(memory.free * PAGED_SHARE)
-        choices["geometry_budget"] = Choice(budget, f"half of the {_size(memory.free)} that are free; the rest is for rays")
+        choices["geometry_budget"] = Choice(budget, f"half of the {size_text(memory.free)} that are free; the rest is for rays")
     if store == "AUTO":
         store, reason = "DISK", "memory is the device here, and what does not fit in it lies on disk"
         if is_cuda:
             fits_host = tree <= memory.host_free * HOST_SHARE
-            store, reason = ("HOST" if fits_host else "DISK"), f"the host has {_size(memory.host_free)} free, and pages need up to {_size(tree)}"
+            store, reason = ("HOST" if fits_host else "DISK"), f"the host has {size_text(memory.host_free)} free, and pages need up to {size_text(tree)}"
         choices["geometry_store"] = Choice(store, reason)
     if not settings.treelet_size and not settings.treelet_bytes:
         choices["treelet_bytes"] = Choice(0, "no limit: each page is brought in for all rays that wait for any part of it")
@@ -140,8 +142,5 @@ def _paged(settings: RenderSettings, is_cuda: bool, tree: int, memory: Memory, w
     )  # fmt: skip
 
 
-def _size(size: float) -> str:
-    for unit, factor in (("GB", 1e9), ("MB", 1e6)):
-        if size >= factor:
-            return f"{size / factor:.2f} {unit}"
-    return f"{size / 1e3:.1f} kB"
+def _time(nanoseconds: float) -> str:
+    return f"{nanoseconds:.2f} ns" if nanoseconds < 10 else f"{nanoseconds:,.0f} ns"

@@ -15,8 +15,10 @@ threads read pages while rays are traced.
 from __future__ import annotations
 
 import functools
+import math
 import time
 from collections import deque
+
 import numpy as np
 import warp as wp
 
@@ -48,7 +50,7 @@ _PATIENCE = 1.0
 def streaming_bytes_per_path(path_count: int, shadow_rays: bool, levels: int) -> int:
     """Device memory of the tracer that grows with paths alive, for each [bytes]."""
     slots = 1 + shadow_rays
-    return -(-int(slots * (streaming_bytes_per_slot(slots * path_count) + 4 + 4 * trail_words(levels))) // 1)
+    return math.ceil(slots * (streaming_bytes_per_slot(slots * path_count) + 4 + 4 * trail_words(levels)))
 
 
 def go_on_stage(layout: Layout, counters: bool, settings: RenderSettings) -> VisitStage:
