@@ -122,7 +122,7 @@ def build_paged_scene(
     # two segments are padded
     treelets_max = max(page_bytes - 2 * PAGE_ALIGNMENT, page_bytes // 2)
     builder = ChunkBuilder(layout, device, rule, len(flat.triangles), treelets_max, spatial_splits, on_device)
-    _check_budget(flat, layout, builder.size_max, page_bytes, budget)
+    _check_budget(flat, layout, builder.size_max, budget)
     known: dict[str, Any] = {"store": store, "page_bytes": page_bytes, "encoded": encoded, "reused": False}
     copy: HostStore | None = None
     if store == "DISK":
@@ -204,14 +204,16 @@ def _assembled(
     start = time.perf_counter()
     resident = place_resident(tables, flat, visibility, layout, device)
     node_bytes = int(tables.page_bytes[:, 0].sum())
+    staged = device.is_cuda and known["encoded"]  # a page that arrives has a buffer beside its slot
     if nodes_resident is None:
         # room for more than one page without nodes
         rest = budget - resident.bytes - node_bytes
-        nodes_resident = node_bytes <= _NODES_SHARE * budget and rest >= 2 * int(tables.page_device[:, 1].max())
+        page_most = int(tables.page_device[:, 1].max()) + staged * int(tables.page_bytes[:, 1].max())
+        nodes_resident = node_bytes <= _NODES_SHARE * budget and rest >= 2 * page_most
     sizes, stored = ((each[:, 1] if nodes_resident else each.sum(1)) for each in (tables.page_device, tables.page_bytes))
-    needed = resident.bytes + nodes_resident * node_bytes + int(sizes.max())
+    needed = resident.bytes + nodes_resident * node_bytes + int(sizes.max()) + staged * int(stored.max())
     if needed > budget:
-        raise _too_small(budget, needed, resident, nodes_resident * node_bytes)
+        raise _too_small(budget, needed, resident.bytes, nodes_resident * node_bytes, 1 + staged)
     first, ends = tables.page_byte[:, 1 if nodes_resident else 0], tables.page_treelet
     pages = [
         Page(int(ends[i]), int(ends[i + 1] - ends[i]), int(first[i]), int(stored[i]), int(sizes[i])) for i in range(len(sizes))
@@ -230,7 +232,8 @@ def _assembled(
         layout=layout, tree=resident.tree, of_node=resident.of_node, root=resident.root, treelet_count=len(tables.treelet_root),
         levels=resident.levels, pages=pages, treelet_page=page, treelet_node_byte=node_byte, treelet_triangle_byte=triangle_byte,
         nodes_resident=bool(nodes_resident), resident_nodes=nodes, store=store, box=resident.box,
-        resident_bytes=resident.bytes + nodes.size, encoded=known["encoded"], page_node_bytes=tables.page_bytes[:, 0] * (not nodes_resident), page_units=tables.page_units,
+        resident_bytes=resident.bytes + nodes.size, encoded=known["encoded"],
+        page_node_bytes=tables.page_bytes[:, 0] * (not nodes_resident), page_units=tables.page_units,
         statistics={**known, **_description(tables, layout, resident, nodes_resident)},
     )  # fmt: skip
 
@@ -240,7 +243,7 @@ def _expected_bytes(flat: FlatGeometry, layout: Layout, encoded: bool) -> int:
     return int(1.2 * (_ENCODED_BYTES if encoded else TREE_BYTES[layout]) * len(flat.triangles)) + (1 << 16)
 
 
-def _check_budget(flat: FlatGeometry, layout: Layout, size_max: int, page_bytes: int, budget: int) -> None:
+def _check_budget(flat: FlatGeometry, layout: Layout, size_max: int, budget: int) -> None:
     """Raise `OutOfMemoryError` before anything is built where the least that must stay is more than the budget."""
     chunks = sum(-(-part.triangle_count // size_max) for part in mesh_parts(flat))
     least = chunks * 4 * layout.node_words
@@ -253,12 +256,14 @@ def _check_budget(flat: FlatGeometry, layout: Layout, size_max: int, page_bytes:
         )
 
 
-def _too_small(budget: int, needed: int, resident: Resident, nodes: int) -> OutOfMemoryError:
+def _too_small(budget: int, needed: int, resident: int, nodes: int, places: int) -> OutOfMemoryError:
+    """`resident` and `nodes` [bytes] stay, beside so many `places` for a page."""
     # the page that a larger budget gives is larger too; what stays is not
-    enough = max(needed, -(-(resident.bytes + nodes) * _BUDGET_SHARE // (_BUDGET_SHARE - 1)) + PAGE_ALIGNMENT)
+    enough = max(needed, -(-(resident + nodes) * _BUDGET_SHARE // (_BUDGET_SHARE - places)) + places * PAGE_ALIGNMENT)
+    fewer = f", or fewer without all nodes ({nodes:,}) on the device" if nodes else ""
     return OutOfMemoryError(
         f"a geometry budget of {budget:,} bytes is too small: top level, instances and the roots of treelets take "
-        f"{resident.bytes:,} and must stay on the device, beside a page; {enough:,} bytes are enough" + (f", or fewer without all nodes ({nodes:,}) on the device" if nodes else "")
+        f"{resident:,} and must stay on the device, beside a page; {enough:,} bytes are enough{fewer}"
     )
 
 

@@ -8,11 +8,13 @@ import paged_scenes
 import pytest
 import scenes
 import warp as wp
+from under_test import DEVICE
 
 from raybatch_addon.core.bvh import page_chunks
 from raybatch_addon.core.bvh.build import build_scene_tree
 from raybatch_addon.core.bvh.node import Layout, triangle_corners, triangle_faces
 from raybatch_addon.core.bvh.page_build import PagedScene, build_paged_scene, page_size
+from raybatch_addon.core.bvh.residency import Residency
 from raybatch_addon.core.bvh.treelet_walk import walk_treelets
 from raybatch_addon.core.bvh.treelets import CutRule
 from raybatch_addon.core.errors import OutOfMemoryError
@@ -194,6 +196,24 @@ def test_a_budget_that_is_too_small_is_refused_with_one_that_is_enough(kind, bud
         assert larger > enough
         assert "beside a page" not in str(error.value) or fits_kind(kind, larger)
         enough = larger
+
+
+def test_the_budget_that_is_named_is_enough_for_pages_that_arrive_packed():
+    """On CUDA they have a buffer beside their slot."""
+    made, flat = scene()
+    for nodes_resident in (False, True):
+        budget = 40_000
+        while True:
+            try:
+                built = build_paged_scene(
+                    flat, made.instances.visibility, Layout.QUANTISED, wp.get_device(DEVICE), budget, nodes_resident=nodes_resident, encoded=True
+                )
+                break
+            except OutOfMemoryError as error:
+                larger = int(re.findall(r"([\d,]+) (?:bytes )?are enough", str(error))[-1].replace(",", ""))
+                assert larger > budget
+                budget = larger
+        Residency(built, budget, wp.get_device(DEVICE)).close()
 
 
 def fits_kind(kind: str, budget: int) -> bool:
