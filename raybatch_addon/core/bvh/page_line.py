@@ -193,9 +193,12 @@ class CudaLine:
         return self._device.stream.record_event()
 
     def close(self) -> None:
-        if self._threads:
-            self._threads.shutdown(wait=True, cancel_futures=True)
-        wp.synchronize_stream(self._stream)
+        try:
+            if self._threads:
+                self._threads.shutdown(wait=True, cancel_futures=True)
+        finally:
+            # also where one of the threads closes, which cannot wait for itself: the pool may be freed now
+            wp.synchronize_stream(self._stream)
 
 
 @functools.cache

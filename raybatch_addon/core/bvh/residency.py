@@ -314,10 +314,7 @@ class Residency:
 
     def _plain(self, page: int) -> wp.array | None:
         """Page number `page` in host memory as rays can read it; None where it is in a file, or encoded there alone."""
-        if self.scene.encoded:
-            plain = getattr(self.scene, "plain_view", None)
-            return plain(page) if plain else None
-        return self.scene.store.view(self.scene.pages[page])
+        return self.scene.plain_view(page) if self.scene.encoded else self.scene.store.view(self.scene.pages[page])
 
 
 class ResidencyView:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import warp as wp
 
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.page_build import PagedScene
+from raybatch_addon.core.bvh.page_line import CudaLine
 from raybatch_addon.core.bvh.page_store import HostStore, Page, PageFileError
 from raybatch_addon.core.bvh.residency import PageCounts, Residency, slots_in
 from raybatch_addon.core.bvh.tree import Tree
@@ -198,6 +200,16 @@ def test_a_page_that_cannot_be_read_stops_who_waits():
     with pytest.raises(PageFileError, match="is gone"):
         residency.view().begin()
     residency.close()
+
+
+def test_a_line_waits_for_its_copies_where_one_of_its_threads_closes_it(monkeypatch):
+    """The last to know a pool may be a thread that reads; the pool's memory is free behind that."""
+    line, waited = CudaLine.__new__(CudaLine), []
+    line._stream, line._threads = "stream", ThreadPoolExecutor(1)
+    monkeypatch.setattr(wp, "synchronize_stream", waited.append)
+    with pytest.raises(RuntimeError, match="join"):
+        line._threads.submit(line.close).result(5)
+    assert waited == ["stream"]
 
 
 def test_budgets():
