@@ -1,0 +1,1 @@
+"""Stiff and extreme scenes with known answers: every module here that registers cases (`case.py`) joins the suite (`cases.py`)."""
