@@ -9,6 +9,8 @@ The Blender panel, the command line, the manual and the checks of values are all
 from __future__ import annotations
 
 import dataclasses
+import difflib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -219,11 +221,12 @@ class RenderSettings:
     )
 
     treelet_size: int = setting(
-        0, "Nodes at Most", "Most nodes of a treelet; 0 chooses by device. As many as the tree has make it one treelet, as a control",
+        0, "Nodes at Most", "Most nodes of a treelet; 0 chooses by device. Nodes at Least comes first: where it keeps a node closed, a treelet is larger. "
+        "As many as the tree has make it one treelet, as a control",
         group="TREELETS", effect="schedule", unit="nodes", minimum=0, maximum=INT_MAX, auto=0,
     )
     treelet_size_min: int = setting(
-        1, "Nodes at Least", "No node is opened whose child would be a smaller treelet than this",
+        1, "Nodes at Least", "No node is opened whose child would be a smaller treelet than this: it comes before Nodes at Most",
         group="TREELETS", effect="schedule", unit="nodes", minimum=1, maximum=INT_MAX,
     )
     treelet_bytes: int = setting(
@@ -334,17 +337,20 @@ def block_registers(register_cap: int, block_size: int) -> int:
     return -(-register_cap // REGISTER_STEP) * REGISTER_STEP * block_size
 
 
-def setting_info(name: str) -> SettingInfo:
-    """The `SettingInfo` of `name`; raises `SettingsError` that lists the known names."""
+def setting_info(name: str, beside: Iterable[str] = ()) -> SettingInfo:
+    """The `SettingInfo` of `name`; raises `SettingsError` that names the closest ones, and lists all, those `beside` the settings too."""
     try:
         return SETTINGS[name]
     except KeyError:
-        raise SettingsError(f"no setting is called {name!r}; the settings are {', '.join(sorted(SETTINGS))}") from None
+        names = sorted((*SETTINGS, *beside))
+        close = difflib.get_close_matches(name.lower().replace("-", "_"), names)
+        hint = f"did you mean {' or '.join(close)}? The" if close else "the"
+        raise SettingsError(f"no setting is called {name!r}; {hint} settings are {', '.join(names)}") from None
 
 
-def parse_setting(name: str, text: str) -> Any:
-    """The value of setting `name` written as `text` on a command line; raises `SettingsError`."""
-    return checked(setting_info(name), text)
+def parse_setting(name: str, text: str, beside: Iterable[str] = ()) -> Any:
+    """The value of setting `name` written as `text` on a command line; raises `SettingsError`. What else has a name there is `beside`."""
+    return checked(setting_info(name, beside), text)
 
 
 SETTINGS: dict[str, SettingInfo] = infos_of(RenderSettings)

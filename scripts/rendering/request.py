@@ -99,7 +99,7 @@ def parse_settings(assignments: list[str], preset: str | None = None) -> tuple[d
         if name == "resolution":
             resolution = _parse_resolution(text)
         else:
-            values[name] = parse_setting(name, text)
+            values[name] = parse_setting(name, text, beside=("resolution",))
     return values, resolution
 
 

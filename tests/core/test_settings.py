@@ -12,6 +12,20 @@ def test_text_becomes_the_settings_own_type():
     assert parse_setting("nee", "half") == "HALF"
 
 
+@pytest.mark.parametrize(
+    ("name", "closest"),
+    [("sample_cuont", "sample_count"), ("treelet-size", "treelet_size"), ("Seed", "seed"), ("resolutoin", "resolution")],
+)
+def test_a_misspelt_setting_is_told_what_was_meant(name, closest):
+    with pytest.raises(SettingsError, match=rf"no setting is called '{name}'; did you mean {closest}[ ?].*settings are batching, .*resolution, .*warp_count"):
+        parse_setting(name, "1", beside=("resolution",))
+
+
+def test_a_name_that_is_like_no_other_gets_the_list_alone():
+    with pytest.raises(SettingsError, match="no setting is called 'xyz'; the settings are batching, "):
+        RenderSettings().replace(xyz=1)
+
+
 @pytest.mark.parametrize("name", [name for name, info in SETTINGS.items() if info.kind is not str])
 def test_numbers_outside_their_range_are_refused_with_the_range(name):
     info = SETTINGS[name]
