@@ -196,7 +196,7 @@ def test_stopped_in_the_middle_of_a_tile_and_resumed(session, comparer, way):
     slow = ESTIMATOR.replace(tile_size=16, thread_count=1, ray_count=30, **settings_of(way))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(integrator, "DRAIN_SECONDS", 1e9)
-        stop_in_a_tile(patch, 6)
+        stop_in_a_tile(patch, 60)
         film = session.render(schedule_scenes.mixed_scene(), slow)
     assert not film.complete and 0 < film.counts.sum() < comparer.plain.counts.sum()
     traced, taken, finished = rays_of(film)
@@ -213,7 +213,7 @@ def test_rays_that_are_given_up_are_told_and_the_next_render_is_whole(session, c
     slow = ESTIMATOR.replace(tile_size=16, thread_count=1, ray_count=30, **settings_of(way))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(integrator, "DRAIN_SECONDS", 0.0)
-        stop_in_a_tile(patch, 6)
+        stop_in_a_tile(patch, 60)
         film = session.render(schedule_scenes.mixed_scene(), slow)
     traced, taken, finished = rays_of(film)
     assert not film.complete and traced == taken >= finished > 0

@@ -25,7 +25,7 @@ class HesitantTracer(UnbatchedTracer):
         slots = rays.slots.numpy()[: int(rays.count.numpy()[0])]
         self._waiting[kind] = np.concatenate([self._waiting.get(kind, slots[:0]), slots])
 
-    def advance(self):
+    def advance(self, stop=None):
         for kind, slots in self._waiting.items():
             order = self._random.permutation(len(slots))
             now = (len(slots) + 1) // 2

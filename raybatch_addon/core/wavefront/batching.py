@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import warp as wp
@@ -189,8 +189,8 @@ class BatchingTracer:
                 self._queues.put(part, self._begin, self._direct.places)
                 self._direct.store_new(part)
 
-    def advance(self) -> None:
-        """Serve queues until a share of the rays under way is done, or none waits."""
+    def advance(self, stop: Callable[[], bool] | None = None) -> None:
+        """As `Tracer.advance`: queues are served until a share of the rays under way is done, or none waits."""
         self._count_steps()
         waiting = self._queues.waiting
         self._note_occupancy(waiting)
@@ -222,6 +222,8 @@ class BatchingTracer:
             self._host_steps += 1
             if self._host_steps % _OCCUPANCY_STEPS == 0:
                 self._note_occupancy(self._queues.waiting)
+            if stop and stop():
+                return
 
     def take_finished(self) -> list[tuple[RayKind, SlotList]]:
         """Rays that are done, as many as a batch may have."""

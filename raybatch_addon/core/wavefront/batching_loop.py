@@ -17,7 +17,7 @@ from .bucket_blocks import Moves
 from .bucket_policy import Step
 from .bucket_policy_kernel import GO, QUEUE, DevicePolicy, PolicyState
 
-# Steps that the device takes before the host looks at it, to note how many rays wait
+# Steps that the device takes before the host looks at it: whether the render is to end, and how many rays wait
 LOOP_STEPS = 4096
 
 _QUEUE = wp.constant(QUEUE)

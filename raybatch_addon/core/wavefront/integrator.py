@@ -118,7 +118,7 @@ class TileIntegrator:
                 self._give_up(state)
             if self._alive == 0:
                 break
-            back = self._trace(work, camera)
+            back = self._trace(work, camera, stop)
             self._shade(work, film, min(back, self._alive))
             done += self._finish_paths(work, film)
         tile = state.tile
@@ -164,7 +164,7 @@ class TileIntegrator:
         self.rays.camera += count
         return SlotList(self._free, length, count, coherent=True)
 
-    def _trace(self, work: TileWork, camera: SlotList) -> int:
+    def _trace(self, work: TileWork, camera: SlotList, stop: Callable[[], bool]) -> int:
         """Rays go on; how many came back at most."""
         waves = [(RayKind.CLOSEST, camera), (RayKind.CLOSEST, self._bounced), (self._shadow_kind, self._shadow)]
         waves = [(kind, rays) for kind, rays in waves if rays.bound]
@@ -179,7 +179,7 @@ class TileIntegrator:
                 self._order.trace(kind, rays, self._rays, self.rays.camera, lambda part, kind=kind: self._tracer.submit(kind, part))
             else:
                 self._tracer.submit(kind, rays)
-        self._tracer.advance()
+        self._tracer.advance(stop)
         finished = self._tracer.take_finished()
         for kind, back in finished:
             if self._counters:

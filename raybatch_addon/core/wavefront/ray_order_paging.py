@@ -11,6 +11,7 @@ needed) show that it is in use.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 import warp as wp
@@ -66,8 +67,8 @@ class RayOrderPager:
             self._totals.rays += len(slots)
             self._under_way.append((kind, slots))
 
-    def advance(self) -> None:
-        """As `Tracer.advance`: all rays are finished."""
+    def advance(self, stop: Callable[[], bool] | None = None) -> None:
+        """As `Tracer.advance`: all rays are finished, whatever `stop` tells."""
         for kind, slots in self._under_way:
             for first in range(0, len(slots), self._window):
                 self._trace(slots[first : first + self._window])

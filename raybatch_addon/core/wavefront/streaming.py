@@ -18,6 +18,7 @@ import functools
 import math
 import time
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 import warp as wp
@@ -119,7 +120,7 @@ class StreamingTracer:
         self._alive += rays.bound
         self._zero_copy = False
 
-    def advance(self) -> None:
+    def advance(self, stop: Callable[[], bool] | None = None) -> None:
         """As `Tracer.advance`: an eighth of the rays alive is finished, or all."""
         goal = max(1, min(self._alive // _FINISHED_SHARE, self._waiting.capacity))
         while True:
@@ -128,6 +129,8 @@ class StreamingTracer:
                 break
             if not worked:
                 self._wait()
+            if stop and stop():
+                break
         # the device comes to rest here, copies go on
         while self._pending:
             self._read_counts()

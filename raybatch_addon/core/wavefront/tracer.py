@@ -31,8 +31,9 @@ class Tracer(Protocol):
         """Take rays in. Their slots are the tracer's until they come back; the list itself is overwritten after `advance`, so a
         tracer that lets rays wait keeps a copy of it."""
 
-    def advance(self) -> None:
-        """Work on rays that are under way; at least one of them finishes."""
+    def advance(self, stop: Callable[[], bool] | None = None) -> None:
+        """Work on rays that are under way; at least one of them finishes. Where `stop` tells that the render is to end, it is left at
+        that as soon as some work is done, and perhaps none has finished."""
 
     def take_finished(self) -> list[tuple[RayKind, SlotList]]:
         """Rays that are done since the last call, their hits written to their slots."""
@@ -60,7 +61,7 @@ class UnbatchedTracer:
     def submit(self, kind: RayKind, rays: SlotList) -> None:
         self._under_way.append((kind, rays))
 
-    def advance(self) -> None:
+    def advance(self, stop: Callable[[], bool] | None = None) -> None:
         for kind, rays in self._under_way:
             stage = self._stages[kind]
             self._trace(kind, rays, lambda listed, counts: stage.launch(self._tree, self._rays, listed, counts))

@@ -193,6 +193,24 @@ def test_rays_can_be_forgotten(parallel, sizes):
 
 @pytest.mark.parametrize("parallel", PARALLEL)
 @pytest.mark.parametrize("selection", SELECTIONS)
+def test_an_advance_is_cut_short_by_the_end_of_the_render(parallel, selection):
+    """A step each, and in the end every ray is finished all the same."""
+    tracer, visits = wandering(50, 500, parallel, bucket_selection=selection)
+    tracer.submit(RayKind.CLOSEST, slot_list(np.arange(500)))
+    turns = []
+    while tracer.totals().finished < 500:
+        before = tracer.totals().steps
+        tracer.advance(lambda: True)
+        turns.append(tracer.totals().steps - before)
+        tracer.take_finished()
+        assert len(turns) < 10_000
+    if DEVICE == "cpu" and not parallel:
+        assert max(turns) == 1
+    np.testing.assert_array_equal(visits.numpy()[2, :500], 1)
+
+
+@pytest.mark.parametrize("parallel", PARALLEL)
+@pytest.mark.parametrize("selection", SELECTIONS)
 def test_a_tree_without_treelets(parallel, selection):
     tracer, visits = wandering(0, 100, parallel, bucket_selection=selection, debug_checks="ON" if selection == "NEXT" else "OFF")
     tracer.submit(RayKind.CLOSEST, slot_list(np.arange(0, 100, 7)))

@@ -255,6 +255,26 @@ def test_given_up_rays_leave_nothing_behind():
     residency.close()
 
 
+def test_an_advance_is_cut_short_by_the_end_of_the_render():
+    """A step each, and in the end every ray is finished all the same."""
+    paged = paged_of(ONE)
+    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, device())
+    rays = new_rays()
+    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
+    tracer.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
+    tracer.submit(RayKind.OCCLUSION, list_of(np.arange(PATHS, 2 * PATHS)))
+    turns = 0
+    while tracer.totals().finished < 2 * PATHS:
+        before = tracer.totals().steps
+        tracer.advance(lambda: True)
+        assert tracer.totals().steps - before <= 1
+        tracer.take_finished()
+        turns += 1
+        assert turns < 10_000
+    same(hits_of(rays, PATHS, True), expected(ONE, True))
+    residency.close()
+
+
 def test_rays_can_be_forgotten():
     """As when a tile is given up: some are done, some wait, and some came in last."""
     paged = paged_of(ONE)
