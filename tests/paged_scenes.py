@@ -51,7 +51,7 @@ def page_bytes(paged: PagedScene) -> list[np.ndarray]:
 def blocks(paged: PagedScene) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Words of the nodes and of the triangles of every treelet."""
     node_words, triangle_words = paged.layout.node_words, paged.layout.triangle_words
-    pages, resident = page_bytes(paged), paged.resident_nodes.numpy()
+    pages, resident = page_bytes(paged), paged.resident_nodes.numpy().reshape(-1)
     units = block_sizes(paged)
     nodes, triangles = [], []
     for k, page in enumerate(paged.treelet_page):
@@ -66,7 +66,7 @@ def blocks(paged: PagedScene) -> tuple[list[np.ndarray], list[np.ndarray]]:
 def block_sizes(paged: PagedScene) -> list[tuple[int, int]]:
     """Nodes and units of triangles below each treelet's root, found by following its children."""
     sizes = []
-    pages, resident = page_bytes(paged), paged.resident_nodes.numpy()
+    pages, resident = page_bytes(paged), paged.resident_nodes.numpy().reshape(-1)
     layout, words = paged.layout, paged.layout.node_words
     top = paged.tree.nodes.numpy().view(layout.node_type).reshape(-1, words)
     for k, page in enumerate(paged.treelet_page):

@@ -56,7 +56,7 @@ class PagedScene:
     treelet_node_byte: np.ndarray  # where a treelet's nodes begin in its page on the device, int64, shape [treelet_count]
     treelet_triangle_byte: np.ndarray  # likewise its triangles
     nodes_resident: bool  # pages hold triangles alone; `treelet_node_byte` is then a place in `resident_nodes`
-    resident_nodes: wp.array  # uint8, on the device: the nodes of all treelets, or empty
+    resident_nodes: wp.array  # as `page_rows`, on the device: the nodes of all treelets, or empty
     store: PageStore
     box: np.ndarray  # two corners that hold all surfaces [m], float64, shape [2, 3]
     resident_bytes: int  # of `tree`, `of_node`, `root` and `resident_nodes`
@@ -225,7 +225,7 @@ def _assembled(
         nodes = load_nodes(tables, store, device)
     else:
         node_byte, triangle_byte = tables.treelet_node, tables.page_bytes[page, 0] + tables.treelet_triangle
-        nodes = wp.empty(0, dtype=wp.uint8, device=device)
+        nodes = wp.empty((0, PAGE_ALIGNMENT), dtype=wp.uint8, device=device)
     wp.synchronize_device(device)
     known["seconds"] = round(time.perf_counter() - start + known["seconds_build"], 6)
     return PagedScene(

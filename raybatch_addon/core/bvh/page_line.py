@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import warp as wp
 
 from .page_build import PagedScene
-from .page_store import page_buffer
+from .page_store import bytes_of_rows, page_buffer
 
 # Pages that are read at the same time; as many are staged on their way to a CUDA device
 READER_COUNT = 2
@@ -69,7 +69,7 @@ def staging_count(scene: PagedScene, slot_count: int) -> int:
 
 
 def page_line(scene: PagedScene, pool: wp.array, slot_bytes: int, device: wp.Device) -> PageLine:
-    """The line for the pages of `scene` to slots of `slot_bytes` in `pool`."""
+    """The line for the pages of `scene` to slots of `slot_bytes` in `pool` (`page_rows`)."""
     if not device.is_cuda:
         return HostLine(scene, pool, slot_bytes)
     return CudaLine(scene, pool, slot_bytes, device)
@@ -90,15 +90,15 @@ class HostLine:
         self._threads.submit(_told, arrived, number, self._read, slot)
 
     def _read(self, number: int, slot: int) -> None:
-        start = slot * self._slot_bytes
         scene, page = self._scene, self._scene.pages[number]
+        target = bytes_of_rows(self._pool, slot * self._slot_bytes, page.device_bytes)
         if not scene.encoded:
-            scene.store.read_into(page, self._pool.numpy()[start : start + page.byte_count], direct=True)
+            scene.store.read_into(page, target.numpy(), direct=True)
             return
         buffer = self._staging.get()
         try:
             scene.store.read_into(page, buffer.numpy(), direct=True)
-            scene.expand(number, buffer[: page.byte_count], self._pool[start : start + page.device_bytes])
+            scene.expand(number, buffer[: page.byte_count], target)
         finally:
             self._staging.put(buffer)
 
@@ -166,14 +166,16 @@ class CudaLine:
         return copied
 
     def _copy(self, number: int, slot: int, source: wp.array, used: Any) -> wp.Event:
-        target, first = self._pool, slot * self._slot_bytes
+        page = self._scene.pages[number]
         if self._scene.encoded:
             # the slot is written by the stream that traces: only the buffer must be free
             target, used = self._staging.get()
-            self._staged[number], first = target, 0
+            self._staged[number] = target
+        else:
+            target = bytes_of_rows(self._pool, slot * self._slot_bytes, page.device_bytes)
         if used is not None:
             self._stream.wait_event(used)
-        wp.copy(target, source, dest_offset=first, count=self._scene.pages[number].byte_count, stream=self._stream)
+        wp.copy(target, source, count=page.byte_count, stream=self._stream)
         return self._stream.record_event()
 
     def room(self) -> int:
@@ -185,8 +187,8 @@ class CudaLine:
         self._staging_free += 1
         if self._scene.encoded:
             buffer = self._staged.pop(number)
-            start = slot * self._slot_bytes
-            self._scene.expand(number, buffer[: page.byte_count], self._pool[start : start + page.device_bytes])
+            target = bytes_of_rows(self._pool, slot * self._slot_bytes, page.device_bytes)
+            self._scene.expand(number, buffer[: page.byte_count], target)
             self._staging.put((buffer, stream.record_event()))
 
     def mark(self) -> wp.Event:

@@ -14,7 +14,7 @@ from .encode import as_vectors
 from .entries import build_top_level
 from .node import Layout, aligned_empty
 from .page_entries import chunk_entries
-from .page_store import Page, PageStore, page_buffer
+from .page_store import Page, PageStore, bytes_of_rows, page_buffer, page_rows
 from .page_tables import PageTables
 from .tree import Tree
 from .treelets import tree_levels
@@ -63,9 +63,8 @@ def place_resident(tables: PageTables, flat: FlatGeometry, visibility: np.ndarra
 
 
 def load_nodes(tables: PageTables, store: PageStore, device: wp.Device) -> wp.array:
-    """The nodes of all treelets on `device`, uint8, page after page."""
-    total = int(tables.page_bytes[:, 0].sum())
-    nodes = wp.empty(max(total, 64), dtype=wp.uint8, device=device) if device.is_cuda else page_buffer(max(total, 64))
+    """The nodes of all treelets on `device`, page after page, as `page_rows`."""
+    nodes = page_rows(int(tables.page_bytes[:, 0].sum()), device)
     buffer = page_buffer(max(int(tables.page_bytes[:, 0].max()), 64)) if device.is_cuda else None
     place = 0
     for i, (byte, size) in enumerate(zip(tables.page_byte[:, 0].tolist(), tables.page_bytes[:, 0].tolist())):
@@ -74,10 +73,10 @@ def load_nodes(tables: PageTables, store: PageStore, device: wp.Device) -> wp.ar
         page = Page(int(tables.page_treelet[i]), 0, byte, size, size)
         if device.is_cuda:
             store.read_into(page, buffer.numpy(), direct=True)
-            wp.copy(nodes, buffer, dest_offset=place, count=size)
+            wp.copy(bytes_of_rows(nodes, place, size), buffer, count=size)
             wp.synchronize_device(device)
         else:
-            store.read_into(page, nodes.numpy()[place:], direct=True)
+            store.read_into(page, bytes_of_rows(nodes, place, size).numpy(), direct=True)
         place += size
     return nodes
 

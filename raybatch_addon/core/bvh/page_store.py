@@ -99,6 +99,26 @@ def page_buffer(byte_count: int, pinned: bool = False) -> wp.array:
     return memory[start : start + byte_count]
 
 
+def page_rows(byte_count: int, device: wp.Device) -> wp.array:
+    """Memory without contents on `device`, uint8, shape [rows, PAGE_ALIGNMENT], for pages one after another.
+
+    It has rows because one dimension of an array has less than 2^31 elements. On a CPU it begins at a multiple of `PAGE_ALIGNMENT`.
+    """
+    shape = (max(padded(byte_count) // PAGE_ALIGNMENT, 1), PAGE_ALIGNMENT)
+    if device.is_cuda:
+        return wp.empty(shape, dtype=wp.uint8, device=device)
+    memory = np.empty((shape[0] + 1) * PAGE_ALIGNMENT, np.uint8)
+    start = -memory.ctypes.data % PAGE_ALIGNMENT
+    host = memory[start : start + shape[0] * PAGE_ALIGNMENT].reshape(shape)
+    return wp.array(host, dtype=wp.uint8, device=device, copy=False)
+
+
+def bytes_of_rows(rows: wp.array, first: int, byte_count: int) -> wp.array:
+    """View of so many bytes of `rows`, at least one, from byte `first` on, a multiple of `PAGE_ALIGNMENT`; uint8, shape [byte_count]."""
+    start = first // PAGE_ALIGNMENT
+    return rows[start : start + padded(byte_count) // PAGE_ALIGNMENT].flatten()[:byte_count]
+
+
 class HostStore:
     """Pages in host memory; pinned, so that a CUDA device copies from it, or reads it, by itself."""
 

@@ -24,7 +24,7 @@ from .address_ring import AddressRing
 from .page_build import PagedScene
 from .page_facts import PageFacts
 from .page_line import PageLine, largest_page, page_line, staging_count
-from .page_store import PAGE_ALIGNMENT, padded
+from .page_store import padded, page_rows
 from .tree import Treelets
 
 ABSENT, COMING, THERE, LEAVING = range(4)
@@ -101,9 +101,7 @@ class Residency:
         self.scene, self.device = scene, device
         self.slot_count, self.slot_bytes = slots_in(scene, budget, device), slot_bytes_of(scene)
         count = len(scene.pages)
-        self._memory = wp.empty(self.slot_count * self.slot_bytes + PAGE_ALIGNMENT, dtype=wp.uint8, device=device)
-        start = -self._memory.ptr % PAGE_ALIGNMENT
-        self._pool = self._memory[start : start + self.slot_count * self.slot_bytes]
+        self._pool = page_rows(self.slot_count * self.slot_bytes, device)
         self._line = make_line(scene, self._pool, self.slot_bytes, device)
         self._zero_copy: np.ndarray | None = None  # addresses of pages in pinned memory
         self._changed = threading.Condition()

@@ -3,6 +3,7 @@
 import dataclasses
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import warp as wp
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.page_build import PagedScene
 from raybatch_addon.core.bvh.page_line import CudaLine
+from raybatch_addon.core.bvh.page_resident import load_nodes
 from raybatch_addon.core.bvh.page_store import HostStore, Page, PageFileError
 from raybatch_addon.core.bvh.residency import PageCounts, Residency, slots_in
 from raybatch_addon.core.bvh.tree import Tree
@@ -219,6 +221,37 @@ def test_budgets():
     assert slots_in(scene, 2**62, device) == 6, "no more than there are pages"
     with pytest.raises(OutOfMemoryError, match=r"needs 9,192 at least .*raise it"):
         Residency(scene, 1000 + PAGE - 1, wp.get_device("cpu"))
+
+
+def test_a_pool_of_more_bytes_than_an_array_has_elements():
+    scene = made_up()
+    scene.pages[0] = dataclasses.replace(scene.pages[0], device_bytes=3 << 29)
+    residency = Residency(scene, 1000 + (3 << 30), wp.get_device("cpu"))  # memory that is never written is never had
+    assert residency.slot_count == 2
+    view = residency.view()
+    bring(residency, 3, 4)
+    view.begin()
+    assert [a for a, _ in shown_bytes(view)] == [0] * 6 + [4, 4, 5, 5, 0, 0]
+    addresses = view.treelets.nodes.numpy().astype(np.int64)
+    assert abs(addresses[8] - addresses[6]) == 3 << 29
+    view.end()
+    residency.close()
+
+
+def test_more_nodes_than_an_array_has_elements():
+    count = 3
+    sizes = np.full((count, 2), 1 << 30)
+    read = []
+
+    class Store:
+        def read_into(self, page, host, direct):
+            host[: 4096 if page.byte_first else 0] = 7
+            read.append((page.byte_first, len(host)))
+
+    tables = SimpleNamespace(page_bytes=sizes, page_byte=np.cumsum(sizes, 0) - sizes, page_treelet=np.arange(count + 1))
+    nodes = load_nodes(tables, Store(), wp.get_device("cpu"))
+    assert nodes.size == 3 << 30 and nodes.ptr % 4096 == 0 and read == [(i << 30, 1 << 30) for i in range(count)]
+    assert byte_at(nodes.ptr + (2 << 30)) == 7
 
 
 def test_slots_hold_the_largest_page():

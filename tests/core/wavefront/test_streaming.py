@@ -352,7 +352,7 @@ class NotedLine:
     """Fills slots at once, as a device may at the earliest, and notes what its streams were told."""
 
     def __init__(self, scene, pool, slot_bytes, device):
-        self.scene, self.memory, self.slot_bytes = scene, pool.numpy(), slot_bytes
+        self.scene, self.memory, self.slot_bytes = scene, pool.numpy().reshape(-1), slot_bytes
         self.marks = 0  # launches so far
         self.fills: list[tuple[int, int, int, int]] = []  # page, slot, launches that the copy waits for, launches so far
         self.landed: list[tuple[int, int]] = []  # page, launches before
