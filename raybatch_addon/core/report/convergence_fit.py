@@ -1,0 +1,277 @@
+"""What a curve of errors says: its slope, whether it flattens, when it reaches a target, and what an error costs.
+
+**Model.** The squared error of an unbiased estimator with independent samples falls as 1 / n, whatever the scene, so that RMSE has slope
+-0.5 in log(RMSE) against log(n); low-discrepancy samples are steeper. A bias b adds b^2, which stays: the curve flattens.
+
+**Uncertainty.** Pictures of one render are nested: that of n samples is part of that of m > n. Their errors then correlate as
+sqrt(n / m), and squares of normal variables as the square of that, so that the deviations of log(RMSE) from its line have covariances
+s^2 n / m. The fit is by generalised least squares with these; s is estimated from the residuals (Student's t). Points that begin again
+at fewer samples belong to another, independent render.
+
+A curve that bends does not fit a line, and its residuals tell too large an s to test the bend with. Points that know how their error
+varies from pixel to pixel (`rmse_spread`) bring a better measure. Let r(n) be the variance of the mean squared error of n samples,
+relative to its square. The error of m samples is n / m times that of n and an independent rest without bias, so that the covariance of
+the two relative deviations is r(n) n / m: exactly, for errors of any distribution.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from .convergence import ErrorPoint
+
+# Slope of log(RMSE) against log(samples) of independent samples
+INDEPENDENT_SLOPE = -0.5
+# Chance of a false alarm, when a curve that does not flatten is tested
+FALSE_ALARM = 1e-3
+# Slopes closer than this are taken as the same, however certain the difference: a line is a model, and at few samples pixels that rarely
+# find their light make curves bend a little
+SLOPE_MARGIN = 0.1
+# A curve is tested where the reference's noise is at most this share of the squared error; there it is subtracted
+FLOOR_SHARE = 0.5
+# Points above the floor that a test needs: three unknowns (a slope either side of the middle, and a level), and some to tell the spread
+POINTS_TO_TEST = 6
+# Degrees of freedom where the spread is known: Student's t is normal there
+FREEDOM_KNOWN = 1000
+# Efficiencies are of points in which the reference's noise is at most this share of the squared error
+EFFICIENCY_FLOOR_SHARE = 0.1
+
+
+@dataclass(frozen=True)
+class Slope:
+    """The line through a curve of errors: log(RMSE) = intercept + slope log(x), natural logarithms."""
+
+    slope: float
+    intercept: float
+    spread: float  # standard error of `slope`; NaN where two points leave nothing to tell it
+    flattens: bool  # the error stops falling above the reference's noise: a bias
+    says: str  # all this in words
+    by: str = "samples"  # what x is: "samples" or "seconds"
+    last_slope: float | None = None  # of the last half of the curve, against samples and without the reference's noise; None: too few points
+    last_spread: float | None = None  # standard error of `last_slope`
+
+
+def fit_slope(points: Sequence[ErrorPoint], by: str = "samples") -> Slope | None:
+    """The line through `points` (of one render, or of several one after the other) against `by` (samples, seconds); None below two.
+
+    Points without error (0) or, against seconds, without time are left out.
+
+    `flattens` is tested against samples, on points whose error stands out from the reference's noise: two lines that meet in the middle
+    of the curve are fitted. A bias is told where the last is shallower than -0.5, which no unbiased estimator stays above, and either
+    shallower than the first or next to level; each by more than 0.1 and with a chance of a false alarm of 1 in 1000. Estimates from
+    halves of a render cannot show a bias: it is in both.
+    """
+    if by not in ("samples", "seconds"):
+        raise ValueError(f"errors are fitted against samples or seconds, not {by!r}")
+    used = [p for p in points if p.rmse > 0 and p.samples > 0 and getattr(p, by) > 0]
+    x = np.log([getattr(p, by) for p in used])
+    if len(used) < 2 or np.ptp(x) == 0:
+        return None
+    line = _fit(np.column_stack([np.ones(len(used)), x]), np.log([p.rmse for p in used]), _nesting(used))
+    (intercept, slope), spread = line.values, line.spreads[1]
+    bend = _bend(used)
+    flattens = bend is not None and bend.is_bias
+    if by == "samples":
+        says = _in_words(slope, spread, line.freedom, used, bend)
+    else:
+        says = f"RMSE falls as seconds^{slope:.2f}" + (f" (± {spread:.2f})" if math.isfinite(spread) else "")
+    return Slope(
+        float(slope), float(intercept), float(spread), flattens, says, by, bend.last if bend else None, bend.last_spread if bend else None
+    )  # fmt: skip
+
+
+def time_to(points: Sequence[ErrorPoint], target: float, slope: Slope | float | None = None) -> tuple[float, bool] | None:
+    """Seconds of rendering at which the relMSE of one render reaches `target`, and whether that is extrapolated; None: never at this rate.
+
+    Between points error and time are taken as straight in logarithms. Beyond the last, the error falls with `slope` (of RMSE against
+    samples, or a `Slope` by either; default: fitted to the points, and -0.5 for one point), and each sample takes as long as the last
+    ones did. Never: the curve flattens, does not fall, or the target is below the noise of the reference.
+    """
+    if not target > 0:
+        raise ValueError(f"the error to reach must be above 0, and is {target}")
+    curve = sorted((p for p in points if p.relmse > 0 and p.seconds > 0), key=lambda p: p.samples)
+    if not curve:
+        return None
+    before = None
+    for point in curve:
+        if point.relmse <= target:
+            if before is None or point.relmse >= before.relmse:
+                return point.seconds, False
+            share = math.log(target / before.relmse) / math.log(point.relmse / before.relmse)
+            return before.seconds * (point.seconds / before.seconds) ** share, False
+        before = point
+    last = curve[-1]
+    if (last.floor_relmse or 0.0) >= target:
+        return None
+    fitted = fit_slope(curve) if slope is None else slope
+    by = fitted.by if isinstance(fitted, Slope) else "samples"
+    if isinstance(fitted, Slope) and fitted.flattens:
+        return None
+    rate = INDEPENDENT_SLOPE if fitted is None else fitted.slope if isinstance(fitted, Slope) else float(fitted)
+    if not rate < 0:
+        return None
+    power = math.log(target / last.relmse) / (2 * rate)
+    if power > 700:  # beyond float64, and beyond anybody's time
+        return None
+    factor = math.exp(power)
+    if by == "seconds":
+        return last.seconds * factor, True
+    return last.seconds + last.samples * (factor - 1) * _seconds_per_sample(curve), True
+
+
+def efficiency(points: Sequence[ErrorPoint], metric: str = "rmse") -> float | None:
+    """1 / (error^2 x seconds), the median over points; None where no point tells it. Constant in n for independent samples.
+
+    `metric` is "rmse", or "relmse" (which is a square already). Points with no time yet are left out, and those in which the noise of the
+    reference is more than a tenth of the squared error: it would count as theirs. For samples that converge faster it grows with the
+    time, so compare settings over the same range.
+    """
+    if metric not in ("rmse", "relmse"):
+        raise ValueError(f"an efficiency is of rmse or relmse, not {metric!r}")
+    power = 2 if metric == "rmse" else 1
+    costs = []
+    for point in points:
+        squared, floor = getattr(point, metric) ** power, (getattr(point, f"floor_{metric}") or 0.0) ** power
+        if point.seconds > 0 and squared > 0 and floor <= EFFICIENCY_FLOOR_SHARE * squared:
+            costs.append(squared * point.seconds)
+    return 1 / statistics.median(costs) if costs else None
+
+
+# --- least squares
+
+
+@dataclass(frozen=True)
+class _Line:
+    values: np.ndarray  # of the columns
+    covariance: np.ndarray  # of the values
+    freedom: int  # points less values
+
+    @property
+    def spreads(self) -> np.ndarray:
+        return np.sqrt(np.diag(self.covariance))
+
+
+def _nesting(points: Sequence[ErrorPoint]) -> np.ndarray:
+    """Correlation of the points' deviations: n / m for n < m samples of one render, 0 between renders."""
+    samples = np.array([p.samples for p in points], np.float64)
+    render = np.cumsum(np.diff(samples, prepend=samples[0]) < 0)
+    smaller, larger = np.minimum.outer(samples, samples), np.maximum.outer(samples, samples)
+    # points of one sample count in a row are of as many renders, or the matrix would be singular
+    again = np.cumsum(np.diff(samples, prepend=samples[0] - 1) == 0)
+    apart = (render[:, None] != render) | (again[:, None] != again)
+    return np.where(apart, 0.0, smaller / larger)
+
+
+def _measured_covariance(points: Sequence[ErrorPoint]) -> np.ndarray | None:
+    """Covariances of log(RMSE) as pixels tell them; None where a point has no pixels, or too few for a matrix that can be one."""
+    if any(not p.rmse_spread for p in points):
+        return None
+    relative = np.array([p.rmse_spread / p.rmse for p in points]) ** 2
+    samples = np.array([p.samples for p in points])
+    covariance = _nesting(points) * np.where(samples[:, None] <= samples, relative[:, None], relative)
+    least = np.linalg.eigvalsh(covariance)[0]
+    return covariance if least > 1e-6 * relative.max() else None
+
+
+def _fit(columns: np.ndarray, y: np.ndarray, correlation: np.ndarray, covariance: np.ndarray | None = None) -> _Line:
+    """Generalised least squares; with a `covariance` that is known the residuals need not tell it.
+
+    Covariances of the values are NaN where no point is left to tell the spread.
+    """
+    root = np.linalg.cholesky(correlation if covariance is None else covariance)
+    a, b = np.linalg.solve(root, columns), np.linalg.solve(root, y)
+    values, *_ = np.linalg.lstsq(a, b, rcond=None)
+    if covariance is not None:
+        return _Line(values, np.linalg.pinv(a.T @ a), FREEDOM_KNOWN)
+    freedom = len(y) - columns.shape[1]
+    variance = np.square(b - a @ values).sum() / freedom if freedom > 0 else math.nan
+    return _Line(values, variance * np.linalg.pinv(a.T @ a), freedom)
+
+
+@dataclass(frozen=True)
+class _Bend:
+    first: float  # slope of the first half
+    last: float  # and of the last
+    last_spread: float
+    bias: float  # RMSE that is left at the end
+    is_bias: bool
+    floor_known: bool
+
+
+def _bend(points: Sequence[ErrorPoint]) -> _Bend | None:
+    """Two lines that meet in the middle, fitted to the error without the reference's noise; None: too few points stand out from it."""
+    if any(p.from_halves for p in points):
+        return None
+    floors = [p.floor_rmse or 0.0 for p in points]
+    clear = [(p, p.rmse**2 - f**2) for p, f in zip(points, floors) if f**2 <= FLOOR_SHARE * p.rmse**2]
+    x = np.log([p.samples for p, _ in clear])
+    if len(clear) < POINTS_TO_TEST or len(np.unique(x)) < POINTS_TO_TEST:
+        return None
+    y = 0.5 * np.log([square for _, square in clear])
+    middle = (x.min() + x.max()) / 2
+    late = np.maximum(x - middle, 0)
+    used = [p for p, _ in clear]
+    line = _fit(np.column_stack([np.ones(len(x)), np.minimum(x, middle), late]), y, _nesting(used), _measured_covariance(used))
+    (_, first, last), spread = line.values, line.spreads
+    bend_spread = math.sqrt(max(line.covariance[1, 1] + line.covariance[2, 2] - 2 * line.covariance[1, 2], 0.0))
+    slow = _is_above(last - INDEPENDENT_SLOPE, spread[2], line.freedom)
+    bent = _is_above(last - first, bend_spread, line.freedom)
+    level = last > -SLOPE_MARGIN
+    left = [square for (p, square), at in zip(clear, x) if at == x.max()]
+    known = all(p.floor_rmse is not None for p in points)
+    return _Bend(float(first), float(last), float(spread[2]), math.sqrt(np.mean(left)), bool(slow and (bent or level)), known)
+
+
+def _is_above(difference: float, spread: float, freedom: int) -> bool:
+    """Whether `difference` is above `SLOPE_MARGIN`, and above 0 beyond chance."""
+    return difference > SLOPE_MARGIN and (spread == 0 or t_exceeds(difference / spread, freedom) < FALSE_ALARM)
+
+
+def t_exceeds(t: float, freedom: int) -> float:
+    """The chance that Student's t with `freedom` degrees of freedom is above `t` (Abramowitz and Stegun, 26.7.3 and 26.7.4)."""
+    angle = math.atan(t / math.sqrt(freedom))
+    sine, cosine = math.sin(angle), math.cos(angle)
+    odd = freedom % 2
+    term = cosine if odd else 1.0
+    total = 0.0 if odd and freedom == 1 else term
+    for k in range(3 if odd else 2, freedom - 1, 2):
+        term *= cosine * cosine * (k - 1) / k
+        total += term
+    inside = 2 / math.pi * (angle + sine * total) if odd else sine * total
+    return (1 - inside) / 2
+
+
+def _seconds_per_sample(curve: Sequence[ErrorPoint]) -> float:
+    """Of the last samples; of all where one point, or a clock that stood still, tells no more."""
+    last = curve[-1]
+    for before in reversed(curve[:-1]):
+        if before.samples <= last.samples / 2 and before.seconds < last.seconds:
+            return (last.seconds - before.seconds) / (last.samples - before.samples)
+    return last.seconds / last.samples
+
+
+def _in_words(slope: float, spread: float, freedom: int, points: Sequence[ErrorPoint], bend: _Bend | None) -> str:
+    """What the slope against samples means."""
+    measured = f"{slope:.2f}" + (f" ± {spread:.2f}" if math.isfinite(spread) else "")
+    if bend and bend.is_bias:
+        why = "a bias" if bend.floor_known else "a bias, or noise of the reference, whose own error is not known"
+        return f"slope {measured}: the curve flattens (slope {bend.last:.2f} at its end); {why}: about {bend.bias:.3g} (RMSE) is left"
+    if freedom > 0 and _is_above(slope - INDEPENDENT_SLOPE, spread, freedom):
+        floor = max((p.floor_rmse or 0.0) / p.rmse for p in points)
+        why = "light that is rarely found, or too few points to tell a bias"
+        if floor**2 > FLOOR_SHARE:
+            why = "it comes to the noise of the reference"
+        return f"slope {measured}: slower than independent samples (-0.5): {why}"
+    if freedom > 0 and INDEPENDENT_SLOPE - slope > 0 and (spread == 0 or t_exceeds((INDEPENDENT_SLOPE - slope) / spread, freedom) < 0.01):
+        return f"slope {measured}: steeper than independent samples (-0.5)"
+    verdict = "as of independent samples (-0.5)" if math.isfinite(spread) else "of two points, which tell no spread"
+    if points and all(p.from_halves for p in points):
+        verdict += "; an estimate from halves cannot show a bias"
+    return f"slope {measured}: {verdict}"

@@ -1,0 +1,307 @@
+"""Recorder, metrics, references and their files, on pictures that are made up."""
+
+import math
+
+import numpy as np
+import pytest
+import scenes
+
+from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.report import convergence
+from raybatch_addon.core.report.convergence import (
+    ConvergenceRecorder,
+    Reference,
+    geometric_samples,
+    load_reference,
+    noise_floor,
+    relmse,
+    relmse_of_halves,
+    rmse,
+    rmse_of_halves,
+    save_reference,
+    scene_hash,
+)
+from raybatch_addon.core.report.snapshot import Snapshot
+from raybatch_addon.core.scene.description import Frame
+from raybatch_addon.core.settings import RenderSettings
+
+SHAPE = (40, 60, 3)
+
+
+def snapshot(samples, picture, halves=None, seconds=None):
+    seconds = 0.1 * samples if seconds is None else seconds
+    return Snapshot(samples, seconds, seconds + 1, {"camera": samples, "bounced": 2 * samples, "shadow": 0}, 0, picture, halves)
+
+
+def nested_noise(seed, counts, truth, sigma=1.0):
+    """Pictures of independent samples with variance sigma^2: each holds the samples of the one before."""
+    random = np.random.default_rng(seed)
+    total, before = np.zeros(SHAPE), 0
+    for count in counts:
+        total += random.normal(size=SHAPE) * math.sqrt(count - before) * sigma
+        before = count
+        yield truth + total / count
+
+
+# --- sample counts
+
+
+@pytest.mark.parametrize(
+    "count, ratio, first, expected",
+    [
+        (1, 2, 1, [1]), (2, 2, 1, [1, 2]), (8, 2, 1, [1, 2, 4, 8]), (9, 2, 1, [1, 2, 4, 8, 9]), (100, 10, 1, [1, 10, 100]),
+        (5, 1.1, 1, [1, 2, 3, 4, 5]), (64, 4, 2, [2, 8, 32, 64]), (3, 2, 8, [3]), (10, 1.5, 1, [1, 2, 3, 4, 5, 8, 10]),
+    ],
+)  # fmt: skip
+def test_sample_counts_are_geometric_and_end_with_all(count, ratio, first, expected):
+    assert geometric_samples(count, ratio, first) == expected
+
+
+def test_sample_counts_always_ascend():
+    for ratio in (1.01, 1.3, 2, math.e, 7):
+        for count in (1, 2, 3, 17, 1000, 2**31 - 1 if ratio > 1.1 else 5000):
+            counts = geometric_samples(count, ratio)
+            assert counts[0] == 1 and counts[-1] == count and all(a < b for a, b in zip(counts, counts[1:]))
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.5, -2.0, math.nan])
+def test_a_ratio_that_does_not_grow_is_refused(ratio):
+    with pytest.raises(ValueError, match="above 1"):
+        geometric_samples(8, ratio)
+    with pytest.raises(ValueError, match="above 1"):
+        ConvergenceRecorder(ratio)
+
+
+# --- metrics
+
+
+def test_errors_are_what_their_formulas_say():
+    r = np.full(SHAPE, 0.5)
+    x = r.copy()
+    x[..., 0] += 0.3
+    assert rmse(x, r) == pytest.approx(math.sqrt(0.09 / 3), rel=1e-14)
+    assert relmse(x, r) == pytest.approx(0.03 / 0.26, rel=1e-14)
+    assert rmse(r, r) == relmse(r, r) == 0
+    assert relmse(x, np.zeros(SHAPE)) == pytest.approx(np.mean(x**2) / 0.01, rel=1e-14)
+
+
+def test_errors_are_computed_in_float64():
+    """Of float32 pictures with a tiny difference on a large value nothing is lost but what float32 lost itself."""
+    x = np.full(SHAPE, np.float32(1e6) + np.float32(0.0625), np.float32)
+    assert rmse(x, np.full(SHAPE, 1e6)) == 0.0625
+
+
+def test_the_error_of_halves_is_an_unbiased_estimate():
+    """E (A - B)^2 / 4 = E ((A + B) / 2 - r)^2. Both are means of N independent chi-squared values: relative deviation sqrt(2 / N) each.
+
+    A - B and A + B of normal variables are independent, and so are the two; 4 deviations of their difference are allowed.
+    """
+    random = np.random.default_rng(3)
+    a, b = random.normal(2.0, 0.1, (2, *SHAPE))
+    deviation = math.sqrt(2 * 2 / a.size)
+    assert abs(rmse_of_halves(a, b) ** 2 / rmse((a + b) / 2, np.full(SHAPE, 2.0)) ** 2 - 1) < 4 * deviation < 0.15
+    assert abs(relmse_of_halves(a, b) / relmse((a + b) / 2, np.full(SHAPE, 2.0)) - 1) < 4 * deviation
+    assert rmse_of_halves(a, a) == relmse_of_halves(a, a) == 0
+
+
+def test_pictures_of_other_sizes_are_refused():
+    for metric in (rmse, relmse, rmse_of_halves, relmse_of_halves):
+        with pytest.raises(RayBatchError, match="60 x 40 .*2 x 40 .*same size"):
+            metric(np.zeros(SHAPE), np.zeros((40, 2, 3)))
+        with pytest.raises(RayBatchError, match="without pixels"):
+            metric(np.zeros((0, 4, 3)), np.zeros((0, 4, 3)))
+
+
+# --- the recorder
+
+
+def test_the_recorder_asks_for_a_geometric_series_and_computes_nothing_while_rendering(monkeypatch):
+    recorder = ConvergenceRecorder(ratio=3)
+    assert recorder.snapshot_samples(30) == [1, 3, 9, 27, 30]
+
+    def computed(*_):
+        raise AssertionError("computed while rendering")
+
+    monkeypatch.setattr(convergence, "error_point", computed)
+    picture = np.zeros(SHAPE, np.float32)
+    recorder.on_snapshot(snapshot(1, picture))
+    assert recorder.snapshots[0].picture is picture  # its own copy already: it is not copied again
+    with pytest.raises(ValueError, match="for one render"):
+        recorder.on_snapshot(snapshot(1, picture))
+
+
+def test_points_against_a_reference():
+    truth = np.full(SHAPE, 0.7)
+    counts = geometric_samples(64)
+    recorder = ConvergenceRecorder()
+    for count, picture in zip(counts, nested_noise(1, counts, truth, 0.2)):
+        recorder.on_snapshot(snapshot(count, picture.astype(np.float32)))
+    reference = Reference(truth, np.full(SHAPE, 1e-4), "truth", 99)
+    points = recorder.points(reference)
+    assert [p.samples for p in points] == counts
+    for point, kept in zip(points, recorder.snapshots):
+        assert (point.seconds, point.seconds_total, point.rays) == (kept.seconds, kept.seconds_total, kept.rays)
+        assert (point.rmse, point.relmse) == pytest.approx((rmse(kept.picture, truth), relmse(kept.picture, truth)), rel=1e-12)
+        assert point.flip is None and not point.from_halves
+        assert point.floor_rmse == pytest.approx(0.01) and point.floor_relmse == pytest.approx(1e-4 / 0.5)
+        # 2400 pixels whose squared error is a mean of three: chi-squared, relative deviation of the root 1 / sqrt(2 * 7200). That
+        # estimate itself is the root of a variance of 2400 values with kurtosis 3 + 12 / 3: deviation sqrt(6 / 2400) / 2, here times 4
+        assert point.rmse_spread == pytest.approx(point.rmse / math.sqrt(2 * truth.size), rel=4 * math.sqrt(6 / 2400) / 2)
+
+
+def test_points_without_a_reference_come_from_halves():
+    a, b = np.random.default_rng(5).normal(1, 0.1, (2, *SHAPE)).astype(np.float32)
+    recorder = ConvergenceRecorder()
+    recorder.on_snapshot(snapshot(1, a, (a, np.zeros_like(a))))  # its second half is empty: no point
+    recorder.on_snapshot(snapshot(2, (a + b) / 2, (a, b)))
+    (point,) = recorder.points()
+    assert point.from_halves and point.samples == 2 and point.floor_rmse == 0
+    assert (point.rmse, point.relmse) == pytest.approx((rmse_of_halves(a, b), relmse_of_halves(a, b)), rel=1e-12)
+
+
+def test_without_reference_and_halves_nothing_tells_the_error():
+    recorder = ConvergenceRecorder()
+    assert recorder.points() == []
+    recorder.on_snapshot(snapshot(4, np.zeros(SHAPE)))
+    with pytest.raises(RayBatchError, match="error_estimate to ON"):
+        recorder.points()
+    with pytest.raises(RayBatchError, match="same size"):
+        recorder.points(Reference(np.zeros((2, 2, 3))))
+
+
+def test_flip_gets_the_pictures_top_row_first():
+    recorder = ConvergenceRecorder()
+    picture = np.arange(np.prod(SHAPE), dtype=np.float32).reshape(SHAPE)
+    recorder.on_snapshot(snapshot(1, picture))
+    seen = []
+    reference = Reference(picture + 1.0)
+    points = recorder.points(reference, flip=lambda x, r: seen.append((x, r)) or 0.25)
+    assert points[0].flip == 0.25
+    assert np.array_equal(seen[0][0], picture[::-1]) and np.array_equal(seen[0][1], (picture + 1)[::-1]) and seen[0][1].dtype == np.float32
+
+
+# --- references
+
+
+def test_the_noise_floor_is_what_the_reference_adds():
+    random = np.random.default_rng(7)
+    truth = random.uniform(0.2, 1, SHAPE)
+    runs = truth + random.normal(0, 0.1, (8, *SHAPE))
+    reference = Reference.of_runs(runs, "runs", 800)
+    floor_rmse, floor_relmse = noise_floor(reference)
+    # both are means over 7200 values: of chi-squared with 7 degrees of freedom, and with 1; 4 deviations of their difference
+    deviation = math.sqrt((2 / 7 + 2) / truth.size)
+    assert floor_rmse**2 == pytest.approx(rmse(reference.picture, truth) ** 2, rel=4 * deviation)
+    assert floor_relmse == pytest.approx(relmse(reference.picture, truth), rel=8 * deviation)  # weights vary from pixel to pixel
+    halves = Reference.of_halves(runs[0], runs[1], "halves", 200)
+    assert noise_floor(halves)[0] == pytest.approx(rmse_of_halves(runs[0], runs[1]))
+    assert noise_floor(Reference(truth, np.zeros(SHAPE))) == (0, 0)
+    assert all(math.isnan(value) for value in noise_floor(Reference(truth)))
+
+
+def test_references_that_are_none_are_refused():
+    good = np.ones(SHAPE)
+    bad = good.copy()
+    bad[3, 4, 1], bad[0, 0, 0] = math.nan, math.inf
+    for arguments, message in [
+        ((bad, None, "R"), "R has 2 values that are not finite"), ((good, bad, "R"), "variance of R has 2 values"),
+        ((good[..., 0], None, "R"), r"R is no picture.*\[40, 60\]"), ((np.zeros((0, 3, 3)),), "no picture"),
+        ((good, -good), "below 0"), ((good, good[:2]), "make it again"),
+    ]:  # fmt: skip
+        with pytest.raises(RayBatchError, match=message):
+            Reference(*arguments)
+    with pytest.raises(RayBatchError, match="two or more"):
+        Reference.of_runs([good], "one", 1)
+
+
+@pytest.fixture
+def saved(tmp_path):
+    reference = Reference(np.random.default_rng(1).uniform(0, 3, SHAPE), np.full(SHAPE, 0.25), "from far away", 4096)
+    settings = RenderSettings(bounce_max=5)
+    path = tmp_path / "folder" / "r.npz"
+    save_reference(path, reference, "abc", settings)
+    return path, reference, settings
+
+
+def test_references_come_back_from_files_bit_for_bit(saved):
+    path, reference, settings = saved
+    back = load_reference(path, (60, 40), "abc", settings.replace(seed=3, nee="OFF", clamp_indirect=2.0, sample_sequence="INDEPENDENT"))
+    assert np.array_equal(back.picture, reference.picture) and np.array_equal(back.variance, reference.variance)
+    assert (back.name, back.samples, back.size) == ("from far away", 4096, (60, 40))
+    assert [p.name for p in path.parent.iterdir()] == ["r.npz"]
+    save_reference(path, Reference(reference.picture))
+    assert load_reference(path).variance is None
+
+
+def test_references_of_something_else_are_refused(saved):
+    path, _, settings = saved
+    for arguments, message in [
+        (((40, 60),), "60 x 40 pixels and the render 40 x 60"), ((None, "abd"), "another scene"),
+        ((None, "", settings.replace(bounce_max=6)), "bounce_max = 5.*has 6: set bounce_max to 5"),
+        ((None, "", settings.replace(pixel_filter="BOX")), "pixel_filter"),
+    ]:  # fmt: skip
+        with pytest.raises(RayBatchError, match=message):
+            load_reference(path, *arguments)
+
+
+def test_films_are_references_whose_error_nobody_knows(tmp_path):
+    picture = np.random.default_rng(2).uniform(0, 1, (4, 5, 4)).astype(np.float32)
+    np.savez_compressed(tmp_path / "film.npz", Combined=picture, Depth=picture[..., :1])
+    reference = load_reference(tmp_path / "film.npz", (5, 4), "abc", RenderSettings())
+    assert np.array_equal(reference.picture, picture[..., :3]) and reference.variance is None and reference.name == "film.npz"
+
+
+def test_unreadable_references_are_refused(saved, tmp_path):
+    path, reference, _ = saved
+    whole = path.read_bytes()
+    bad = tmp_path / "bad.npz"
+
+    def refused(message):
+        with pytest.raises(RayBatchError, match=message):
+            load_reference(bad)
+
+    refused("there is no file")
+    for length in (0, 10, len(whole) // 2, len(whole) - 4):
+        bad.write_bytes(whole[:length])
+        refused("cannot be read|is no reference")
+    bad.write_text("hello")
+    refused("cannot be read")
+    with open(bad, "wb") as file:
+        np.save(file, np.zeros(3))
+    refused("single array")
+    np.savez(bad, other=np.zeros(3))
+    refused("neither a reference's header nor")
+    np.savez(bad, picture=reference.picture, header=np.frombuffer(b'{"format": "raybatch-scene"}', np.uint8))
+    refused("another kind")
+    np.savez(bad, picture=reference.picture, header=np.frombuffer(b'{"format": "raybatch-reference", "version": 77}', np.uint8))
+    refused("version 77")
+    np.savez(bad, picture=reference.picture, header=np.frombuffer(b"\xff{", np.uint8))
+    refused("damaged")
+    np.savez(bad, Combined=np.array(["text"] * 3))
+    refused("floating-point")
+    np.savez(bad, Combined=np.full(SHAPE, np.nan))
+    refused("not finite")
+    with pytest.raises(RayBatchError, match="cannot be read"):
+        load_reference(tmp_path)
+
+
+def test_a_reference_that_cannot_be_written_leaves_nothing(tmp_path):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    with pytest.raises(RayBatchError, match="cannot be written"):
+        save_reference(blocked / "r.npz", Reference(np.ones(SHAPE)))
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_the_hash_of_a_scene_tells_what_is_seen():
+    def made(colour=0.5, size=2.0, frame=None, **more):
+        return scenes.scene([(scenes.plane(size=size), scenes.IDENTITY, scenes.diffuse(colour))], frame=frame, **more)
+
+    base = scene_hash(made())
+    assert scene_hash(made()) == base and len(base) == 32
+    assert scene_hash(made(frame=Frame(32, 32, passes=("Combined", "Depth")))) == base
+    others = [
+        made(0.6), made(size=2.1), made(frame=Frame(32, 33)), made(world=0.1), made(lights=[scenes.sun()]),
+        made(view=scenes.camera(eye=(0, -5, 0))), made(frame=Frame(32, 32, border=(0, 0, 8, 8))), scenes.scene(),
+    ]  # fmt: skip
+    assert len({base, *map(scene_hash, others)}) == 1 + len(others)
