@@ -89,7 +89,23 @@ def make_workers(scene: DeviceScene, frame: Frame, settings: RenderSettings, are
         made.warnings.append(
             f"ray_count was reduced from {asked * workers:,} to {count * workers:,}: {device.alias} has not enough free memory"
         )
+    elif told := fewer_alive(settings.ray_count, workers, areas, sample_count):
+        made.warnings.append(told)
     return made
+
+
+def fewer_alive(ray_count: int, workers: int, areas: Sequence[int], sample_count: int) -> str | None:
+    """Why fewer paths are alive than `ray_count` asks for (0: nothing is asked for); None where tiles of so many pixels have enough."""
+    most = min(workers * max(areas), sum(areas)) * sample_count
+    # what is left over where workers share them counts for nothing
+    if ray_count // workers * workers <= most:
+        return None
+    samples = f"{sample_count:,} sample{'s' * (sample_count > 1)}"
+    told = f"ray_count {ray_count}: {most:,} are alive at most, because "
+    if sum(areas) <= workers * max(areas):
+        return f"{told}the picture's {sum(areas):,} pixels have no more at {samples}"
+    at_once = f", and {workers} tiles are rendered at once" if workers > 1 else ""
+    return f"{told}a tile of {max(areas):,} pixels has {max(areas) * sample_count:,} at {samples}{at_once}; raise tile_size"
 
 
 def path_bytes(scene: DeviceScene, frame: Frame, settings: RenderSettings, path_count: int) -> int:
