@@ -11,7 +11,7 @@ import pytest
 import render
 from command_line import HIDE_BPY, error_line, run_script
 from PIL import Image
-from rendering.output import numbered
+from rendering.output import json_text, numbered
 from rendering.pictures import HEAT_COLOURS, display_pixels, heat_pixels
 from rendering.standalone import resized
 
@@ -169,7 +169,29 @@ def test_what_others_print_stays_off_standard_output(sheet, tmp_path, capfd, mon
     assert render.main([str(sheet), "-o", str(tmp_path / "x.png"), "--json", "-", *SMALL]) == 0
     said = capfd.readouterr()
     assert json.loads(said.out)["engine"] == "RayBatch"
+    # what people look for first
+    assert list(json.loads(said.out))[:3] == ["engine", "warnings", "auto"]
+    assert '"region": [0, 0, 16, 12]' in said.out
     assert "from" not in said.err
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        {}, [], {"a": [], "b": {}}, [1, 2.5, None, True], {"a": [[1, 2], [3, 4]], "b": [{"c": [0.25]}]}, {"a": list(range(100))},
+        ["[\n 1\n]", "one\ntwo", '"', "ä [1, 2]"], {"[\n": [1, -2e-9, float("inf")]}, {1: [2]}, "text", 7,
+    ],
+)  # fmt: skip
+def test_json_for_people_is_json(value):
+    text = json_text(value)
+    assert json.loads(text) == json.loads(json.dumps(value))
+    assert all(len(line) < 130 for line in text.splitlines())
+
+
+def test_short_lists_of_numbers_stand_on_one_line():
+    assert json_text({"a": [1, 2], "b": [[0.5, 3], [1.5, 4]], "c": ["x"]}) == (
+        '{\n  "a": [1, 2],\n  "b": [\n    [0.5, 3],\n    [1.5, 4]\n  ],\n  "c": [\n    "x"\n  ]\n}'
+    )
     assert render.main([str(sheet), "-o", str(tmp_path / "x.png"), "--verbose", *SMALL]) == 0
     said = capfd.readouterr()
     assert said.out == "" and "from native code" in said.err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
@@ -130,7 +131,7 @@ def write_film(path: Path, films: list[tuple[str, Film]]) -> None:
 
 def write_json(target: str, statistics: list[dict[str, Any]], standard_output) -> None:
     """Write the statistics to the file `target`, or to standard output for `-`: one object, or a list when several were rendered."""
-    text = json.dumps(statistics[0] if len(statistics) == 1 else statistics, indent=2, ensure_ascii=False) + "\n"
+    text = json_text(statistics[0] if len(statistics) == 1 else statistics) + "\n"
     if target == "-":
         standard_output.write(text)
         standard_output.flush()
@@ -138,11 +139,35 @@ def write_json(target: str, statistics: list[dict[str, Any]], standard_output) -
         write_whole(Path(target).absolute(), lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
+# Lists of numbers as `json` indents them: text never holds a line's end as it is
+_NUMBERS = re.compile(r'\[\n[^\[\]{}"]*\]')
+LINE_MOST = 120  # characters of a list on one line
+
+
+def json_text(value: Any) -> str:
+    """`value` as JSON to be read by people: an entry a line, and short lists of numbers on one."""
+
+    def on_one_line(found: re.Match) -> str:
+        line = f"[{' '.join(found[0][1:-1].split())}]"
+        return line if len(line) <= LINE_MOST else found[0]
+
+    return _NUMBERS.sub(on_one_line, json.dumps(value, indent=2, ensure_ascii=False))
+
+
+# What people look for comes before the rest, and what is long behind it
+_FIRST = ("engine", "warnings", "auto", "device", "frame", "seconds", "samples", "rays", "rays_per_second", "complete")
+_LAST = ("batching", "counters", "settings", "left_out", "modules", "versions")
+
+
+def _place(name: str) -> int:
+    return _FIRST.index(name) - len(_FIRST) if name in _FIRST else _LAST.index(name) + 1 if name in _LAST else 0
+
+
 def described(film: Film, frame_number: int | None, view_layer: str | None) -> dict[str, Any]:
     """The film's statistics with what picture they are of."""
     statistics = dict(film.statistics)
     statistics["frame"] = {**statistics.get("frame", {}), "number": frame_number, "view_layer": view_layer}
-    return statistics
+    return {name: statistics[name] for name in sorted(statistics, key=_place)}
 
 
 WARNINGS_SHOWN = 10  # of one picture; all of them are in the statistics
