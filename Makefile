@@ -26,8 +26,14 @@ render: environment
 	$(venv_python) scripts/render.py out/demo.blend -o out/demo.png --json out/demo.json
 	@echo "rendered out/demo.png; statistics are in out/demo.json" >&2
 
-out/demo.blend: $(wildcard scripts/make_demo*.py)
+# made by the Blender of the environment that is used: another one makes it again
+out/demo.blend: $(wildcard scripts/make_demo*.py) out/demo.environment
 	$(venv_python) scripts/make_demo.py $@
+
+# changes only when the environment is another one
+out/demo.environment: environment
+	@mkdir -p out
+	@cmp -s $(VENV)/raybatch-environment $@ || cp $(VENV)/raybatch-environment $@
 
 test: environment
 	$(venv_python) -m pytest $(TESTS)
