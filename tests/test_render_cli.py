@@ -173,6 +173,9 @@ def test_what_others_print_stays_off_standard_output(sheet, tmp_path, capfd, mon
     assert list(json.loads(said.out))[:3] == ["engine", "warnings", "auto"]
     assert '"region": [0, 0, 16, 12]' in said.out
     assert "from" not in said.err
+    assert render.main([str(sheet), "-o", str(tmp_path / "x.png"), "--verbose", *SMALL]) == 0
+    said = capfd.readouterr()
+    assert said.out == "" and "from native code" in said.err
 
 
 @pytest.mark.parametrize(
@@ -192,9 +195,6 @@ def test_short_lists_of_numbers_stand_on_one_line():
     assert json_text({"a": [1, 2], "b": [[0.5, 3], [1.5, 4]], "c": ["x"]}) == (
         '{\n  "a": [1, 2],\n  "b": [\n    [0.5, 3],\n    [1.5, 4]\n  ],\n  "c": [\n    "x"\n  ]\n}'
     )
-    assert render.main([str(sheet), "-o", str(tmp_path / "x.png"), "--verbose", *SMALL]) == 0
-    said = capfd.readouterr()
-    assert said.out == "" and "from native code" in said.err
 
 
 def test_a_failed_render_keeps_the_old_picture(sheet, tmp_path, monkeypatch, capfd):
