@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import queue
-import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -19,7 +17,7 @@ from .bvh.memory import GeometrySize
 from .device import find_device, free_memory, kernel_cache_folder, load_kernels, start_warp, worker_count
 from .errors import RayBatchError
 from .film import Film
-from .film.tile import FinishedTile
+from .film.tile import FinishedTile, add_integers_kernel
 from .report.batching import batching_statistics
 from .report.hardware import hardware_counters
 from .report.statistics import render_statistics
@@ -32,14 +30,13 @@ from .wavefront.geometry_cache import GeometryCache, GeometryRequest
 from .wavefront.integrator import TileIntegrator, TileState
 from .wavefront.kernels import StageKernels, tracing_kernels
 from .wavefront.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
+from .wavefront.rendering import POLL_SECONDS, RenderEvents, Rendering, SnapshotWatcher, snapshot_watchers
 from .wavefront.resume import ResumeState, estimator_settings, film_to_fill
+from .wavefront.rounds import RoundPolicy
 from .wavefront.scheduler import tile_edge, tiles
 from .wavefront.summary import batching_totals, ray_totals, workers_summary
 from .wavefront.tracing import Tracing
 from .wavefront.workers import make_workers
-
-# How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
-POLL_SECONDS = 0.05
 
 
 @dataclass(frozen=True)
@@ -80,12 +77,19 @@ class _Job:
     on_tile: Callable[[Tile], None]
     on_progress: Callable[[Progress], None]
     cancelled: Callable[[], bool]
+    watchers: list[SnapshotWatcher]
     started: float
     seconds: dict[str, float]
     warnings: list[str]
     hardware: dict[str, Any] = field(default_factory=dict)  # what the processor counted
     chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open, once the scene was there
     path_bytes: int = 0  # of a path alive, all that grows with their number
+    rendering: Rendering | None = None  # once rays are traced
+
+    @property
+    def marks(self) -> list[int]:
+        """Sample counts at which pictures are wanted."""
+        return [mark for watcher in self.watchers for mark in watcher.marks]
 
 
 class Session:
@@ -142,7 +146,9 @@ class Session:
             settings: default: the session's.
             on_tile, on_progress: called on this thread with each finished `Tile`, and several times a second with `Progress`.
             cancelled: asked several times a second, on this thread; True ends the render soon, with what is done.
-            observers: objects whose methods `on_tile(tile)` and `on_progress(progress)`, where they exist, are called too.
+            observers: objects whose methods `on_tile(tile)` and `on_progress(progress)`, where they exist, are called too. Those with a
+                method `on_snapshot` are asked for `snapshot_samples(sample_count)`, the sample counts at which they want a `Snapshot`, and
+                get one at each that the render comes by, and at its end.
             sample_first: index of the first sample of every pixel; films of adjoining ranges merge to one (`Film.merge`).
             resume: the film of a cancelled render of the same scene and settings: goes on from there.
 
@@ -150,8 +156,12 @@ class Session:
             RayBatchError: what the user can mend; the message says how.
         """
         job = self._job(scene, settings, on_tile, on_progress, cancelled, observers, sample_first)
-        film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume)
-        state = film.resume_state or self._all_tiles(job)
+        film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume, self.device)
+        state = film.resume_state
+        if state is None:
+            state = self._all_tiles(job)
+        else:
+            state.policy = state.policy.resumed(job.settings, job.marks)
         film.resume_state = None
         job.settings = job.settings.replace(sample_order=state.sample_order)  # items are numbered by it
         prepared = self._prepare(job)
@@ -170,12 +180,12 @@ class Session:
                 job.hardware = counters.report()
             else:
                 self._run(job, integrators, state, film)
-        left = [t for t in state.tiles if t.items_begun < t.tile.pixel_count * state.sample_count or not t.drained]
-        film.complete = not left
-        if left and all(t.drained for t in left):
+        state.release()
+        film.complete = state.policy.stopped_by is not None
+        if not film.complete and state.drained:
             film.resume_state = state
         device_scene, modules = prepared or (None, [])
-        film.statistics = self._statistics(job, film, integrators, modules, device_scene)
+        film.statistics = self._statistics(job, film, state, integrators, modules, device_scene)
         return film
 
     # --- before
@@ -203,22 +213,26 @@ class Session:
         return _Job(
             checked, settings, derive_features(checked, settings), plan, sample_first,
             to_all("on_tile", on_tile), to_all("on_progress", on_progress), cancelled or (lambda: False),
-            time.perf_counter(), {}, warnings,
+            snapshot_watchers(observers, settings.sample_count), time.perf_counter(), {}, warnings,
         )  # fmt: skip
 
     def _all_tiles(self, job: _Job) -> ResumeState:
         frame = job.scene.frame
         x0, y0, x1, y1 = frame.region
         paged = worker_count(self.device, job.settings.thread_count) if job.plan.method is Method.PAGED else 0
-        edge = tile_edge(job.settings, self.device.is_cuda, x1 - x0, y1 - y0, paged)
+        policy = RoundPolicy.of(job.settings, job.marks)
+        # tiles come at the pace of rounds then, and the first of these have few samples
+        settings = job.settings.replace(sample_count=1) if policy.is_cut else job.settings
+        edge = tile_edge(settings, self.device.is_cuda, x1 - x0, y1 - y0, paged)
         if not job.settings.tile_size:
             job.chosen["tile_size"] = Choice(edge, "by device, frame and samples")
-        states = [TileState(tile) for tile in tiles(frame.region, edge)]
-        return ResumeState(states, job.sample_first, job.settings.sample_count, job.settings.sample_order, estimator_settings(job.settings))
+        halves = range(job.settings.half_count)
+        states = [tuple(TileState(tile, half=half) for half in halves) for tile in tiles(frame.region, edge)]
+        return ResumeState(states, job.sample_first, job.settings.sample_order, estimator_settings(job.settings), policy)
 
     def _prepare(self, job: _Job) -> tuple[DeviceScene, list[str]] | None:
         """Build the tree and compile the kernels, side by side; None when cancelled meanwhile."""
-        kernels = self._kernels(job.features, job.settings, job.plan)
+        kernels = self._kernels(job.features, job.settings, job.plan) + [add_integers_kernel] * (job.settings.half_count - 1)
         done_modules = [0, max(1, len(kernels))]
 
         def compile_kernels() -> list[str]:
@@ -259,8 +273,9 @@ class Session:
             pool.shutdown(wait=False)  # a cancelled render does not wait for the compiler
 
     def _workers(self, job: _Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
-        areas = [t.tile.pixel_count for t in state.tiles if t.items_begun < t.tile.pixel_count * state.sample_count]
-        workers = make_workers(scene, job.scene.frame, job.settings, areas, state.sample_count)
+        last = state.end == state.policy.sample_count
+        areas = [halves[0].tile.pixel_count for halves in (state.open_tiles if last else state.tiles)]
+        workers = make_workers(scene, job.scene.frame, job.settings, areas, state.policy.sample_count)
         job.warnings += workers.warnings
         job.chosen.update(workers.chosen)
         job.path_bytes = workers.path_bytes
@@ -269,59 +284,21 @@ class Session:
     # --- the render itself
 
     def _run(self, job: _Job, integrators: list[TileIntegrator], state: ResumeState, film: Film) -> None:
-        """Let the integrators render `state`'s tiles, and take their results on this thread."""
+        """Let the integrators render what is left of `state`; callbacks are called on this thread."""
+
+        def on_tile(tile: FinishedTile, passes: dict[str, np.ndarray]) -> None:
+            job.on_tile(Tile(tile.x, tile.y, tile.width, tile.height, passes))
+
+        def on_progress(fraction: float, seconds: float) -> None:
+            rays = sum(i.rays.total for i in integrators)
+            left = seconds / fraction - seconds if fraction > 0.001 else None
+            samples = fraction * job.settings.sample_count
+            job.on_progress(self._progress(job, "render", fraction, samples, rays / seconds if seconds else 0.0, left, "Rendering"))
+
         start = time.perf_counter()
-        todo: queue.SimpleQueue[TileState] = queue.SimpleQueue()
-        open_tiles = [t for t in state.tiles if t.items_begun < t.tile.pixel_count * state.sample_count]
-        for tile in open_tiles:
-            todo.put(tile)
-        total = sum(t.tile.pixel_count * state.sample_count - t.items_begun for t in open_tiles)
-        results: queue.SimpleQueue[FinishedTile | BaseException] = queue.SimpleQueue()
-        stop = threading.Event()
-
-        def work(integrator: TileIntegrator) -> None:
-            try:
-                while not stop.is_set():
-                    tile = todo.get_nowait()
-                    results.put(integrator.render(tile, state.sample_first, state.sample_count, stop.is_set))
-            except queue.Empty:
-                pass
-            except BaseException as error:  # carried to the calling thread, and raised there
-                stop.set()
-                results.put(error)
-
-        threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in integrators]
-        for thread in threads:
-            thread.start()
-        try:
-            while any(thread.is_alive() for thread in threads) or not results.empty():
-                if job.cancelled():
-                    stop.set()
-                self._take_result(job, results, film)
-                done = sum(integrator.items_done for integrator in integrators)
-                job.on_progress(self._render_progress(job, integrators, done, total, start))
-        finally:
-            stop.set()
-            for thread in threads:
-                thread.join()
+        job.rendering = Rendering(integrators, state, film, RenderEvents(on_tile, on_progress, job.cancelled, job.watchers), job.started)
+        job.rendering.run()
         job.seconds["render"] = time.perf_counter() - start
-
-    def _take_result(self, job: _Job, results: queue.SimpleQueue, film: Film) -> None:
-        try:
-            result = results.get(timeout=POLL_SECONDS)
-        except queue.Empty:
-            return
-        if isinstance(result, BaseException):
-            raise result
-        job.on_tile(Tile(result.x, result.y, result.width, result.height, film.add_tile(result)))
-
-    def _render_progress(self, job: _Job, integrators: list[TileIntegrator], done: int, total: int, start: float) -> Progress:
-        seconds = time.perf_counter() - start
-        fraction = done / total if total else 1.0
-        rays = sum(i.rays.total for i in integrators)
-        left = seconds / fraction - seconds if fraction > 0.001 else None
-        samples = fraction * job.settings.sample_count
-        return self._progress(job, "render", fraction, samples, rays / seconds if seconds else 0.0, left, "Rendering")
 
     def _progress(self, job, stage, fraction, samples, rays_per_second, seconds_left, message) -> Progress:
         memory = 0
@@ -333,7 +310,7 @@ class Session:
     # --- after
 
     def _statistics(
-        self, job: _Job, film: Film, integrators: list[TileIntegrator], modules: list[str], device_scene: DeviceScene | None
+        self, job: _Job, film: Film, state: ResumeState, integrators: list[TileIntegrator], modules: list[str], device_scene: DeviceScene | None
     ) -> dict[str, Any]:
         job.seconds["total"] = time.perf_counter() - job.started
         invalid = sum(integrator.invalid_samples for integrator in integrators)
@@ -351,6 +328,9 @@ class Session:
                 **workers_summary(integrators, device_scene, job.hardware, job.path_bytes),
                 **batching_statistics(batching_totals(integrators), report_of({**job.plan.choices, **job.chosen})),
                 "complete": film.complete,
+                "stopped_by": state.policy.stopped_by,
+                "samples_per_pixel": state.done,
+                "error": job.rendering.error_report() if job.rendering else None,
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),
                 "lights": len(job.scene.lights),

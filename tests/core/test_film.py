@@ -175,7 +175,7 @@ def test_npz_holds_the_passes(tmp_path):
 
 def test_finished_tiles_keep_no_array_of_their_worker_and_stay_until_they_are_fetched(monkeypatch):
     tile = finished(0, 0, np.array([[1, 2, 3], [4, 5, 6]]))
-    assert tile._film.spill_index.size == tile._film.spill_value.size == 0
+    assert tile.film.spill_index.size == tile.film.spill_value.size == 0
     film = Film.empty(Frame(2, 1))
     film.add_tile(tile)
     with monkeypatch.context() as broken:

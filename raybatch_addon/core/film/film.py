@@ -10,8 +10,8 @@ import numpy as np
 
 from ..errors import RayBatchError
 from ..scene.description import Frame
-from .layout import COST_PASSES, FIRST_SAMPLE_PASSES, PASSES, ChannelLayout, layout_of, split_passes
-from .sums import WIDE_DIGITS, ExactSums, means_of, no_wide, normalised
+from .layout import PASSES, ChannelLayout, layout_of, split_passes
+from .sums import WIDE_DIGITS, ExactSums, means_of, normalised
 from .tile import FinishedTile, HostSamples
 
 
@@ -31,20 +31,25 @@ class Film:
     complete: bool = True  # every sample asked for is there
     statistics: dict[str, Any] = field(default_factory=dict)
     resume_state: Any = None  # what `Session.render(resume=...)` needs; None when complete
-    tiles: list[FinishedTile] = field(default_factory=list, repr=False)  # whose samples are not in `samples` yet
+    # By place; their samples are not in `samples` yet
+    tiles: dict[tuple[int, int, int, int], FinishedTile] = field(default_factory=dict, repr=False)
     # The pictures, while every pixel has the samples of one tile alone; None: they are made of the sums
     picture: dict[str, np.ndarray] | None = field(default=None, repr=False)
+    # Films of either half of the samples, with seeds of their own, whose exact sum this is; None: all samples are here. Of the passes
+    # that the first sample decides the second half has none
+    halves: tuple[Film, Film] | None = field(default=None, repr=False)
+    _sum: HostSamples | None = field(default=None, repr=False)  # of the halves, where it was asked for
 
     @staticmethod
-    def empty(frame: Frame) -> Film:
-        """A film of `frame` without samples."""
+    def empty(frame: Frame, half_count: int = 1) -> Film:
+        """A film of `frame` without samples; with `half_count` 2 those to come are kept in two halves."""
         x0, y0, x1, y1 = frame.region
         layout = layout_of(frame.passes, frame.transparent)
-        pixel_count = (x1 - x0) * (y1 - y0)
-        first = {n: np.zeros(pixel_count * PASSES[n], np.float32) for n in frame.passes if n in FIRST_SAMPLE_PASSES}
-        cost = {name: np.zeros(pixel_count, np.int64) for name in frame.passes if name in COST_PASSES}
-        samples = HostSamples(ExactSums.zeros(pixel_count, layout.count), np.zeros(pixel_count, np.int64), first, cost)
-        return Film(frame.width, frame.height, frame.region, tuple(frame.passes), layout, samples)
+        samples = HostSamples.zeros((x1 - x0) * (y1 - y0), layout.count, tuple(frame.passes))
+        film = Film(frame.width, frame.height, frame.region, tuple(frame.passes), layout, samples)
+        if half_count == 2:
+            film.halves = (Film.empty(frame), Film.empty(frame))
+        return film
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -75,7 +80,9 @@ class Film:
     @property
     def sample_total(self) -> int:
         """Samples of all pixels together."""
-        return int(self.samples.counts.sum()) + sum(tile.sample_count for tile in self.tiles)
+        if self.halves:
+            return sum(half.sample_total for half in self.halves)
+        return int(self.samples.counts.sum()) + sum(tile.sample_count for tile in self.tiles.values())
 
     @property
     def passes(self) -> dict[str, np.ndarray]:
@@ -86,9 +93,13 @@ class Film:
         return split_passes(self.pass_names, self.layout, means, self._fetched().single, self.shape)
 
     def add_tile(self, tile: FinishedTile) -> dict[str, np.ndarray]:
-        """Add the samples of `tile`; returns the passes of its rectangle."""
+        """Add the samples of `tile`, or put it in the place of the tile that it went on from; returns the passes of its rectangle."""
         untouched = self.picture is None and not self.tiles and not self.samples.counts.any()
-        self.tiles.append(tile)
+        if self.halves:
+            for half, part in zip(self.halves, tile.halves, strict=True):
+                half.add_tile(part)
+            self._sum = None
+        self.tiles[tile.place] = tile
         if untouched or self.picture is not None:
             self._show(tile)
             return tile.passes
@@ -99,33 +110,33 @@ class Film:
         left, bottom = x - self.region[0], y - self.region[1]
         if self.picture is not None:
             return {name: values[bottom : bottom + height, left : left + width] for name, values in self.picture.items()}
-        place, channels = self._place(x, y, width, height), self.layout.count
-
-        def cells(sums: np.ndarray) -> np.ndarray:
-            return np.ascontiguousarray(sums.reshape(len(sums), -1, channels)[:, place].reshape(len(sums), -1))
-
-        wide = cells(self.sums.wide) if len(self.sums.wide) else no_wide()
-        means = means_of(cells(self.sums.window), wide, self.counts[place], channels)
-        single = {name: values.reshape(-1, PASSES[name])[place] for name, values in self._fetched().single.items()}
-        return split_passes(self.pass_names, self.layout, means, single, (height, width))
+        samples = self._fetched().part(self._place(x, y, width, height))
+        means = means_of(samples.sums.window, samples.sums.wide, samples.counts, self.layout.count)
+        return split_passes(self.pass_names, self.layout, means, samples.single, (height, width))
 
     def merge(self, other: Film) -> Film:
-        """The film of both films' samples, bit for bit that of one render; they must show the same region and passes."""
+        """The film of both films' samples, bit for bit that of one render; they must show the same region and passes.
+
+        Halves stay apart where both films have them.
+        """
         if (self.width, self.height, self.region, self.pass_names, self.layout) != (
             other.width, other.height, other.region, other.pass_names, other.layout,
         ):  # fmt: skip
             raise RayBatchError("these films cannot be merged: they differ in size, region or passes; render both alike")
-        samples = HostSamples(
-            self.sums.add(other.sums),
-            self.counts + other.counts,
-            # of a pixel that has its first sample in both films, this one's counts
-            {name: np.where(self.first[name] != 0, self.first[name], other.first[name]) for name in self.first},
-            {name: sums + other.samples.cost[name] for name, sums in self.samples.cost.items()},
-        )
-        return Film(
-            self.width, self.height, self.region, self.pass_names, self.layout, samples,
+        merged = Film(
+            self.width, self.height, self.region, self.pass_names, self.layout, self._fetched().add(other._fetched()),
             complete=self.complete and other.complete, statistics=dict(self.statistics),
         )  # fmt: skip
+        if self.halves and other.halves:
+            merged.halves = (self.halves[0].merge(other.halves[0]), self.halves[1].merge(other.halves[1]))
+            merged._sum = merged.samples
+        return merged
+
+    def tile_on(self, place: tuple[int, int, int, int], device: Any) -> FinishedTile:
+        """The samples of the rectangle `place` (x, y, width, height in the frame) as a tile on `device` that more can be added to."""
+        if self.halves:
+            return FinishedTile.sum_of(*(half.tile_on(place, device) for half in self.halves))
+        return FinishedTile.on_device(place, self._fetched().part(self._place(*place)), self.layout, self.pass_names, device)
 
     def save_npz(self, path: str | Path) -> None:
         """Write the passes as arrays by name, linear float32 [height, width, channels], bottom row first."""
@@ -147,10 +158,15 @@ class Film:
 
     def _fetched(self) -> HostSamples:
         """All samples in the host's memory."""
+        if self.halves:
+            if self._sum is None:
+                self._sum = self.halves[0]._fetched().add(self.halves[1]._fetched())
+            return self._sum
         while self.tiles:
             # a tile that cannot be fetched stays, and is asked for again
-            self._add_samples(self.tiles[-1], self.tiles[-1].fetch())
-            self.tiles.pop()
+            place = next(iter(self.tiles))
+            self._add_samples(self.tiles[place], self.tiles[place].fetch())
+            del self.tiles[place]
         return self.samples
 
     def _add_samples(self, tile: FinishedTile, samples: HostSamples) -> None:

@@ -1,7 +1,7 @@
 """The film of one tile on the device, and its pictures.
 
-The sums of a finished tile stay where they were made; what travels is the rounded picture. The sums follow when
-somebody asks for them, to merge or to go on.
+The sums of a finished tile stay where they were made, and the next round of samples adds to them; what travels is the
+rounded picture. The sums follow when somebody asks for them, to merge or to go on.
 """
 
 from __future__ import annotations
@@ -56,19 +56,16 @@ class FilmTiles:
         self._spill_index = wp.zeros(places, dtype=int, device=device)
         self._spill_value = wp.zeros(places, dtype=float, device=device)
 
-    def begin(self, pixel_count: int) -> FilmTile:
-        """A black tile."""
-
-        def zeros(shape, dtype):
-            return wp.zeros(shape, dtype=dtype, device=self._device)
-
-        tile = FilmTile()
-        tile.window = zeros((WINDOW_DIGITS, pixel_count * self._layout.count), wp.int64)
-        tile.wide = zeros((0, 0), wp.int64)
-        tile.counts = zeros(pixel_count, wp.int64)
-        tile.depth = zeros(pixel_count if "Depth" in self._passes else 0, float)
-        tile.position = zeros(pixel_count if "Position" in self._passes else 0, wp.vec3)
-        tile.invalid = zeros(1, int)
+    def begin(self, pixel_count: int, earlier: FilmTile | None = None) -> FilmTile:
+        """A black tile, or `earlier`, to which more samples are added; of invalid samples only those to come are counted."""
+        if earlier is not None:
+            tile = earlier
+            tile.invalid.zero_()
+        else:
+            tile = _black_tile(self._layout.count * pixel_count, self._device)
+            tile.counts = wp.zeros(pixel_count, dtype=wp.int64, device=self._device)
+            tile.depth = wp.zeros(pixel_count if "Depth" in self._passes else 0, dtype=float, device=self._device)
+            tile.position = wp.zeros(pixel_count if "Position" in self._passes else 0, dtype=wp.vec3, device=self._device)
         tile.spill_index, tile.spill_value = self._spill_index, self._spill_value
         self._spill_count.zero_()
         tile.spill_count = self._spill_count
@@ -84,6 +81,31 @@ class FilmTiles:
         wp.launch(add_spill_kernel, min(spilled, places), [film], device=self._device)
         film.spill_count.zero_()
         return spilled > places
+
+
+def _black_tile(cell_count: int, device: wp.Device) -> FilmTile:
+    """Sums of so many channels, without counts and without places for what does not fit."""
+    tile = FilmTile()
+    tile.window = wp.zeros((WINDOW_DIGITS, cell_count), dtype=wp.int64, device=device)
+    tile.wide = wp.zeros((0, 0), dtype=wp.int64, device=device)
+    tile.invalid = wp.zeros(1, dtype=int, device=device)
+    return tile
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def add_integers_kernel(first: wp.array(dtype=wp.int64), second: wp.array(dtype=wp.int64), result: wp.array(dtype=wp.int64)):
+    """The sums of two arrays: of digits, counts or costs."""
+    i = wp.tid()
+    result[i] = first[i] + second[i]
+
+
+def _added(first: wp.array, second: wp.array) -> wp.array:
+    """int64, of any shape; one of an empty shape counts as 0."""
+    if first.size == 0 or second.size == 0:
+        return second if first.size == 0 else first
+    result = wp.empty(first.shape, dtype=wp.int64, device=first.device)
+    wp.launch(add_integers_kernel, first.size, [first.flatten(), second.flatten(), result.flatten()], device=first.device)
+    return result
 
 
 @wp.kernel(**KERNEL_OPTIONS)
@@ -168,6 +190,37 @@ class HostSamples:
     first: dict[str, np.ndarray]  # float32, shape [pixels * channels]
     cost: dict[str, np.ndarray]  # sums of cost passes, int64, shape [pixels]
 
+    @staticmethod
+    def zeros(pixel_count: int, channels: int, pass_names: tuple[str, ...]) -> HostSamples:
+        """No samples of so many pixels, with `channels` summed channels each."""
+        first = {name: np.zeros(pixel_count * PASSES[name], np.float32) for name in pass_names if name in FIRST_SAMPLE_PASSES}
+        cost = {name: np.zeros(pixel_count, np.int64) for name in pass_names if name in COST_PASSES}
+        return HostSamples(ExactSums.zeros(pixel_count, channels), np.zeros(pixel_count, np.int64), first, cost)
+
+    def add(self, other: HostSamples) -> HostSamples:
+        """The samples of both. Of a pixel that has its first sample in both, this one's counts."""
+        return HostSamples(
+            self.sums.add(other.sums),
+            self.counts + other.counts,
+            {name: np.where(values != 0, values, other.first[name]) for name, values in self.first.items()},
+            {name: sums + other.cost[name] for name, sums in self.cost.items()},
+        )
+
+    def part(self, pixels: np.ndarray) -> HostSamples:
+        """Those of some pixels, in the order of `pixels`."""
+        channels = self.sums.channels
+
+        def cells(sums: np.ndarray) -> np.ndarray:
+            return np.ascontiguousarray(sums.reshape(len(sums), -1, channels)[:, pixels].reshape(len(sums), -1))
+
+        wide = cells(self.sums.wide) if len(self.sums.wide) else no_wide()
+        return HostSamples(
+            ExactSums(cells(self.sums.window), wide if wide.any() else no_wide(), channels),
+            self.counts[pixels],
+            {name: values.reshape(-1, PASSES[name])[pixels].reshape(-1) for name, values in self.first.items()},
+            {name: values[pixels] for name, values in self.cost.items()},
+        )
+
     @property
     def single(self) -> dict[str, np.ndarray]:
         """Passes that are no means of summed channels, float32, shape [pixels * channels]."""
@@ -175,7 +228,7 @@ class HostSamples:
 
 
 class FinishedTile:
-    """A tile whose samples are all there."""
+    """A tile whose samples so far are all there."""
 
     def __init__(
         self, place: tuple[int, int, int, int], film: FilmTile, layout: ChannelLayout, pass_names: tuple[str, ...], sample_count: int,
@@ -185,30 +238,67 @@ class FinishedTile:
         the sums of those cost passes that are in `pass_names`, in their order. The picture is fetched at once."""
         # the worker's own arrays, which the next tile needs and this one must not keep alive
         film.spill_index, film.spill_value = (wp.empty(0, dtype=dtype, device=film.window.device) for dtype in (int, float))
-        self._cost = cost
-        self._cost_names = tuple(name for name in pass_names if name in COST_PASSES)
+        self.place = place
+        self.film: FilmTile | None = film  # None: it is the sum of `halves`
+        self.cost = cost
+        self.halves: tuple[FinishedTile, FinishedTile] | None = None  # what it is the sum of
         self.sample_count = sample_count
         self.x, self.y, self.width, self.height = place
-        self.invalid = int(film.invalid.numpy()[0])
-        self._film, self._layout = film, layout
+        self.invalid = int(film.invalid.numpy()[0])  # samples that were not finite, since the tile was begun or gone on with
+        self._layout, self._pass_names = layout, pass_names
+        self._cost_names = tuple(name for name in pass_names if name in COST_PASSES)
         self._first_names = tuple(name for name in pass_names if name in FIRST_SAMPLE_PASSES)
         self.passes = self._picture(pass_names)
 
+    @staticmethod
+    def sum_of(first: FinishedTile, second: FinishedTile) -> FinishedTile:
+        """The tile of both halves of its samples; what only the first sample tells is that of `first`. Their sums stay apart."""
+        film = FilmTile()
+        film.window, film.wide = _added(first.film.window, second.film.window), _added(first.film.wide, second.film.wide)
+        film.counts = _added(first.film.counts, second.film.counts)
+        film.depth, film.position = first.film.depth, first.film.position
+        film.invalid, film.spill_count = (wp.zeros(1, dtype=int, device=film.window.device) for _ in range(2))
+        cost = _added(first.cost, second.cost) if first.cost is not None else None
+        count = first.sample_count + second.sample_count
+        tile = FinishedTile(first.place, film, first._layout, first._pass_names, count, cost)
+        tile.halves, tile.invalid = (first, second), first.invalid + second.invalid
+        tile.film = tile.cost = None
+        return tile
+
+    @staticmethod
+    def on_device(
+        place: tuple[int, int, int, int], samples: HostSamples, layout: ChannelLayout, pass_names: tuple[str, ...], device: wp.Device
+    ) -> FinishedTile:
+        """`samples` as a tile on `device` that more can be added to."""
+        film = _black_tile(0, device)
+        film.window = wp.array(samples.sums.window, dtype=wp.int64, device=device)
+        if len(samples.sums.wide):
+            film.wide = wp.array(samples.sums.wide, dtype=wp.int64, device=device)
+        film.counts = wp.array(samples.counts, dtype=wp.int64, device=device)
+        film.depth = wp.array(samples.first.get("Depth", np.zeros(0, np.float32)), dtype=float, device=device)
+        film.position = wp.array(samples.first.get("Position", np.zeros(0, np.float32)).reshape(-1, 3), dtype=wp.vec3, device=device)
+        film.spill_count = wp.zeros(1, dtype=int, device=device)
+        costs = [samples.cost[name] for name in pass_names if name in COST_PASSES]
+        cost = wp.array(np.stack(costs), dtype=wp.int64, device=device) if costs else None
+        return FinishedTile(place, film, layout, pass_names, int(samples.counts.sum()), cost)
+
     def fetch(self) -> HostSamples:
         """What the pictures are made of."""
-        film = self._film
+        if self.halves:
+            return self.halves[0].fetch().add(self.halves[1].fetch())
+        film = self.film
         wide = film.wide.numpy() if film.wide.shape[0] else no_wide()
         return HostSamples(ExactSums(film.window.numpy(), wide, self._layout.count), film.counts.numpy(), self._first(), self._costs())
 
     def _costs(self) -> dict[str, np.ndarray]:
-        return dict(zip(self._cost_names, self._cost.numpy())) if self._cost_names else {}
+        return dict(zip(self._cost_names, self.cost.numpy())) if self._cost_names else {}
 
     def _first(self) -> dict[str, np.ndarray]:
-        arrays = {"Depth": self._film.depth, "Position": self._film.position}
+        arrays = {"Depth": self.film.depth, "Position": self.film.position}
         return {name: arrays[name].numpy().reshape(-1) for name in self._first_names}
 
     def _picture(self, pass_names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        film, shape = self._film, (self.height, self.width)
+        film, shape = self.film, (self.height, self.width)
         if film.wide.shape[0] == 0:
             device, pixels = film.window.device, self.width * self.height
             combined = wp.empty(pixels, dtype=wp.vec4, device=device)

@@ -25,6 +25,7 @@ from .plan import Method
 from .queues import Length, PathLists
 from .ray_order import RayOrder
 from .rays import RayKind, RayNeeds, allocate_paths, allocate_rays
+from .rounds import half_seed
 from .scheduler import Rectangle, WaterMarks
 from .stages import generate
 from .stages.generate import TileWork, counted_kernel
@@ -38,11 +39,13 @@ DRAIN_SECONDS = 0.25
 
 @dataclass
 class TileState:
-    """How far a tile has come; with it a stopped tile goes on later."""
+    """How far a tile has come, or one half of its samples; with it a stopped tile goes on later."""
 
     tile: Rectangle
-    items_begun: int = 0  # paths generated so far, in the sample order
+    items_begun: int = 0  # paths generated so far in this round, in the sample order
     drained: bool = True  # all of them are in the film
+    half: int = 0  # which of the film's halves; 0 where there is one film
+    held: FinishedTile | None = None  # what it has so far, on the device, while the render goes on
 
 
 @dataclass
@@ -66,7 +69,8 @@ class TileIntegrator:
         features, device, count = scene.features, scene.device, marks.path_count
         self._scene, self._frame, self._settings, self._marks, self._device = scene, frame, settings, marks, device
         self._kernels = StageKernels.choose(features)
-        self._limits = path_limits(settings, frame.width)
+        self._half_limits = [path_limits(settings.replace(seed=half_seed(settings.seed, half)), frame.width) for half in range(settings.half_count)]
+        self._limits = self._half_limits[0]
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, features, device)
         tracing = scene.tracing
@@ -101,9 +105,10 @@ class TileIntegrator:
         self.items_done = 0  # paths that came to their end, for progress
 
     def render(self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool]) -> FinishedTile:
-        """Render what is left of a tile; `state` is brought up to date.
+        """Render what is left of a tile's samples `sample_first` to `sample_first + sample_count`; `state` is brought up to date.
 
-        When `stop()` turns true no path is begun any more, and those under way are brought to their end.
+        They are added to what the tile has from earlier rounds. When `stop()` turns true no path is begun any more, and those under way are
+        brought to their end.
         """
         work, film = self._begin_tile(state, sample_first, sample_count)
         items = state.tile.pixel_count * sample_count
@@ -122,9 +127,14 @@ class TileIntegrator:
             self._shade(work, film, min(back, self._alive))
             done += self._finish_paths(work, film)
         tile = state.tile
+        if state.half:
+            # the first sample of the other half decides
+            film.depth.zero_()
+            film.position.zero_()
+        count = done + (state.held.sample_count if state.held else 0)
         with self._timer.stage("transfer"):
-            finished = FinishedTile(
-                (tile.x, tile.y, tile.width, tile.height), film, self._layout, self._frame.passes, done, self._cost
+            finished = state.held = FinishedTile(
+                (tile.x, tile.y, tile.width, tile.height), film, self._layout, self._frame.passes, count, self._cost
             )  # fmt: skip
         self.invalid_samples += finished.invalid
         return finished
@@ -141,9 +151,11 @@ class TileIntegrator:
         work.pixel_first = int(self._settings.sample_order == "PIXEL_FIRST")
         work.item_base = state.items_begun
         self._free = self._lists.all_free(self._paths.status)
+        self._limits = self._half_limits[state.half]
+        held = state.held
         if self._counters:
-            self._cost = self._counters.begin_tile(tile.pixel_count)
-        return work, self._film_tiles.begin(tile.pixel_count)
+            self._cost = held.cost if held and held.cost is not None else self._counters.begin_tile(tile.pixel_count)
+        return work, self._film_tiles.begin(tile.pixel_count, held.film if held else None)
 
     def _generate(self, state: TileState, work: TileWork, items: int) -> SlotList:
         if self._alive == 0:
