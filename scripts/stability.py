@@ -1,0 +1,115 @@
+#!/usr/bin/env python3
+"""Check that RayBatch gives right answers on stiff and extreme scenes. `stability.py --help` says how."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+# before this folder, in which this file is called as the package of cases is
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT)]
+
+from raybatch_addon.core.errors import RayBatchError
+from rendering.output import OutputFolders, leave, own_standard_output, write_json, write_whole
+
+DESCRIPTION = """\
+Run the cases of tests/stability: stiff and extreme scenes, each with an expected value and a bound on the error that is derived beside it.
+
+Each is run for the control (tracer off: every ray visits the whole tree at once) and with rays that wait at treelets (tracer on), where
+the tracer can matter. A case passes when its error is within the tolerance and no sample was invalid. The exit code is 1 if one fails.
+
+The environment variable RAYBATCH_SCENES names a folder of larger scenes (.npz); cases that read one are skipped without it.
+"""
+
+
+def argument_parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="stability.py", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
+    parser.add_argument("--quick", action="store_true", help="only the cases that are checked with every change, about a third")
+    parser.add_argument("--only", action="append", default=[], metavar="NAME[,NAME]", help="cases with this name, of this family, or with this part in their names")
+    parser.add_argument("--tracer", choices=("off", "on"), help="only this one")
+    parser.add_argument("--device", default="AUTO", help="AUTO, cpu or cuda:N")
+    parser.add_argument("--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there")
+    parser.add_argument("--html", metavar="FILE", help="write a page that stands alone")
+    parser.add_argument("--list", action="store_true", help="name the cases, and run none")
+    parser.add_argument("--table", action="store_true", help="write the table of all cases in docs/stability.md, and run none")
+    parser.add_argument("--kernel-cache", metavar="FOLDER", help="where compiled kernels are kept")
+    parser.add_argument("--verbose", action="store_true", help="pass on what Warp prints, to standard error")
+    return parser
+
+
+def run(options: argparse.Namespace, folders: OutputFolders, standard_output: Any) -> int:
+    """The exit code."""
+    # here, so that --help is quick and what modules print when they are loaded stays away from standard output
+    from benchmarking.progress import Steps
+    from raybatch_addon.core.device import device_description, find_device, start_warp
+    from raybatch_addon.core.report.statistics import versions
+    from stability.cases import Result, all_cases, chosen_cases, run_cases
+    from stability_report.page import html_page
+    from stability_report.report import json_report, manual, text_report, verdict, with_table
+
+    if options.table:
+        path = manual(ROOT)
+        new = with_table(path.read_text(encoding="utf-8"), all_cases())
+        write_whole(path, lambda temporary: temporary.write_text(new, encoding="utf-8"))
+        return 0
+    cases = chosen_cases([name for names in options.only for name in names.split(",")], options.quick)
+    if options.list:
+        standard_output.writelines(f"{each.family}  {each.name}  ({', '.join(each.tracers)}{', quick' if each.quick else ''})\n" for each in cases)
+        return 0
+    for target in (options.json, options.html):
+        if target and target != "-":
+            folders.prepare(Path(target).absolute())
+    start_warp(options.kernel_cache)
+    device = device_description(find_device(options.device))
+    tracers = (options.tracer, "-") if options.tracer else ("off", "on", "-")
+    steps = Steps(sum(tracer in tracers for each in cases for tracer in each.tracers))
+    results: list[Result] = []
+    start = time.perf_counter()
+    try:
+        for event in run_cases(cases, device["alias"], tracers, options.kernel_cache):
+            if isinstance(event, Result):
+                results.append(event)
+                steps.end()
+                if event.failed:
+                    print(f"{event.case.name} ({event.tracer}): {verdict(event)} {event.note}", file=sys.stderr, flush=True)
+            else:
+                steps.begin(f"{event[0].name} ({event[1]})")
+    finally:
+        steps.close()
+    seconds = time.perf_counter() - start
+    if options.json:
+        write_json(options.json, [json_report(device, versions(), results, seconds)], standard_output)
+    if options.html:
+        page = html_page(results, device, versions(), seconds)
+        write_whole(Path(options.html).absolute(), lambda temporary: temporary.write_text(page, encoding="utf-8"))
+    if options.json != "-":
+        standard_output.write(text_report(results, device, seconds) + "\n")
+    return int(any(result.failed for result in results))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The exit code."""
+    options = argument_parser().parse_args(arguments)
+    folders = OutputFolders()
+    with own_standard_output(options.verbose) as standard_output:
+        try:
+            return run(options, folders, standard_output)
+        except RayBatchError as error:
+            folders.take_back()
+            print(f"stability.py: error: {' '.join(str(error).split())}", file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            folders.take_back()
+            print("stability.py: stopped", file=sys.stderr)
+            return 130
+
+
+if __name__ == "__main__":
+    leave(main())

@@ -1,0 +1,134 @@
+"""Results of the suite: as JSON, as a table for the terminal, and the table of all cases in the manual."""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from stability.case import Case
+from stability.cases import Result
+
+from raybatch_addon.core.errors import RayBatchError
+
+MARKS = ("<!-- cases: made by scripts/stability.py --table -->", "<!-- end of cases -->")
+_SLOW = 10.0  # seconds of a case for one tracer, beyond which it is named
+_NOTE_WIDTH = 100
+
+
+def json_number(value: float) -> float | None:
+    """`value`, or None where it is not finite: JSON has no other numbers."""
+    return float(value) if math.isfinite(value) else None
+
+
+def json_report(device: dict[str, Any], versions: dict[str, str], results: list[Result], seconds: float) -> dict[str, Any]:
+    """All that was measured; `device` and `versions` are what ran."""
+    cases = []
+    for result in results:
+        if result.skipped is not None:
+            continue
+        outcome = result.outcome
+        cases.append(
+            {
+                "name": result.case.name, "tracer": result.tracer, "passed": result.passed,
+                "measured": json_number(outcome.measured) if outcome else None,
+                "expected": json_number(outcome.expected) if outcome else None,
+                "tolerance": json_number(outcome.tolerance) if outcome else None,
+                "invalid_samples": result.invalid_samples, "samples": result.samples, "seconds": round(result.seconds, 3),
+                "family": result.case.family, "about": result.case.about, "bound": result.case.bound, "note": result.note,
+            }
+        )  # fmt: skip
+    skipped = [{"name": r.case.name, "tracer": r.tracer, "reason": r.skipped} for r in results if r.skipped is not None]
+    return {
+        "device": device["name"], "cases": cases, "skipped": skipped, "passed": sum(r.passed for r in results), "failed": sum(r.failed for r in results),
+        "seconds": round(seconds, 3), "machine": device, "versions": versions,
+    }  # fmt: skip
+
+
+def number(value: float) -> str:
+    """Nine digits: differences of float32 are visible."""
+    return f"{value:.9g}"
+
+
+def used(result: Result) -> str:
+    """How much of the tolerance the error took."""
+    if result.outcome is None:
+        return ""
+    error = 0.0 if result.outcome.measured == result.outcome.expected else abs(result.outcome.measured - result.outcome.expected)
+    if result.outcome.tolerance == 0 or not math.isfinite(error):
+        return "exact" if error == 0 else "wrong"
+    return f"{100 * error / result.outcome.tolerance:.3g} %"
+
+
+def verdict(result: Result) -> str:
+    """One word."""
+    return "skipped" if result.skipped is not None else "passed" if result.passed else "FAILED"
+
+
+def text_report(results: list[Result], device: dict[str, Any], seconds: float) -> str:
+    """A row for each run, what went wrong, and what was slow."""
+    head = ("case", "tracer", "", "measured", "expected", "tolerance", "used", "invalid", "seconds")
+    rows = [head]
+    for result in results:
+        numbers = [number(x) for x in (result.outcome.measured, result.outcome.expected, result.outcome.tolerance)] if result.outcome else [""] * 3
+        rows.append((result.case.name, result.tracer, verdict(result), *numbers, used(result), str(result.invalid_samples), f"{result.seconds:.1f}"))
+    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
+    lines = [f"{device['name']} ({device['alias']})"]
+    family = None
+    for result, row in zip([None, *results], rows):
+        if result is not None and result.case.family != family:
+            family = result.case.family
+            lines += ["", family]
+        cells = [cell.ljust(width) if i < 3 else cell.rjust(width) for i, (cell, width) in enumerate(zip(row, widths))]
+        lines.append("  " + "  ".join(cells).rstrip())
+    for result in results:
+        if result.failed:
+            lines += ["", f"FAILED: {result.case.name} ({result.tracer}): {result.case.about}"]
+            lines += textwrap.wrap(result.note, _NOTE_WIDTH, initial_indent="  ", subsequent_indent="  ")
+            lines += textwrap.wrap(f"bound: {result.case.bound}", _NOTE_WIDTH, initial_indent="  ", subsequent_indent="  ")
+            if result.invalid_samples:
+                lines.append(f"  {result.invalid_samples:,} of {result.samples:,} samples were invalid")
+    for name, reason in sorted({(r.case.name, r.skipped) for r in results if r.skipped is not None}):
+        lines += ["", f"skipped: {name}: {reason}"]
+    slow = [f"{r.case.name} ({r.tracer}) {r.seconds:.0f} s" for r in results if r.seconds > _SLOW]
+    if slow:
+        lines += ["", *textwrap.wrap(f"slow, compilation included: {', '.join(slow)}", _NOTE_WIDTH, subsequent_indent="  ")]
+    passed, failed = sum(r.passed for r in results), sum(r.failed for r in results)
+    skipped = len(results) - passed - failed
+    lines += ["", f"{passed} passed, {failed} failed, {skipped} skipped; {len({r.case.name for r in results})} cases, {seconds:.0f} s"]
+    return "\n".join(lines)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def cases_table(cases: Iterable[Case]) -> str:
+    """A Markdown table for each family."""
+    lines: list[str] = []
+    family = None
+    for each in cases:
+        if each.family != family:
+            family = each.family
+            lines += ["", f"### {family.capitalize()}", "", "| case | tracers | quick | what is done, and what is expected | why the tolerance |", "|---|---|---|---|---|"]
+        tracers = ", ".join(each.tracers) if each.traces else "any"
+        lines.append(f"| {_cell(each.name)} | {tracers} | {'yes' if each.quick else ''} | {_cell(each.about)} | {_cell(each.bound)} |")
+    return "\n".join(lines).strip()
+
+
+def with_table(text: str, cases: Iterable[Case]) -> str:
+    """The manual `text` with the table as it is now; raises `RayBatchError` where a mark is missing."""
+    first, last = MARKS
+    made = cases_table(cases)
+    new, found = re.subn(re.escape(first) + ".*?" + re.escape(last), lambda _: f"{first}\n\n{made}\n\n{last}", text, flags=re.S)
+    if found != 1:
+        raise RayBatchError(f"the manual must hold the line {first}, and the line {last} behind it, once")
+    return new
+
+
+def manual(root: Path) -> Path:
+    """The manual in the repository at `root`."""
+    return root / "docs/stability.md"

@@ -1,0 +1,106 @@
+"""The registry: every module of this folder that registers cases, and how one is run."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.session import Session
+
+from .bench import Bench
+from .case import CASES, Case, Outcome, Skipped
+
+# In the order of the report; others follow by name
+FAMILIES = ("scale", "geometry", "transforms", "leaks", "lights", "materials", "transport", "numbers", "scheduling")
+
+
+@dataclass(frozen=True)
+class Result:
+    """One case with one tracer."""
+
+    case: Case
+    tracer: str
+    outcome: Outcome | None  # None: it failed with `error`, or was `skipped`
+    invalid_samples: int = 0
+    samples: int = 0
+    seconds: float = 0.0
+    error: str | None = None
+    skipped: str | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether the answer is right, and no sample was invalid. What was skipped did not pass, nor fail."""
+        return self.outcome is not None and self.outcome.passed and self.invalid_samples == 0
+
+    @property
+    def failed(self) -> bool:
+        """Whether something is wrong."""
+        return not self.passed and self.skipped is None
+
+    @property
+    def note(self) -> str:
+        """What there is to say."""
+        return self.error or self.skipped or (self.outcome.note if self.outcome else "")
+
+
+class UnknownCase(RayBatchError):
+    """A name that no case has."""
+
+
+def all_cases() -> list[Case]:
+    """Every case there is, by family, in the order of registration."""
+    package = __name__.rpartition(".")[0]
+    for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
+        if not module.name.startswith("test_"):
+            importlib.import_module(f"{package}.{module.name}")
+    order = {family: place for place, family in enumerate(FAMILIES)}
+    return sorted(CASES.values(), key=lambda each: (order.get(each.family, len(order)), each.family))
+
+
+def chosen_cases(names: Iterable[str] = (), quick: bool = False) -> list[Case]:
+    """The cases that `names` choose: a name, a family, or a part of names; none: all. Raises `UnknownCase`."""
+    cases, names = all_cases(), [name.strip() for name in names if name.strip()]
+    chosen: set[str] = set()
+    for name in names:
+        found = [c.name for c in cases if name == c.name] or [c.name for c in cases if name == c.family] or [c.name for c in cases if name in c.name]
+        if not found:
+            families = ", ".join(dict.fromkeys(c.family for c in cases))
+            raise UnknownCase(f"no case is called {name!r}: --list names all of them; families are {families}")
+        chosen.update(found)
+    chosen_here = [c for c in cases if (not names or c.name in chosen) and (c.quick or not quick)]
+    if not chosen_here:
+        raise UnknownCase(f"of {', '.join(names)} nothing is part of the quick suite: leave out --quick")
+    return chosen_here
+
+
+def run_case(case: Case, bench: Bench) -> Result:
+    """Run `case` with the tracer of `bench`; what it raises is its failure."""
+    bench.invalid_samples = bench.samples = 0
+    outcome = error = skipped = None
+    start = time.perf_counter()
+    try:
+        outcome = case.run(bench)
+    except Skipped as reason:
+        skipped = str(reason)
+    except Exception as fault:
+        error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"
+    return Result(case, bench.tracer, outcome, bench.invalid_samples, bench.samples, time.perf_counter() - start, error, skipped)
+
+
+def run_cases(cases: Iterable[Case], device: str, tracers: Iterable[str] = ("off", "on", "-"), cache_folder: str | None = None) -> Iterator[Any]:
+    """Yield (case, tracer) before, and the `Result` after, each run of `cases` on `device` (AUTO, cpu or cuda:N)."""
+    session, tracers = Session(device, cache_folder=cache_folder), tuple(tracers)
+    try:
+        benches = {tracer: Bench(device, tracer, session) for tracer in ("off", "on", "-")}
+        for each in cases:
+            for tracer in each.tracers:
+                if tracer in tracers:
+                    yield each, tracer
+                    yield run_case(each, benches[tracer])
+    finally:
+        session.close()
