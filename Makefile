@@ -5,10 +5,12 @@
 #
 # PYTHON=...    the Python to use (3.13 or 3.11); the newest usable one is found otherwise
 # VENV=...      the folder of the environment (default .venv)
+# TEST_JOBS=... processes that run tests side by side (default: as many as there are cores, 4 at most)
 # TESTS=...     what to run instead of every test, as pytest takes it
 PYTHON ?=
 VENV ?= .venv
 TESTS ?=
+TEST_JOBS ?= auto
 
 venv_python := $(VENV)/bin/python
 export PYTHON VENV
@@ -36,7 +38,7 @@ out/demo.environment: environment
 	@cmp -s $(VENV)/raybatch-environment $@ || cp $(VENV)/raybatch-environment $@
 
 test: environment
-	$(venv_python) -m pytest $(TESTS)
+	$(venv_python) -m pytest -n $(TEST_JOBS) --maxprocesses 4 --dist loadfile $(TESTS)
 
 package: environment
 	$(venv_python) scripts/package.py
