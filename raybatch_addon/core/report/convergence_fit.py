@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 INDEPENDENT_SLOPE = -0.5
 # Chance of a false alarm, when a curve that does not flatten is tested
 FALSE_ALARM = 1e-3
+# Chance with which independent samples are called steeper than they are
+STEEPER_CHANCE = 0.01
 # Slopes closer than this are taken as the same, however certain the difference: a line is a model, and at few samples pixels that rarely
 # find their light make curves bend a little
 SLOPE_MARGIN = 0.1
@@ -61,7 +63,8 @@ class Slope:
 def fit_slope(points: Sequence[ErrorPoint], by: str = "samples") -> Slope | None:
     """The line through `points` (of one render, or of several one after the other) against `by` (samples, seconds); None below two.
 
-    Points without error (0) or, against seconds, without time are left out.
+    Points without error (0) or, against seconds, without time are left out. So that the slope is the render's own, the known noise of
+    the reference is subtracted, and points in which it is more than half of the squared error are left out (unless that leaves too few).
 
     `flattens` is tested against samples, on points whose error stands out from the reference's noise: two lines that meet in the middle
     of the curve are fitted. A bias is told where the last is shallower than -0.5, which no unbiased estimator stays above, and either
@@ -70,27 +73,28 @@ def fit_slope(points: Sequence[ErrorPoint], by: str = "samples") -> Slope | None
     """
     if by not in ("samples", "seconds"):
         raise ValueError(f"errors are fitted against samples or seconds, not {by!r}")
-    used = [p for p in points if p.rmse > 0 and p.samples > 0 and getattr(p, by) > 0]
-    x = np.log([getattr(p, by) for p in used])
-    if len(used) < 2 or np.ptp(x) == 0:
+    usable = [p for p in points if p.rmse > 0 and p.samples > 0 and getattr(p, by) > 0]
+    used, errors = _above_floor(usable)
+    if _spread_out(used, by) < 2:
+        used, errors = usable, [p.rmse for p in usable]
+    if _spread_out(used, by) < 2:
         return None
-    line = _fit(np.column_stack([np.ones(len(used)), x]), np.log([p.rmse for p in used]), _nesting(used))
+    x = np.log([getattr(p, by) for p in used])
+    line = _fit(np.column_stack([np.ones(len(used)), x]), np.log(errors), _nesting(used))
     (intercept, slope), spread = line.values, line.spreads[1]
-    bend = _bend(used)
-    flattens = bend is not None and bend.is_bias
-    if by == "samples":
-        says = _in_words(slope, spread, line.freedom, used, bend)
-    else:
-        says = f"RMSE falls as seconds^{slope:.2f}" + (f" (± {spread:.2f})" if math.isfinite(spread) else "")
+    bend = _bend(usable)
+    says = _in_words(slope, spread, line.freedom, usable, bend) if by == "samples" else _in_seconds(slope, spread)
     return Slope(
-        float(slope), float(intercept), float(spread), flattens, says, by, bend.last if bend else None, bend.last_spread if bend else None
+        float(slope), float(intercept), float(spread), bend is not None and bend.is_bias, says, by,
+        bend.last if bend else None, bend.last_spread if bend else None,
     )  # fmt: skip
 
 
 def time_to(points: Sequence[ErrorPoint], target: float, slope: Slope | float | None = None) -> tuple[float, bool] | None:
     """Seconds of rendering at which the relMSE of one render reaches `target`, and whether that is extrapolated; None: never at this rate.
 
-    Between points error and time are taken as straight in logarithms. Beyond the last, the error falls with `slope` (of RMSE against
+    The noise of the reference is part of the error, here and in the target. Between points error and time are taken as straight in
+    logarithms. Beyond the last, the error falls with `slope` (of RMSE against
     samples, or a `Slope` by either; default: fitted to the points, and -0.5 for one point), and each sample takes as long as the last
     ones did. Never: the curve flattens, does not fall, or the target is below the noise of the reference.
     """
@@ -108,7 +112,8 @@ def time_to(points: Sequence[ErrorPoint], target: float, slope: Slope | float | 
             return before.seconds * (point.seconds / before.seconds) ** share, False
         before = point
     last = curve[-1]
-    if (last.floor_relmse or 0.0) >= target:
+    floor = last.floor_relmse or 0.0
+    if target <= floor:
         return None
     fitted = fit_slope(curve) if slope is None else slope
     by = fitted.by if isinstance(fitted, Slope) else "samples"
@@ -117,7 +122,10 @@ def time_to(points: Sequence[ErrorPoint], target: float, slope: Slope | float | 
     rate = INDEPENDENT_SLOPE if fitted is None else fitted.slope if isinstance(fitted, Slope) else float(fitted)
     if not rate < 0:
         return None
-    power = math.log(target / last.relmse) / (2 * rate)
+    own = last.relmse - floor  # where that is noise, no more than the reference's share is taken off
+    power = math.log((target - floor) / max(own, (1 - FLOOR_SHARE) * last.relmse)) / (2 * rate)
+    if power <= 0:  # chance had it that the last error is above what its own noise and the floor make
+        return last.seconds, True
     if power > 700:  # beyond float64, and beyond anybody's time
         return None
     factor = math.exp(power)
@@ -145,6 +153,17 @@ def efficiency(points: Sequence[ErrorPoint], metric: str = "rmse") -> float | No
 
 
 # --- least squares
+
+
+def _above_floor(points: Sequence[ErrorPoint]) -> tuple[list[ErrorPoint], list[float]]:
+    """The points that stand out from the reference's noise, and their RMSE without it (all, as they are, where it is not known)."""
+    clear = [p for p in points if (p.floor_rmse or 0.0) ** 2 <= FLOOR_SHARE * p.rmse**2]
+    return clear, [math.sqrt(p.rmse**2 - (p.floor_rmse or 0.0) ** 2) for p in clear]
+
+
+def _spread_out(points: Sequence[ErrorPoint], by: str) -> int:
+    """At how many places there are points."""
+    return len({getattr(p, by) for p in points})
 
 
 @dataclass(frozen=True)
@@ -209,22 +228,19 @@ def _bend(points: Sequence[ErrorPoint]) -> _Bend | None:
     """Two lines that meet in the middle, fitted to the error without the reference's noise; None: too few points stand out from it."""
     if any(p.from_halves for p in points):
         return None
-    floors = [p.floor_rmse or 0.0 for p in points]
-    clear = [(p, p.rmse**2 - f**2) for p, f in zip(points, floors) if f**2 <= FLOOR_SHARE * p.rmse**2]
-    x = np.log([p.samples for p, _ in clear])
-    if len(clear) < POINTS_TO_TEST or len(np.unique(x)) < POINTS_TO_TEST:
+    used, errors = _above_floor(points)
+    x, y = np.log([p.samples for p in used]), np.log(errors)
+    if len(used) < POINTS_TO_TEST or len(np.unique(x)) < POINTS_TO_TEST:
         return None
-    y = 0.5 * np.log([square for _, square in clear])
     middle = (x.min() + x.max()) / 2
     late = np.maximum(x - middle, 0)
-    used = [p for p, _ in clear]
     line = _fit(np.column_stack([np.ones(len(x)), np.minimum(x, middle), late]), y, _nesting(used), _measured_covariance(used))
     (_, first, last), spread = line.values, line.spreads
     bend_spread = math.sqrt(max(line.covariance[1, 1] + line.covariance[2, 2] - 2 * line.covariance[1, 2], 0.0))
     slow = _is_above(last - INDEPENDENT_SLOPE, spread[2], line.freedom)
     bent = _is_above(last - first, bend_spread, line.freedom)
     level = last > -SLOPE_MARGIN
-    left = [square for (p, square), at in zip(clear, x) if at == x.max()]
+    left = np.square([error for error, at in zip(errors, x) if at == x.max()])
     known = all(p.floor_rmse is not None for p in points)
     return _Bend(float(first), float(last), float(spread[2]), math.sqrt(np.mean(left)), bool(slow and (bent or level)), known)
 
@@ -257,21 +273,28 @@ def _seconds_per_sample(curve: Sequence[ErrorPoint]) -> float:
     return last.seconds / last.samples
 
 
+def _in_seconds(slope: float, spread: float) -> str:
+    return f"RMSE falls as seconds^{slope:.2f}" + (f" (± {spread:.2f})" if math.isfinite(spread) else "")
+
+
 def _in_words(slope: float, spread: float, freedom: int, points: Sequence[ErrorPoint], bend: _Bend | None) -> str:
     """What the slope against samples means."""
-    measured = f"{slope:.2f}" + (f" ± {spread:.2f}" if math.isfinite(spread) else "")
+    measured = f"slope {slope:.2f}" + (f" ± {spread:.2f}" if math.isfinite(spread) else "")
     if bend and bend.is_bias:
         why = "a bias" if bend.floor_known else "a bias, or noise of the reference, whose own error is not known"
-        return f"slope {measured}: the curve flattens (slope {bend.last:.2f} at its end); {why}: about {bend.bias:.3g} (RMSE) is left"
-    if freedom > 0 and _is_above(slope - INDEPENDENT_SLOPE, spread, freedom):
-        floor = max((p.floor_rmse or 0.0) / p.rmse for p in points)
-        why = "light that is rarely found, or too few points to tell a bias"
-        if floor**2 > FLOOR_SHARE:
-            why = "it comes to the noise of the reference"
-        return f"slope {measured}: slower than independent samples (-0.5): {why}"
-    if freedom > 0 and INDEPENDENT_SLOPE - slope > 0 and (spread == 0 or t_exceeds((INDEPENDENT_SLOPE - slope) / spread, freedom) < 0.01):
-        return f"slope {measured}: steeper than independent samples (-0.5)"
-    verdict = "as of independent samples (-0.5)" if math.isfinite(spread) else "of two points, which tell no spread"
-    if points and all(p.from_halves for p in points):
-        verdict += "; an estimate from halves cannot show a bias"
-    return f"slope {measured}: {verdict}"
+        return f"{measured}: the curve flattens (slope {bend.last:.2f} at its end); {why}: about {bend.bias:.3g} (RMSE) is left"
+    clear = len(_above_floor(points)[0])
+    notes = ""
+    if clear < len(points):
+        notes += f"; {len(points) - clear} of {len(points)} points come to the noise of the reference"
+    if all(p.from_halves for p in points):
+        notes += "; an estimate from halves cannot show a bias"
+    if not freedom:
+        return f"{measured}: of two points, which tell no spread{notes}"
+    if _is_above(slope - INDEPENDENT_SLOPE, spread, freedom):
+        why = "light that is rarely found, or too few points to tell a bias" if clear > 1 else "it has come to the noise of the reference"
+        return f"{measured}: slower than independent samples (-0.5): {why}{notes}"
+    steeper = INDEPENDENT_SLOPE - slope
+    if steeper > 0 and (spread == 0 or t_exceeds(steeper / spread, freedom) < STEEPER_CHANCE):
+        return f"{measured}: steeper than independent samples (-0.5){notes}"
+    return f"{measured}: as of independent samples (-0.5){notes}"
