@@ -341,6 +341,18 @@ def test_a_frame_that_moves_is_built_anew(session, plain):
     assert not all(np.array_equal(film.passes[name], values) for name, values in plain["mixed"].plain.passes.items())
 
 
+def test_trees_follow_the_settings_from_render_to_render(session, plain):
+    """In one session: treelets, and triangles that are split, which other settings leave out."""
+    budget = schedule_scenes.least_budget(session.device.alias) + 10_000
+    trees = []
+    for change in ({}, dict(treelet_size=1), dict(spatial_splits="ON"), {}):
+        film = render(session, geometry_budget=budget, geometry_store="HOST", **change)
+        assert not plain["mixed"].faults(film)
+        trees.append([film.statistics["tree"][name] for name in ("chunks", "bytes", "levels", "sah")])
+    usual, small, split, again = trees
+    assert usual == again and usual != small and usual != split
+
+
 def test_a_page_that_a_launch_sees_is_not_overwritten(device):
     """It leaves, but its slot is filled with another page when the launch is over."""
     scene, on = schedule_scenes.mixed_scene(), wp.get_device(device)

@@ -195,7 +195,7 @@ def _build(fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, request:
     if plan.method is Method.PAGED:
         paged = build_paged_scene(
             flat, visibility, layout, device, plan.geometry_budget, plan.geometry_store, request.page_folder, cut_rule(request.plan, request.settings),
-            encoded=encodes(layout),
+            spatial_splits=settings.spatial_splits == "ON", encoded=encodes(layout),
         )  # fmt: skip
         return Kept(fingerprint, geometry, PagedTree(paged, Residency(paged, plan.geometry_budget, device)))
     if plan.method is Method.REFERENCE:

@@ -255,6 +255,19 @@ def test_given_up_rays_leave_nothing_behind():
     residency.close()
 
 
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_triangles_that_are_split_among_pages_act_once(layout):
+    made, flat = scene()
+    paged = build_paged_scene(
+        flat, made.instances.visibility, layout, device(), BUDGET, nodes_resident=False, spatial_splits=True, encoded=layout is Layout.QUANTISED
+    )
+    residency = Residency(paged, paged.resident_bytes + 3 * paged.page_bytes_max, device())
+    rays = new_rays()
+    run(StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED), RayKind.OCCLUSION)
+    same(hits_of(rays, PATHS, True), expected(layout, True))
+    residency.close()
+
+
 def test_an_advance_is_cut_short_by_the_end_of_the_render():
     """A step each, and in the end every ray is finished all the same."""
     paged = paged_of(ONE)
