@@ -11,7 +11,6 @@ from ..scene.geometry import Geometry, corners_of, mat34, transform_vector
 
 # Unit roundoff of float32. n operations are wrong by at most n u / (1 - n u), relatively (Higham 2002, section 3.1).
 _U = 2.0**-24
-_GAMMA_3 = 3 * _U / (1 - 3 * _U)
 _GAMMA_8 = 8 * _U / (1 - 8 * _U)
 
 
@@ -113,17 +112,17 @@ def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
         p0 = geometry.positions[corners[0]]
         p1 = geometry.positions[corners[1]]
         p2 = geometry.positions[corners[2]]
-        w = 1.0 - uv[0] - uv[1]
 
         surface = SurfacePoint()
-        position = w * p0 + uv[0] * p1 + uv[1] * p2
-        # |corner| bounds the interpolation, coordinate by coordinate. The test of a ray that starts here takes corners
-        # relative to its origin and mixes their coordinates, so that its error is in proportion to the triangle.
+        # From one corner along the edges: whatever the weights are, that is a point of the plane, but for three roundings in
+        # proportion to the edges, and one of the sum. Three weighted corners would be off by eight roundings of their coordinates.
+        # The test of a ray that starts here takes corners relative to its origin and mixes their coordinates, so that its error
+        # is in proportion to the triangle too.
         edge_1 = p1 - p0
         edge_2 = p2 - p0
+        position = p0 + (uv[0] * edge_1 + uv[1] * edge_2)
         reach = wp.max(_abs(edge_1)) + wp.max(_abs(edge_2))
-        largest = wp.max(_abs(p0), wp.max(_abs(p1), _abs(p2)))
-        error = wp.static(_GAMMA_8) * (largest + wp.vec3(reach, reach, reach))
+        error = wp.static(_GAMMA_8) * (_abs(edge_1) + _abs(edge_2) + wp.vec3(reach, reach, reach)) + wp.static(2.0 * _U) * _abs(position)
         edge_cross = wp.cross(edge_1, edge_2)
         if wp.static(instancing):
             matrix = geometry.instance_transform[instance]
@@ -138,7 +137,7 @@ def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
         surface.geometric_normal = _unit(edge_cross)
         surface.normal = surface.geometric_normal
         if wp.static(smooth_normals):
-            n = w * geometry.corner_normals[3 * triangle]
+            n = (1.0 - uv[0] - uv[1]) * geometry.corner_normals[3 * triangle]
             n = n + uv[0] * geometry.corner_normals[3 * triangle + 1] + uv[1] * geometry.corner_normals[3 * triangle + 2]
             if wp.static(instancing):
                 n = _cofactor(geometry.instance_transform[instance], n)
