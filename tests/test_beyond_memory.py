@@ -3,6 +3,7 @@
 import dataclasses
 import errno
 import os
+import re
 import shutil
 import struct
 import time
@@ -73,7 +74,7 @@ def test_every_budget_gives_the_film_of_memory(session, plain, name, store):
     if budget >= everything:
         pytest.skip("on this device the scene is smaller than a page and what stays beside it")
     fewest = most = one_page.statistics["tree"]["pages"]
-    assert one_page.raised and fewest > 1
+    assert one_page.raised == 1 and fewest > 1
     evicted = []
     budgets = sorted({int(b) for b in np.geomspace(budget, everything, 9)} | {everything - 1})
     for each in budgets:
@@ -312,6 +313,24 @@ def test_a_budget_smaller_than_what_must_stay_is_refused_and_the_message_says_wh
         render(session, geometry_budget=budget, geometry_store=store)
     assert not plain["mixed"].compare(dict(DISK, geometry_budget=budget, geometry_store=store)).differs
     assert not plain["mixed"].faults(render(session, geometry_store=store))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_number_in_the_message_renders_and_one_less_does_not(session, plain, seed):
+    """For scenes, stores, treelets and budgets at random."""
+    rng = np.random.default_rng(seed)
+    name = rng.choice(sorted(schedule_scenes.SCENES))
+    change = dict(DISK, geometry_store=str(rng.choice(["HOST", "DISK"])), treelet_size=int(rng.choice([0, 1, 8])))
+    asked = int(rng.integers(1, schedule_scenes.least_budget(session.device.alias, name)))
+    with pytest.raises(OutOfMemoryError, match="too small") as error:
+        render(session, name, **{**change, "geometry_budget": asked})
+    (number,) = re.findall(r"([\d,]+) bytes are enough", str(error.value))
+    enough = int(number.replace(",", ""))
+    with pytest.raises(OutOfMemoryError, match=f" {number} bytes are enough"):
+        render(session, name, **{**change, "geometry_budget": enough - 1})
+    film = render(session, name, **{**change, "geometry_budget": enough})
+    assert not plain[name].faults(film)
+    assert "pages" not in film.statistics["tree"] or film.statistics["resident_peak"] <= enough
 
 
 def test_host_memory_that_does_not_hold_the_pages(session, plain, monkeypatch):

@@ -16,19 +16,17 @@ from ..scene.flatten import FlatGeometry
 from .memory import TREE_BYTES
 from .mesh_tree import mesh_parts
 from .node import Layout
-from .page_chunks import ChunkBuilder
+from .page_budget import least_budget, page_size
+from .page_chunks import ChunkBuilder, chunk_size
 from .page_encode import expand_page
 from .page_entries import instances_in
 from .page_file import PageFileWriter, delete_old_files, open_page_file, page_key
 from .page_resident import Resident, load_nodes, place_resident
 from .page_store import PAGE_ALIGNMENT, HostStore, Page, PageStore
-from .page_tables import PageBuilder, PageTables
+from .page_tables import NoStore, PageBuilder, PageTables
 from .tree import Tree
 from .treelets import CutRule
 
-# A page is an eighth of the budget, and of these sizes where the budget allows [bytes]
-_BUDGET_SHARE = 8
-_PAGE_SIZES = (64 << 20, 32 << 20, 16 << 20)
 # Nodes stay on the device where they take no more than this share of the budget
 _NODES_SHARE = 0.75
 # Of the free memory of the host that pages may take once more, as the device has them
@@ -84,12 +82,6 @@ class PagedScene:
         expand_page(source, target, nodes, nodes, int(self.page_units[page]))
 
 
-def page_size(budget: int) -> int:
-    """Bytes of a page at most, of a budget of so many bytes; of few sizes, so that files serve nearly equal budgets."""
-    share = budget // _BUDGET_SHARE
-    return next((size for size in _PAGE_SIZES if size <= share), max(share // PAGE_ALIGNMENT, 2) * PAGE_ALIGNMENT)
-
-
 def build_paged_scene(
     flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device, budget: int, store: str = "HOST",
     folder: Path | None = None, rule: CutRule = CutRule(), nodes_resident: bool | None = None, spatial_splits: bool = False, on_device: bool | None = None,
@@ -119,10 +111,30 @@ def build_paged_scene(
         raise ValueError("only triangles of QUANTISED are packed")
     start = time.perf_counter()
     page_bytes = page_size(budget)
-    # two segments are padded
-    treelets_max = max(page_bytes - 2 * PAGE_ALIGNMENT, page_bytes // 2)
-    builder = ChunkBuilder(layout, device, rule, len(flat.triangles), treelets_max, spatial_splits, on_device)
-    _check_budget(flat, layout, builder.size_max, budget)
+    staged = device.is_cuda and encoded  # a page that arrives has a buffer beside its slot
+
+    def builder_of(page_bytes: int) -> ChunkBuilder:
+        return ChunkBuilder(layout, device, rule, len(flat.triangles), _treelets_bytes(page_bytes), spatial_splits, on_device)
+
+    def bound(page_bytes: int) -> int:
+        size_max = chunk_size(layout, _treelets_bytes(page_bytes), spatial_splits)
+        return sum(-(-part.triangle_count // size_max) for part in mesh_parts(flat)) * 4 * layout.node_words + PAGE_ALIGNMENT
+
+    def needed(page_bytes: int) -> int:
+        tables, _ = _build(flat, layout, builder_of(page_bytes), page_bytes, encoded, NoStore())
+        resident = place_resident(tables, flat, visibility, layout, device)
+        return _needed_bytes(tables, resident.bytes, bool(nodes_resident), staged)
+
+    def too_small() -> OutOfMemoryError:
+        enough = least_budget(budget, len(flat.triangles), bound, needed)
+        return OutOfMemoryError(
+            f"a geometry budget of {budget:,} bytes is too small for {len(flat.triangles):,} triangles: top level, instances and the roots of "
+            f"treelets must stay on the device, beside a page; {enough:,} bytes are enough"
+        )
+
+    if bound(page_bytes) > budget:
+        raise too_small()
+    builder = builder_of(page_bytes)
     known: dict[str, Any] = {"store": store, "page_bytes": page_bytes, "encoded": encoded, "reused": False}
     copy: HostStore | None = None
     if store == "DISK":
@@ -140,6 +152,8 @@ def build_paged_scene(
         tables, copy_byte = _build(flat, layout, builder, page_bytes, encoded, pages, copy)
     known["seconds_build"] = round(time.perf_counter() - start, 6)
     made = _assembled(flat, visibility, layout, device, budget, tables, pages, nodes_resident, known)
+    if made is None:
+        raise too_small()
     if copy:
         # where nodes stay on the device, a page begins with its triangles
         skipped = tables.page_device[:, 0] * made.nodes_resident
@@ -175,7 +189,7 @@ def _from_disk(
 
 
 def _build(
-    flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, page_bytes: int, encoded: bool, target: HostStore | PageFileWriter,
+    flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, page_bytes: int, encoded: bool, target: HostStore | PageFileWriter | NoStore,
     plain: HostStore | None = None,
 ) -> tuple[PageTables, list[int]]:  # fmt: skip
     """Tables of what goes to `target`, and where each page begins in `plain`."""
@@ -199,21 +213,20 @@ def _key(flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, rule: CutRul
 def _assembled(
     flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device, budget: int, tables: PageTables, store: PageStore,
     nodes_resident: bool | None, known: dict[str, Any],
-) -> PagedScene:  # fmt: skip
-    """What stays on the device, beside its tables; all of it is within the budget, and a page too."""
+) -> PagedScene | None:  # fmt: skip
+    """What stays on the device, beside its tables; all of it is within the budget, and a page too. None where that cannot be."""
     start = time.perf_counter()
     resident = place_resident(tables, flat, visibility, layout, device)
     node_bytes = int(tables.page_bytes[:, 0].sum())
-    staged = device.is_cuda and known["encoded"]  # a page that arrives has a buffer beside its slot
+    staged = device.is_cuda and known["encoded"]
     if nodes_resident is None:
         # room for more than one page without nodes
         rest = budget - resident.bytes - node_bytes
         page_most = int(tables.page_device[:, 1].max()) + staged * int(tables.page_bytes[:, 1].max())
         nodes_resident = node_bytes <= _NODES_SHARE * budget and rest >= 2 * page_most
-    sizes, stored = ((each[:, 1] if nodes_resident else each.sum(1)) for each in (tables.page_device, tables.page_bytes))
-    needed = resident.bytes + nodes_resident * node_bytes + int(sizes.max()) + staged * int(stored.max())
-    if needed > budget:
-        raise _too_small(budget, needed, resident.bytes, nodes_resident * node_bytes, 1 + staged)
+    if _needed_bytes(tables, resident.bytes, nodes_resident, staged) > budget:
+        return None
+    sizes, stored = _page_sizes(tables, nodes_resident)
     first, ends = tables.page_byte[:, 1 if nodes_resident else 0], tables.page_treelet
     pages = [
         Page(int(ends[i]), int(ends[i + 1] - ends[i]), int(first[i]), int(stored[i]), int(sizes[i])) for i in range(len(sizes))
@@ -243,28 +256,22 @@ def _expected_bytes(flat: FlatGeometry, layout: Layout, encoded: bool) -> int:
     return int(1.2 * (_ENCODED_BYTES if encoded else TREE_BYTES[layout]) * len(flat.triangles)) + (1 << 16)
 
 
-def _check_budget(flat: FlatGeometry, layout: Layout, size_max: int, budget: int) -> None:
-    """Raise `OutOfMemoryError` before anything is built where the least that must stay is more than the budget."""
-    chunks = sum(-(-part.triangle_count // size_max) for part in mesh_parts(flat))
-    least = chunks * 4 * layout.node_words
-    if least + PAGE_ALIGNMENT > budget:
-        # half as many chunks for twice the budget, and a few more entries than there are chunks
-        enough = int(np.sqrt(budget * least * 4)) + PAGE_ALIGNMENT
-        raise OutOfMemoryError(
-            f"a geometry budget of {budget:,} bytes is too small for {len(flat.triangles):,} triangles: what must stay on the "
-            f"device takes {least:,} at least with pages so small; about {enough:,} are enough"
-        )
+def _treelets_bytes(page_bytes: int) -> int:
+    """Of the treelets in a page: its two segments are padded."""
+    return max(page_bytes - 2 * PAGE_ALIGNMENT, page_bytes // 2)
 
 
-def _too_small(budget: int, needed: int, resident: int, nodes: int, places: int) -> OutOfMemoryError:
-    """`resident` and `nodes` [bytes] stay, beside so many `places` for a page."""
-    # the page that a larger budget gives is larger too; what stays is not
-    enough = max(needed, -(-(resident + nodes) * _BUDGET_SHARE // (_BUDGET_SHARE - places)) + places * PAGE_ALIGNMENT)
-    fewer = f", or fewer without all nodes ({nodes:,}) on the device" if nodes else ""
-    return OutOfMemoryError(
-        f"a geometry budget of {budget:,} bytes is too small: top level, instances and the roots of treelets take "
-        f"{resident:,} and must stay on the device, beside a page; {enough:,} bytes are enough{fewer}"
-    )
+def _page_sizes(tables: PageTables, nodes_resident: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Bytes of each page on the device, and in the store; int64, shape [pages]."""
+    device, stored = ((each[:, 1] if nodes_resident else each.sum(1)) for each in (tables.page_device, tables.page_bytes))
+    return device, stored
+
+
+def _needed_bytes(tables: PageTables, resident: int, nodes_resident: bool, staged: bool) -> int:
+    """Of what stays, `resident` and perhaps all nodes, and of one page [bytes]."""
+    sizes, stored = _page_sizes(tables, nodes_resident)
+    nodes = max(int(tables.page_bytes[:, 0].sum()), PAGE_ALIGNMENT) if nodes_resident else 0
+    return resident + nodes + int(sizes.max()) + staged * int(stored.max())
 
 
 def _description(tables: PageTables, layout: Layout, resident: Resident, nodes_resident: bool) -> dict[str, Any]:

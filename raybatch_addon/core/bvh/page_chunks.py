@@ -59,6 +59,11 @@ class Chunk:
         return sum(block.nbytes for block in (*self.nodes, *self.triangles))
 
 
+def chunk_size(layout: Layout, page_bytes: int, spatial_splits: bool) -> int:
+    """Most triangles of a chunk whose treelets should take at most `page_bytes`."""
+    return max(int(page_bytes / CHUNK_BYTES_EACH[layout] / (_SPLIT_SHARE if spatial_splits else 1)), 1)
+
+
 class ChunkBuilder:
     """Builds the chunks of meshes."""
 
@@ -75,7 +80,7 @@ class ChunkBuilder:
         self.on_device = device.is_cuda and not spatial_splits if on_device is None else on_device
         leaves = {"leaf_group": 1, "leaf_max": TRIANGLES_MAX_QUANTISED} if layout is Layout.QUANTISED else {}
         self._options = BuildOptions(**leaves, spatial_splits=spatial_splits)
-        self.size_max = max(int(page_bytes / CHUNK_BYTES_EACH[layout] / (_SPLIT_SHARE if spatial_splits else 1)), 1)
+        self.size_max = chunk_size(layout, page_bytes, spatial_splits)
         cpu = wp.get_device("cpu")
         if not self.on_device:
             # before threads launch them

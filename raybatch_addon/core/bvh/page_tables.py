@@ -65,11 +65,20 @@ class PageTables:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
 
+class NoStore:
+    """Takes pages and keeps none: for tables alone."""
+
+    def add(self, data: np.ndarray) -> int:
+        """Where `data` would begin, if it lay anywhere."""
+        return 0
+
+
 class PageBuilder:
     """Puts chunks into pages as they come, and pages into a store; a thread does the copying."""
 
     def __init__(
-        self, layout: Layout, page_bytes: int, target: HostStore | PageFileWriter, positions: np.ndarray | None, plain: HostStore | None = None
+        self, layout: Layout, page_bytes: int, target: HostStore | PageFileWriter | NoStore, positions: np.ndarray | None,
+        plain: HostStore | None = None,
     ):  # fmt: skip
         """Pages of at most `page_bytes` on the device, but for single chunks that are larger, to `target`.
 

@@ -166,62 +166,46 @@ def test_chunks_that_come_out_too_large_are_divided(monkeypatch):
     assert sum(len(chunk.triangles) for chunk in paged_scenes.cut_blocks(built)) == built.statistics["chunks"]
 
 
-def test_a_budget_of_one_page():
-    """The least budget at which anything works: all of it is what stays and one page."""
-    budget = next(b for b in range(40_000, 1_000_000, 5_000) if fits(b))
-    built = paged("boxes", budget)
-    assert built.resident_bytes + built.page_bytes_max <= budget
+def enough_of(error: pytest.ExceptionInfo) -> int:
+    """The budget that a refusal calls enough."""
+    (number,) = re.findall(r"too small.* ([\d,]+) bytes are enough", str(error.value))
+    return int(number.replace(",", ""))
 
 
-def fits(budget: int) -> bool:
-    try:
-        paged("boxes", budget)
-    except OutOfMemoryError:
-        return False
-    return True
+@pytest.mark.parametrize("rule", [CutRule(), MANY], ids=["one", "many"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_budget_that_is_too_small_is_refused_with_the_least_one_that_is_enough(kind, rule):
+    """Whatever is asked for, it is the same number."""
+    with pytest.raises(OutOfMemoryError) as error:
+        paged(kind, 1, rule=rule)
+    enough = enough_of(error)
+    assert 30_000 < enough < 500_000
+    for budget in (enough // 2, enough - 1):
+        with pytest.raises(OutOfMemoryError) as error:
+            paged(kind, budget, rule=rule)
+        assert enough_of(error) == enough
+    built = paged(kind, enough, rule=rule)
+    assert built.resident_bytes + built.page_bytes_max <= enough
+    residency = Residency(built, enough, wp.get_device("cpu"))
+    assert residency.slot_count == 1
+    residency.close()
 
 
-@pytest.mark.parametrize("budget", [1, 1_000, 20_000])
-@pytest.mark.parametrize("kind", ["boxes", "quantised"])
-def test_a_budget_that_is_too_small_is_refused_with_one_that_is_enough(kind, budget):
-    with pytest.raises(OutOfMemoryError, match="too small") as error:
-        paged(kind, budget)
-    enough = int(re.findall(r"([\d,]+) (?:bytes )?are enough", str(error.value))[-1].replace(",", ""))
-    assert enough < 400_000
-    while not fits_kind(kind, enough):
-        # estimates are made before anything is built; the second answer is exact
-        with pytest.raises(OutOfMemoryError, match="too small") as error:
-            paged(kind, enough)
-        larger = int(re.findall(r"([\d,]+) (?:bytes )?are enough", str(error.value))[-1].replace(",", ""))
-        assert larger > enough
-        assert "beside a page" not in str(error.value) or fits_kind(kind, larger)
-        enough = larger
-
-
-def test_the_budget_that_is_named_is_enough_for_pages_that_arrive_packed():
+@pytest.mark.parametrize("nodes_resident", [False, True])
+def test_the_budget_that_is_named_is_enough_for_pages_that_arrive_packed(nodes_resident):
     """On CUDA they have a buffer beside their slot."""
     made, flat = scene()
-    for nodes_resident in (False, True):
-        budget = 40_000
-        while True:
-            try:
-                built = build_paged_scene(
-                    flat, made.instances.visibility, Layout.QUANTISED, wp.get_device(DEVICE), budget, nodes_resident=nodes_resident, encoded=True
-                )
-                break
-            except OutOfMemoryError as error:
-                larger = int(re.findall(r"([\d,]+) (?:bytes )?are enough", str(error))[-1].replace(",", ""))
-                assert larger > budget
-                budget = larger
-        Residency(built, budget, wp.get_device(DEVICE)).close()
+    device = wp.get_device(DEVICE)
 
+    def build(budget: int) -> PagedScene:
+        return build_paged_scene(flat, made.instances.visibility, Layout.QUANTISED, device, budget, nodes_resident=nodes_resident, encoded=True)
 
-def fits_kind(kind: str, budget: int) -> bool:
-    try:
-        paged(kind, budget)
-    except OutOfMemoryError:
-        return False
-    return True
+    with pytest.raises(OutOfMemoryError) as error:
+        build(30_000)
+    enough = enough_of(error)
+    with pytest.raises(OutOfMemoryError):
+        build(enough - 1)
+    Residency(build(enough), enough, device).close()
 
 
 def test_sizes_of_pages():
