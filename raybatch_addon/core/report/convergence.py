@@ -119,8 +119,8 @@ def error_point(
         error, scale = squared_error(snapshot.picture, reference.picture), relative_to(reference.picture)
         floor = noise_floor(reference)
     elif _has_halves(snapshot):
-        error = squared_error_of_halves(*snapshot.halves)
-        scale = relative_to((np.asarray(snapshot.halves[0], np.float64) + np.asarray(snapshot.halves[1], np.float64)) / 2)
+        error = squared_error_of_halves(*snapshot.halves, snapshot.samples)
+        scale = relative_to(snapshot.picture)
         floor = (0.0, 0.0)
     else:
         raise RayBatchError("this snapshot has no halves: give a reference, or render with error_estimate ON and at least 2 samples")

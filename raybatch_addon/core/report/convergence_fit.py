@@ -11,7 +11,8 @@ at fewer samples belong to another, independent render.
 A curve that bends does not fit a line, and its residuals tell too large an s to test the bend with. Points that know how their error
 varies from pixel to pixel (`rmse_spread`) bring a better measure. Let r(n) be the variance of the mean squared error of n samples,
 relative to its square. The error of m samples is n / m times that of n and an independent rest without bias, so that the covariance of
-the two relative deviations is r(n) n / m: exactly, for errors of any distribution.
+the two relative deviations is r(n) n / m: exactly, for errors of any distribution. Few pixels do not show their own rare errors: where
+points scatter more than that about a cubic, which follows any bend, r is raised to what they show.
 """
 
 from __future__ import annotations
@@ -188,15 +189,20 @@ def _nesting(points: Sequence[ErrorPoint]) -> np.ndarray:
     return np.where(apart, 0.0, smaller / larger)
 
 
-def _measured_covariance(points: Sequence[ErrorPoint]) -> np.ndarray | None:
+def _measured_covariance(points: Sequence[ErrorPoint], errors: Sequence[float]) -> np.ndarray | None:
     """Covariances of log(RMSE) as pixels tell them; None where a point has no pixels, or too few for a matrix that can be one."""
     if any(not p.rmse_spread for p in points):
         return None
     relative = np.array([p.rmse_spread / p.rmse for p in points]) ** 2
     samples = np.array([p.samples for p in points])
     covariance = _nesting(points) * np.where(samples[:, None] <= samples, relative[:, None], relative)
-    least = np.linalg.eigvalsh(covariance)[0]
-    return covariance if least > 1e-6 * relative.max() else None
+    if np.linalg.eigvalsh(covariance)[0] < 1e-6 * relative.max():
+        return None
+    x = np.log(samples / samples.min())
+    root = np.linalg.cholesky(covariance)
+    a, b = np.linalg.solve(root, x[:, None] ** np.arange(4)), np.linalg.solve(root, np.log(errors))
+    scatter = np.square(b - a @ np.linalg.lstsq(a, b, rcond=None)[0]).sum() / (len(points) - 4)
+    return covariance * max(1.0, scatter)
 
 
 def _fit(columns: np.ndarray, y: np.ndarray, correlation: np.ndarray, covariance: np.ndarray | None = None) -> _Line:
@@ -234,7 +240,7 @@ def _bend(points: Sequence[ErrorPoint]) -> _Bend | None:
         return None
     middle = (x.min() + x.max()) / 2
     late = np.maximum(x - middle, 0)
-    line = _fit(np.column_stack([np.ones(len(x)), np.minimum(x, middle), late]), y, _nesting(used), _measured_covariance(used))
+    line = _fit(np.column_stack([np.ones(len(x)), np.minimum(x, middle), late]), y, _nesting(used), _measured_covariance(used, errors))
     (_, first, last), spread = line.values, line.spreads
     bend_spread = math.sqrt(max(line.covariance[1, 1] + line.covariance[2, 2] - 2 * line.covariance[1, 2], 0.0))
     slow = _is_above(last - INDEPENDENT_SLOPE, spread[2], line.freedom)

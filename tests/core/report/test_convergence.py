@@ -156,7 +156,7 @@ def test_points_without_a_reference_come_from_halves():
     recorder.on_snapshot(snapshot(2, (a + b) / 2, (a, b)))
     (point,) = recorder.points()
     assert point.from_halves and point.samples == 2 and point.floor_rmse == 0
-    assert (point.rmse, point.relmse) == pytest.approx((rmse_of_halves(a, b), relmse_of_halves(a, b)), rel=1e-12)
+    assert (point.rmse, point.relmse) == pytest.approx((rmse_of_halves(a, b), relmse_of_halves(a, b)), rel=1e-7)  # the mean is float32
 
 
 def test_without_reference_and_halves_nothing_tells_the_error():
