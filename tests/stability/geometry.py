@@ -1,9 +1,8 @@
-"""Triangles that are hard to meet: slivers, tiny ones, many in one place, layers."""
+"""Triangles that are hard to meet: slivers, tiny ones, and those without area."""
 
 from __future__ import annotations
 
 import math
-import time
 
 import numpy as np
 import scenes
@@ -12,17 +11,10 @@ from raybatch_addon.core.scene.description import Frame, Mesh
 
 from .bench import Bench
 from .case import Outcome, Sweep, case
-from .exact import U, WRONG, backward_error, judge, roundings
-from .meshes import GREY, corners_of, directions, grid, icosphere, mesh_of, placed, rotation, strip
+from .exact import IN_ROUNDINGS, U, WRONG, along_roundings, backward_error, judge, roundings
+from .meshes import GREY, corners_of, directions, grid, icosphere, mesh_of, placed, rotation, strip, unit
 
 FAMILY = "geometry"
-IN_ROUNDINGS = """Measured: the largest distance of a hit from the triangle that it names, in u m a coordinate (u = 2^-24, m: the largest
-coordinate of its corners from the ray's origin), plus 1e6 for each answer that is wrong. margin.py proves 19 u m; 25 u m with what is
-approximate on CUDA."""
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 # --- slivers
@@ -37,7 +29,7 @@ def _at_strip(bench: Bench, turn: np.ndarray) -> Outcome:
     target = np.stack([rng.uniform(-10, 10, count), rng.uniform(-1e-3, 1e-3, count), np.zeros(count)], 1)
     d = directions(rng, count)
     d[:, 2] = np.copysign(np.maximum(np.abs(d[:, 2]), 0.15), d[:, 2])
-    d = _unit(d)
+    d = unit(d)
     origin = (target - d * 10.0 ** rng.uniform(-3, 1, (count, 1))) @ turn.T
     origin, direction = origin.astype(np.float32), (d @ turn.T).astype(np.float32)
     hits = bench.trace(placed(mesh), origin, direction)
@@ -49,7 +41,7 @@ def _at_strip(bench: Bench, turn: np.ndarray) -> Outcome:
 @case(
     "slivers of aspect 1e8, side by side", FAMILY,
     "A rectangle of 8,000 triangles, 100 m long and 1 um wide. Rays at its inner half, down to 8 degrees, all meet it (a closed form).",
-    IN_ROUNDINGS + " Rays pass the outline at 1e-3 m times the sine of 8 degrees, the corners as the test sees them move by 5 u m = 2e-5 m.",
+    IN_ROUNDINGS + " Rays pass the outline at 1e-3 m times the sine of 8 degrees; corners, as the test sees them, move by 5 u m = 2e-5 m.",
     quick=True,
 )  # fmt: skip
 def slivers(bench: Bench) -> Outcome:
@@ -58,7 +50,8 @@ def slivers(bench: Bench) -> Outcome:
 
 @case(
     "slivers of aspect 1e8, turned", FAMILY,
-    "The same, turned: corners are rounded by more than slivers are wide, so that these overlap and are folded over. No ray slips through: neighbours "
+    "The same, turned: corners are rounded by more than slivers are wide, so that these overlap and are folded over. No ray slips "
+    "through: neighbours "
     "share their corners, and the outline is where it was.",
     IN_ROUNDINGS,
 )  # fmt: skip
@@ -68,7 +61,8 @@ def slivers_turned(bench: Bench) -> Outcome:
 
 @case(
     "slivers among triangles", FAMILY,
-    "600 slivers of aspect 1e7 and more (some without area, as rounding has it) and 200 triangles, without order. All triangles are asked in float64.",
+    "600 slivers of aspect 1e7 and more (some without area, as rounding has it) and 200 triangles, without order. All triangles are "
+    "asked in float64.",
     IN_ROUNDINGS + " A triangle that is met farther from its edges than 32 sqrt(3) u m is met for certain: a hit beyond it is wrong.",
 )  # fmt: skip
 def sliver_soup(bench: Bench) -> Outcome:
@@ -82,15 +76,17 @@ def sliver_soup(bench: Bench) -> Outcome:
     weights = rng.dirichlet((0.5, 0.5, 0.5), count)
     target = np.einsum("nc,nck->nk", weights, corners[rng.integers(len(corners), size=count)])
     origin = (target + directions(rng, count) * 10.0 ** rng.uniform(-4, 1, (count, 1))).astype(np.float32)
-    direction = _unit(target - origin).astype(np.float32)
+    direction = unit(target - origin).astype(np.float32)
     hits = bench.trace(placed(mesh), origin, direction)
     return judge(origin, direction, hits, corners).outcome(roundings(bench))
 
 
 @case(
     "slivers in the sun", FAMILY,
-    "The rectangle of slivers under suns at 0, 60 and 80 degrees from its normal: albedo / pi times irradiance times cosine in every pixel that shows it.",
-    "Light, cosine and closure take some 20 operations of float32: 32 u, relatively. A pixel whose shadow ray met the surface again would be black.",
+    "The rectangle of slivers under suns at 0, 60 and 80 degrees from its normal: albedo / pi times irradiance times cosine in every "
+    "pixel that shows it.",
+    "Light, cosine and closure take some 20 operations of float32: 32 u, relatively. A pixel whose shadow ray met the surface again "
+    "would be black.",
 )  # fmt: skip
 def slivers_lit(bench: Bench) -> Outcome:
     sweep = Sweep()
@@ -120,7 +116,7 @@ def denormal_areas(bench: Bench) -> Outcome:
     origin = (6e-19 * 0.8 * directions(rng, count) * rng.uniform(0, 1, (count, 1))).astype(np.float32)
     direction = directions(rng, count)
     aimed = mesh.positions[rng.integers(len(sphere), size=count)].astype(np.float64) - origin
-    direction[::2] = _unit(aimed[::2] * 1e18)
+    direction[::2] = unit(aimed[::2] * 1e18)
     direction = direction.astype(np.float32)
     hits = bench.trace(placed(mesh), origin, direction)
     return judge(origin, direction, hits, corners_of(mesh), must_hit=True).outcome(roundings(bench))
@@ -128,7 +124,8 @@ def denormal_areas(bench: Bench) -> Outcome:
 
 @case(
     "triangles of 1e-19 m from 1 m away", FAMILY,
-    "A square of 8,192 triangles with steps of 2^-63 m; rays straight down at its corners, edges and insides, from 1 m above. In whole numbers it is "
+    "A square of 8,192 triangles with steps of 2^-63 m; rays straight down at its corners, edges and insides, from 1 m above. In whole "
+    "numbers it is "
     "known which triangles hold the place that a ray meets.",
     "Differences and shears are exact here, so the triangle must be one of those that hold the place; the distance is right but for 14 u "
     "(margin.py; 20 u on CUDA). Measured in u, plus 1e6 for each wrong triangle.",
@@ -145,13 +142,16 @@ def tiny_from_afar(bench: Bench) -> Outcome:
     sides = np.stack([corner[:, i, 0] * corner[:, j, 1] - corner[:, i, 1] * corner[:, j, 0] for i, j in ((0, 1), (1, 2), (2, 0))])
     wrong = ~hits.hit | ~((sides >= 0).all(0) | (sides <= 0).all(0))
     error = np.abs(hits.t[~wrong].astype(np.float64) - 1).max(initial=0) / U
-    return Outcome(error + WRONG * int(wrong.sum()), 0.0, 20 if bench.wp_device.is_cuda else 14, f"{int(wrong.sum())} of 1,000 triangles are wrong")
+    note = f"{int(wrong.sum())} of 1,000 triangles are wrong"
+    return Outcome(error + WRONG * int(wrong.sum()), 0.0, along_roundings(bench), note)
 
 
 @case(
     "corners used twice", FAMILY,
-    "A sphere, and 2,000 triangles without area more, in each of which a corner is used twice or three times. Hits are those of the sphere alone, to the bit.",
-    "Two corners that are the same stay the same in the test, so the edge functions add up to exactly 0, which is no hit: nothing may differ.",
+    "A sphere, and 2,000 triangles without area more, in each of which a corner is used twice or three times. Hits are those of the "
+    "sphere alone, to the bit.",
+    "Two corners that are the same stay the same in the test, so the edge functions add up to exactly 0, which is no hit: nothing may "
+    "differ.",
     quick=True,
 )  # fmt: skip
 def repeated_corners(bench: Bench) -> Outcome:
@@ -172,8 +172,8 @@ def repeated_corners(bench: Bench) -> Outcome:
     direction[::5] = np.where(np.abs(line).max(1, keepdims=True) > 0, line, direction[::5])
     origin[::5] = (ends[::5, 0] - 2 * line).astype(np.float32)
     direction = direction.astype(np.float32)
-    hits = [bench.trace(placed(Mesh("sphere", alone.positions, t)), origin, direction) for t in (triangles, np.concatenate([triangles, extra]))]
-    one, both = hits
+    more = Mesh("sphere and lines", alone.positions, np.concatenate([triangles, extra]))
+    one, both = (bench.trace(placed(mesh), origin, direction) for mesh in (alone, more))
     differs = (one.hit != both.hit) | (one.t != both.t) | (one.hit & ((one.primitive != both.primitive) | (one.uv != both.uv).any(1)))
     return Outcome(float(differs.sum()), 0.0, 0.0, f"of {count:,} rays, {int(one.hit.sum()):,} of which hit")
 
@@ -194,191 +194,6 @@ def collinear(bench: Bench) -> Outcome:
     direction = some[:, 0] + rng.uniform(0, 1, (count, 1)) * (some[:, 1] - some[:, 0]) - origin
     origin[::4] = (some[::4, 0] + 3 * (some[::4, 0] - some[::4, 1])).astype(np.float32)
     direction[::4] = (some[::4, 1] - some[::4, 0])  # along them
-    direction = _unit(direction).astype(np.float32)
+    direction = unit(direction).astype(np.float32)
     hits = bench.trace(placed(mesh), origin, direction)
     return judge(origin, direction, hits, corners_of(mesh)).outcome(roundings(bench))
-
-
-# --- many in one place
-
-
-@case(
-    "every triangle six times", FAMILY,
-    "A sphere whose triangles are there three times as they are and three times reversed, without order. The hit names the first of "
-    "those that are the same to the bit; the distance is judged in float64.",
-    IN_ROUNDINGS,
-)  # fmt: skip
-def six_times(bench: Bench) -> Outcome:
-    rng = np.random.default_rng(7)
-    positions, triangles = icosphere(3)
-    copies = np.concatenate([triangles] * 3 + [triangles[:, [0, 2, 1]]] * 3)
-    order = rng.permutation(len(copies))
-    mesh = Mesh("six spheres", positions.astype(np.float32), np.ascontiguousarray(copies[order]))
-    kind = order % len(triangles) + len(triangles) * (order >= 3 * len(triangles))
-    first = np.full(2 * len(triangles), len(copies))
-    np.minimum.at(first, kind, np.arange(len(copies)))
-    count = 1500
-    origin = rng.uniform(-0.5, 0.5, (count, 3)).astype(np.float32)
-    direction = directions(rng, count).astype(np.float32)
-    hits = bench.trace(placed(mesh), origin, direction)
-    found = judge(origin, direction, hits, corners_of(mesh), must_hit=True)
-    found.wrong += int((first[kind[hits.primitive]] != hits.primitive).sum())
-    return found.outcome(roundings(bench))
-
-
-def _bytes_per_triangle(tracer: object, count: int) -> tuple[float, int]:
-    """Of the trees [bytes], and their depth."""
-    statistics = tracer.scene.built.statistics
-    return statistics["bytes"] / count, statistics["depth"]
-
-
-COINCIDENT = 1_000_000
-# Blocks of triangles take 40 to 48 bytes each when they are full; at worst a leaf of the layout BOXES holds one of eight, in 320 bytes, below a node
-# of 256 bytes that is shared by eight
-TREE_BYTES_MAX = 320 + 256 / 7
-# Halves of a million are one triangle after 20 levels; nodes have two children at least
-DEPTH_MAX = 21
-
-
-@case(
-    "a million coincident triangles", FAMILY,
-    "One triangle a million times: the tree is built, no larger and no deeper than its layout allows, every ray meets triangle 0, and its distance is right.",
-    "Bytes a triangle at most 320 + 256 / 7 and depth at most 21 (halving a million), else 1e6 is added. "
-    "Triangles that are the same give distances that are the same, of which the first counts; 19 u m (25 on CUDA) for the distance.",
-)  # fmt: skip
-def coincident(bench: Bench) -> Outcome:
-    rng = np.random.default_rng(8)
-    one = np.array([[-1, -1, 0.3], [1, -1, -0.2], [0, 1, 0.1]], np.float32)
-    mesh = Mesh("a million times", one, np.broadcast_to(np.int32([0, 1, 2]), (COINCIDENT, 3)).copy())
-    began = time.perf_counter()
-    tracer = bench.tracer_of(placed(mesh), 256)
-    built = time.perf_counter() - began
-    size, depth = _bytes_per_triangle(tracer, COINCIDENT)
-    target = rng.dirichlet((1, 1, 1), 256) @ one.astype(np.float64)
-    origin = (target + 3 * directions(rng, 256)).astype(np.float32)
-    direction = _unit(target - origin).astype(np.float32)
-    hits = tracer.trace(origin, direction)
-    seconds = time.perf_counter() - began - built
-    wrong = ~hits.hit | (hits.primitive != 0)
-    worst = backward_error(origin, direction, hits, np.broadcast_to(one.astype(np.float64), (COINCIDENT, 3, 3)))
-    measured = worst + WRONG * (int(wrong.sum()) + (size > TREE_BYTES_MAX) + (depth > DEPTH_MAX))
-    return Outcome(measured, 0.0, roundings(bench), f"{size:.0f} bytes a triangle, depth {depth}, built in {built:.1f} s, 256 rays in {seconds:.1f} s")
-
-
-@case(
-    "a million triangles in one point", FAMILY,
-    "A sphere, and a million triangles whose corners are all the same point in its middle: hits are those of the sphere alone, to the bit.",
-    "Nothing may differ; bytes and depth as for a million coincident triangles, else 1e6 is added.",
-)  # fmt: skip
-def coincident_points(bench: Bench) -> Outcome:
-    rng = np.random.default_rng(9)
-    positions, triangles = icosphere(3)
-    vertices = np.concatenate([positions, [[0.1, 0.2, 0.3]]]).astype(np.float32)
-    points = np.full((COINCIDENT, 3), len(positions), np.int32)
-    count = 500
-    origin = (1.5 * directions(rng, count)).astype(np.float32)
-    direction = directions(rng, count)
-    direction[::5] = vertices[-1] - origin[::5]
-    direction = direction.astype(np.float32)
-    one = bench.trace(placed(Mesh("sphere", vertices, triangles)), origin, direction)
-    began = time.perf_counter()
-    tracer = bench.tracer_of(placed(Mesh("sphere and points", vertices, np.concatenate([triangles, points]))), count)
-    built = time.perf_counter() - began
-    size, depth = _bytes_per_triangle(tracer, COINCIDENT)
-    both = tracer.trace(origin, direction)
-    differs = (one.hit != both.hit) | (one.t != both.t) | (one.hit & (one.primitive != both.primitive))
-    measured = int(differs.sum()) + WRONG * ((size > TREE_BYTES_MAX) + (depth > DEPTH_MAX + 2))
-    seconds = time.perf_counter() - began - built
-    return Outcome(measured, 0.0, 0.0, f"{size:.0f} bytes a triangle, depth {depth}, built in {built:.1f} s, {count} rays in {seconds:.1f} s")
-
-
-# --- layers
-
-LAYERS, APART = 64, 1e-7
-
-
-def _layers(turn: np.ndarray) -> Mesh:
-    """Squares of 2 m, APART one above another; the highest has the last two triangles."""
-    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
-    corners = np.concatenate([square[[0, 1, 2, 0, 2, 3]].reshape(2, 3, 3) + [0, 0, APART * (k - LAYERS + 1)] for k in range(LAYERS)])
-    return mesh_of(corners @ turn.T)
-
-
-@case(
-    "layers 1e-7 m apart, from near", FAMILY,
-    "64 squares of 2 m, rays straight down from 1e-9 to 1e-3 m above the highest: that one is met, at the height of the origin (a closed form).",
-    "Straight down only heights enter the distance: it is right but for 14 u of the height (20 u on CUDA), which is below 2e-9 m and so tells the layers apart. "
-    "Measured in u, plus 1e6 for each wrong layer.",
-    quick=True,
-)  # fmt: skip
-def layers_near(bench: Bench) -> Outcome:
-    rng = np.random.default_rng(10)
-    count = 5000
-    height = 10.0 ** rng.uniform(-9, -3, count)
-    origin = np.concatenate([rng.uniform(-0.9, 0.9, (count, 2)), height[:, None]], 1).astype(np.float32)
-    direction = np.broadcast_to(np.float32([0, 0, -1]), origin.shape)
-    hits = bench.trace(placed(_layers(np.eye(3))), origin, direction)
-    wrong = ~hits.hit | (hits.primitive // 2 != LAYERS - 1)
-    error = np.abs(hits.t.astype(np.float64) / origin[:, 2] - 1)[~wrong].max(initial=0) / U
-    return Outcome(error + WRONG * int(wrong.sum()), 0.0, 20 if bench.wp_device.is_cuda else 14, f"{int(wrong.sum())} of {count:,} rays met another layer")
-
-
-@case(
-    "layers 1e-7 m apart, from anywhere", FAMILY,
-    "The same squares, level and turned, and rays from 1e-7 to 10 m away in all directions. All triangles are asked in float64: a hit is no "
-    "farther than the first layer that is met for certain.",
-    IN_ROUNDINGS,
-)  # fmt: skip
-def layers_far(bench: Bench) -> Outcome:
-    rng = np.random.default_rng(11)
-    sweep = Sweep()
-    for name, turn in (("level", np.eye(3)), ("turned", rotation(12))):
-        mesh = _layers(turn)
-        count = 4000
-        target = np.concatenate([rng.uniform(-0.9, 0.9, (count, 2)), rng.uniform(-LAYERS * APART, 0, (count, 1))], 1)
-        origin = ((target + directions(rng, count) * 10.0 ** rng.uniform(-7, 1, (count, 1))) @ turn.T).astype(np.float32)
-        direction = target @ turn.T - origin
-        direction = _unit(direction).astype(np.float32)
-        hits = bench.trace(placed(mesh), origin, direction)
-        found = judge(origin, direction, hits, corners_of(mesh)).outcome(roundings(bench))
-        sweep.add(found.measured, 0.0, found.tolerance, f"{name}: {found.note}")
-    return sweep.outcome()
-
-
-@case(
-    "layers 1e-7 m apart in the sun", FAMILY,
-    "The 64 squares seen from above and lit from above: albedo / pi times irradiance times cosine, whichever of the layers rays take for the highest.",
-    "32 u for light and closure, relatively. A ray leaves a point at 8 u of its coordinates and of the triangle's sides, 2e-6 m here: layers "
-    "that it can take for the highest from 4 m away lie within 19 u m = 5e-6 m; of those within a coordinate's rounding the offset covers all.",
-)  # fmt: skip
-def layers_lit(bench: Bench) -> Outcome:
-    sweep = Sweep()
-    for angle in (0.0, 45.0, 80.0):
-        light = (math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle)))
-        view = scenes.camera(eye=(0, 0, 4), half_width=0.2, up=(0.0, 1.0, 0.0))
-        scene = placed(_layers(np.eye(3)), lights=[scenes.sun(1.0, 0.0, scenes.look_at(light, (0, 0, 0), (0, 1, 0)))], view=view, frame=Frame(24, 24))
-        picture = bench.render(scene, sample_count=4, bounce_max=0)
-        sweep.add(np.abs(picture / (GREY / math.pi * light[2]) - 1).max(), 0.0, 32 * U, f"sun at {angle:g} degrees")
-    return sweep.outcome()
-
-
-@case(
-    "a thousand triangles at one corner", FAMILY,
-    "A closed double cone whose two corners are shared by 1,000 triangles each. Rays from inside at these corners, exactly and nearly, all meet it.",
-    IN_ROUNDINGS,
-    quick=True,
-)  # fmt: skip
-def many_at_a_corner(bench: Bench) -> Outcome:
-    rng = np.random.default_rng(13)
-    around, count = 1000, 4000
-    angle = np.arange(around) * (2 * np.pi / around)
-    positions = np.concatenate([np.stack([np.cos(angle), np.sin(angle), 0 * angle], 1), [[0, 0, 1], [0, 0, -1]]]).astype(np.float32)
-    i = np.arange(around)
-    j = (i + 1) % around
-    triangles = np.concatenate([np.stack([i, j, 0 * i + around], 1), np.stack([j, i, 0 * i + around + 1], 1)]).astype(np.int32)
-    mesh = Mesh("double cone", positions, triangles)
-    origin = (rng.integers(-8, 9, (count, 3)) / 32).astype(np.float32)
-    direction = positions[around + rng.integers(2, size=count)] - origin  # exact
-    direction[1::2] += (10.0 ** rng.uniform(-9, -5, (count // 2, 1)) * directions(rng, count // 2)).astype(np.float32)
-    hits = bench.trace(placed(mesh), origin, direction)
-    return judge(origin, direction, hits, corners_of(mesh), must_hit=True).outcome(roundings(bench))

@@ -88,7 +88,8 @@ _register("rays parallel to axes", "Rays along the six axes, most of them throug
 
 @case(
     "rays from the faces of boxes", FAMILY,
-    "Rays that start exactly on faces, edges and corners of boxes, which are the planes of the tree's boxes too, in all 26 ways: inwards, outwards and along. "
+    "Rays that start exactly on faces, edges and corners of boxes, which are the planes of the tree's boxes too, in all 26 ways: "
+    "inwards, outwards and along. "
     "Which triangles are nearest is found in whole numbers, with all of them.",
     BOUND + "A triangle that holds the origin may be met where its distance, exactly 0, is rounded to no more than 19 u m (25 u m on CUDA).",
 )  # fmt: skip

@@ -46,6 +46,11 @@ def directions(rng: np.random.Generator, count: int) -> np.ndarray:
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """`vectors`, [n, 3], at length 1."""
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
 def strip(length: float = 100.0, width: float = 1e-6, rows: int = 4000) -> Mesh:
     """A rectangle in the plane z = 0, around the origin, of 2 `rows` triangles: each as long as it is and `width` wide."""
     y = ((np.arange(rows + 1) - rows // 2) * width).astype(np.float32)
