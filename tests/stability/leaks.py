@@ -1,7 +1,7 @@
 """Random rays into closed meshes: not one may slip between two triangles.
 
-A ray that starts inside must meet the mesh, and so must one that starts outside and ends inside. On CUDA all cases together trace 1e8 rays; on a
-CPU as many as fit in a few seconds each. RAYBATCH_LEAK_RAYS sets how many every case traces, on any device.
+A ray that starts inside must meet the mesh, and so must one that starts outside and ends inside. On CUDA all cases together trace 1e8
+rays; on a CPU as many as fit in a few seconds each. RAYBATCH_LEAK_RAYS sets how many every case traces, on any device.
 """
 
 from __future__ import annotations
@@ -155,13 +155,13 @@ def _leaks(bench: Bench, name: str, shear: float, seconds: float) -> Outcome:
     return Outcome(float(leaks), 0.0, 0.0, f"{begun:,} rays in {time.perf_counter() - start:.1f} s, {leaks} slipped through{example}")
 
 
-ABOUT = """Rays from inside in all directions, at corners, at edges, along axes, and rays from outside that end inside; every third block of them asks
-for any hit. A closed mesh must be met by all (the count is in the note). """
-BOUND = """Neighbours share their corners, the signs of edge functions are exact, so a ray can slip through only where rounding moves the surface past
-its end: not one. Ends inside are farther from the surface (0.19 of the sphere's radius, 0.13 of the knot, 0.03 of the bunny) than the
-5 u m by which corners are moved. """
-SHEARED = """With the shear, a corner that matters to a ray is off by 2 u (1 + 1000 e) across the shear's long axis, e the length of an edge (0.1 at
-most, of the bunny 0.024); carried back through the shear that is 0.013 of the mesh's unit (0.003), still less."""
+ABOUT = """Rays from inside in all directions, at corners, at edges, along axes, and rays from outside that end inside; every third block
+of them asks for any hit. A closed mesh must be met by all (the count is in the note). """
+BOUND = """Neighbours share their corners, the signs of edge functions are exact, so a ray can slip through only where rounding moves the
+surface past its end: not one. Ends inside are farther from the surface (0.19 of the sphere's radius, 0.13 of the knot, 0.03 of the bunny) than
+the 5 u m by which corners are moved. """
+SHEARED = """With the shear, a corner that matters to a ray is off by 2 u (1 + 1000 e) across the shear's long axis, e the length of an
+edge (0.1 at most, of the bunny 0.024); carried back through the shear that is 0.013 of the mesh's unit (0.003), still less."""
 
 
 def _register(name: str) -> None:

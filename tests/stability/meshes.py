@@ -74,8 +74,14 @@ def grid(cells: int, step: float, name: str = "grid") -> Mesh:
 def icosphere(levels: int = 5) -> tuple[np.ndarray, np.ndarray]:
     """A closed sphere of radius 1 of 20 * 4**levels triangles; vertices in float64."""
     phi = (1 + 5**0.5) / 2
-    vertices = [(-1, phi, 0), (1, phi, 0), (-1, -phi, 0), (1, -phi, 0), (0, -1, phi), (0, 1, phi), (0, -1, -phi), (0, 1, -phi), (phi, 0, -1), (phi, 0, 1), (-phi, 0, -1), (-phi, 0, 1)]  # fmt: skip
-    faces = [(0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8), (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1)]  # fmt: skip
+    vertices = [
+        (-1, phi, 0), (1, phi, 0), (-1, -phi, 0), (1, -phi, 0), (0, -1, phi), (0, 1, phi),
+        (0, -1, -phi), (0, 1, -phi), (phi, 0, -1), (phi, 0, 1), (-phi, 0, -1), (-phi, 0, 1),
+    ]  # fmt: skip
+    faces = [
+        (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8),
+        (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
+    ]  # fmt: skip
     positions, triangles = np.array(vertices, np.float64), np.array(faces)
     for _ in range(levels):
         edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
@@ -140,7 +146,8 @@ def closed_mesh(name: str) -> Closed:
     if name == "torus knot":
         positions, triangles = torus_knot()
         # places at rings: between them the core bends by 0.0002 at most, and 24 sides leave 0.991 of the radius
-        return Closed(name, positions, triangles, knot_core(np.arange(80) * (2 * np.pi / 80)), np.full(80, 0.5 * KNOT_TUBE), 0.45 * KNOT_TUBE)
+        places = knot_core(np.arange(80) * (2 * np.pi / 80))
+        return Closed(name, positions, triangles, places, np.full(80, 0.5 * KNOT_TUBE), 0.45 * KNOT_TUBE)
     path = Path(os.environ.get("RAYBATCH_SCENES", "")) / "bunny144k.npz"
     if not os.environ.get("RAYBATCH_SCENES") or not path.is_file():
         raise Skipped("needs bunny144k.npz in the folder that RAYBATCH_SCENES names")
