@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -37,6 +38,10 @@ from .wavefront.scheduler import tile_edge, tiles
 from .wavefront.summary import batching_totals, ray_totals, workers_summary
 from .wavefront.tracing import Tracing
 from .wavefront.workers import make_workers
+
+
+# Tiles of each CPU worker, about, where a render is cut in rounds
+CUT_TILES_A_WORKER = 2
 
 
 @dataclass(frozen=True)
@@ -219,11 +224,14 @@ class Session:
     def _all_tiles(self, job: _Job) -> ResumeState:
         frame = job.scene.frame
         x0, y0, x1, y1 = frame.region
-        paged = worker_count(self.device, job.settings.thread_count) if job.plan.method is Method.PAGED else 0
+        workers = worker_count(self.device, job.settings.thread_count)
         policy = RoundPolicy.of(job.settings, job.marks)
         # tiles come at the pace of rounds then, and the first of these have few samples
         settings = job.settings.replace(sample_count=1) if policy.is_cut else job.settings
-        edge = tile_edge(settings, self.device.is_cuda, x1 - x0, y1 - y0, paged)
+        edge = tile_edge(settings, self.device.is_cuda, x1 - x0, y1 - y0, workers if job.plan.method is Method.PAGED else 0)
+        if policy.is_cut and not (self.device.is_cuda or job.settings.tile_size):
+            # each tile comes to its end in each round, which takes as long however few paths it has
+            edge = max(edge, math.ceil(math.sqrt((x1 - x0) * (y1 - y0) / (CUT_TILES_A_WORKER * workers))))
         if not job.settings.tile_size:
             job.chosen["tile_size"] = Choice(edge, "by device, frame and samples")
         halves = range(job.settings.half_count)
