@@ -96,7 +96,9 @@ class ConvergenceRecorder:
             raise ValueError("a convergence recorder is for one render: make another for the next")
         self.snapshots.append(snapshot)
 
-    def points(self, reference: Reference | None = None, flip: Callable[[np.ndarray, np.ndarray], float] | None = None) -> list[ErrorPoint]:
+    def points(
+        self, reference: Reference | None = None, flip: Callable[[np.ndarray, np.ndarray], float] | None = None
+    ) -> list[ErrorPoint]:
         """The error at every snapshot: against `reference`, else as the difference of the two halves tells it.
 
         `flip(picture, reference)` is called, if given, with two linear float32 pictures [height, width, 3], top row first, and there is
@@ -135,7 +137,7 @@ def error_point(
 
 
 def _rmse_spread(error: np.ndarray, root: float) -> float | None:
-    """Standard error of the RMSE over pixels, whose errors are independent (those of a pixel's channels are not): d rmse = d mse / 2 rmse."""
+    """Standard error of the RMSE over pixels, whose errors are independent (channels are not): d rmse = d mse / 2 rmse."""
     pixels = error.mean(axis=-1).ravel()
     if len(pixels) < 2:
         return None

@@ -57,7 +57,7 @@ class Slope:
     flattens: bool  # the error stops falling above the reference's noise: a bias
     says: str  # all this in words
     by: str = "samples"  # what x is: "samples" or "seconds"
-    last_slope: float | None = None  # of the last half of the curve, against samples and without the reference's noise; None: too few points
+    last_slope: float | None = None  # of the curve's last half, against samples, without the reference's noise; None: few points
     last_spread: float | None = None  # standard error of `last_slope`
 
 

@@ -51,7 +51,8 @@ class Reference:
             return
         variance = np.asarray(self.variance, np.float64)
         if variance.shape != picture.shape:
-            raise RayBatchError(f"the variance of {self.name} has shape {list(variance.shape)}, its picture {list(picture.shape)}: make it again")
+            shapes = f"{list(variance.shape)}, its picture {list(picture.shape)}"
+            raise RayBatchError(f"the variance of {self.name} has shape {shapes}: make it again")
         _require_finite(variance, f"the variance of {self.name} has")
         if (variance < 0).any():
             raise RayBatchError(f"the variance of {self.name} is below 0 somewhere: make it again")
@@ -193,7 +194,8 @@ def _require_same(path: Path, reference: Reference, header: dict[str, Any], size
     for name in PICTURE_SETTINGS if settings is not None else ():
         saved, own = (header.get("settings") or {}).get(name), getattr(settings, name)
         if saved is not None and saved != own:
-            raise RayBatchError(f"{path} was made with {name} = {saved}, and the render has {own}: set {name} to {saved}, or make the reference again")
+            remedy = f"set {name} to {saved}, or make the reference again"
+            raise RayBatchError(f"{path} was made with {name} = {saved}, and the render has {own}: {remedy}")
 
 
 def _require_finite(values: np.ndarray, whose: str) -> None:
