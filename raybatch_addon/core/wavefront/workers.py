@@ -54,6 +54,8 @@ def make_workers(scene: DeviceScene, frame: Frame, settings: RenderSettings, are
     layout = layout_of(frame.passes, frame.transparent)
     # sums of finished tiles stay on a CUDA device until the film is asked for them
     tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
+    if settings.half_count == 2:
+        tile_bytes *= 3  # of both halves, and of their sum while a picture is made of it
     sorting = order_bytes(scene.tracing.sort_mode(settings), asked, device.is_cuda)
     if scene.geometry_on_host:
         sorting += hit_order_bytes(asked)
