@@ -21,7 +21,8 @@ FAMILY = "geometry"
 SCALE = 2.0**-4  # of whole numbers, in metres: exact
 WAYS = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)])
 BOUND = """Measured: the error of distances in u m, plus 1e6 for each ray that meets another triangle than the nearest ones
-(in whole numbers), or nothing where it must. margin.py proves 14 u m along the largest component of the direction, 20 u m with what is approximate on CUDA. """
+(in whole numbers), or nothing where it must. margin.py proves 14 u m along the largest component of the direction, 20 u m with what is
+approximate on CUDA. """
 
 
 @functools.cache

@@ -158,8 +158,8 @@ def _leaks(bench: Bench, name: str, shear: float, seconds: float) -> Outcome:
 ABOUT = """Rays from inside in all directions, at corners, at edges, along axes, and rays from outside that end inside; every third block
 of them asks for any hit. A closed mesh must be met by all (the count is in the note). """
 BOUND = """Neighbours share their corners, the signs of edge functions are exact, so a ray can slip through only where rounding moves the
-surface past its end: not one. Ends inside are farther from the surface (0.19 of the sphere's radius, 0.13 of the knot, 0.03 of the bunny) than
-the 5 u m by which corners are moved. """
+surface past its end: not one. Ends inside are farther from the surface (0.19 of the sphere's radius, 0.13 of the knot, 0.03 of the
+bunny) than the 5 u m by which corners are moved. """
 SHEARED = """With the shear, a corner that matters to a ray is off by 2 u (1 + 1000 e) across the shear's long axis, e the length of an
 edge (0.1 at most, of the bunny 0.024); carried back through the shear that is 0.013 of the mesh's unit (0.003), still less."""
 
