@@ -130,7 +130,7 @@ def largest_frame(bench: Bench) -> Outcome:
     return sweep.outcome()
 
 
-@case("ends of the range of seeds", "numbers", "Seeds 0, 1, 2^31 - 2 and 2^31 - 1: means against the closed form, and no two pictures alike.", _SHARE, quick=True)
+@case("ends of the range of seeds", "numbers", "Seeds 0, 1, 2^31 - 2 and 2^31 - 1: means against the closed form, and no two pictures alike.", _SHARE)
 def end_seeds(bench: Bench) -> Outcome:
     sweep, pictures = Sweep(), []
     for seed in (0, 1, SEED_MAX - 1, SEED_MAX):
@@ -145,7 +145,7 @@ def end_seeds(bench: Bench) -> Outcome:
     "last sample indices", "numbers",
     """The last 16 of 2^32 samples of each pixel, those about 2^31, and low-discrepancy ones likewise: means against the closed form. One index
     more is refused.""",
-    _SHARE, quick=True,
+    _SHARE,
 )  # fmt: skip
 def last_samples(bench: Bench) -> Outcome:
     sweep, scene = Sweep(), _beside_ball(Frame(32, 32))

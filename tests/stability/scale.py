@@ -143,7 +143,6 @@ def units(bench: Bench) -> Outcome:
     "turned", "scale",
     "A room with its camera turned about an axis in no plane of it: the picture's mean stays. (Directions about a normal are other ones.)",
     "5 standard errors (Student) of either mean, of 6 seeds",
-    quick=True,
 )  # fmt: skip
 def turned_room(bench: Bench) -> Outcome:
     sweep, (expected, expected_error) = Sweep(), _mean(bench, room())
@@ -173,7 +172,6 @@ def _mean(bench: Bench, scene: Scene, seeds: int = 6, **change) -> tuple[float, 
     "lamp over a floor at any size", "scale",
     "Radiance of a white floor below the middle of a square lamp, all of it at 1e-16 to 1e16 of its size, against the closed form (form factor of a square).",
     "5 standard errors (Student) of 6 seeds, and the roundings of one bounce: 40 of 2^-24",
-    quick=True,
 )  # fmt: skip
 def lamp_at_any_size(bench: Bench) -> Outcome:
     sweep, expected = Sweep(), 3.0 * square_form_factor(0.7, 1.0)
@@ -309,7 +307,6 @@ def _shade(bench: Bench, floor: Mesh, radius: float, lift: float, note: str) -> 
     a white world, against 1 minus the ball's form factor.""",
     """5 standard errors (Student); the ball's facets (2 pi^2 / 96^2 of the form factor); the point is moved off the plane by 8 x 2^-24 of its
     triangle, which is no larger than the ball""",
-    quick=True,
 )  # fmt: skip
 def small_over_large(bench: Bench) -> Outcome:
     return _shade(bench, graded_plane(5e6, 1e-4), 0.5e-3, 32 * U * 1e-3, "")
