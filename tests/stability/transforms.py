@@ -16,10 +16,10 @@ from .exact import U, WRONG, Judgement, certain_hits, distance_to_triangles, rea
 from .meshes import GREY, SHEAR, corners_of, directions, icosphere, rotation
 
 FAMILY = "transforms"
-CARRIED = """Measured: the largest distance of a hit from its triangle, in units of the bound, plus 1e6 for each wrong answer. Both are taken
-in object space, so that an ill-conditioned matrix does not widen the bound. With M the inverse of the instance's matrix and m its offset, an
-origin o is carried there by products and sums of float32, off by 5 u (|M| |o| + |m|) in each coordinate, and a direction d by 4 u |M| |d|;
-the triangle test adds 19 u (25 u on CUDA) of its corners' largest coordinate from the origin."""
+CARRIED = """Measured: the largest distance of a hit from its triangle, in units of the bound, plus 1e6 for each wrong answer. Both are
+taken in object space, so that an ill-conditioned matrix does not widen the bound. With M the inverse of the instance's matrix and m its
+offset, an origin o is carried there by products and sums of float32, off by 5 u (|M| |o| + |m|) in each coordinate, and a direction d
+by 4 u |M| |d|; the triangle test adds 19 u (25 u on CUDA) of its corners' largest coordinate from the origin."""
 
 
 def placed_by(mesh: Mesh, matrices: list[np.ndarray], **more) -> Scene:
