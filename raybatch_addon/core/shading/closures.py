@@ -243,6 +243,10 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                                 h = n
                                 bits = TRANSMISSION | DELTA
                             wi = refracted(wo, h, eta)
+                            if wp.dot(wi, wi) == 0.0:
+                                # the facet lets it through where the surface as a whole would not: so nearly equal are the
+                                # indices that it is hardly bent
+                                wi = -wo
                 if not passes:
                     wi = wp.normalize(reflected(wo, h))
                     if is_specular(alpha):

@@ -82,9 +82,9 @@ def test_white_furnace_reflection(roughness, cosine):
 
 
 @pytest.mark.parametrize("roughness", ROUGHNESSES)
-@pytest.mark.parametrize("ior", (1.05, 1.5, 2.4))
+@pytest.mark.parametrize("ior", (1 + 1e-7, 1.001, 1.05, 1.5, 2.4, 10.0, 100.0, 1000.0))
 def test_white_furnace_coat(roughness, ior):
-    """A white base below a coat returns all light."""
+    """A white base below a coat returns all light; above an index of 4.6 Fresnel's reflectance does not rise steadily."""
     for cosine in COSINES:
         closures = (Closure(K.DIELECTRIC, WHITE, roughness, ior), Closure(K.LAYERED_DIFFUSE, WHITE, roughness, ior))
         mean, error = albedo(closures, cosine)
@@ -100,6 +100,12 @@ def test_white_furnace_glass(roughness, ior, entering):
         mean, error = albedo((Closure(K.GLASS, WHITE, roughness, ior),), cosine, entering)
         np.testing.assert_allclose(mean, 1, atol=(0.03 if ior < 1.1 and not entering else 0.012) + 4 * error)
         assert np.all(mean < 1.008 + 4 * error)
+
+
+def test_refraction_that_hardly_bends_is_not_lost_beyond_the_critical_angle():
+    """From inside glass of an index of almost 1 at a grazing angle: a facet refracts what the flat surface would reflect."""
+    weight = sample((Closure(K.GLASS, WHITE, 0.45, 1 + 1e-7),), toward(1e-4), 2**12, frame_of(entering=0))[1]
+    np.testing.assert_allclose(weight.mean(0), 1, atol=1e-2)
 
 
 def test_single_scattering_loses_what_theory_says():
