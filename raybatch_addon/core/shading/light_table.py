@@ -87,7 +87,7 @@ def upload_lights(scene: Scene, device: wp.Device) -> UploadedLights:
     power = emitter_powers(scene, triangles)
     records = np.zeros(len(scene.lights), LightRecord.numpy_dtype())
     for i, light in enumerate(scene.lights):
-        records[i] = _record(light)
+        _fill_record(records[i, ...], light)
 
     def upload(values, dtype) -> wp.array:
         return wp.array(values, dtype=dtype, device=device)
@@ -121,9 +121,9 @@ def upload_lights(scene: Scene, device: wp.Device) -> UploadedLights:
     return UploadedLights(table, tree, len(triangles))
 
 
-def _record(light: Light) -> np.ndarray:
+def _fill_record(record: np.ndarray, light: Light) -> None:
+    """Write `light` to `record`, an entry of 0 of a table: to make the type of one takes longer than all the rest."""
     matrix = np.asarray(light.transform, np.float64)
-    record = np.zeros((), LightRecord.numpy_dtype())
     record["kind"] = int(light.kind)
     record["visibility"] = int(light.visibility)
     record["casts_shadow"] = int(light.casts_shadow)
@@ -138,7 +138,6 @@ def _record(light: Light) -> np.ndarray:
         emission = emission * _area_light(record, light)
     # a light of 1e30 W on a speck is beyond float32: the brightest number there is stands for it
     record["emission"] = np.clip(emission, 0, _FLOAT.max)
-    return record
 
 
 def _round_light(record: np.ndarray, light: Light) -> float:
