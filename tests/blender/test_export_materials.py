@@ -171,6 +171,15 @@ def test_layers_that_are_not_rendered_are_named():
     assert "Coat Weight" in note and "Sheen Weight" in note and "Principled BSDF" in note
 
 
+@pytest.mark.parametrize("node, inputs", [("ShaderNodeEmission", {"Strength": -2}), ("ShaderNodeBsdfPrincipled", {"Emission_Strength": -2})])
+def test_negative_emission_is_taken_as_none_and_named(node, inputs):
+    """Blender allows it, and subtracts light."""
+    material, notes = of_one(node, **inputs)
+    assert K.EMISSION in material.kinds and K.EMISSION not in {closure.kind for closure in material.closures}
+    (note,) = notes
+    assert "negative" in note and "Strength" in note
+
+
 def test_value_and_colour_nodes_reroutes_and_muted_nodes_are_seen_through():
     material, tree, surface = new_material()
     mix, diffuse = add_node(tree, "ShaderNodeMixShader"), add_node(tree, "ShaderNodeBsdfDiffuse")

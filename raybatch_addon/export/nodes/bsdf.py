@@ -56,7 +56,15 @@ def _transparent(node: ShaderNode) -> Mixture:
 
 @handles("ShaderNodeEmission")
 def _emission(node: ShaderNode) -> Mixture:
-    return single(ClosureKind.EMISSION, times(node.color("Color"), max(node.number("Strength"), 0.0)))
+    return single(ClosureKind.EMISSION, times(node.color("Color"), emission_strength(node, "Strength")))
+
+
+def emission_strength(node: ShaderNode, name: str) -> float:
+    """The input `name`; below 0, which Blender allows, it is taken as 0 and noted."""
+    strength = node.number(name)
+    if strength < 0:
+        node.leave_out(f"negative {name}")
+    return max(strength, 0.0)
 
 
 def metal_edge(base: Color, tint: Color) -> Color:

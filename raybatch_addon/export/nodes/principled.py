@@ -6,7 +6,7 @@ import math
 
 from ...core.scene.description import Closure, ClosureKind
 from . import ShaderNode, handles
-from .bsdf import IOR_MIN, metal_edge, note_thin_film
+from .bsdf import IOR_MIN, emission_strength, metal_edge, note_thin_film
 from .mixture import BLACK, WHITE, Color, Mixture, saturated, times
 
 KINDS = frozenset(
@@ -37,7 +37,7 @@ def _principled(node: ShaderNode) -> Mixture:
     metallic = saturated(node.number("Metallic"))
     if tint != WHITE and metallic < 1:
         node.leave_out("Specular Tint (rendered on metal only)")
-    emission = times(node.color("Emission Color"), max(node.number("Emission Strength"), 0.0))
+    emission = times(node.color("Emission Color"), emission_strength(node, "Emission Strength"))
     return principled_mixture(
         base=node.color("Base Color"),
         metallic=metallic,
