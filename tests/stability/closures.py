@@ -1,0 +1,48 @@
+"""Closures that the cases of materials ask through kernels, and how they are asked: the probe of the shading tests, on the bench's device."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from raybatch_addon.core.scene.description import Closure
+from raybatch_addon.core.scene.description import ClosureKind as K
+from raybatch_addon.core.shading.microfacet import ALPHA_MIN
+from tests.core.shading import closure_probe as probe
+
+from .bench import Bench
+from .uniform import SIGMAS
+
+WHITE = probe.WHITE
+# Largest roughness of a delta lobe, and the least of a rough one
+SMOOTH, LEAST_ROUGH = 0.999 * math.sqrt(ALPHA_MIN), 1.001 * math.sqrt(ALPHA_MIN)
+ROUGHNESSES = (0.0, 1e-8, 1e-4, SMOOTH, LEAST_ROUGH, 0.02, 0.06, 0.15, 0.3, 0.5, 0.7, 0.9, 1.0)
+COSINES = (1.0, 0.9, 0.7, 0.5, 0.3, 0.2, 0.1)
+GRAZING = (0.03, 1e-2, 1e-3, 1e-4, 1e-6)
+
+
+def plastic(roughness: float, ior: float, base=WHITE, share: float = 1.0) -> tuple[Closure, ...]:
+    """A dielectric coat above a diffuse base."""
+    coat = Closure(K.DIELECTRIC, (share,) * 3, roughness, ior, share=share)
+    return coat, Closure(K.LAYERED_DIFFUSE, tuple(share * c for c in base), roughness, ior, share=share)
+
+
+def sample(bench: Bench, closures, wo, count: int, entering: int = 1, u=None, seed: int = 0):
+    """direction [n, 3], weight [n, 3], pdf [n], lobe [n]; stratified without `u`."""
+    return probe.sample(tuple(closures), wo, count, probe.frame_of(entering=entering), u=u, seed=seed, device=bench.device)
+
+
+def evaluate(bench: Bench, closures, wo, wi, entering: int = 1):
+    """value [n, 3] with the cosine, pdf [n]."""
+    return probe.evaluate(tuple(closures), wo, wi, probe.frame_of(entering=entering), device=bench.device)
+
+
+def albedo(bench: Bench, closures, cosine: float, entering: int = 1, count: int = 2**12) -> tuple[float, float]:
+    """Directional albedo of the channel that reflects most, and how far statistics may move it.
+
+    Samples are stratified, which only narrows the spread that is measured as if they were independent.
+    """
+    weight = sample(bench, closures, probe.toward(cosine), count, entering)[1]
+    channel = int(np.argmax(weight.mean(0)))
+    return float(weight[:, channel].mean()), SIGMAS * float(weight[:, channel].std()) / math.sqrt(count)

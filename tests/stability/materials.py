@@ -1,0 +1,281 @@
+"""White furnaces: what closures and stacks of them return of the light that falls on them, over the whole range of their parameters."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from raybatch_addon.core.scene.description import Closure
+from raybatch_addon.core.scene.description import ClosureKind as K
+from raybatch_addon.export.nodes.principled import principled_mixture
+from tests.core.shading import closure_probe as probe
+
+from .bench import Bench
+from .case import Outcome, Sweep, case
+from .closures import COSINES, GRAZING, LEAST_ROUGH, ROUGHNESSES, SMOOTH, WHITE, albedo, evaluate, plastic, sample
+from .uniform import UNIT_ROUNDOFF
+
+_STATISTICS = "Six standard errors, measured (of stratified samples as if they were independent)"
+# Albedo tables are raised until linear interpolation, midway between their nodes, is below the truth nowhere. Between those places,
+# by their quadrature's error (3e-4) and by rounding to 16 bits they may still be too low by this
+_GAIN = 2e-3
+
+
+def _add_furnace(bench: Bench, sweep: Sweep, closures, cosine: float, entering: int, loss: float, gain: float, note: str) -> None:
+    """Albedo 1, less `loss` at most and plus `gain` at most."""
+    measured, spread = albedo(bench, closures, cosine, entering)
+    over = measured > 1
+    sweep.add(measured, 1.0, (gain if over else loss) + spread + 16 * UNIT_ROUNDOFF, f"{note}, cosine {cosine:g}, {'entering' if entering else 'leaving'}")
+
+
+@case(
+    "furnace: diffuse, transparent and delta lobes of albedo exactly 1", "materials",
+    "Every sample of a white Lambertian, a transparent, and a perfectly smooth white closure has the weight 1, so that no path loses "
+    "or gains by it.",
+    "The first two exactly; of smooth ones a product of three numbers: 4 roundings.",
+    traces=False, quick=True,
+)  # fmt: skip
+def exactly_one(bench: Bench) -> Outcome:
+    """Kinds, angles."""
+    sweep = Sweep()
+    for cosine in (*COSINES, *GRAZING):
+        for kind, roughness, tolerance in (
+            (K.DIFFUSE, 0.0, 0.0), (K.TRANSPARENT, 0.0, 0.0), (K.GLOSSY, 0.0, 4.0), (K.METAL, SMOOTH, 4.0), (K.GLASS, SMOOTH, 4.0), (K.GLASS, 0.0, 4.0),
+        ):  # fmt: skip
+            weight = sample(bench, (Closure(kind, WHITE, roughness, 1.5),), probe.toward(cosine), 1024)[1]
+            worst = weight.flat[np.argmax(np.abs(weight - 1))]
+            sweep.add(worst, 1.0, tolerance * UNIT_ROUNDOFF, f"{kind.name.lower()} {roughness:g}, cosine {cosine:g}")
+    return sweep.outcome()
+
+
+@case(
+    "furnace: white metal and glossy of roughness 0 to 1", "materials",
+    "White facets return all light: what single scattering loses between them is given back.",
+    f"{_STATISTICS}; interpolated albedos are off by 4e-3 of themselves at most, and too low by 2e-3 at most.",
+    traces=False, quick=True,
+)  # fmt: skip
+def furnace_metal(bench: Bench) -> Outcome:
+    """Kinds, roughnesses, angles to grazing."""
+    sweep = Sweep()
+    for kind, roughness, cosine in itertools.product((K.GLOSSY, K.METAL), ROUGHNESSES, (*COSINES, *GRAZING)):
+        _add_furnace(bench, sweep, (Closure(kind, WHITE, roughness),), cosine, 1, 4e-3, _GAIN, f"{kind.name.lower()} {roughness:g}")
+    return sweep.outcome()
+
+
+_IORS = (1.0, 1.0 + 1e-7, 1.001, 1.05, 1.5, 2.4, 10.0, 100.0, 1e3)
+
+
+@case(
+    "furnace: coat over white of index 1 to 1000", "materials",
+    "A white base below a dielectric coat returns all light.",
+    f"{_STATISTICS}; the difference of a coat's albedo to Fresnel's equations is interpolated in three parameters.",
+    traces=False, quick=True,
+)  # fmt: skip
+def furnace_coat(bench: Bench) -> Outcome:
+    """Indices, roughnesses, angles."""
+    sweep = Sweep()
+    for ior, roughness, cosine in itertools.product(_IORS, ROUGHNESSES, COSINES):
+        _add_furnace(bench, sweep, plastic(roughness, ior), cosine, 1, 1e-2, _GAIN, f"index {ior:.7g}, roughness {roughness:.4g}")
+    return sweep.outcome()
+
+
+@case(
+    "furnace: coat over white at grazing angles", "materials",
+    "As above, at cosines of 0.03 to 1e-6.",
+    f"{_STATISTICS}; the known loss is larger here, where Fresnel's rise and the shadows of facets crowd into less than a cell of the table.",
+    traces=False,
+)  # fmt: skip
+def furnace_coat_grazing(bench: Bench) -> Outcome:
+    """Indices, roughnesses, angles."""
+    sweep = Sweep()
+    for ior, roughness, cosine in itertools.product(_IORS, ROUGHNESSES, GRAZING):
+        _add_furnace(bench, sweep, plastic(roughness, ior), cosine, 1, 0.15, 0.02, f"index {ior:.7g}, roughness {roughness:.4g}")
+    return sweep.outcome()
+
+
+_GLASS_IORS = (1.0, 1.0 + 1e-7, 1.001, 1.05, 1.5, 2.4, 100.0, 0.1, 0.9)
+
+
+@case(
+    "furnace: glass of index 0.1 to 100, from outside and inside", "materials",
+    "White glass reflects and refracts all light.",
+    f"{_STATISTICS}; interpolated albedos are off by 0.03 of themselves at most, near the critical angle and index 1.",
+    traces=False,
+)  # fmt: skip
+def furnace_glass(bench: Bench) -> Outcome:
+    """Indices, sides, roughnesses, angles."""
+    sweep = Sweep()
+    for ior, entering, roughness, cosine in itertools.product(_GLASS_IORS, (1, 0), ROUGHNESSES, COSINES):
+        _add_furnace(
+            bench, sweep, (Closure(K.GLASS, WHITE, roughness, ior),), cosine, entering, 0.03, _GAIN, f"index {ior:.7g}, roughness {roughness:.4g}"
+        )
+    return sweep.outcome()
+
+
+@case(
+    "furnace: glass at grazing angles", "materials",
+    "As above, at cosines of 0.03 to 1e-6.",
+    f"{_STATISTICS}; never above 1 by more than 2 %. The known loss is any here: from inside glass of an index near 1, rough facets send nearly all "
+    "of such light to the side that single scattering cannot serve.",
+    traces=False,
+)  # fmt: skip
+def furnace_glass_grazing(bench: Bench) -> Outcome:
+    """Indices, sides, roughnesses, angles."""
+    sweep = Sweep()
+    for ior, entering, roughness, cosine in itertools.product(_GLASS_IORS, (1, 0), ROUGHNESSES, GRAZING):
+        _add_furnace(
+            bench, sweep, (Closure(K.GLASS, WHITE, roughness, ior),), cosine, entering, 1.0, 0.02, f"index {ior:.7g}, roughness {roughness:.4g}"
+        )
+    return sweep.outcome()
+
+
+@case(
+    "furnace: glass loses little of all light", "materials",
+    "The share of diffuse light that white glass returns: the mean of its albedo over cosine-weighted directions, by Gauss-Legendre "
+    "quadrature in the squared cosine.",
+    f"{_STATISTICS}; directions that lose more have little of the light: 2 %.",
+    traces=False,
+)  # fmt: skip
+def furnace_glass_average(bench: Bench) -> Outcome:
+    """Indices, sides, roughnesses."""
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    sweep = Sweep()
+    for ior, entering, roughness in itertools.product(_GLASS_IORS, (1, 0), ROUGHNESSES[3:]):
+        closures = (Closure(K.GLASS, WHITE, roughness, ior),)
+        values = [albedo(bench, closures, float(np.sqrt((x + 1) / 2)), entering, 2**10) for x in nodes]
+        mean = sum(w / 2 * value for w, (value, _) in zip(weights, values))
+        spread = np.sqrt(sum((w / 2 * error) ** 2 for w, (_, error) in zip(weights, values)))
+        sweep.add(mean, 1.0, 0.02 + spread if mean < 1 else _GAIN + spread, f"index {ior:.7g}, roughness {roughness:.4g}, entering {entering}")
+    return sweep.outcome()
+
+
+@case(
+    "furnace: stacks and mixtures", "materials",
+    "White closures whose shares sum to 1 return all light: coat, metal, glass, glossy, diffuse and transparent together, in equal and in "
+    "very unequal shares.",
+    f"{_STATISTICS}; the losses of the closures, each at most 1e-2 (glass from inside: 0.03), in their shares.",
+    traces=False,
+)  # fmt: skip
+def furnace_stacks(bench: Bench) -> Outcome:
+    """Shares, roughnesses, angles."""
+
+    def stack(shares, roughness: float) -> tuple[Closure, ...]:
+        a, b, c, d, e, f = shares
+        single = [(K.METAL, a), (K.GLASS, b), (K.GLOSSY, c), (K.DIFFUSE, d), (K.TRANSPARENT, e)]
+        lobes = [Closure(kind, (s,) * 3, roughness, 1.5, (s,) * 3, share=s) for kind, s in single]
+        return (*lobes, *plastic(roughness, 1.5, share=f))
+
+    sweep = Sweep()
+    unequal = (1e-6, 1e-3, 0.0, 0.5, 1e-9)
+    for shares in ((1 / 6,) * 6, (*unequal, 1 - sum(unequal)), (0.0, 0.0, 1e-30, 0.0, 0.0, 1.0)):
+        for roughness, cosine, entering in itertools.product(ROUGHNESSES, COSINES, (0, 1)):
+            loss = 0.01 + 0.02 * shares[1]
+            _add_furnace(bench, sweep, stack(shares, roughness), cosine, entering, loss, _GAIN, f"shares {shares[0]:.2g}..., roughness {roughness:.4g}")
+    return sweep.outcome()
+
+
+def _principled_corners():
+    """Every combination of the ends and a middle of Principled's parameters."""
+    ends = (0.0, 0.5, 1.0)
+    return itertools.product(ends, (0.0, LEAST_ROUGH, 0.3, 1.0), (1.0, 1.0 + 1e-6, 1.5, 1e3), (0.0, 0.5, 1.0, 4.0), ends, (0.0, 1.0))
+
+
+@case(
+    "furnace: Principled over its range", "materials",
+    "Principled of white base over metallic, roughness, index (1 to 1000), specular level (0 to 4), transmission and alpha: all "
+    "light comes back, at each of 1,152 corners of the range, from outside, at a seeded angle.",
+    f"{_STATISTICS}; the losses of its closures in their shares: 0.012 at most, as light does not come from inside.",
+    traces=False,
+)  # fmt: skip
+def furnace_principled(bench: Bench) -> Outcome:
+    """Corners of the range."""
+    sweep = Sweep()
+    rng = np.random.default_rng(8)
+    for metallic, roughness, ior, specular, transmission, alpha in _principled_corners():
+        mixture = principled_mixture(
+            base=WHITE, metallic=metallic, roughness=roughness, ior=ior, specular=specular, transmission=transmission, alpha=alpha
+        )
+        note = f"metallic {metallic:g}, roughness {roughness:.3g}, index {ior:g}, specular {specular:g}, transmission {transmission:g}"
+        cosine = float(rng.uniform(0.1, 1))
+        measured, spread = albedo(bench, mixture.visible().closures, cosine, 1, 2**10)
+        sweep.add(measured, 1.0, (_GAIN if measured > 1 else 0.012) + spread + 1e-6, f"{note}, alpha {alpha:g}, cosine {cosine:.3f}")
+    return sweep.outcome()
+
+
+@case(
+    "Principled at random never makes energy", "materials",
+    "300 Principled materials of random parameters and colours, seeded, from outside, also at grazing angles: the albedo of the channel "
+    "that reflects most is at most 1, and no number is invalid.",
+    f"{_STATISTICS}, and 0.02 of tables at grazing angles.",
+    traces=False,
+)  # fmt: skip
+def principled_at_random(bench: Bench) -> Outcome:
+    """Random parameters."""
+    rng = np.random.default_rng(9)
+    sweep = Sweep()
+    for i in range(300):
+        u = rng.random(12)
+        mixture = principled_mixture(
+            base=tuple(u[:3]), metallic=u[3], roughness=u[4] ** 2, ior=float(10 ** rng.uniform(-2, 3)) if i % 2 else 1 + u[5], specular=2 * u[6],
+            tint=tuple(u[7:10]), transmission=u[10], alpha=u[11], multiscatter=bool(i % 3),
+        )  # fmt: skip
+        cosine = float(10 ** rng.uniform(-4, 0))
+        measured, spread = albedo(bench, mixture.visible().closures, cosine, 1, 2**10)
+        sweep.add(max(measured - 1, 0.0) if measured == measured else measured, 0.0, 0.02 + spread, f"number {i}, cosine {cosine:.2g}")
+    return sweep.outcome()
+
+
+@case(
+    "metal at grazing angles", "materials",
+    "A smooth metal at cosines of 1 to 1e-7: Schlick's f0 + (f90 - f0) (1 - cos)^5 in float64 of the float32 cosine.",
+    "Eight roundings of the reflectance, and the cosine's own rounding times the slope 5.",
+    traces=False, quick=True,
+)  # fmt: skip
+def grazing_metal(bench: Bench) -> Outcome:
+    """Angles."""
+    f0, f90 = np.array([0.9, 0.5, 0.1]), np.array([1.0, 0.9, 0.8])
+    sweep = Sweep()
+    for cosine in (1.0, 0.5, 0.1, 1e-2, 1e-3, 1e-5, 1e-7):
+        closure = Closure(K.METAL, tuple(f0), 0.0, edge=tuple(f90))
+        weight = sample(bench, (closure,), probe.toward(cosine), 64)[1]
+        expected = f0 + (f90 - f0) * (1 - cosine) ** 5
+        for channel in range(3):
+            sweep.add(weight[:, channel].mean(), expected[channel], 16 * UNIT_ROUNDOFF, f"cosine {cosine:g}")
+    return sweep.outcome()
+
+
+@case(
+    "albedo of rough facets at grazing angles", "materials",
+    "Single scattering of GGX with F = 1 at cosines of 1 to 0.01: the integral of D G2 / (4 cos) over the hemisphere, float64 Gauss-Legendre.",
+    f"{_STATISTICS}, and 1e-3 of the quadrature at the least roughness that it resolves.",
+    traces=False,
+)  # fmt: skip
+def single_scattering(bench: Bench) -> Outcome:
+    """Roughnesses, angles."""
+    sweep = Sweep()
+    for roughness, cosine in itertools.product((0.4, 0.7, 1.0), (1.0, 0.5, 0.1, 0.03, 0.01)):
+        measured, spread = albedo(bench, (Closure(K.GLOSSY, WHITE, roughness, multiscatter=False),), cosine)
+        sweep.add(measured, probe.hemisphere_albedo(roughness**2, min(cosine, 1 - 1e-12)), 1e-3 + spread, f"roughness {roughness:g}, cosine {cosine:g}")
+    return sweep.outcome()
+
+
+@case(
+    "emission of 1e-30 and 1e30", "materials",
+    "A closure's emission is what was asked for, on both sides, also beside closures of every kind.",
+    "Exact: one addition.",
+    traces=False,
+)  # fmt: skip
+def emission(bench: Bench) -> Outcome:
+    """Powers."""
+    import warp as wp
+
+    sweep = Sweep()
+    for power in (0.0, 1e-30, 1.0, 1e30):
+        closures = (*probe.ROUGH["all"], Closure(K.EMISSION, (power,) * 3))
+        out = wp.zeros(3, dtype=wp.vec3, device=bench.device)
+        probe.launch(probe.kernels(probe.EVERYTHING).constants, 1, [probe.table_of(*closures, device=bench.device)], [out], bench.device)
+        sweep.add(out.numpy()[0, 0], float(np.float32(power)), 0.0, f"power {power:g}")
+        value, _ = evaluate(bench, closures, probe.toward(0.5), probe.toward(0.7))
+        sweep.add(float(np.isfinite(value).all()), 1.0, 0.0, "finite")
+    return sweep.outcome()
