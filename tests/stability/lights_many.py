@@ -20,7 +20,7 @@ _MANY = 100_000
 @case(
     "one light", "lights",
     "A point light beside the floor: intensity cos / d^2.",
-    "Within 64 roundings: there is nothing to choose.",
+    "One light is chosen with probability 1, and every sample is the same: 64 roundings from the light to the film.",
     quick=True,
 )  # fmt: skip
 def one_light(bench: Bench) -> Outcome:
@@ -131,7 +131,7 @@ def zero_area(bench: Bench) -> Outcome:
 @case(
     "negative and infinite powers", "lights",
     "The core does not render lights and worlds of negative or infinite power, and names each; what is left is one point light.",
-    "Within 64 roundings.",
+    "Warnings are counted: none may be missing. What is left chooses one light with probability 1: 64 roundings.",
 )  # fmt: skip
 def refused(bench: Bench) -> Outcome:
     """One scene; the note says if a warning is missing."""

@@ -263,7 +263,7 @@ def single_scattering(bench: Bench) -> Outcome:
 @case(
     "emission of 1e-30 and 1e30", "materials",
     "A closure's emission is what was asked for, on both sides, also beside closures of every kind.",
-    "Exact: one addition.",
+    "Emission is stored as float32, and added to a 0: the float32 next to what was asked for, to the bit.",
     traces=False,
 )  # fmt: skip
 def emission(bench: Bench) -> Outcome:

@@ -204,7 +204,8 @@ def densities(bench: Bench) -> Outcome:
     "no invalid number from any closure", "materials",
     "Every closure at roughness 0 to 1, indices 0 to 1e9, from both sides, at cosines down to 0 and with random numbers at the ends of their "
     "range: the number of values that are negative or not finite, or of directions that are not unit.",
-    "None.",
+    "A value, weight or density that is negative or not finite has no meaning at any parameter: none is allowed. Lengths within 1e-5 "
+    "(frames of float32).",
     traces=False,
 )  # fmt: skip
 def finite(bench: Bench) -> Outcome:
