@@ -1,0 +1,112 @@
+"""Materials and meshes of cases in which light goes far: all materials have the same kinds of closures, so that few kernels are compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scenes
+
+from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Material, Mesh
+from raybatch_addon.core.settings import RenderSettings
+
+# Kernels are compiled for these, whichever of them a scene has
+KINDS = (ClosureKind.DIFFUSE, ClosureKind.GLOSSY, ClosureKind.GLASS, ClosureKind.EMISSION)
+# Light is found by scattering alone: a path of a white scene then carries 1, to the bit
+SCATTERED = RenderSettings(sample_count=1, sample_sequence="INDEPENDENT", nee="OFF", bounce_max=10_000, roulette_bounce=0)
+FEW = Frame(4, 4)
+MANY = Frame(16, 16)
+NEEDLE = 1e-6  # half width of the window of a camera whose rays are all but one
+
+
+def made(*closures: tuple, emission: float = 0.0) -> Material:
+    """Of (kind, weight, more) tuples; `weight` a number or a colour."""
+    parts = [Closure(kind, tuple(np.broadcast_to(np.float64(weight), 3).tolist()), **(more[0] if more else {})) for kind, weight, *more in closures]
+    if emission:
+        parts.append(Closure(ClosureKind.EMISSION, (emission,) * 3))
+    return Material("made", tuple(parts), KINDS)
+
+
+def wall(albedo=1.0, emission: float = 0.0) -> Material:
+    """Lambertian, and may emit."""
+    return made((ClosureKind.DIFFUSE, albedo), emission=emission)
+
+
+def mirror(reflectance=1.0, emission: float = 0.0) -> Material:
+    """A perfect mirror, and may emit."""
+    return made((ClosureKind.GLOSSY, reflectance), emission=emission)
+
+
+def glass(ior: float, weight=1.0, refraction: float = 1.0) -> Material:
+    """Smooth."""
+    return made((ClosureKind.GLASS, weight, {"ior": ior, "refraction": (refraction,) * 3}))
+
+
+def lamp(radiance: float = 1.0) -> Material:
+    """Emits, and reflects nothing."""
+    return made(emission=radiance)
+
+
+def stretched(x: float, y: float, z: float, at=(0.0, 0.0, 0.0)) -> np.ndarray:
+    """Object to world, float32 [3, 4]: scaled along the axes, then moved."""
+    return np.column_stack([np.diag([x, y, z]), at]).astype(np.float32)
+
+
+def facing_down(height: float) -> np.ndarray:
+    """Of a plane at z = `height` with its front below."""
+    return stretched(1, -1, -1, (0, 0, height))
+
+
+def joined(name: str, mesh: Mesh, transforms) -> Mesh:
+    """One mesh of `mesh` under each of the transforms [3, 4]."""
+    positions = [mesh.positions.astype(np.float64) @ np.asarray(m, np.float64)[:, :3].T + np.asarray(m, np.float64)[:, 3] for m in transforms]
+    triangles = [mesh.triangles + len(mesh.positions) * i for i in range(len(positions))]
+    return Mesh(name, np.concatenate(positions).astype(np.float32), np.concatenate(triangles).astype(np.int32))
+
+
+def wall_with_hole(size: float, hole: float, name: str = "wall with a hole") -> Mesh:
+    """A square of `size` in the plane z = 0 with a square hole in its middle [m]."""
+    corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) / 2
+    ring = [[i, (i + 1) % 4, 4 + (i + 1) % 4] for i in range(4)] + [[i, 4 + (i + 1) % 4, 4 + i] for i in range(4)]
+    return Mesh(name, np.concatenate([size * corners, hole * corners]).astype(np.float32), np.array(ring, np.int32))
+
+
+def icosphere(level: int, radius: float = 1.0, name: str = "icosphere") -> Mesh:
+    """20 * 4^level triangles that face outwards, corners on the sphere."""
+    g = (1 + math.sqrt(5)) / 2
+    p = [np.array(v, np.float64) for v in [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g), (0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]]
+    p = [v / np.linalg.norm(v) for v in p]
+    faces = [
+        (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8),
+        (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
+    ]  # fmt: skip
+    middles: dict[tuple[int, int], int] = {}
+
+    def middle(a: int, b: int) -> int:
+        key = (min(a, b), max(a, b))
+        if key not in middles:
+            between = p[a] + p[b]
+            middles[key] = len(p)
+            p.append(between / np.linalg.norm(between))
+        return middles[key]
+
+    for _ in range(level):
+        split = []
+        for a, b, c in faces:
+            ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
+            split += [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
+        faces = split
+    return Mesh(name, (radius * np.array(p)).astype(np.float32), np.array(faces, np.int32))
+
+
+def turned_askew(scale: float = 1.0) -> np.ndarray:
+    """A rotation about no axis, a shear and a mirroring, float32 [3, 4]: a closed mesh stays closed."""
+    c, s = math.cos(0.7), math.sin(0.7)
+    rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    shear = np.array([[1.0, 0.4, 0.0], [0.0, 1.0, -0.3], [0.0, 0.0, -1.0]])
+    return np.column_stack([scale * rotation @ shear, [0.01, -0.02, 0.03]]).astype(np.float32)
+
+
+def view_along(eye, target, half_width: float = NEEDLE, up=(0.0, 1.0, 0.0)):
+    """A camera that looks along one line."""
+    return scenes.camera(eye=eye, target=target, half_width=half_width, up=up)
