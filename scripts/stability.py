@@ -24,6 +24,18 @@ the tracer can matter. A case passes when its error is within the tolerance and 
 
 The environment variable RAYBATCH_SCENES names a folder of larger scenes (.npz); cases that read one are skipped without it.
 """
+LEAK_RAYS_MOST = 2_000_000_000  # rays are numbered by 31 bits
+
+
+def ray_count(text: str) -> int:
+    """A whole number of rays, also as 1e8."""
+    try:
+        count = float(text)
+    except ValueError:
+        count = 0.0
+    if not (1 <= count <= LEAK_RAYS_MOST and count == int(count)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to {LEAK_RAYS_MOST:,}, such as 1e8")
+    return int(count)
 
 
 def argument_parser() -> argparse.ArgumentParser:
@@ -35,6 +47,11 @@ def argument_parser() -> argparse.ArgumentParser:
     parser.add_argument("--only", action="append", default=[], metavar="NAME[,NAME]", help="cases with this name, of this family, or with this part in their names")
     parser.add_argument("--tracer", choices=("off", "on"), help="only this one")
     parser.add_argument("--device", default="AUTO", help="AUTO, cpu or cuda:N")
+    parser.add_argument(
+        "--leak-rays", type=ray_count, default=0, metavar="N",
+        help="how many rays each case of the family leaks traces with each tracer, such as 1e8 on a GPU; "
+        "else 1e8 in all on a GPU, and on a CPU as many as fit in seconds",
+    )  # fmt: skip
     parser.add_argument("--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there")
     parser.add_argument("--html", metavar="FILE", help="write a page that stands alone")
     parser.add_argument("--list", action="store_true", help="name the cases, and run none")
@@ -60,6 +77,8 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: An
         write_whole(path, lambda temporary: temporary.write_text(new, encoding="utf-8"))
         return 0
     cases = chosen_cases([name for names in options.only for name in names.split(",")], options.quick)
+    if options.leak_rays and all(each.family != "leaks" for each in cases):
+        raise RayBatchError("--leak-rays is for the family leaks, of which no case was chosen: add it to --only, or leave --leak-rays out")
     if options.list:
         standard_output.writelines(f"{each.family}  {each.name}  ({', '.join(each.tracers)}{', quick' if each.quick else ''})\n" for each in cases)
         return 0
@@ -73,7 +92,7 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: An
     results: list[Result] = []
     start = time.perf_counter()
     try:
-        for event in run_cases(cases, device["alias"], tracers, options.kernel_cache):
+        for event in run_cases(cases, device["alias"], tracers, options.kernel_cache, options.leak_rays):
             if isinstance(event, Result):
                 results.append(event)
                 steps.end()

@@ -90,6 +90,17 @@ def test_what_cannot_be_is_one_line(tmp_path):
     assert not folder.exists()
 
 
+def test_rays_of_leaks_are_as_many_as_are_asked_for(tmp_path):
+    done = stability("--only", "leaks: icosphere", "--tracer", "off", "--device", "cpu", "--leak-rays", "1e5", "--json", tmp_path / "r.json")
+    if "wp_compile_cpp" in done.stderr:
+        pytest.skip("this machine cannot compile kernels for the CPU")
+    (result,) = json.loads((tmp_path / "r.json").read_text())["cases"]
+    assert done.returncode == 0 and result["passed"] and result["note"].startswith("100,000 rays")
+    assert "family leaks" in error_line(stability(*FEW, "--leak-rays", "1000"))
+    for wrong in ("0", "1.5", "many", "1e12", "nan"):
+        assert "not a whole number from 1" in stability(*FEW, "--leak-rays", wrong).stderr
+
+
 def test_a_missing_folder_of_scenes_is_a_skip(tmp_path):
     done = stability("--only", "hotel room", "--device", "cpu", "--json", tmp_path / "r.json", RAYBATCH_SCENES=tmp_path)
     assert done.returncode == 0 and "0 passed, 0 failed, 2 skipped" in done.stdout and "RAYBATCH_SCENES" in done.stdout

@@ -55,10 +55,10 @@ class Hits:
 class Bench:
     """A device, and a tracer of it."""
 
-    def __init__(self, device: str, tracer: str, session: Session | None = None):
+    def __init__(self, device: str, tracer: str, session: Session | None = None, leak_rays: int = 0):
         """`tracer`: `off` (the control), `on` (rays wait), or `-`, for cases in which it does not matter (then the control).
-        `session`: shared with others; by default one of its own."""
-        self.device, self.tracer = device, tracer
+        `session`: shared with others; by default one of its own. `leak_rays`: how many rays each case of leaks traces; 0: its own choice."""
+        self.device, self.tracer, self.leak_rays = device, tracer, leak_rays
         self.session = session or Session(device)
         self.invalid_samples = 0  # of all films since it was set to 0
         self.samples = 0  # likewise

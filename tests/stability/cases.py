@@ -92,11 +92,13 @@ def run_case(case: Case, bench: Bench) -> Result:
     return Result(case, bench.tracer, outcome, bench.invalid_samples, bench.samples, time.perf_counter() - start, error, skipped)
 
 
-def run_cases(cases: Iterable[Case], device: str, tracers: Iterable[str] = ("off", "on", "-"), cache_folder: str | None = None) -> Iterator[Any]:
-    """Yield (case, tracer) before, and the `Result` after, each run of `cases` on `device` (AUTO, cpu or cuda:N)."""
+def run_cases(
+    cases: Iterable[Case], device: str, tracers: Iterable[str] = ("off", "on", "-"), cache_folder: str | None = None, leak_rays: int = 0
+) -> Iterator[Any]:
+    """Yield (case, tracer) before, and the `Result` after, each run of `cases` on `device` (AUTO, cpu or cuda:N); `leak_rays` as in `Bench`."""
     session, tracers = Session(device, cache_folder=cache_folder), tuple(tracers)
     try:
-        benches = {tracer: Bench(device, tracer, session) for tracer in ("off", "on", "-")}
+        benches = {tracer: Bench(device, tracer, session, leak_rays) for tracer in ("off", "on", "-")}
         for each in cases:
             for tracer in each.tracers:
                 if tracer in tracers:

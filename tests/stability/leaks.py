@@ -1,12 +1,11 @@
 """Random rays into closed meshes: not one may slip between two triangles.
 
 A ray that starts inside must meet the mesh, and so must one that starts outside and ends inside. On CUDA all cases together trace 1e8
-rays; on a CPU as many as fit in a few seconds each. RAYBATCH_LEAK_RAYS sets how many every case traces, on any device.
+rays; on a CPU as many as fit in a few seconds each. `Bench.leak_rays` sets how many every case traces, on any device.
 """
 
 from __future__ import annotations
 
-import os
 import time
 
 import numpy as np
@@ -125,7 +124,7 @@ def _leaks(bench: Bench, name: str, shear: float, seconds: float) -> Outcome:
     """How many rays slip through."""
     closed, device = closed_mesh(name), bench.wp_device
     source = source_of(closed, shear, device)
-    wanted = int(os.environ.get("RAYBATCH_LEAK_RAYS", 0))
+    wanted = bench.leak_rays
     if not wanted and device.is_cuda:
         wanted = -(-CUDA_RAYS // (2 * 2 * len(MESHES)))
     block = CUDA_BLOCK if device.is_cuda else BLOCK
