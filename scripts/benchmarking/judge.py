@@ -5,9 +5,10 @@ below may hit the triangle or miss it. For each ray this file finds the farthest
 (the nearest triangle that is hit for certain), and the nearest at which one can be (the nearest triangle that is not missed for
 certain). An answer outside of these is a fault.
 
-The bound is that of the project's own triangle test: 32 roundings of the largest coordinate of the triangle's corners, taken
-from the ray's origin. Where there are instances, rays are carried to them first: 32 roundings of the largest coordinate of
-the ray's origin and of the geometry, both taken from the middle of the geometry's box, come on top.
+The bound is that of the project's own triangle test, in roundings of the largest coordinate of the triangle's corners, taken
+from the ray's origin: 32 of where edges are, 25 a coordinate of where the plane is. Where there are instances, rays are carried
+to them first: 32 roundings of the largest coordinate of the ray's origin and of the geometry, both taken from the middle of the
+geometry's box, come on top.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ from .rays import CapturedRays
 from .tracers import Hits
 
 ROUNDINGS = 32
+PLANE_ROUNDINGS = 25  # a coordinate; surfaces move the origins of rays that leave them by no less (`core/shading/surface.py`)
 UNIT_ROUNDOFF = 2.0**-24  # of float32
+PLANE_BOUND = PLANE_ROUNDINGS * UNIT_ROUNDOFF
 RELATIVE_BOUND = ROUNDINGS * UNIT_ROUNDOFF * 3**0.5  # of a length, from that of a coordinate
 # A ray that passes through a triangle and no nearer to its edges than the bound meets its plane at more than 16 roundings [rad]; what float64
 # tells of flatter ones is noise
@@ -91,7 +94,8 @@ def certainty(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d, t_max: wp.floa
     t = nearest[1]
     error = wp.float64(wp.inf)
     if facing != wp.float64(0.0):
-        error = bound * wp.length(normal) / wp.abs(facing)
+        across = wp.abs(normal[0]) + wp.abs(normal[1]) + wp.abs(normal[2])
+        error = (carried * wp.length(normal) + wp.float64(PLANE_BOUND) * reach * across) / wp.abs(facing)
     if inside:
         t = wp.dot(a, normal) / facing
     # however flat it is met, the hit is on the triangle

@@ -11,7 +11,12 @@ from ..scene.geometry import Geometry, corners_of, mat34, transform_vector
 
 # Unit roundoff of float32. n operations are wrong by at most n u / (1 - n u), relatively (Higham 2002, section 3.1).
 _U = 2.0**-24
+_GAMMA_3 = 3 * _U / (1 - 3 * _U)
 _GAMMA_8 = 8 * _U / (1 - 8 * _U)
+# The ray's point at the distance that the triangle test finds is off the triangle by no more than this in each coordinate, times
+# the largest coordinate of the corners relative to the ray's origin: 19 roundings (`bvh/margin.py`), with what CUDA's approximate
+# reciprocals add (`bvh/traverse_cuda_text.py`)
+_TRIANGLE_TEST = 25 * _U / (1 - 25 * _U)
 
 
 @wp.struct
@@ -117,12 +122,13 @@ def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
         # From one corner along the edges: whatever the weights are, that is a point of the plane, but for three roundings in
         # proportion to the edges, and one of the sum. Three weighted corners would be off by eight roundings of their coordinates.
         # The test of a ray that starts here takes corners relative to its origin and mixes their coordinates, so that its error
-        # is in proportion to the triangle too.
+        # is in proportion to the triangle too: no corner is farther away than the longest edge.
         edge_1 = p1 - p0
         edge_2 = p2 - p0
         position = p0 + (uv[0] * edge_1 + uv[1] * edge_2)
-        reach = wp.max(_abs(edge_1)) + wp.max(_abs(edge_2))
-        error = wp.static(_GAMMA_8) * (_abs(edge_1) + _abs(edge_2) + wp.vec3(reach, reach, reach)) + wp.static(2.0 * _U) * _abs(position)
+        longest = wp.max(wp.max(_abs(edge_1)), wp.max(wp.max(_abs(edge_2)), wp.max(_abs(edge_2 - edge_1))))
+        tested = wp.static(_TRIANGLE_TEST) * longest
+        error = wp.static(_GAMMA_3) * (_abs(edge_1) + _abs(edge_2)) + wp.vec3(tested, tested, tested) + wp.static(2.0 * _U) * _abs(position)
         edge_cross = wp.cross(edge_1, edge_2)
         if wp.static(instancing):
             matrix = geometry.instance_transform[instance]
