@@ -52,6 +52,7 @@ def test_a_white_furnace_with_light_sampling(session):
     )  # fmt: skip
     assert_within_4_sigma(session, scene, 1.0, bounce_max=32)
     assert_within_4_sigma(session, scene, 1.0, bounce_max=32, nee="OFF")
+    assert_within_4_sigma(session, scene, 1.0, bounce_max=32, mis="OFF")
 
 
 def test_energy_in_a_closed_grey_box_sums_the_geometric_series(session):
@@ -143,6 +144,28 @@ def test_irradiance_under_an_emissive_triangle_mesh(session):
     assert_within_4_sigma(session, scene, expected)
     assert_within_4_sigma(session, scene, expected, nee="OFF", sample_count=128)
     assert_within_4_sigma(session, scene, expected, nee="HALF", sample_count=64)
+    assert_within_4_sigma(session, scene, expected, mis="OFF")
+    assert_within_4_sigma(session, scene, expected, mis="OFF", nee="HALF", sample_count=64)
+
+
+def test_all_ways_to_find_light_agree(session):
+    """A rough metal and a diffuse floor under a sun, a sphere, an area light and a glowing mesh, with and without either strategy."""
+    point = Light("ball", LightKind.POINT, scenes.translation(-0.8, 0, 0.9), (0.4,) * 3, radius=0.3, soft_falloff=False)
+    down = np.array([[1, 0, 0, 0.9], [0, -1, 0, 0], [0, 0, -1, 0.8]], np.float32)
+    scene = scenes.scene(
+        [
+            (scenes.plane(size=4), scenes.IDENTITY, scenes.diffuse(0.7)),
+            (scenes.sphere(segments=24, rings=12, radius=0.4), scenes.translation(0, 0, 0.4), scenes.material(Closure(ClosureKind.METAL, (0.9,) * 3, 0.4))),
+            (scenes.plane("lamp", 0.6), down, scenes.emitter(3.0)),
+        ],
+        lights=[scenes.sun(1.0, 0.5), scenes.area_light(2.0, 0.8, scenes.translation(0, 0.6, 1.2)[:3]), point],
+        frame=Frame(16, 16), view=scenes.camera(eye=(0, -3, 1.5), target=(0, 0, 0.3)), world=0.1,
+    )  # fmt: skip
+    (both, error), *others = (
+        mean_and_error(session, scene, bounce_max=2, sample_count=64, **change) for change in ({}, {"mis": "OFF"}, {"nee": "OFF"}, {"mis": "OFF", "nee": "HALF"})
+    )
+    for mean, spread in others:
+        assert abs(mean - both) < 4 * math.hypot(error, spread) + 1e-6 * both
 
 
 # --- refraction and reflection

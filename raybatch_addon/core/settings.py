@@ -81,6 +81,14 @@ class RenderSettings:
             ("HALF", "Half", "On in the left half of the frame, off in the right half, for comparing"),
         ),
     )
+    mis: str = setting(
+        "ON", "Combine Sampling", "Multiple importance sampling: what light sampling and BSDF sampling can both find is weighted by how likely each finds it",
+        group="SAMPLING",
+        choices=(
+            ("ON", "On", "Weights of the power heuristic (Veach 1997): low noise whichever of the two is the better one"),
+            ("OFF", "Off", "Light sampling alone finds what it can find: a control, noisy near lights and on shiny surfaces. Unused without light sampling"),
+        ),
+    )
 
     bounce_max: int = setting(
         8, "Bounces", "Bounces of indirect light; 0 renders direct light only",

@@ -38,6 +38,7 @@ class SceneFeatures:
     passes: tuple[str, ...] = ("Combined",)
     sample_sequence: str = "SOBOL"
     nee: str = "ON"
+    mis: bool = True  # light sampling and BSDF sampling are combined
     clamping: bool = False
     roulette: bool = True
 
@@ -97,6 +98,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         passes=tuple(scene.frame.passes),
         sample_sequence=settings.sample_sequence,
         nee=settings.nee,
+        mis=settings.mis == "ON" or settings.nee == "OFF",
         clamping=settings.clamp_direct > 0 or settings.clamp_indirect > 0,
         roulette=settings.roulette_bounce <= settings.bounce_max,
     )  # fmt: skip

@@ -48,6 +48,7 @@ class LightFeatures:
     light_sphere: bool = False  # a POINT or SPOT shaped as a sphere
     light_hits: bool = False  # a light that rays can meet
     mesh_lights: bool = False  # emissive triangles
+    mis: bool = True  # else light sampling alone finds what it can find
 
 
 class Lights(NamedTuple):
@@ -82,6 +83,23 @@ def mis_weight(bsdf_pdf: float, light_pdf: float) -> float:
     if bsdf_pdf <= 0.0:
         return 1.0
     return power_heuristic(bsdf_pdf, light_pdf)
+
+
+@wp.func
+def full_weight(pdf: float, other: float) -> float:
+    """Weight of a sampled light where light sampling alone finds it."""
+    return 1.0
+
+
+@wp.func
+def left_weight(bsdf_pdf: float, light_pdf: float) -> float:
+    """As `mis_weight`, where light sampling alone finds what it can find: what it cannot is left."""
+    return wp.where(bsdf_pdf > 0.0 and light_pdf > 0.0, 0.0, 1.0)
+
+
+def light_weights(mis: bool) -> tuple[wp.Function, wp.Function]:
+    """Functions of weights of light that was sampled (light_pdf, bsdf_pdf), and of light that a scattered ray met (bsdf_pdf, light_pdf)."""
+    return (power_heuristic, mis_weight) if mis else (full_weight, left_weight)
 
 
 @wp.func
@@ -227,6 +245,7 @@ def make_lights(features: LightFeatures) -> Lights:
     has_area = LightKind.RECTANGLE in features.lights or LightKind.ELLIPSE in features.lights
     met_in_space = features.light_hits and (has_round or has_area)
     met_suns = features.light_hits and has_sun
+    hit_weight = light_weights(features.mis)[1]
 
     @wp.func
     def sample_shape(light: LightRecord, position: wp.vec3, u: wp.vec2) -> LightSample:
@@ -351,7 +370,7 @@ def make_lights(features: LightFeatures) -> Lights:
                     if (light.visibility & visibility) != 0 and not sampled:
                         met = meet_shape(light, origin, direction)
                         if met.pdf > 0.0 and met.distance >= t_min and met.distance < t_max:
-                            weight = mis_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter))
+                            weight = hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter))
                             total += weight * wp.cw_mul(met.radiance, light.emission)
         return total
 
@@ -366,7 +385,7 @@ def make_lights(features: LightFeatures) -> Lights:
                 if (light.visibility & visibility) != 0 and not sampled:
                     met = meet_sun(light, direction)
                     if met.pdf > 0.0:
-                        total += mis_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter)) * light.emission
+                        total += hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter)) * light.emission
         return total
 
     return Lights(sample, hit_pdf, intersect, miss)

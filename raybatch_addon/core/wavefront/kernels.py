@@ -56,7 +56,7 @@ class StageKernels:
             connect=connect_kernel if has.shadow_rays else None,
             connect_transparent=transparent_shadow_kernel(surface) if has.shadow_rays and has.transparency else None,
             light_hits=light_hit_kernel(
-                LightHitFeatures(has.lights, has.light_sphere, has.light_hits, has.transparency, has.clamping)
+                LightHitFeatures(has.lights, has.light_sphere, has.light_hits, has.mis, has.transparency, has.clamping)
             ) if has.light_hits else None,
             background=background_kernel(
                 BackgroundFeatures(has.world, has.film_transparent, "Depth" in has.passes, has.clamping)

@@ -28,6 +28,7 @@ class LightHitFeatures:
     lights: tuple[LightKind, ...]
     light_sphere: bool
     light_hits: bool
+    mis: bool
     transparency: bool
     clamping: bool
 
@@ -45,7 +46,7 @@ class BackgroundFeatures:
 @functools.cache
 def light_hit_kernel(features: LightHitFeatures) -> wp.Kernel:
     """Kernel (data, limits, paths, rays, slots, count): lights that rays met on their way."""
-    lights = make_lights(LightFeatures(features.lights, features.light_sphere, features.light_hits, False))
+    lights = make_lights(LightFeatures(features.lights, features.light_sphere, features.light_hits, False, features.mis))
     intersect = lights.intersect
     miss = lights.miss
 

@@ -11,7 +11,7 @@ from ...film.tile import FilmTile
 from ...kernel import KERNEL_OPTIONS
 from ...scene.description import ClosureKind, LightKind, Visibility
 from ...shading.closures import DELTA, DIFFUSE, TRANSMISSION, TRANSPARENT, ClosureFeatures, ShadingFrame, make_bsdf
-from ...shading.lights import LightFeatures, is_lit_in_part, make_lights, power_heuristic
+from ...shading.lights import LightFeatures, is_lit_in_part, light_weights, make_lights
 from ...shading.sampling import (
     BSDF,
     DIMENSIONS_PER_BOUNCE,
@@ -47,6 +47,7 @@ class SurfaceFeatures:
     lights: tuple[LightKind, ...]
     light_sphere: bool
     mesh_lights: bool
+    mis: bool
     shadow_rays: bool
     instancing: bool
     smooth_normals: bool
@@ -118,6 +119,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     lights = make_lights(LightFeatures(features.lights, features.light_sphere, False, features.mesh_lights))
     light_sample = lights.sample
     light_hit_pdf = lights.hit_pdf
+    sample_weight, hit_weight = light_weights(features.mis)
 
     @wp.func
     def gather_emission(
@@ -134,7 +136,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                     data.lights, data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.direction[path],
                     seen_from + rays.hit_t[path],
                 )  # fmt: skip
-                weight = power_heuristic(pdf, light_pdf)
+                weight = hit_weight(pdf, light_pdf)
             light = weight * wp.cw_mul(paths.throughput[path], emission)
             if wp.static(features.clamping):
                 light = clamped(limits, light, bounce_of(paths.status[path]))
@@ -156,7 +158,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             # lobes whose rays do not see the light are not lit by it; this strategy alone finds such a light
             value = lit_value(bsdf.value, bsdf.diffuse, light.visibility, wp.dot(light.direction, frame.geometric_normal) > 0.0)
         elif light.delta == 0:
-            weight = power_heuristic(light.pdf, bsdf.pdf) / light.pdf
+            weight = sample_weight(light.pdf, bsdf.pdf) / light.pdf
         if not is_positive(value):
             return 0
         contribution = weight * wp.cw_mul(wp.cw_mul(paths.throughput[path], value), light.radiance)
