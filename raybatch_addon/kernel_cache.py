@@ -30,7 +30,7 @@ def kernel_cache_folder() -> Path:
     installed = sorted(_installed_extensions(), key=_blender_version)
     if installed:
         return installed[-1] / "kernels"
-    return _user_cache_folder() / "raybatch" / "kernels"
+    return user_cache_folder() / "raybatch" / "kernels"
 
 
 def _installed_extensions() -> list[Path]:
@@ -64,7 +64,8 @@ def _blender_version(user_folder: Path) -> list[int]:
     return [int(part) for part in parts if part.isdigit()]
 
 
-def _user_cache_folder() -> Path:
+def user_cache_folder() -> Path:
+    """Where the system wants programs to keep what they can make again; it need not exist yet."""
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
     if sys.platform == "darwin":

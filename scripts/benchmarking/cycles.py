@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
 import warp as wp
@@ -21,7 +20,7 @@ class CyclesPeer:
 
     def __init__(self, scene, device: wp.Device, settings: RenderSettings, thread_count: int):
         """`scene` is Blender's; samples, bounces and filter are those of `settings`. Raises `UsageError`."""
-        self._scene = scene
+        self._scene, self._samples = scene, settings.sample_count
         self._unbiased(settings)
         if thread_count:
             scene.render.threads_mode, scene.render.threads = "FIXED", thread_count
@@ -30,38 +29,42 @@ class CyclesPeer:
         self.device = use_device(scene, device)  # as Cycles calls it
 
     def render(self) -> float:
-        """Seconds of one render."""
+        """Seconds of one render, with the samples and the seed that it had last."""
+        import bpy
+
         self._scene.render.engine = "CYCLES"
-        return self._operate()
+        start = time.perf_counter()
+        bpy.ops.render.render()
+        return time.perf_counter() - start
 
     def picture(self, seed: int) -> np.ndarray:
         """The linear picture rendered with `seed`, float64, shape [height, width, 3], bottom row first."""
+        return self.timed_picture(seed, self._samples)[1]
+
+    def timed_picture(self, seed: int, samples: int) -> tuple[float, np.ndarray]:
+        """Seconds of a render with `seed` and `samples`, and its picture as in `picture`."""
+        self._scene.cycles.seed, self._scene.cycles.samples = seed, samples
+        return self.render(), self._rendered()
+
+    def _rendered(self) -> np.ndarray:
+        """The picture of the last render, as in `picture`."""
         import bpy
 
         scene = self._scene
-        scene.render.engine, scene.cycles.seed = "CYCLES", seed
         image = scene.render.image_settings
         if hasattr(image, "media_type"):
             image.media_type = "IMAGE"
         image.file_format, image.color_mode, image.color_depth, image.exr_codec = "OPEN_EXR", "RGB", "32", "ZIP"
         with tempfile.TemporaryDirectory() as folder:
-            scene.render.filepath = os.path.join(folder, "picture.exr")
-            self._operate(write_still=True)
-            (path,) = Path(folder).iterdir()
-            loaded = bpy.data.images.load(str(path))
+            path = os.path.join(folder, "picture.exr")
+            bpy.data.images["Render Result"].save_render(path, scene=scene)
+            loaded = bpy.data.images.load(path)
             loaded.colorspace_settings.name = "Non-Color"
             pixels = np.empty(len(loaded.pixels), np.float32)
             loaded.pixels.foreach_get(pixels)
             width, height = loaded.size
             bpy.data.images.remove(loaded)
         return pixels.reshape(height, width, -1)[..., :3].astype(np.float64)
-
-    def _operate(self, **how: bool) -> float:
-        import bpy
-
-        start = time.perf_counter()
-        bpy.ops.render.render(**how)
-        return time.perf_counter() - start
 
     def _unbiased(self, settings: RenderSettings) -> None:
         """Leave Cycles without shortcuts: what is left is noise."""

@@ -1,0 +1,176 @@
+"""The runs of convergence.py: variants take turns, with seed after seed."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from benchmarking.progress import Steps
+from benchmarking.whole_render import OpenedScene, RenderRequest, open_scene
+from rendering.output import tell_warnings
+
+from raybatch_addon.core.device import device_description, find_device
+from raybatch_addon.core.report.convergence import ConvergenceRecorder, ErrorPoint, error_point
+from raybatch_addon.core.report.snapshot import Snapshot
+from raybatch_addon.core.report.statistics import versions
+from raybatch_addon.core.session import Session
+from raybatch_addon.kernel_cache import kernel_cache_folder
+
+from .flip import MISSING, flip_function
+from .reference import TAKEN_SEEDS, References, UsedReference, picture_alone
+from .request import CYCLES, ConvergenceRequest, Variant, parse_comparison, run_seeds, run_settings, variants
+
+WARM_UP_SAMPLES = 2  # the second comes without what is done once
+
+
+@dataclass(frozen=True)
+class Run:
+    """One render, or for Cycles one at each sample count, with one seed."""
+
+    variant: Variant
+    seed: int
+    points: list[ErrorPoint]
+    picture: np.ndarray | None  # at the end, linear RGB, float32, shape [height, width, 3], bottom row first; None: nobody looks at it
+
+
+@dataclass
+class Study:
+    """All that was measured."""
+
+    opened: OpenedScene
+    variants: list[Variant]
+    device: dict[str, Any]
+    runs: list[Run] = field(default_factory=list)
+    references: dict[str, UsedReference] = field(default_factory=dict)  # by the variant's label
+    used: list[UsedReference] = field(default_factory=list)  # each once
+    apart: dict[str, float] | None = None  # limits of two engines
+    first_seconds: dict[str, float] = field(default_factory=dict)  # of a first render with few samples, with compilation, by label
+    versions: dict[str, str] = field(default_factory=dict)
+    flip_told: bool = False  # whether FLIP was computed
+    warnings: list[str] = field(default_factory=list)
+    seconds: float = 0.0  # that all took
+
+    def runs_of(self, variant: Variant) -> list[Run]:
+        """Those of one variant, in the order of seeds."""
+        return [run for run in self.runs if run.variant is variant]
+
+
+def opened_scene(request: ConvergenceRequest) -> OpenedScene:
+    """The scene of `request`, with the picture as its only pass; raises `RayBatchError`."""
+    return picture_alone(open_scene(RenderRequest(request.scene, size=request.size)))
+
+
+def measured(request: ConvergenceRequest) -> Study:
+    """Everything that was asked for; raises `RayBatchError`."""
+    start = time.perf_counter()
+    comparison = parse_comparison(request.compare, request.settings)
+    opened = opened_scene(request)
+    settings = run_settings(request, opened.settings)
+    competing = variants(comparison, settings)
+    if request.cycles:
+        competing.append(Variant(CYCLES, {"engine": CYCLES}, settings, CYCLES))
+    device = find_device(request.device)
+    study = Study(opened, competing, device_description(device))
+    flip = flip_function() if request.flip and request.reference_from != "halves" else None
+    if request.flip and flip is None and request.reference_from != "halves":
+        print(f"convergence.py: {MISSING}", file=sys.stderr)
+    study.flip_told = flip is not None
+    session = Session(device.alias, settings, kernel_cache_folder())
+    steps = Steps(2 * len(competing) + request.runs * len(competing))
+    try:
+        _Runner(request, study, session, steps, flip).run()
+    finally:
+        steps.close()
+        session.close()
+    study.versions = versions()
+    study.seconds = time.perf_counter() - start
+    return study
+
+
+class _Runner:
+    def __init__(self, request: ConvergenceRequest, study: Study, session: Session, steps: Steps, flip: Callable | None):
+        self._request, self._study, self._session, self._steps, self._flip = request, study, session, steps, flip
+        self._peer = None
+
+    def run(self) -> None:
+        """Warm up, get references, then let variants take turns."""
+        request, study = self._request, self._study
+        references = References(request, study.opened, self._session, self._tell)
+        if not references.is_made:  # nothing is rendered if it cannot be used
+            for variant in study.variants:
+                references.of(variant, 1)
+        rates = {}
+        for variant in study.variants:
+            self._steps.begin(f"first render of {variant.label}, with compilation")
+            rates[variant.label] = self._warm_up(variant)
+            self._steps.end()
+        for variant in study.variants:
+            samples = variant.settings.sample_count
+            if request.seconds is not None:
+                samples = max(1, min(samples, int(request.seconds / max(rates[variant.label], 1e-9))))
+            self._steps.begin(f"reference for {variant.label}")
+            study.references[variant.label] = references.of(variant, samples)
+            self._steps.end()
+        references.save()
+        study.used, study.apart = references.used, references.apart()
+        for turn, seed in enumerate(run_seeds(study.variants[0].settings.seed, request.runs, TAKEN_SEEDS)):
+            # each begins as often as any other: what drifts, as a machine's speed does, comes to all alike
+            first = turn % len(study.variants)
+            for variant in study.variants[first:] + study.variants[:first]:
+                self._steps.begin(f"{variant.label}, seed {seed} ({turn + 1} of {request.runs})")
+                study.runs.append(self._run(variant, seed, keep=turn == 0))
+                self._steps.end()
+
+    def _tell(self, text: str) -> None:
+        print(f"convergence.py: {text}", file=sys.stderr, flush=True)
+
+    def _warm_up(self, variant: Variant) -> float:
+        """Do once what is done once; returns seconds that a sample of every pixel takes, roughly."""
+        if variant.engine == CYCLES:
+            from .cycles import open_peer, require_size
+
+            self._peer = open_peer(self._study.opened, self._session.device, variant.settings)
+            seconds, picture = self._peer.timed_picture(0, 1)
+            x0, y0, x1, y1 = self._study.opened.scene.frame.region
+            require_size(picture, (x1 - x0, y1 - y0))
+            self._study.first_seconds[variant.label] = seconds
+            return seconds
+        recorder = ConvergenceRecorder()
+        settings = variant.settings.replace(sample_count=min(2 * WARM_UP_SAMPLES, variant.settings.sample_count), time_limit=0.0)
+        start = time.perf_counter()
+        film = self._session.render(self._study.opened.scene, settings, observers=[recorder])
+        self._study.first_seconds[variant.label] = time.perf_counter() - start
+        warnings = [text for text in film.statistics["warnings"] if text not in self._study.warnings]
+        tell_warnings(warnings)
+        self._study.warnings += warnings
+        last = recorder.snapshots[-1]
+        before = recorder.snapshots[-2] if len(recorder.snapshots) > 1 else None
+        if before is None or last.seconds <= before.seconds:
+            return last.seconds / last.samples
+        return (last.seconds - before.seconds) / (last.samples - before.samples)
+
+    def _run(self, variant: Variant, seed: int, keep: bool) -> Run:
+        snapshots = self._snapshots(variant, seed)
+        reference = self._study.references[variant.label].reference
+        if reference is None:  # halves that have no sample yet tell nothing
+            snapshots = [each for each in snapshots if each.halves is not None and each.samples >= 2]
+        points = [error_point(each, reference, self._flip_or_nan if self._flip else None) for each in snapshots]
+        return Run(variant, seed, points, snapshots[-1].picture if keep else None)
+
+    def _flip_or_nan(self, picture: np.ndarray, reference: np.ndarray) -> float:
+        value = self._flip(picture, reference)
+        return float("nan") if value is None else value
+
+    def _snapshots(self, variant: Variant, seed: int) -> list[Snapshot]:
+        if variant.engine == CYCLES:
+            from .cycles import cycles_snapshots
+
+            return cycles_snapshots(self._peer, seed, variant.settings.sample_count, self._request.seconds)
+        recorder = ConvergenceRecorder()
+        self._session.render(self._study.opened.scene, variant.settings.replace(seed=seed), observers=[recorder])
+        return recorder.snapshots
+

@@ -1,0 +1,281 @@
+"""What the runs say: slopes, time to an error, efficiency; in numbers, in words, and as JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import statistics
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarking.tables import table
+
+from raybatch_addon.core.report.convergence import ErrorPoint, Slope, efficiency, fit_slope, time_to
+
+from .reference import described
+from .request import Variant
+from .study import Run, Study
+
+# Share of the last squared error above which a reference's noise is told
+FLOOR_TOLD = 0.1
+
+
+@dataclass(frozen=True)
+class Ranged:
+    """A median of several runs, with the least and the most of them."""
+
+    median: float
+    least: float
+    most: float
+
+    @staticmethod
+    def of(values: list[float]) -> Ranged | None:
+        """None where there are none."""
+        return Ranged(statistics.median(values), min(values), max(values)) if values else None
+
+    def json(self) -> dict[str, float]:
+        """Six digits."""
+        return {name: short(value) for name, value in dataclasses.asdict(self).items()}
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What the runs of one variant say."""
+
+    variant: Variant
+    runs: list[Run]
+    slope: Slope | None  # of RMSE against samples, over all runs
+    slope_seconds: Slope | None  # against seconds
+    efficiency: Ranged | None  # 1 / (RMSE^2 x seconds)
+    efficiency_relative: Ranged | None  # to the first variant's
+    efficiency_relmse: float | None  # 1 / (relMSE x seconds)
+    target_seconds: Ranged | None
+    target_extrapolated: bool  # of most runs
+    speed_up: float | None  # how many times sooner than the first variant it reaches the target
+
+    @property
+    def last(self) -> list[ErrorPoint]:
+        """The last points of its runs."""
+        return [run.points[-1] for run in self.runs if run.points]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a study says."""
+
+    study: Study
+    target: float | None  # relMSE
+    target_given: bool
+    outcomes: list[Outcome]
+    notes: list[str]  # what a reader must know
+
+
+def summarised(study: Study, target: float | None) -> Summary:
+    """Slopes and times of all variants; without a `target` it is the error that the first variant has at its end."""
+    given = target is not None
+    if target is None:
+        ends = [run.points[-1].relmse for run in study.runs_of(study.variants[0]) if run.points]
+        target = statistics.median(ends) if ends and statistics.median(ends) > 0 else None
+    outcomes: list[Outcome] = []
+    for variant in study.variants:
+        outcomes.append(_outcome(study, variant, target, outcomes[0] if outcomes else None))
+    return Summary(study, target, given, outcomes, _notes(study, outcomes))
+
+
+def _outcome(study: Study, variant: Variant, target: float | None, first: Outcome | None) -> Outcome:
+    runs = study.runs_of(variant)
+    points = [point for run in runs for point in run.points]
+    slope = fit_slope(points)
+    reached = [found for run in runs if target and (found := time_to(run.points, target, slope)) is not None]
+    # a time that not every run has would be that of the lucky ones
+    seconds = Ranged.of([each for each, _ in reached]) if len(reached) == len(runs) else None
+    own = {run.seed: value for run in runs if (value := efficiency(run.points)) is not None}
+    others = {run.seed: value for run in first.runs if (value := efficiency(run.points)) is not None} if first else own
+    ratios = [value / others[seed] for seed, value in own.items() if seed in others]
+    relative = None
+    if ratios and others:
+        middle = statistics.median(own.values()) / statistics.median(others.values())
+        relative = Ranged(middle, min(*ratios, middle), max(*ratios, middle))
+    of_relmse = [value for run in runs if (value := efficiency(run.points, "relmse")) is not None]
+    theirs = first.target_seconds if first else seconds
+    return Outcome(
+        variant, runs, slope, fit_slope(points, "seconds"), Ranged.of(list(own.values())), relative, statistics.median(of_relmse) if of_relmse else None,
+        seconds, 2 * sum(extrapolated for _, extrapolated in reached) > len(reached), theirs.median / seconds.median if theirs and seconds and seconds.median else None,
+    )  # fmt: skip
+
+
+def _notes(study: Study, outcomes: list[Outcome]) -> list[str]:
+    notes = []
+    for each in outcomes:
+        if each.slope and each.slope.flattens:
+            notes.append(f"{each.variant.label}: {each.slope.says}")
+        if invalid := max((point.invalid_samples for point in each.last), default=0):
+            notes.append(f"{each.variant.label}: {invalid:,} samples of a run were not finite")
+        shares = [point.floor_relmse / point.relmse for point in each.last if point.floor_relmse and point.relmse and not point.from_halves]
+        if shares and statistics.median(shares) > FLOOR_TOLD:
+            share = f"{100 * min(1.0, statistics.median(shares)):.0f} %"
+            notes.append(f"{each.variant.label}: {share} of its last relMSE is noise of the reference; --reference-samples makes a better one")
+    for used in study.used:
+        if used.kind == "halves":
+            notes.append("errors are estimated from two halves of each render: a bias is not in them")
+        elif used.floor[0] is None:
+            notes.append(f"how far {used.reference.name} is off itself is not known: a curve that flattens may have come to its noise")
+    if study.apart:
+        apart = study.apart
+        brightness = "" if apart["mean_ratio"] is None else f"; RayBatch has {apart['mean_ratio']:.4f} of Cycles' brightness"
+        notes.append(
+            f"each engine is measured against its own reference; these two are apart by RMSE {apart['rmse']:.3g} (their noise makes "
+            f"{apart['noise_rmse']:.3g}) and relMSE {apart['relmse']:.3g} ({apart['noise_relmse']:.3g}){brightness}"
+        )
+    return notes
+
+
+# --- JSON
+
+
+def short(value: float | None) -> float | None:
+    """Six digits, which is more than any of these has; None for what is not finite."""
+    return float(f"{value:.6g}") if value is not None and math.isfinite(value) else None
+
+
+def json_report(summary: Summary, request: dict[str, Any]) -> dict[str, Any]:
+    """The report as JSON has it; `request` is what was asked for."""
+    study = summary.study
+    frame = study.opened.scene.frame
+    return {
+        "scene": study.opened.name,
+        "device": study.device["name"],
+        "reference": described(study.used[0]),
+        "target": {"relmse": short(summary.target), "given": summary.target_given},
+        "notes": summary.notes,
+        "runs": [_run(run) for run in study.runs],
+        "summary": [_summary(each, study) for each in summary.outcomes],
+        "references": [described(each) for each in study.used],
+        "references_apart": {name: short(value) for name, value in study.apart.items()} if study.apart else None,
+        "request": request,
+        "settings": dataclasses.asdict(study.variants[0].settings),
+        "frame": {"width": frame.width, "height": frame.height},
+        "machine": study.device,
+        "versions": study.versions,
+        "warnings": study.warnings,
+        "seconds": round(study.seconds, 3),
+    }
+
+
+def _run(run: Run) -> dict[str, Any]:
+    slope = fit_slope(run.points)
+    return {
+        "engine": run.variant.engine, "label": run.variant.label, "settings": run.variant.values, "seed": run.seed,
+        "points": [_point(point) for point in run.points],
+        "slope": short(slope.slope) if slope else None, "slope_spread": short(slope.spread) if slope else None,
+    }  # fmt: skip
+
+
+def _point(point: ErrorPoint) -> dict[str, Any]:
+    return {
+        "seconds": round(point.seconds, 6), "samples": point.samples, "rmse": short(point.rmse), "relmse": short(point.relmse), "flip": short(point.flip),
+        "seconds_total": round(point.seconds_total, 6), "rays": point.rays or None, "invalid_samples": point.invalid_samples,
+    }  # fmt: skip
+
+
+def _summary(each: Outcome, study: Study) -> dict[str, Any]:
+    last = each.last
+    middle = {name: _median([getattr(point, name) for point in last]) for name in ("samples", "seconds", "seconds_total", "rmse", "relmse", "flip")}
+    return {
+        "engine": each.variant.engine, "label": each.variant.label, "settings": each.variant.values, "runs": len(each.runs),
+        "slope": short(each.slope.slope) if each.slope else None, "slope_spread": short(each.slope.spread) if each.slope else None,
+        "slope_seconds": short(each.slope_seconds.slope) if each.slope_seconds else None,
+        "flattens": each.slope.flattens if each.slope else None, "says": each.slope.says if each.slope else None,
+        "seconds_to_target": {**each.target_seconds.json(), "extrapolated": each.target_extrapolated} if each.target_seconds else None,
+        "speed_up_to_target": short(each.speed_up),
+        "efficiency": each.efficiency.json() if each.efficiency else None,
+        "efficiency_relative": each.efficiency_relative.json() if each.efficiency_relative else None,
+        "efficiency_relmse": short(each.efficiency_relmse),
+        "end": {name: short(value) for name, value in middle.items()},
+        "invalid_samples": max((point.invalid_samples for point in last), default=0),
+        "first_seconds": short(study.first_seconds.get(each.variant.label)),
+    }  # fmt: skip
+
+
+def _median(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None and math.isfinite(value)]
+    return statistics.median(known) if known else None
+
+
+# --- words
+
+HEADS = ["setting", "", "samples", "seconds", "RMSE", "relMSE", "FLIP", "slope", "to target", "sooner", "efficiency", "spread"]
+
+
+def rows(summary: Summary) -> list[list[str]]:
+    """A row for each variant, under HEADS."""
+    found = []
+    for each in summary.outcomes:
+        last = each.last
+        middle = {name: _median([getattr(point, name) for point in last]) for name in ("samples", "seconds", "rmse", "relmse", "flip")}
+        found.append([
+            each.variant.label, f"{len(each.runs)} runs", f"{middle['samples'] or 0:,.0f}", _text(middle["seconds"], "{:.3f}"),
+            _text(middle["rmse"], "{:.3g}"), _text(middle["relmse"], "{:.3g}"), _text(middle["flip"], "{:.3g}"), slope_text(each.slope),
+            target_text(each), _text(each.speed_up, "x {:.2f}"), *relative_text(each.efficiency_relative, is_first=each is summary.outcomes[0]),
+        ])  # fmt: skip
+    return found
+
+
+def slope_text(slope: Slope | None) -> str:
+    """With its spread, and a mark where the curve flattens."""
+    if slope is None:
+        return "-"
+    spread = f" ±{slope.spread:.2f}" if math.isfinite(slope.spread) else ""
+    return f"{slope.slope:.2f}{spread}{' BIAS' if slope.flattens else ''}"
+
+
+def target_text(each: Outcome) -> str:
+    """Seconds to the target; with ~ where they are extrapolated."""
+    if each.target_seconds is None:
+        return "never" if each.slope and each.slope.flattens else "-"
+    return f"{'~' if each.target_extrapolated else ''}{each.target_seconds.median:.3g} s"
+
+
+def relative_text(relative: Ranged | None, is_first: bool) -> tuple[str, str]:
+    """Efficiency of the first's, and the least and the most of runs."""
+    if relative is None:
+        return "-", ""
+    return f"{relative.median:.3g}", "" if is_first else f"{relative.least:.2g}..{relative.most:.2g}"
+
+
+def _text(value: float | None, form: str) -> str:
+    return "-" if value is None else form.format(value)
+
+
+def reference_text(summary: Summary) -> list[str]:
+    """A line for each reference."""
+    lines = []
+    for used in summary.study.used:
+        if used.reference is None:
+            lines.append("error: estimated from two halves of each render, without a reference")
+            continue
+        told = f"{used.reference.samples:,} samples, " if used.reference.samples else ""
+        floor = "of unknown noise" if used.floor[0] is None else f"whose own noise is RMSE {used.floor[0]:.3g}, relMSE {used.floor[1]:.3g}"
+        kept = f" ({'kept from before' if used.from_cache else 'made now'})" if used.kind in ("raybatch", "cycles") else ""
+        lines.append(f"reference: {used.reference.name}, {told}{floor}{kept}")
+    return lines
+
+
+def target_line(summary: Summary) -> str:
+    """What the target is."""
+    if summary.target is None:
+        return "no target: the first setting has no error"
+    return f"target: relMSE {summary.target:.3g}" + ("" if summary.target_given else ", which the first setting has at its end")
+
+
+def text_report(summary: Summary) -> str:
+    """The report as a person reads it."""
+    study = summary.study
+    frame = study.opened.scene.frame
+    lines = [f"{study.opened.name}, {frame.width} x {frame.height} pixels, on {study.device['name']}", *reference_text(summary), target_line(summary), ""]
+    lines.append(table(HEADS, rows(summary)))
+    lines += ["medians of runs; seconds: of rendering alone; slope: of RMSE against samples; sooner: at the target, than the first setting;"]
+    lines += ["efficiency: 1 / (RMSE^2 x seconds), relative to the first; ~: extrapolated", ""]
+    lines += [f"{each.variant.label}: {each.slope.says}" for each in summary.outcomes if each.slope]
+    lines += [f"note: {note}" for note in summary.notes]
+    return "\n".join(lines)
