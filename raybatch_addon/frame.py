@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import bpy
 
-from . import reports
+from . import convergence, reports
 from .core.errors import RayBatchError
 from .core.film import Film
 from .core.scene.description import Scene
@@ -80,8 +80,20 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
         for listener in progress_listeners:
             listener(progress)
 
-    with session_for(settings) as session:
-        film = session.render(scene, settings, on_tile=writer.write, on_progress=on_progress, cancelled=engine.test_break)
+    recorder = None
+    if wants_recording(depsgraph.scene, settings):
+        recorder = convergence.recorder_for(convergence.store, depsgraph.scene.name, layer_name, depsgraph.scene.frame_current, settings)
+    observers = [recorder] if recorder else []
+    film = None
+    try:
+        with session_for(settings) as session:
+            film = session.render(
+                scene, settings, on_tile=writer.write, on_progress=on_progress, cancelled=engine.test_break, observers=observers
+            )
+    finally:
+        if recorder:
+            state = convergence.FAILED if film is None else convergence.FINISHED if film.complete else convergence.CANCELLED
+            recorder.end(state, film and film.statistics)
     seconds = film.statistics["seconds"]
     seconds["export"] = round(export_seconds, 6)
     seconds["total"] = round(seconds.get("total", 0.0) + export_seconds, 6)
@@ -89,6 +101,12 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
     _report_warnings(engine, report, film.statistics["warnings"])
     for listener in film_listeners:
         listener(layer_name, scene, film)
+
+
+def wants_recording(scene: bpy.types.Scene, settings: RenderSettings) -> bool:
+    """Whether error and rays a second over time are to be kept: where the error is estimated anyway, or the panel was asked to."""
+    own = getattr(scene, "raybatch_convergence", None)
+    return settings.half_count > 1 or bool(own and own.record)
 
 
 def _report_warnings(engine: bpy.types.RenderEngine, report: reports.RenderReport, warnings: list[str]) -> None:

@@ -51,3 +51,28 @@ class ResultWriter:
             self._engine.end_result(result, cancel=True)
             raise
         self._engine.end_result(result)
+
+
+def write_image(name: str, pixels: np.ndarray) -> bpy.types.Image:
+    """Put `pixels` into Blender's image `name`, which is made or resized; for the main thread alone.
+
+    Args:
+        pixels: RGBA as shown on a screen, 0 to 1, float32, shape [height, width, 4], bottom row first.
+    """
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.get(name)
+    if image is None:
+        image = bpy.data.images.new(name, width, height)
+    if tuple(image.size) != (width, height):
+        image.scale(width, height)
+    image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).reshape(-1))
+    image.update()
+    return image
+
+
+def write_preview(preview: bpy.types.ImagePreview, pixels: np.ndarray) -> None:
+    """Put `pixels`, as those of `write_image`, into what a panel shows as an icon."""
+    height, width = pixels.shape[:2]
+    if tuple(preview.image_size) != (width, height):
+        preview.image_size = (width, height)
+    preview.image_pixels_float.foreach_set(np.ascontiguousarray(pixels, np.float32).reshape(-1))

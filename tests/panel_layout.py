@@ -26,11 +26,15 @@ class Layout:
 
     row = box = column
 
-    def label(self, text="", icon="NONE"):
+    def label(self, text="", icon="NONE", icon_value=0):
         assert icon in bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items
         self.notes.append(("label", text, icon))
 
-    def operator(self, name, text="", emboss=True):
+    def template_icon(self, icon_value, scale=1.0):
+        self.notes.append(("icon", icon_value, scale))
+
+    def operator(self, name, text="", emboss=True, icon="NONE", depress=False):
+        assert icon in bpy.types.UILayout.bl_rna.functions["operator"].parameters["icon"].enum_items
         group, _, each = name.partition(".")
         known = getattr(getattr(bpy.ops, group), each).get_rna_type().properties.keys()
         button = types.SimpleNamespace()

@@ -57,6 +57,7 @@ class Progress:
     seconds_left: float | None  # None: not known yet
     memory_bytes: int
     message: str
+    seconds_rendering: float = 0.0  # of `seconds_elapsed`, those in which rays are traced: what `rays_per_second` is of
 
 
 @dataclass(frozen=True)
@@ -301,19 +302,19 @@ class Session:
             rays = sum(i.rays.total for i in integrators)
             left = seconds / fraction - seconds if fraction > 0.001 else None
             samples = fraction * job.settings.sample_count
-            job.on_progress(self._progress(job, "render", fraction, samples, rays / seconds if seconds else 0.0, left, "Rendering"))
+            job.on_progress(self._progress(job, "render", fraction, samples, rays / seconds if seconds else 0.0, left, "Rendering", seconds))
 
         start = time.perf_counter()
         job.rendering = Rendering(integrators, state, film, RenderEvents(on_tile, on_progress, job.cancelled, job.watchers), job.started)
         job.rendering.run()
         job.seconds["render"] = time.perf_counter() - start
 
-    def _progress(self, job, stage, fraction, samples, rays_per_second, seconds_left, message) -> Progress:
+    def _progress(self, job, stage, fraction, samples, rays_per_second, seconds_left, message, seconds=0.0) -> Progress:
         memory = 0
         if self.device.is_cuda and wp.is_mempool_enabled(self.device):
             memory = int(wp.get_mempool_used_mem_current(self.device))
         elapsed = time.perf_counter() - job.started
-        return Progress(stage, fraction, samples, job.settings.sample_count, rays_per_second, elapsed, seconds_left, memory, message)
+        return Progress(stage, fraction, samples, job.settings.sample_count, rays_per_second, elapsed, seconds_left, memory, message, seconds)
 
     # --- after
 

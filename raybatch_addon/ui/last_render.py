@@ -7,6 +7,7 @@ from typing import Any
 import bpy
 
 from .. import reports
+from ..convergence import error_line
 from .panel import EnginePanel, draw_lines
 
 
@@ -35,12 +36,13 @@ class RAYBATCH_RENDER_PT_last_render(EnginePanel, bpy.types.Panel):
 
 
 def report_lines(report: reports.RenderReport) -> list[str]:
-    """Of each view layer: device, seconds, rays a second, its tree, what was counted, samples that had to be repaired."""
+    """Of each view layer: device, seconds, rays a second, samples and error, its tree, what was counted, samples that had to be repaired."""
     lines = []
     for name, statistics in report.statistics.items():
         seconds = statistics["seconds"]
         rays = statistics["rays"]["total"] / seconds["render"] / 1e6 if seconds.get("render") else 0.0
-        lines.append(f"{name}: {seconds['total']:.2f} s on {statistics['device']['alias']}, {rays:.2f} Mrays/s")
+        parts = [f"{name}: {seconds['total']:.2f} s on {statistics['device']['alias']}", f"{rays:.2f} Mrays/s", error_line(statistics)]
+        lines.append(", ".join(part for part in parts if part))
         lines += _tree_lines(statistics.get("tree")) + _batching_lines(statistics.get("batching")) + _counter_lines(statistics.get("counters"))
         if statistics["invalid_samples"]:
             lines.append(f"{name}: {statistics['invalid_samples']:,} samples were not finite and count as black")

@@ -44,7 +44,10 @@ def _property(info: SettingInfo):
         return bpy.props.StringProperty(**about)
     if info.kind is int:
         return bpy.props.IntProperty(min=int(info.minimum), max=int(info.maximum), **about)
-    return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, precision=3, **about)
+    if info.unit == "s":
+        return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, unit="TIME_ABSOLUTE", step=100, **about)
+    # of a relative error the last of three digits would often be the first
+    return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, precision=6 if info.unit == "relMSE" else 3, **about)
 
 
 def _description(info: SettingInfo) -> str:

@@ -32,6 +32,7 @@ def _draw(self, context):
     for info in SETTINGS.values():
         if info.group == self.group:
             row = column.row(align=True)
+            row.active = not _is_implied(context.scene.raybatch, info.name)
             row.prop(context.scene.raybatch, shown_name(info))
             draw_choice(row, context, info)
     for name in _BUILTIN.get(self.group, ()):
@@ -40,6 +41,11 @@ def _draw(self, context):
         _draw_complaint(layout, context)
     elif self.group == "MEMORY":
         draw_lines(layout, context, estimate_lines(context))
+
+
+def _is_implied(settings, name: str) -> bool:
+    """Whether another setting already says what this one would."""
+    return name == "error_estimate" and settings.error_target > 0
 
 
 def _draw_complaint(layout, context) -> None:

@@ -1,0 +1,1 @@
+"""Plots drawn into arrays with NumPy alone: Blender has no plotting library."""
