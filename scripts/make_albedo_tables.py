@@ -3,10 +3,12 @@
 
 Gauss-Legendre and midpoint quadrature in float64 over the visible microfacet normals: in the
 parameters of their sampling the integrand is smooth but for the horizon and the critical angle. The
-error of the quadrature is below 3e-4. Takes about two minutes; the file is part of the repository.
+error of the quadrature is below 3e-4. Takes about ten minutes of a core; the file is part of the repository.
 """
 
+import itertools
 import math
+from multiprocessing import Pool
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,8 @@ import numpy as np
 ROUGHNESS_COUNT = 32
 COSINE_COUNT = 32
 IOR_COUNT = 32  # of ior >= 1
+# Points of a table's cell at which the truth is known: the critical angle is a kink in cosine and index
+PARTS_ROUGHNESS, PARTS = 2, 4
 POINT_COUNT = 64  # quadrature points in each of two directions
 ALPHA_LEAST = 1e-6  # stands for the limit at roughness 0
 IOR_LARGEST = 1e3  # the end of the axis (`IOR_RANGE` of materials.py)
@@ -31,13 +35,19 @@ def shadowing(alpha, cos_o, cos_i):
 
 
 def fresnel(cosine, eta):
-    """Unpolarised reflectance of a dielectric."""
-    m = eta**2 - 1
-    g = np.sqrt(np.maximum(m + cosine**2, 0))
-    cos_t = g / eta
-    s = (cosine - eta * cos_t) / np.maximum(cosine + eta * cos_t, 1e-300)
-    p = (eta * cosine - cos_t) / np.maximum(eta * cosine + cos_t, 1e-300)
-    return np.where(m + cosine**2 <= 0, 1.0, (s**2 + p**2) / 2)
+    """Unpolarised reflectance of a dielectric, without a difference of nearly equal numbers (as shading/microfacet.py)."""
+    return fresnel_and_root(cosine, eta)[0]
+
+
+def fresnel_and_root(cosine, eta):
+    """The reflectance, and eta times the cosine behind the surface."""
+    m = (eta - 1) * (eta + 1)
+    square = m + cosine * cosine
+    g = np.sqrt(np.maximum(square, 0))
+    both = np.maximum(g + cosine, 1e-300)
+    s = m / (both * both)
+    p = s * (cosine * both - 1) / (cosine * m / both + 1)
+    return np.where(m == 0, 0.0, np.where(square <= 0, 1.0, np.minimum((s * s + p * p) / 2, 1))), g
 
 
 def visible_normals(alpha, cos_o):
@@ -61,9 +71,8 @@ def reflected_and_total(alpha, cos_o, etas):
     mirror = weight * shadowing(alpha, cos_o, 2 * c * h[2] - cos_o)
     reflected, total = [], []
     for eta in etas:
-        f = fresnel(c, eta)
-        g = np.sqrt(np.maximum(eta**2 - 1 + c**2, 0))
-        cos_i = -((c - g) * h[2] - cos_o) / eta
+        f, g = fresnel_and_root(c, eta)
+        cos_i = ((eta - 1) * (eta + 1) / (g + c) * h[2] + cos_o) / eta
         reflected.append((mirror * f).sum())
         total.append(reflected[-1] + (weight * (1 - f) * shadowing(alpha, cos_o, cos_i)).sum())
     return mirror.sum(), np.array(reflected), np.array(total)
@@ -78,75 +87,98 @@ def average(values_of_cosine):
 
 
 def quantised(values):
-    """[0, 1] as uint16."""
-    return np.rint(np.clip(values, 0, 1) * 65535).astype(np.uint16)
+    """[0, 1] as uint16; upwards, as a table that is too low makes energy."""
+    return np.ceil(np.clip(values, 0, 1) * 65535 - 1e-6).astype(np.uint16)
 
 
 def quantised_difference(values):
-    """[-1, 1] as int16; 0 stays 0."""
-    return np.rint(np.clip(values, -1, 1) * 32767).astype(np.int16)
+    """[-1, 1] as int16, upwards; 0 stays 0."""
+    return np.ceil(np.clip(values, -1, 1) * 32767 - 1e-6).astype(np.int16)
 
 
-def refined(values):
-    """Linear interpolation at the nodes and midway between them, along every axis."""
-    for axis in range(values.ndim):
+def refined(values, parts):
+    """Linear interpolation at `parts[i]` places of every cell along axis i."""
+    for axis, count in enumerate(parts):
         v = np.moveaxis(values, axis, 0)
-        fine = np.empty((2 * len(v) - 1, *v.shape[1:]))
-        fine[::2], fine[1::2] = v, (v[:-1] + v[1:]) / 2
+        fine = np.empty((count * (len(v) - 1) + 1, *v.shape[1:]))
+        for j in range(count):
+            fine[j:-1:count] = v[:-1] + (v[1:] - v[:-1]) * (j / count)
+        fine[-1] = v[-1]
         values = np.moveaxis(fine, 0, axis)
     return values
 
 
-def raised(truth):
-    """Every second entry of `truth`, raised so that interpolation between them is below it nowhere.
+def raised(truth, parts):
+    """Entries of `truth` at the nodes of a table, raised so that interpolation between them is below it nowhere that it is known.
 
     A table that is too high darkens by its error; one that is too low makes energy, bounce by bounce.
     """
-    nodes = truth[(slice(None, None, 2),) * truth.ndim]
-    lack = np.maximum(truth - refined(nodes), 0)
-    for axis in range(lack.ndim):  # the largest of all cells around a node
-        v = np.pad(np.moveaxis(lack, axis, 0), [(1, 1)] + [(0, 0)] * (lack.ndim - 1))
-        lack = np.moveaxis(np.maximum(np.maximum(v[:-2:2], v[1:-1:2]), v[2::2]), 0, axis)
-    return np.minimum(nodes + lack, 1)
+    nodes = truth[tuple(slice(None, None, count) for count in parts)]
+    lack = np.maximum(truth - refined(nodes, parts), 0)
+    for axis, count in enumerate(parts):  # the largest of all cells around a node
+        v = np.moveaxis(lack, axis, 0)
+        padded = np.pad(v, [(count - 1, count - 1)] + [(0, 0)] * (lack.ndim - 1))
+        largest = np.max([padded[j : j + len(v) : count] for j in range(2 * count - 1)], axis=0)
+        lack = np.moveaxis(largest, 0, axis)
+    return nodes + lack
+
+
+def without_a_coat(table, truth, parts):
+    """`table` with 0 at the index 1, which its next entries make up for."""
+    table[0] = 0
+    for j in range(1, parts[0]):
+        lack = truth[j] - refined(table[1], parts[1:]) * (j / parts[0])
+        # as differences of the next entries, all cells around a node
+        missing = raised(np.maximum(lack, 0), parts[1:]) * (parts[0] / j)
+        table[1] += np.where(missing > 0, missing, 0)
+    return table
+
+
+def indices():
+    """Indices of refraction at which the truth is known: `PARTS` in each cell."""
+    axis = np.linspace(-1, 1, 2 * PARTS * (IOR_COUNT - 1) + 1)  # sign(l) |l|^(1/4), l = log(eta) / log(1000)
+    etas = IOR_LARGEST ** (np.sign(axis) * axis**4)
+    etas[PARTS * (IOR_COUNT - 1)] = 1 + 1e-7  # the limit at 1: facets without effect but for their shadows
+    return etas
+
+
+def known(place):
+    """The truth at (roughness, cosine coordinate): of all light, of reflection by index, of all of glass by index, of one facet by index > 1."""
+    roughness, u = place
+    alpha = max(roughness**2, ALPHA_LEAST)
+    cosine = u * u * alpha / (1 + alpha - u * u)
+    cosine = min(max(cosine, 1e-3 * ALPHA_LEAST), 1)
+    etas = indices()
+    return *reflected_and_total(alpha, cosine, etas), fresnel(slope(alpha, cosine), etas)
 
 
 def main():
     """Computes and writes the file."""
-    axis = np.linspace(-1, 1, 4 * IOR_COUNT - 3)  # sign(l) |l|^(1/4), l = log(eta) / log(1000)
-    etas = IOR_LARGEST ** (np.sign(axis) * axis**4)
-    etas[2 * IOR_COUNT - 2] = 1 + 1e-7  # the limit at 1: facets without effect but for their shadows
-    coats = etas[2 * IOR_COUNT - 2 :].copy()
-    coats[0] = 1
-
-    # all at twice the resolution of the tables
-    shape = (2 * ROUGHNESS_COUNT - 1, 2 * COSINE_COUNT - 1)
-    reflection = np.zeros(shape)
-    glass = np.zeros((len(etas), *shape))
-    coat = np.zeros((len(coats), *shape))
-    single = np.zeros((len(coats), *shape))
-    reflection_average = np.zeros(ROUGHNESS_COUNT)
-    for i, roughness in enumerate(np.linspace(0, 1, shape[0])):
-        alpha = max(roughness**2, ALPHA_LEAST)
-        for j, u in enumerate(np.linspace(0, 1, shape[1])):
-            cosine = u * u * alpha / (1 + alpha - u * u)
-            cosine = min(max(cosine, 1e-3 * ALPHA_LEAST), 1)
-            reflection[i, j], reflected, glass[:, i, j] = reflected_and_total(alpha, cosine, etas)
-            coat[:, i, j] = np.append(0.0, reflected[2 * IOR_COUNT - 1 :])
-            single[:, i, j] = fresnel(slope(alpha, cosine), coats)
-        if i % 2 == 0:
-            reflection_average[i // 2] = average(lambda mu: reflected_and_total(alpha, mu, ())[0])
-    reflection = raised(reflection)
+    etas = indices()
+    one = PARTS * (IOR_COUNT - 1)  # where the index is 1
+    parts = (PARTS, PARTS_ROUGHNESS, PARTS)
+    roughnesses = np.linspace(0, 1, PARTS_ROUGHNESS * (ROUGHNESS_COUNT - 1) + 1)
+    coordinates = np.linspace(0, 1, PARTS * (COSINE_COUNT - 1) + 1)
+    with Pool() as pool:
+        found = pool.map(known, itertools.product(roughnesses, coordinates), chunksize=64)
+    shape = (len(roughnesses), len(coordinates))
+    all_light, reflected, total, single = (np.moveaxis(np.array(each).reshape(*shape, -1), 2, 0) for each in zip(*found))
+    reflected[one] = single[one] = 0  # a coat of index 1 is none
+    reflection = np.minimum(raised(all_light[0], parts[1:]), 1)
     # what the table of all light makes of it
-    difference = raised(coat / refined(reflection) - single)
-    difference[0] = 0
+    difference = (reflected / refined(reflection, parts[1:]) - single)[one:]
 
+    reflection_average = [
+        average(lambda mu: reflected_and_total(max(roughness**2, ALPHA_LEAST), mu, ())[0]) for roughness in roughnesses[::PARTS_ROUGHNESS]
+    ]
+    coats = [1.0, *etas[one + PARTS :: PARTS]]
     np.savez_compressed(
         Path(__file__).parents[1] / "raybatch_addon/core/shading/albedo.npz",
         reflection=quantised(reflection),
-        reflection_average=quantised(reflection_average),
-        coat=quantised_difference(difference),
-        fresnel_average=quantised(np.array([average(lambda mu: fresnel(mu, eta)) for eta in coats[::2]])),
-        glass=quantised(raised(glass)),
+        reflection_average=quantised(np.array(reflection_average)),
+        coat=quantised_difference(without_a_coat(raised(difference, parts), difference, parts)),
+        fresnel_average=quantised(np.array([average(lambda mu: fresnel(mu, eta)) for eta in coats])),
+        glass=quantised(raised(total, parts)),
     )
 
 

@@ -1,7 +1,8 @@
-"""Closures that the cases of materials ask through kernels, and how they are asked: the probe of the shading tests, on the bench's device."""
+"""Closures that the cases of materials ask through kernels, by the probe of the shading tests, on the bench's device."""
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -38,11 +39,18 @@ def evaluate(bench: Bench, closures, wo, wi, entering: int = 1):
     return probe.evaluate(tuple(closures), wo, wi, probe.frame_of(entering=entering), device=bench.device)
 
 
-def albedo(bench: Bench, closures, cosine: float, entering: int = 1, count: int = 2**12) -> tuple[float, float]:
-    """Directional albedo of the channel that reflects most, and how far statistics may move it.
+SETS = 64  # of samples: independent of each other, each stratified
 
-    Samples are stratified, which only narrows the spread that is measured as if they were independent.
-    """
-    weight = sample(bench, closures, probe.toward(cosine), count, entering)[1]
+
+@functools.cache
+def _sets(side: int) -> np.ndarray:
+    return np.concatenate([probe.stratified(side * side, seed) for seed in range(SETS)])
+
+
+def albedo(bench: Bench, closures, cosine: float, entering: int = 1, side: int = 16) -> tuple[float, float]:
+    """Directional albedo of the channel that reflects most, and how far statistics may move it: six standard errors, from the spread of
+    `SETS` independent sets of `side` x `side` stratified samples."""
+    weight = sample(bench, closures, probe.toward(cosine), 0, entering, _sets(side))[1]
     channel = int(np.argmax(weight.mean(0)))
-    return float(weight[:, channel].mean()), SIGMAS * float(weight[:, channel].std()) / math.sqrt(count)
+    means = weight[:, channel].reshape(SETS, -1).mean(1)
+    return float(means.mean()), SIGMAS * float(means.std(ddof=1)) / math.sqrt(SETS)

@@ -143,7 +143,7 @@ def furnace_glass_average(bench: Bench) -> Outcome:
     sweep = Sweep()
     for ior, entering, roughness in itertools.product(_GLASS_IORS, (1, 0), ROUGHNESSES[3:]):
         closures = (Closure(K.GLASS, WHITE, roughness, ior),)
-        values = [albedo(bench, closures, float(np.sqrt((x + 1) / 2)), entering, 2**10) for x in nodes]
+        values = [albedo(bench, closures, float(np.sqrt((x + 1) / 2)), entering, 8) for x in nodes]
         mean = sum(w / 2 * value for w, (value, _) in zip(weights, values))
         spread = np.sqrt(sum((w / 2 * error) ** 2 for w, (_, error) in zip(weights, values)))
         sweep.add(mean, 1.0, 0.02 + spread if mean < 1 else _GAIN + spread, f"index {ior:.7g}, roughness {roughness:.4g}, entering {entering}")
@@ -198,7 +198,7 @@ def furnace_principled(bench: Bench) -> Outcome:
         )
         note = f"metallic {metallic:g}, roughness {roughness:.3g}, index {ior:g}, specular {specular:g}, transmission {transmission:g}"
         cosine = float(rng.uniform(0.1, 1))
-        measured, spread = albedo(bench, mixture.visible().closures, cosine, 1, 2**10)
+        measured, spread = albedo(bench, mixture.visible().closures, cosine, 1, 8)
         sweep.add(measured, 1.0, (_GAIN if measured > 1 else 0.012) + spread + 1e-6, f"{note}, alpha {alpha:g}, cosine {cosine:.3f}")
     return sweep.outcome()
 
@@ -221,7 +221,7 @@ def principled_at_random(bench: Bench) -> Outcome:
             tint=tuple(u[7:10]), transmission=u[10], alpha=u[11], multiscatter=bool(i % 3),
         )  # fmt: skip
         cosine = float(10 ** rng.uniform(-4, 0))
-        measured, spread = albedo(bench, mixture.visible().closures, cosine, 1, 2**10)
+        measured, spread = albedo(bench, mixture.visible().closures, cosine, 1, 8)
         sweep.add(max(measured - 1, 0.0) if measured == measured else measured, 0.0, 0.02 + spread, f"number {i}, cosine {cosine:.2g}")
     return sweep.outcome()
 
