@@ -96,20 +96,24 @@ def report(options: argparse.Namespace, folders: OutputFolders, standard_output:
         if target:
             folders.prepare(Path(target).absolute())
 
+    from converging.reference import write_reference
     from converging.study import measured
     from converging.summary import json_report, summarised, text_report
 
-    summary = summarised(measured(request), request.target)
+    study = measured(request)
+    summary = summarised(study, request.target)
     if options.html:
         from converging.page import html_page
 
         page = html_page(summary, command)
+    if options.save_reference:
+        write_reference(options.save_reference.absolute(), study.opened, study.used[0])
     if options.plot:
         write_plot(options.plot.absolute(), summary)
     if options.html:
         write_whole(options.html.absolute(), lambda temporary: temporary.write_text(page, encoding="utf-8"))
     if options.json:
-        asked = {"command": command, "seconds": request.seconds, "runs": request.runs, "flip": summary.study.flip_told}
+        asked = {"command": command, "seconds": request.seconds, "runs": request.runs, "flip": study.flip_told}
         write_json(options.json, [json_report(summary, asked)], standard_output)
     if options.json != "-":
         standard_output.write(text_report(summary) + "\n")

@@ -130,7 +130,8 @@ def draw(axes, panel: Panel, summary: Summary, ink: str) -> None:
     for spine in axes.spines.values():
         spine.set_color(ink)
     axes.grid(True, which="major", color=ink, alpha=0.18, linewidth=0.6)
-    axes.legend(fontsize=8, frameon=False, labelcolor=ink)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=8, frameon=False, labelcolor=ink)
 
 
 def _draw_curve(axes, panel: Panel, outcome: Outcome, colour: str, marker: str) -> None:

@@ -111,13 +111,10 @@ class References:
             "noise_rmse": float(np.hypot(ours.floor[0], theirs.floor[0])), "noise_relmse": ours.floor[1] + theirs.floor[1],
         }  # fmt: skip
 
-    def save(self) -> None:
-        """Write what was made where the request wants it; raises `RayBatchError`."""
-        if self._request.save_reference:
-            if len(self.used) > 1:
-                raise UsageError("--save-reference holds one picture, and this comparison has several references: leave it out")
-            found = self.used[0]
-            save_reference(self._request.save_reference.absolute(), found.reference, self._hash, found.settings)
+    def require_one(self) -> None:
+        """Raise `UsageError` where what was made is to be written, and is more than one picture."""
+        if self._request.save_reference and len(self.used) > 1:
+            raise UsageError("--save-reference holds one picture, and this comparison has several references: leave it out")
 
     # --- where it is from
 
@@ -205,8 +202,9 @@ def picture_key(settings: RenderSettings) -> tuple:
 
 def reference_settings(settings: RenderSettings, samples: int) -> RenderSettings:
     """Those of an unbiased reference for renders with `settings`, in two halves, with a seed that runs do not have."""
-    plain = {name: SETTINGS[name].default for name in ("nee", "sample_sequence", "clamp_direct", "clamp_indirect", "counters", "debug_checks")}
-    plain |= {"sample_count": samples + samples % 2, "seed": SEED, "time_limit": 0.0, "error_target": 0.0, "error_estimate": "ON"}
+    estimating = [name for name, info in SETTINGS.items() if info.effect == "estimator" and name not in PICTURE_SETTINGS]
+    plain = {name: SETTINGS[name].default for name in (*estimating, "counters", "debug_checks")}
+    plain |= {"sample_count": samples + samples % 2, "seed": SEED, "error_estimate": "ON"}
     return settings.replace(**plain)
 
 
@@ -224,6 +222,11 @@ def core_digest() -> str:
     for path in sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".npz")):
         digest.update(str(path.relative_to(folder).as_posix()).encode() + path.read_bytes())
     return digest.hexdigest()
+
+
+def write_reference(path: Path, opened: OpenedScene, used: UsedReference) -> None:
+    """Write a reference that was made for other runs, whole or not at all; raises `RayBatchError`."""
+    save_reference(path, used.reference, scene_hash(opened.scene), used.settings)
 
 
 def described(used: UsedReference) -> dict:

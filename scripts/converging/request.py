@@ -151,7 +151,7 @@ def variants(comparison: list[tuple[str, list[Any]]], settings: RenderSettings) 
     for values in itertools.product(*(values for _, values in comparison)):
         chosen = dict(zip(names, values, strict=True))
         changes = {**(preset_settings(chosen[PRESET]) if PRESET in chosen else {}), **{n: v for n, v in chosen.items() if n != PRESET}}
-        label = ", ".join(f"{n}={v}" for n, v in chosen.items()) or RAYBATCH
+        label = ", ".join(f"{n}={v:g}" if isinstance(v, float) else f"{n}={v}" for n, v in chosen.items()) or RAYBATCH
         found.append(Variant(label, chosen, settings.replace(**changes)))
     return found
 

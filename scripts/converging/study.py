@@ -115,7 +115,7 @@ class _Runner:
             self._steps.begin(f"reference for {variant.label}")
             study.references[variant.label] = references.of(variant, samples)
             self._steps.end()
-        references.save()
+        references.require_one()
         study.used, study.apart = references.used, references.apart()
         for turn, seed in enumerate(run_seeds(study.variants[0].settings.seed, request.runs, TAKEN_SEEDS)):
             # each begins as often as any other: what drifts, as a machine's speed does, comes to all alike
