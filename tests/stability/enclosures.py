@@ -10,13 +10,30 @@ import scenes
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Material, Mesh
 from raybatch_addon.core.settings import RenderSettings
 
+from .case import Sweep
+
 # Kernels are compiled for these, whichever of them a scene has
 KINDS = (ClosureKind.DIFFUSE, ClosureKind.GLOSSY, ClosureKind.GLASS, ClosureKind.EMISSION)
 # Light is found by scattering alone: a path of a white scene then carries 1, to the bit
-SCATTERED = RenderSettings(sample_count=1, sample_sequence="INDEPENDENT", nee="OFF", bounce_max=10_000, roulette_bounce=0)
+# One tile: its paths are under way together, so that a picture takes as many turns as its longest path has bounces
+SCATTERED = RenderSettings(sample_count=1, sample_sequence="INDEPENDENT", nee="OFF", bounce_max=10_000, roulette_bounce=0, tile_size=16)
 FEW = Frame(4, 4)
 MANY = Frame(16, 16)
 NEEDLE = 1e-6  # half width of the window of a camera whose rays are all but one
+
+
+def add_exact(sweep: Sweep, picture: np.ndarray, expected: float, note: str) -> None:
+    """Every value is to be `expected`, to the bit: the one farthest off is compared."""
+    sweep.add(_farthest(picture, expected), expected, 0.0, f"{note}: {int((picture != expected).sum())} of {picture.size} values differ")
+
+
+def add_relative(sweep: Sweep, picture: np.ndarray, expected: float, tolerance: float, note: str) -> None:
+    """Every value is to be `expected`, but for the relative `tolerance`: the one farthest off is compared."""
+    sweep.add(_farthest(picture, expected), expected, tolerance * expected, note)
+
+
+def _farthest(picture: np.ndarray, expected: float) -> float:
+    return float(picture.ravel()[np.abs(picture - expected).argmax()])
 
 
 def made(*closures: tuple, emission: float = 0.0) -> Material:
