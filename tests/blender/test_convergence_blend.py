@@ -1,0 +1,60 @@
+"""scripts/convergence.py on a .blend, with Cycles beside it."""
+
+import json
+
+import pytest
+from command_line import error_line, run_script
+
+bpy = pytest.importorskip("bpy")
+
+from blender_builders import add_grid, add_object, material_of, node_tree  # noqa: E402
+
+OPTIONS = ("--device", "cpu", "--size", "24x24", "--runs", "1", "--no-flip", "--set", "thread_count=1", "--set", "bounce_max=2")
+
+
+@pytest.fixture
+def blend(scene, tmp_path):
+    """A white floor under a lamp."""
+    tree, surface = node_tree(material_of(add_grid("Floor", 4)))
+    tree.links.new(tree.nodes.new("ShaderNodeBsdfDiffuse").outputs[0], surface)
+    lamp = bpy.data.lights.new("Lamp", "AREA")
+    lamp.energy = 100
+    add_object("Lamp", lamp).location = (0, 0, 3)
+    path = tmp_path / "floor.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+def test_cycles_competes_at_its_own_samples(blend, tmp_path):
+    options = (*OPTIONS, "--against", "cycles", "--samples", "16", "--reference-samples", "512", "--json", "--html", tmp_path / "page.html")
+    done = run_script("convergence.py", blend, *options, RAYBATCH_REFERENCES=tmp_path / "kept")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    ours, theirs = report["runs"]
+    assert (ours["engine"], theirs["engine"], theirs["settings"]) == ("RayBatch", "Cycles", {"engine": "Cycles"})
+    assert [point["samples"] for point in theirs["points"]] == [1, 2, 4, 8, 16]
+    assert all(0 <= point["seconds"] <= point["seconds_total"] and point["rays"] is None for point in theirs["points"])
+    for run in report["runs"]:
+        assert run["points"][-1]["rmse"] < run["points"][0]["rmse"] and run["slope"] < 0
+    assert [each["kind"] for each in report["references"]] == ["raybatch", "cycles"]
+    assert all(each["samples"] == 512 and each["noise_floor"]["rmse"] > 0 for each in report["references"])
+    # both engines aim at the same picture: what is between the two is their noise
+    apart = report["references_apart"]
+    assert apart["rmse"] < 2 * apart["noise_rmse"] and apart["mean_ratio"] == pytest.approx(1, abs=0.01)
+    assert len(report["summary"]) == 2 and report["summary"][1]["efficiency_relative"]["median"] > 0
+    assert "Reference: Cycles" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+    # and either may be measured against Cycles' picture, which is kept
+    options = (*OPTIONS, "--against", "cycles", "--reference", "cycles", "--reference-samples", "512", "--seconds", "0.3", "--json")
+    done = run_script("convergence.py", blend, *options, RAYBATCH_REFERENCES=tmp_path / "kept")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    (only,) = report["references"]
+    assert only["kind"] == "cycles" and only["from_cache"] and report["references_apart"] is None
+    samples = [[point["samples"] for point in run["points"]] for run in report["runs"]]
+    assert all(each[0] == 1 and each == sorted(set(each)) for each in samples)
+
+
+def test_cycles_knows_no_halves(blend):
+    line = error_line(run_script("convergence.py", blend, *OPTIONS, "--against", "cycles", "--reference", "halves"))
+    assert "choose another for --against cycles" in line
