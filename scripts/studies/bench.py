@@ -1,0 +1,174 @@
+"""Measures renders for studies: one session, scenes and references that are kept, and a row of figures for each render."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rendering.standalone import resized
+
+from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.film import Film
+from raybatch_addon.core.report.convergence import (
+    ConvergenceRecorder, Reference, efficiency, fit_slope, load_reference, noise_floor, save_reference, scene_hash,
+)  # fmt: skip
+from raybatch_addon.core.scene.description import Scene
+from raybatch_addon.core.session import Progress, Session
+from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.kernel_cache import kernel_cache_folder
+
+from .study import Options, Row
+
+WARM_EDGE = 32  # pixels of the render before the first that is timed
+REFERENCE_SEED = 1_000_003
+# What a render with queues tells of itself
+_BATCHING = ("steps", "rays_queued_per_ray", "treelet_visits_per_ray", "bytes_copied", "pages_loaded", "resident_peak", "blocks_short")
+
+
+class TimeCap:
+    """An observer that ends a render after some seconds of rendering, build and compilation not counted."""
+
+    def __init__(self, seconds: float | None):
+        self._seconds, self._began = seconds, None
+
+    def on_progress(self, progress: Progress) -> None:
+        """The clock runs from the first rays on."""
+        if progress.stage == "render" and self._began is None:
+            self._began = time.perf_counter()
+
+    def cancelled(self) -> bool:
+        """Whether time is up."""
+        return self._seconds is not None and self._began is not None and time.perf_counter() - self._began > self._seconds
+
+
+class Bench:
+    """One device."""
+
+    def __init__(self, options: Options):
+        self.options = options
+        self.session = Session(options.device, None, kernel_cache_folder())
+        self._scenes: dict[Any, Scene] = {}
+        self._references: dict[Any, Reference] = {}
+        self._warm: set[Any] = set()
+        self.geometry_bytes: int | None = None  # of the scene at hand, where a study needs it
+
+    def close(self) -> None:
+        """Give back what is held."""
+        self.session.close()
+        self._scenes.clear()
+
+    def scene(self, key: Any, make: Callable[[], Scene]) -> Scene:
+        """The scene called `key`, made the first time; only the last one is kept, which may be large."""
+        if key not in self._scenes:
+            self.session.close()
+            self._scenes = {key: make()}
+        return self._scenes[key]
+
+    def timed(self, scene: Scene, settings: RenderSettings, warm: Any = None, cap: float | None = None) -> Row:
+        """Figures of one render. A small one comes first, untimed, where there was none of `warm` yet: kernels are loaded then.
+
+        A render that takes more than `cap` seconds is ended, and told by how far it came: `complete` is false, `share` what was done.
+        """
+        if warm is not None and warm not in self._warm:
+            self.session.render(resized(scene, WARM_EDGE, WARM_EDGE), settings.replace(sample_count=1))
+            self._warm.add(warm)
+        watch = TimeCap(cap)
+        film = self.session.render(scene, settings, observers=[watch], cancelled=watch.cancelled)
+        return row_of(film, settings)
+
+    def curve(self, scene: Scene, settings: RenderSettings, reference: Reference, warm: Any = None) -> Row:
+        """Figures of one render, and its error at geometric sample counts against `reference`."""
+        if warm is not None and warm not in self._warm:
+            self.session.render(resized(scene, WARM_EDGE, WARM_EDGE), settings.replace(sample_count=1))
+            self._warm.add(warm)
+        recorder = ConvergenceRecorder()
+        film = self.session.render(scene, settings, observers=[recorder])
+        points = recorder.points(reference)
+        slope = fit_slope(points)
+        told = [{"seconds": p.seconds, "samples": p.samples, "rmse": p.rmse, "relmse": p.relmse, "spread": p.rmse_spread} for p in points]
+        return {
+            **row_of(film, settings),
+            "points": told,
+            "slope": slope and {"slope": slope.slope, "spread": slope.spread if slope.spread == slope.spread else None, "flattens": slope.flattens,
+                                "last": slope.last_slope, "says": slope.says},
+            "efficiency": efficiency(points, "relmse"),
+            "floor": dict(zip(("rmse", "relmse"), noise_floor(reference), strict=True)),
+        }  # fmt: skip
+
+    def reference(self, key: Any, scene: Scene, settings: RenderSettings, samples: int) -> Reference:
+        """What the picture should be: by this engine with another seed, in halves that tell its own error; kept in a file."""
+        settings = settings.replace(seed=REFERENCE_SEED, sample_count=samples, error_estimate="ON")
+        if key in self._references:
+            return self._references[key]
+        frame = scene.frame
+        path = self.options.cache / f"reference-{scene_hash(scene)[:16]}-{frame.width}x{frame.height}-{settings.bounce_max}-{samples}.npz"
+        if path.is_file():
+            reference = load_reference(path, (frame.width, frame.height), scene_hash(scene), settings)
+        else:
+            recorder = ConvergenceRecorder(1e9)
+            self.session.render(scene, settings, observers=[recorder])
+            a, b = recorder.snapshots[-1].halves
+            reference = Reference.of_halves(a, b, f"RayBatch, {samples} samples", samples)
+            save_reference(path, reference, scene_hash(scene), settings)
+        self._references = {key: reference}
+        return reference
+
+
+def row_of(film: Film, settings: RenderSettings) -> Row:
+    """What is kept of a film and its statistics."""
+    told = film.statistics
+    whole = film.width * film.height * settings.sample_count
+    share = told["samples"] / whole
+    seconds = told["seconds"]
+    batching = told.get("batching") or {}
+    tree = told.get("tree") or {}
+    cut = tree.get("cut") or {}
+    return {
+        "seconds": round(seconds["render"], 6),
+        "build": round(seconds["build"], 4),
+        "rays": told["rays"]["total"],
+        "rays_per_second": told["rays_per_second"],
+        "complete": bool(told["complete"]),
+        "share": 1.0 if told["complete"] else share,
+        "film": digest(film) if told["complete"] else None,
+        "invalid_samples": told["invalid_samples"],
+        "ray_count": told["schedule"]["ray_count"],
+        "method": chosen(told),
+        "tree_bytes": tree.get("bytes"),
+        **({"treelets": cut["treelets"], "treelet_nodes": cut["treelet_nodes_mean"]} if cut else {}),
+        **{name: batching[name] for name in _BATCHING if name in batching},
+        **({"warnings": told["warnings"]} if told["warnings"] else {}),
+    }
+
+
+def chosen(told: dict[str, Any]) -> str:
+    """What `batching` was, or AUTO made of it."""
+    asked = told["settings"]["batching"]
+    return told["auto"].get("batching", {}).get("value", asked) if asked == "AUTO" else asked
+
+
+def digest(film: Film) -> str:
+    """Of the bits of the picture."""
+    return hashlib.blake2b(np.ascontiguousarray(film.passes["Combined"]).tobytes(), digest_size=8).hexdigest()
+
+
+def whole_seconds(row: Row) -> float | None:
+    """Seconds of the whole render; of one that was ended estimated from the share that was done; None: too little was."""
+    if row.get("seconds") is None:
+        return None
+    return row["seconds"] if row["complete"] else row["seconds"] / row["share"] if row["share"] > 1e-3 else None
+
+
+def refused(error: RayBatchError) -> Row:
+    """A row for a case that RayBatch refuses."""
+    return {"seconds": None, "complete": False, "share": 0.0, "refused": " ".join(str(error).split())}
+
+
+def with_frame(scene: Scene, width: int, height: int) -> Scene:
+    """`scene` in a frame of this size, the picture alone."""
+    scene = resized(scene, width, height)
+    return dataclasses.replace(scene, frame=dataclasses.replace(scene.frame, passes=("Combined",)))

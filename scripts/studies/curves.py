@@ -1,0 +1,123 @@
+"""What studies of error against time have in common: rows with points, their table and their plot."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+
+from raybatch_addon.core.report.convergence import time_to
+
+from .pages import device_title, number, table
+from .study import Report, Row
+
+
+def variants(report: Report, scene: str) -> list[str]:
+    """Names of what is compared, in their order."""
+    return list(dict.fromkeys(row["variant"] for row in report["rows"] if row["scene"] == scene and row.get("points")))
+
+
+def scenes_of(report: Report) -> list[str]:
+    """In their order."""
+    return list(dict.fromkeys(row["scene"] for row in report["rows"]))
+
+
+def runs(report: Report, scene: str, variant: str) -> list[Row]:
+    """Rows with points."""
+    return [row for row in report["rows"] if row["scene"] == scene and row["variant"] == variant and row.get("points")]
+
+
+def points_of(row: Row) -> list[SimpleNamespace]:
+    """As `ErrorPoint`s, as far as fits need them."""
+    floor = row["floor"]
+    return [
+        SimpleNamespace(
+            seconds=p["seconds"], samples=p["samples"], rmse=p["rmse"], relmse=p["relmse"], rmse_spread=p["spread"], floor_rmse=floor["rmse"],
+            floor_relmse=floor["relmse"], from_halves=False,
+        )
+        for p in row["points"]
+    ]  # fmt: skip
+
+
+def median(values: Sequence[float | None]) -> float | None:
+    """Of those that are there; None where no half of them is."""
+    there = [value for value in values if value is not None]
+    return statistics.median(there) if 2 * len(there) > len(values) else None
+
+
+def target_of(report: Report, scene: str) -> float:
+    """A relMSE that is asked of all: what the first variant has at its end, in the median."""
+    first = variants(report, scene)[0]
+    return statistics.median(row["points"][-1]["relmse"] for row in runs(report, scene, first))
+
+
+def seconds_to(row: Row, target: float) -> float | None:
+    """Seconds to a relMSE; None: never, as it looks."""
+    found = time_to(points_of(row), target)
+    return found[0] if found else None
+
+
+def curves_table(reports: dict[str, Report], name: str) -> str:
+    """Slopes, and the time to the same error, by scene and variant; `name` heads the variants' column."""
+    rows = []
+    for report in reports.values():
+        for scene in scenes_of(report):
+            if not variants(report, scene):
+                continue
+            target = target_of(report, scene)
+            base = None
+            for variant in variants(report, scene):
+                mine = runs(report, scene, variant)
+                slopes = [row["slope"]["slope"] for row in mine if row["slope"]]
+                spread = f" ± {statistics.stdev(slopes):.2f}" if len(slopes) > 1 else ""
+                seconds = median([seconds_to(row, target) for row in mine])
+                base = base or seconds
+                last = mine[0]["points"][-1]
+                flat = sum(bool(row["slope"] and row["slope"]["flattens"]) for row in mine)
+                rate = statistics.median(row["points"][-1]["samples"] / row["points"][-1]["seconds"] for row in mine)
+                rows.append([
+                    device_title(report), scene, variant, last["samples"], number(statistics.median(row["points"][-1]["relmse"] for row in mine)),
+                    f"{statistics.median(slopes):.2f}{spread}" + (f" ({flat} of {len(mine)} flatten)" if flat else "") if slopes else "", number(rate),
+                    number(target), number(seconds) if seconds is not None else "not to be told", number(base / seconds) if base and seconds else "",
+                ])  # fmt: skip
+    heads = ["device", "scene", name, "samples", "relMSE then", "slope of RMSE", "samples/s", "relMSE asked for", "seconds to it", "efficiency"]
+    return table(heads, rows)
+
+
+def draw_curves(reports: dict[str, Report], folder: Path, file: str, against: Sequence[str] = ("seconds",)) -> None:
+    """A panel a scene and device: RMSE of every run, log-log, each variant in one colour."""
+    from .plots import COLOURS, legend, panels, save
+
+    wanted = [(report, scene, x) for x in against for report in reports.values() for scene in scenes_of(report) if variants(report, scene)]
+    figure, axes = panels(len(wanted), width=3.7 if len(wanted) > 3 else 4.6)
+    names = list(dict.fromkeys(name for report, scene, _ in wanted for name in variants(report, scene)))
+    for axis, (report, scene, x) in zip(axes, wanted, strict=True):
+        for variant in variants(report, scene):
+            colour = COLOURS[names.index(variant)]
+            for index, row in enumerate(runs(report, scene, variant)):
+                points = [(p[x], p["rmse"]) for p in row["points"] if p[x] > 0]
+                axis.plot(*zip(*points, strict=True), "o-", color=colour, markersize=2.5, linewidth=0.9, alpha=0.8, label=variant if index == 0 else None)
+        _guide(axis, [(p[x], p["rmse"]) for row in runs(report, scene, variants(report, scene)[0]) for p in row["points"] if p[x] > 0])
+        floor = median([row["floor"]["rmse"] for row in report["rows"] if row["scene"] == scene and row.get("floor")])
+        if floor:
+            axis.axhline(floor, color="black", linewidth=0.6, linestyle=":", label="noise of the reference")
+        axis.set(xscale="log", yscale="log", xlabel="samples of a pixel" if x == "samples" else "seconds of rendering", title=f"{scene}, {device_title(report)}")
+    axes[0].set_ylabel("RMSE")
+    legend(figure, axes)
+    save(figure, folder, file)
+
+
+def _guide(axis, points: Sequence[tuple[float, float]]) -> None:
+    """A line of slope -0.5 above the first curve."""
+    if not points:
+        return
+    low, high = min(x for x, _ in points), max(x for x, _ in points)
+    top = 1.6 * max(y for _, y in points)
+    axis.plot([low, high], [top, top * math.sqrt(low / high)], color="#999999", linewidth=0.8, linestyle="--", label="slope -0.5")
+
+
+def cases_of(make: Callable, scenes: Sequence[str], names: Sequence[str]) -> list:
+    """A case for each scene and variant; variants of a scene take turns."""
+    return [make(f"{scene}: {name}", scene, {"scene": scene, "variant": name}) for scene in scenes for name in names]

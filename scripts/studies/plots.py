@@ -1,0 +1,37 @@
+"""What the plots of studies have in common. Needs matplotlib."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("svg")
+from matplotlib import pyplot  # noqa: E402
+
+# Colours that people who confuse colours tell apart (Okabe and Ito 2008)
+BLUE, ORANGE, GREEN, RED, SKY, PINK, GREY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#777777"
+COLOURS = (BLUE, RED, GREEN, ORANGE, PINK, SKY, GREY)
+
+
+def panels(count: int, width: float = 4.6, height: float = 3.4, sharey: bool = False) -> tuple[pyplot.Figure, list[pyplot.Axes]]:
+    """A row of them."""
+    figure, axes = pyplot.subplots(1, count, figsize=(width * count, height), squeeze=False, sharey=sharey, constrained_layout=True)
+    return figure, list(axes[0])
+
+
+def legend(figure: pyplot.Figure, axes: list[pyplot.Axes], columns: int = 4) -> None:
+    """One for all panels, below them, each name once."""
+    found = {}
+    for axis in axes:
+        for handle, text in zip(*axis.get_legend_handles_labels(), strict=True):
+            found.setdefault(text, handle)
+    figure.legend(found.values(), found.keys(), fontsize=8, loc="outside lower center", ncols=min(columns, len(found)))
+
+
+def save(figure: pyplot.Figure, folder: Path, name: str) -> None:
+    """Write a plot; the same data give the same file."""
+    matplotlib.rcParams["svg.hashsalt"] = name
+    folder.mkdir(parents=True, exist_ok=True)
+    figure.savefig(folder / f"{name}.svg", facecolor="white", metadata={"Date": None})
+    pyplot.close(figure)

@@ -1,0 +1,23 @@
+"""All studies by name."""
+
+from __future__ import annotations
+
+import difflib
+
+from rendering.request import UsageError
+
+from . import batching, budgets, cycles, light_sampling, sequences, thesis
+from .study import Study
+
+STUDIES: dict[str, Study] = {each.name: each for each in (
+    thesis.STUDY, batching.STUDY, light_sampling.STUDY, sequences.STUDY, budgets.STUDY, cycles.STUDY,
+)}  # fmt: skip
+
+
+def study_named(name: str) -> Study:
+    """The study; raises `UsageError` with the closest name."""
+    if name in STUDIES:
+        return STUDIES[name]
+    close = difflib.get_close_matches(name, STUDIES)
+    hint = f"did you mean {close[0]}? " if close else ""
+    raise UsageError(f"there is no study {name!r}; {hint}the studies are {', '.join(STUDIES)}")

@@ -1,0 +1,126 @@
+"""Rows of a study: one JSON object a line, written as soon as it is measured, so that a study cut short goes on where it was."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rendering.output import write_whole
+from rendering.request import UsageError
+
+from .study import Report, Row
+
+# What must be alike for rows to go together
+_ALIKE = ("study", "device_kind", "quick")
+
+
+class RowFile:
+    """A file of rows under a header, which says what they are of."""
+
+    def __init__(self, path: Path, header: dict[str, Any]):
+        """Goes on with the file, if there is one; raises `UsageError` where it holds something else."""
+        self.path, self.rows = path, []
+        if path.exists():
+            found, self.rows = read_rows(path)
+            for name in _ALIKE:
+                if found.get(name) != header[name]:
+                    raise UsageError(
+                        f"{path} holds rows with {name} = {found.get(name)!r}, and this is {header[name]!r}: choose another --out, or "
+                        "give --fresh to measure all of it again"
+                    )
+            self.header = found
+        else:
+            self.header = header
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps({"header": header}) + "\n", encoding="utf-8")
+
+    def has(self, key: str, turn: int) -> bool:
+        """Whether this was measured."""
+        return any(row["case"] == key and row["turn"] == turn for row in self.rows)
+
+    def add(self, row: Row) -> None:
+        """Write it at once."""
+        line = json.dumps(row, allow_nan=False)
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(line + "\n")
+        self.rows.append(row)
+
+
+def read_rows(path: Path) -> tuple[dict[str, Any], list[Row]]:
+    """Header and rows of a file; a last line that was cut short is dropped. Raises `UsageError`."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"{path} cannot be read: {error.strerror or error}") from None
+    lines = text.splitlines()
+    if lines and not text.endswith("\n"):
+        path_lines = lines[:-1]
+        write_whole(path, lambda temporary: temporary.write_text("".join(f"{line}\n" for line in path_lines), encoding="utf-8"))
+        lines = path_lines
+    try:
+        header, *rows = [json.loads(line) for line in lines]
+        return dict(header["header"]), rows
+    except (ValueError, KeyError, TypeError):
+        raise UsageError(f"{path} holds no rows of a study: is it damaged? Give --fresh to measure again") from None
+
+
+def gathered(files: Sequence[Path]) -> Report:
+    """One report of files by parts of one study on one device: the header's entries, and `rows`; raises `UsageError`."""
+    report: Report = {}
+    seen: set[tuple[str, int]] = set()
+    for path in files:
+        header, rows = read_rows(path)
+        if not report:
+            report = {**header, "rows": []}
+        for name in _ALIKE:
+            if header.get(name) != report.get(name):
+                raise UsageError(f"{path} and {files[0]} do not go together: their {name} is {header.get(name)!r} and {report.get(name)!r}")
+        for row in rows:
+            if (row["case"], row["turn"]) not in seen:
+                seen.add((row["case"], row["turn"]))
+                report["rows"].append(row)
+    if not report:
+        raise UsageError("no file of rows was given")
+    return report
+
+
+def write_report(path: Path, report: Report) -> None:
+    """As JSON, a row a line."""
+    head = {name: value for name, value in report.items() if name != "rows"}
+    rows = ",\n".join(json.dumps(row, allow_nan=False) for row in report["rows"])
+    text = json.dumps(head, indent=1)[:-2] + ',\n "rows": [\n' + rows + "\n]}\n"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def medians(rows: Sequence[Row], figure: str = "seconds") -> dict[str, float]:
+    """Median of a figure over turns by case; rows without it are left out."""
+    import statistics
+
+    found: dict[str, list[float]] = {}
+    for row in rows:
+        if row.get(figure) is not None:
+            found.setdefault(row["case"], []).append(row[figure])
+    return {case: statistics.median(values) for case, values in found.items()}
+
+
+def first_rows(rows: Sequence[Row]) -> dict[str, Row]:
+    """A row for each case: of its first turn."""
+    found: dict[str, Row] = {}
+    for row in rows:
+        found.setdefault(row["case"], row)
+    return found
+
+
+def differing_films(rows: Sequence[Row], by: Sequence[str]) -> list[str]:
+    """Keys of cases whose film differs from that of the first case with the same values of `by`; films cut short do not count."""
+    first: dict[tuple, str] = {}
+    wrong: list[str] = []
+    for row in rows:
+        if row.get("film") and row.get("complete"):
+            place = tuple(row.get(name) for name in by)
+            if first.setdefault(place, row["film"]) != row["film"] and row["case"] not in wrong:
+                wrong.append(row["case"])
+    return wrong

@@ -1,0 +1,111 @@
+"""Runs the measurements of a study in turns, and makes its report, plots and page."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from benchmarking.progress import Steps
+from rendering.request import UsageError
+
+from raybatch_addon.core.device import device_description, find_device, start_warp
+from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.report.statistics import versions
+from raybatch_addon.kernel_cache import kernel_cache_folder
+
+from .bench import Bench, refused
+from .pages import put_fragment
+from .rows import RowFile, gathered, write_report
+from .scenes import FILES, find
+from .study import Case, Options, Report, Study, groups_of
+
+DATA = "data"  # folder beside the pages
+
+
+def device_of(name: str) -> dict[str, Any]:
+    """What the device `name` is, as statistics tell it; raises `DeviceError`."""
+    start_warp(kernel_cache_folder())
+    return device_description(find_device(name))
+
+
+def kind_of(device: dict[str, Any]) -> str:
+    """`cpu` or `cuda`: what files are called by."""
+    return "cuda" if device["alias"].startswith("cuda") else "cpu"
+
+
+def measure(study: Study, cases: Sequence[Case], turns: int, file: RowFile, options: Options, seconds: float | None = None) -> bool:
+    """Measure what `file` does not have yet; returns whether all is there. Begins nothing after so many `seconds`."""
+    left = [
+        (turn, case) for group in groups_of(cases).values() for turn in range(turns) for case in group if not file.has(case.key, turn)
+    ]  # fmt: skip
+    if not left:
+        return True
+    for name in dict.fromkeys(str(case.what.get("scene", "")).split(":")[0] for _, case in left):
+        if name in FILES:
+            find(name, options)  # before time is spent on others
+    steps, began = Steps(len(left)), time.perf_counter()
+    bench = Bench(options)
+    try:
+        for turn, case in left:
+            if seconds is not None and time.perf_counter() - began > seconds:
+                return False
+            steps.begin(f"{case.key}, turn {turn + 1} of {turns}")
+            try:
+                row = study.measure(case, turn, bench)
+            except UsageError:  # what is asked for cannot be measured at all
+                raise
+            except RayBatchError as error:
+                row = refused(error)
+            file.add({"case": case.key, "turn": turn, **case.what, **row})
+            steps.end()
+    finally:
+        steps.close()
+        bench.close()
+    return True
+
+
+def header_of(study: Study, options: Options, device: dict[str, Any]) -> dict[str, Any]:
+    """What a file of rows begins with."""
+    return {"study": study.name, "device_kind": kind_of(device), "quick": options.quick, "device": device, "versions": versions()}
+
+
+def rows_path(out: Path, study: Study, kind: str, part: tuple[int, int] | None) -> Path:
+    """The file of rows of a study, or of a part of it."""
+    suffix = f".part-{part[0]}-of-{part[1]}" if part else ""
+    return out / DATA / f"{study.name}-{kind}{suffix}.jsonl"
+
+
+def publish(study: Study, files: Sequence[Path], out: Path) -> Path:
+    """Write the report of `files` (rows of one device); returns where."""
+    report = gathered(files)
+    if report["study"] != study.name:
+        raise UsageError(f"{files[0]} holds rows of the study {report['study']}, not of {study.name}")
+    path = out / DATA / f"{study.name}-{report['device_kind']}.json"
+    write_report(path, report)
+    return path
+
+
+def reports_of(study: Study, out: Path) -> dict[str, Report]:
+    """Reports of a study by device, the GPU's first."""
+    import json
+
+    found = {}
+    for kind in ("cuda", "cpu"):
+        path = out / DATA / f"{study.name}-{kind}.json"
+        if path.is_file():
+            found[kind] = json.loads(path.read_text(encoding="utf-8"))
+    if not found:
+        raise UsageError(f"{out / DATA} has no figures of the study {study.name}: measure it first, or give its rows with --gather")
+    return found
+
+
+def write_page(study: Study, out: Path, plots: bool = True) -> Path:
+    """Plots and tables of a study from its figures; returns its page."""
+    reports = reports_of(study, out)
+    if plots:
+        study.draw(reports, out)
+    page = out / f"{study.name}.md"
+    put_fragment(page, study.name, study.name.replace("-", " ").capitalize(), study.fragment(reports))
+    return page
