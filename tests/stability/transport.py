@@ -245,7 +245,7 @@ def _strip(name: str, x: float, length: int) -> Mesh:
 @case(
     "facing mirrors", "transport",
     "Between two facing mirrors that emit 1 and reflect 0.999, 10,000 reflections: the geometric series.",
-    "as for bounce limits",
+    "as for bounce limits: sums and products of a geometric series, each rounded once",
 )  # fmt: skip
 def facing_mirrors(bench: Bench) -> Outcome:
     sweep, reflectance = Sweep(), 0.999

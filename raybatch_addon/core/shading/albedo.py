@@ -14,8 +14,8 @@ Entries are raised so far that interpolation is below the truth nowhere at sever
 errs loses light, and does not make it, which many bounces would multiply. Largest losses found at cosines
 above 0.1: 0.002 for F = 1 and for a coat; for glass, relative to the albedo, 0.03 from inside and near an
 index of 1; at cosines below 0.03 up to 0.15 for a coat, and from inside rough glass of an index near 1, where
-single scattering ends on the wrong side, any. Largest gains, at random places: 5e-4 for F = 1, 8e-4 for a
-coat, 2e-3 for glass (0.011 at cosines below 0.001).
+single scattering ends on the wrong side, any. Largest gains, at random places: 5e-4 for F = 1, 1e-5 for a
+coat (2e-3 at cosines below 0.001), 2e-3 for glass (0.011 there).
 """
 
 import functools
