@@ -11,6 +11,7 @@ import math
 import queue
 import threading
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -31,6 +32,8 @@ SNAPSHOT_RATIO = 1.5
 RATE_GROWTH, RATE_SECONDS = 0.06, 0.05
 # Snapshots that wait until their errors are computed; beyond it the oldest is left out
 WAITING_SNAPSHOTS = 3
+# Settings that say when a render ends, and what is told of it
+_ENDS = {"sample_count", "time_limit", "error_estimate", "error_target"}
 RUNNING, FINISHED, CANCELLED, FAILED = "running", "finished", "cancelled", "failed"
 
 
@@ -141,7 +144,7 @@ class RateRecorder:
     def __init__(self, runs: RunStore, run: Run) -> None:
         self._store, self._number = runs, run.number
         self._rates: list[RatePoint] = []
-        self._seconds = self._rays = 0.0  # at the last point
+        self._seconds, self._rays = 0.0, 0  # at the last point
 
     def on_progress(self, progress: Progress) -> None:
         """A point, unless there was one just before."""
@@ -165,8 +168,10 @@ class RateRecorder:
         self._store.change(self._number, **changes)
 
     def _add(self, seconds: float, rays: float) -> None:
-        self._rates.append(RatePoint(seconds, max(rays - self._rays, 0.0) / (seconds - self._seconds)))
-        self._seconds, self._rays = seconds, rays
+        whole = round(rays)
+        if whole > self._rays:  # they are counted when they come back, many together: until then there is nothing to say
+            self._rates.append(RatePoint(seconds, (whole - self._rays) / (seconds - self._seconds)))
+            self._seconds, self._rays = seconds, whole
 
 
 class ErrorRecorder(RateRecorder):
@@ -240,14 +245,23 @@ def recorder_for(runs: RunStore, scene: str, layer: str, frame: int, settings: A
 
 
 def names_of(runs: Sequence[Run]) -> dict[int, str]:
-    """By number, what tells each of `runs` from the others: scene, view layer, frame and settings in which they differ."""
-    about = {
-        run.number: {"scene": run.scene, "layer": run.layer, "frame": f"frame {run.frame}"}
-        | {name: f"{SETTINGS[name].label if name in SETTINGS else name} {_value_text(value)}" for name, value in run.settings.items()}
-        for run in runs
-    }
-    differing = [key for key in next(iter(about.values()), {}) if len({each.get(key) for each in about.values()}) > 1]
-    return {number: ", ".join([f"#{number}", *(each[key] for key in differing if key in each)]) for number, each in about.items()}
+    """By number, what tells each of `runs` from the others: scene, view layer, frame and settings in which they differ.
+
+    What more than half of them have is not said, and when they end only where they differ in nothing else.
+    """
+    about = {run.number: {"scene": run.scene, "layer": run.layer, "frame": f"frame {run.frame}"} | _setting_texts(run) for run in runs}
+    values = {key: Counter(each.get(key) for each in about.values()) for key in next(iter(about.values()), {})}
+    differing = [key for key, counts in values.items() if len(counts) > 1]
+    differing = [key for key in differing if key not in _ENDS] or differing
+    names = {}
+    for number, each in about.items():
+        own = [each[key] for key in differing if key in each and 2 * values[key][each[key]] <= len(about)]
+        names[number] = ", ".join([f"#{number}", *own])
+    return names
+
+
+def _setting_texts(run: Run) -> dict[str, str]:
+    return {name: f"{SETTINGS[name].label if name in SETTINGS else name} {_value_text(value)}" for name, value in run.settings.items()}
 
 
 def _value_text(value: Any) -> str:
@@ -279,7 +293,9 @@ def run_lines(run: Run, target: float) -> list[str]:
     """Where a run stands, its slope, and when it reaches the relMSE `target`."""
     ends = {"error": "stopped at its error", "time": "stopped by its time limit"}
     state = ends.get(run.stopped_by or "", run.state) if run.state == FINISHED else run.state
-    head = [f"{state.capitalize()}: {run.samples:,.0f} samples in {seconds_text(run.seconds)}" if run.seconds else state.capitalize()]
+    samples = run.samples or (run.points[-1].samples if run.points else 0)
+    count = f"{samples:,.0f} samples in " if samples else ""
+    head = [f"{state.capitalize()}: {count}{seconds_text(run.seconds)}" if run.seconds else state.capitalize()]
     if run.rates:
         head.append(f"{number_text(run.rates[-1].rays_per_second)} rays/s")
     lines = [", ".join(head)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,7 +36,7 @@ def draw_plot(runs: Sequence[Run], target: float, width: int, height: int, text_
     middle = bottom + (top - bottom - gap) * (1 - _ERROR_SHARE)
     x = LogAxis.around(_times(shown, target), left, right, 10.0)
     rates = LogAxis.around([r.rays_per_second for run in shown for r in run.rates], bottom, middle, 10.0, 0.08)
-    errors = LogAxis.around(_errors(shown, target), middle + gap, top, 10.0, 0.06)
+    errors = _error_axis(shown, target, x, middle + gap, top, text_size)
     draw_frame(canvas, x, errors, style, False, "error (relMSE, estimated)")
     draw_frame(canvas, x, rates, style, True, "rays a second")
     canvas.text((left + right) / 2, 0.9 * text_size, "time of rendering", text_size, _DIM_TEXT, 0.5)
@@ -45,7 +46,7 @@ def draw_plot(runs: Sequence[Run], target: float, width: int, height: int, text_
     if not any(run.points for run in shown):
         text = "no error yet" if any(run.estimates_error for run in shown) else "Error Estimate is off" if shown else "nothing recorded yet"
         canvas.text((left + right) / 2, (errors.start + errors.end) / 2, text, text_size * 1.2, _DIM_TEXT, 0.5)
-    _draw_legend(canvas, shown, x, errors, style)
+    _Legend.of(shown, x, text_size).draw(canvas, x, top, style)
     return canvas.pixels
 
 
@@ -61,7 +62,7 @@ def _times(runs: Sequence[Run], target: float) -> list[float]:
 def _errors(runs: Sequence[Run], target: float) -> list[float]:
     errors = [p.relmse for run in runs for p in run.points]
     if not errors:
-        return [target] if target > 0 else [1.0]
+        return [target, target * 1000] if target > 0 else [1.0]
     return errors + [target] * (min(errors) / _BELOW <= target <= max(errors) * _BELOW)
 
 
@@ -100,23 +101,47 @@ def _draw_run(canvas: Canvas, run: Run, target: float, x: LogAxis, errors: LogAx
         canvas.dot(*place, size * 0.36, color, pane)
 
 
-def _draw_legend(canvas: Canvas, runs: Sequence[Run], x: LogAxis, errors: LogAxis, style: Style) -> None:
-    """Which colour is which run, in the corner where no error is: right at the top."""
-    size = style.text_size
-    names = names_of(runs)
-    letters = int((x.end - x.start) * 0.6 / text_width("x", size))
-    lines = [(run, _cut(names[run.number] + (" (running)" if run.state == RUNNING else ""), letters)) for run in runs]
-    if not lines:
-        return
-    step = line_height(size)
-    width = max(text_width(text, size) for _, text in lines) + 5 * size
-    right, top = x.end - size, errors.end - size
-    canvas.rectangle(right - width, top - step * len(lines) - 0.6 * size, right, top, style.background, 0.85)
-    for i, (run, text) in enumerate(lines):
-        y = top - step * (i + 1) + 0.6 * size
-        color = SLOT_COLORS[run.slot % len(SLOT_COLORS)]
-        canvas.line([(right - width + size, y + size / 2), (right - width + 3 * size, y + size / 2)], color, size * 0.4)
-        canvas.text(right - width + 4 * size, y, text, size, style.text)
+@dataclass(frozen=True)
+class _Legend:
+    """Which colour is which run, in the corner where there is no error as a rule: right at the top."""
+
+    lines: tuple[tuple[Run, str], ...]
+    left: float
+    height: float
+
+    @staticmethod
+    def of(runs: Sequence[Run], x: LogAxis, size: float) -> _Legend:
+        """Names are cut where they would take more than most of the pane."""
+        names = names_of(runs)
+        letters = int((x.end - x.start) * 0.6 / text_width("x", size))
+        lines = tuple((run, _cut(names[run.number] + (" (running)" if run.state == RUNNING else ""), letters)) for run in runs)
+        width = max((text_width(text, size) for _, text in lines), default=0) + 5 * size
+        return _Legend(lines, x.end - size - width, (line_height(size) * len(lines) + 1.6 * size) if lines else 0.0)
+
+    def draw(self, canvas: Canvas, x: LogAxis, top: float, style: Style) -> None:
+        """Below `top`, the upper edge of the pane."""
+        if not self.lines:
+            return
+        size = style.text_size
+        canvas.rectangle(self.left, top - self.height, x.end - size, top - size, style.background, 0.85)
+        for i, (run, text) in enumerate(self.lines):
+            y = top - size - line_height(size) * (i + 1) + 0.6 * size
+            color = SLOT_COLORS[run.slot % len(SLOT_COLORS)]
+            canvas.line([(self.left + size, y + size / 2), (self.left + 3 * size, y + size / 2)], color, size * 0.4)
+            canvas.text(self.left + 4 * size, y, text, size, style.text)
+
+
+def _error_axis(runs: Sequence[Run], target: float, x: LogAxis, bottom: float, top: float, size: float) -> LogAxis:
+    """Of the errors; with room for the legend above them, if it would hide one."""
+    values = _errors(runs, target)
+    axis = LogAxis.around(values, bottom, top, 10.0, 0.06)
+    legend = _Legend.of(runs, x, size)
+    hidden = any(x.at(p.seconds) >= legend.left - size and axis.at(p.relmse) >= top - legend.height - size for run in runs for p in run.points)
+    room = legend.height + size
+    if not hidden or room > (top - bottom) / 2:
+        return axis
+    share = room / (top - bottom - room)
+    return replace(axis, high=axis.high * (axis.high / axis.low) ** share)
 
 
 def _cut(text: str, letters: int) -> str:

@@ -57,7 +57,7 @@ def drawn(panel, context, draw="draw"):
 
 
 def context_of(scene, **extra):
-    area = types.SimpleNamespace(width=300)
+    area = types.SimpleNamespace(width=300, as_pointer=lambda: 1)
     preferences = types.SimpleNamespace(system=types.SimpleNamespace(ui_scale=1.0))  # it is 0 without a window
     own = dict(scene=scene, view_layer=scene.view_layers[0], engine=ENGINE, region=area, object=None, light=None)
     return types.SimpleNamespace(**{**own, "preferences": preferences, **extra})

@@ -49,7 +49,7 @@ class _Shown:
     """What was drawn last, so that nothing is drawn twice; touched by the main thread alone."""
 
     previews = None  # icons of the slots, and the plot in the panel
-    panel: tuple | None = None  # what the panel's plot shows
+    panels: dict[str, tuple] = {}  # what the plot in each editor's panel shows
     image: tuple | None = None  # what the image shows
     followed: tuple | None = None  # what panels were last told to show
     seen = False  # the panel is open somewhere
@@ -71,14 +71,14 @@ def update_image(scene: bpy.types.Scene) -> bpy.types.Image:
     return image
 
 
-def _panel_icon(scene: bpy.types.Scene, edge: int, text_size: float) -> int:
-    """The icon that is the plot, `edge` pixels wide and high."""
-    name = "plot"
+def _panel_icon(scene: bpy.types.Scene, editor: int, edge: int, text_size: float) -> int:
+    """The icon that is the plot in `editor`, `edge` pixels wide and high."""
+    name = f"plot {editor}"
     preview = _Shown.previews[name] if name in _Shown.previews else _Shown.previews.new(name)
     state = (*_state(scene), edge, text_size)
-    if _Shown.panel != state:
+    if _Shown.panels.get(name) != state:
         write_preview(preview, draw_plot(store.runs(), chosen_target(scene), edge, edge, text_size))
-        _Shown.panel = state
+        _Shown.panels[name] = state
     return preview.icon_id
 
 
@@ -100,6 +100,11 @@ def _is_running() -> bool:
     return any(run.state == RUNNING for run in store.runs())
 
 
+def _shows_plot(editor: bpy.types.Area) -> bool:
+    image = editor.spaces.active.image
+    return image is not None and image.name == IMAGE_NAME
+
+
 def _follow() -> float:
     """Show what renders have recorded meanwhile; Blender calls it on the main thread, where its data may be written."""
     try:
@@ -109,11 +114,13 @@ def _follow() -> float:
             if state == _Shown.followed:
                 break
             _Shown.followed = state
-            if store.runs() and (_Shown.seen or IMAGE_NAME in bpy.data.images):
+            areas = [area for each in windows for area in each.screen.areas]
+            watched = any(area.type == "IMAGE_EDITOR" and _shows_plot(area) for area in areas)
+            if watched or _Shown.seen and store.runs() and not _is_running():
                 update_image(window.scene)
             _Shown.seen = False
-            for area in (area for each in windows for area in each.screen.areas):
-                if area.type in {"PROPERTIES", "IMAGE_EDITOR"}:
+            for area in areas:
+                if area.type == "PROPERTIES" or area.type == "IMAGE_EDITOR" and watched:
                     area.tag_redraw()
     except Exception:  # or Blender would not call it again
         traceback.print_exc()
@@ -197,12 +204,17 @@ class RAYBATCH_OT_convergence_plot(_Operator):
         if bpy.app.background:  # there are no windows
             self.report({"INFO"}, f"the plot is in the image “{image.name}”")
             return {"FINISHED"}
-        editors = [area for area in context.window.screen.areas if area.type == "IMAGE_EDITOR"]
+        window = context.window
+        editors = [area for area in window.screen.areas if area.type == "IMAGE_EDITOR"]
         if not editors:
             bpy.ops.wm.window_new()
-            editors = list(context.window_manager.windows[-1].screen.areas)[:1]
+            window = context.window_manager.windows[-1]
+            editors = list(window.screen.areas)[:1]
             editors[0].type = "IMAGE_EDITOR"
         editors[0].spaces.active.image = image
+        region = next(region for region in editors[0].regions if region.type == "WINDOW")
+        with context.temp_override(window=window, area=editors[0], region=region):
+            bpy.ops.image.view_all(fit_view=True)
         return {"FINISHED"}
 
 
@@ -277,7 +289,8 @@ class RAYBATCH_RENDER_PT_convergence(EnginePanel, bpy.types.Panel):
         scale = context.preferences.system.ui_scale
         edge = min(context.region.width / scale - 2 * _UNIT, _PANEL_EDGE_MAX)
         if edge >= 5 * _UNIT:
-            layout.template_icon(icon_value=_panel_icon(scene, round(edge * scale), _PANEL_TEXT * scale), scale=edge / _UNIT)
+            icon = _panel_icon(scene, context.region.as_pointer(), round(edge * scale), _PANEL_TEXT * scale)
+            layout.template_icon(icon_value=icon, scale=edge / _UNIT)
         draw_lines(layout, context, run_lines(runs[0], chosen_target(scene)))
         _draw_slots(layout, runs, chosen_target(scene))
         row = layout.row(align=True)
@@ -335,7 +348,8 @@ def unregister() -> None:
     if bpy.app.timers.is_registered(_follow):
         bpy.app.timers.unregister(_follow)
     bpy.utils.previews.remove(_Shown.previews)
-    _Shown.previews = _Shown.panel = _Shown.image = _Shown.followed = None
+    _Shown.previews = _Shown.image = _Shown.followed = None
+    _Shown.panels.clear()
     store.clear()
     del bpy.types.Scene.raybatch_convergence
     for cls in reversed(_classes):
