@@ -140,7 +140,8 @@ def test_a_run_that_fails_or_is_stopped_leaves_nothing(lit, tmp_path, capfd, mon
 
         return call
 
-    outputs = ["--json", tmp_path / "new/r.json", "--plot", tmp_path / "new/p.svg", "--html", tmp_path / "new/p.html", "--save-reference", tmp_path / "new/r.npz"]
+    new = tmp_path / "new"
+    outputs = ["--json", new / "r.json", "--plot", new / "p.svg", "--html", new / "p.html", "--save-reference", new / "r.npz"]
     for error, code in ((RayBatchError("the device is gone"), 1), (KeyboardInterrupt(), 130)):
         count.clear()
         monkeypatch.setattr(Session, "render", failing(error))
@@ -148,4 +149,4 @@ def test_a_run_that_fails_or_is_stopped_leaves_nothing(lit, tmp_path, capfd, mon
         said = capfd.readouterr()
         if "wp_compile_cpp" in said.err:
             pytest.skip("this machine cannot compile kernels for the CPU")
-        assert said.out == "" and not (tmp_path / "new").exists(), said.err
+        assert said.out == "" and not new.exists(), said.err

@@ -205,7 +205,9 @@ def test_settings_that_aim_at_other_pictures_have_references_of_their_own(lit, c
 
 
 def test_a_reference_has_nothing_that_biases_it():
-    changed = RenderSettings(nee="OFF", clamp_direct=1.0, clamp_indirect=2.0, sample_sequence="INDEPENDENT", bounce_max=3, seed=5, time_limit=3.0, filter_width=2.0)
+    changed = RenderSettings(
+        nee="OFF", clamp_direct=1.0, clamp_indirect=2.0, sample_sequence="INDEPENDENT", bounce_max=3, seed=5, time_limit=3.0, filter_width=2.0
+    )
     settings = reference_settings(changed, 63)
     assert settings.sample_count == 64 and settings.seed == SEED and settings.error_estimate == "ON" and settings.half_count == 2
     for name, info in SETTINGS.items():

@@ -41,6 +41,8 @@ def html_page(summary: Summary, command: str) -> str:
     frame = study.opened.scene.frame
     device = study.device
     machine = [("device", f"{device['name']} ({device['alias']}), {device['memory'] / 2**30:.1f} GiB, {device['cores']} cores of the host")]
+    if study.cycles_device:
+        machine.append(("device of Cycles", study.cycles_device))
     machine += [("host", f"{platform.machine()}, {platform.processor() or 'processor not told'}"), *study.versions.items(), ("command", command)]
     said = "".join(f"<li><b>{_text(each.variant.label)}</b>: {_text(each.slope.says)}</li>" for each in summary.outcomes if each.slope)
     notes = "".join(f"<li>{_text(note)}</li>" for note in [*summary.notes, *study.warnings])
@@ -48,14 +50,14 @@ def html_page(summary: Summary, command: str) -> str:
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>Error against time: {_text(study.opened.name)}</title><style>{_STYLE}</style></head><body>\n"
         f"<h1>Error against run time: {_text(study.opened.name)}</h1>\n"
-        f"<p>{frame.width} x {frame.height} pixels, on {_text(device['name'])}; {_text('; '.join(reference_text(summary)))}; {_text(target_line(summary))}.</p>\n"
+        f"<p>{frame.width} x {frame.height} pixels, on {_text('; '.join([device['name'], *reference_text(summary), target_line(summary)]))}.</p>\n"
         + (f'<ul class="notes">{notes}</ul>\n' if notes else "")
         + f'<div class="row">{"".join(svg_plots(summary))}</div>\n'
-        '<p class="soft">Lines are medians of all runs, bands reach from the least to the most, thin lines are single runs. Both axes are logarithmic. '
-        "Time is that of rendering alone, without trees and compilation.</p>\n"
+        '<p class="soft">Lines are medians of all runs, bands reach from the least to the most, thin lines are single runs. '
+        "Both axes are logarithmic. Time is that of rendering alone, without trees and compilation.</p>\n"
         f'<h2>Figures</h2>\n<div class="wide">{_table(summary)}</div>\n'
-        '<p class="soft">Medians of runs. Slope: of RMSE against samples. To target: seconds of rendering, extrapolated where it has a ~. Sooner: at the '
-        "target, than the first setting. Efficiency: 1 / (RMSE² × seconds), relative to the first, with the least and the most of runs.</p>\n"
+        '<p class="soft">Medians of runs. Slope: of RMSE against samples. To target: seconds of rendering, extrapolated where it has a ~. '
+        "Sooner: at the target, than the first setting. Efficiency: 1 / (RMSE² × seconds), relative to the first, with the least and the most of runs.</p>\n"
         + (f"<h2>Slopes</h2>\n<ul>{said}</ul>\n" if said else "")
         + _pictures(summary)
         + "<h2>Machine and versions</h2>\n<table>"

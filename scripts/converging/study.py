@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,8 @@ from .flip import MISSING, flip_function
 from .reference import TAKEN_SEEDS, References, UsedReference, picture_alone
 from .request import CYCLES, ConvergenceRequest, Variant, parse_comparison, run_seeds, run_settings, variants
 
-WARM_UP_SAMPLES = 2  # the second comes without what is done once
+WARM_UP_SAMPLES = 4  # of a first render, unless time ends the runs
+WARM_UP_SHARE, WARM_UP_SECONDS = 0.25, 2.0  # then it takes this share of a run's time, and no longer than this
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,7 @@ class Study:
     references: dict[str, UsedReference] = field(default_factory=dict)  # by the variant's label
     used: list[UsedReference] = field(default_factory=list)  # each once
     apart: dict[str, float] | None = None  # limits of two engines
+    cycles_device: str | None = None  # as Cycles calls it, where it competes
     first_seconds: dict[str, float] = field(default_factory=dict)  # of a first render with few samples, with compilation, by label
     versions: dict[str, str] = field(default_factory=dict)
     flip_told: bool = False  # whether FLIP was computed
@@ -86,7 +89,7 @@ def measured(request: ConvergenceRequest) -> Study:
     finally:
         steps.close()
         session.close()
-    study.versions = versions()
+    study.versions = versions() | ({"flip-evaluator": metadata.version("flip-evaluator")} if flip else {})
     study.seconds = time.perf_counter() - start
     return study
 
@@ -103,15 +106,14 @@ class _Runner:
         if not references.is_made:  # nothing is rendered if it cannot be used
             for variant in study.variants:
                 references.of(variant, 1)
-        rates = {}
+        samples = 1
         for variant in study.variants:
             self._steps.begin(f"first render of {variant.label}, with compilation")
-            rates[variant.label] = self._warm_up(variant)
+            rate = self._warm_up(variant)
+            most = variant.settings.sample_count
+            samples = max(samples, most if request.seconds is None else min(most, int(request.seconds / max(rate, 1e-9))))
             self._steps.end()
         for variant in study.variants:
-            samples = variant.settings.sample_count
-            if request.seconds is not None:
-                samples = max(1, min(samples, int(request.seconds / max(rates[variant.label], 1e-9))))
             self._steps.begin(f"reference for {variant.label}")
             study.references[variant.label] = references.of(variant, samples)
             self._steps.end()
@@ -137,21 +139,21 @@ class _Runner:
             seconds, picture = self._peer.timed_picture(0, 1)
             x0, y0, x1, y1 = self._study.opened.scene.frame.region
             require_size(picture, (x1 - x0, y1 - y0))
-            self._study.first_seconds[variant.label] = seconds
+            self._study.first_seconds[variant.label], self._study.cycles_device = seconds, self._peer.device
             return seconds
         recorder = ConvergenceRecorder()
-        settings = variant.settings.replace(sample_count=min(2 * WARM_UP_SAMPLES, variant.settings.sample_count), time_limit=0.0)
+        settings = variant.settings
+        if self._request.seconds is None:
+            settings = settings.replace(sample_count=min(WARM_UP_SAMPLES, settings.sample_count))
+        else:  # long enough to tell how many samples a run will have
+            settings = settings.replace(time_limit=min(WARM_UP_SHARE * self._request.seconds, WARM_UP_SECONDS))
         start = time.perf_counter()
         film = self._session.render(self._study.opened.scene, settings, observers=[recorder])
         self._study.first_seconds[variant.label] = time.perf_counter() - start
         warnings = [text for text in film.statistics["warnings"] if text not in self._study.warnings]
         tell_warnings(warnings)
         self._study.warnings += warnings
-        last = recorder.snapshots[-1]
-        before = recorder.snapshots[-2] if len(recorder.snapshots) > 1 else None
-        if before is None or last.seconds <= before.seconds:
-            return last.seconds / last.samples
-        return (last.seconds - before.seconds) / (last.samples - before.samples)
+        return recorder.snapshots[-1].seconds / recorder.snapshots[-1].samples
 
     def _run(self, variant: Variant, seed: int, keep: bool) -> Run:
         snapshots = self._snapshots(variant, seed)

@@ -98,9 +98,10 @@ def _outcome(study: Study, variant: Variant, target: float | None, first: Outcom
         relative = Ranged(middle, min(*ratios, middle), max(*ratios, middle))
     of_relmse = [value for run in runs if (value := efficiency(run.points, "relmse")) is not None]
     theirs = first.target_seconds if first else seconds
+    sooner = theirs.median / seconds.median if theirs and seconds and seconds.median else None
     return Outcome(
-        variant, runs, slope, fit_slope(points, "seconds"), Ranged.of(list(own.values())), relative, statistics.median(of_relmse) if of_relmse else None,
-        seconds, 2 * sum(extrapolated for _, extrapolated in reached) > len(reached), theirs.median / seconds.median if theirs and seconds and seconds.median else None,
+        variant, runs, slope, fit_slope(points, "seconds"), Ranged.of(list(own.values())), relative,
+        statistics.median(of_relmse) if of_relmse else None, seconds, 2 * sum(beyond for _, beyond in reached) > len(reached), sooner,
     )  # fmt: skip
 
 
@@ -155,7 +156,7 @@ def json_report(summary: Summary, request: dict[str, Any]) -> dict[str, Any]:
         "request": request,
         "settings": dataclasses.asdict(study.variants[0].settings),
         "frame": {"width": frame.width, "height": frame.height},
-        "machine": study.device,
+        "machine": study.device | ({"cycles_device": study.cycles_device} if study.cycles_device else {}),
         "versions": study.versions,
         "warnings": study.warnings,
         "seconds": round(study.seconds, 3),
@@ -272,8 +273,8 @@ def text_report(summary: Summary) -> str:
     """The report as a person reads it."""
     study = summary.study
     frame = study.opened.scene.frame
-    lines = [f"{study.opened.name}, {frame.width} x {frame.height} pixels, on {study.device['name']}", *reference_text(summary), target_line(summary), ""]
-    lines.append(table(HEADS, rows(summary)))
+    lines = [f"{study.opened.name}, {frame.width} x {frame.height} pixels, on {study.device['name']}", *reference_text(summary)]
+    lines += [target_line(summary), "", table(HEADS, rows(summary))]
     lines += ["medians of runs; seconds: of rendering alone; slope: of RMSE against samples; sooner: at the target, than the first setting;"]
     lines += ["efficiency: 1 / (RMSE^2 x seconds), relative to the first; ~: extrapolated", ""]
     lines += [f"{each.variant.label}: {each.slope.says}" for each in summary.outcomes if each.slope]
