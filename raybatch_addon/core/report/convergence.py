@@ -20,6 +20,7 @@ import numpy as np
 from ..errors import RayBatchError
 from .convergence_error import (
     relative_to,
+    relative_to_halves,
     relmse,
     relmse_of_halves,
     rmse,
@@ -122,7 +123,7 @@ def error_point(
         floor = noise_floor(reference)
     elif _has_halves(snapshot):
         error = squared_error_of_halves(*snapshot.halves, snapshot.samples)
-        scale = relative_to(snapshot.picture)
+        scale = relative_to_halves(*snapshot.halves)
         floor = (0.0, 0.0)
     else:
         raise RayBatchError("this snapshot has no halves: give a reference, or render with error_estimate ON and at least 2 samples")
