@@ -145,9 +145,12 @@ def load_reference(
             raise RayBatchError(f"{path} is no reference (it is a single array); save a film or a reference as .npz")
         with loaded as archive:
             arrays = {name: archive[name] for name in archive.files if name in ("header", "picture", "variance", "Combined")}
+        if not all(isinstance(array, np.ndarray) for array in arrays.values()):
+            raise ValueError("not all of it is arrays")
     except FileNotFoundError:
         raise RayBatchError(f"there is no file {path}") from None
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+    except (OSError, EOFError, ValueError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+        # RuntimeError: flipped bits may say that it is encrypted, or compressed as nobody does
         raise RayBatchError(f"{path} cannot be read as a reference; is it damaged or cut short? Make it again ({error})") from error
     header = _header(path, arrays)
     picture, variance = arrays.get("picture"), arrays.get("variance")
@@ -171,7 +174,7 @@ def _header(path: Path, arrays: dict[str, np.ndarray]) -> dict[str, Any]:
         raise RayBatchError(f"{path} is no reference: it has neither a reference's header nor a film's pass Combined")
     try:
         header = json.loads(arrays["header"].tobytes().decode())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RayBatchError(f"{path} cannot be read as a reference; is it damaged? Make it again ({error})") from error
     if not isinstance(header, dict) or header.get("format") != FORMAT or "picture" not in arrays:
         raise RayBatchError(f"{path} is no reference: it is a file of another kind")
@@ -191,8 +194,11 @@ def _require_same(path: Path, reference: Reference, header: dict[str, Any], size
             f"{path} shows another scene, or this one as it was before it changed (camera, geometry, materials, lights or world differ): "
             "make the reference again, or give the one of this scene"
         )
+    estimator = header.get("settings") or {}
+    if not isinstance(estimator, dict):
+        raise RayBatchError(f"{path} cannot be read as a reference: its settings are no settings; is it damaged? Make it again")
     for name in PICTURE_SETTINGS if settings is not None else ():
-        saved, own = (header.get("settings") or {}).get(name), getattr(settings, name)
+        saved, own = estimator.get(name), getattr(settings, name)
         if saved is not None and saved != own:
             remedy = f"set {name} to {saved}, or make the reference again"
             raise RayBatchError(f"{path} was made with {name} = {saved}, and the render has {own}: {remedy}")

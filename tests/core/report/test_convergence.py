@@ -1,12 +1,14 @@
 """Recorder, metrics, references and their files, on pictures that are made up."""
 
 import math
+import zipfile
 
 import numpy as np
 import pytest
 import scenes
 
 from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.core.film.half_error import half_error
 from raybatch_addon.core.report import convergence
 from raybatch_addon.core.report.convergence import (
     ConvergenceRecorder,
@@ -102,6 +104,33 @@ def test_the_error_of_halves_is_an_unbiased_estimate():
     assert abs(rmse_of_halves(a, b) ** 2 / rmse((a + b) / 2, np.full(SHAPE, 2.0)) ** 2 - 1) < 4 * deviation < 0.15
     assert abs(relmse_of_halves(a, b) / relmse((a + b) / 2, np.full(SHAPE, 2.0)) - 1) < 4 * deviation
     assert rmse_of_halves(a, a) == relmse_of_halves(a, a) == 0
+
+
+@pytest.mark.parametrize("samples", [(4, 4), (5, 4), (2, 1)])
+def test_the_error_that_ends_a_render_is_that_of_the_recorder(samples):
+    a, b = np.random.default_rng(6).gamma(0.3, 1.0, (2, *SHAPE)).astype(np.float32)
+    n, m = samples
+    kept = snapshot(n + m, ((n * a + m * b) / (n + m)).astype(np.float32), (a, b))
+    point, found = convergence.error_point(kept), half_error(a, b, samples)
+    assert (point.rmse, point.relmse) == pytest.approx((found.rmse, found.relmse), rel=1e-12)
+    if n == m:
+        assert (rmse_of_halves(a, b), relmse_of_halves(a, b)) == pytest.approx((found.rmse, found.relmse), rel=1e-12)
+
+
+def test_rare_light_does_not_hide_the_error():
+    """One path in `1 / chance` brings `1 / chance`, so that each pixel is 1. Few pixels found it, and only a squared value that has no noise
+    in it tells how far these are off; else each would count as 1 off, and 0.8 % of the picture.
+
+    With few finds A B is 0 nearly everywhere and the estimate that of relMSE / 0.01, where the truth is that of relMSE / 1.01.
+    """
+    chance, samples = 1e-3, 4
+    random = np.random.default_rng(8)
+    a, b = random.binomial(samples, chance, (2, *SHAPE)) / (samples * chance)
+    told, true = relmse_of_halves(a, b), relmse((a + b) / 2, np.ones(SHAPE))
+    assert true / 2 < told < 150 * true
+    # where pixels know their light, it is close: sums of 400 draws with 40 finds, so that E 1 / (A B) is above 1 by some 3 / 20
+    a, b = random.binomial(200, 0.1, (2, *SHAPE)) / 20
+    assert relmse_of_halves(a, b) == pytest.approx(relmse((a + b) / 2, np.ones(SHAPE)), rel=0.3)
 
 
 def test_pictures_of_other_sizes_are_refused():
@@ -277,12 +306,34 @@ def test_unreadable_references_are_refused(saved, tmp_path):
     refused("version 77")
     np.savez(bad, picture=reference.picture, header=np.frombuffer(b"\xff{", np.uint8))
     refused("damaged")
+    np.savez(bad, picture=reference.picture, header=np.frombuffer(b"[" * 100_000, np.uint8))
+    refused("damaged")
+    text = b'{"format": "raybatch-reference", "version": 1, "settings": [1]}'
+    np.savez(bad, picture=reference.picture, header=np.frombuffer(text, np.uint8))
+    refused("no settings")
+    with zipfile.ZipFile(bad, "w") as archive:
+        archive.writestr("Combined", b"no array")
+    refused("cannot be read")
     np.savez(bad, Combined=np.array(["text"] * 3))
     refused("floating-point")
     np.savez(bad, Combined=np.full(SHAPE, np.nan))
     refused("not finite")
     with pytest.raises(RayBatchError, match="cannot be read"):
         load_reference(tmp_path)
+
+
+def test_a_file_with_flipped_bits_is_read_or_refused(tmp_path):
+    """Whatever a bit says: that the file is encrypted, compressed in another way, longer than it is."""
+    path, random = tmp_path / "r.npz", np.random.default_rng(1)
+    save_reference(path, Reference(np.ones((3, 4, 3)), np.ones((3, 4, 3))), "abc", RenderSettings())
+    whole, refused = path.read_bytes(), 0
+    for place in random.choice(len(whole), 600, replace=False):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1 << random.integers(8)]) + whole[place + 1 :])
+        try:
+            load_reference(path, (4, 3), "abc", RenderSettings())
+        except RayBatchError:
+            refused += 1
+    assert refused > 300
 
 
 def test_a_reference_that_cannot_be_written_leaves_nothing(tmp_path):
