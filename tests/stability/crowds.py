@@ -175,7 +175,7 @@ def layers_far(bench: Bench) -> Outcome:
     "The 64 squares seen from above and lit from above: albedo / pi times irradiance times cosine, whichever of the layers rays take "
     "for the highest.",
     "32 u for light and closure, relatively. Seen from 0.75 m away heights are off by 19 u of that (CUDA): a layer taken for the highest "
-    "is within 29 u = 1.7e-6 m of it. A ray leaves a point at 8 u of the two longest sides, 4 m here: 32 u, above all of these.",
+    "is within 29 u = 1.7e-6 m of it. A ray leaves a point at 25 u of the longest side, 2 m here: 50 u, above all of these.",
 )  # fmt: skip
 def layers_lit(bench: Bench) -> Outcome:
     sweep = Sweep()

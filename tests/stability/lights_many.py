@@ -50,7 +50,7 @@ def many_points(bench: Bench) -> Outcome:
     square = (places.astype(np.float64) ** 2).sum(1)
     expected = float((intensity * places[:, 2] / square**1.5).sum()) / math.pi
     sweep = Sweep()
-    add_mean(sweep, bench.render(floor_of(*lights), sample_count=256), expected, ROUNDING)
+    add_mean(sweep, bench.render(floor_of(*lights), sample_count=1024), expected, ROUNDING)
     return sweep.outcome()
 
 
@@ -85,22 +85,22 @@ def many_triangles(bench: Bench) -> Outcome:
     triangles = np.concatenate([np.column_stack([a, a + 1, a + n + 2]), np.column_stack([a, a + n + 2, a + n + 1])]).astype(np.int32)
     lamp = (Mesh("lamp", positions, triangles), scenes.translation(0, 0, 0.9), emitter(3.0), UNSEEN)
     sweep = Sweep()
-    add_mean(sweep, bench.render(floor_of(objects=[lamp]), sample_count=64), rectangle_irradiance(3.0, 0.7, 0.9) / math.pi, ROUNDING)
+    add_mean(sweep, bench.render(floor_of(objects=[lamp]), sample_count=1024), rectangle_irradiance(3.0, 0.7, 0.9) / math.pi, ROUNDING)
     return sweep.outcome()
 
 
 @case(
     "a thousand coincident lights", "lights",
     "A thousand area lights in one place: a thousand times the irradiance of one, by aimed and by scattered rays.",
-    f"{STATISTICS}, and 1e-4 (the solid angle of a rectangle).",
+    f"{STATISTICS}; 64 roundings; eight roundings of 2 pi of the rectangle's solid angle of 1.4 sr: 3e-6.",
 )  # fmt: skip
 def coincident(bench: Bench) -> Outcome:
     """With and without light sampling."""
     light = Light("area", LightKind.RECTANGLE, scenes.translation(0, 0, 0.9), (3e-3,) * 3, size=(1.4, 1.4), visibility=UNSEEN)
     sweep = Sweep()
     for nee in ("ON", "OFF"):
-        picture = bench.render(floor_of(*[light] * 1000), sample_count=64, nee=nee)
-        add_mean(sweep, picture, rectangle_irradiance(3.0, 0.7, 0.9) / math.pi, 1e-4, f"nee {nee}")
+        picture = bench.render(floor_of(*[light] * 1000), sample_count=256, nee=nee)
+        add_mean(sweep, picture, rectangle_irradiance(3.0, 0.7, 0.9) / math.pi, ROUNDING + 3e-6, f"nee {nee}")
     return sweep.outcome()
 
 
@@ -163,7 +163,7 @@ def light_inside_glass(bench: Bench) -> Outcome:
         glass = Material("glass", (Closure(ClosureKind.GLASS, (1.0,) * 3, 0.0, ior),), (ClosureKind.GLASS,))
         light = Light("light", LightKind.POINT, scenes.IDENTITY, (math.pi * 0.25,) * 3, radius=0.5, soft_falloff=False)
         scene = scenes.scene([(ball, scenes.IDENTITY, glass)], view=scenes.camera(half_width=0.02), frame=PIXELS, lights=[light])
-        add_mean(sweep, bench.render(scene, sample_count=64, bounce_max=64, roulette_bounce=65), 1.0, 1e-3, f"index {ior:.7g}")
+        add_mean(sweep, bench.render(scene, sample_count=256, bounce_max=64, roulette_bounce=65), 1.0, 1e-3, f"index {ior:.7g}")
     return sweep.outcome()
 
 
@@ -180,7 +180,7 @@ def light_through_glass(bench: Bench) -> Outcome:
     ball = (scenes.sphere(segments=32, rings=16), scenes.translation(0, 0, 2), clear, UNSEEN)
     light = point_light((0, 0, 2), 4.0, radius=0.9, soft_falloff=False)
     sweep = Sweep()
-    picture = bench.render(floor_of(light, objects=[ball], half_width=1e-4), sample_count=256)
+    picture = bench.render(floor_of(light, objects=[ball], half_width=1e-4), sample_count=2048)
     # aimed rays would have had their share of what both find; behind glass the delta lobe takes what it meets whole
     add_mean(sweep, picture, 1.0 / math.pi, ROUNDING)
     return sweep.outcome()

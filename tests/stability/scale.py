@@ -305,7 +305,7 @@ def _shade(bench: Bench, floor: Mesh, radius: float, lift: float, note: str) -> 
     "a 1 mm ball over a plane of 1e7 m", "scale",
     """A black ball of 1 mm over a white plane of 1e7 m whose cells grow from 0.1 mm in the middle: the radiance of the plane beside the ball in
     a white world, against 1 minus the ball's form factor.""",
-    """5 standard errors (Student); the ball's facets (2 pi^2 / 96^2 of the form factor); the point is moved off the plane by 8 x 2^-24 of its
+    """5 standard errors (Student); the ball's facets (2 pi^2 / 96^2 of the form factor); the point is moved off the plane by 25 x 2^-24 of its
     triangle, which is no larger than the ball""",
 )  # fmt: skip
 def small_over_large(bench: Bench) -> Outcome:
@@ -317,10 +317,10 @@ def small_over_large(bench: Bench) -> Outcome:
     """A black ball of 20 cm over the floor of a stadium of 200 m that is one square: the radiance of the floor beside the ball in a white
     world, against 1 minus the ball's form factor.""",
     """5 standard errors (Student); the ball's facets (2 pi^2 / 96^2 of the form factor); the point is moved off the floor by the error of
-    a test of its triangle, 8 x 2^-24 times 400 m, of a ball of 0.1 m radius: 3 times that ratio of the form factor""",
+    a test of its triangle, 25 x 2^-24 times 200 m, and a rounding, of a ball of 0.1 m radius: 3 times that ratio of the form factor""",
 )  # fmt: skip
 def teapot_in_a_stadium(bench: Bench) -> Outcome:
-    return _shade(bench, scenes.plane("stadium", 200.0), 0.1, 8 * U * 600, "")
+    return _shade(bench, scenes.plane("stadium", 200.0), 0.1, 26 * U * 200, "")
 
 
 @case(
