@@ -69,8 +69,10 @@ def fit_slope(points: Sequence[ErrorPoint], by: str = "samples") -> Slope | None
 
     `flattens` is tested against samples, on points whose error stands out from the reference's noise: two lines that meet in the middle
     of the curve are fitted. A bias is told where the last is shallower than -0.5, which no unbiased estimator stays above, and either
-    shallower than the first or next to level; each by more than 0.1 and with a chance of a false alarm of 1 in 1000. Estimates from
-    halves of a render cannot show a bias: it is in both.
+    shallower than the first or next to level; each by more than 0.1 and with a chance of a false alarm of 1 in 1000 (measured: 6 in
+    4000 curves of 50 normal pixels, none of 4000 of 200, but 2 in 100 of 50 lognormal ones with a kurtosis of 9e6). A curve that is level from the
+    beginning may have a bias, or no path found the light yet: it is flagged, and both are said. Estimates from halves of a render
+    cannot show a bias: it is in both.
     """
     if by not in ("samples", "seconds"):
         raise ValueError(f"errors are fitted against samples or seconds, not {by!r}")
@@ -107,7 +109,7 @@ def time_to(points: Sequence[ErrorPoint], target: float, slope: Slope | float | 
     before = None
     for point in curve:
         if point.relmse <= target:
-            if before is None or point.relmse >= before.relmse:
+            if before is None:
                 return point.seconds, False
             share = math.log(target / before.relmse) / math.log(point.relmse / before.relmse)
             return before.seconds * (point.seconds / before.seconds) ** share, False
@@ -193,7 +195,8 @@ def _measured_covariance(points: Sequence[ErrorPoint], errors: Sequence[float]) 
     """Covariances of log(RMSE) as pixels tell them; None where a point has no pixels, or too few for a matrix that can be one."""
     if any(not p.rmse_spread for p in points):
         return None
-    relative = np.array([p.rmse_spread / p.rmse for p in points]) ** 2
+    # without the floor the same deviation of the squared error is a larger share of it
+    relative = np.array([p.rmse_spread * p.rmse / error**2 for p, error in zip(points, errors)]) ** 2
     samples = np.array([p.samples for p in points])
     covariance = _nesting(points) * np.where(samples[:, None] <= samples, relative[:, None], relative)
     if np.linalg.eigvalsh(covariance)[0] < 1e-6 * relative.max():
@@ -227,6 +230,7 @@ class _Bend:
     last_spread: float
     bias: float  # RMSE that is left at the end
     is_bias: bool
+    is_level: bool  # from the beginning, as far as can be told: it did not fall, so that it did not stop falling either
     floor_known: bool
 
 
@@ -248,7 +252,8 @@ def _bend(points: Sequence[ErrorPoint]) -> _Bend | None:
     level = last > -SLOPE_MARGIN
     left = np.square([error for error, at in zip(errors, x) if at == x.max()])
     known = all(p.floor_rmse is not None for p in points)
-    return _Bend(float(first), float(last), float(spread[2]), math.sqrt(np.mean(left)), bool(slow and (bent or level)), known)
+    is_bias = bool(slow and (bent or level))
+    return _Bend(float(first), float(last), float(spread[2]), math.sqrt(np.mean(left)), is_bias, is_bias and not bent, known)
 
 
 def _is_above(difference: float, spread: float, freedom: int) -> bool:
@@ -287,7 +292,9 @@ def _in_words(slope: float, spread: float, freedom: int, points: Sequence[ErrorP
     """What the slope against samples means."""
     measured = f"slope {slope:.2f}" + (f" ± {spread:.2f}" if math.isfinite(spread) else "")
     if bend and bend.is_bias:
-        why = "a bias" if bend.floor_known else "a bias, or noise of the reference, whose own error is not known"
+        why = "a bias" + ", or light that no path found yet" * bend.is_level
+        if not bend.floor_known:
+            why += ", or noise of the reference, whose own error is not known"
         return f"{measured}: the curve flattens (slope {bend.last:.2f} at its end); {why}: about {bend.bias:.3g} (RMSE) is left"
     clear = len(_above_floor(points)[0])
     notes = ""
@@ -303,4 +310,6 @@ def _in_words(slope: float, spread: float, freedom: int, points: Sequence[ErrorP
     steeper = INDEPENDENT_SLOPE - slope
     if steeper > 0 and (spread == 0 or t_exceeds(steeper / spread, freedom) < STEEPER_CHANCE):
         return f"{measured}: steeper than independent samples (-0.5){notes}"
+    if abs(steeper) > SLOPE_MARGIN:
+        return f"{measured}: too uncertain to tell it from that of independent samples (-0.5){notes}"
     return f"{measured}: as of independent samples (-0.5){notes}"

@@ -107,6 +107,28 @@ def test_a_bias_is_flagged_and_its_size_said(bias):
         assert slope.last_slope > -0.35
 
 
+def test_the_spread_of_the_last_slope_has_the_noise_of_the_reference_in_it():
+    """What is left when it is subtracted varies as before, and is less. z = (slope + 0.5) / spread of 200 renders has a mean square near 1:
+    4 deviations of chi-squared are allowed. That the spread is never taken as smaller than pixels tell makes it a little less."""
+    slopes = [fit_slope(measured(seed, 1024, noise=1 / 8)) for seed in range(200)]
+    z = np.array([(slope.last_slope + 0.5) / slope.last_spread for slope in slopes])
+    assert np.square(z).mean() == pytest.approx(1, abs=4 * math.sqrt(2 / 200))
+
+
+def test_light_that_no_path_found_is_told_from_a_bias():
+    """A picture that stays black has an error that stays, and nothing tells why. Nor is a slope that is not known that of anything."""
+
+    def draw(chance):
+        return lambda random, count: random.binomial(count, chance, PIXELS) / chance - count
+
+    black = fit_slope(measured(1, 256, draw=draw(1e-9)))
+    assert black.flattens and "a bias, or light that no path found yet" in black.says
+    for seed in range(20):
+        few = fit_slope(measured(seed, 256, draw=draw(3e-5)))
+        assert "as of independent" not in few.says or abs(few.slope + 0.5) <= 0.1
+    assert "or light" not in fit_slope(measured(1, 256, bias=0.3)).says
+
+
 def test_a_bias_is_told_from_noise_of_the_reference():
     """The reference has the noise of 64 samples: the curve flattens there, but not above what the reference adds.
 
