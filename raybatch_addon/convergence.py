@@ -29,7 +29,7 @@ SLOT_COUNT = 6
 # Samples of a snapshot to those of the one before
 SNAPSHOT_RATIO = 1.5
 # Share by which the time grows from one point of rays a second to the next, and the least time between two [s]
-RATE_GROWTH, RATE_SECONDS = 0.06, 0.05
+RATE_GROWTH, RATE_SECONDS = 0.1, 0.2
 # Snapshots that wait until their errors are computed; beyond it the oldest is left out
 WAITING_SNAPSHOTS = 3
 # Settings that say when a render ends, and what is told of it
@@ -336,20 +336,21 @@ def runs_as_data(runs: Sequence[Run], target: float) -> dict[str, Any]:
     for run in runs:
         found, slope = run.time_to(target), run.slope
         summary.append({
-            "run": run.number, "name": names[run.number], "target": target, "seconds_to_target": found[0] if found else None,
-            "extrapolated": found[1] if found else None, "slope_says": slope.says if slope else None,
+            "run": run.number, "label": names[run.number], "seconds_to_target": found[0] if found else None,
+            "extrapolated": found[1] if found else None, "slope": slope.slope if slope else None, "says": slope.says if slope else None,
         })  # fmt: skip
     return {
         "scene": newest.scene if newest else None,
         "device": newest.device if newest else None,
-        "reference": {"kind": "halves", "about": "no reference: the error is estimated from two halves of each render"},
-        "runs": [_run_as_data(run) for run in runs],
+        "reference": {"kind": "halves", "name": "two halves of each render"},
+        "target": {"relmse": target},
+        "runs": [_run_as_data(run, names[run.number]) for run in runs],
         "summary": summary,
         "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
 
 
-def _run_as_data(run: Run) -> dict[str, Any]:
+def _run_as_data(run: Run, label: str) -> dict[str, Any]:
     slope = run.slope
     points = [
         {
@@ -360,7 +361,7 @@ def _run_as_data(run: Run) -> dict[str, Any]:
     ]  # fmt: skip
     return {
         "settings": run.settings, "seed": run.settings["seed"], "points": points, "slope": slope.slope if slope else None,
-        "run": run.number, "scene": run.scene, "layer": run.layer, "frame": run.frame, "device": run.device, "state": run.state,
+        "run": run.number, "label": label, "scene": run.scene, "layer": run.layer, "frame": run.frame, "device": run.device, "state": run.state,
         "stopped_by": run.stopped_by, "samples": run.samples, "seconds": run.seconds, "error": run.error,
         "rates": [{"seconds": r.seconds, "rays_per_second": r.rays_per_second} for r in run.rates],
     }  # fmt: skip

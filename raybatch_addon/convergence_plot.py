@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .convergence import RUNNING, Run, names_of
-from .plotting.axes import LogAxis, Style, draw_frame
+from .plotting.axes import LogAxis, Style, draw_frame, line_width
 from .plotting.raster import Canvas, Color, line_height, text_width
 
 # Of the slots: apart from each other for colour-blind eyes too, and light enough for a dark pane
@@ -77,8 +77,9 @@ def _extrapolated(run: Run, target: float) -> float | None:
 def _draw_target(canvas: Canvas, x: LogAxis, errors: LogAxis, target: float, style: Style) -> None:
     if not errors.low <= target <= errors.high:
         return
-    y, size = round(errors.at(target)) + 0.5, style.text_size
-    canvas.line([(x.start, y), (x.end, y)], _TEXT, 1.0, dash=size, alpha=0.8)
+    size = style.text_size
+    y = round(errors.at(target)) + line_width(size) / 2
+    canvas.line([(x.start, y), (x.end, y)], _TEXT, line_width(size), dash=size, alpha=0.8)
     canvas.text(x.start + size, y + 0.6 * size, f"to reach: {target:g}", size, _TEXT)
 
 

@@ -116,23 +116,28 @@ class Style:
 def draw_frame(canvas: Canvas, x: LogAxis, y: LogAxis, style: Style, labelled_x: bool, y_label: str) -> None:
     """A pane with its grid, ticks and labels. `x` runs from left to right, `y` upwards."""
     size = style.text_size
+    thin = line_width(size)
     canvas.rectangle(x.start, y.start, x.end, y.end, style.pane)
     for value in x.small_ticks():
-        canvas.rectangle(x.at(value), y.start, round(x.at(value)) + 1, y.end, style.grid, 0.35)
+        canvas.rectangle(x.at(value), y.start, round(x.at(value)) + thin, y.end, style.grid, 0.35)
     for value in y.small_ticks():
-        canvas.rectangle(x.start, y.at(value), x.end, round(y.at(value)) + 1, style.grid, 0.35)
+        canvas.rectangle(x.start, y.at(value), x.end, round(y.at(value)) + thin, style.grid, 0.35)
     for value in x.time_ticks(text_width("500 ms", size) + size):
         place = x.at(value)
-        canvas.rectangle(place, y.start, round(place) + 1, y.end, style.grid)
+        canvas.rectangle(place, y.start, round(place) + thin, y.end, style.grid)
         if labelled_x:
-            canvas.rectangle(place, y.start - size / 2, round(place) + 1, y.start, style.edge)
+            canvas.rectangle(place, y.start - size / 2, round(place) + thin, y.start, style.edge)
             canvas.text(place, y.start - 2.2 * size, seconds_text(value), size, style.text, 0.5)
     for value in y.ticks(2.4 * size):
         place = y.at(value)
-        canvas.rectangle(x.start, place, x.end, round(place) + 1, style.grid)
-        canvas.rectangle(x.start - size / 2, place, x.start, round(place) + 1, style.edge)
+        canvas.rectangle(x.start, place, x.end, round(place) + thin, style.grid)
+        canvas.rectangle(x.start - size / 2, place, x.start, round(place) + thin, style.edge)
         canvas.text(x.start - size, place - size / 2, number_text(value), size, style.text, 1.0)
-    for x0, y0, x1, y1 in ((x.start, y.start, x.start + 1, y.end), (x.start, y.start, x.end, y.start + 1)):
-        canvas.rectangle(x0, y0, x1, y1, style.edge)
-    if y_label:
-        canvas.text(x.start, y.end + size * 0.7, y_label, size, style.dim_text)
+    for x1, y1 in ((round(x.start) + thin, y.end), (x.end, round(y.start) + thin)):
+        canvas.rectangle(x.start, y.start, x1, y1, style.edge)
+    canvas.text(x.start, y.end + size * 0.7, y_label, size, style.dim_text)
+
+
+def line_width(text_size: float) -> int:
+    """Of a grid beside text of that size [whole pixels]: where the text can be read from afar, so can the grid."""
+    return max(1, round(text_size / 6))

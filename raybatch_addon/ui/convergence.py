@@ -277,7 +277,9 @@ class RAYBATCH_RENDER_PT_convergence(EnginePanel, bpy.types.Panel):
         scene, layout = context.scene, self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
-        layout.prop(scene.raybatch_convergence, "record")
+        row = layout.row()
+        row.active = not _estimates_error(scene)  # or it is recorded anyway
+        row.prop(scene.raybatch_convergence, "record")
         if scene.raybatch.error_target > 0:
             layout.prop(scene.raybatch, "error_target")
         else:
@@ -300,8 +302,12 @@ class RAYBATCH_RENDER_PT_convergence(EnginePanel, bpy.types.Panel):
         row.operator(RAYBATCH_OT_convergence_clear.bl_idname, text="", icon="TRASH").run = 0
 
 
+def _estimates_error(scene: bpy.types.Scene) -> bool:
+    return scene.raybatch.error_estimate == "ON" or scene.raybatch.error_target > 0
+
+
 def _hint(scene: bpy.types.Scene) -> str:
-    if scene.raybatch.error_estimate == "ON" or scene.raybatch.error_target > 0:
+    if _estimates_error(scene):
         return "The next render is recorded, with its error"
     if scene.raybatch_convergence.record:
         return "Rays a second of the next render are recorded. For its error turn on Error Estimate in Sampling"

@@ -267,7 +267,7 @@ def test_runs_are_written_as_json(lit, tmp_path):
     assert [p["relmse"] for p in newest["points"]] == [p.relmse for p in second.points]
     assert set(newest["points"][0]) >= {"seconds", "samples", "rmse", "relmse", "flip"}
     assert newest["slope"] == second.slope.slope and newest["rates"]
-    assert [each["name"] for each in data["summary"]] == [f"#{second.number}, Seed 7", f"#{first.number}, Seed 0"]
+    assert [each["label"] for each in data["summary"]] == [f"#{second.number}, Seed 7", f"#{first.number}, Seed 0"]
     with pytest.raises(RuntimeError, match="cannot write"):
         bpy.ops.raybatch.convergence_save(filepath=str(tmp_path / "nowhere" / "runs.json"))
     assert [each.name for each in tmp_path.iterdir()] == ["runs.json"]
