@@ -170,6 +170,11 @@ def test_halves_are_renders_with_seeds_of_their_own(session, halves, way):
     json.dumps(film.statistics)
 
 
+def test_no_more_paths_are_alive_than_a_half_has(session):
+    film = session.render(scenes.mixed(FRAME), HALVES.replace(thread_count=1, tile_size=64))
+    assert film.statistics["schedule"]["ray_count"] == 24 * 20 * 4
+
+
 @pytest.mark.parametrize("cuts", [(1,), (2, 5), (3, 4)])
 def test_ranges_of_halves_merge_to_one_render(session, halves, cuts):
     edges = [0, *cuts, HALVES.sample_count]
@@ -273,6 +278,22 @@ def test_a_time_limit_ends_the_render_between_rounds(session, estimate):
         assert film.statistics["error"]["samples"] == samples or samples == 1
     same = session.render(scenes.mixed(FRAME), limited.replace(time_limit=0, sample_count=samples))
     assert_same(film.passes, same.passes)
+
+
+def test_progress_tells_the_samples_that_there_are(session):
+    """Not the share of a time limit, and with those from before a resume."""
+    limited, told = RenderSettings(sample_count=10_000_000, bounce_max=3, time_limit=0.3), []
+    film = session.render(scenes.mixed(FRAME), limited, on_progress=told.append)
+    samples = [progress.samples_done for progress in told if progress.stage == "render"]
+    assert samples == sorted(samples) and samples[-1] == film.statistics["samples_per_pixel"] and told[-1].fraction > 0.5
+    with stopping(30):
+        film = session.render(scenes.mixed(FRAME), SETTINGS, on_progress=told.append)
+    begun = film.sample_total / (24 * 20)
+    assert 0 < begun < 7 and told[-1].samples_done == pytest.approx(begun)
+    more = []
+    session.render(scenes.mixed(FRAME), SETTINGS, resume=film, on_progress=more.append)
+    samples = [progress.samples_done for progress in more if progress.stage == "render"]
+    assert samples[0] >= begun * (1 - 1e-12) and samples[-1] == 7
 
 
 def test_no_time_at_all_is_time_for_one_sample(session):

@@ -284,7 +284,8 @@ class Session:
     def _workers(self, job: _Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
         last = state.end == state.policy.sample_count
         areas = [halves[0].tile.pixel_count for halves in (state.open_tiles if last else state.tiles)]
-        workers = make_workers(scene, job.scene.frame, job.settings, areas, state.policy.sample_count)
+        samples = -(-state.policy.sample_count // job.settings.half_count)  # of a pixel in one half: these are rendered one after the other
+        workers = make_workers(scene, job.scene.frame, job.settings, areas, samples)
         job.warnings += workers.warnings
         job.chosen.update(workers.chosen)
         job.path_bytes = workers.path_bytes
@@ -298,10 +299,9 @@ class Session:
         def on_tile(tile: FinishedTile, passes: dict[str, np.ndarray]) -> None:
             job.on_tile(Tile(tile.x, tile.y, tile.width, tile.height, passes))
 
-        def on_progress(fraction: float, seconds: float) -> None:
+        def on_progress(fraction: float, samples: float, seconds: float) -> None:
             rays = sum(i.rays.total for i in integrators)
             left = seconds / fraction - seconds if fraction > 0.001 else None
-            samples = fraction * job.settings.sample_count
             job.on_progress(self._progress(job, "render", fraction, samples, rays / seconds if seconds else 0.0, left, "Rendering", seconds))
 
         start = time.perf_counter()

@@ -46,7 +46,7 @@ class RenderEvents:
     """Who is told what. All calls come from the thread that calls `Rendering.run`."""
 
     on_tile: Callable[[FinishedTile, dict[str, np.ndarray]], None]  # with the passes of its rectangle
-    on_progress: Callable[[float, float], None]  # share of the work that is done, seconds of rendering
+    on_progress: Callable[[float, float, float], None]  # share of the work that is done, mean samples of a pixel, seconds of rendering
     cancelled: Callable[[], bool]
     watchers: Sequence[SnapshotWatcher]
 
@@ -155,10 +155,12 @@ class Rendering:
 
     def _tell_progress(self) -> None:
         seconds = time.perf_counter() - self._begun
-        done = sum(integrator.items_done for integrator in self._integrators) / self._total if self._total else 1.0
+        items = sum(integrator.items_done for integrator in self._integrators)
+        done = items / self._total if self._total else 1.0
         if limit := self._state.policy.time_limit:
             done = max(done, min(seconds / limit, 1.0))
-        self._events.on_progress(done, seconds)
+        left = (self._total - items) / self._state.pixel_count  # samples of a pixel, if nothing ends the render before
+        self._events.on_progress(done, self._state.policy.sample_count - left, seconds)
 
     # --- between rounds
 
