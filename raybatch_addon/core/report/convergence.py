@@ -78,7 +78,7 @@ def geometric_samples(sample_count: int, ratio: float = 2.0, first: int = 1) -> 
 
 
 class ConvergenceRecorder:
-    """An observer of `Session.render` that keeps a snapshot at every sample count of a geometric series. One for each render."""
+    """An observer of `Session.render` that keeps a snapshot at every sample count of a geometric series. One for each call of it."""
 
     def __init__(self, ratio: float = 2.0):
         """`ratio`: of one snapshot's samples to those of the one before, above 1."""
@@ -93,8 +93,9 @@ class ConvergenceRecorder:
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
         """Keep it; nothing else is done while the render runs."""
-        if self.snapshots and snapshot.samples <= self.snapshots[-1].samples:
-            raise ValueError("a convergence recorder is for one render: make another for the next")
+        last = self.snapshots[-1] if self.snapshots else None
+        if last and (snapshot.samples <= last.samples or snapshot.seconds_total < last.seconds_total):
+            raise ValueError("a convergence recorder is for one call of render: make another for the next")
         self.snapshots.append(snapshot)
 
     def points(

@@ -70,9 +70,9 @@ def fit_slope(points: Sequence[ErrorPoint], by: str = "samples") -> Slope | None
     `flattens` is tested against samples, on points whose error stands out from the reference's noise: two lines that meet in the middle
     of the curve are fitted. A bias is told where the last is shallower than -0.5, which no unbiased estimator stays above, and either
     shallower than the first or next to level; each by more than 0.1 and with a chance of a false alarm of 1 in 1000 (measured: 6 in
-    4000 curves of 50 normal pixels, none of 4000 of 200, but 2 in 100 of 50 lognormal ones with a kurtosis of 9e6). A curve that is level from the
-    beginning may have a bias, or no path found the light yet: it is flagged, and both are said. Estimates from halves of a render
-    cannot show a bias: it is in both.
+    4000 curves of 50 normal pixels, none of 4000 of 200, but 2 in 100 of 50 lognormal ones with a kurtosis of 9e6). A curve that is
+    level from the beginning may have a bias, or no path found the light yet: it is flagged, and both are said. Estimates from halves
+    of a render cannot show a bias: it is in both.
     """
     if by not in ("samples", "seconds"):
         raise ValueError(f"errors are fitted against samples or seconds, not {by!r}")

@@ -9,7 +9,11 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The picture when every pixel had the same number of samples."""
+    """The picture when every pixel had the same number of samples.
+
+    Seconds, rays and invalid samples are of this call of `Session.render`: what was done before a resume is in the picture and in
+    `samples` alone.
+    """
 
     samples: int  # of every pixel so far
     seconds: float  # of rendering alone, without what observers did meanwhile

@@ -155,8 +155,9 @@ def test_the_recorder_asks_for_a_geometric_series_and_computes_nothing_while_ren
     picture = np.zeros(SHAPE, np.float32)
     recorder.on_snapshot(snapshot(1, picture))
     assert recorder.snapshots[0].picture is picture  # its own copy already: it is not copied again
-    with pytest.raises(ValueError, match="for one render"):
-        recorder.on_snapshot(snapshot(1, picture))
+    for other in (snapshot(1, picture), snapshot(9, picture, seconds=0.05)):  # another render, and one that went on with a clock of its own
+        with pytest.raises(ValueError, match="for one call"):
+            recorder.on_snapshot(other)
 
 
 def test_points_against_a_reference():
