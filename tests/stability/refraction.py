@@ -35,7 +35,6 @@ def _below(*objects, behind: float = 0.0, half_width: float = 1e-6) -> Scene:
     (1 - R) / (1 + (2 m - 1) R) gets through (Stokes 1862). What does not comes back: with light on both sides every value is 1.""",
     f"""a path brings 1 or 0, with that probability p: {SIGMAS:g} standard errors sqrt(p (1 - p) / n); 8 roundings of R at each side. With
     light on both sides exact: a path carries 1""",
-    quick=True,
 )  # fmt: skip
 def piles_of_plates(bench: Bench) -> Outcome:
     sweep, samples = Sweep(), 64
@@ -165,7 +164,6 @@ def caustic_under_a_ball(bench: Bench) -> Outcome:
     """A grey floor 10 cm below a glass slab without end, in a world of 1: E = T / (1 - a (1 - T)), T the slab's diffuse transmission, from
     Fresnel's equations by Gauss's quadrature; of a white floor every value is 1.""",
     f"{SIGMAS:g} standard errors over pixels; 400 roundings; rays that leave by the slab's sides, 100 m away: (1e-3)^2. Of a white floor exact",
-    quick=True,
 )  # fmt: skip
 def light_under_a_slab(bench: Bench) -> Outcome:
     sweep = Sweep()

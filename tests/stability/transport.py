@@ -123,7 +123,6 @@ def _series(albedo, surfaces: float) -> np.ndarray:
     "Inside a closed box that emits 1 and reflects 0.5, 0.9 or 0.999, paths of 0 to 1000 bounces: (1 - a^(N + 2)) / (1 - a).",
     """what is carried at surface k was rounded 2 k times, and each sum once: 3 U of the sum at most for both, at every one of the n surfaces at
     which a^k is above U. The others add less than half a step of the sum, and are U of it together: 3 (n + 1) U""",
-    quick=True,
 )  # fmt: skip
 def bounce_limits(bench: Bench) -> Outcome:
     sweep = Sweep()
@@ -289,6 +288,7 @@ def keyhole(bench: Bench) -> Outcome:
     "Two closed white rooms joined by a hole, a lamp in the other one: every path finds it in the end, and brings its radiance of 1.",
     """as for the cavity: exact, since of white rooms a path carries 1 until it meets the lamp. The hole is 1 % of each room, the lamp more: fewer than
     e^-40 of the paths are on their way after 10,000 bounces""",
+    quick=True,
 )  # fmt: skip
 def keyhole_between_rooms(bench: Bench) -> Outcome:
     sweep = Sweep()
