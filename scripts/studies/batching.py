@@ -94,12 +94,15 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
                     for key, row in first.items():
                         off = key[: -len(mode)] + "OFF"
                         if row["axis"] == name and row["scene"] == scene and row["batching"] == mode and off in seconds and key in seconds:
-                            points.append((row[x], seconds[off] / seconds[key]))
+                            points.append((row[x] + (name == "bounces"), seconds[off] / seconds[key]))
                     axis.plot(*zip(*sorted(points), strict=True), style, color=colour, markersize=4, label=f"{device_title(report)}, {scene}, {mode.lower()}")
     for axis, label in zip(axes, ("bounces", "triangles"), strict=True):
         axis.axhline(1, color="black", linewidth=0.8)
         axis.set(xlabel=label, ylim=(0, None))
-    axes[0].set_xscale("symlog", base=2, linthresh=1)
+    axes[0].set_xscale("log", base=2)
+    told = sorted({row["bounces"] for report in reports.values() for row in report["rows"] if row["axis"] == "bounces"})
+    axes[0].set_xticks([bounces + 1 for bounces in told], told)
+    axes[0].minorticks_off()
     axes[1].set_xscale("log")
     axes[0].set_ylabel("speed over unbatched (1 = as fast)")
     legend(figure, axes, 3)

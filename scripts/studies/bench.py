@@ -136,7 +136,7 @@ def row_of(film: Film, settings: RenderSettings) -> Row:
         "share": 1.0 if told["complete"] else share,
         "film": digest(film) if told["complete"] else None,
         "invalid_samples": told["invalid_samples"],
-        "ray_count": told["schedule"]["ray_count"],
+        "rays_alive": told["schedule"]["ray_count"],
         "method": chosen(told),
         "tree_bytes": tree.get("bytes"),
         **({"treelets": cut["treelets"], "treelet_nodes": cut["treelet_nodes_mean"]} if cut else {}),

@@ -91,7 +91,7 @@ def draw_curves(reports: dict[str, Report], folder: Path, file: str, against: Se
     from .plots import COLOURS, legend, panels, save
 
     wanted = [(report, scene, x) for x in against for report in reports.values() for scene in scenes_of(report) if variants(report, scene)]
-    figure, axes = panels(len(wanted), width=3.7 if len(wanted) > 3 else 4.6)
+    figure, axes = panels(len(wanted))
     names = list(dict.fromkeys(name for report, scene, _ in wanted for name in variants(report, scene)))
     for axis, (report, scene, x) in zip(axes, wanted, strict=True):
         for variant in variants(report, scene):
@@ -104,7 +104,7 @@ def draw_curves(reports: dict[str, Report], folder: Path, file: str, against: Se
         if floor:
             axis.axhline(floor, color="black", linewidth=0.6, linestyle=":", label="noise of the reference")
         axis.set(xscale="log", yscale="log", xlabel="samples of a pixel" if x == "samples" else "seconds of rendering", title=f"{scene}, {device_title(report)}")
-    axes[0].set_ylabel("RMSE")
+        axis.set_ylabel("RMSE")
     legend(figure, axes)
     save(figure, folder, file)
 

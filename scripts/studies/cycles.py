@@ -107,7 +107,7 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
     """Time of RayBatch over that of Cycles: of a sample, and at equal error."""
     from .plots import BLUE, GREY, legend, panels, save
 
-    figure, axes = panels(len(reports), width=6.5)
+    figure, axes = panels(len(reports), 6.5)
     for axis, report in zip(axes, reports.values(), strict=True):
         names = [scene for scene in first_rows(report["rows"]) if any(row["case"] == scene and row.get("equal_error") for row in report["rows"])]
         for offset, colour, label, figure_of in (

@@ -19,7 +19,7 @@ VARIANTS = {
     "BSDF sampling alone (NEE off)": {"nee": "OFF", "mis": "ON"},
 }
 SCENES = ("plates", "room", "dragon", "sponza")
-BOUNCES = 4
+BOUNCES = {"plates": 0}  # else 4: what plates mirror onto the wall would drown what they show themselves
 
 
 def cases(options: Options) -> list[Case]:
@@ -46,7 +46,7 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
     name = case.what["scene"]
     edge, samples, many = sizes(bench.options)
     scene = with_frame(bench.scene(name, lambda: scene_named(name, bench.options)), edge, edge)
-    settings = RenderSettings(sample_count=samples, bounce_max=BOUNCES, pixel_filter="BOX", sample_sequence="INDEPENDENT", seed=turn + 1)
+    settings = RenderSettings(sample_count=samples, bounce_max=BOUNCES.get(name, 4), pixel_filter="BOX", sample_sequence="INDEPENDENT", seed=turn + 1)
     reference = bench.reference(name, scene, settings.replace(sample_sequence="SOBOL"), many)
     return {"edge": edge, **bench.curve(scene, settings.replace(**VARIANTS[case.what["variant"]]), reference, (name, case.what["variant"]))}
 

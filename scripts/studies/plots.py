@@ -14,10 +14,16 @@ BLUE, ORANGE, GREEN, RED, SKY, PINK, GREY = "#0072b2", "#e69f00", "#009e73", "#d
 COLOURS = (BLUE, RED, GREEN, ORANGE, PINK, SKY, GREY)
 
 
-def panels(count: int, width: float = 4.6, height: float = 3.4, sharey: bool = False) -> tuple[pyplot.Figure, list[pyplot.Axes]]:
-    """A row of them."""
-    figure, axes = pyplot.subplots(1, count, figsize=(width * count, height), squeeze=False, sharey=sharey, constrained_layout=True)
-    return figure, list(axes[0])
+def panels(count: int, width: float = 0.0, columns: int = 4) -> tuple[pyplot.Figure, list[pyplot.Axes]]:
+    """So many, in rows of `columns` at most; `width` of one [inch], 0: by their number."""
+    columns = min(count, columns)
+    rows = -(-count // columns)
+    width = width or (6.5 if count == 1 else 4.6 if columns < 4 else 3.4)
+    figure, axes = pyplot.subplots(rows, columns, figsize=(width * columns, 0.6 + 3.1 * rows), squeeze=False, constrained_layout=True)
+    axes = axes.ravel()
+    for axis in axes[count:]:
+        axis.set_visible(False)
+    return figure, list(axes[:count])
 
 
 def legend(figure: pyplot.Figure, axes: list[pyplot.Axes], columns: int = 4) -> None:

@@ -58,7 +58,7 @@ def measure(study: Study, cases: Sequence[Case], turns: int, file: RowFile, opti
                 raise
             except RayBatchError as error:
                 row = refused(error)
-            file.add({"case": case.key, "turn": turn, **case.what, **row})
+            file.add({"case": case.key, "turn": turn, **row, **case.what})
             steps.end()
     finally:
         steps.close()

@@ -1,0 +1,175 @@
+"""Studies: their registry, what the thesis's combinations become, rows that are resumed, pages, and bad input."""
+
+import json
+import sys
+
+import pytest
+from command_line import ROOT, error_line, run_script
+
+sys.path.insert(0, str(ROOT / "scripts"))
+
+from rendering.request import UsageError  # noqa: E402
+from studies import pages, rows, runner, thesis  # noqa: E402
+from studies.registry import STUDIES, study_named  # noqa: E402
+from studies.study import Case, Options, Study, groups_of, part_of  # noqa: E402
+
+from raybatch_addon.core.errors import SettingsError  # noqa: E402
+from raybatch_addon.core.settings import RenderSettings  # noqa: E402
+
+DEVICE = {"alias": "cpu", "name": "CPU", "memory": 1, "cores": 2}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+@pytest.mark.parametrize("quick", [False, True])
+@pytest.mark.parametrize("is_cuda", [False, True])
+def test_cases_are_distinct_and_split_into_parts_by_whole_groups(name, quick, is_cuda):
+    cases = STUDIES[name].cases(Options(quick=quick, is_cuda=is_cuda))
+    assert cases and len({case.key for case in cases}) == len(cases)
+    parts = [part_of(cases, k, 3) for k in (1, 2, 3)]
+    assert sorted(case.key for part in parts for case in part) == sorted(case.key for case in cases)
+    for part in parts:
+        for group, mine in groups_of(part).items():
+            assert mine == groups_of(cases)[group]
+    json.dumps([case.what for case in cases])
+
+
+def test_the_96_combinations_of_the_thesis_are_valid_distinct_settings_that_it_has_figures_of():
+    cases = thesis.initial_cases()
+    assert len(cases) == 96
+    settings = {(case.what["scene"], thesis.settings_of({n: case.what[n] for n in thesis.PARAMETERS if n in case.what})) for case in cases}
+    assert len(settings) == 96
+    tables = thesis.figures()
+    assert {thesis.place_of(case.what, thesis.KEYS["initial"]) for case in cases} == {thesis.place_of(r, thesis.KEYS["initial"]) for r in tables["initial"]["rows"]}
+    for name, count in (("ray_count", 28), ("queue_size", 28)):
+        ours = {thesis.place_of(c.what, thesis.KEYS[name]) for c in thesis.cases(Options()) if c.what["table"] == name}
+        assert ours == {thesis.place_of(r, thesis.KEYS[name]) for r in tables[name]["rows"]} and len(ours) == count
+    some = thesis.settings_of({"sample_order": "PIXEL_FIRST", "ray_storage": "DIRECT", "treelet_size": 200, "ray_count": 1024})
+    assert (some.batching, some.bucket_selection, some.register_cap, some.warp_count, some.bounce_max, some.sample_count) == ("ON", "MOST_FULL", 64, 0, 7, 2)
+
+
+def test_settings_of_light_sampling_exist():
+    from studies.light_sampling import VARIANTS
+
+    assert len({RenderSettings(**change) for change in VARIANTS.values()}) == 3
+    with pytest.raises(SettingsError):
+        RenderSettings(mis="SOMETIMES")
+
+
+# --- runs
+
+
+def counting_study(seen, fails_at=None):
+    """A study that renders nothing."""
+
+    def measure(case, turn, bench):
+        if (case.key, turn) == fails_at:
+            raise KeyboardInterrupt
+        seen.append((case.key, turn))
+        return {"seconds": 1.0 + turn, "complete": True, "share": 1.0, "film": "same"}
+
+    cases = [Case("a", "one", {"n": 1}), Case("b", "one", {"n": 2}), Case("c", "two", {"n": 3})]
+    return Study("counting", "a test", lambda options: cases, measure, lambda reports: f"{len(reports)} report", lambda reports, folder: None), cases
+
+
+@pytest.fixture(autouse=True)
+def no_device(monkeypatch):
+    class NoBench:
+        def __init__(self, options):
+            pass
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(runner, "Bench", NoBench)
+
+
+def test_turns_are_interleaved_and_a_study_cut_short_goes_on(tmp_path):
+    seen = []
+    study, cases = counting_study(seen, fails_at=("b", 1))
+    options, header = Options(), runner.header_of(STUDIES["budgets"], Options(), DEVICE) | {"study": "counting"}
+    path = runner.rows_path(tmp_path, study, "cpu", None)
+    with pytest.raises(KeyboardInterrupt):
+        runner.measure(study, cases, 2, rows.RowFile(path, header), options)
+    assert seen == [("a", 0), ("b", 0), ("a", 1)]
+    with path.open("a") as file:
+        file.write('{"case": "b", "tu')  # as a machine that was taken away leaves it
+    study, cases = counting_study(seen)
+    file = rows.RowFile(path, header)
+    assert not runner.measure(study, cases, 2, file, options, seconds=0.0)
+    assert runner.measure(study, cases, 2, file, options)
+    assert seen == [("a", 0), ("b", 0), ("a", 1), ("b", 1), ("c", 0), ("c", 1)]
+    assert runner.measure(study, cases, 2, rows.RowFile(path, header), options) and len(seen) == 6
+
+    report_path = runner.publish(study, [path], tmp_path)
+    report = json.loads(report_path.read_text())
+    assert report["study"] == "counting" and len(report["rows"]) == 6
+    assert rows.medians(report["rows"]) == {"a": 1.5, "b": 1.5, "c": 1.5} and rows.differing_films(report["rows"], ("device",)) == []
+    page = runner.write_page(study, tmp_path)
+    assert "1 report" in page.read_text()
+
+
+def test_rows_of_another_kind_are_refused(tmp_path):
+    header = {"study": "a", "device_kind": "cpu", "quick": False, "device": DEVICE, "versions": {}}
+    rows.RowFile(tmp_path / "a.jsonl", header).add({"case": "x", "turn": 0})
+    rows.RowFile(tmp_path / "b.jsonl", header | {"quick": True})
+    with pytest.raises(UsageError, match="quick.*--fresh"):
+        rows.RowFile(tmp_path / "a.jsonl", header | {"quick": True})
+    with pytest.raises(UsageError, match="do not go together"):
+        rows.gathered([tmp_path / "a.jsonl", tmp_path / "b.jsonl"])
+    (tmp_path / "c.jsonl").write_text("no rows\n")
+    with pytest.raises(UsageError, match="damaged"):
+        rows.read_rows(tmp_path / "c.jsonl")
+    assert len(rows.gathered([tmp_path / "a.jsonl"] * 2)["rows"]) == 1
+
+
+def test_films_that_differ_are_found():
+    told = [{"case": k, "turn": 0, "scene": s, "film": f, "complete": c} for k, s, f, c in (
+        ("a", "x", "1", True), ("b", "x", "1", True), ("c", "y", "2", True), ("d", "y", "3", True), ("e", "y", "4", False))]  # fmt: skip
+    assert rows.differing_films(told, ("scene",)) == ["d"]
+
+
+# --- pages
+
+
+def test_a_fragment_replaces_only_what_is_between_its_marks(tmp_path):
+    page = tmp_path / "page.md"
+    pages.put_fragment(page, "x", "Title", pages.table(["a", "b"], [[1, None]]))
+    assert page.read_text().startswith("# Title\n") and "| 1 |  |" in page.read_text()
+    page.write_text("By hand.\n\n" + page.read_text() + "\nMore \\1 by hand.\n")
+    pages.put_fragment(page, "x", "Title", "new \\1")
+    text = page.read_text()
+    assert text.startswith("By hand.") and text.endswith("by hand.\n") and "new \\1" in text and "| 1 |" not in text
+    page.write_text("no marks")
+    with pytest.raises(UsageError, match="has not one place"):
+        pages.put_fragment(page, "x", "Title", "new")
+    assert page.read_text() == "no marks"
+
+
+def test_numbers_are_written_to_be_read():
+    assert [pages.number(v) for v in (None, 0.12345, 1234567.0, 12.0, 1e-3)] == ["", "0.123", "1,234,567", "12", "0.001"]
+    assert pages.number(3.0, estimate=True) == "~3"
+
+
+# --- the command line
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["thesos"], "did you mean thesis"),
+        ([], "no study was named"),
+        (["thesis", "--part", "3/2"], "--part 3/2"),
+        (["thesis", "--turns", "0"], "--turns 0"),
+        (["budgets", "--device", "cpu", "--scenes", "/nowhere"], "the scene dragon (dragon.npz) was not found (/nowhere)"),
+        (["budgets", "--draw"], "measure it first"),
+        (["budgets", "--gather", "/nowhere/rows.jsonl"], "cannot be read"),
+    ],
+)
+def test_bad_input_is_told_in_one_line(tmp_path, arguments, words):
+    assert words in error_line(run_script("study.py", *arguments, "--out", tmp_path))
+
+
+def test_studies_are_listed():
+    done = run_script("study.py", "--list")
+    assert done.returncode == 0 and [line.split()[0] for line in done.stdout.splitlines()] == list(STUDIES)
+    assert study_named("thesis") is STUDIES["thesis"]
