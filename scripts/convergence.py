@@ -100,11 +100,11 @@ def report(options: argparse.Namespace, folders: OutputFolders, standard_output:
     from converging.study import measured
     from converging.summary import json_report, summarised, text_report
 
+    if options.html:
+        from converging.page import html_page  # before anything is measured, like all else that is needed behind it
     study = measured(request)
     summary = summarised(study, request.target)
     if options.html:
-        from converging.page import html_page
-
         page = html_page(summary, command)
     if options.save_reference:
         write_reference(options.save_reference.absolute(), study.opened, study.used[0])

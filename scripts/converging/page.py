@@ -44,13 +44,14 @@ def html_page(summary: Summary, command: str) -> str:
     if study.cycles_device:
         machine.append(("device of Cycles", study.cycles_device))
     machine += [("host", f"{platform.machine()}, {platform.processor() or 'processor not told'}"), *study.versions.items(), ("command", command)]
+    about = "; ".join([device["name"], *reference_text(summary), target_line(summary)])
     said = "".join(f"<li><b>{_text(each.variant.label)}</b>: {_text(each.slope.says)}</li>" for each in summary.outcomes if each.slope)
     notes = "".join(f"<li>{_text(note)}</li>" for note in [*summary.notes, *study.warnings])
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>Error against time: {_text(study.opened.name)}</title><style>{_STYLE}</style></head><body>\n"
         f"<h1>Error against run time: {_text(study.opened.name)}</h1>\n"
-        f"<p>{frame.width} x {frame.height} pixels, on {_text('; '.join([device['name'], *reference_text(summary), target_line(summary)]))}.</p>\n"
+        f"<p>{frame.width} x {frame.height} pixels, on {_text(about)}.</p>\n"
         + (f'<ul class="notes">{notes}</ul>\n' if notes else "")
         + f'<div class="row">{"".join(svg_plots(summary))}</div>\n'
         '<p class="soft">Lines are medians of all runs, bands reach from the least to the most, thin lines are single runs. '

@@ -216,10 +216,12 @@ def reference_folder() -> Path:
 
 @functools.cache
 def core_digest() -> str:
-    """Of all files of the core: a reference by another state of it is another reference."""
+    """Of all files of the core but its reports: a reference by another state of it is another reference."""
     folder = Path(raybatch_addon.core.__file__).parent
     digest = hashlib.blake2b(digest_size=16)
     for path in sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".npz")):
+        if path.is_relative_to(folder / "report"):
+            continue
         digest.update(str(path.relative_to(folder).as_posix()).encode() + path.read_bytes())
     return digest.hexdigest()
 
