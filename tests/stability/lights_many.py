@@ -99,7 +99,7 @@ def coincident(bench: Bench) -> Outcome:
     light = Light("area", LightKind.RECTANGLE, scenes.translation(0, 0, 0.9), (3e-3,) * 3, size=(1.4, 1.4), visibility=UNSEEN)
     sweep = Sweep()
     for nee in ("ON", "OFF"):
-        picture = bench.render(floor_of(*[light] * 1000), sample_count=256, nee=nee)
+        picture = bench.render(floor_of(*[light] * 1000), sample_count=64, nee=nee)
         add_mean(sweep, picture, rectangle_irradiance(3.0, 0.7, 0.9) / math.pi, ROUNDING + 3e-6, f"nee {nee}")
     return sweep.outcome()
 
