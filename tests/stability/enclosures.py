@@ -91,8 +91,10 @@ def wall_with_hole(size: float, hole: float, name: str = "wall with a hole") -> 
 def icosphere(level: int, radius: float = 1.0, name: str = "icosphere") -> Mesh:
     """20 * 4^level triangles that face outwards, corners on the sphere."""
     g = (1 + math.sqrt(5)) / 2
-    p = [np.array(v, np.float64) for v in [(-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g), (0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1)]]
-    p = [v / np.linalg.norm(v) for v in p]
+    corners = [
+        (-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g), (0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1),
+    ]  # fmt: skip
+    p = [np.array(v, np.float64) / np.linalg.norm(v) for v in corners]
     faces = [
         (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8),
         (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),

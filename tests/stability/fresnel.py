@@ -44,7 +44,9 @@ def adding(sides: list[tuple[float, float]]) -> tuple[float, float]:
     return reflected, passed
 
 
-def ball_caustic(ball: Mesh, centre: tuple[float, float, float], ior: float, lamp_half: float, lamp_height: float, cells: int = 24) -> tuple[float, float, float]:
+def ball_caustic(
+    ball: Mesh, centre: tuple[float, float, float], ior: float, lamp_half: float, lamp_height: float, cells: int = 24
+) -> tuple[float, float, float]:
     """Radiance of a white floor at the origin, facing +z, under a glass mesh and a square lamp of radiance 1 above it, parallel to the floor;
     the standard error, from 32 grids of directions with a random place in every cell; and what rays that were not followed carried."""
     grids = 32
@@ -59,9 +61,11 @@ def ball_caustic(ball: Mesh, centre: tuple[float, float, float], ior: float, lam
     return float(means.mean()), float(means.std(ddof=1) / np.sqrt(grids)), left_out / grids
 
 
-def _followed(d: np.ndarray, share: float, least: float, corners: np.ndarray, ior: float, half: float, height: float) -> tuple[np.ndarray, float]:
-    """What the lamp sends along each of the directions `d` to the origin, times `share`, by way of convex glass of these `corners`; and how much all rays
-    carried that were not followed, as they carried less than `least`."""
+def _followed(
+    d: np.ndarray, share: float, least: float, corners: np.ndarray, ior: float, half: float, height: float
+) -> tuple[np.ndarray, float]:
+    """What the lamp sends along each of the directions `d` to the origin, times `share`, by way of convex glass of these `corners`; and
+    how much all rays carried that were not followed, as they carried less than `least`."""
     o, weight, inside, begun = np.zeros_like(d), np.full(len(d), share), np.zeros(len(d), bool), np.arange(len(d))
     skipped = np.full(len(d), -1)  # the facet that a ray comes from
     brought, left_out = np.zeros(len(d)), 0.0

@@ -10,6 +10,7 @@ import numpy as np
 import scenes
 from checking.films import ComparedFilm, FilmComparer
 
+from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, Scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
@@ -20,7 +21,8 @@ from .enclosures import SCATTERED, facing_down, glass, icosphere, joined, lamp, 
 
 FAMILY = "scheduling"
 SAME = """A film is a function of its samples: a hit is one of the scene and the ray alone, sums are exact in any order, random numbers are keyed by
-    pixel, sample and bounce. So no bit may differ from the control's, and rays traced, taken in and finished are one number. Measured: what is wrong"""
+    pixel, sample and bounce. So no bit may differ from the control's, and rays traced, taken in and finished are one number. Measured: how many things
+    are wrong"""
 SELECTIONS = ("MOST_FULL", "NEXT", "RANDOM", "ALL")
 FINE = dict(batching="ON", treelet_size=1)  # every node of a tree has a bucket
 WAITING = dict(batching="ON", treelet_bytes=4096)
@@ -96,11 +98,13 @@ def one_treelet_wanted(bench: Bench) -> Outcome:
         [(scene.meshes[0], scenes.IDENTITY, wall())], frame=Frame(64, 64), view=view_along(eye, (16.0475, 16.045, 0.0)), world=1.0,
     )  # fmt: skip
     films = _Films(bench, scene, SCATTERED.replace(sample_count=16, bounce_max=2))
+    # quantised boxes of neighbours overlap, so that a ray may look into some of these
+    most = 1 if bench.session.layout is Layout.BOXES else 4
     for selection in SELECTIONS:
         for blocks in (dict(), dict(queue_size=1), dict(queue_size=64, queue_count=3)):
             found = films.add(f"{selection} {blocks}", **WAITING, bucket_selection=selection, **blocks)
             rays = found.statistics["rays"]
-            films.expect(rays["camera"] <= found.statistics["treelet_visits"] <= rays["total"], "a ray visits the one treelet, or none")
+            films.expect(rays["camera"] <= found.statistics["treelet_visits"] <= most * rays["total"], "a ray visits the one treelet, or none")
     films.expect(found.statistics["tree"]["cut"]["treelets"] > EDGE**2, "there are other treelets")
     return films.outcome()
 
@@ -132,8 +136,8 @@ WIDTH = 1024
     "one path of 100,000 bounces", FAMILY,
     """A million pixels show a white floor in a world of 1, one bounce away, and a single one a closed mirror box that emits 1: its path has 100,000
     bounces, alone for nearly all of the time. The queues drain, and every value is exact: 1, and 100,002. The time is told, not judged.""",
-    """a path of the floor carries 1 to the bit; the sum of 100,002 ones is exact in float32. No value may differ. Rays traced, taken in and finished are
-    one number, known beforehand: two for each pixel of the floor, 100,002 for the other""",
+    """a path of the floor carries 1 to the bit; the sum of 100,002 ones is exact in float32. No value may differ. Rays traced, taken in and
+    finished are one number, known beforehand: two for each pixel of the floor, 100,002 for the other""",
 )  # fmt: skip
 def one_long_path(bench: Bench) -> Outcome:
     sweep = Sweep()

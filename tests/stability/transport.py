@@ -13,8 +13,8 @@ from raybatch_addon.core.scene.description import Camera, CameraKind, Closure, C
 from .bench import Bench
 from .case import Outcome, Sweep, case
 from .enclosures import (
-    FEW, KINDS, MANY, SCATTERED, add_exact, add_relative, facing_down, glass, icosphere, joined, lamp, mirror, stretched, turned_askew, view_along, wall,
-    wall_with_hole,
+    FEW, KINDS, MANY, SCATTERED, add_exact, add_relative, facing_down, glass, icosphere, joined, lamp, mirror, stretched, turned_askew,
+    view_along, wall, wall_with_hole,
 )  # fmt: skip
 from .form_factors import square_form_factor
 from .uniform import SIGMAS, UNIT_ROUNDOFF, add_mean, mean_and_error
@@ -26,16 +26,17 @@ EXACT = "a white path carries 1 to the bit, and sums of whole numbers below 2^24
 
 def _inside(mesh, matrix, material: Material, frame=FEW, half_width: float = 0.8) -> Scene:
     """A closed mesh around the camera."""
-    return scenes.scene([(mesh, matrix, material)], frame=frame, view=scenes.camera(eye=(0.1, -0.2, 0.05), target=(0.3, 0.8, 0.2), half_width=half_width))
+    view = scenes.camera(eye=(0.1, -0.2, 0.05), target=(0.3, 0.8, 0.2), half_width=half_width)
+    return scenes.scene([(mesh, matrix, material)], frame=frame, view=view)
 
 
 def _closed_meshes(material: Material) -> Scene:
     """Three closed meshes; each of three pixels begins its paths in the middle of one, in a direction along no axis."""
     ahead = np.array([0.3, 0.8, 0.2])
     view = scenes.look_at((0, 0, 0), ahead)
-    meshes = {"box": (scenes.box("box"), scenes.IDENTITY), "icosphere": (icosphere(1), scenes.IDENTITY), "askew": (scenes.box("askew"), turned_askew())}
+    meshes = ((scenes.box("box"), scenes.IDENTITY), (icosphere(1), scenes.IDENTITY), (scenes.box("askew"), turned_askew()))
     objects = []
-    for place, (mesh, matrix) in enumerate(meshes.values()):
+    for place, (mesh, matrix) in enumerate(meshes):
         matrix = matrix.copy()
         matrix[:, 3] += SPACING * (place - 1) * view[:, 0]
         objects.append((mesh, matrix, material))
@@ -45,7 +46,7 @@ def _closed_meshes(material: Material) -> Scene:
 
 
 def _add_trapped(sweep: Sweep, bench: Bench, material: Material) -> None:
-    picture = bench.render(_closed_meshes(material), SCATTERED, sample_count=2, pixel_filter="GAUSSIAN", filter_width=0.05)
+    picture = bench.render(_closed_meshes(material), SCATTERED, pixel_filter="GAUSSIAN", filter_width=0.05)
     for place, name in enumerate(("box", "icosphere", "sheared and mirrored box")):
         add_exact(sweep, picture[:, place], SCATTERED.bounce_max + 2, name)
 
@@ -286,8 +287,8 @@ def keyhole(bench: Bench) -> Outcome:
 @case(
     "keyhole between white rooms", "transport",
     "Two closed white rooms joined by a hole, a lamp in the other one: every path finds it in the end, and brings its radiance of 1.",
-    """as for the cavity: exact, since of white rooms a path carries 1 until it meets the lamp. The hole is 1 % of each room, the lamp more: fewer than
-    e^-40 of the paths are on their way after 10,000 bounces""",
+    """as for the cavity: exact, since of white rooms a path carries 1 until it meets the lamp. The hole is 1 % of each room, the lamp more:
+    fewer than e^-40 of the paths are on their way after 10,000 bounces""",
     quick=True,
 )  # fmt: skip
 def keyhole_between_rooms(bench: Bench) -> Outcome:
@@ -319,7 +320,10 @@ def veils(bench: Bench) -> Outcome:
     above = Light("point", LightKind.POINT, scenes.translation(0, 0, 1), (math.pi,) * 3)
     settings = SCATTERED.replace(bounce_max=1, transparent_bounce_max=1024, roulette_bounce=2)
 
-    seen = scenes.scene([(stack, scenes.IDENTITY, veil), (scenes.plane("lamp", 2.0), scenes.IDENTITY, lamp(1.0))], frame=FEW, view=view_along((0, 0, 2), (0, 0, 0)))
+    seen = scenes.scene(
+        [(stack, scenes.IDENTITY, veil), (scenes.plane("lamp", 2.0), scenes.IDENTITY, lamp(1.0))],
+        frame=FEW, view=view_along((0, 0, 2), (0, 0, 0)),
+    )  # fmt: skip
     add_relative(sweep, bench.render(seen, settings, nee="ON"), passed, tolerance, "seen through them")
     # the camera is below the veils, the light above
     lit = scenes.scene(
