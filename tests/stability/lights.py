@@ -27,7 +27,8 @@ def _turned(mesh: Mesh, turn: np.ndarray, height: float = 0.0) -> Mesh:
     "area light 1e-6 of its size above a surface", "lights",
     "A square and a disk light of side 1 at heights of 1e-6 to 1 above a small white tile: the configuration factors B-3 of Howell's "
     "catalogue and r^2 / (r^2 + h^2).",
-    f"{STATISTICS}; 64 roundings; and the excess of a rectangle's corner angles over 2 pi, which its density divides by, is a sum with eight "
+    f"{STATISTICS}; 64 roundings; and the excess of a rectangle's corner angles over 2 pi, which its density divides by, is a sum with "
+    f"eight "
     "roundings of 2 pi: relative to its 0.8 sr and more, 4e-6.",
 )  # fmt: skip
 def area_light_near_surface(bench: Bench) -> Outcome:
@@ -47,7 +48,8 @@ def area_light_near_surface(bench: Bench) -> Outcome:
     "mesh light 1e-6 of its size above a surface", "lights",
     "An emissive square of side 1 at heights of 1e-6 to 1 above a small white tile: configuration factor B-3. Found by aimed and by "
     "scattered rays together. Level, and turned as a whole, so that no coordinate of a surface is the same for all of it.",
-    f"{STATISTICS}, and 64 roundings; turned corners are rounded by 2 u 0.5 m, which moves the lamp, but hardly its factor: by less than 1e-8.",
+    f"{STATISTICS}, and 64 roundings; turned corners are rounded by 2 u 0.5 m, which moves the lamp, but hardly its factor: by less "
+    f"than 1e-8.",
 )  # fmt: skip
 def mesh_light_near_surface(bench: Bench) -> Outcome:
     """Heights."""
@@ -137,7 +139,8 @@ def _lights_of_each_kind(power: float) -> list[tuple[Light, float]]:
 @case(
     "lights of 1e-30 and 1e30", "lights",
     "A light of each kind with 1e-30, 1 and 1e30 times its power: the irradiance of one, times that.",
-    f"{STATISTICS}; 64 roundings; eight roundings of 2 pi of the rectangle's solid angle of 0.23 sr: 2e-5. Sums are exact over the range of float32.",
+    f"{STATISTICS}; 64 roundings; eight roundings of 2 pi of the rectangle's solid angle of 0.23 sr: 2e-5. Sums are exact over the "
+    f"range of float32.",
 )  # fmt: skip
 def powers_of_lights(bench: Bench) -> Outcome:
     """Powers, kinds."""
@@ -281,7 +284,8 @@ def spot_of_half_of_space(bench: Bench) -> Outcome:
 @case(
     "area light of spread 0 to 180 degrees", "lights",
     "A square light far wider than its height gives pi times its emission however narrow its spread; one of spread 0 is a beam.",
-    f"{STATISTICS}; the light's edge, seen from its middle, is at 89.9 degrees, and leaves out (1e-3)^2; 64 roundings, and 4e-6 of the solid angle.",
+    f"{STATISTICS}; the light's edge, seen from its middle, is at 89.9 degrees, and leaves out (1e-3)^2; 64 roundings, and 4e-6 of the "
+    f"solid angle.",
 )  # fmt: skip
 def spreads(bench: Bench) -> Outcome:
     """Spreads."""

@@ -63,7 +63,8 @@ def furnace_renders(bench: Bench) -> Outcome:
 
 @case(
     "mirrors of roughness 0 to the least that is rough", "materials",
-    "A mirror shows a lamp of radiance 3 that fills what it reflects: roughness 0, 1e-8, 1e-4 and the last that is a delta lobe; and the first that "
+    "A mirror shows a lamp of radiance 3 that fills what it reflects: roughness 0, 1e-8, 1e-4 and the last that is a delta lobe; and "
+    "the first that "
     "is not, whose lobe of a quarter of a milliradian sees the same lamp.",
     "Weights of 1 and roundings of three products; the rough ones: six standard errors, and the 2e-3 by which their table of albedos errs.",
     quick=True,
@@ -83,7 +84,8 @@ def mirrors(bench: Bench) -> Outcome:
     "glass of index 1", "materials",
     "A glass ball of index 1, smooth and rough, before a lamp and a black world: the picture is the one without it.",
     "No difference but for one pixel of 576: light goes straight on, and where a facet's edge is seen, paths lose nothing either. "
-    "At 1 + 1e-7 reflection is 2.5e-15 and light is bent by 1e-7: 1e-5 of the radiance for pixels that its shift by 1e-7 crosses the lamp's edge in.",
+    "At 1 + 1e-7 reflection is 2.5e-15 and light is bent by 1e-7: 1e-5 of the radiance for pixels that its shift by 1e-7 crosses the "
+    "lamp's edge in.",
 )  # fmt: skip
 def clear_glass(bench: Bench) -> Outcome:
     """Indices, roughnesses."""

@@ -104,7 +104,8 @@ def chi_squared_mixture(bench: Bench) -> Outcome:
 
 @case(
     "samples weigh what evaluation says", "materials",
-    "A sample's weight times its density is the value of the BSDF there, and its density the one that evaluation gives: the largest relative "
+    "A sample's weight times its density is the value of the BSDF there, and its density the one that evaluation gives: the largest "
+    "relative "
     "difference, for every closure and mixture of the shading tests and for facets of the least roughness.",
     "Both call one function: exact but for the product of the weight and the density, 8 roundings. At the least roughness too.",
     traces=False, quick=True,
@@ -152,10 +153,12 @@ def reciprocity(bench: Bench) -> Outcome:
 
 @case(
     "asymmetry of what is given back", "materials",
-    "Closures that give back what single scattering loses, and a base below a coat, depend on the albedo of the side of wo alone (Turquin 2019), so "
+    "Closures that give back what single scattering loses, and a base below a coat, depend on the albedo of the side of wo alone "
+    "(Turquin 2019), so "
     "that they are not reciprocal: f(wo, wi) / f(wi, wo) = E(wi) / E(wo) for white facets of albedo E (float64 quadrature), and "
     "(1 - F(wo)) / (1 - F(wi)) for a base below a smooth coat of Fresnel's reflectance F.",
-    "Two albedos of a table that is off by 0.002 of itself at most, and 1e-3 of the quadrature; Fresnel's equations and quotients: 32 roundings, of 1 where little passes a coat.",
+    "Two albedos of a table that is off by 0.002 of itself at most, and 1e-3 of the quadrature; Fresnel's equations and quotients: 32 "
+    "roundings, of 1 where little passes a coat.",
     traces=False,
 )  # fmt: skip
 def asymmetry(bench: Bench) -> Outcome:
@@ -181,7 +184,8 @@ def asymmetry(bench: Bench) -> Outcome:
 
 @case(
     "reciprocity of refraction", "materials",
-    "f(wo, wi) / eta_i^2 = f(wi, wo) / eta_o^2 (Veach 1997, section 5.2) between the two sides of rough glass without compensation. The core carries "
+    "f(wo, wi) / eta_i^2 = f(wi, wo) / eta_o^2 (Veach 1997, section 5.2) between the two sides of rough glass without compensation. The "
+    "core carries "
     "radiance without the factor eta^2, as Blender does, so that f itself is f_Veach for light and f(wo, wi) = eta^2 f(wi, wo).",
     "As for reflection; the half vector of refraction is shorter by |eta - 1|.",
     traces=False,
@@ -231,7 +235,8 @@ def densities(bench: Bench) -> Outcome:
 
 @case(
     "no invalid number from any closure", "materials",
-    "Every closure at roughness 0 to 1, indices 0 to 1e9, from both sides, at cosines down to 0 and with random numbers at the ends of their "
+    "Every closure at roughness 0 to 1, indices 0 to 1e9, from both sides, at cosines down to 0 and with random numbers at the ends of "
+    "their "
     "range: the number of values that are negative or not finite, or of directions that are not unit.",
     "A value, weight or density that is negative or not finite has no meaning at any parameter: none is allowed. Lengths within 1e-5 "
     "(frames of float32).",
