@@ -406,6 +406,27 @@ def test_a_film_goes_on_with_its_own_settings_alone_but_for_the_clock(session, h
     assert np.array_equal(film.counts, counted)  # the film that was gone on with is left as it was
 
 
+@pytest.mark.parametrize("estimate", ["OFF", "ON"])
+@pytest.mark.parametrize("after", [0, 30])
+def test_a_time_limit_holds_for_a_round_that_was_begun_without(session, estimate, after):
+    endless = SETTINGS.replace(sample_count=10_000_000, error_estimate=estimate, ray_count=700, tile_size=9)
+    with stopping(after):
+        film = session.render(scenes.mixed(FRAME), endless)
+    watcher = Watcher([64])
+    film = session.render(scenes.mixed(FRAME), endless.replace(time_limit=0.2), resume=film, observers=[watcher])
+    samples = film.statistics["samples_per_pixel"]
+    assert film.statistics["stopped_by"] == "time" and (film.counts == samples).all() and watcher.samples[-1] == samples
+    assert not film.statistics["warnings"]
+    assert_same(film.passes, session.render(scenes.mixed(FRAME), endless.replace(sample_count=samples)).passes)
+
+
+def test_a_round_that_a_time_limit_cannot_end_is_told(session):
+    with stopping(5):
+        film = session.render(scenes.mixed(FRAME), SETTINGS.replace(sample_order="PIXEL_FIRST", ray_count=100))
+    film = session.render(scenes.mixed(FRAME), SETTINGS.replace(time_limit=1e-3), resume=film)
+    assert film.statistics["stopped_by"] == "samples" and "PIXEL_FIRST" in film.statistics["warnings"][0]
+
+
 def test_a_cancel_between_rounds_can_be_gone_on_with(session, halves):
     cancel = []
     watcher = Watcher([3])

@@ -168,6 +168,11 @@ class Session:
             state = self._all_tiles(job)
         else:
             state.policy = state.policy.resumed(job.settings, job.marks)
+            if state.policy.is_cut and not state.shorten_round() and job.settings.time_limit:
+                job.warnings.append(
+                    f"time_limit ends no round that was begun: samples come PIXEL_FIRST, so each pixel gets all {state.end:,} of the one "
+                    "that was under way; render with sample_order FRAME_FIRST from the start"
+                )
         film.resume_state = None
         job.settings = job.settings.replace(sample_order=state.sample_order)  # items are numbered by it
         prepared = self._prepare(job)

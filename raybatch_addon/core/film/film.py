@@ -117,7 +117,7 @@ class Film:
     def merge(self, other: Film) -> Film:
         """The film of both films' samples, bit for bit that of one render; they must show the same region and passes.
 
-        Halves stay apart where both films have them.
+        Halves stay apart where both films have them. Statistics are those of this film alone, its error among them.
         """
         if (self.width, self.height, self.region, self.pass_names, self.layout) != (
             other.width, other.height, other.region, other.pass_names, other.layout,

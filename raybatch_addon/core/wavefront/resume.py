@@ -76,6 +76,20 @@ class ResumeState:
         """Whether all paths that were begun are in the film."""
         return all(state.drained for state in self.states)
 
+    def shorten_round(self) -> bool:
+        """Let the round under way end as soon as every pixel can have the same samples; False where it must be finished.
+
+        A policy that is new, with a clock of its own, has no say in a round that was begun. Where samples of a pixel come one after
+        another, those that are begun are spread over the whole round.
+        """
+        if self.end is None:
+            return True
+        if self.sample_order == "PIXEL_FIRST" and any(state.items_begun for state in self.states):
+            return False
+        begun = max(-(-state.items_begun // state.tile.pixel_count) for state in self.states)  # samples of a half
+        self.end = min(self.end, self.done + max(begun, 1) * len(self.tiles[0]))
+        return True
+
     def end_round(self) -> None:
         """Every tile has all samples of the round."""
         self.done, self.end = self.end, None

@@ -85,8 +85,12 @@ class RoundPolicy:
         return bool(self.error_target) and done in (self._check, self.sample_count)
 
     def tell(self, samples: int, seconds: float, error: float | None) -> None:
-        """After a round of `samples` samples that took `seconds`; `error` is the relMSE of all so far, where it was looked at."""
-        self._seconds_a_sample = seconds / samples
+        """After a round of `samples` samples that took `seconds`; `error` is the relMSE of all so far, where it was looked at.
+
+        Of a round that was finished before the clock began there are none.
+        """
+        if samples:
+            self._seconds_a_sample = seconds / samples
         if error is not None:
             self._error = error
 
@@ -126,9 +130,9 @@ class RoundPolicy:
         return end + end % 2
 
     def _end_by_time(self, done: int, seconds: float) -> int:
-        if done == 0:
-            return 1  # it is always rendered, and tells what a sample takes
+        if self._seconds_a_sample is None:
+            return done + 1  # it is always rendered, and tells what a sample takes
         left = (self.time_limit - seconds) * TIME_SHARE
-        rate = max(self._seconds_a_sample or 0.0, 1e-9)
+        rate = max(self._seconds_a_sample, 1e-9)
         fitting = math.floor(min(max(left, 0.0) / rate, self.sample_count))
         return min(math.ceil(done * GROWTH), done + fitting)

@@ -136,6 +136,14 @@ def test_no_round_is_begun_that_does_not_fit(limit, seconds_a_sample, fixed):
         assert spent > 0.9 * limit
 
 
+def test_a_render_that_goes_on_tries_one_sample_before_more():
+    policy = RoundPolicy(10**6, time_limit=1.0).resumed(RenderSettings(sample_count=10**6, time_limit=1.0), [])
+    policy.tell(0, 0.0, None)  # nothing was left of the round under way
+    assert policy.next_end(1000, 0.0) == 1001
+    policy.tell(1, 2.0, None)
+    assert policy.next_end(1001, 2.0) is None and policy.stopped_by == "time"
+
+
 def test_a_limit_that_is_never_reached_ends_with_the_samples():
     assert ends(policy := RoundPolicy(100, time_limit=1e9), 1e-3)[-1] == 100 and policy.stopped_by == "samples"
 
