@@ -66,7 +66,7 @@ def update_image(scene: bpy.types.Scene) -> bpy.types.Image:
     if image is None or _Shown.image != state:
         image = write_image(IMAGE_NAME, draw_plot(store.runs(), chosen_target(scene), *IMAGE_SIZE, IMAGE_TEXT))
         _Shown.image = state
-    if image.is_dirty and not _is_running():
+    if image.is_dirty and not _is_busy():
         image.pack()  # or Blender asks to save it when it is closed
     return image
 
@@ -96,8 +96,9 @@ def _slot_icon(slot: int) -> int:
     return _Shown.previews[name].icon_id
 
 
-def _is_running() -> bool:
-    return any(run.state == RUNNING for run in store.runs())
+def _is_busy() -> bool:
+    """A render goes on, perhaps between two frames."""
+    return any(run.state == RUNNING for run in store.runs()) or bpy.app.is_job_running("RENDER")
 
 
 def _shows_plot(editor: bpy.types.Area) -> bool:
@@ -107,16 +108,17 @@ def _shows_plot(editor: bpy.types.Area) -> bool:
 
 def _follow() -> float:
     """Show what renders have recorded meanwhile; Blender calls it on the main thread, where its data may be written."""
+    busy = _is_busy()
     try:
         windows = [window for manager in bpy.data.window_managers for window in manager.windows]
         for window in windows[:1]:
-            state = _state(window.scene)
+            state = (*_state(window.scene), busy)
             if state == _Shown.followed:
                 break
             _Shown.followed = state
             areas = [area for each in windows for area in each.screen.areas]
             watched = any(area.type == "IMAGE_EDITOR" and _shows_plot(area) for area in areas)
-            if watched or _Shown.seen and store.runs() and not _is_running():
+            if watched or _Shown.seen and store.runs() and not busy:
                 update_image(window.scene)
             _Shown.seen = False
             for area in areas:
@@ -125,7 +127,7 @@ def _follow() -> float:
     except Exception:  # or Blender would not call it again
         traceback.print_exc()
         return 10.0
-    return _LIVE_SECONDS if _is_running() else _IDLE_SECONDS
+    return _LIVE_SECONDS if busy else _IDLE_SECONDS
 
 
 # --- operators
