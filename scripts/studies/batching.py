@@ -13,7 +13,7 @@ from .rows import differing_films, first_rows, medians
 from .study import Case, Options, Report, Row, Study
 
 MODES = ("OFF", "ON", "AUTO")
-BOUNCES = (0, 1, 2, 4, 8, 16, 32)
+BOUNCES = (0, 1, 2, 4, 8, 16)
 ROOMS = ("sponza", "san_miguel")
 GRIDS = {(True, True): (1, 2, 4), (True, False): (1, 2, 4, 8), (False, True): (1, 2, 3), (False, False): (1, 2, 4)}  # by (cuda, quick)
 GRID_BOUNCES = 4
@@ -38,7 +38,7 @@ def cases(options: Options) -> list[Case]:
 def measure(case: Case, turn: int, bench: Bench) -> Row:
     """One render."""
     options, what = bench.options, case.what
-    edge, samples = (options.pick((640, 4), (1280, 8))) if options.is_cuda else options.pick((96, 2), (320, 4))
+    edge, samples = (options.pick((640, 4), (1280, 8))) if options.is_cuda else options.pick((96, 2), (320, 2))
     if what["axis"] == "bounces":
         scene = bench.scene(what["scene"], lambda: scenes.under_the_sky(what["scene"], options, 64))
     else:

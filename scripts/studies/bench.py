@@ -93,6 +93,7 @@ class Bench:
         return {
             **row_of(film, settings),
             "points": told,
+            "sequence": settings.sample_sequence,
             "slope": slope and {"slope": slope.slope, "spread": slope.spread if slope.spread == slope.spread else None, "flattens": slope.flattens,
                                 "last": slope.last_slope, "says": slope.says},
             "efficiency": efficiency(points, "relmse"),

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
-from raybatch_addon.core.report.convergence import time_to
+from raybatch_addon.core.report.convergence import fit_slope, time_to
 
 from .pages import device_title, number, table
 from .study import Report, Row
@@ -47,40 +47,47 @@ def median(values: Sequence[float | None]) -> float | None:
     return statistics.median(there) if 2 * len(there) > len(values) else None
 
 
-def target_of(report: Report, scene: str) -> float:
-    """A relMSE that is asked of all: what the first variant has at its end, in the median."""
-    first = variants(report, scene)[0]
-    return statistics.median(row["points"][-1]["relmse"] for row in runs(report, scene, first))
+def mean_curve(rows: Sequence[Row]) -> list[SimpleNamespace]:
+    """The mean of several runs: at each sample count mean squared errors and seconds are averaged."""
+    curves = [points_of(row) for row in rows]
+    mean = []
+    for points in zip(*curves, strict=True):
+        told = {name: statistics.mean(getattr(p, name) for p in points) for name in ("seconds", "relmse")}
+        rmse = math.sqrt(statistics.mean(p.rmse**2 for p in points))
+        mean.append(SimpleNamespace(**{**vars(points[0]), **told, "rmse": rmse}))
+    return mean
 
 
-def seconds_to(row: Row, target: float) -> float | None:
-    """Seconds to a relMSE; None: never, as it looks."""
-    found = time_to(points_of(row), target)
-    return found[0] if found else None
+def seconds_to(rows: Sequence[Row], target: float) -> tuple[float, bool] | None:
+    """Seconds to a relMSE in the mean over runs, and whether that lies beyond what was rendered; None: never, as it looks."""
+    # what lies beyond follows from theory where it can: few runs do not tell the slope of an error that is rarely found
+    slope = -0.5 if rows[0].get("sequence") == "INDEPENDENT" else fit_slope([point for row in rows for point in points_of(row)])
+    return time_to(mean_curve(rows), target, slope)
 
 
 def curves_table(reports: dict[str, Report], name: str) -> str:
-    """Slopes, and the time to the same error, by scene and variant; `name` heads the variants' column."""
+    """Slopes, and the time to the same error, by scene and variant; `name` heads the variants' column. What is extrapolated has a ~ before it."""
     rows = []
     for report in reports.values():
         for scene in scenes_of(report):
             if not variants(report, scene):
                 continue
-            target = target_of(report, scene)
+            target = mean_curve(runs(report, scene, variants(report, scene)[0]))[-1].relmse
             base = None
             for variant in variants(report, scene):
                 mine = runs(report, scene, variant)
                 slopes = [row["slope"]["slope"] for row in mine if row["slope"]]
                 spread = f" ± {statistics.stdev(slopes):.2f}" if len(slopes) > 1 else ""
-                seconds = median([seconds_to(row, target) for row in mine])
+                found = seconds_to(mine, target)
+                seconds, beyond = found or (None, False)
                 base = base or seconds
                 last = mine[0]["points"][-1]
                 flat = sum(bool(row["slope"] and row["slope"]["flattens"]) for row in mine)
                 rate = statistics.median(row["points"][-1]["samples"] / row["points"][-1]["seconds"] for row in mine)
                 rows.append([
-                    device_title(report), scene, variant, last["samples"], number(statistics.median(row["points"][-1]["relmse"] for row in mine)),
+                    device_title(report), scene, variant, last["samples"], number(mean_curve(mine)[-1].relmse),
                     f"{statistics.median(slopes):.2f}{spread}" + (f" ({flat} of {len(mine)} flatten)" if flat else "") if slopes else "", number(rate),
-                    number(target), number(seconds) if seconds is not None else "not to be told", number(base / seconds) if base and seconds else "",
+                    number(target), number(seconds, 3, beyond) if seconds is not None else "not to be told", number(base / seconds) if base and seconds else "",
                 ])  # fmt: skip
     heads = ["device", "scene", name, "samples", "relMSE then", "slope of RMSE", "samples/s", "relMSE asked for", "seconds to it", "efficiency"]
     return table(heads, rows)
