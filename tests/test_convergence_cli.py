@@ -225,7 +225,7 @@ def test_independent_samples_have_slope_one_half_and_a_bias_is_flagged(lit, capf
     # four standard errors, as the fit measures them, and what it takes slopes as the same within
     assert abs(plain["slope"] + 0.5) < 4 * plain["slope_spread"] + 0.02 and plain["flattens"] is False and "-0.5" in plain["says"]
     assert clamped["flattens"] is True and "bias" in clamped["says"] and clamped["seconds_to_target"] is None
-    assert any("clamp_direct=0.15" in note and "bias" in note for note in report["notes"])
+    assert any("clamp_direct=0.15" in note and "flattens" in note for note in report["notes"])
     assert not any("clamp_direct=0:" in note for note in report["notes"])
 
 
@@ -317,3 +317,14 @@ def test_bands_are_of_what_all_runs_have():
 
     runs = [run((1, 1.0, 0.5), (2, 2.0, 0.4), (3, 3.0, 0.1)), run((1, 3.0, 0.7), (2, 4.0, 0.0), (4, 5.0, 0.1))]
     assert plots.medians(runs, plots.ERROR) == ([2.0], [0.5], [0.6], [0.7])
+
+
+def test_beside_cycles_only_the_request_clamps(lit, tmp_path):
+    from benchmarking.scenes import SceneRequest
+    from converging.request import ConvergenceRequest, run_settings
+
+    file = RenderSettings(clamp_direct=3.0, clamp_indirect=4.0)
+    request = ConvergenceRequest(SceneRequest(tmp_path / "a.blend"), cycles=True, settings={"clamp_direct": 2.0})
+    settings = run_settings(request, file)
+    assert (settings.clamp_direct, settings.clamp_indirect) == (2.0, 0.0)
+    assert run_settings(ConvergenceRequest(SceneRequest(lit)), file).clamp_indirect == 4.0

@@ -24,6 +24,7 @@ PRESET = "preset"  # may be compared as if it were a setting
 ELSEWHERE = {"time_limit": "--seconds", "error_target": "--target", "error_estimate": "--reference halves"}
 # and those that are for --set alone
 NOT_COMPARED = {**ELSEWHERE, "device": "--device", "sample_count": "--samples", "seed": "--runs", "resolution": "--size"}
+CLAMPS = ("clamp_direct", "clamp_indirect")
 RAYBATCH, CYCLES = "RayBatch", "Cycles"  # engines
 # What --reference may say beside a file's name: an engine whose picture is made, each engine's own picture, or none at all
 REFERENCES = ("raybatch", "cycles", "own", "halves")
@@ -103,11 +104,16 @@ class ConvergenceRequest:
 
 
 def run_settings(request: ConvergenceRequest, opened: RenderSettings) -> RenderSettings:
-    """What every run has: the settings of the file as changed by the request, with its samples or its time; raises `RayBatchError`."""
+    """What every run has: the settings of the file as changed by the request, with its samples or its time; raises `RayBatchError`.
+
+    Beside Cycles light is clamped only where the request says so, whatever the file does.
+    """
     changes = {
         "sample_count": SAMPLES_DEFAULT if request.seconds is None else SAMPLES_MOST, **request.settings,
         "time_limit": request.seconds or 0.0, "error_target": 0.0, "error_estimate": "OFF",
     }  # fmt: skip
+    if request.cycles:  # it is without bias, and comparable with what is without bias too
+        changes = dict.fromkeys(CLAMPS, 0.0) | changes
     if request.samples is not None:
         changes["sample_count"] = request.samples
     if request.reference_from == "halves":

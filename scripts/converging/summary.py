@@ -13,7 +13,7 @@ from benchmarking.tables import table
 from raybatch_addon.core.report.convergence import ErrorPoint, Slope, efficiency, fit_slope, time_to
 
 from .reference import described
-from .request import Variant
+from .request import CLAMPS, RAYBATCH, Variant
 from .study import Run, Study
 
 # Share of the last squared error above which a reference's noise is told
@@ -108,6 +108,9 @@ def _outcome(study: Study, variant: Variant, target: float | None, first: Outcom
 def _notes(study: Study, outcomes: list[Outcome]) -> list[str]:
     notes = []
     for each in outcomes:
+        clamps = [f"{name}={value:g}" for name in CLAMPS if (value := getattr(each.variant.settings, name)) and each.variant.engine == RAYBATCH]
+        if clamps:
+            notes.append(f"{each.variant.label}: {', '.join(clamps)} takes light away, which is a bias")
         if each.slope and each.slope.flattens:
             notes.append(f"{each.variant.label}: {each.slope.says}")
         if invalid := max((point.invalid_samples for point in each.last), default=0):
