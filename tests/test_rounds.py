@@ -1,6 +1,5 @@
-"""Renders in rounds: what is shown on the way, halves, stopping, and that none of it changes the film."""
+"""Renders in rounds: what is shown on the way, halves, where they end, and that none of it changes the film."""
 
-import contextlib
 import dataclasses
 import json
 
@@ -8,27 +7,16 @@ import numpy as np
 import pytest
 import scenes
 import schedule_scenes
-from checking.films import FilmComparer
-from checking.schedules import SeededDraws
-from hypothesis import HealthCheck, Phase, given, settings
-from hypothesis import strategies as st
 from under_test import DEVICE
+from watched_renders import FRAME, HALVES, SETTINGS, Watcher, assert_same, rounded_anew, stopping
 
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.film.half_error import half_error
 from raybatch_addon.core.scene.description import ClosureKind, Frame, World
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.core.wavefront import integrator
 from raybatch_addon.core.wavefront.rounds import half_seed
 
-PASSES = ("Combined", "Depth", "Normal", "Position")
-FRAME = Frame(24, 20, passes=PASSES)
-# Renders of this file are of `scenes.mixed` with these settings where they can be: kernels are compiled for what a scene and its settings need
-SETTINGS = RenderSettings(sample_count=7, bounce_max=5, roulette_bounce=2, clamp_indirect=3.0)
-HALVES = SETTINGS.replace(error_estimate="ON")
-TARGET = SETTINGS.replace(sample_count=512, error_target=0.05, tile_size=9)
 WAYS = {
     "unbatched": dict(batching="OFF"), "small tiles": dict(tile_size=7, thread_count=3), "batched": dict(batching="ON", debug_checks="ON"),
     "by value": dict(batching="ON", ray_storage="DIRECT", queue_size=2, queue_count=3, ray_count=50), "paged": dict(debug_checks="ON"),
@@ -45,34 +33,6 @@ def session(device, tmp_path_factory):
     opened = Session(device, page_folder=tmp_path_factory.mktemp("pages"))
     yield opened
     opened.close()
-
-
-class Watcher:
-    """Wants snapshots at `wanted`."""
-
-    def __init__(self, wanted):
-        self.wanted, self.got = wanted, []
-
-    def snapshot_samples(self, sample_count):
-        return self.wanted
-
-    def on_snapshot(self, snapshot):
-        self.got.append(snapshot)
-
-    @property
-    def samples(self) -> list[int]:
-        return [snapshot.samples for snapshot in self.got]
-
-
-def assert_same(passes, expected):
-    assert passes.keys() == expected.keys()
-    for name in expected:
-        assert np.array_equal(passes[name], expected[name]), name
-
-
-def rounded_anew(film: Film) -> dict[str, np.ndarray]:
-    """Its passes, made of the sums on the host."""
-    return film.merge(Film.empty(FRAME)).passes
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +75,6 @@ def test_what_a_snapshot_tells(session):
     seconds = [snapshot.seconds for snapshot in one.got]
     assert seconds == sorted(seconds) and seconds[0] > 0
     assert all(snapshot.seconds <= snapshot.seconds_total <= film.statistics["seconds"]["total"] for snapshot in one.got)
-    assert one.got[1].picture.base is not other.got[0].picture.base or one.got[1].picture.base is None
     one.got[1].picture[:] = 0  # its own copy
     assert other.got[0].picture.any() and film.passes["Combined"][..., :3].any()
     assert not any(snapshot.invalid_samples for snapshot in one.got)
@@ -244,6 +203,12 @@ def test_the_estimate_is_the_error_on_average(session):
     assert abs(np.mean(estimates) - np.mean(errors)) < 4 * spread + np.mean(errors) / 128 < np.mean(errors) / 2
 
 
+def test_a_border_has_the_halves_of_the_frame(session, halves):
+    frame = dataclasses.replace(FRAME, border=(3, 5, 20, 13))
+    film = session.render(scenes.mixed(frame), HALVES.replace(tile_size=4), observers=[Watcher([2])])
+    assert_same(film.passes, {name: values[5:13, 3:20] for name, values in halves.passes.items()})
+
+
 # --- where a render ends
 
 
@@ -262,6 +227,16 @@ def test_an_error_target_ends_the_render_at_the_same_sample_whatever_the_schedul
     assert_same(alone.passes, one.passes)
     with pytest.raises(RayBatchError, match="complete"):
         session.render(scenes.mixed(FRAME), target, resume=one)
+
+
+def test_a_black_picture_that_meets_the_target_is_told(session):
+    """Nothing was found, so halves agree: of what is there they say nothing."""
+    frame = dataclasses.replace(FRAME, passes=("Combined",))
+    for world, warned in ((0.0, 1), (0.5, 0)):
+        film = session.render(scenes.scene(frame=frame, world=world), SETTINGS.replace(sample_count=64, error_target=0.01))
+        warnings = [warning for warning in film.statistics["warnings"] if "error_target" in warning]
+        assert film.statistics["stopped_by"] == "error" and len(warnings) == warned, world
+        assert all("black" in warning and "no path" in warning for warning in warnings)
 
 
 def test_a_target_that_is_not_reached(session):
@@ -303,150 +278,3 @@ def test_progress_tells_the_samples_that_there_are(session):
 def test_no_time_at_all_is_time_for_one_sample(session):
     film = session.render(scenes.mixed(FRAME), SETTINGS.replace(time_limit=1e-9))
     assert (film.counts == 1).all() and film.statistics["stopped_by"] == "time"
-
-
-# --- stopped and gone on, under any schedule
-
-
-@contextlib.contextmanager
-def stopping(after: int):
-    """Tiles are told to stop when they have asked `after` times; they bring their paths to the end, however long that takes."""
-    render, asked = integrator.TileIntegrator.render, [0]
-
-    def stopped(self, state, first, count, stop):
-        def tells():
-            asked[0] += 1
-            return stop() or asked[0] > after
-
-        return render(self, state, first, count, tells)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(integrator, "DRAIN_SECONDS", 1e9)
-        patch.setattr(integrator.TileIntegrator, "render", stopped)
-        yield
-
-
-class WatchedSession:
-    """A session whose renders are watched, stopped and gone on with, as `random` says (None: they are left alone)."""
-
-    def __init__(self, session):
-        self.session, self.random, self.stops = session, None, 0
-
-    def __getattr__(self, name):
-        return getattr(self.session, name)
-
-    def render(self, scene, settings):
-        if self.random is None:
-            return self.session.render(scene, settings)
-        film, taken = None, [0, 0]
-        for turn in range(4):
-            watcher = Watcher(self.random.integers(1, settings.sample_count + 1, self.random.integers(0, 5)).tolist())
-            after = 10**9 if turn == 3 else int(2.0 ** self.random.uniform(0, 10))
-            with stopping(after):
-                film = self.session.render(scene, settings, observers=[watcher], resume=film)
-            assert not film.statistics["invalid_samples"]
-            waited = film.statistics["batching"]
-            if waited:
-                assert waited["rays"] == waited["finished"] == film.statistics["rays"]["total"]
-            if film.complete:
-                break
-            self.stops += 1
-            counts = film.counts.reshape(-1)
-            assert counts.min() < settings.sample_count and film.resume_state is not None
-        return film
-
-
-@pytest.mark.parametrize("estimate", ["OFF", "ON"])
-@pytest.mark.parametrize("name", schedule_scenes.SCENES)
-def test_any_schedule_with_any_rounds_and_stops_gives_the_same_film(session, name, estimate):
-    watched = WatchedSession(session)
-    estimator = RenderSettings(sample_count=5, bounce_max=4, roulette_bounce=2, clamp_indirect=3.0, error_estimate=estimate)
-    comparer = FilmComparer(watched, schedule_scenes.SCENES[name](), estimator, 16)
-
-    @settings(max_examples=15, deadline=None, derandomize=True, database=None, phases=[Phase.generate])
-    @given(number=st.integers(0, 2**32 - 1))
-    def compare(number):
-        watched.random = np.random.default_rng(number)
-        found = comparer.compare_drawn(SeededDraws(number))
-        # rays are those of the last part alone; that none is lost was looked at for each
-        differs = [fault for fault in found.differs if "taken in" not in fault]
-        assert not differs, (number, differs, found.settings)
-
-    compare()
-    assert watched.stops > 10
-
-
-@pytest.fixture(scope="module")
-def targeted(session):
-    return session.render(scenes.mixed(FRAME), TARGET)
-
-
-@pytest.mark.parametrize("sample_order", ["FRAME_FIRST", "PIXEL_FIRST"])
-@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(number=st.integers(0, 2**32 - 1))
-def test_an_error_target_is_reached_at_the_same_sample_after_stops(session, targeted, sample_order, number):
-    watched = WatchedSession(session)
-    watched.random = np.random.default_rng(number)
-    film = watched.render(scenes.mixed(FRAME), TARGET.replace(sample_order=sample_order))
-    assert film.complete and film.statistics["error"] == targeted.statistics["error"]
-    assert_same(film.passes, targeted.passes)
-    for half, whole in zip(film.halves, targeted.halves):
-        assert_same(half.passes, whole.passes)
-
-
-def test_a_film_goes_on_with_its_own_settings_alone_but_for_the_clock(session, halves):
-    with stopping(10):
-        film = session.render(scenes.mixed(FRAME), HALVES.replace(time_limit=1e6))
-    assert not film.complete and film.statistics["stopped_by"] is None
-    for change in (dict(error_estimate="OFF"), dict(error_target=0.1), dict(seed=1)):
-        with pytest.raises(RayBatchError, match="other settings"):
-            session.render(scenes.mixed(FRAME), HALVES.replace(**change), resume=film)
-    counted = film.counts.copy()
-    assert_same(session.render(scenes.mixed(FRAME), HALVES, resume=film).passes, halves.passes)
-    assert np.array_equal(film.counts, counted)  # the film that was gone on with is left as it was
-
-
-@pytest.mark.parametrize("estimate", ["OFF", "ON"])
-@pytest.mark.parametrize("after", [0, 30])
-def test_a_time_limit_holds_for_a_round_that_was_begun_without(session, estimate, after):
-    endless = SETTINGS.replace(sample_count=10_000_000, error_estimate=estimate, ray_count=700, tile_size=9)
-    with stopping(after):
-        film = session.render(scenes.mixed(FRAME), endless)
-    watcher = Watcher([64])
-    film = session.render(scenes.mixed(FRAME), endless.replace(time_limit=0.2), resume=film, observers=[watcher])
-    samples = film.statistics["samples_per_pixel"]
-    assert film.statistics["stopped_by"] == "time" and (film.counts == samples).all() and watcher.samples[-1] == samples
-    assert not film.statistics["warnings"]
-    assert_same(film.passes, session.render(scenes.mixed(FRAME), endless.replace(sample_count=samples)).passes)
-
-
-def test_a_round_that_a_time_limit_cannot_end_is_told(session):
-    with stopping(5):
-        film = session.render(scenes.mixed(FRAME), SETTINGS.replace(sample_order="PIXEL_FIRST", ray_count=100))
-    film = session.render(scenes.mixed(FRAME), SETTINGS.replace(time_limit=1e-3), resume=film)
-    assert film.statistics["stopped_by"] == "samples" and "PIXEL_FIRST" in film.statistics["warnings"][0]
-
-
-def test_a_cancel_between_rounds_can_be_gone_on_with(session, halves):
-    cancel = []
-    watcher = Watcher([3])
-    watcher.on_snapshot = cancel.append
-    film = session.render(scenes.mixed(FRAME), HALVES, observers=[watcher], cancelled=lambda: bool(cancel))
-    assert not film.complete and film.sample_count >= 3
-    assert_same(session.render(scenes.mixed(FRAME), HALVES, resume=film).passes, halves.passes)
-
-
-def test_a_film_that_was_stopped_twice_is_shown_as_its_sums_are(session):
-    film = None
-    for after in (20, 15):
-        shown = []
-        with stopping(after):
-            film = session.render(scenes.mixed(FRAME), HALVES.replace(tile_size=9), observers=[Watcher([1, 2])], resume=film, on_tile=shown.append)
-        assert film.picture is not None and shown
-        assert_same(film.passes, rounded_anew(film))
-
-
-def test_a_border_has_the_halves_of_the_frame(session, halves):
-    frame = dataclasses.replace(FRAME, border=(3, 5, 20, 13))
-    film = session.render(scenes.mixed(frame), HALVES.replace(tile_size=4), observers=[Watcher([2])])
-    assert_same(film.passes, {name: values[5:13, 3:20] for name, values in halves.passes.items()})

@@ -289,7 +289,8 @@ class Session:
     def _workers(self, job: _Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
         last = state.end == state.policy.sample_count
         areas = [halves[0].tile.pixel_count for halves in (state.open_tiles if last else state.tiles)]
-        samples = -(-state.policy.sample_count // job.settings.half_count)  # of a pixel in one half: these are rendered one after the other
+        # of a pixel in one half: halves are rendered one after the other
+        samples = -(-state.policy.sample_count // job.settings.half_count)
         workers = make_workers(scene, job.scene.frame, job.settings, areas, samples)
         job.warnings += workers.warnings
         job.chosen.update(workers.chosen)
@@ -327,6 +328,7 @@ class Session:
         self, job: _Job, film: Film, state: ResumeState, integrators: list[TileIntegrator], modules: list[str], device_scene: DeviceScene | None
     ) -> dict[str, Any]:
         job.seconds["total"] = time.perf_counter() - job.started
+        job.warnings += job.rendering.warnings if job.rendering else []
         invalid = sum(integrator.invalid_samples for integrator in integrators)
         if invalid:
             job.warnings.append(f"{invalid:,} samples were not finite and count as black; this is a fault, please report the scene")

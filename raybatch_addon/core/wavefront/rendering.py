@@ -61,6 +61,7 @@ class Rendering:
         self._begun = time.perf_counter()
         self.error: HalfError | None = None  # at the end of the last round where it was looked at
         self.error_samples = 0  # of every pixel, then
+        self.warnings: list[str] = []
 
     def run(self) -> None:
         """Until the policy or a cancel ends it; raises what a worker or a callback raised."""
@@ -83,6 +84,11 @@ class Rendering:
             state.end = end
         if self.error_samples != state.done:
             self._look_at_error()
+        if policy.stopped_by == "error" and not _colours(self._film).any():
+            self.warnings.append(
+                f"error_target was met by a black picture: no path of {state.done} samples found any light, so that nothing is known of its "
+                "error; if it should not be black, set error_target to 0 and render all samples"
+            )
 
     def error_report(self) -> dict[str, Any] | None:
         """What is known of the film's error, for statistics; None where halves are not kept apart."""
