@@ -57,7 +57,7 @@ class Rendering:
     def __init__(self, integrators: Sequence[TileIntegrator], state: ResumeState, film: Film, events: RenderEvents, started: float):
         """`state` is brought up to date and `film` filled; `started` is when the render was asked for (`time.perf_counter`)."""
         self._integrators, self._state, self._film, self._events, self._started = integrators, state, film, events, started
-        self._total = state.items_to_come
+        self._total, self._pixels = state.items_to_come, state.pixel_count
         self._begun = time.perf_counter()
         self.error: HalfError | None = None  # at the end of the last round where it was looked at
         self.error_samples = 0  # of every pixel, then
@@ -71,7 +71,7 @@ class Rendering:
             state.end = policy.next_end(state.done, 0.0)
         while state.end is not None:
             start = time.perf_counter()
-            samples = state.items_open / state.pixel_count
+            samples = state.items_open / self._pixels
             if not self._render_round():
                 return
             seconds = time.perf_counter() - start
@@ -165,7 +165,7 @@ class Rendering:
         done = items / self._total if self._total else 1.0
         if limit := self._state.policy.time_limit:
             done = max(done, min(seconds / limit, 1.0))
-        left = (self._total - items) / self._state.pixel_count  # samples of a pixel, if nothing ends the render before
+        left = (self._total - items) / self._pixels  # samples of a pixel, if nothing ends the render before
         self._events.on_progress(done, self._state.policy.sample_count - left, seconds)
 
     # --- between rounds
