@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 # Runs that are there to compare
 SLOT_COUNT = 6
-# Samples of a snapshot to those of the one before
-SNAPSHOT_RATIO = 1.5
+# Samples of a snapshot to those of the one before: at first, and from where a round takes longer than what it costs to make it one
+FIRST_RATIO, SNAPSHOT_RATIO, FIRST_SAMPLES = 2.0, 1.5, 16
 # Share by which the time grows from one point of rays a second to the next, and the least time between two [s]
 RATE_GROWTH, RATE_SECONDS = 0.1, 0.2
 # Snapshots that wait until their errors are computed; beyond it the oldest is left out
@@ -189,7 +189,9 @@ class ErrorRecorder(RateRecorder):
 
     def snapshot_samples(self, sample_count: int) -> Sequence[int]:
         """From the least on that the error can be told of."""
-        counts = geometric_samples(sample_count, SNAPSHOT_RATIO, first=2)
+        counts = geometric_samples(min(sample_count, FIRST_SAMPLES), FIRST_RATIO, first=2)
+        if sample_count > FIRST_SAMPLES:
+            counts += geometric_samples(sample_count, SNAPSHOT_RATIO, first=round(FIRST_SAMPLES * SNAPSHOT_RATIO))
         if len(counts) > 1 and counts[-1] < counts[-2] * math.sqrt(SNAPSHOT_RATIO):
             del counts[-2]  # a round of its own for so little
         return counts

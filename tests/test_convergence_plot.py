@@ -132,7 +132,10 @@ def snapshot(samples, seed=0):
 def test_errors_are_computed_beside_the_render_and_all_there_at_its_end():
     store = RunStore()
     recorder = ErrorRecorder(store, store.begin("Scene", "Layer", 1, ESTIMATED))
-    assert list(recorder.snapshot_samples(16)) == [2, 3, 4, 7, 10, 16]
+    assert list(recorder.snapshot_samples(16)) == [2, 4, 8, 16] and list(recorder.snapshot_samples(100)) == [2, 4, 8, 16, 24, 36, 54, 81, 100]
+    assert [list(recorder.snapshot_samples(n)) for n in (1, 2, 3, 17, 20, 24, 25)] == [
+        [1], [2], [2, 3], [2, 4, 8, 17], [2, 4, 8, 16, 20], [2, 4, 8, 16, 24], [2, 4, 8, 16, 25],
+    ]  # fmt: skip
     recorder.on_snapshot(snapshot(1))  # one half is empty yet
     for samples in (2, 4, 8):
         recorder.on_snapshot(snapshot(samples))
