@@ -226,11 +226,11 @@ class ErrorRecorder(RateRecorder):
 
 def point_of_halves(snapshot: Snapshot) -> ErrorPoint | None:
     """The error at `snapshot`, as the film's statistics tell it; None where one of the halves has no sample."""
-    from .core.film.half_error import half_error  # brings in Warp, which registering the add-on should not wait for
+    from .core.report.half_error import half_error
 
     if snapshot.halves is None or snapshot.samples < 2:
         return None
-    error = half_error(*snapshot.halves, ((snapshot.samples + 1) // 2, snapshot.samples // 2))
+    error = half_error(*snapshot.halves, snapshot.samples)
     return ErrorPoint(
         snapshot.seconds, snapshot.seconds_total, snapshot.samples, dict(snapshot.rays), error.rmse, error.relmse,
         invalid_samples=snapshot.invalid_samples, floor_rmse=0.0, floor_relmse=0.0, from_halves=True,

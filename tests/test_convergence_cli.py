@@ -16,7 +16,7 @@ from convergence_runs import FRAME, SMALL, measured, picture_alone, save_lit
 from converging import plots
 from converging.cycles import samples_next, setup_seconds
 from converging.page import png
-from converging.reference import SEED, TAKEN_SEEDS, reference_settings, shown_hash
+from converging.reference import SEED, TAKEN_SEEDS, reference_settings
 from converging.request import run_seeds
 
 from raybatch_addon.core.report.convergence import PICTURE_SETTINGS, ErrorPoint, load_reference, scene_hash
@@ -287,15 +287,6 @@ def test_a_picture_without_error_or_light_is_reported_too(tmp_path, capfd):
 
 
 # --- parts
-
-
-def test_maps_that_nothing_reads_do_not_make_another_scene():
-    """Blender's subdivision makes other bits of them each time; all else decides."""
-    scene = scenes.mixed(FRAME)
-    mapped = [dataclasses.replace(mesh, corner_uvs=np.zeros((len(mesh.triangles), 3, 2), np.float32)) for mesh in scene.meshes]
-    assert shown_hash(dataclasses.replace(scene, meshes=tuple(mapped))) == shown_hash(scene) == scene_hash(scene)
-    moved = [dataclasses.replace(mesh, positions=mesh.positions + np.float32(1e-6)) for mesh in scene.meshes]
-    assert shown_hash(dataclasses.replace(scene, meshes=tuple(moved))) != shown_hash(scene)
 
 
 def test_seeds_of_runs_are_not_those_of_references():

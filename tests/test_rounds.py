@@ -12,7 +12,7 @@ from watched_renders import FRAME, HALVES, SETTINGS, Watcher, assert_same, round
 
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.film import Film
-from raybatch_addon.core.film.half_error import half_error
+from raybatch_addon.core.report.half_error import half_error
 from raybatch_addon.core.scene.description import ClosureKind, Frame, World
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.wavefront.rounds import half_seed
@@ -124,7 +124,7 @@ def test_halves_are_renders_with_seeds_of_their_own(session, halves, way):
     assert_same(rounded_anew(film), halves.passes)
     first = watcher.got[0]
     assert first.samples == 1 and not first.halves[1].any() and np.array_equal(first.halves[0], first.picture)
-    error = half_error(*(part.passes["Combined"][..., :3] for part in parts), (4, 3))
+    error = half_error(*(part.passes["Combined"][..., :3] for part in parts), 7)
     told = film.statistics["error"]
     assert (told["relmse"], told["rmse"], told["samples"]) == (error.relmse, error.rmse, 7) and error.relmse > 0
     assert told["stopped_by"] == film.statistics["stopped_by"] == "samples" and told["target"] == 0 and not told["reached"]

@@ -43,6 +43,8 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
             session.close()
         return report
     cycles = None
+    if request.equal_error:  # an unbiased peer is met without what a file may clamp
+        settings = settings.replace(clamp_direct=0.0, clamp_indirect=0.0).replace(**request.settings)
     if request.against == "cycles":
         from .cycles import CyclesPeer
 

@@ -79,7 +79,7 @@ class References:
         """`on_make` is told before one is rendered."""
         self._request, self._opened, self._session, self._on_make = request, opened, session, on_make
         self._found: dict[tuple, UsedReference] = {}
-        self._hash = shown_hash(opened.scene)
+        self._hash = scene_hash(opened.scene)
 
     @property
     def used(self) -> list[UsedReference]:
@@ -196,13 +196,6 @@ class References:
         )
 
 
-def shown_hash(scene: Scene) -> str:
-    """The scene's hash without its UV maps: nothing that is rendered reads them, and Blender's subdivision, on many threads,
-    does not make them to the same bits twice.
-    """
-    return scene_hash(dataclasses.replace(scene, meshes=tuple(dataclasses.replace(mesh, corner_uvs=None) for mesh in scene.meshes)))
-
-
 def picture_key(settings: RenderSettings) -> tuple:
     """Equal for settings that aim at the same picture."""
     return tuple(getattr(settings, name) for name in PICTURE_SETTINGS)
@@ -236,7 +229,7 @@ def core_digest() -> str:
 
 def write_reference(path: Path, opened: OpenedScene, used: UsedReference) -> None:
     """Write a reference that was made for other runs, whole or not at all; raises `RayBatchError`."""
-    save_reference(path, used.reference, shown_hash(opened.scene), used.settings)
+    save_reference(path, used.reference, scene_hash(opened.scene), used.settings)
 
 
 def described(used: UsedReference) -> dict:

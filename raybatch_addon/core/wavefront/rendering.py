@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..film import Film
-from ..film.half_error import HalfError, half_error
 from ..film.tile import FinishedTile
+from ..report.half_error import HalfError, half_error
 from ..report.snapshot import Snapshot
 from .integrator import TileIntegrator, TileState
 from .resume import ResumeState
@@ -176,7 +176,7 @@ class Rendering:
         samples = state.samples_so_far.of_half(0, 2).sample_count, state.samples_so_far.of_half(1, 2).sample_count
         if not film.halves or not all(samples):
             return None
-        self.error, self.error_samples = half_error(*(_colours(half) for half in film.halves), samples), state.done
+        self.error, self.error_samples = half_error(*(_colours(half) for half in film.halves), sum(samples)), state.done
         return self.error
 
     def _show(self, seconds: float, is_last: bool) -> None:
