@@ -69,9 +69,9 @@ def test_snapshots_are_the_films_of_fewer_samples_and_change_nothing(session, pl
 def test_what_a_snapshot_tells(session):
     one, other = Watcher([2, 1]), Watcher([2, 3])
     calls = []
-    nobody = type("Nobody", (), {"on_tile": lambda self, tile: calls.append(tile)})()
+    nobody = type("Nobody", (), {"on_tile": lambda self, tile: calls.append(tile)})()  # without snapshots
     film = session.render(scenes.mixed(FRAME), SETTINGS, observers=[one, nobody, other])
-    assert one.samples == [1, 2, 7] and other.samples == [2, 3, 7] and len(calls) > 4
+    assert one.samples == [1, 2, 7] and other.samples == [2, 3, 7] and len(calls) >= 4  # a tile at least for each round
     seconds = [snapshot.seconds for snapshot in one.got]
     assert seconds == sorted(seconds) and seconds[0] > 0
     assert all(snapshot.seconds <= snapshot.seconds_total <= film.statistics["seconds"]["total"] for snapshot in one.got)

@@ -121,8 +121,9 @@ def another_treelet_wanted(bench: Bench) -> Outcome:
         for blocks in (dict(queue_size=64, queue_count=EDGE**2), dict(queue_size=1), dict(queue_size=64, queue_count=64)):
             found = films.add(f"{selection} {blocks}", **FINE, bucket_selection=selection, thread_count=1, tile_size=EDGE, **blocks)
             if blocks.get("queue_count") == EDGE**2:
-                # a block holds rays of one bucket; full ones would be 16
-                films.expect(found.statistics["blocks_peak"] > 0.9 * EDGE**2, f"{selection}: nearly every ray waits in a block of its own")
+                # A block holds rays of one bucket; full ones would be 16. (Quantised trees have fewer treelets, some of two patches or more.)
+                peak = found.statistics["blocks_peak"]
+                films.expect(peak > EDGE**2 / 8, f"{selection}: few rays wait in each block of 64: {peak} blocks for {EDGE**2} rays")
             elif "queue_count" in blocks:
                 films.expect(found.statistics["batching"]["blocks_short"] > 0, f"{selection}: blocks run out")
     return films.outcome()
