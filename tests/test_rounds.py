@@ -265,7 +265,7 @@ def test_progress_tells_the_samples_that_there_are(session):
     film = session.render(scenes.mixed(FRAME), limited, on_progress=told.append)
     samples = [progress.samples_done for progress in told if progress.stage == "render"]
     assert samples == sorted(samples) and samples[-1] == film.statistics["samples_per_pixel"] and told[-1].fraction > 0.5
-    with stopping(30):
+    with stopping(5):
         film = session.render(scenes.mixed(FRAME), SETTINGS, on_progress=told.append)
     begun = film.sample_total / (24 * 20)
     assert 0 < begun < 7 and told[-1].samples_done == pytest.approx(begun)
