@@ -67,13 +67,20 @@ class CyclesPeer:
         return pixels.reshape(height, width, -1)[..., :3].astype(np.float64)
 
     def _unbiased(self, settings: RenderSettings) -> None:
-        """Leave Cycles without shortcuts: what is left is noise."""
+        """Leave Cycles without shortcuts: what is left is noise. It renders the view layer that RayBatch does, and shows it as it is."""
+        import bpy
+
+        self._scene.render.use_compositing = self._scene.render.use_sequencer = False
+        for layer in self._scene.view_layers:
+            layer.use = layer == bpy.context.view_layer
         cycles = self._scene.cycles
+        cycles.film_exposure = 1
         cycles.samples = settings.sample_count
         cycles.use_adaptive_sampling = cycles.use_denoising = False
         cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
         cycles.blur_glossy = cycles.light_sampling_threshold = 0
         cycles.caustics_reflective = cycles.caustics_refractive = True
+        cycles.use_fast_gi = False
         cycles.time_limit = 0
         cycles.pixel_filter_type, cycles.filter_width = settings.pixel_filter, settings.filter_width
         for name in ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces"):

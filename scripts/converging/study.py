@@ -97,7 +97,6 @@ def measured(request: ConvergenceRequest) -> Study:
 class _Runner:
     def __init__(self, request: ConvergenceRequest, study: Study, session: Session, steps: Steps, flip: Callable | None):
         self._request, self._study, self._session, self._steps, self._flip = request, study, session, steps, flip
-        self._peer = None
 
     def run(self) -> None:
         """Warm up, get references, then let variants take turns."""
@@ -135,11 +134,11 @@ class _Runner:
         if variant.engine == CYCLES:
             from .cycles import open_peer, require_size
 
-            self._peer = open_peer(self._study.opened, self._session.device, variant.settings)
-            seconds, picture = self._peer.timed_picture(0, 1)
+            peer = open_peer(self._study.opened, self._session.device, variant.settings)
+            seconds, picture = peer.timed_picture(0, 1)
             x0, y0, x1, y1 = self._study.opened.scene.frame.region
             require_size(picture, (x1 - x0, y1 - y0))
-            self._study.first_seconds[variant.label], self._study.cycles_device = seconds, self._peer.device
+            self._study.first_seconds[variant.label], self._study.cycles_device = seconds, peer.device
             return seconds
         recorder = ConvergenceRecorder()
         settings = variant.settings
@@ -151,7 +150,7 @@ class _Runner:
         film = self._session.render(self._study.opened.scene, settings, observers=[recorder])
         self._study.first_seconds[variant.label] = time.perf_counter() - start
         warnings = [text for text in film.statistics["warnings"] if text not in self._study.warnings]
-        tell_warnings(warnings)
+        tell_warnings(warnings, "convergence.py")
         self._study.warnings += warnings
         return recorder.snapshots[-1].seconds / recorder.snapshots[-1].samples
 
@@ -169,9 +168,11 @@ class _Runner:
 
     def _snapshots(self, variant: Variant, seed: int) -> list[Snapshot]:
         if variant.engine == CYCLES:
-            from .cycles import cycles_snapshots
+            from .cycles import cycles_snapshots, open_peer
 
-            return cycles_snapshots(self._peer, seed, variant.settings.sample_count, self._request.seconds)
+            # again: a reference with other bounces or another filter may have been made of the same scene meanwhile
+            peer = open_peer(self._study.opened, self._session.device, variant.settings)
+            return cycles_snapshots(peer, seed, variant.settings.sample_count, self._request.seconds)
         recorder = ConvergenceRecorder()
         self._session.render(self._study.opened.scene, variant.settings.replace(seed=seed), observers=[recorder])
         return recorder.snapshots

@@ -1,4 +1,4 @@
-"""Where render.py writes: standard output kept clean, folders checked ahead, files written whole or not at all."""
+"""Where render.py and others write: standard output kept clean, folders checked ahead, files written whole or not at all."""
 
 from __future__ import annotations
 
@@ -173,13 +173,13 @@ def described(film: Film, frame_number: int | None, view_layer: str | None) -> d
 WARNINGS_SHOWN = 10  # of one picture; all of them are in the statistics
 
 
-def tell_warnings(warnings: Iterable[str]) -> None:
-    """Write what a render did without, or did otherwise, to standard error."""
+def tell_warnings(warnings: Iterable[str], script: str = "render.py") -> None:
+    """Write what a render of `script` did without, or did otherwise, to standard error."""
     warnings = list(warnings)
     for text in warnings[:WARNINGS_SHOWN]:
-        print(f"render.py: warning: {text}", file=sys.stderr)
+        print(f"{script}: warning: {text}", file=sys.stderr)
     if len(warnings) > WARNINGS_SHOWN:
-        print(f"render.py: warning: {len(warnings) - WARNINGS_SHOWN} more; --json lists them", file=sys.stderr)
+        print(f"{script}: warning: {len(warnings) - WARNINGS_SHOWN} more; --json lists them", file=sys.stderr)
 
 
 def tell_saved(path: Path, what: str = "") -> None:

@@ -9,17 +9,22 @@ bpy = pytest.importorskip("bpy")
 
 from blender_builders import add_grid, add_object, material_of, node_tree  # noqa: E402
 
-OPTIONS = ("--device", "cpu", "--size", "24x24", "--runs", "1", "--no-flip", "--set", "thread_count=1", "--set", "bounce_max=2")
+OPTIONS = ("--device", "cpu", "--size", "24x24", "--runs", "1", "--no-flip", "--set", "thread_count=1")
 
 
 @pytest.fixture
 def blend(scene, tmp_path):
-    """A white floor under a lamp."""
-    tree, surface = node_tree(material_of(add_grid("Floor", 4)))
-    tree.links.new(tree.nodes.new("ShaderNodeBsdfDiffuse").outputs[0], surface)
+    """A white floor, and a wall that it lights, under a lamp; with what would let Cycles show another picture."""
+    for turn in (0, 1.0):
+        tree, surface = node_tree(material_of(wall := add_grid("Wall", 4)))
+        wall.rotation_euler[1] = turn
+        tree.links.new(tree.nodes.new("ShaderNodeBsdfDiffuse").outputs[0], surface)
+    scene.cycles.film_exposure, scene.cycles.use_fast_gi, scene.cycles.use_denoising = 2, True, True
+    scene.view_layers.new("Another")
     lamp = bpy.data.lights.new("Lamp", "AREA")
     lamp.energy = 100
     add_object("Lamp", lamp).location = (0, 0, 3)
+    scene.raybatch.bounce_max = 2
     path = tmp_path / "floor.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     return path
@@ -53,6 +58,18 @@ def test_cycles_competes_at_its_own_samples(blend, tmp_path):
     assert only["kind"] == "cycles" and only["from_cache"] and report["references_apart"] is None
     samples = [[point["samples"] for point in run["points"]] for run in report["runs"]]
     assert all(each[0] == 1 and each == sorted(set(each)) for each in samples)
+
+
+def test_cycles_renders_as_it_was_asked_to_after_references_for_others(blend, tmp_path):
+    """Its own reference is that of bounce_max=2, and that without bounces is made after it."""
+    options = (*OPTIONS, "--against", "cycles", "--reference", "cycles", "--compare", "bounce_max=2,0", "--samples", "256", "--reference-samples", "4096")
+    done = run_script("convergence.py", blend, *options, "--json", RAYBATCH_REFERENCES=tmp_path / "kept")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    ours, dark, theirs = report["summary"]
+    assert [each["settings"]["bounce_max"] for each in report["references"]] == [2, 0]
+    # at equal samples the two are about as noisy; what bounces is many times their noise
+    assert theirs["end"]["rmse"] < 2 * ours["end"]["rmse"]
 
 
 def test_cycles_knows_no_halves(blend):
