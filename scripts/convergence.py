@@ -73,7 +73,7 @@ def request_from(options: argparse.Namespace):
     from benchmarking.scenes import SceneRequest
     from converging.request import ConvergenceRequest
 
-    settings, resolution = parse_settings(options.set, options.preset)
+    settings, resolution = parse_settings(options.set)
     if options.size:
         resolution = parse_settings([f"resolution={options.size}"])[1]
     device = options.device or settings.pop("device", "AUTO")
@@ -81,7 +81,7 @@ def request_from(options: argparse.Namespace):
     return ConvergenceRequest(
         SceneRequest(options.scene, options.grid, options.camera, options.up), device, resolution, options.samples, options.seconds, options.runs,
         options.target, options.reference, options.against == "cycles", options.reference_samples, options.new_reference, options.save_reference,
-        not options.no_flip, tuple(options.compare), settings,
+        not options.no_flip, tuple(options.compare), settings, options.preset,
     )  # fmt: skip
 
 

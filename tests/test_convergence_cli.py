@@ -17,11 +17,12 @@ from converging import plots
 from converging.cycles import samples_next, setup_seconds
 from converging.page import png
 from converging.reference import SEED, TAKEN_SEEDS, reference_settings
-from converging.request import run_seeds
+from converging.request import parse_comparison, run_seeds, variants
 
 from raybatch_addon.core.report.convergence import PICTURE_SETTINGS, ErrorPoint, load_reference, scene_hash
 from raybatch_addon.core.scene.archive import load_scene, save_scene
 from raybatch_addon.core.settings import SETTINGS, RenderSettings
+
 
 @pytest.fixture(scope="module")
 def kept(tmp_path_factory):
@@ -161,6 +162,25 @@ def test_the_page_stands_alone(reported):
     assert len(pictures) == 1 + 2 * 2  # the reference, and of either setting the picture and the difference
     for each in pictures:
         assert base64.b64decode(each.partition(",")[2]).startswith(b"\x89PNG")
+
+
+def test_names_from_files_are_text(lit, tmp_path, capfd):
+    """Neither markup of the page nor formulas of the plot."""
+    scene, settings = load_scene(lit)
+    path = tmp_path / "a<b>&$x_$.scene.npz"
+    save_scene(path, dataclasses.replace(scene, warnings=("Object <img src=x> has none",)), settings)
+    outputs = ("--html", tmp_path / "page.html", "--plot", tmp_path / "plot.svg")
+    code = convergence.main([*map(str, (path, *SMALL, "--samples", "2", "--no-flip", "--json", *outputs))])
+    said = capfd.readouterr()
+    if "wp_compile_cpp" in said.err:
+        pytest.skip("this machine cannot compile kernels for the CPU")
+    assert code == 0, said.err
+    text = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "a&lt;b&gt;&amp;$x_$" in text and "Object &lt;img" in text and "<b>&" not in text and "<img src=x" not in text
+    assert "convergence.py: warning: Object <img src=x> has none" in said.err
+    page = _Page()
+    page.feed(text)
+    page.close()
 
 
 def test_pictures_are_the_pixels():
@@ -309,6 +329,16 @@ def test_samples_of_cycles_grow_to_what_time_allows():
     assert samples_next([(1, 1.1), (64, 7.4)], 1000, 6.5) is None
 
 
+def test_a_preset_leaves_what_is_set_or_compared():
+    """A preset has every setting of the schedule."""
+    changed = RenderSettings(ray_sort="OFF", queue_size=64)
+    comparison = parse_comparison(["preset=AUTO,UNBATCHED", "queue_size=32,128"], {"ray_sort": "OFF"})
+    found = [each.settings for each in variants(comparison, changed, kept=["ray_sort"])]
+    assert [(s.batching, s.ray_sort, s.queue_size) for s in found] == [
+        ("AUTO", "OFF", 32), ("AUTO", "OFF", 128), ("OFF", "OFF", 32), ("OFF", "OFF", 128)
+    ]  # fmt: skip
+
+
 def test_bands_are_of_what_all_runs_have():
     def run(*points):
         from converging.study import Run
@@ -317,6 +347,14 @@ def test_bands_are_of_what_all_runs_have():
 
     runs = [run((1, 1.0, 0.5), (2, 2.0, 0.4), (3, 3.0, 0.1)), run((1, 3.0, 0.7), (2, 4.0, 0.0), (4, 5.0, 0.1))]
     assert plots.medians(runs, plots.ERROR) == ([2.0], [0.5], [0.6], [0.7])
+
+
+def test_settings_go_on_top_of_a_preset(lit):
+    from benchmarking.scenes import SceneRequest
+    from converging.request import ConvergenceRequest, run_settings
+
+    settings = run_settings(ConvergenceRequest(SceneRequest(lit), preset="UNBATCHED", settings={"ray_sort": "OFF"}), RenderSettings())
+    assert (settings.batching, settings.ray_sort) == ("OFF", "OFF")
 
 
 def test_beside_cycles_only_the_request_clamps(lit, tmp_path):

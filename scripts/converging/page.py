@@ -92,16 +92,13 @@ def _pictures(summary: Summary) -> str:
     for used in study.used:
         if used.reference is not None:
             figures.append(_figure(_display(used.reference.picture), f"Reference: {used.reference.name}"))
-    for outcome in summary.outcomes:
-        reference = study.references[outcome.variant.label].reference
-        if reference is not None and outcome.runs[0].picture is not None:
-            errors[outcome.variant.label] = _relative_error(outcome.runs[0].picture, reference.picture)
+    shown = [(outcome.variant.label, run) for outcome in summary.outcomes for run in outcome.runs if run.picture is not None and run.points]
+    for label, run in shown:
+        reference = study.references[label].reference
+        if reference is not None:
+            errors[label] = _relative_error(run.picture, reference.picture)
     largest = float(np.percentile(np.concatenate([error.ravel() for error in errors.values()]), SCALE_PERCENTILE)) if errors else 0.0
-    for outcome in summary.outcomes:
-        label = outcome.variant.label
-        run = next((run for run in outcome.runs if run.picture is not None), None)
-        if run is None or not run.points:
-            continue
+    for label, run in shown:
         last = run.points[-1]
         about = f"{label}, seed {run.seed}: {last.samples:,} samples, {last.seconds:.3g} s, relMSE {last.relmse:.3g}"
         figures.append(_figure(_display(run.picture), about))

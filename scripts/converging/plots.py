@@ -66,7 +66,7 @@ def write_plot(path: Path, summary: Summary) -> None:
         for place, panel in zip(axes[0], wanted, strict=True):
             draw(place, panel, summary, "black")
         study = summary.study
-        figure.suptitle(f"{study.opened.name} on {study.device['name']}", fontsize=10)
+        figure.suptitle(f"{study.opened.name} on {study.device['name']}", fontsize=10, parse_math=False)
         metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
         write_whole(path, lambda temporary: figure.savefig(temporary, facecolor="white", dpi=110, metadata=metadata))
         pyplot.close(figure)

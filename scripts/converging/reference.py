@@ -9,7 +9,7 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,17 +86,11 @@ class References:
         """All so far, each once."""
         return list({id(each): each for each in self._found.values()}.values())
 
-    @property
-    def is_made(self) -> bool:
-        """Whether one may have to be rendered."""
-        return self._request.reference_from not in ("file", "halves")
-
     def of(self, variant: Variant, samples: int) -> UsedReference:
         """The reference for renders of `variant` with about `samples` samples; one that is made has more. Raises `RayBatchError`."""
-        engine = self._engine(variant)
-        key = (engine, *picture_key(variant.settings))
+        key = self._key(variant)
         if key not in self._found:
-            self._found[key] = self._get(engine, variant.settings, samples)
+            self._found[key] = self._get(key[0], variant.settings, samples)
             self._require_reachable(self._found[key])
         return self._found[key]
 
@@ -112,16 +106,17 @@ class References:
             "noise_rmse": float(np.hypot(ours.floor[0], theirs.floor[0])), "noise_relmse": ours.floor[1] + theirs.floor[1],
         }  # fmt: skip
 
-    def require_one(self) -> None:
-        """Raise `UsageError` where what was made is to be written, and is more than one picture."""
-        if self._request.save_reference and len(self.used) > 1:
+    def require_one(self, variants: Iterable[Variant]) -> None:
+        """Raise `UsageError` where the reference is to be written, and `variants` have more than one."""
+        if self._request.save_reference and len({self._key(variant) for variant in variants}) > 1:
             raise UsageError("--save-reference holds one picture, and this comparison has several references: leave it out")
 
     # --- where it is from
 
-    def _engine(self, variant: Variant) -> str:
+    def _key(self, variant: Variant) -> tuple:
+        """Who makes the reference of `variant`, and what it shows: equal for those that have one together."""
         wanted = self._request.reference_from
-        return {"own": variant.engine, "cycles": CYCLES, "raybatch": RAYBATCH}.get(wanted, wanted)
+        return {"own": variant.engine, "cycles": CYCLES, "raybatch": RAYBATCH}.get(wanted, wanted), *picture_key(variant.settings)
 
     def _get(self, engine: str, settings: RenderSettings, samples: int) -> UsedReference:
         request = self._request

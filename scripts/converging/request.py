@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -58,7 +58,8 @@ class ConvergenceRequest:
     save_reference: Path | None = None
     flip: bool = True
     compare: tuple[str, ...] = ()  # SETTING=A,B,C
-    settings: dict[str, Any] = field(default_factory=dict)  # changed for all
+    settings: dict[str, Any] = field(default_factory=dict)  # changed for all, on top of a preset
+    preset: str | None = None  # for all
 
     def __post_init__(self):
         for name, value in (("seconds", self.seconds), ("target", self.target)):
@@ -73,17 +74,18 @@ class ConvergenceRequest:
             if name in ELSEWHERE:
                 raise UsageError(f"--set {name} is not possible: {ELSEWHERE[name]} says it")
         self._check_reference()
+        if self.preset is not None:
+            preset_settings(self.preset)  # raises where there is none
         if kind_of(self.scene.path) != BLEND:
             for option, wanted in (("--against cycles", self.cycles), ("--reference cycles", self.reference_from == "cycles")):
                 if wanted:
                     raise UsageError(f"{option} needs a .blend, not {self.scene.path.name}")
 
     def _check_reference(self) -> None:
-        made = self.reference_from not in ("file", "halves")
         for option, given in (
             ("--reference-samples", self.reference_samples), ("--new-reference", self.new_reference), ("--save-reference", self.save_reference),
         ):  # fmt: skip
-            if given and not made:
+            if given and not self.makes_reference:
                 raise UsageError(f"{option} is for a reference that is made: leave it or --reference {self.reference} out")
         if self.reference_from == "halves" and self.cycles:
             raise UsageError("--reference halves tells the error of RayBatch alone: choose another for --against cycles")
@@ -98,9 +100,9 @@ class ConvergenceRequest:
         return self.reference if self.reference in REFERENCES else "file"
 
     @property
-    def needs_cycles(self) -> bool:
-        """Whether Cycles renders anything."""
-        return self.cycles or self.reference_from == "cycles"
+    def makes_reference(self) -> bool:
+        """Whether one may have to be rendered."""
+        return self.reference_from not in ("file", "halves")
 
 
 def run_settings(request: ConvergenceRequest, opened: RenderSettings) -> RenderSettings:
@@ -109,7 +111,8 @@ def run_settings(request: ConvergenceRequest, opened: RenderSettings) -> RenderS
     Beside Cycles light is clamped only where the request says so, whatever the file does.
     """
     changes = {
-        "sample_count": SAMPLES_DEFAULT if request.seconds is None else SAMPLES_MOST, **request.settings,
+        "sample_count": SAMPLES_DEFAULT if request.seconds is None else SAMPLES_MOST,
+        **(preset_settings(request.preset) if request.preset else {}), **request.settings,
         "time_limit": request.seconds or 0.0, "error_target": 0.0, "error_estimate": "OFF",
     }  # fmt: skip
     if request.cycles:  # it is without bias, and comparable with what is without bias too
@@ -150,14 +153,18 @@ def _preset(name: str) -> str:
     return name.upper()
 
 
-def variants(comparison: list[tuple[str, list[Any]]], settings: RenderSettings) -> list[Variant]:
-    """Every combination of the values compared, on top of `settings`; raises `SettingsError` for those that do not go together."""
+def variants(comparison: list[tuple[str, list[Any]]], settings: RenderSettings, kept: Iterable[str] = ()) -> list[Variant]:
+    """Every combination of the values compared, on top of `settings`, of which no preset changes those that are `kept`.
+
+    Raises `SettingsError` for values that do not go together.
+    """
     names = [name for name, _ in comparison]
     found = []
     for values in itertools.product(*(values for _, values in comparison)):
         chosen = dict(zip(names, values, strict=True))
-        changes = {**(preset_settings(chosen[PRESET]) if PRESET in chosen else {}), **{n: v for n, v in chosen.items() if n != PRESET}}
-        label = ", ".join(f"{n}={v:g}" if isinstance(v, float) else f"{n}={v}" for n, v in chosen.items()) or RAYBATCH
+        preset = preset_settings(chosen[PRESET]) if PRESET in chosen else {}
+        changes = {n: v for n, v in preset.items() if n not in kept} | {n: v for n, v in chosen.items() if n != PRESET}
+        label = ", ".join(f"{n}={v:.12g}" if isinstance(v, float) else f"{n}={v}" for n, v in chosen.items()) or RAYBATCH
         found.append(Variant(label, chosen, settings.replace(**changes)))
     return found
 

@@ -23,7 +23,7 @@ from raybatch_addon.kernel_cache import kernel_cache_folder
 
 from .flip import MISSING, flip_function
 from .reference import TAKEN_SEEDS, References, UsedReference, picture_alone
-from .request import CYCLES, ConvergenceRequest, Variant, parse_comparison, run_seeds, run_settings, variants
+from .request import CYCLES, PRESET, ConvergenceRequest, Variant, parse_comparison, run_seeds, run_settings, variants
 
 WARM_UP_SAMPLES = 4  # of a first render, unless time ends the runs
 WARM_UP_SHARE, WARM_UP_SECONDS = 0.25, 2.0  # then it takes this share of a run's time, and no longer than this
@@ -70,10 +70,10 @@ def opened_scene(request: ConvergenceRequest) -> OpenedScene:
 def measured(request: ConvergenceRequest) -> Study:
     """Everything that was asked for; raises `RayBatchError`."""
     start = time.perf_counter()
-    comparison = parse_comparison(request.compare, request.settings)
+    comparison = parse_comparison(request.compare, request.settings | ({PRESET: request.preset} if request.preset else {}))
     opened = opened_scene(request)
     settings = run_settings(request, opened.settings)
-    competing = variants(comparison, settings)
+    competing = variants(comparison, settings, request.settings)
     if request.cycles:
         competing.append(Variant(CYCLES, {"engine": CYCLES}, settings, CYCLES))
     device = find_device(request.device)
@@ -102,7 +102,8 @@ class _Runner:
         """Warm up, get references, then let variants take turns."""
         request, study = self._request, self._study
         references = References(request, study.opened, self._session, self._tell)
-        if not references.is_made:  # nothing is rendered if it cannot be used
+        references.require_one(study.variants)
+        if not request.makes_reference:  # nothing is rendered if it cannot be used
             for variant in study.variants:
                 references.of(variant, 1)
         samples = 1
@@ -116,7 +117,6 @@ class _Runner:
             self._steps.begin(f"reference for {variant.label}")
             study.references[variant.label] = references.of(variant, samples)
             self._steps.end()
-        references.require_one()
         study.used, study.apart = references.used, references.apart()
         for turn, seed in enumerate(run_seeds(study.variants[0].settings.seed, request.runs, TAKEN_SEEDS)):
             # each begins as often as any other: what drifts, as a machine's speed does, comes to all alike

@@ -66,7 +66,7 @@ def test_cycles_renders_as_it_was_asked_to_after_references_for_others(blend, tm
     done = run_script("convergence.py", blend, *options, "--json", RAYBATCH_REFERENCES=tmp_path / "kept")
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
-    ours, dark, theirs = report["summary"]
+    ours, _, theirs = report["summary"]
     assert [each["settings"]["bounce_max"] for each in report["references"]] == [2, 0]
     # at equal samples the two are about as noisy; what bounces is many times their noise
     assert theirs["end"]["rmse"] < 2 * ours["end"]["rmse"]
