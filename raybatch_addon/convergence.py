@@ -16,7 +16,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .core.report.convergence import ErrorPoint, Slope, fit_slope, geometric_samples, time_to
+from .core.report.convergence import ErrorPoint, Slope, fit_slope, geometric_samples, slope_data, time_to
+from .core.report.half_error import half_error
 from .core.settings import SETTINGS
 from .plotting.axes import number_text, seconds_text
 
@@ -32,8 +33,9 @@ FIRST_RATIO, SNAPSHOT_RATIO, FIRST_SAMPLES = 2.0, 1.5, 16
 RATE_GROWTH, RATE_SECONDS = 0.1, 0.2
 # Snapshots that wait until their errors are computed; beyond it the oldest is left out
 WAITING_SNAPSHOTS = 3
-# Settings that say when a render ends, and what is told of it
-_ENDS = {"sample_count", "time_limit", "error_estimate", "error_target"}
+# Settings that say when a render ends and what is told of it, and words for what ended one
+_END_SETTINGS = {"sample_count", "time_limit", "error_estimate", "error_target"}
+_ENDINGS = {"error": "stopped at its error", "time": "stopped by its time limit"}
 RUNNING, FINISHED, CANCELLED, FAILED = "running", "finished", "cancelled", "failed"
 
 
@@ -152,7 +154,7 @@ class RateRecorder:
         if progress.stage != "render" or seconds < max(self._seconds * (1 + RATE_GROWTH), self._seconds + RATE_SECONDS):
             return
         self._add(seconds, progress.rays_per_second * seconds)
-        self._store.change(self._number, rates=tuple(self._rates), seconds=seconds)
+        self._store.change(self._number, rates=tuple(self._rates), seconds=seconds, samples=progress.samples_done)
 
     def end(self, state: str, statistics: dict[str, Any] | None = None) -> None:
         """The render is over; `statistics` are its film's, where there is one."""
@@ -226,8 +228,6 @@ class ErrorRecorder(RateRecorder):
 
 def point_of_halves(snapshot: Snapshot) -> ErrorPoint | None:
     """The error at `snapshot`, as the film's statistics tell it; None where one of the halves has no sample."""
-    from .core.report.half_error import half_error
-
     if snapshot.halves is None or snapshot.samples < 2:
         return None
     error = half_error(*snapshot.halves, snapshot.samples)
@@ -254,7 +254,7 @@ def names_of(runs: Sequence[Run]) -> dict[int, str]:
     about = {run.number: {"scene": run.scene, "layer": run.layer, "frame": f"frame {run.frame}"} | _setting_texts(run) for run in runs}
     values = {key: Counter(each.get(key) for each in about.values()) for key in next(iter(about.values()), {})}
     differing = [key for key, counts in values.items() if len(counts) > 1]
-    differing = [key for key in differing if key not in _ENDS] or differing
+    differing = [key for key in differing if key not in _END_SETTINGS] or differing
     names = {}
     for number, each in about.items():
         own = [each[key] for key in differing if key in each and 2 * values[key][each[key]] <= len(about)]
@@ -281,9 +281,8 @@ def error_line(statistics: dict[str, Any]) -> str:
     error = statistics.get("error")
     if error and error.get("relmse") is not None:
         parts.append(f"error {error['relmse']:.3g} (relMSE)" + (f" at {error['samples']:,}" if error["samples"] != samples else ""))
-    ends = {"error": "stopped at its error", "time": "stopped by its time limit"}
-    if statistics.get("stopped_by") in ends:
-        parts.append(ends[statistics["stopped_by"]])
+    if statistics.get("stopped_by") in _ENDINGS:
+        parts.append(_ENDINGS[statistics["stopped_by"]])
     elif error and error.get("target") and not error.get("reached") and statistics.get("stopped_by"):
         parts.append(f"the error of {error['target']:g} was not reached")
     elif not statistics.get("stopped_by"):
@@ -293,8 +292,7 @@ def error_line(statistics: dict[str, Any]) -> str:
 
 def run_lines(run: Run, target: float) -> list[str]:
     """Where a run stands, its slope, and when it reaches the relMSE `target`."""
-    ends = {"error": "stopped at its error", "time": "stopped by its time limit"}
-    state = ends.get(run.stopped_by or "", run.state) if run.state == FINISHED else run.state
+    state = _ENDINGS.get(run.stopped_by or "", run.state) if run.state == FINISHED else run.state
     samples = run.samples or (run.points[-1].samples if run.points else 0)
     count = f"{samples:,.0f} samples in " if samples else ""
     head = [f"{state.capitalize()}: {count}{seconds_text(run.seconds)}" if run.seconds else state.capitalize()]
@@ -334,36 +332,31 @@ def runs_as_data(runs: Sequence[Run], target: float) -> dict[str, Any]:
     """For JSON, newest run first: keys as those of `scripts/convergence.py --json`, and rays a second."""
     names = names_of(runs)
     newest = runs[0] if runs else None
-    summary = []
-    for run in runs:
-        found, slope = run.time_to(target), run.slope
-        summary.append({
-            "run": run.number, "label": names[run.number], "seconds_to_target": found[0] if found else None,
-            "extrapolated": found[1] if found else None, "slope": slope.slope if slope else None, "says": slope.says if slope else None,
-        })  # fmt: skip
     return {
         "scene": newest.scene if newest else None,
         "device": newest.device if newest else None,
         "reference": {"kind": "halves", "name": "two halves of each render"},
         "target": {"relmse": target},
         "runs": [_run_as_data(run, names[run.number]) for run in runs],
-        "summary": summary,
+        "summary": [_summary_as_data(run, names[run.number], target) for run in runs],
         "written": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
     }
 
 
 def _run_as_data(run: Run, label: str) -> dict[str, Any]:
-    slope = run.slope
-    points = [
-        {
-            "seconds": p.seconds, "seconds_total": p.seconds_total, "samples": p.samples, "rays": p.rays, "rmse": p.rmse, "relmse": p.relmse,
-            "flip": p.flip, "invalid_samples": p.invalid_samples,
-        }
-        for p in run.points
-    ]  # fmt: skip
+    slope = slope_data(run.slope)
     return {
-        "settings": run.settings, "seed": run.settings["seed"], "points": points, "slope": slope.slope if slope else None,
+        "settings": run.settings, "seed": run.settings["seed"], "points": [point.data() for point in run.points],
+        "slope": slope["slope"], "slope_spread": slope["slope_spread"],
         "run": run.number, "label": label, "scene": run.scene, "layer": run.layer, "frame": run.frame, "device": run.device, "state": run.state,
         "stopped_by": run.stopped_by, "samples": run.samples, "seconds": run.seconds, "error": run.error,
-        "rates": [{"seconds": r.seconds, "rays_per_second": r.rays_per_second} for r in run.rates],
+        "rates": [dataclasses.asdict(rate) for rate in run.rates],
+    }  # fmt: skip
+
+
+def _summary_as_data(run: Run, label: str, target: float) -> dict[str, Any]:
+    found = run.time_to(target)
+    return {
+        "label": label, "run": run.number, "runs": 1, **slope_data(run.slope),
+        "seconds_to_target": {**dict.fromkeys(("median", "least", "most"), found[0]), "extrapolated": found[1]} if found else None,
     }  # fmt: skip

@@ -10,7 +10,7 @@ from typing import Any
 
 from benchmarking.tables import table
 
-from raybatch_addon.core.report.convergence import ErrorPoint, Slope, efficiency, fit_slope, time_to
+from raybatch_addon.core.report.convergence import ErrorPoint, Slope, efficiency, fit_slope, slope_data, time_to
 
 from .reference import described
 from .request import CLAMPS, RAYBATCH, Variant
@@ -35,7 +35,7 @@ class Ranged:
 
     def json(self) -> dict[str, float]:
         """Six digits."""
-        return {name: short(value) for name, value in dataclasses.asdict(self).items()}
+        return shortened(dataclasses.asdict(self))
 
 
 @dataclass(frozen=True)
@@ -142,6 +142,11 @@ def short(value: float | None) -> float | None:
     return float(f"{value:.6g}") if value is not None and math.isfinite(value) else None
 
 
+def shortened(values: dict[str, Any]) -> dict[str, Any]:
+    """`values` with six digits of each float."""
+    return {name: short(value) if isinstance(value, float) else value for name, value in values.items()}
+
+
 def json_report(summary: Summary, request: dict[str, Any]) -> dict[str, Any]:
     """The report as JSON has it; `request` is what was asked for."""
     study = summary.study
@@ -155,7 +160,7 @@ def json_report(summary: Summary, request: dict[str, Any]) -> dict[str, Any]:
         "runs": [_run(run) for run in study.runs],
         "summary": [_summary(each, study) for each in summary.outcomes],
         "references": [described(each) for each in study.used],
-        "references_apart": {name: short(value) for name, value in study.apart.items()} if study.apart else None,
+        "references_apart": shortened(study.apart) if study.apart else None,
         "request": request,
         "settings": dataclasses.asdict(study.variants[0].settings),
         "frame": {"width": frame.width, "height": frame.height},
@@ -167,18 +172,11 @@ def json_report(summary: Summary, request: dict[str, Any]) -> dict[str, Any]:
 
 
 def _run(run: Run) -> dict[str, Any]:
-    slope = fit_slope(run.points)
+    slope = slope_data(fit_slope(run.points))
     return {
         "engine": run.variant.engine, "label": run.variant.label, "settings": run.variant.values, "seed": run.seed,
-        "points": [_point(point) for point in run.points],
-        "slope": short(slope.slope) if slope else None, "slope_spread": short(slope.spread) if slope else None,
-    }  # fmt: skip
-
-
-def _point(point: ErrorPoint) -> dict[str, Any]:
-    return {
-        "seconds": round(point.seconds, 6), "samples": point.samples, "rmse": short(point.rmse), "relmse": short(point.relmse), "flip": short(point.flip),
-        "seconds_total": round(point.seconds_total, 6), "rays": point.rays or None, "invalid_samples": point.invalid_samples,
+        "points": [shortened(point.data()) for point in run.points],
+        **shortened({name: slope[name] for name in ("slope", "slope_spread")}),
     }  # fmt: skip
 
 
@@ -187,15 +185,13 @@ def _summary(each: Outcome, study: Study) -> dict[str, Any]:
     middle = {name: _median([getattr(point, name) for point in last]) for name in ("samples", "seconds", "seconds_total", "rmse", "relmse", "flip")}
     return {
         "engine": each.variant.engine, "label": each.variant.label, "settings": each.variant.values, "runs": len(each.runs),
-        "slope": short(each.slope.slope) if each.slope else None, "slope_spread": short(each.slope.spread) if each.slope else None,
-        "slope_seconds": short(each.slope_seconds.slope) if each.slope_seconds else None,
-        "flattens": each.slope.flattens if each.slope else None, "says": each.slope.says if each.slope else None,
+        **shortened(slope_data(each.slope)), "slope_seconds": short(each.slope_seconds.slope) if each.slope_seconds else None,
         "seconds_to_target": {**each.target_seconds.json(), "extrapolated": each.target_extrapolated} if each.target_seconds else None,
         "speed_up_to_target": short(each.speed_up),
         "efficiency": each.efficiency.json() if each.efficiency else None,
         "efficiency_relative": each.efficiency_relative.json() if each.efficiency_relative else None,
         "efficiency_relmse": short(each.efficiency_relmse),
-        "end": {name: short(value) for name, value in middle.items()},
+        "end": shortened(middle),
         "invalid_samples": max((point.invalid_samples for point in last), default=0),
         "first_seconds": short(study.first_seconds.get(each.variant.label)),
     }  # fmt: skip

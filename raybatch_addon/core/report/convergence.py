@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from .convergence_error import (
     squared_error,
     squared_error_of_halves,
 )
-from .convergence_fit import Slope, efficiency, fit_slope, time_to
+from .convergence_fit import Slope, efficiency, fit_slope, known, slope_data, time_to
 from .convergence_reference import PICTURE_SETTINGS, Reference, load_reference, noise_floor, save_reference, scene_hash
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 __all__ = [
     "PICTURE_SETTINGS", "ConvergenceRecorder", "ErrorPoint", "Reference", "Slope", "efficiency", "error_point", "fit_slope",
     "geometric_samples", "load_reference", "noise_floor", "relmse", "relmse_of_halves", "rmse", "rmse_of_halves", "save_reference",
-    "scene_hash", "time_to",
+    "scene_hash", "slope_data", "time_to",
 ]  # fmt: skip
 
 
@@ -58,6 +58,13 @@ class ErrorPoint:
     floor_rmse: float | None = None
     floor_relmse: float | None = None
     from_halves: bool = False  # estimated from two halves of the render, without a reference: a bias is not in it
+
+    def data(self) -> dict[str, Any]:
+        """For JSON; None is what is not known."""
+        return {
+            "seconds": self.seconds, "samples": self.samples, "rmse": known(self.rmse), "relmse": known(self.relmse), "flip": known(self.flip),
+            "seconds_total": self.seconds_total, "rays": self.rays or None, "invalid_samples": self.invalid_samples,
+        }  # fmt: skip
 
 
 def geometric_samples(sample_count: int, ratio: float = 2.0, first: int = 1) -> list[int]:

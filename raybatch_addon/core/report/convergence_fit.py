@@ -21,7 +21,7 @@ import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -59,6 +59,18 @@ class Slope:
     by: str = "samples"  # what x is: "samples" or "seconds"
     last_slope: float | None = None  # of the curve's last half, against samples, without the reference's noise; None: few points
     last_spread: float | None = None  # standard error of `last_slope`
+
+
+def slope_data(slope: Slope | None) -> dict[str, Any]:
+    """For JSON; None is what is not known."""
+    if slope is None:
+        return dict.fromkeys(("slope", "slope_spread", "flattens", "says"))
+    return {"slope": known(slope.slope), "slope_spread": known(slope.spread), "flattens": slope.flattens, "says": slope.says}
+
+
+def known(value: float | None) -> float | None:
+    """`value`; None where it is not finite, which JSON cannot say."""
+    return value if value is not None and math.isfinite(value) else None
 
 
 def fit_slope(points: Sequence[ErrorPoint], by: str = "samples") -> Slope | None:
