@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import traceback
+from pathlib import Path
 
 import bpy
 import bpy.utils.previews
@@ -73,13 +75,17 @@ def update_image(scene: bpy.types.Scene) -> bpy.types.Image:
 
 def _panel_icon(scene: bpy.types.Scene, editor: int, edge: int, text_size: float) -> int:
     """The icon that is the plot in `editor`, `edge` pixels wide and high."""
-    name = f"plot {editor}"
+    name = _icon_name(editor)
     preview = _Shown.previews[name] if name in _Shown.previews else _Shown.previews.new(name)
     state = (*_state(scene), edge, text_size)
     if _Shown.panels.get(name) != state:
         write_preview(preview, draw_plot(store.runs(), chosen_target(scene), edge, edge, text_size))
         _Shown.panels[name] = state
     return preview.icon_id
+
+
+def _icon_name(editor: int) -> str:
+    return f"plot {editor}"
 
 
 def _slot_icon(slot: int) -> int:
@@ -111,23 +117,34 @@ def _follow() -> float:
     busy = _is_busy()
     try:
         windows = [window for manager in bpy.data.window_managers for window in manager.windows]
-        for window in windows[:1]:
-            state = (*_state(window.scene), busy)
-            if state == _Shown.followed:
-                break
+        areas = [(window, area) for window in windows for area in window.screen.areas]
+        watching = [(window, area) for window, area in areas if area.type == "IMAGE_EDITOR" and _shows_plot(area)]
+        state = (busy, len(watching), *(_state(window.scene) for window in windows))
+        if windows and state != _Shown.followed:
             _Shown.followed = state
-            areas = [area for each in windows for area in each.screen.areas]
-            watched = any(area.type == "IMAGE_EDITOR" and _shows_plot(area) for area in areas)
-            if watched or _Shown.seen and store.runs() and not busy:
-                update_image(window.scene)
-            _Shown.seen = False
-            for area in areas:
-                if area.type == "PROPERTIES" or area.type == "IMAGE_EDITOR" and watched:
-                    area.tag_redraw()
+            if watching or _Shown.seen and store.runs() and not busy:
+                update_image((watching[0][0] if watching else windows[0]).scene)
+            _show_again([area for _, area in areas if area.type == "PROPERTIES"] + [area for _, area in watching])
     except Exception:  # or Blender would not call it again
         traceback.print_exc()
         return 10.0
     return _LIVE_SECONDS if busy else _IDLE_SECONDS
+
+
+def _show_again(areas: list[bpy.types.Area]) -> None:
+    """Let `areas` be drawn again; and forget the plots of editors that were closed."""
+    _Shown.seen = False
+    for area in areas:
+        area.tag_redraw()
+    there = {_icon_name(region.as_pointer()) for screen in bpy.data.screens for area in screen.areas for region in area.regions}
+    for name in _Shown.panels.keys() - there:
+        del _Shown.previews[name], _Shown.panels[name]
+
+
+@bpy.app.handlers.persistent
+def _forget_image(*_) -> None:
+    """After another file was opened, or an undo: the image is as it was then."""
+    _Shown.image = _Shown.followed = None
 
 
 # --- operators
@@ -251,17 +268,18 @@ class RAYBATCH_OT_convergence_save(_Operator):
         return {"RUNNING_MODAL"}
 
     def execute(self, context):
-        path = os.path.abspath(bpy.path.ensure_ext(bpy.path.abspath(self.filepath), ".json"))
-        beside = f"{path}.part"  # nothing is left half-written
+        path = Path(bpy.path.ensure_ext(bpy.path.abspath(self.filepath), ".json")).absolute()
+        data = _json_text(context.scene).encode()
+        beside = path.with_name(f".{os.getpid()}.{path.name}")  # nothing is left half-written
         try:
-            with open(beside, "w", encoding="utf-8") as file:
-                file.write(_json_text(context.scene))
+            beside.write_bytes(data)
             os.replace(beside, path)
         except OSError as error:
-            if os.path.exists(beside):
-                os.remove(beside)
             self.report({"ERROR"}, f"cannot write {path}: {error.strerror}; choose another place")
             return {"CANCELLED"}
+        finally:
+            with contextlib.suppress(OSError):  # it is in its place, or was never made
+                beside.unlink()
         return {"FINISHED"}
 
 
@@ -339,6 +357,10 @@ _classes = (
 )  # fmt: skip
 
 
+def _handlers() -> tuple[list, ...]:
+    return bpy.app.handlers.load_post, bpy.app.handlers.undo_post, bpy.app.handlers.redo_post
+
+
 def register() -> None:
     """Add the panel, its operators and what it remembers; and look at the record from now on."""
     for cls in _classes:
@@ -347,6 +369,8 @@ def register() -> None:
         type=RayBatchConvergence, name="RayBatch Convergence", description="What the panel Convergence remembers"
     )
     _Shown.previews = bpy.utils.previews.new()
+    for handlers in _handlers():
+        handlers.append(_forget_image)
     if not bpy.app.background:
         bpy.app.timers.register(_follow, first_interval=_IDLE_SECONDS, persistent=True)
 
@@ -355,6 +379,8 @@ def unregister() -> None:
     """Remove all of it, and forget the runs."""
     if bpy.app.timers.is_registered(_follow):
         bpy.app.timers.unregister(_follow)
+    for handlers in _handlers():
+        handlers.remove(_forget_image)
     bpy.utils.previews.remove(_Shown.previews)
     _Shown.previews = _Shown.image = _Shown.followed = None
     _Shown.panels.clear()

@@ -294,6 +294,68 @@ def test_what_the_panel_remembers_is_kept_in_the_file(lit, tmp_path):
     assert ui.IMAGE_NAME not in bpy.data.images, "nobody uses the plot: it is not saved"
 
 
+def test_a_plot_from_a_file_is_drawn_again(lit, tmp_path):
+    """The image is kept where an editor or the user holds it; the renders since are not in it."""
+    store.change(render().number, kept=True)
+    plot()
+    bpy.data.images[ui.IMAGE_NAME].use_fake_user = True
+    path = str(tmp_path / "kept.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    second = render()
+    assert has_color(plot(), SLOT_COLORS[second.slot]) > 500
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert ui.IMAGE_NAME in bpy.data.images and has_color(plot(), SLOT_COLORS[second.slot]) > 500
+
+
+def test_the_timer_shows_what_is_new_where_it_is_watched(lit, monkeypatch):
+    window = bpy.data.window_managers[0].windows[0]
+    monkeypatch.setattr(ui._Shown, "seen", False)
+    run = render()
+    assert ui._follow() == ui._IDLE_SECONDS and ui.IMAGE_NAME not in bpy.data.images, "nobody looks"
+    context = context_of(lit)
+    drawn(ui.RAYBATCH_RENDER_PT_convergence, context)
+    assert ui._Shown.panels, "an editor that is not there any more, since it is made up"
+    store.change(run.number, seconds=run.seconds + 1)
+    ui._follow()
+    assert ui.IMAGE_NAME in bpy.data.images and not ui._Shown.panels
+    area = window.screen.areas[0]
+    before = area.type
+    area.type = "IMAGE_EDITOR"
+    try:
+        area.spaces.active.image = bpy.data.images[ui.IMAGE_NAME]
+        calls = []
+        original = ui.draw_plot
+        monkeypatch.setattr(ui, "draw_plot", lambda *args: calls.append(args[1]) or original(*args))
+        ui._Shown.image = None
+        assert ui._follow() == ui._IDLE_SECONDS and len(calls) == 1, "it is watched now"
+        store.change(run.number, state=RUNNING)
+        assert ui._follow() == ui._LIVE_SECONDS and len(calls) == 2
+        ui._follow()
+        assert len(calls) == 2, "nothing is new"
+        other = bpy.data.scenes.new("Other")
+        other.raybatch_convergence.target = 0.125
+        window.scene = other
+        ui._follow()
+        assert calls[2:] == [0.125], "the target of the scene in that window"
+    finally:
+        area.type = before
+    monkeypatch.setattr(ui, "_show_again", lambda *_: 1 / 0)
+    store.clear()
+    assert ui._follow() == 10.0, "an error does not end it"
+
+
+def test_what_cannot_be_written_leaves_nothing(lit, tmp_path, monkeypatch):
+    render()
+    monkeypatch.setattr(ui, "runs_as_data", lambda *_: {"seconds": float("nan")})
+    with pytest.raises(RuntimeError, match="JSON compliant"):
+        bpy.ops.raybatch.convergence_save(filepath=str(tmp_path / "runs.json"))
+    (tmp_path / "taken.json").mkdir()
+    monkeypatch.undo()
+    with pytest.raises(RuntimeError, match="cannot write"):
+        bpy.ops.raybatch.convergence_save(filepath=str(tmp_path / "taken.json"))
+    assert [each.name for each in tmp_path.iterdir()] == ["taken.json"]
+
+
 def test_the_record_does_not_wait_for_warp():
     """Registering the add-on imports records and plots; Warp starts with the first render."""
     import subprocess
