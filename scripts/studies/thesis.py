@@ -85,7 +85,7 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
         settings = settings.replace(warp_count=1)
     from .bench import with_frame
 
-    cap = options.pick(1.5, 20.0) if options.is_cuda else options.pick(2.0, 20.0)
+    cap = options.pick(1.5, 20.0) if options.is_cuda else options.pick(2.0, 8.0)
     warm = (what["scene"], settings.batching, settings.ray_storage, settings.treelet_size)
     return {"edge": edge, **bench.timed(with_frame(scene, edge, edge), settings, warm, cap)}
 
