@@ -70,10 +70,13 @@ class CyclesPeer:
         """Leave Cycles without shortcuts: what is left is noise. It renders the view layer that RayBatch does, and shows it as it is."""
         import bpy
 
-        self._scene.render.use_compositing = self._scene.render.use_sequencer = False
+        render, cycles = self._scene.render, self._scene.cycles
+        render.use_compositing = render.use_sequencer = render.use_freestyle = False
         for layer in self._scene.view_layers:
             layer.use = layer == bpy.context.view_layer
-        cycles = self._scene.cycles
+            layer.samples = 0  # of its own: none
+        if hasattr(cycles, "use_sample_subset"):
+            cycles.use_sample_subset = False
         cycles.film_exposure = 1
         cycles.samples = settings.sample_count
         cycles.use_adaptive_sampling = cycles.use_denoising = False

@@ -14,12 +14,19 @@ from raybatch_addon.core.report.convergence import geometric_samples
 from raybatch_addon.core.report.snapshot import Snapshot
 from raybatch_addon.core.settings import RenderSettings
 
+# How the names of switches begin by which a view layer asks for passes
+PASSES = ("use_pass_", "pass_", "denoising_store_passes")
 GROWTH = 2  # of samples from one render to the next
 WORTHWHILE = 1.1  # the last render under a time limit has at least this many times the samples of the one before
 
 
 def open_peer(opened: OpenedScene, device: wp.Device, settings: RenderSettings) -> CyclesPeer:
-    """Cycles, without bias, with the samples, bounces, filter and threads of `settings`; raises `UsageError`."""
+    """Cycles, without bias, with the samples, bounces, filter and threads of `settings`, and the picture alone; raises `UsageError`."""
+    for layer in opened.blender_scene.view_layers:
+        for group in (layer, layer.cycles):
+            for name in group.bl_rna.properties.keys():
+                if name.startswith(PASSES) and isinstance(getattr(group, name), bool):
+                    setattr(group, name, name == "use_pass_combined")
     return CyclesPeer(opened.blender_scene, device, settings, settings.thread_count)
 
 

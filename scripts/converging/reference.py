@@ -227,23 +227,6 @@ def write_reference(path: Path, opened: OpenedScene, used: UsedReference) -> Non
     save_reference(path, used.reference, scene_hash(opened.scene), used.settings)
 
 
-def described(used: UsedReference) -> dict:
-    """For JSON."""
-    reference, floor = used.reference, used.floor
-    pictured = {name: getattr(used.settings, name) for name in PICTURE_SETTINGS} if used.settings else {}
-    return {
-        "kind": used.kind,
-        "name": reference.name if reference else "two halves of each render",
-        "samples": reference.samples if reference else None,
-        "size": list(reference.size) if reference else None,
-        "noise_floor": {name: None if value is None else float(f"{value:.6g}") for name, value in zip(("rmse", "relmse"), floor)},
-        "settings": pictured,
-        "file": str(used.path) if used.path else None,
-        "from_cache": used.from_cache,
-        "seconds": None if used.seconds is None else round(used.seconds, 3),
-    }
-
-
 def picture_alone(opened: OpenedScene) -> OpenedScene:
     """`opened` without other passes: they cost time and tell nothing here."""
     scene = dataclasses.replace(opened.scene, frame=dataclasses.replace(opened.scene.frame, passes=("Combined",)))

@@ -10,9 +10,9 @@ from typing import Any
 
 from benchmarking.tables import table
 
-from raybatch_addon.core.report.convergence import ErrorPoint, Slope, efficiency, fit_slope, slope_data, time_to
+from raybatch_addon.core.report.convergence import PICTURE_SETTINGS, ErrorPoint, Slope, efficiency, fit_slope, slope_data, time_to
 
-from .reference import described
+from .reference import UsedReference
 from .request import CLAMPS, RAYBATCH, Variant
 from .study import Run, Study
 
@@ -154,12 +154,12 @@ def json_report(summary: Summary, request: dict[str, Any]) -> dict[str, Any]:
     return {
         "scene": study.opened.name,
         "device": study.device["name"],
-        "reference": described(study.used[0]),
+        "reference": _reference(study.used[0]),
         "target": {"relmse": short(summary.target), "given": summary.target_given},
         "notes": summary.notes,
         "runs": [_run(run) for run in study.runs],
         "summary": [_summary(each, study) for each in summary.outcomes],
-        "references": [described(each) for each in study.used],
+        "references": [_reference(each) for each in study.used],
         "references_apart": shortened(study.apart) if study.apart else None,
         "request": request,
         "settings": dataclasses.asdict(study.variants[0].settings),
@@ -168,6 +168,21 @@ def json_report(summary: Summary, request: dict[str, Any]) -> dict[str, Any]:
         "versions": study.versions,
         "warnings": study.warnings,
         "seconds": round(study.seconds, 3),
+    }
+
+
+def _reference(used: UsedReference) -> dict[str, Any]:
+    reference, settings = used.reference, used.settings
+    return {
+        "kind": used.kind,
+        "name": reference.name if reference else "two halves of each render",
+        "samples": reference.samples if reference else None,
+        "size": list(reference.size) if reference else None,
+        "noise_floor": shortened(dict(zip(("rmse", "relmse"), used.floor, strict=True))),
+        "settings": {name: getattr(settings, name) for name in PICTURE_SETTINGS} if settings else {},
+        "file": str(used.path) if used.path else None,
+        "from_cache": used.from_cache,
+        "seconds": None if used.seconds is None else round(used.seconds, 3),
     }
 
 

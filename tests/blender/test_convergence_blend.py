@@ -7,7 +7,12 @@ from command_line import error_line, run_script
 
 bpy = pytest.importorskip("bpy")
 
+import warp as wp  # noqa: E402
+from benchmarking.whole_render import OpenedScene  # noqa: E402
 from blender_builders import add_grid, add_object, material_of, node_tree  # noqa: E402
+from converging.cycles import open_peer  # noqa: E402
+
+from raybatch_addon.core.settings import RenderSettings  # noqa: E402
 
 OPTIONS = ("--device", "cpu", "--size", "24x24", "--runs", "1", "--no-flip", "--set", "thread_count=1")
 
@@ -21,6 +26,7 @@ def blend(scene, tmp_path):
         tree.links.new(tree.nodes.new("ShaderNodeBsdfDiffuse").outputs[0], surface)
     scene.cycles.film_exposure, scene.cycles.use_fast_gi, scene.cycles.use_denoising = 2, True, True
     scene.view_layers.new("Another")
+    scene.view_layers[0].samples = 1
     lamp = bpy.data.lights.new("Lamp", "AREA")
     lamp.energy = 100
     add_object("Lamp", lamp).location = (0, 0, 3)
@@ -70,6 +76,16 @@ def test_cycles_renders_as_it_was_asked_to_after_references_for_others(blend, tm
     assert [each["settings"]["bounce_max"] for each in report["references"]] == [2, 0]
     # at equal samples the two are about as noisy; what bounces is many times their noise
     assert theirs["end"]["rmse"] < 2 * ours["end"]["rmse"]
+
+
+def test_cycles_renders_the_picture_alone(scene):
+    """As RayBatch does: what a file asks for beside it would count as Cycles' time."""
+    layer = scene.view_layers[0]
+    layer.use_pass_normal = layer.use_pass_cryptomatte_object = layer.cycles.denoising_store_passes = scene.render.use_compositing = True
+    another = scene.view_layers.new("Another")
+    open_peer(OpenedScene("a.blend", None, RenderSettings(), scene), wp.get_device("cpu"), RenderSettings(bounce_max=3))
+    assert not (layer.use_pass_normal or layer.use_pass_cryptomatte_object or layer.cycles.denoising_store_passes or scene.render.use_compositing)
+    assert layer.use_pass_combined and layer.use and not another.use and scene.cycles.max_bounces == 3
 
 
 def test_cycles_knows_no_halves(blend):
