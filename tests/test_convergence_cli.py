@@ -255,6 +255,13 @@ def test_time_ends_runs_and_none_is_without_a_sample(lit, capfd):
     assert all(run["points"] and run["points"][-1]["samples"] >= 1 for run in report["runs"])
 
 
+def test_a_run_too_short_for_two_halves_has_no_points(lit, tmp_path, capfd):
+    outputs = ("--html", tmp_path / "page.html", "--plot", tmp_path / "plot.svg")
+    report = measured(capfd, lit, *SMALL, "--reference", "halves", "--seconds", "1e-6", *outputs)
+    assert [run["points"] for run in report["runs"]] == [[], []] and report["summary"][0]["end"]["rmse"] is None
+    assert report["target"]["relmse"] is None and (tmp_path / "page.html").is_file() and (tmp_path / "plot.svg").is_file()
+
+
 def test_halves_need_no_reference(lit, capfd):
     report = measured(capfd, lit, *SMALL, "--reference", "halves", "--samples", "8", "--compare", "preset=AUTO,UNBATCHED")
     assert report["reference"]["kind"] == "halves" and report["reference"]["samples"] is None

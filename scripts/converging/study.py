@@ -156,11 +156,12 @@ class _Runner:
 
     def _run(self, variant: Variant, seed: int, keep: bool) -> Run:
         snapshots = self._snapshots(variant, seed)
+        picture = snapshots[-1].picture if keep else None
         reference = self._study.references[variant.label].reference
         if reference is None:  # halves that have no sample yet tell nothing
             snapshots = [each for each in snapshots if each.halves is not None and each.samples >= 2]
         points = [error_point(each, reference, self._flip_or_nan if self._flip else None) for each in snapshots]
-        return Run(variant, seed, points, snapshots[-1].picture if keep else None)
+        return Run(variant, seed, points, picture)
 
     def _flip_or_nan(self, picture: np.ndarray, reference: np.ndarray) -> float:
         value = self._flip(picture, reference)
