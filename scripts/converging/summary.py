@@ -279,7 +279,7 @@ def reference_text(summary: Summary) -> list[str]:
 def target_line(summary: Summary) -> str:
     """What the target is."""
     if summary.target is None:
-        return "no target: the first setting has no error"
+        return "no target: the error that the first setting has at its end is 0, or not known"
     return f"target: relMSE {summary.target:.3g}" + ("" if summary.target_given else ", which the first setting has at its end")
 
 

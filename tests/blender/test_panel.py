@@ -231,6 +231,9 @@ def test_unregistering_removes_everything_and_registering_brings_it_back(addon):
         assert not hasattr(bpy.types.Scene, "raybatch") and not hasattr(bpy.types.ViewLayer, "raybatch")
         assert builtin_panels._added == []
         assert not [name for name in dir(bpy.types) if "raybatch" in name.lower()]
+        handlers = [each for each in vars(type(bpy.app.handlers)) if isinstance(getattr(bpy.app.handlers, each), list)]
+        assert "load_post" in handlers
+        assert not [call for each in handlers for call in getattr(bpy.app.handlers, each) if call.__module__.startswith("raybatch_addon")]
     finally:
         addon.register()
     assert enabled_panels() == before
