@@ -107,9 +107,10 @@ def _is_busy() -> bool:
     return any(run.state == RUNNING for run in store.runs()) or bpy.app.is_job_running("RENDER")
 
 
-def _shows_plot(editor: bpy.types.Area) -> bool:
-    image = editor.spaces.active.image
-    return image is not None and image.name == IMAGE_NAME
+def _watching(windows) -> list[tuple[bpy.types.Window, bpy.types.Area]]:
+    """The image editors that show the plot."""
+    editors = [(window, area) for window in windows for area in window.screen.areas if area.type == "IMAGE_EDITOR"]
+    return [(window, area) for window, area in editors if (image := area.spaces.active.image) and image.name == IMAGE_NAME]
 
 
 def _follow() -> float:
@@ -117,14 +118,14 @@ def _follow() -> float:
     busy = _is_busy()
     try:
         windows = [window for manager in bpy.data.window_managers for window in manager.windows]
-        areas = [(window, area) for window in windows for area in window.screen.areas]
-        watching = [(window, area) for window, area in areas if area.type == "IMAGE_EDITOR" and _shows_plot(area)]
+        watching = _watching(windows)
         state = (busy, len(watching), *(_state(window.scene) for window in windows))
         if windows and state != _Shown.followed:
             _Shown.followed = state
             if watching or _Shown.seen and store.runs() and not busy:
                 update_image((watching[0][0] if watching else windows[0]).scene)
-            _show_again([area for _, area in areas if area.type == "PROPERTIES"] + [area for _, area in watching])
+            panels = [area for window in windows for area in window.screen.areas if area.type == "PROPERTIES"]
+            _show_again(panels + [area for _, area in watching])
     except Exception:  # or Blender would not call it again
         traceback.print_exc()
         return 10.0
@@ -222,6 +223,8 @@ class RAYBATCH_OT_convergence_plot(_Operator):
         image = update_image(context.scene)
         if bpy.app.background:  # there are no windows
             self.report({"INFO"}, f"the plot is in the image “{image.name}”")
+            return {"FINISHED"}
+        if _watching(context.window_manager.windows):
             return {"FINISHED"}
         window = context.window
         editors = [area for area in window.screen.areas if area.type == "IMAGE_EDITOR"]
