@@ -271,6 +271,9 @@ class RAYBATCH_OT_convergence_save(_Operator):
         return {"RUNNING_MODAL"}
 
     def execute(self, context):
+        if not self.filepath:
+            self.report({"ERROR"}, "no file is named: give `filepath`")
+            return {"CANCELLED"}
         path = Path(bpy.path.ensure_ext(bpy.path.abspath(self.filepath), ".json")).absolute()
         data = _json_text(context.scene).encode()
         beside = path.with_name(f".{os.getpid()}.{path.name}")  # nothing is left half-written

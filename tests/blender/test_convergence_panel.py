@@ -351,6 +351,8 @@ def test_what_cannot_be_written_leaves_nothing(lit, tmp_path, monkeypatch):
         bpy.ops.raybatch.convergence_save(filepath=str(tmp_path / "runs.json"))
     (tmp_path / "taken.json").mkdir()
     monkeypatch.undo()
+    with pytest.raises(RuntimeError, match="no file is named"):
+        bpy.ops.raybatch.convergence_save()
     with pytest.raises(RuntimeError, match="cannot write"):
         bpy.ops.raybatch.convergence_save(filepath=str(tmp_path / "taken.json"))
     assert [each.name for each in tmp_path.iterdir()] == ["taken.json"]
