@@ -13,7 +13,7 @@ from benchmarking.tables import table
 from raybatch_addon.core.report.convergence import PICTURE_SETTINGS, ErrorPoint, Slope, efficiency, fit_slope, slope_data, time_to
 
 from .reference import UsedReference
-from .request import CLAMPS, RAYBATCH, Variant
+from .request import CLAMPS, CYCLES, RAYBATCH, Variant
 from .study import Run, Study
 
 # Share of the last squared error above which a reference's noise is told
@@ -113,6 +113,8 @@ def _notes(study: Study, outcomes: list[Outcome]) -> list[str]:
             notes.append(f"{each.variant.label}: {', '.join(clamps)} takes light away, which is a bias")
         if each.slope and each.slope.flattens:
             notes.append(f"{each.variant.label}: {each.slope.says}")
+        if each.variant.engine == CYCLES and any(point.seconds == point.seconds_total for point in each.last):
+            notes.append(f"{each.variant.label}: its renders are too short to tell what of them is set-up: that is in their seconds")
         if invalid := max((point.invalid_samples for point in each.last), default=0):
             notes.append(f"{each.variant.label}: {invalid:,} samples of a run were not finite")
         shares = [point.floor_relmse / point.relmse for point in each.last if point.floor_relmse and point.relmse and not point.from_halves]

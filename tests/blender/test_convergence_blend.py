@@ -88,6 +88,16 @@ def test_cycles_renders_the_picture_alone(scene):
     assert layer.use_pass_combined and layer.use and not another.use and scene.cycles.max_bounces == 3
 
 
+def test_set_up_that_cannot_be_told_is_said(blend, tmp_path):
+    """From one render, which would look slower than it is."""
+    done = run_script("convergence.py", blend, *OPTIONS, "--against", "cycles", "--samples", "1", "--json", RAYBATCH_REFERENCES=tmp_path / "kept")
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert any(note.startswith("Cycles: its renders are too short") for note in report["notes"])
+    ((only,),) = [run["points"] for run in report["runs"] if run["engine"] == "Cycles"]
+    assert only["seconds"] == only["seconds_total"]
+
+
 def test_cycles_knows_no_halves(blend):
     line = error_line(run_script("convergence.py", blend, *OPTIONS, "--against", "cycles", "--reference", "halves"))
     assert "choose another for --against cycles" in line
