@@ -128,13 +128,13 @@ def main(arguments: list[str] | None = None) -> int:
         try:
             report(options, folders, standard_output, command)
         except RayBatchError as error:
-            folders.take_back()
             print(f"convergence.py: error: {' '.join(str(error).split())}", file=sys.stderr)
             return 1
         except KeyboardInterrupt:
-            folders.take_back()
             print("convergence.py: stopped", file=sys.stderr)
             return 130
+        finally:
+            folders.take_back()  # those in which nothing was written
     return 0
 
 

@@ -153,3 +153,8 @@ def test_a_run_that_fails_or_is_stopped_leaves_nothing(lit, tmp_path, capfd, mon
         if "wp_compile_cpp" in said.err:
             pytest.skip("this machine cannot compile kernels for the CPU")
         assert said.out == "" and not new.exists(), said.err
+    count.clear()
+    monkeypatch.setattr(Session, "render", failing(MemoryError("no room")))
+    with pytest.raises(MemoryError):
+        convergence.main([str(each) for each in (lit, *SMALL, "--no-flip", "--samples", "2", "--new-reference", *outputs)])
+    assert not new.exists()

@@ -77,7 +77,10 @@ def _open_blend(request: RenderRequest) -> OpenedScene:
     from raybatch_addon.export.settings import settings_from
 
     raybatch_addon.register()
-    bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(path.resolve()))
+    except RuntimeError as error:
+        raise UsageError(f"{path} cannot be opened: {error}") from None
     scene = bpy.context.scene
     if request.size:
         scene.render.resolution_x, scene.render.resolution_y = request.size

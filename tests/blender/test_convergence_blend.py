@@ -98,6 +98,12 @@ def test_set_up_that_cannot_be_told_is_said(blend, tmp_path):
     assert only["seconds"] == only["seconds_total"]
 
 
+def test_a_blend_that_cannot_be_opened_is_one_line(tmp_path):
+    (tmp_path / "a.blend").write_bytes(b"no blend")
+    line = error_line(run_script("convergence.py", tmp_path / "a.blend", "--device", "cpu", "--html", tmp_path / "new/page.html"))
+    assert "a.blend cannot be opened" in line and not (tmp_path / "new").exists()
+
+
 def test_cycles_knows_no_halves(blend):
     line = error_line(run_script("convergence.py", blend, *OPTIONS, "--against", "cycles", "--reference", "halves"))
     assert "choose another for --against cycles" in line
