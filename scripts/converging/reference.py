@@ -24,7 +24,6 @@ from raybatch_addon.core.report.convergence import (
 )  # fmt: skip
 from raybatch_addon.core.report.snapshot import Snapshot
 from raybatch_addon.core.report.statistics import versions
-from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import SETTINGS, RenderSettings
 from raybatch_addon.core.wavefront.rounds import half_seed
