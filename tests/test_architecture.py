@@ -16,6 +16,7 @@ CORE_FILES = sorted((PACKAGE / "core").rglob("*.py"))
 ROOMS = (
     "core/errors.py",
     "core/kernel.py",
+    "core/launches.py",
     "core/setting_info.py",
     "core/settings.py",
     "core/presets.py",

@@ -16,6 +16,7 @@ import warp as wp
 from ..bvh.node import Layout
 from ..bvh.trace_counts import TraceCounts
 from ..kernel import KERNEL_OPTIONS
+from ..launches import RepeatedLaunches
 from ..report.batching import BatchingTotals
 from ..report.timing import NoTimer
 from .batching_host import HostSteps, host_step_kernel
@@ -121,7 +122,8 @@ class BatchingTracer:
         """
         slot_count = rays.origin.size
         self._tree, self._treelets, self._bucket_count = treelet_tree.tree, treelet_tree.treelets, treelet_tree.treelet_count
-        self._path_count, self._shadow_kind, self._device, self._timer, self._counts = path_count, shadow_kind, device, timer, counts
+        self._path_count, self._shadow_kind, self._timer, self._counts = path_count, shadow_kind, timer, counts
+        self._launches = RepeatedLaunches(device)
         self._stages = stages or visit_stages(Traversal.of("OFF", treelet_tree.layout), instancing, counts is not None, settings)
         for stage in self._stages.values():
             stage.prepare(device)
@@ -234,9 +236,9 @@ class BatchingTracer:
             batch = self._queues.take([self._done], self._entry, bound=finished)
             bound = batch.bound
             inputs = [batch.slots, batch.count]
-            wp.launch(split_flag_kernel, bound, [*inputs, self._path_count, self._flags], device=self._device)
+            self._launches.launch(split_flag_kernel, bound, *inputs, self._path_count, self._flags)
             self._scan.launch(self._flags[:bound], self._firsts)
-            wp.launch(split_kernel, bound, [*inputs, self._flags, self._firsts, self._lists, self._lengths, bound], device=self._device)
+            self._launches.launch(split_kernel, bound, *inputs, self._flags, self._firsts, self._lists, self._lengths, bound)
         lengths = self._lengths.numpy().tolist()
         self._totals.finished += sum(lengths)
         kinds = (RayKind.CLOSEST, self._shadow_kind)

@@ -11,6 +11,7 @@ import warp as wp
 from ..bvh.trace_counts import TraceCounts
 from ..bvh.tree import DONE, NEW, TopProgress
 from ..kernel import KERNEL_OPTIONS
+from ..launches import RepeatedLaunches
 from .rays import Rays, allocate_progress
 from .stages.visit import NO_ANY_HIT, Batch
 
@@ -150,7 +151,8 @@ class DirectStorage:
     ):  # fmt: skip
         """For rays of `home`; those from slot `any_first` on ask for any hit. Batches have at most `capacity` rays."""
         mixed = any_first < home.origin.size
-        self._home, self._device, self._counts = home, device, counts
+        self._home, self._counts = home, counts
+        self._launches = RepeatedLaunches(device)
         self._values = _allocate_values(place_count, home.visibility.size > 0, device)
         self._stored = allocate_progress(place_count, words, instancing, device)
         size = capacity * (2 if mixed else 1)
@@ -196,5 +198,4 @@ class DirectStorage:
         self._moved.slots, self._moved.where, self._moved.count = batch.slots, batch.where, batch.count
 
     def _launch(self, kernel: wp.Kernel, count: int, *inputs) -> None:
-        if count:
-            wp.launch(kernel, count, list(inputs), device=self._device)
+        self._launches.launch(kernel, count, *inputs)

@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..kernel import KERNEL_OPTIONS
+from ..launches import RepeatedLaunches
 from .bucket_blocks import (
     FREE,
     IN_USE_PEAK,
@@ -84,6 +85,7 @@ class BucketQueues:
             # what the host looks at after every step, without a copy
             self._state, self._counts, self._count = self.blocks.state.numpy(), self.blocks.counts.numpy(), self.taken.count.numpy()
             self._chosen = wp.zeros(queue_total, dtype=int, device=device)
+            self._launches = RepeatedLaunches(device)
             self._chosen_view = self._chosen.numpy()
 
     @property
@@ -108,7 +110,7 @@ class BucketQueues:
             if self._parallel:
                 self.parallel_queues.put(rule, rays, part.bound)
             else:
-                wp.launch(host_put_kernel, 1, [self.blocks, rule, rays], device=self.device)
+                self._launches.launch(host_put_kernel, 1, self.blocks, rule, rays)
         if seen:
             self._check.put(*seen, rule)
 
@@ -128,7 +130,7 @@ class BucketQueues:
             else:
                 count = len(chosen)
                 self._chosen_view[:count] = chosen
-            wp.launch(host_take_kernel, 1, [self.blocks, rule, rays, self._chosen, count], device=self.device)
+            self._launches.launch(host_take_kernel, 1, self.blocks, rule, rays, self._chosen, count)
             bound = int(self._count[0])
         batch = Batch(rays.slots, rays.where, rays.count, bound)
         if self._check:

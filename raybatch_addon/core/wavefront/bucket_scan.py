@@ -5,6 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 from ..kernel import KERNEL_OPTIONS
+from ..launches import RepeatedLaunches
 
 SEGMENTS_MAX = 1024
 # Entries of a segment at least
@@ -42,11 +43,12 @@ class Scan:
 
     def __init__(self, device: wp.Device):
         self._device = device
+        self._launches = RepeatedLaunches(device)
         self._sums = wp.zeros(SEGMENTS_MAX, dtype=int, device=device)
 
     def launch(self, values: wp.array, result: wp.array) -> None:
         """Exclusive sums of all `values`, at least one, and their total behind; `result` has one entry more."""
         segments = max(1, min(SEGMENTS_MAX if self._device.is_cuda else 64, values.size // _SEGMENT))
         length = -(-values.size // segments)
-        wp.launch(segment_sum_kernel, segments, [values, length, self._sums], device=self._device)
-        wp.launch(segment_scan_kernel, segments, [values, length, self._sums, result], device=self._device)
+        self._launches.launch(segment_sum_kernel, segments, values, length, self._sums)
+        self._launches.launch(segment_scan_kernel, segments, values, length, self._sums, result)

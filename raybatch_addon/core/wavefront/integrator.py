@@ -14,6 +14,7 @@ from ..film import layout_of
 from ..film.tile import FilmTile, FilmTiles, FinishedTile
 from ..report.batching import BatchingTotals
 from ..report.counters import Counters, CounterTotals
+from ..launches import RepeatedLaunches
 from ..report.timing import NoTimer
 from ..scene.description import Frame
 from ..settings import RenderSettings
@@ -67,7 +68,7 @@ class TileIntegrator:
 
     def __init__(self, scene: DeviceScene, frame: Frame, settings: RenderSettings, marks: WaterMarks):
         features, device, count = scene.features, scene.device, marks.path_count
-        self._scene, self._frame, self._settings, self._marks, self._device = scene, frame, settings, marks, device
+        self._scene, self._frame, self._settings, self._marks = scene, frame, settings, marks
         self._kernels = StageKernels.choose(features)
         self._half_limits = [path_limits(settings.replace(seed=half_seed(settings.seed, half)), frame.width) for half in range(settings.half_count)]
         self._limits = self._half_limits[0]
@@ -98,6 +99,7 @@ class TileIntegrator:
             )  # fmt: skip
         self._cost: wp.array | None = None
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
+        self._launches = RepeatedLaunches(device)
         self._alive = 0
         self.path_count = count  # slots: paths alive at once at most
         self.rays = RayTotals()
@@ -296,4 +298,4 @@ class TileIntegrator:
             self._launch(kernel, slots.bound, *inputs, slots.slots, slots.count)
 
     def _launch(self, kernel: wp.Kernel, count: int, *inputs) -> None:
-        wp.launch(kernel, count, list(inputs), device=self._device)
+        self._launches.launch(kernel, count, *inputs)

@@ -19,6 +19,7 @@ from enum import Enum, IntEnum
 import warp as wp
 
 from ..kernel import KERNEL_OPTIONS
+from ..launches import RepeatedLaunches
 from .rays import BOUNCE_SHIFT, Status
 from .tracer import NO_SLOTS, SlotList
 
@@ -231,6 +232,7 @@ class PathLists:
     def __init__(self, path_count: int, device: wp.Device, block_size: int = 0):
         """For `path_count` paths. `block_size`: paths of a block (0: as the device asks for)."""
         self._device, self._path_count = device, path_count
+        self._launches = RepeatedLaunches(device)
         self._block_size = block_size or (CUDA_BLOCK if device.is_cuda else path_count)
         self._blocks = -(-path_count // self._block_size)
         self.counts = Counts(device)
@@ -274,8 +276,8 @@ class PathLists:
     def _make(self, lists: ListSet, status: wp.array, by_bounce: bool = False) -> None:
         count_paths, scatter_paths = list_kernels(lists)
         counts, offsets = self._work[lists]
-        rule = [status, self._block_size, int(by_bounce)]
+        rule = (status, self._block_size, int(by_bounce))
         threads = self._blocks * (32 if self._device.is_cuda else 1)
-        wp.launch(count_paths, threads, [*rule, counts], device=self._device)
+        self._launches.launch(count_paths, threads, *rule, counts)
         wp.utils.array_scan(counts, offsets, inclusive=False)
-        wp.launch(scatter_paths, threads, [*rule, offsets, self._slots, self.counts.on_device], device=self._device)
+        self._launches.launch(scatter_paths, threads, *rule, offsets, self._slots, self.counts.on_device)

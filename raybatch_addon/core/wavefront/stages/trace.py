@@ -16,6 +16,7 @@ from ...bvh.traverse_cpu import INTERLEAVE, make_cpu_traversal
 from ...bvh.traverse_cuda import TraceOptions, trace_function
 from ...bvh.tree import Tree
 from ...kernel import KERNEL_OPTIONS
+from ...launches import RepeatedLaunches
 from ..rays import RayKind, Rays
 from ..tracer import SlotList
 from .launch import Launch, slice_first
@@ -84,6 +85,7 @@ class BoxesStage:
         self._slice_count = launch.slice_count
         make = sliced_boxes_kernel if self._slice_count > 1 else boxes_kernel
         self._kernel = make(features.any_hit, features.instancing, features.counters, interleave)
+        self._launches = RepeatedLaunches(wp.get_device("cpu"))
         self.kernels = (self._kernel,)
 
     def launch(self, tree: Tree, rays: Rays, listed: SlotList, counts: TraceCounts | None) -> None:
@@ -92,7 +94,7 @@ class BoxesStage:
             inputs.append(self._slice_count)
         if self._counters:
             inputs.append(counts)
-        wp.launch(self._kernel, self._slice_count, inputs, device="cpu")
+        self._launches.launch(self._kernel, self._slice_count, *inputs)
 
 
 @functools.cache

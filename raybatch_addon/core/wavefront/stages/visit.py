@@ -18,6 +18,7 @@ from ...bvh.traverse_cuda_visit import VisitOptions, quantised_visit_function
 from ...bvh.tree import TopProgress, Tree, Treelets
 from ...bvh.visit_task import VisitTask
 from ...kernel import KERNEL_OPTIONS
+from ...launches import RepeatedLaunches
 from ..rays import Rays
 from .launch import Launch, slice_first
 from .trace import Traversal
@@ -175,6 +176,7 @@ class BoxesVisitStage(_Stage):
         interleave = 1 if launch.single_lane else INTERLEAVE
         kernel = boxes_visit_kernel(features.task, features.instancing, interleave, features.counters, features.interlocked)
         super().__init__(kernel, features.counters)
+        self._launches = RepeatedLaunches(wp.get_device("cpu"))
         self._slice_count = launch.slice_count
 
     def launch(
@@ -182,7 +184,7 @@ class BoxesVisitStage(_Stage):
     ) -> None:
         work = _visit_batch(batch, any_first)
         work.slice_count = self._slice_count
-        wp.launch(self._kernel, self._slice_count, self._inputs(tree, treelets, rays, progress, work, counts), device="cpu")
+        self._launches.launch(self._kernel, self._slice_count, *self._inputs(tree, treelets, rays, progress, work, counts))
 
 
 @functools.cache
