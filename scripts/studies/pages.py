@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -56,12 +57,16 @@ def machine(report: Report) -> str:
     name = device.get("name") or device["alias"]
     kind = f"CUDA: {name}" if report["device_kind"] == "cuda" else f"CPU, {device['cores']} threads"
     quick = "; the quick study" if report["quick"] else ""
-    return f"{kind}; RayBatch {versions.get('raybatch')}, Warp {versions.get('warp')}; medians of {turns_of(report)} turns{quick}."
+    return f"{kind}; RayBatch {versions.get('raybatch')}, Warp {versions.get('warp')}; {turns_of(report)}{quick}."
 
 
-def turns_of(report: Report) -> int:
-    """Turns that were measured."""
-    return 1 + max((row["turn"] for row in report["rows"]), default=0)
+def turns_of(report: Report) -> str:
+    """How often things were measured, in words."""
+    counts = Counter(row["case"] for row in report["rows"])
+    least, most = (min(counts.values()), max(counts.values())) if counts else (0, 0)
+    if least != most:
+        return f"medians of {least} to {most} turns"
+    return f"medians of {most} turns" if most > 1 else "measured once"
 
 
 def device_title(report: Report) -> str:

@@ -131,15 +131,29 @@ def control_seconds(report: Report, scene: str) -> float | None:
 def fragment(reports: dict[str, Report]) -> str:
     """Summary, effects, and all three tables."""
     theirs = figures()
-    parts = [*(f"- {machine(report)}" for report in reports.values()), ""]
+    parts = [f"- {machine(report)}" for report in reports.values()]
     wrong = [each for report in reports.values() for each in differing_films(report["rows"], ("scene", "edge"))]
     whole = sum(bool(row["complete"]) for report in reports.values() for row in report["rows"])
-    parts += [f"- {films_line(wrong, whole)}", "", "### In short", "", _summary_table(reports, theirs), "", _shape_table(reports), ""]
+    parts += [f"- {films_line(wrong, whole)}", *_control_lines(reports), "", "### In short", "", _summary_table(reports, theirs), "", _shape_table(reports), ""]
     parts += ["### What each parameter does", "", _effects_table(reports, theirs), "", "![All combinations](thesis-initial.svg)", ""]
     for name, title in (("ray_count", "Rays alive (appendix D)"), ("queue_size", "Size of a queue's block (appendix E)")):
         parts += [f"### {title}", "", f"![{title}](thesis-{name.replace('_', '-')}.svg)", "", _full_table(name, reports, theirs), ""]
     parts += ["### All 96 combinations (appendix C)", "", _full_table("initial", reports, theirs)]
     return "\n".join(parts)
+
+
+def _control_lines(reports: dict[str, Report]) -> list[str]:
+    """How much the machine's own speed changed meanwhile."""
+    lines = []
+    for report in reports.values():
+        told = []
+        for scene in SCENES:
+            found = [row["seconds"] for row in report["rows"] if row["table"] == "control" and row["scene"] == scene and row["complete"]]
+            if len(found) > 1:
+                told.append(f"{number(min(found))} to {number(max(found))} s ({scene})")
+        if told:
+            lines.append(f"- {device_title(report)}: the control, which was rendered in each group of cases, took {' and '.join(told)}: so much the machine's speed changed.")
+    return lines
 
 
 def _full_table(name: str, reports: dict[str, Report], theirs: dict[str, Any]) -> str:
