@@ -18,6 +18,7 @@ def panels(count: int, width: float = 0.0, columns: int = 4) -> tuple[pyplot.Fig
     """So many, in rows of `columns` at most; `width` of one [inch], 0: by their number."""
     columns = min(count, columns)
     rows = -(-count // columns)
+    columns = -(-count // rows)  # as many in each row
     width = width or (6.5 if count == 1 else 4.6 if columns < 4 else 3.4)
     figure, axes = pyplot.subplots(rows, columns, figsize=(width * columns, 0.6 + 3.1 * rows), squeeze=False, constrained_layout=True)
     axes = axes.ravel()
