@@ -31,7 +31,7 @@ def scene_size(options: Options) -> tuple[str, int, int, int]:
     """Mesh, copies along either side, edge of the frame, samples."""
     if options.is_cuda:
         return options.pick(("dragon", 4, 1280, 8), ("dragon", 8, 1280, 16))
-    return options.pick(("bunny", 1, 96, 2), ("dragon", 1, 320, 4))
+    return options.pick(("bunny", 1, 96, 2), ("dragon", 2, 640, 4))
 
 
 def measure(case: Case, turn: int, bench: Bench) -> Row:

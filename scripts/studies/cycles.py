@@ -118,6 +118,7 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
             bars = axis.bar([index + offset for index in range(len(names))], heights, 0.38, color=colour, label=label)
             axis.bar_label(bars, [f"{height:.2f}" for height in heights], fontsize=7, padding=1)
         axis.axhline(1, color="black", linewidth=0.8)
+        axis.margins(y=0.12)
         axis.set_xticks(range(len(names)), names)
         axis.set_ylabel("time of RayBatch over that of Cycles")
     legend(figure, axes)
