@@ -80,7 +80,9 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: An
     if options.leak_rays and all(each.family != "leaks" for each in cases):
         raise RayBatchError("--leak-rays is for the family leaks, of which no case was chosen: add it to --only, or leave --leak-rays out")
     if options.list:
-        standard_output.writelines(f"{each.family}  {each.name}  ({', '.join(each.tracers)}{', quick' if each.quick else ''})\n" for each in cases)
+        for each in cases:
+            tracers = ", ".join(each.tracers) if each.traces else "once"
+            standard_output.write(f"{each.family}  {each.name}  ({tracers}{', quick' if each.quick else ''})\n")
         return 0
     for target in (options.json, options.html):
         if target and target != "-":

@@ -89,7 +89,7 @@ def run(given: argparse.Namespace, folders: OutputFolders, standard_output) -> i
     cases = study.cases(options)
     mine = part_of(cases, *part) if part else cases
     if given.cases:
-        standard_output.writelines(f"{case.group}: {case.key}\n" for case in mine)
+        standard_output.writelines(f"{case.key if case.key.startswith(case.group) else f'{case.group}: {case.key}'}\n" for case in mine)
         standard_output.write(f"{len(mine)} cases, {options.turns} turns\n")
         return 0
     path = runner.rows_path(out, study, kind, part)

@@ -89,6 +89,8 @@ def folder(tmp_path, lit):
         (["--preset", "AUTO", "--compare", "preset=AUTO,UNBATCHED"], "preset is compared, and set for all too"),
         (["--save-reference", "{folder}/new.exr"], "name it with the ending .npz"),
         (["--reference", "{folder}/none.npz"], "there is no file .*none.npz"),
+        (["--reference", "Raybatch"], "there is no file Raybatch; --reference is a file, or one of raybatch, cycles"),
+        (["--samples", "8", "--set", "sample_count=4"], "--samples and --set sample_count say the same"),
         (["--reference", "{folder}/large.npz"], "large.npz is 21 x 16 pixels and the render 20 x 16"),
         (["--reference", "{folder}/scene.npz"], "scene.npz shows another scene"),
         (["--reference", "{folder}/bounces.npz"], "made with bounce_max = 3, and the render has 1"),

@@ -1,6 +1,7 @@
 """Studies: their registry, what the thesis's combinations become, rows that are resumed, pages, and bad input."""
 
 import json
+import math
 import sys
 
 import pytest
@@ -15,6 +16,28 @@ from studies.study import Case, Options, Study, groups_of, part_of  # noqa: E402
 
 from raybatch_addon.core.errors import SettingsError  # noqa: E402
 from raybatch_addon.core.settings import RenderSettings  # noqa: E402
+
+def test_ticks_are_plain_numbers_that_do_not_touch():
+    pytest.importorskip("matplotlib")
+    from converging.ticks import tick_text, ticks
+
+    assert [tick_text(tick) for tick in ticks(0.02, 0.6, 0.1)] == ["0.02", "0.03", "0.05", "0.1", "0.2", "0.3", "0.5"]
+    assert [tick_text(tick) for tick in ticks(1, 2.6, 0.08)] == ["1", "1.2", "1.5", "2", "2.5"]
+    assert [tick_text(tick) for tick in ticks(1e-4, 1e6, 0.2)] == ["10$^{-4}$", "0.01", "1", "100", "10000", "10$^{6}$"]
+    for low, high, room in ((1e-30, 1e30, 0.07), (0.9, 70, 0.1), (3, 3.1, 0.1), (1e-6, 2e-6, 0.1)):
+        places = [math.log10(tick / low) / math.log10(high / low) for tick in ticks(low, high, room)]
+        assert all(-1e-6 <= place <= 1 + 1e-6 for place in places)
+        assert all(b - a >= room - 1e-6 for a, b in zip(places, places[1:]))
+
+
+def test_more_rays_than_the_tiles_have_are_told():
+    def report(*alive):
+        rows = [{"table": "ray_count", "ray_count": 2**n, "rays_alive": each} for n, each in zip((8, 16, 20), alive, strict=True)]
+        return {"device_kind": "cpu", "rows": [*rows, {"table": "control"}]}
+
+    assert thesis.most_alive(report(2**8, 2**16, 2**20)) is None
+    assert thesis.most_alive(report(2**8, 2**16, 2**16)) == 2**16
+
 
 DEVICE = {"alias": "cpu", "name": "CPU", "memory": 1, "cores": 2}
 

@@ -109,13 +109,15 @@ def _pyplot():
 
 def draw(axes, panel: Panel, summary: Summary, ink: str) -> None:
     """Curves of all variants on `axes`; text and lines that are no curves have the colour `ink`."""
+    from .ticks import plain_ticks
+
     axes.set_xscale("log")
     axes.set_yscale("log")
     for place, outcome in enumerate(summary.outcomes):
         _draw_curve(axes, panel, outcome, COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)])
     if panel is ERROR and summary.target:
         axes.axhline(summary.target, color=ink, linewidth=0.9, linestyle=(0, (6, 3)))
-        axes.annotate("target", (0.995, summary.target), xycoords=("axes fraction", "data"), ha="right", va="bottom", fontsize=8, color=ink)
+        axes.annotate("target", (0.36, summary.target), xycoords=("axes fraction", "data"), ha="left", va="bottom", fontsize=8, color=ink)
     floors = {used.floor[panel.y == "relmse"] for used in summary.study.used if panel.y != "flip"} - {None, 0.0}
     drawn = axes.get_ylim()
     for floor in floors:
@@ -130,6 +132,9 @@ def draw(axes, panel: Panel, summary: Summary, ink: str) -> None:
     for spine in axes.spines.values():
         spine.set_color(ink)
     axes.grid(True, which="major", color=ink, alpha=0.18, linewidth=0.6)
+    if axes.has_data():
+        plain_ticks(axes.xaxis, 0.1)
+        plain_ticks(axes.yaxis, 0.07)
     if axes.get_legend_handles_labels()[0]:
         axes.legend(fontsize=8, frameon=False, labelcolor=ink)
 

@@ -73,6 +73,8 @@ class ConvergenceRequest:
         for name in self.settings:
             if name in ELSEWHERE:
                 raise UsageError(f"--set {name} is not possible: {ELSEWHERE[name]} says it")
+        if self.samples is not None and "sample_count" in self.settings:
+            raise UsageError("--samples and --set sample_count say the same: give one of them")
         self._check_reference()
         if self.preset is not None:
             preset_settings(self.preset)  # raises where there is none
@@ -82,6 +84,8 @@ class ConvergenceRequest:
                     raise UsageError(f"{option} needs a .blend, not {self.scene.path.name}")
 
     def _check_reference(self) -> None:
+        if self.reference_from == "file" and not Path(self.reference).is_file():
+            raise UsageError(f"there is no file {self.reference}; --reference is a file, or one of {', '.join(REFERENCES)}")
         for option, given in (
             ("--reference-samples", self.reference_samples), ("--new-reference", self.new_reference), ("--save-reference", self.save_reference),
         ):  # fmt: skip

@@ -231,7 +231,7 @@ def rows(summary: Summary) -> list[list[str]]:
         last = each.last
         middle = {name: _median([getattr(point, name) for point in last]) for name in ("samples", "seconds", "rmse", "relmse", "flip")}
         found.append([
-            each.variant.label, f"{len(each.runs)} runs", f"{middle['samples'] or 0:,.0f}", _text(middle["seconds"], "{:.3f}"),
+            each.variant.label, f"{len(each.runs)} run{'s' * (len(each.runs) != 1)}", f"{middle['samples'] or 0:,.0f}", _text(middle["seconds"], "{:.3f}"),
             _text(middle["rmse"], "{:.3g}"), _text(middle["relmse"], "{:.3g}"), _text(middle["flip"], "{:.3g}"), slope_text(each.slope),
             target_text(each), _text(each.speed_up, "x {:.2f}"), *relative_text(each.efficiency_relative, is_first=each is summary.outcomes[0]),
         ])  # fmt: skip

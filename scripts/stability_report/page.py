@@ -68,6 +68,7 @@ def html_page(results: list[Result], device: dict[str, Any], versions: dict[str,
         f"<p>{html.escape(machine)}</p>"
         f'<p class="counts"><b>{passed}</b> passed · <b class="{"bad" if failed else ""}">{failed}</b> failed · '
         f"<b>{len(results) - passed - failed}</b> skipped · {invalid:,} of {samples:,} samples invalid · {seconds:.0f} s</p>"
-        f"<p>Tracer <em>off</em> is the control, in which each ray visits the whole tree at once; with <em>on</em> rays wait at small treelets.</p>"
+        f"<p>Tracer <em>off</em> is the control, in which each ray visits the whole tree at once; with <em>on</em> rays wait at small treelets; <em>-</em> is run once, with none or with "
+        "several of its own. A case opens to what it does, and why its tolerance is what it is.</p>"
         f"{tables}</body></html>\n"
     )

@@ -98,6 +98,7 @@ def text_report(results: list[Result], device: dict[str, Any], seconds: float) -
         lines += ["", *textwrap.wrap(f"slow, compilation included: {', '.join(slow)}", _NOTE_WIDTH, subsequent_indent="  ")]
     passed, failed = sum(r.passed for r in results), sum(r.failed for r in results)
     skipped = len(results) - passed - failed
+    lines += ["", "used: share of the tolerance that the error took; tracer -: run once, with none or with several of its own"]
     lines += ["", f"{passed} passed, {failed} failed, {skipped} skipped; {len({r.case.name for r in results})} cases, {seconds:.0f} s"]
     return "\n".join(lines)
 

@@ -95,6 +95,8 @@ def curves_table(reports: dict[str, Report], name: str) -> str:
 
 def draw_curves(reports: dict[str, Report], folder: Path, file: str, against: Sequence[str] = ("seconds",)) -> None:
     """A panel a scene and device: RMSE of every run, log-log, each variant in one colour."""
+    from converging.ticks import plain_ticks
+
     from .plots import COLOURS, legend, panels, save
 
     wanted = [(report, scene, x) for x in against for report in reports.values() for scene in scenes_of(report) if variants(report, scene)]
@@ -112,6 +114,8 @@ def draw_curves(reports: dict[str, Report], folder: Path, file: str, against: Se
             axis.axhline(floor, color="black", linewidth=0.6, linestyle=":", label="noise of the reference")
         axis.set(xscale="log", yscale="log", xlabel="samples of a pixel" if x == "samples" else "seconds of rendering", title=f"{scene}, {device_title(report)}")
         axis.set_ylabel("RMSE")
+        plain_ticks(axis.xaxis, 0.15)
+        plain_ticks(axis.yaxis, 0.08)
     legend(figure, axes)
     save(figure, folder, file)
 

@@ -116,7 +116,8 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
         ):
             heights = [_median(figure_of(row) for row in report["rows"] if row["case"] == name) for name in names]
             bars = axis.bar([index + offset for index in range(len(names))], heights, 0.38, color=colour, label=label)
-            axis.bar_label(bars, [f"{height:.2f}" for height in heights], fontsize=7, padding=1)
+            for text in axis.bar_label(bars, [f"{height:.2f}" for height in heights], fontsize=7, padding=1):
+                text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5})  # the line at 1 may pass behind it
         axis.axhline(1, color="black", linewidth=0.8)
         axis.margins(y=0.12)
         axis.set_xticks(range(len(names)), names)

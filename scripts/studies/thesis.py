@@ -134,12 +134,27 @@ def fragment(reports: dict[str, Report]) -> str:
     parts = [f"- {machine(report)}" for report in reports.values()]
     wrong = [each for report in reports.values() for each in differing_films(report["rows"], ("scene", "edge"))]
     whole = sum(bool(row["complete"]) for report in reports.values() for row in report["rows"])
-    parts += [f"- {films_line(wrong, whole)}", *_control_lines(reports), "", "### In short", "", _summary_table(reports, theirs), "", _shape_table(reports), ""]
+    parts += [f"- {films_line(wrong, whole)}", *_control_lines(reports), *_alive_lines(reports), "", "### In short", "", _summary_table(reports, theirs), "", _shape_table(reports), ""]
     parts += ["### What each parameter does", "", _effects_table(reports, theirs), "", "![All combinations](thesis-initial.svg)", ""]
     for name, title in (("ray_count", "Rays alive (appendix D)"), ("queue_size", "Size of a queue's block (appendix E)")):
         parts += [f"### {title}", "", f"![{title}](thesis-{name.replace('_', '-')}.svg)", "", _full_table(name, reports, theirs), ""]
     parts += ["### All 96 combinations (appendix C)", "", _full_table("initial", reports, theirs)]
     return "\n".join(parts)
+
+
+def most_alive(report: Report) -> int | None:
+    """How many rays were alive at most, where some cases asked for more than there are in the tiles at work."""
+    told = [(row["ray_count"], row["rays_alive"]) for row in report["rows"] if row["table"] == "ray_count" and row.get("rays_alive")]
+    return max(alive for _, alive in told) if any(alive < asked for asked, alive in told) else None
+
+
+def _alive_lines(reports: dict[str, Report]) -> list[str]:
+    """Where cases asked for more rays than there were."""
+    found = {device_title(report): most_alive(report) for report in reports.values()}
+    return [
+        f"- {device}: at most {most:,} rays were alive, all that the tiles at work have; cases that asked for more repeat that one."
+        for device, most in found.items() if most
+    ]  # fmt: skip
 
 
 def _control_lines(reports: dict[str, Report]) -> list[str]:
@@ -229,6 +244,8 @@ def _effects_table(reports: dict[str, Report], theirs: dict[str, Any]) -> str:
 
 def draw(reports: dict[str, Report], folder: Path) -> None:
     """Three plots: all combinations, rays alive, sizes of queues."""
+    from converging.ticks import plain_ticks
+
     from .plots import BLUE, COLOURS, RED, legend, panels, save
 
     theirs = figures()
@@ -243,6 +260,8 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
             if control:
                 axis.axhline(control, color=colour, linestyle=":", label=f"{scene}, without queues")
         axis.set(xscale="log", yscale="log", xlabel="thesis [s]", ylabel="RayBatch [s]", title=f"{device_title(report)}: 96 combinations")
+        plain_ticks(axis.xaxis, 0.08)
+        plain_ticks(axis.yaxis, 0.08)
     legend(figure, axes, 3)
     save(figure, folder, "thesis-initial")
     for name, label in (("ray_count", "rays alive"), ("queue_size", "rays of a block")):
@@ -259,6 +278,11 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
                         axis.plot([x for x, _ in mine], [s / best for _, s in mine], style, color=colour, markersize=4, label=label_of)
             axis.set(yscale="log", xlabel=label, title=scene)
             axis.set_xscale("log", base=2)
+            for report in reports.values() if name == "ray_count" else ():
+                most = most_alive(report)
+                if most:
+                    axis.axvline(most, color="black", linewidth=0.8, linestyle=":", label=f"{device_title(report)}: no more are alive")
+            plain_ticks(axis.yaxis, 0.08)
         axes[0].set_ylabel("time over the best")
         legend(figure, axes, 3)
         save(figure, folder, f"thesis-{name.replace('_', '-')}")
