@@ -110,7 +110,7 @@ def _notes(study: Study, outcomes: list[Outcome]) -> list[str]:
     for each in outcomes:
         clamps = [f"{name}={value:g}" for name in CLAMPS if (value := getattr(each.variant.settings, name)) and each.variant.engine == RAYBATCH]
         if clamps:
-            notes.append(f"{each.variant.label}: {', '.join(clamps)} takes light away, which is a bias")
+            notes.append(f"{each.variant.label}: {', '.join(clamps)} takes light away, which is a bias (0: no clamping)")
         if each.slope and each.slope.flattens:
             notes.append(f"{each.variant.label}: {each.slope.says}")
         if each.variant.engine == CYCLES and any(point.seconds == point.seconds_total for point in each.last):
