@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from raybatch_addon.core.bvh.margin import TRIANGLE_TEST  # surfaces move the origins of rays that leave them by no less
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Visibility
 from raybatch_addon.core.scene.flatten import FlatGeometry
@@ -26,9 +27,7 @@ from .rays import CapturedRays
 from .tracers import Hits
 
 ROUNDINGS = 32
-PLANE_ROUNDINGS = 25  # a coordinate; surfaces move the origins of rays that leave them by no less (`core/shading/surface.py`)
 UNIT_ROUNDOFF = 2.0**-24  # of float32
-PLANE_BOUND = PLANE_ROUNDINGS * UNIT_ROUNDOFF
 RELATIVE_BOUND = ROUNDINGS * UNIT_ROUNDOFF * 3**0.5  # of a length, from that of a coordinate
 # A ray that passes through a triangle and no nearer to its edges than the bound meets its plane at more than 16 roundings [rad]; what float64
 # tells of flatter ones is noise
@@ -95,7 +94,7 @@ def certainty(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d, t_max: wp.floa
     error = wp.float64(wp.inf)
     if facing != wp.float64(0.0):
         across = wp.abs(normal[0]) + wp.abs(normal[1]) + wp.abs(normal[2])
-        error = (carried * wp.length(normal) + wp.float64(PLANE_BOUND) * reach * across) / wp.abs(facing)
+        error = (carried * wp.length(normal) + wp.float64(TRIANGLE_TEST) * reach * across) / wp.abs(facing)
     if inside:
         t = wp.dot(a, normal) / facing
     # however flat it is met, the hit is on the triangle

@@ -11,6 +11,7 @@ from rendering.request import BLEND, UsageError, kind_of
 
 from raybatch_addon.core.device import find_device
 from raybatch_addon.core.film import Film
+from raybatch_addon.core.report.convergence_error import RELMSE_OFFSET
 from raybatch_addon.core.session import Session
 from raybatch_addon.kernel_cache import kernel_cache_folder
 
@@ -19,7 +20,6 @@ from .progress import Steps
 from .timing import summary
 from .whole_render import OpenedScene, RenderRequest, TimedRender, open_scene, scene_report, timed_render
 
-EPSILON = 1e-2  # of relMSE: keeps what is nearly black from counting most
 ERROR_SEEDS = (1, 2)
 
 
@@ -31,6 +31,8 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
     picture = picture_path(request.picture.absolute()) if request.picture else None
     opened = open_scene(request)
     settings = opened.settings.replace(sample_count=request.samples, bounce_max=request.bounces, thread_count=request.threads)
+    if request.equal_error:  # an unbiased peer is met without what a file may clamp
+        settings = settings.replace(clamp_direct=0.0, clamp_indirect=0.0)
     settings = settings.replace(**request.settings)
     device = find_device(request.device)
     session = Session(device.alias, settings, kernel_cache_folder())
@@ -43,8 +45,6 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
             session.close()
         return report
     cycles = None
-    if request.equal_error:  # an unbiased peer is met without what a file may clamp
-        settings = settings.replace(clamp_direct=0.0, clamp_indirect=0.0).replace(**request.settings)
     if request.against == "cycles":
         from .cycles import CyclesPeer
 
@@ -115,7 +115,7 @@ def equal_error(our_seconds: float, ours: list[np.ndarray], their_seconds: float
     squared brightness (relMSE); the brightness is that of all four, so that both engines are divided by the same.
     Time and error are taken as inversely proportional, so time x relMSE is what is compared.
     """
-    square = (sum([*ours, *theirs]) / (len(ours) + len(theirs))) ** 2 + EPSILON
+    square = (sum([*ours, *theirs]) / (len(ours) + len(theirs))) ** 2 + RELMSE_OFFSET
     errors = [float((((a - b) ** 2 / 2) / square).mean()) for a, b in (ours, theirs)]
     means = [float(np.mean(pictures)) for pictures in (ours, theirs)]
     costs = [our_seconds * errors[0], their_seconds * errors[1]]

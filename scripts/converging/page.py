@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import base64
 import html
+import io
 import math
 import platform
-import struct
-import zlib
 
 import numpy as np
-from rendering.pictures import HEAT_COLOURS, display_pixels, heat_pixels
+from rendering.pictures import HEAT_COLOURS, display_pixels, heat_pixels, save_png
 
 from raybatch_addon.core.report.convergence_error import relative_to, squared_error
 
@@ -146,12 +145,7 @@ def _thumbnail(picture: np.ndarray) -> np.ndarray:
 
 
 def png(pixels: np.ndarray) -> bytes:
-    """A PNG of `pixels`, uint8 [height, width, 3], top row first (PNG specification, third edition, sections 5 and 11.2)."""
-    height, width, _ = pixels.shape
-    lines = np.concatenate([np.zeros((height, 1), np.uint8), np.ascontiguousarray(pixels, np.uint8).reshape(height, -1)], axis=1)
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(lines.tobytes(), 9)) + chunk(b"IEND", b"")
+    """A PNG of `pixels`, uint8 [height, width, 3], top row first."""
+    encoded = io.BytesIO()
+    save_png(encoded, pixels)
+    return encoded.getvalue()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -45,10 +46,8 @@ def display_pixels(combined: np.ndarray) -> np.ndarray:
 
 def write_heat_map(path: Path, film: Film, name: str) -> None:
     """Write the pass `name`, of one channel, to the PNG `path`, from black for 0 to bright for its largest finite value; tells which that is."""
-    from PIL import Image
-
     pixels, largest = heat_pixels(film.passes[name][..., 0])
-    write_whole(path, lambda temporary: Image.fromarray(pixels).save(temporary, format="PNG"))
+    write_whole(path, lambda temporary: save_png(temporary, pixels))
     tell_saved(path, f"{name}, 0 to {largest:.4g}")
 
 
@@ -64,13 +63,18 @@ def heat_pixels(values: np.ndarray) -> tuple[np.ndarray, float]:
     return np.rint(np.stack(channels, -1)).astype(np.uint8), largest
 
 
-def _write_png(path: Path, passes: dict[str, np.ndarray]) -> None:
+def save_png(target: Path | BinaryIO, pixels: np.ndarray) -> None:
+    """Write `pixels`, uint8 [height, width, 3 or 4], top row first, to a path or an open file."""
     from PIL import Image
 
+    Image.fromarray(pixels).save(target, format="PNG")
+
+
+def _write_png(path: Path, passes: dict[str, np.ndarray]) -> None:
     pixels = display_pixels(passes["Combined"])
     if (pixels[..., 3] == 255).all():
         pixels = np.ascontiguousarray(pixels[..., :3])
-    Image.fromarray(pixels).save(path, format="PNG")
+    save_png(path, pixels)
 
 
 def _write_exr(path: Path, passes: dict[str, np.ndarray]) -> None:

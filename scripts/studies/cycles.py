@@ -59,7 +59,7 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
     path = blend_of(case.what["scene"], options)
     report = json.loads(_run([
         SCRIPTS / "benchmark.py", "render", path, "--device", bench.options.device, "--against", "cycles", "--equal-error", "--samples", samples,
-        "--bounces", BOUNCES, "--size", f"{width}x{height}", "--runs", runs, "--set", "clamp_indirect=0", "--json", "-",
+        "--bounces", BOUNCES, "--size", f"{width}x{height}", "--runs", runs, "--json", "-",
     ]))  # fmt: skip
     return {
         "seconds": report["raybatch"]["seconds"], "complete": True, "share": 1.0, "width": width, "height": height, "samples": samples,

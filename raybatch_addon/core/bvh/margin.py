@@ -36,5 +36,9 @@ slivers, which the triangle test computes again in float64 when they are tiny.
 SLAB_MARGIN = 32 * 2.0**-24
 """Of the largest absolute coordinate relative to the tree's centre: of a node (grows its boxes) and of a ray's origin."""
 
+TRIANGLE_TEST = 25 * 2.0**-24
+"""How far the ray's point at the distance that is found may be off the triangle in each coordinate, of the largest coordinate of the corners
+relative to the ray's origin: the 19 roundings above, and what CUDA's approximate reciprocals add."""
+
 DIRECTION_LEAST = 2.0**-40
 """A component of a direction counts as at least this times the largest one in the box test."""

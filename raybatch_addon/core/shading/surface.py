@@ -7,16 +7,14 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
+from ..bvh.margin import TRIANGLE_TEST
 from ..scene.geometry import Geometry, corners_of, mat34, transform_vector
 
 # Unit roundoff of float32. n operations are wrong by at most n u / (1 - n u), relatively (Higham 2002, section 3.1).
 _U = 2.0**-24
 _GAMMA_3 = 3 * _U / (1 - 3 * _U)
 _GAMMA_8 = 8 * _U / (1 - 8 * _U)
-# The ray's point at the distance that the triangle test finds is off the triangle by no more than this in each coordinate, times
-# the largest coordinate of the corners relative to the ray's origin: 19 roundings (`bvh/margin.py`), with what CUDA's approximate
-# reciprocals add (`bvh/traverse_cuda_text.py`)
-_TRIANGLE_TEST = 25 * _U / (1 - 25 * _U)
+_TRIANGLE_TEST = TRIANGLE_TEST / (1 - TRIANGLE_TEST)
 
 
 @wp.struct
