@@ -77,7 +77,7 @@ class WatchedSession:
     def render(self, scene, settings):
         if self.random is None:
             return self.session.render(scene, settings)
-        film, taken = None, [0, 0]
+        film = None
         for turn in range(4):
             watcher = Watcher(self.random.integers(1, settings.sample_count + 1, self.random.integers(0, 5)).tolist())
             after = 10**9 if turn == 3 else int(2.0 ** self.random.uniform(0, 10))

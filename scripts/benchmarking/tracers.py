@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
-
-from raybatch_addon.core.bvh.reference import build_reference
-from raybatch_addon.core.device import load_kernels
-from raybatch_addon.core.wavefront.rays import RayKind, Rays, allocate_rays
-from raybatch_addon.core.wavefront.stages.trace import reference_kernel
 
 from .rays import CapturedRays
 from .scenes import BenchmarkScene
-from .timing import seconds_of, slices
 
 
 @dataclass(frozen=True)

@@ -28,8 +28,7 @@ def _turned(mesh: Mesh, turn: np.ndarray, height: float = 0.0) -> Mesh:
     "A square and a disk light of side 1 at heights of 1e-6 to 1 above a small white tile: the configuration factors B-3 of Howell's "
     "catalogue and r^2 / (r^2 + h^2).",
     f"{STATISTICS}; 64 roundings; and the excess of a rectangle's corner angles over 2 pi, which its density divides by, is a sum with "
-    f"eight "
-    "roundings of 2 pi: relative to its 0.8 sr and more, 4e-6.",
+    "eight roundings of 2 pi: relative to its 0.8 sr and more, 4e-6.",
 )  # fmt: skip
 def area_light_near_surface(bench: Bench) -> Outcome:
     """Heights, shapes."""

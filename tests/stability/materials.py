@@ -85,8 +85,7 @@ def furnace_coat(bench: Bench) -> Outcome:
     "furnace: coat over white at grazing angles", "materials",
     "As above, at cosines of 0.03 to 1e-6.",
     f"{_STATISTICS}; the known loss is larger here, where Fresnel's rise and the shadows of facets crowd into less than a cell of the "
-    f"table: "
-    "up to 0.16 by float64 quadrature, at an index of almost 1. Too low the table is by 2e-3 at most.",
+    "table: up to 0.16 by float64 quadrature, at an index of almost 1. Too low the table is by 2e-3 at most.",
     traces=False,
 )  # fmt: skip
 def furnace_coat_grazing(bench: Bench) -> Outcome:
@@ -104,8 +103,7 @@ _GLASS_IORS = (1.0, 1.0 + 1e-7, 1.001, 1.05, 1.5, 2.4, 100.0, 0.1, 0.9)
     "furnace: glass of index 0.1 to 100, from outside and inside", "materials",
     "White glass reflects and refracts all light.",
     f"{_STATISTICS}; against float64 quadrature the table is too high by 0.03 of itself at most, near the critical angle and index 1, "
-    f"and too "
-    "low by 2e-3.",
+    "and too low by 2e-3.",
     traces=False,
 )  # fmt: skip
 def furnace_glass(bench: Bench) -> Outcome:
@@ -122,8 +120,7 @@ def furnace_glass(bench: Bench) -> Outcome:
     "furnace: glass at grazing angles", "materials",
     "As above, at cosines of 0.03 to 1e-6: it makes no light. (What it loses: 'albedo of rough glass'.)",
     f"{_STATISTICS}; never above 1 by more than 1.1 % by float64 quadrature. The known loss is any here: from inside glass of an index "
-    f"near 1, rough facets send nearly all "
-    "of such light to the side that single scattering cannot serve.",
+    "near 1, rough facets send nearly all of such light to the side that single scattering cannot serve.",
     traces=False,
 )  # fmt: skip
 def furnace_glass_grazing(bench: Bench) -> Outcome:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import scenes
 
-from raybatch_addon.core.scene.archive import load_scene
 from raybatch_addon.core.scene.description import CameraKind, Frame, Light, LightKind, Mesh, Scene
 
 from .bench import Bench

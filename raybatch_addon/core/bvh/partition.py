@@ -133,7 +133,6 @@ def _runs(count: int, size_max: int) -> Iterator[tuple[int, int]]:
 def _sorted(mesh: _Mesh, labels: np.ndarray, cells: np.ndarray, label_count: int, listed: Callable[[slice], np.ndarray]) -> list[np.ndarray]:
     """The triangles with each label of their cell: count, scan, scatter."""
     labels = labels.astype(np.uint16 if label_count <= 1 << 16 else np.int32)
-    runs: list[int] = []
 
     def count(parts: Iterator[slice]) -> tuple[list[slice], np.ndarray]:
         own, parts = np.zeros(label_count, np.int64), list(parts)
