@@ -1,5 +1,6 @@
 """scripts/stability.py: what it runs, what it writes, and what it says when it cannot."""
 
+import ast
 import json
 import sys
 from pathlib import Path
@@ -118,4 +119,9 @@ def test_the_manual_is_up_to_date():
 
 
 def test_the_package_of_cases_is_found_and_not_the_script():
+    """tests comes before scripts in pytest's path, whichever files are named first: none of them changes it."""
     assert Path(sys.modules["stability"].__file__) == ROOT / "tests/stability/__init__.py"
+    for path in (ROOT / "tests").rglob("*.py"):
+        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        changed = [node.lineno for node in nodes if isinstance(node, ast.Attribute) and ast.unparse(node) in ("sys.path.insert", "sys.path.append")]
+        assert not changed, f"{path} changes sys.path in line {changed[0]}; pyproject.toml says where pytest looks"

@@ -2,20 +2,17 @@
 
 import json
 import math
-import sys
 
 import pytest
-from command_line import ROOT, error_line, run_script
+from command_line import error_line, run_script
+from rendering.request import UsageError
+from studies import pages, rows, runner, thesis
+from studies.registry import STUDIES, study_named
+from studies.study import Case, Options, Study, groups_of, part_of
 
-sys.path.insert(0, str(ROOT / "scripts"))
+from raybatch_addon.core.errors import SettingsError
+from raybatch_addon.core.settings import RenderSettings
 
-from rendering.request import UsageError  # noqa: E402
-from studies import pages, rows, runner, thesis  # noqa: E402
-from studies.registry import STUDIES, study_named  # noqa: E402
-from studies.study import Case, Options, Study, groups_of, part_of  # noqa: E402
-
-from raybatch_addon.core.errors import SettingsError  # noqa: E402
-from raybatch_addon.core.settings import RenderSettings  # noqa: E402
 
 def test_ticks_are_plain_numbers_that_do_not_touch():
     pytest.importorskip("matplotlib")
