@@ -14,7 +14,7 @@ from rendering.pictures import HEAT_COLOURS, display_pixels, heat_pixels, save_p
 from raybatch_addon.core.report.convergence_error import relative_to, squared_error
 
 from .plots import COLOURS, svg_plots
-from .summary import HEADS, Summary, reference_text, rows, target_line
+from .summary import HEADS, Summary, reference_text, rows, slopes_said, target_line
 
 THUMBNAIL_MOST = 480  # pixels of the longer side
 SCALE_PERCENTILE = 99.0  # of all errors: brightest in difference pictures
@@ -44,7 +44,7 @@ def html_page(summary: Summary, command: str) -> str:
         machine.append(("device of Cycles", study.cycles_device))
     machine += [("host", f"{platform.machine()}, {platform.processor() or 'processor not told'}"), *study.versions.items(), ("command", command)]
     about = "; ".join([device["name"], *reference_text(summary), target_line(summary)])
-    said = "".join(f"<li><b>{_text(each.variant.label)}</b>: {_text(each.slope.says)}</li>" for each in summary.outcomes if each.slope)
+    said = "".join(f"<li{' class=bad' * flattens}><b>{_text(label)}</b>: {_text(says)}</li>" for label, says, flattens in slopes_said(summary))
     notes = "".join(f"<li>{_text(note)}</li>" for note in [*summary.notes, *study.warnings])
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'

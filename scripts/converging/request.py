@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarking.scenes import SceneRequest
-from rendering.request import BLEND, UsageError, kind_of
+from rendering.request import ARCHIVE, BLEND, NPZ, UsageError, kind_of
 
 from raybatch_addon.core.presets import preset_settings
 from raybatch_addon.core.settings import RenderSettings, parse_setting, setting_info
@@ -78,7 +78,7 @@ class ConvergenceRequest:
         self._check_reference()
         if self.preset is not None:
             preset_settings(self.preset)  # raises where there is none
-        if kind_of(self.scene.path) != BLEND:
+        if kind_of(self.scene.path, (BLEND, ARCHIVE, NPZ)) != BLEND:
             for option, wanted in (("--against cycles", self.cycles), ("--reference cycles", self.reference_from == "cycles")):
                 if wanted:
                     raise UsageError(f"{option} needs a .blend, not {self.scene.path.name}")

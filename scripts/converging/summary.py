@@ -111,8 +111,6 @@ def _notes(study: Study, outcomes: list[Outcome]) -> list[str]:
         clamps = [f"{name}={value:g}" for name in CLAMPS if (value := getattr(each.variant.settings, name)) and each.variant.engine == RAYBATCH]
         if clamps:
             notes.append(f"{each.variant.label}: {', '.join(clamps)} takes light away, which is a bias (0: no clamping)")
-        if each.slope and each.slope.flattens:
-            notes.append(f"{each.variant.label}: {each.slope.says}")
         if each.variant.engine == CYCLES and any(point.seconds == point.seconds_total for point in each.last):
             notes.append(f"{each.variant.label}: its renders are too short to tell what of them is set-up: that is in their seconds")
         if invalid := max((point.invalid_samples for point in each.last), default=0):
@@ -238,6 +236,11 @@ def rows(summary: Summary) -> list[list[str]]:
     return found
 
 
+def slopes_said(summary: Summary) -> list[tuple[str, str, bool]]:
+    """Of each variant that has a slope: its label, what the slope says, and whether the curve flattens."""
+    return [(each.variant.label, each.slope.says, each.slope.flattens) for each in summary.outcomes if each.slope]
+
+
 def slope_text(slope: Slope | None) -> str:
     """With its spread, and a mark where the curve flattens."""
     if slope is None:
@@ -293,6 +296,6 @@ def text_report(summary: Summary) -> str:
     lines += [target_line(summary), "", table(HEADS, rows(summary))]
     lines += ["medians of runs; seconds: of rendering alone; slope: of RMSE against samples; sooner: at the target, than the first setting;"]
     lines += ["efficiency: 1 / (RMSE^2 x seconds), relative to the first; ~: extrapolated", ""]
-    lines += [f"{each.variant.label}: {each.slope.says}" for each in summary.outcomes if each.slope]
+    lines += [f"{label}: {'BIAS, ' * flattens}{says}" for label, says, flattens in slopes_said(summary)]
     lines += [f"note: {note}" for note in summary.notes]
     return "\n".join(lines)

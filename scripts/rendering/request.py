@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -48,12 +49,12 @@ class Request:
         return bool(self.out or self.film or self.json or self.heat_maps)
 
 
-def kind_of(source: Path) -> str:
-    """The kind of file by its name; raises `UsageError` for one that cannot be rendered."""
+def kind_of(source: Path, taken: Sequence[str] = tuple(dict(KINDS).values())) -> str:
+    """The kind of file by its name; raises `UsageError` for one that is of none of the kinds that are `taken`."""
     for suffix, kind in KINDS:
-        if source.name.lower().endswith(suffix):
+        if source.name.lower().endswith(suffix) and kind in taken:
             return kind
-    raise UsageError(f"{source}: what kind of file is this? It must end in {', '.join(suffix for suffix, _ in KINDS)}")
+    raise UsageError(f"{source}: what kind of file is this? It must end in {', '.join(suffix for suffix, kind in KINDS if kind in taken)}")
 
 
 def parse_frames(text: str) -> tuple[int, ...]:

@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 INDEPENDENT_SLOPE = -0.5
 # Chance of a false alarm, when a curve that does not flatten is tested
 FALSE_ALARM = 1e-3
-# Chance with which independent samples are called steeper than they are
-STEEPER_CHANCE = 0.01
+# Chance with which independent samples are called steeper or a little slower than they are
+OTHER_CHANCE = 0.01
 # Nor by less than this: points of one run follow from each other, so that slopes spread a little more than their fit tells
-STEEPER_MARGIN = 0.015
+OTHER_MARGIN = 0.015
 # Slopes closer than this are taken as the same, however certain the difference: a line is a model, and at few samples pixels that rarely
 # find their light make curves bend a little
 SLOPE_MARGIN = 0.1
@@ -322,8 +322,10 @@ def _in_words(slope: float, spread: float, freedom: int, points: Sequence[ErrorP
         why = "light that is rarely found, or too few points to tell a bias" if clear > 1 else "it has come to the noise of the reference"
         return f"{measured}: slower than independent samples (-0.5): {why}{notes}"
     steeper = INDEPENDENT_SLOPE - slope
-    if steeper > STEEPER_MARGIN and (spread == 0 or t_exceeds(steeper / spread, freedom) < STEEPER_CHANCE):
-        return f"{measured}: steeper than independent samples (-0.5){notes}"
-    if abs(steeper) > SLOPE_MARGIN:
-        return f"{measured}: too uncertain to tell it from that of independent samples (-0.5){notes}"
-    return f"{measured}: as of independent samples (-0.5){notes}"
+    chance = 0.0 if spread == 0 else t_exceeds(abs(steeper) / spread, freedom)
+    if abs(steeper) <= OTHER_MARGIN:
+        return f"{measured}: as of independent samples (-0.5){notes}"
+    if chance >= OTHER_CHANCE:
+        return f"{measured}: not to be told from that of independent samples (-0.5){notes}"
+    other = "steeper" if steeper > 0 else "a little slower" if -steeper <= SLOPE_MARGIN else "slower"
+    return f"{measured}: {other} than independent samples (-0.5){notes}"
