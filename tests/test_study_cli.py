@@ -6,7 +6,7 @@ import math
 import pytest
 from command_line import error_line, run_script
 from rendering.request import UsageError
-from studies import pages, rows, runner, thesis
+from studies import pages, rows, runner, scenes, thesis
 from studies.registry import STUDIES, study_named
 from studies.study import Case, Options, Study, groups_of, part_of
 
@@ -73,6 +73,52 @@ def test_settings_of_light_sampling_exist():
     assert len({RenderSettings(**change) for change in VARIANTS.values()}) == 3
     with pytest.raises(SettingsError):
         RenderSettings(mis="SOMETIMES")
+
+
+class NotedBench:
+    """Renders nothing, and notes what it was to render."""
+
+    def __init__(self, options):
+        self.options, self.geometry_bytes, self.noted = options, None, []
+
+    def scene(self, key, make):
+        return scenes.plates(8, 8)
+
+    def timed(self, scene, settings, warm=None, cap=None):
+        self.noted.append(settings)
+        return {"tree_bytes": 1000}
+
+    def curve(self, scene, settings, reference, warm=None):
+        self.noted.append(settings)
+        return {}
+
+    def reference(self, key, scene, settings, samples):
+        self.noted.append(settings)
+
+
+@pytest.mark.parametrize("name", [name for name in STUDIES if name != "cycles"])
+@pytest.mark.parametrize("is_cuda", [False, True])
+def test_no_render_of_a_study_clamps_light_or_ends_by_itself(name, is_cuda):
+    """Errors are compared, and references are what a picture should be: nothing but noise may be in either."""
+    bench = NotedBench(Options(is_cuda=is_cuda))
+    for case in STUDIES[name].cases(bench.options):
+        STUDIES[name].measure(case, 0, bench)
+    assert len(bench.noted) >= len(STUDIES[name].cases(bench.options))
+    for settings in bench.noted:
+        assert settings.clamp_direct == settings.clamp_indirect == settings.time_limit == settings.error_target == 0
+
+
+def test_cycles_is_compared_at_equal_error(monkeypatch, tmp_path):
+    """`--equal-error` is what takes a file's clamping away (tests/blender/test_benchmark_blend.py)."""
+    from studies import cycles
+
+    ran = []
+    told = {"raybatch": {"seconds": 1.0}, "cycles": {}, "triangles": 1, "rays": {"total": 1}, "invalid_samples": 0, "equal_error": {}}
+    monkeypatch.setattr(cycles, "blend_of", lambda name, options: tmp_path / name)
+    monkeypatch.setattr(cycles, "_run", lambda command: ran.append(command) or json.dumps(told))
+    for case in cycles.cases(Options()):
+        cycles.measure(case, 0, NotedBench(Options()))
+    assert len(ran) == 5 and all("--equal-error" in command and "--set" not in command for command in ran)
 
 
 # --- runs

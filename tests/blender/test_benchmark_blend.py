@@ -12,7 +12,8 @@ from blender_builders import add_grid, add_object, material_of, node_tree  # noq
 
 @pytest.fixture
 def blend(scene, tmp_path):
-    """A white floor under a lamp."""
+    """A white floor under a lamp, whose light the file clamps."""
+    bpy.context.scene.raybatch.clamp_direct = bpy.context.scene.raybatch.clamp_indirect = 0.01
     tree, surface = node_tree(material_of(add_grid("Floor", 4)))
     tree.links.new(tree.nodes.new("ShaderNodeBsdfDiffuse").outputs[0], surface)
     lamp = bpy.data.lights.new("Lamp", "AREA")
@@ -30,6 +31,7 @@ def test_both_engines_render_the_same_picture_with_about_the_same_noise(blend):
     report = json.loads(done.stdout)
     assert report["export_s"] > 0 and report["triangles"] == 32
     assert report["cycles"]["device"] == "CPU" and report["cycles"]["seconds"] > 0 and report["raybatch_over_cycles"] > 0
+    assert report["settings"]["clamp_direct"] == report["settings"]["clamp_indirect"] == 0
     equal = report["equal_error"]
     assert equal["mean_ratio"] == pytest.approx(1, abs=0.05)
     assert 0 < equal["relmse"]["raybatch"] < 0.1 and 0.1 < equal["relmse"]["raybatch"] / equal["relmse"]["cycles"] < 10
