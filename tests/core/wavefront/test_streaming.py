@@ -13,7 +13,7 @@ from under_test import DEVICE
 from raybatch_addon.core.bvh.build import build_scene_tree
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.page_build import build_paged_scene
-from raybatch_addon.core.bvh.residency import Residency, staging_bytes_of
+from raybatch_addon.core.bvh.residency import Residency, page_line, staging_bytes_of
 from raybatch_addon.core.bvh.trace_counts import TraceCounts
 from raybatch_addon.core.bvh.treelets import CutRule
 from raybatch_addon.core.scene.flatten import flatten
@@ -96,6 +96,25 @@ def expected(layout: Layout, any_hit: bool, seed: int = 3) -> list[np.ndarray]:
     return hits_of(rays, PATHS, any_hit)
 
 
+@pytest.fixture
+def open_pool():
+    """Opens pools with so many places for pages of a scene, and `more` bytes; they are closed when the test ends."""
+    pools: list[Residency] = []
+
+    def opened(paged, slots: int, more: int = 0, make_line=page_line) -> Residency:
+        pools.append(Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max + more, device(), make_line))
+        return pools[-1]
+
+    yield opened
+    for pool in pools:
+        pool.close()
+
+
+def tracer_of(pool: Residency, rays: Rays, shadow=RayKind.OCCLUSION, settings=CHECKED, kind=StreamingTracer, **more):
+    """A tracer of `rays` through a pool."""
+    return kind(pool.scene, pool, rays, PATHS, shadow, settings, **more)
+
+
 def drain(tracer, finished: dict, most: int = 10_000) -> None:
     """Advance until no ray is under way; `finished` counts the times that each (kind, slot) came back."""
     for _ in range(most):
@@ -110,7 +129,7 @@ def drain(tracer, finished: dict, most: int = 10_000) -> None:
     raise AssertionError("rays stay under way")
 
 
-def run(tracer, shadow: RayKind, paths: int = PATHS) -> None:
+def run(tracer, shadow: RayKind = RayKind.OCCLUSION, paths: int = PATHS) -> None:
     """All rays, submitted in two parts."""
     finished: dict = {}
     half = paths // 2
@@ -126,9 +145,11 @@ def run(tracer, shadow: RayKind, paths: int = PATHS) -> None:
     assert finished == dict.fromkeys(wanted, 1)
 
 
-def same(found: list[np.ndarray], wanted: list[np.ndarray]) -> None:
+def require_right(rays: Rays, layout: Layout = ONE, any_hit: bool = True, seed: int = 3) -> None:
+    """Hits are those of the tree in memory, bit for bit."""
+    wanted = expected(layout, any_hit, seed)
     assert (wanted[0] >= 0).sum() > 500
-    for a, b in zip(found, wanted):
+    for a, b in zip(hits_of(rays, PATHS, any_hit), wanted):
         assert np.array_equal(a, b)
 
 
@@ -136,61 +157,59 @@ def same(found: list[np.ndarray], wanted: list[np.ndarray]) -> None:
 @pytest.mark.parametrize("slots", [1, 3, 1000])
 @pytest.mark.parametrize("nodes_resident, many", [(False, False), (True, False), (False, True)], ids=["nodes in pages", "nodes there", "treelets"])
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_hits_are_those_of_the_whole_tree(layout, nodes_resident, many, slots, shadow):
+def test_hits_are_those_of_the_whole_tree(open_pool, layout, nodes_resident, many, slots, shadow):
     budget = 400_000 if nodes_resident else BUDGET
     paged = paged_of(layout, budget, nodes_resident, many)
     assert len(paged.pages) > 3
-    residency = Residency(paged, paged.resident_bytes + min(slots, len(paged.pages)) * paged.page_bytes_max, device())
-    assert residency.slot_count == min(slots, len(paged.pages))
+    pool = open_pool(paged, min(slots, len(paged.pages)))
+    assert pool.slot_count == min(slots, len(paged.pages))
     rays = new_rays()
-    tracer = StreamingTracer(paged, residency, rays, PATHS, shadow, CHECKED, capacity=700)
+    tracer = tracer_of(pool, rays, shadow, capacity=700)
     run(tracer, shadow)
-    same(hits_of(rays, PATHS, shadow == RayKind.OCCLUSION), expected(layout, shadow == RayKind.OCCLUSION))
+    require_right(rays, layout, shadow == RayKind.OCCLUSION)
     totals = tracer.totals()
     assert totals.rays == totals.finished == 2 * PATHS
-    assert totals.pages_loaded - totals.pages_evicted <= residency.slot_count
+    assert totals.pages_loaded - totals.pages_evicted <= pool.slot_count
     assert totals.bytes_copied >= totals.pages_loaded * 4096 and totals.treelet_visits > PATHS and totals.rays_queued > 0
-    assert paged.resident_bytes < totals.resident_peak <= paged.resident_bytes + residency.slot_count * residency.slot_bytes
+    assert paged.resident_bytes < totals.resident_peak <= paged.resident_bytes + pool.slot_count * pool.slot_bytes
     if slots == 1000:
         assert totals.pages_loaded <= len(paged.pages) and totals.pages_evicted == 0
     tracer.close()
-    residency.close()
 
 
 @pytest.mark.parametrize("slots", [1, 3])
 @pytest.mark.parametrize("store", ["HOST", "DISK"])
 @pytest.mark.parametrize("layout, encoded", [*((layout, False) for layout in LAYOUTS), (Layout.QUANTISED, True)])
-def test_from_host_memory_and_from_a_file(layout, encoded, store, slots, tmp_path):
+def test_from_host_memory_and_from_a_file(open_pool, layout, encoded, store, slots, tmp_path):
     made, flat = scene()
     paged = build_paged_scene(flat, made.instances.visibility, layout, device(), BUDGET, store, tmp_path, nodes_resident=False, encoded=encoded)
     assert paged.encoded == encoded and (paged.pages[0].byte_count < paged.pages[0].device_bytes) == encoded
-    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max + staging_bytes_of(paged, slots, device()), device())
+    pool = open_pool(paged, slots, staging_bytes_of(paged, slots, device()))
     rays = new_rays()
-    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
-    run(tracer, RayKind.OCCLUSION)
-    same(hits_of(rays, PATHS, True), expected(layout, True))
+    tracer = tracer_of(pool, rays)
+    run(tracer)
+    require_right(rays, layout)
     tracer.close()
-    residency.close()
 
 
 @ON_CPU
 @pytest.mark.parametrize("slots", [1, 2, 5])
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_workers_share_the_pool(layout, slots):
+def test_workers_share_the_pool(open_pool, layout, slots):
     paged = paged_of(layout)
-    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, device())
+    pool = open_pool(paged, slots)
     go_on_stage(layout, False, CHECKED)  # compiled before threads start
-    warm = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
-    run(warm, RayKind.OCCLUSION)
+    warm = tracer_of(pool, new_rays())
+    run(warm)
     warm.close()
     results, errors = {}, []
 
     def work(seed: int) -> None:
         try:
             rays = new_rays(seed=seed)
-            tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED, capacity=1500)
-            run(tracer, RayKind.OCCLUSION)
-            results[seed] = hits_of(rays, PATHS, True), tracer.totals()
+            tracer = tracer_of(pool, rays, capacity=1500)
+            run(tracer)
+            results[seed] = rays, tracer.totals()
             tracer.close()
         except BaseException as error:  # noqa: BLE001
             errors.append(error)
@@ -201,79 +220,74 @@ def test_workers_share_the_pool(layout, slots):
     for thread in threads:
         thread.join(60)
     assert not errors and len(results) == 3
-    for seed, (found, totals) in results.items():
-        same(found, expected(layout, True, seed))
+    for seed, (rays, totals) in results.items():
+        require_right(rays, layout, seed=seed)
         assert totals.rays == totals.finished == 2 * PATHS
-    residency.close()
 
 
 @ON_CPU
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_the_control_comes_to_the_same_hits(layout):
+def test_the_control_comes_to_the_same_hits(open_pool, layout):
     paged = paged_of(layout)
     for slots in (1, 4, 1000):
-        residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, device())
+        pool = open_pool(paged, slots)
         rays = new_rays()
-        pager = RayOrderPager(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
-        run(pager, RayKind.OCCLUSION)
-        same(hits_of(rays, PATHS, True), expected(layout, True))
+        pager = tracer_of(pool, rays, kind=RayOrderPager)
+        run(pager)
+        require_right(rays, layout)
         totals = pager.totals()
         assert totals.rays == totals.finished == 2 * PATHS
         if slots == 1000:
             assert totals.pages_loaded <= len(paged.pages)
-        residency.close()
 
 
 @ON_CPU
-def test_streaming_copies_less_than_the_control():
+def test_streaming_copies_less_than_the_control(open_pool):
     """Rays in no order, a pool of three pages."""
     paged = paged_of(ONE)
     copied = {}
     for kind in (StreamingTracer, RayOrderPager):
-        residency = Residency(paged, paged.resident_bytes + 3 * paged.page_bytes_max, device())
-        tracer = kind(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, RenderSettings(), **({"window": 64} if kind is RayOrderPager else {}))
-        run(tracer, RayKind.OCCLUSION)
+        pool = open_pool(paged, 3)
+        tracer = tracer_of(pool, new_rays(), settings=RenderSettings(), kind=kind, **({"window": 64} if kind is RayOrderPager else {}))
+        run(tracer)
         copied[kind] = tracer.totals().bytes_copied
-        residency.close()
     assert 3 * copied[StreamingTracer] < copied[RayOrderPager]
 
 
-def test_given_up_rays_leave_nothing_behind():
+def test_given_up_rays_leave_nothing_behind(open_pool):
     paged = paged_of(ONE)
-    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, device())
-    given_up = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
+    pool = open_pool(paged, 2)
+    given_up = tracer_of(pool, new_rays())
     given_up.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
     given_up.advance()
-    assert residency.facts().waiting.sum() > 0
+    assert pool.facts().waiting.sum() > 0
     del given_up
     gc.collect()
-    assert residency.facts().waiting.sum() == 0
+    assert pool.facts().waiting.sum() == 0
     rays = new_rays()
-    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
-    run(tracer, RayKind.OCCLUSION)
-    same(hits_of(rays, PATHS, True), expected(ONE, True))
-    residency.close()
+    tracer = tracer_of(pool, rays)
+    run(tracer)
+    require_right(rays)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_triangles_that_are_split_among_pages_act_once(layout):
+def test_triangles_that_are_split_among_pages_act_once(open_pool, layout):
     made, flat = scene()
     paged = build_paged_scene(
         flat, made.instances.visibility, layout, device(), BUDGET, nodes_resident=False, spatial_splits=True, encoded=layout is Layout.QUANTISED
     )
-    residency = Residency(paged, paged.resident_bytes + 3 * paged.page_bytes_max, device())
+    pool = open_pool(paged, 3)
     rays = new_rays()
-    run(StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED), RayKind.OCCLUSION)
-    same(hits_of(rays, PATHS, True), expected(layout, True))
-    residency.close()
+    run(tracer_of(pool, rays))
+    require_right(rays, layout)
 
 
-def test_an_advance_is_cut_short_by_the_end_of_the_render():
+def test_an_advance_is_cut_short_by_the_end_of_the_render(open_pool):
     """A step each, and in the end every ray is finished all the same."""
     paged = paged_of(ONE)
-    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, device())
+    pool = open_pool(paged, 2)
     rays = new_rays()
-    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
+    tracer = tracer_of(pool, rays)
     tracer.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
     tracer.submit(RayKind.OCCLUSION, list_of(np.arange(PATHS, 2 * PATHS)))
     turns = 0
@@ -284,78 +298,72 @@ def test_an_advance_is_cut_short_by_the_end_of_the_render():
         tracer.take_finished()
         turns += 1
         assert turns < 10_000
-    same(hits_of(rays, PATHS, True), expected(ONE, True))
-    residency.close()
+    require_right(rays)
 
 
-def test_rays_can_be_forgotten():
+def test_rays_can_be_forgotten(open_pool):
     """As when a tile is given up: some are done, some wait, and some came in last."""
     paged = paged_of(ONE)
-    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, device())
+    pool = open_pool(paged, 2)
     rays = new_rays()
-    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED)
+    tracer = tracer_of(pool, rays)
     tracer.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
     tracer.advance()
     tracer.submit(RayKind.OCCLUSION, list_of(np.arange(PATHS, PATHS + 50)))
     tracer.forget()
-    assert tracer.take_finished() == [] and residency.facts().waiting.sum() == 0
+    assert tracer.take_finished() == [] and pool.facts().waiting.sum() == 0
     assert (tracer.totals().rays, tracer.totals().finished) == (PATHS + 50, 0)
-    run(tracer, RayKind.OCCLUSION)
-    same(hits_of(rays, PATHS, True), expected(ONE, True))
+    run(tracer)
+    require_right(rays)
     assert (tracer.totals().rays, tracer.totals().finished) == (3 * PATHS + 50, 2 * PATHS)
-    residency.close()
 
 
-def test_one_ray_at_a_time():
+def test_one_ray_at_a_time(open_pool):
     paged = paged_of(ONE)
-    residency = Residency(paged, paged.resident_bytes + paged.page_bytes_max, device())
+    pool = open_pool(paged, 1)
     rays = new_rays()
-    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED, capacity=1)
+    tracer = tracer_of(pool, rays, capacity=1)
     finished: dict = {}
     for slot in (0, 1, PATHS + 1, 2):
         tracer.submit(RayKind.CLOSEST if slot < PATHS else RayKind.OCCLUSION, list_of([slot]))
         drain(tracer, finished)
     assert list(finished.values()) == [1] * 4
-    residency.close()
 
 
-def test_debug_checks_find_a_ray_that_comes_in_twice():
+def test_debug_checks_find_a_ray_that_comes_in_twice(open_pool):
     paged = paged_of(ONE)
-    residency = Residency(paged, paged.resident_bytes + paged.page_bytes_max, device())
-    tracer = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
+    pool = open_pool(paged, 1)
+    tracer = tracer_of(pool, new_rays())
     with pytest.raises(AssertionError, match="twice at once"):
         tracer.submit(RayKind.CLOSEST, list_of([4, 4]))
     tracer.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
     with pytest.raises(AssertionError, match="under way already, the first in slot 7"):
         tracer.submit(RayKind.CLOSEST, list_of([7]))
-    residency.close()
 
 
-def test_nothing_to_do():
+def test_nothing_to_do(open_pool):
     paged = paged_of(ONE)
-    residency = Residency(paged, BUDGET, device())
-    tracer = StreamingTracer(paged, residency, new_rays(), PATHS, RayKind.OCCLUSION, CHECKED)
+    pool = open_pool(paged, 1)
+    tracer = tracer_of(pool, new_rays())
     tracer.advance()
     assert tracer.take_finished() == []
-    residency.close()
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_counters_count_every_visit(layout):
+def test_counters_count_every_visit(open_pool, layout):
     paged = paged_of(layout)
-    residency = Residency(paged, paged.resident_bytes + 2 * paged.page_bytes_max, device())
+    pool = open_pool(paged, 2)
     rays = new_rays()
     counts = TraceCounts()
     for name in ("node_steps", "box_tests", "triangle_tests", "treelet_visits", "queued"):
         setattr(counts, name, wp.full(2 * PATHS, 77, dtype=int, device=DEVICE))
     counts.lanes = wp.zeros(6, dtype=wp.int64, device=DEVICE)
-    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, CHECKED, counts=counts)
-    run(tracer, RayKind.OCCLUSION)
+    tracer = tracer_of(pool, rays, counts=counts)
+    run(tracer)
     totals = tracer.totals()
     assert counts.treelet_visits.numpy().sum() == totals.treelet_visits
     assert counts.queued.numpy().sum() == totals.rays_queued
     assert 0 < totals.wait_max <= totals.steps
-    residency.close()
 
 
 # --- what a CUDA device does, with its marks and without the device
@@ -392,7 +400,7 @@ class NotedLine:
         pass
 
 
-def pipelined(paged, slots: int, zero_copy: bool = False, monkeypatch=None):
+def pipelined(open_pool, paged, slots: int, zero_copy: bool = False, monkeypatch=None):
     """A tracer that is run as on CUDA: counts are one step old, and copies are ordered by marks."""
     lines, shown = [], []
 
@@ -400,30 +408,30 @@ def pipelined(paged, slots: int, zero_copy: bool = False, monkeypatch=None):
         lines.append(NotedLine(*given))
         return lines[0]
 
-    residency = Residency(paged, paged.resident_bytes + slots * paged.page_bytes_max, device(), make_line)
+    pool = open_pool(paged, slots, make_line=make_line)
     if zero_copy:
         monkeypatch.setattr(Residency, "has_zero_copy", True)
     rays = new_rays()
-    tracer = StreamingTracer(paged, residency, rays, PATHS, RayKind.OCCLUSION, RenderSettings())
+    tracer = tracer_of(pool, rays, settings=RenderSettings())
     tracer._lag = 1
     launch = tracer._stage.launch
 
     class Stage:
         def launch(self, *given):
-            shown.append({page: int(residency._slot[page]) for page in tracer._view.shown})
+            shown.append({page: int(pool._slot[page]) for page in tracer._view.shown})
             launch(*given)
 
     tracer._stage = Stage()
-    return residency, rays, tracer, lines[0], shown
+    return rays, tracer, lines[0], shown
 
 
 @ON_CPU
 @pytest.mark.parametrize("slots", [1, 2, 3, 8])
-def test_no_copy_overwrites_what_a_launch_sees(slots):
+def test_no_copy_overwrites_what_a_launch_sees(open_pool, slots):
     paged = paged_of(ONE, many=True)
-    residency, rays, tracer, line, shown = pipelined(paged, slots)
-    run(tracer, RayKind.OCCLUSION)
-    same(hits_of(rays, PATHS, True), expected(ONE, True))
+    rays, tracer, line, shown = pipelined(open_pool, paged, slots)
+    run(tracer)
+    require_right(rays)
     assert len(shown) == line.marks > 3 and len(line.fills) > slots
     for page, slot, waits_for, launched in line.fills:
         saw = [i + 1 for i in range(launched) if slot in shown[i].values()]
@@ -432,31 +440,28 @@ def test_no_copy_overwrites_what_a_launch_sees(slots):
         for page in pages:
             last = max(k for k, fill in enumerate(line.fills) if fill[0] == page and fill[3] <= i)
             assert any(number == page and line.fills[last][3] <= before <= i for number, before in line.landed), "a launch sees a page that has not landed"
-    residency.close()
 
 
 @ON_CPU
-def test_copies_do_not_wait_for_the_launch_that_runs():
+def test_copies_do_not_wait_for_the_launch_that_runs(open_pool):
     """What is chosen while launch i is under way is copied into slots that it does not see."""
     paged = paged_of(ONE, many=True)
     assert len(paged.pages) > 10
-    residency, rays, tracer, line, shown = pipelined(paged, 8)
+    rays, tracer, line, shown = pipelined(open_pool, paged, 8)
     tracer.submit(RayKind.CLOSEST, list_of(np.arange(PATHS)))
     tracer.submit(RayKind.OCCLUSION, list_of(PATHS + np.arange(PATHS)))
     for _ in range(12):
         tracer._step()
     behind = [launched - waits_for for _, _, waits_for, launched in line.fills]
     assert len(behind) > 8 and min(behind) >= 1
-    residency.close()
 
 
 @ON_CPU
-def test_too_few_rays_go_on_where_pages_lie(monkeypatch):
+def test_too_few_rays_go_on_where_pages_lie(open_pool, monkeypatch):
     paged = paged_of(ONE)
-    residency, rays, tracer, line, shown = pipelined(paged, 1, True, monkeypatch)
-    run(tracer, RayKind.OCCLUSION)
-    same(hits_of(rays, PATHS, True), expected(ONE, True))
+    rays, tracer, line, shown = pipelined(open_pool, paged, 1, True, monkeypatch)
+    run(tracer)
+    require_right(rays)
     totals = tracer.totals()
     # a page of 31 kB is copied while 4 rays go on
     assert totals.rays_unbatched > 0 and totals.rays == totals.finished == 2 * PATHS
-    residency.close()
