@@ -4,6 +4,7 @@ import json
 import math
 
 import pytest
+import under_test
 from command_line import error_line, run_script
 from rendering.request import UsageError
 from studies import pages, rows, runner, scenes, thesis
@@ -175,17 +176,56 @@ def test_turns_are_interleaved_and_a_study_cut_short_goes_on(tmp_path):
 
 
 def test_rows_of_another_kind_are_refused(tmp_path):
-    header = {"study": "a", "device_kind": "cpu", "quick": False, "device": DEVICE, "versions": {}}
+    header = {"study": "a", "device_kind": "cpu", "quick": False, "device": DEVICE, "versions": {"raybatch": "1", "warp": "1.19"}}
     rows.RowFile(tmp_path / "a.jsonl", header).add({"case": "x", "turn": 0})
     rows.RowFile(tmp_path / "b.jsonl", header | {"quick": True})
     with pytest.raises(UsageError, match="quick.*--fresh"):
         rows.RowFile(tmp_path / "a.jsonl", header | {"quick": True})
+    with pytest.raises(UsageError, match="device = 'CPU', and this is 'H200'"):
+        rows.RowFile(tmp_path / "a.jsonl", header | {"device": DEVICE | {"name": "H200"}})
+    with pytest.raises(UsageError, match="warp = '1.19'"):
+        rows.RowFile(tmp_path / "a.jsonl", header | {"versions": {"raybatch": "1", "warp": "1.20"}})
     with pytest.raises(UsageError, match="do not go together"):
         rows.gathered([tmp_path / "a.jsonl", tmp_path / "b.jsonl"])
     (tmp_path / "c.jsonl").write_text("no rows\n")
     with pytest.raises(UsageError, match="damaged"):
         rows.read_rows(tmp_path / "c.jsonl")
     assert len(rows.gathered([tmp_path / "a.jsonl"] * 2)["rows"]) == 1
+    rows.write_report(tmp_path / "a.json", rows.gathered([tmp_path / "a.jsonl"]))
+    assert rows.read_report(tmp_path / "a.json")["rows"] == [{"case": "x", "turn": 0}]
+    for text in ("", "[]", "{}", (tmp_path / "a.json").read_text()[:90]):
+        (tmp_path / "b.json").write_text(text)
+        with pytest.raises(UsageError, match="no figures of a study"):
+            rows.read_report(tmp_path / "b.json")
+
+
+def test_a_bench_measures_renders(tmp_path):
+    """What rows hold, against the session's own statistics; references are kept."""
+    from studies.bench import Bench, row_of, whole_seconds
+
+    bench = Bench(Options(under_test.DEVICE, cache=tmp_path))
+    try:
+        scene, settings = scenes.plates(16, 16), RenderSettings(sample_count=8, bounce_max=1, sample_sequence="INDEPENDENT")
+        row = bench.timed(scene, settings.replace(batching="OFF"), "warm")
+        assert (row["complete"], row["share"], row["invalid_samples"], row["method"]) == (True, 1.0, 0, "OFF") and row["rays"] >= 16 * 16 * 8
+        waiting = bench.timed(scene, settings.replace(batching="ON"))
+        assert waiting["film"] == row["film"] and waiting["method"] == "ON" and waiting["treelets"] >= 1
+        assert bench.timed(scene, settings.replace(seed=1))["film"] != row["film"]
+        ended = bench.timed(scene, settings.replace(sample_count=1 << 20), cap=0.3)
+        assert not ended["complete"] and ended["film"] is None and 0 <= ended["share"] < 1
+        assert whole_seconds(ended) is None or whole_seconds(ended) > ended["seconds"]
+        reference = bench.reference("plates", scene, settings, 64)
+        assert reference.samples == 64 and len(list(tmp_path.iterdir())) == 1
+        row = bench.curve(scene, settings, reference)
+        assert [each["samples"] for each in row["points"]] == [1, 2, 4, 8] and row["slope"]["slope"] < 0 < row["floor"]["rmse"]
+        json.dumps(row, allow_nan=False)
+        again = Bench(Options(under_test.DEVICE, cache=tmp_path))
+        again.session = None  # nothing is rendered
+        assert (again.reference("plates", scene, settings, 64).picture == reference.picture).all()
+        film = bench.session.render(scene, settings)
+        assert row_of(film, settings)["film"] == row["film"]
+    finally:
+        bench.close()
 
 
 def test_films_that_differ_are_found():

@@ -70,7 +70,7 @@ def fragment(reports: dict[str, Report]) -> str:
             rates = [first[peer]["rays"] / seconds[peer] / 1e6 if peer in seconds else None for peer in peers]
             on = first.get(peers[1], {})
             rows.append([
-                device_title(report), row["scene"], f"{row['triangles']:,}", row["bounces"], *map(number, rates),
+                device_title(report), row["scene"], f"{row.get('triangles', 0):,}", row["bounces"], *map(number, rates),
                 number(rates[1] / rates[0] if rates[0] and rates[1] else None), first.get(peers[2], {}).get("method"),
                 number(on.get("treelet_visits_per_ray")),
             ])  # fmt: skip
@@ -95,7 +95,9 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
                         off = key[: -len(mode)] + "OFF"
                         if row["axis"] == name and row["scene"] == scene and row["batching"] == mode and off in seconds and key in seconds:
                             points.append((row[x] + (name == "bounces"), seconds[off] / seconds[key]))
-                    axis.plot(*zip(*sorted(points), strict=True), style, color=colour, markersize=4, label=f"{device_title(report)}, {scene}, {mode.lower()}")
+                    if points:
+                        label = f"{device_title(report)}, {scene}, {mode.lower()}"
+                        axis.plot(*zip(*sorted(points), strict=True), style, color=colour, markersize=4, label=label)
     for axis, label in zip(axes, ("bounces", "triangles"), strict=True):
         axis.axhline(1, color="black", linewidth=0.8)
         axis.set(xlabel=label, ylim=(0, None))
@@ -104,7 +106,7 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
     axes[0].set_xticks([bounces + 1 for bounces in told], told)
     axes[0].minorticks_off()
     axes[1].set_xscale("log")
-    sizes = sorted({row["triangles"] for report in reports.values() for row in report["rows"] if row["axis"] == "size"})
+    sizes = sorted({row["triangles"] for report in reports.values() for row in report["rows"] if row["axis"] == "size" and "triangles" in row})
     axes[1].set_xticks(sizes, [f"{size / 1e6:.2g}M" for size in sizes])
     axes[1].minorticks_off()
     axes[0].set_ylabel("speed over unbatched (1 = as fast)")

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from converging.reference import core_digest
 from rendering.standalone import resized
 
 from raybatch_addon.core.errors import RayBatchError
@@ -16,6 +17,7 @@ from raybatch_addon.core.film import Film
 from raybatch_addon.core.report.convergence import (
     ConvergenceRecorder, Reference, efficiency, fit_slope, load_reference, noise_floor, save_reference, scene_hash,
 )  # fmt: skip
+from raybatch_addon.core.report.convergence_fit import known
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.session import Progress, Session
 from raybatch_addon.core.settings import RenderSettings
@@ -73,18 +75,14 @@ class Bench:
 
         A render that takes more than `cap` seconds is ended, and told by how far it came: `complete` is false, `share` what was done.
         """
-        if warm is not None and warm not in self._warm:
-            self.session.render(resized(scene, WARM_EDGE, WARM_EDGE), settings.replace(sample_count=1))
-            self._warm.add(warm)
+        self._warm_up(scene, settings, warm)
         watch = TimeCap(cap)
         film = self.session.render(scene, settings, observers=[watch], cancelled=watch.cancelled)
         return row_of(film, settings)
 
     def curve(self, scene: Scene, settings: RenderSettings, reference: Reference, warm: Any = None) -> Row:
         """Figures of one render, and its error at geometric sample counts against `reference`."""
-        if warm is not None and warm not in self._warm:
-            self.session.render(resized(scene, WARM_EDGE, WARM_EDGE), settings.replace(sample_count=1))
-            self._warm.add(warm)
+        self._warm_up(scene, settings, warm)
         recorder = ConvergenceRecorder()
         film = self.session.render(scene, settings, observers=[recorder])
         points = recorder.points(reference)
@@ -94,19 +92,25 @@ class Bench:
             **row_of(film, settings),
             "points": told,
             "sequence": settings.sample_sequence,
-            "slope": slope and {"slope": slope.slope, "spread": slope.spread if slope.spread == slope.spread else None, "flattens": slope.flattens,
-                                "last": slope.last_slope, "says": slope.says},
+            "slope": slope and {"slope": slope.slope, "spread": known(slope.spread), "flattens": slope.flattens, "last": slope.last_slope,
+                                "says": slope.says},
             "efficiency": efficiency(points, "relmse"),
             "floor": dict(zip(("rmse", "relmse"), noise_floor(reference), strict=True)),
         }  # fmt: skip
 
+    def _warm_up(self, scene: Scene, settings: RenderSettings, warm: Any) -> None:
+        if warm is not None and warm not in self._warm:
+            self.session.render(resized(scene, WARM_EDGE, WARM_EDGE), settings.replace(sample_count=1))
+            self._warm.add(warm)
+
     def reference(self, key: Any, scene: Scene, settings: RenderSettings, samples: int) -> Reference:
-        """What the picture should be: by this engine with another seed, in halves that tell its own error; kept in a file."""
+        """What the picture should be: by this engine as it is, with another seed, in halves that tell its own error; kept in a file."""
         settings = settings.replace(seed=REFERENCE_SEED, sample_count=samples, error_estimate="ON")
         if key in self._references:
             return self._references[key]
         frame = scene.frame
-        path = self.options.cache / f"reference-{scene_hash(scene)[:16]}-{frame.width}x{frame.height}-{settings.bounce_max}-{samples}.npz"
+        made = f"{scene_hash(scene)[:16]}-{core_digest()[:8]}-{frame.width}x{frame.height}-{settings.bounce_max}-{samples}"
+        path = self.options.cache / f"reference-{made}.npz"
         if path.is_file():
             reference = load_reference(path, (frame.width, frame.height), scene_hash(scene), settings)
         else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import statistics
 import subprocess
 import sys
 from pathlib import Path
@@ -88,19 +89,13 @@ def fragment(reports: dict[str, Report]) -> str:
                 continue
             row, equal = mine[0], [each["equal_error"] for each in mine]
             rows.append([
-                scene, f"{row['triangles']:,}", row["samples"], number(_median(each["raybatch"]["seconds"] for each in mine)),
-                number(_median(each["cycles"]["seconds"] for each in mine)), number(_median(each["relmse"]["raybatch"] for each in equal)),
-                number(_median(each["relmse"]["cycles"] for each in equal)), f"{_median(each['mean_ratio'] for each in equal):.4f}",
-                f"**{number(_median(each['raybatch_over_cycles'] for each in equal))}**",
+                scene, f"{row['triangles']:,}", row["samples"], number(statistics.median(each["raybatch"]["seconds"] for each in mine)),
+                number(statistics.median(each["cycles"]["seconds"] for each in mine)), number(statistics.median(each["relmse"]["raybatch"] for each in equal)),
+                number(statistics.median(each["relmse"]["cycles"] for each in equal)), f"{statistics.median(each['mean_ratio'] for each in equal):.4f}",
+                f"**{number(statistics.median(each['raybatch_over_cycles'] for each in equal))}**",
             ])  # fmt: skip
     heads = ["scene", "triangles", "samples", "RayBatch [s]", "Cycles [s]", "relMSE RayBatch", "relMSE Cycles", "brightness, ratio", "time at equal error, RayBatch over Cycles"]
     return "\n".join([*parts, table(heads, rows)])
-
-
-def _median(values) -> float:
-    import statistics
-
-    return statistics.median(list(values))
 
 
 def draw(reports: dict[str, Report], folder: Path) -> None:
@@ -114,7 +109,7 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
             (-0.2, GREY, "at equal samples", lambda row: row["raybatch"]["seconds"] / row["cycles"]["seconds"]),
             (0.2, BLUE, "at equal error", lambda row: row["equal_error"]["raybatch_over_cycles"]),
         ):
-            heights = [_median(figure_of(row) for row in report["rows"] if row["case"] == name) for name in names]
+            heights = [statistics.median(figure_of(row) for row in report["rows"] if row["case"] == name) for name in names]
             bars = axis.bar([index + offset for index in range(len(names))], heights, 0.38, color=colour, label=label)
             for text in axis.bar_label(bars, [f"{height:.2f}" for height in heights], fontsize=7, padding=1):
                 text.set_bbox({"facecolor": "white", "edgecolor": "none", "pad": 0.5})  # the line at 1 may pass behind it
@@ -126,4 +121,4 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
     save(figure, folder, "cycles")
 
 
-STUDY = Study("cycles", "RayBatch against Cycles at equal error, on five scenes", cases, measure, fragment, draw, turns=(1, 2), needs="bpy")
+STUDY = Study("cycles", "RayBatch against Cycles at equal error, on five scenes", cases, measure, fragment, draw, turns=(1, 2))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import statistics
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,12 @@ from rendering.request import UsageError
 
 from .study import Report, Row
 
-# What must be alike for rows to go together
-_ALIKE = ("study", "device_kind", "quick")
+
+def alike(header: dict[str, Any]) -> dict[str, Any]:
+    """What of a header must be equal for rows to go together: figures of two devices or versions are no medians of one."""
+    device, versions = header.get("device") or {}, header.get("versions") or {}
+    own = {name: header.get(name) for name in ("study", "device_kind", "quick")}
+    return own | {"device": device.get("name"), "raybatch": versions.get("raybatch"), "warp": versions.get("warp")}
 
 
 class RowFile:
@@ -24,15 +29,14 @@ class RowFile:
         self.path, self.rows = path, []
         if path.exists():
             found, self.rows = read_rows(path)
-            for name in _ALIKE:
-                if found.get(name) != header[name]:
+            wanted = alike(header)
+            for name, value in alike(found).items():
+                if value != wanted[name]:
                     raise UsageError(
-                        f"{path} holds rows with {name} = {found.get(name)!r}, and this is {header[name]!r}: choose another --out, or "
+                        f"{path} holds rows with {name} = {value!r}, and this is {wanted[name]!r}: choose another --out, or "
                         "give --fresh to measure all of it again"
                     )
-            self.header = found
         else:
-            self.header = header
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps({"header": header}) + "\n", encoding="utf-8")
 
@@ -74,9 +78,10 @@ def gathered(files: Sequence[Path]) -> Report:
         header, rows = read_rows(path)
         if not report:
             report = {**header, "rows": []}
-        for name in _ALIKE:
-            if header.get(name) != report.get(name):
-                raise UsageError(f"{path} and {files[0]} do not go together: their {name} is {header.get(name)!r} and {report.get(name)!r}")
+        first = alike(report)
+        for name, value in alike(header).items():
+            if value != first[name]:
+                raise UsageError(f"{path} and {files[0]} do not go together: their {name} is {value!r} and {first[name]!r}")
         for row in rows:
             if (row["case"], row["turn"]) not in seen:
                 seen.add((row["case"], row["turn"]))
@@ -95,10 +100,19 @@ def write_report(path: Path, report: Report) -> None:
     write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
+def read_report(path: Path) -> Report:
+    """What `write_report` wrote; raises `UsageError`."""
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+        if report["rows"] and None not in alike(report).values():
+            return report
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    raise UsageError(f"{path} holds no figures of a study: is it damaged? Measure again, or give its rows with --gather") from None
+
+
 def medians(rows: Sequence[Row], figure: str = "seconds") -> dict[str, float]:
     """Median of a figure over turns by case; rows without it are left out."""
-    import statistics
-
     found: dict[str, list[float]] = {}
     for row in rows:
         if row.get(figure) is not None:

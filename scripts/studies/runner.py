@@ -17,7 +17,7 @@ from raybatch_addon.kernel_cache import kernel_cache_folder
 
 from .bench import Bench, refused
 from .pages import put_fragment
-from .rows import RowFile, gathered, write_report
+from .rows import RowFile, gathered, read_report, write_report
 from .scenes import FILES, find
 from .study import Case, Options, Report, Study, groups_of
 
@@ -89,13 +89,11 @@ def publish(study: Study, files: Sequence[Path], out: Path) -> Path:
 
 def reports_of(study: Study, out: Path) -> dict[str, Report]:
     """Reports of a study by device, the GPU's first."""
-    import json
-
     found = {}
     for kind in ("cuda", "cpu"):
         path = out / DATA / f"{study.name}-{kind}.json"
         if path.is_file():
-            found[kind] = json.loads(path.read_text(encoding="utf-8"))
+            found[kind] = read_report(path)
     if not found:
         raise UsageError(f"{out / DATA} has no figures of the study {study.name}: measure it first, or give its rows with --gather")
     return found

@@ -53,15 +53,6 @@ def find(name: str, options: Options) -> Path:
     raise UsageError(f"the scene {name} ({' or '.join(names)}) was not found ({where}): give its folder with --scenes, or in {VARIABLE}")
 
 
-def is_there(name: str, options: Options) -> bool:
-    """Whether the archive of a scene is there."""
-    try:
-        find(name, options)
-    except UsageError:
-        return False
-    return True
-
-
 def view_of(name: str) -> View | None:
     """The camera of a scene that one looks at from inside."""
     if name not in VIEWS:

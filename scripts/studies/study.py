@@ -50,7 +50,6 @@ class Study:
     fragment: Callable[[dict[str, Report]], str]  # markdown of the reports by device
     draw: Callable[[dict[str, Report], Path], None]  # plots into a folder, as NAME-*.svg
     turns: tuple[int, int] = (2, 3)  # quick, full
-    needs: str = ""  # what only some machines have
 
 
 def groups_of(cases: Sequence[Case]) -> dict[str, list[Case]]:

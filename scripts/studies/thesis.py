@@ -14,7 +14,7 @@ from raybatch_addon.core.presets import preset_settings
 from raybatch_addon.core.settings import RenderSettings
 
 from . import scenes
-from .bench import Bench, whole_seconds
+from .bench import Bench, whole_seconds, with_frame
 from .pages import device_title, films_line, machine, number, table
 from .rows import differing_films, first_rows
 from .study import Case, Options, Report, Row, Study
@@ -83,8 +83,6 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
         settings = settings_of({name: what[name] for name in PARAMETERS if name in what})
     if what["table"] == "one_warp":
         settings = settings.replace(warp_count=1)
-    from .bench import with_frame
-
     cap = options.pick(1.5, 20.0) if options.is_cuda else options.pick(2.0, 8.0)
     warm = (what["scene"], settings.batching, settings.ray_storage, settings.treelet_size)
     return {"edge": edge, **bench.timed(with_frame(scene, edge, edge), settings, warm, cap)}
@@ -196,7 +194,7 @@ def _summary_table(reports: dict[str, Report], theirs: dict[str, Any]) -> str:
                 continue
             place = min(ours, key=ours.get)
             control = control_seconds(report, scene)
-            edge = next(row["edge"] for row in report["rows"])
+            edge = next(row["edge"] for row in report["rows"] if "edge" in row)
             slower = number(max(ours.values()) / ours[place])
             rows.append([scene, f"{device_title(report)}, {edge} x {edge}", _words(place[1:]), number(ours[place]), slower, number(control)])
             for row in report["rows"]:
