@@ -22,8 +22,8 @@ class Outcome:
 
     @property
     def passed(self) -> bool:
-        """Whether the answer is right; never for NaN."""
-        return self.measured == self.expected or abs(self.measured - self.expected) <= self.tolerance
+        """Whether the answer is right; never for NaN, nor for a tolerance that allows everything."""
+        return self.measured == self.expected or abs(self.measured - self.expected) <= self.tolerance < math.inf
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,9 @@ class Sweep:
 
 
 def _excess(outcome: Outcome) -> float:
-    error = abs(outcome.measured - outcome.expected) if outcome.measured != outcome.expected else 0.0
-    if math.isnan(error):
-        return math.inf
-    return error / outcome.tolerance if outcome.tolerance else (math.inf if error else 0.0)
+    """The error in units of the tolerance; infinite where one of the numbers is none: nothing is worse."""
+    if outcome.measured == outcome.expected:
+        return 0.0
+    error = abs(outcome.measured - outcome.expected)
+    excess = error / outcome.tolerance if 0 < outcome.tolerance < math.inf else math.inf
+    return math.inf if math.isnan(excess) else excess

@@ -12,8 +12,9 @@ from raybatch_addon.core.scene.description import Light, LightKind, Mesh
 
 from .bench import Bench
 from .case import Outcome, Sweep, case
+from .form_factors import square_form_factor
 from .meshes import rotation
-from .uniform import PIXELS, ROUNDING, STATISTICS, UNIT_ROUNDOFF, UNSEEN, add_mean, diffuse, emitter, floor_of, point_light, rectangle_irradiance
+from .uniform import PIXELS, ROUNDING, STATISTICS, UNIT_ROUNDOFF, UNSEEN, add_mean, diffuse, emitter, floor_of, point_light
 
 # --- near a surface
 
@@ -37,7 +38,7 @@ def area_light_near_surface(bench: Bench) -> Outcome:
         for kind in (LightKind.RECTANGLE, LightKind.ELLIPSE):
             light = Light("area", kind, scenes.translation(0, 0, height), (3.0,) * 3, size=(1.0, 1.0), visibility=UNSEEN)
             is_square = kind == LightKind.RECTANGLE
-            expected = rectangle_irradiance(3.0, 0.5, height) / math.pi if is_square else 3.0 * 0.25 / (0.25 + height**2)
+            expected = 3.0 * square_form_factor(0.5, height) if is_square else 3.0 * 0.25 / (0.25 + height**2)
             picture = bench.render(floor_of(light, size=1e-2), sample_count=1024)
             add_mean(sweep, picture, expected, ROUNDING + 4e-6, f"{kind.name.lower()} at {height:g}")
     return sweep.outcome()
@@ -54,7 +55,7 @@ def mesh_light_near_surface(bench: Bench) -> Outcome:
     """Heights."""
     sweep = Sweep()
     for height in (1e-6, 1e-4, 1e-2, 1.0):
-        expected = rectangle_irradiance(3.0, 0.5, height) / math.pi
+        expected = 3.0 * square_form_factor(0.5, height)
         lamp = (scenes.plane("lamp", 1.0), scenes.translation(0, 0, height), emitter(3.0), UNSEEN)
         picture = bench.render(floor_of(objects=[lamp], size=1e-2), sample_count=1024)
         add_mean(sweep, picture, expected, ROUNDING, f"height {height:g}")
@@ -130,7 +131,7 @@ def _lights_of_each_kind(power: float) -> list[tuple[Light, float]]:
         (point_light((0, 0, 2), power, radius=0.5, soft_falloff=False), power / 4),
         (Light("spot", LightKind.SPOT, down, (power,) * 3, angle=1.0), power / 4),
         (scenes.sun(power), power),
-        (Light("area", LightKind.RECTANGLE, down, (power,) * 3, visibility=UNSEEN), rectangle_irradiance(power, 0.5, 2.0)),
+        (Light("area", LightKind.RECTANGLE, down, (power,) * 3, visibility=UNSEEN), math.pi * power * square_form_factor(0.5, 2.0)),
         (Light("disk", LightKind.ELLIPSE, down, (power,) * 3, visibility=UNSEEN), power * math.pi * 0.25 / 4.25),
     ]
 
@@ -164,7 +165,7 @@ def powers_of_meshes(bench: Bench) -> Outcome:
         add_mean(sweep, bench.render(floor_of(world=power), sample_count=4) / power, 1.0, ROUNDING, f"world {power:g}")
         lamp = (scenes.plane("lamp", 1.0), scenes.translation(0, 0, 0.8), emitter(power), UNSEEN)
         picture = bench.render(floor_of(objects=[lamp]), sample_count=1024)
-        add_mean(sweep, picture / power, rectangle_irradiance(1.0, 0.5, 0.8) / math.pi, ROUNDING, f"mesh {power:g}")
+        add_mean(sweep, picture / power, square_form_factor(0.5, 0.8), ROUNDING, f"mesh {power:g}")
     return sweep.outcome()
 
 

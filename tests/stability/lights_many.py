@@ -12,7 +12,8 @@ from raybatch_addon.core.scene.validate import checked_scene
 
 from .bench import Bench
 from .case import Outcome, Sweep, case
-from .uniform import KINDS, PIXELS, ROUNDING, STATISTICS, UNIT_ROUNDOFF, UNSEEN, add_mean, emitter, floor_of, point_light, rectangle_irradiance
+from .form_factors import square_form_factor
+from .uniform import KINDS, PIXELS, ROUNDING, STATISTICS, UNIT_ROUNDOFF, UNSEEN, add_mean, emitter, floor_of, point_light
 
 _MANY = 100_000
 
@@ -85,7 +86,7 @@ def many_triangles(bench: Bench) -> Outcome:
     triangles = np.concatenate([np.column_stack([a, a + 1, a + n + 2]), np.column_stack([a, a + n + 2, a + n + 1])]).astype(np.int32)
     lamp = (Mesh("lamp", positions, triangles), scenes.translation(0, 0, 0.9), emitter(3.0), UNSEEN)
     sweep = Sweep()
-    add_mean(sweep, bench.render(floor_of(objects=[lamp]), sample_count=1024), rectangle_irradiance(3.0, 0.7, 0.9) / math.pi, ROUNDING)
+    add_mean(sweep, bench.render(floor_of(objects=[lamp]), sample_count=1024), 3.0 * square_form_factor(0.7, 0.9), ROUNDING)
     return sweep.outcome()
 
 
@@ -100,7 +101,7 @@ def coincident(bench: Bench) -> Outcome:
     sweep = Sweep()
     for nee in ("ON", "OFF"):
         picture = bench.render(floor_of(*[light] * 1000), sample_count=64, nee=nee)
-        add_mean(sweep, picture, rectangle_irradiance(3.0, 0.7, 0.9) / math.pi, ROUNDING + 3e-6, f"nee {nee}")
+        add_mean(sweep, picture, 3.0 * square_form_factor(0.7, 0.9), ROUNDING + 3e-6, f"nee {nee}")
     return sweep.outcome()
 
 

@@ -36,8 +36,10 @@ def test_a_sweep_tells_its_worst_value():
     sweep.add(2.0, 2.1, 0.2, "half")
     sweep.add(30.0, 31.0, 10.0, "a tenth")
     assert sweep.outcome().note == "half" and sweep.count == 3
-    sweep.add(math.nan, 0.0, 1.0, "no number")
-    assert sweep.outcome().note == "no number" and not sweep.outcome().passed
+    for numbers in ((math.nan, 0.0, 1.0), (1.0, math.nan, 1.0), (1.0, 2.0, math.nan), (math.inf, 0.0, math.inf)):
+        spoiled = Sweep(sweep.worst, sweep.count)
+        spoiled.add(*numbers, "no number")
+        assert spoiled.outcome().note == "no number" and not spoiled.outcome().passed
 
 
 class _Untouched:

@@ -64,11 +64,3 @@ def floor_of(*lights: Light, objects=(), size: float = 4.0, world: float = 0.0, 
     """
     view = scenes.camera(eye=eye, half_width=half_width)
     return scenes.scene([(scenes.plane("floor", size), scenes.IDENTITY, diffuse()), *objects], view=view, frame=PIXELS, lights=lights, world=world)
-
-
-def rectangle_irradiance(radiance: float, half: float, height: float) -> float:
-    """Of a square emitter above the middle of which a surface lies, parallel to it (four corners of configuration factor B-3
-    in Howell's catalogue); `half` its side."""
-    a = half / height
-    root = math.sqrt(1 + a * a)
-    return math.pi * radiance * 4 * (2 * a / root * math.atan(a / root) / (2 * math.pi))
