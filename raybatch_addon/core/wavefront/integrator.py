@@ -127,7 +127,7 @@ class TileIntegrator:
                 break
             back = self._trace(work, camera, stop)
             self._shade(work, film, min(back, self._alive))
-            done += self._finish_paths(work, film)
+            done += self._finish_paths(work, film, stopped_at is None and state.items_begun < items)
         tile = state.tile
         if state.half:
             # the first sample of the other half decides
@@ -228,11 +228,14 @@ class TileIntegrator:
                     self._launch_over(self._kernels.light_hits, hits, data, limits, paths, rays)
                 self._launch_over(self._kernels.surface, hits, data, work, limits, paths, rays, film)
 
-    def _finish_paths(self, work: TileWork, film: FilmTile) -> int:
-        """Move paths that are over to the film, and list the rays of the next turn; how many were over."""
+    def _finish_paths(self, work: TileWork, film: FilmTile, generates: bool) -> int:
+        """Move paths that are over to the film, and list the rays of the next turn; how many were over.
+
+        `generates`: there are paths to generate, which need free slots.
+        """
         by_bounce = self._order is not None and self._order.wants_parts(self.rays.camera)
         with self._timer.stage("lists"):
-            done = self._lists.end_turn(self._paths.status, self._alive, by_bounce)
+            done = self._lists.end_turn(self._paths.status, self._alive, by_bounce, generates)
         with self._timer.stage("film"):
             self._launch_over(self._kernels.accumulate, done, work, self._paths, film)
         lengths = self._lists.counts.fetch()
@@ -242,7 +245,7 @@ class TileIntegrator:
         self.items_done += lengths[Length.DONE]
         self.rays.bounced += lengths[Length.BOUNCE]
         self.rays.shadow += lengths[Length.SHADOW]
-        turn = self._lists.next_turn(lengths, by_bounce)
+        turn = self._lists.next_turn(lengths, by_bounce, generates)
         self._free, self._bounced, self._shadow = turn.free, turn.bounced, turn.shadow
         if self._order:
             self._order.told(turn.bounced, turn.bounced_parts)

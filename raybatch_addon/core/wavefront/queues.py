@@ -1,10 +1,11 @@
 """Lists of path slots by status, made by counting, exclusive scan and scatter: no locks, and always in slot order.
 
 Paths are counted in blocks, so that only a block has places in the work arrays: on CUDA each warp counts a block, its lanes by
-votes; on the CPU one block holds all paths. All lists of a worker lie in one array of two entries a path, a list behind the one
-before it:
+votes; on the CPU one block holds all paths, so that one launch counts and scatters, and vector
+units look at many words at a time: where a tile comes to its end few of its slots are still in use. All lists of a worker lie in one array of two entries a path,
+a list behind the one before it:
 
-- at the end of a turn paths at their end, free slots, and new extending rays by bounce: together at most one entry a path. Behind them
+- at the end of a turn paths at their end, free slots (as long as there are paths to generate), and new extending rays by bounce: together at most one entry a path. Behind them
   new shadow rays, of which a path may have one too;
 - when rays are back, paths that left the scene, and in the array's second half paths that met a surface. By then the lists of the turn
   before are used up.
@@ -64,24 +65,56 @@ _BLOCK = """
     const int first = block_number * block_size, end = paths - first > block_size ? first + block_size : paths;
 """
 
+# On the CPU `over_chunks(visit)` calls `visit(from, n, lists, masks)` for the paths of a block, `CHUNK` at a time and in their order, unless
+# none of these is in a list: `lists` is what each path belongs to, and masks[k] which of them belong to list k. Vector units look at them
+_OVER_CHUNKS = f"""
+    #if !defined(__CUDA_ARCH__)
+    constexpr int CHUNK = 16;
+    constexpr unsigned int ALL = (1u << CHUNK) - 1u;
+    auto over_chunks = [&](auto&& visit) {{
+        for (int from = first; from < end; from += CHUNK) {{
+            const int n = end - from > CHUNK ? CHUNK : end - from;
+            int words[CHUNK] = {{}}, any = 0;
+            if (n == CHUNK) for (int i = 0; i < CHUNK; ++i) words[i] = status.data[from + i];
+            else for (int i = 0; i < n; ++i) words[i] = status.data[from + i];
+            for (int i = 0; i < CHUNK; ++i) any |= words[i];
+            if (!(any & {_ALIVE}) && !lists_of(0)) continue;
+            unsigned int lists[CHUNK], masks[LISTS];
+            for (int i = 0; i < CHUNK; ++i) lists[i] = lists_of(words[i]);
+            for (int k = 0; k < LISTS; ++k) {{
+                masks[k] = 0u;
+                for (int i = 0; i < CHUNK; ++i) masks[k] |= (lists[i] >> k & 1u) << i;
+                masks[k] &= ALL >> (CHUNK - n);
+            }}
+            visit(from, n, lists, masks);
+        }}
+    }};
+    auto count = [&](int* found) {{
+        over_chunks([&](int, int, const unsigned int*, const unsigned int* masks) {{
+            for (int k = 0; k < LISTS; ++k) found[k] += __builtin_popcount(masks[k]);
+        }});
+    }};
+    #endif
+"""
+
 # `lists_of`: which lists a path belongs to, as bits
 _RULES = {
     ListSet.TURN: f"""
     constexpr int LISTS = 6;
+    const unsigned int free = with_free ? 2u : 0u, second = by_bounce ? 8u : 4u, later = by_bounce ? 16u : 4u;
     auto lists_of = [&](int word) -> unsigned int {{
-        if (!(word & {_ALIVE})) return 2u;
-        if ((word & {_ENDED | _WAITING}) == {_ENDED}) return 1u;
-        const unsigned int shadow = word & {_SHADOW_NEW} ? 32u : 0u;
-        if (!(word & {_RAY_NEW})) return shadow;
         const int bounce = word >> {BOUNCE_SHIFT};
-        return shadow | (!by_bounce || bounce <= 1 ? 4u : bounce == 2 ? 8u : 16u);
+        const unsigned int extending = bounce <= 1 ? 4u : bounce == 2 ? second : later;
+        const unsigned int rays = (word & {_RAY_NEW} ? extending : 0u) | (word & {_SHADOW_NEW} ? 32u : 0u);
+        const unsigned int alive = (word & {_ENDED | _WAITING}) == {_ENDED} ? 1u : rays;
+        return word & {_ALIVE} ? alive : free;
     }};
     """,
     ListSet.BACK: f"""
     constexpr int LISTS = 2;
     auto lists_of = [&](int word) -> unsigned int {{
-        if ((word & {_ALIVE | _ENDED | _WAITING}) != {_ALIVE}) return 0u;
-        return word & {_HIT} ? 2u : 1u;
+        const unsigned int back = word & {_HIT} ? 2u : 1u;
+        return (word & {_ALIVE | _ENDED | _WAITING}) == {_ALIVE} ? back : 0u;
     }};
     """,
 }
@@ -95,8 +128,7 @@ _COUNT = """
         for (int k = 0; k < LISTS; ++k) found[k] += __popc(__ballot_sync(0xffffffffu, lists >> k & 1u));
     }
     #else
-    for (int path = first; path < end; ++path)
-        for (unsigned int lists = lists_of(status.data[path]); lists; lists &= lists - 1u) ++found[__builtin_ctz(lists)];
+    count(found);
     #endif
     if (lane == 0)
         for (int k = 0; k < LISTS; ++k) counts.data[k * blocks + block_number] = found[k];
@@ -104,10 +136,20 @@ _COUNT = """
 
 _SCATTER = """
     const int blocks = (offsets.shape[0] - 1) / LISTS;
+    #if defined(__CUDA_ARCH__)
+    auto start = [&](int k, int block) { return offsets.data[k * blocks + block]; };
+    #else
+    int starts[LISTS + 1] = {};
+    if (blocks == 1) {
+        count(starts + 1);
+        for (int k = 0; k < LISTS; ++k) starts[k + 1] += starts[k];
+    }
+    auto start = [&](int k, int block) { return blocks == 1 ? starts[k] : offsets.data[k * blocks + block]; };
+    #endif
     int at[LISTS];
-    for (int k = 0; k < LISTS; ++k) at[k] = offsets.data[k * blocks + block_number];
-    if (block_number == 0 && lane == 0) tell(at);
-    place_apart(at);
+    for (int k = 0; k < LISTS; ++k) at[k] = start(k, block_number);
+    if (block_number == 0 && lane == 0) tell();
+    place_apart();
     #if defined(__CUDA_ARCH__)
     for (int from = first; from < end; from += 32) {
         const int path = from + lane;
@@ -120,25 +162,26 @@ _SCATTER = """
         if (lists) submit(path, lists);
     }
     #else
-    for (int path = first; path < end; ++path) {
-        const unsigned int lists = lists_of(status.data[path]);
-        for (unsigned int rest = lists; rest; rest &= rest - 1u) {
-            const int k = __builtin_ctz(rest);
-            slots.data[at[k]++] = slot_of(path, k);
-        }
-        if (lists) submit(path, lists);
-    }
+    over_chunks([&](int from, int n, const unsigned int* lists, const unsigned int* masks) {
+        for (int k = 0; k < LISTS; ++k)
+            if (masks[k] == ALL) {
+                for (int i = 0; i < CHUNK; ++i) slots.data[at[k] + i] = slot_of(from + i, k);
+                at[k] += CHUNK;
+            } else
+                for (unsigned int rest = masks[k]; rest; rest &= rest - 1u) slots.data[at[k]++] = slot_of(from + __builtin_ctz(rest), k);
+        for (int i = 0; i < n; ++i) submit(from + i, lists[i]);
+    });
     #endif
 """
 
 # What the scattering of either set does beside: it tells lengths, and counts rays that are listed as under way
 _SCATTERED = {
     ListSet.TURN: f"""
-    auto tell = [&](const int* at) {{
-        for (int k = 0; k < LISTS; ++k) lengths.data[{Length.DONE} + k] = offsets.data[(k + 1) * blocks] - at[k];
-        lengths.data[{Length.BOUNCE}] = offsets.data[5 * blocks] - at[2];
+    auto tell = [&]() {{
+        for (int k = 0; k < LISTS; ++k) lengths.data[{Length.DONE} + k] = start(k + 1, 0) - start(k, 0);
+        lengths.data[{Length.BOUNCE}] = start(5, 0) - start(2, 0);
     }};
-    auto place_apart = [](int*) {{}};
+    auto place_apart = []() {{}};
     auto slot_of = [&](int path, int k) {{ return k == 5 ? paths + path : path; }};
     auto submit = [&](int path, unsigned int lists) {{
         const int flipped = (lists & 28u ? {_RAY_NEW | _RAY_OUT} : 0) | (lists & 32u ? {_SHADOW_NEW | _SHADOW_OUT} : 0);
@@ -146,10 +189,10 @@ _SCATTERED = {
     }};
     """,
     ListSet.BACK: f"""
-    auto tell = [&](const int* at) {{
-        for (int k = 0; k < LISTS; ++k) lengths.data[{Length.MISS} + k] = offsets.data[(k + 1) * blocks] - at[k];
+    auto tell = [&]() {{
+        for (int k = 0; k < LISTS; ++k) lengths.data[{Length.MISS} + k] = start(k + 1, 0) - start(k, 0);
     }};
-    auto place_apart = [&](int* at) {{ at[1] += paths - offsets.data[blocks]; }};
+    auto place_apart = [&]() {{ at[1] += paths - start(1, 0); }};
     auto slot_of = [](int path, int) {{ return path; }};
     auto submit = [](int, unsigned int) {{}};
     """,
@@ -158,34 +201,35 @@ _SCATTERED = {
 
 @functools.cache
 def list_kernels(lists: ListSet) -> tuple[wp.Kernel, wp.Kernel]:
-    """Kernels (status, block_size, by_bounce, counts) and (status, block_size, by_bounce, offsets, slots, lengths).
+    """Kernels (status, block_size, by_bounce, with_free, counts) and (status, block_size, by_bounce, with_free, offsets, slots, lengths).
 
     The first counts each block's paths of every list, the second writes the lists to `slots`, flips the status of rays that are listed, and
-    tells `lengths`. `counts` and `offsets`, its exclusive scan, have shape [lists * blocks + 1]. A block is `block_size` paths; on
-    CUDA 32 threads take one, on the CPU one thread.
+    tells `lengths`. `counts` and `offsets`, its exclusive scan, have shape [lists * blocks + 1]; where there is one block the CPU's
+    second kernel counts for itself, and reads no `offsets`. A block is `block_size` paths; on CUDA 32 threads take one, on the CPU one
+    thread.
     """
-    before = _BLOCK + _RULES[lists]
-    scatter_text = before + _SCATTER.replace("    int at[LISTS];", _SCATTERED[lists] + "    int at[LISTS];")
+    before = _BLOCK + _RULES[lists] + _OVER_CHUNKS
+    scatter_text = before + _SCATTER.replace("    if (block_number == 0", _SCATTERED[lists] + "    if (block_number == 0", 1)
 
     @wp.func_native(before + _COUNT)
-    def count_block(status: wp.array(dtype=int), block_size: int, by_bounce: int, counts: wp.array(dtype=int), thread: int): ...
+    def count_block(status: wp.array(dtype=int), block_size: int, by_bounce: int, with_free: int, counts: wp.array(dtype=int), thread: int): ...
 
     @wp.func_native(scatter_text)
     def scatter_block(
-        status: wp.array(dtype=int), block_size: int, by_bounce: int, offsets: wp.array(dtype=int), slots: wp.array(dtype=int),
-        lengths: wp.array(dtype=int), thread: int,
+        status: wp.array(dtype=int), block_size: int, by_bounce: int, with_free: int, offsets: wp.array(dtype=int),
+        slots: wp.array(dtype=int), lengths: wp.array(dtype=int), thread: int,
     ): ...  # fmt: skip
 
     @wp.kernel(**KERNEL_OPTIONS)
-    def count_paths(status: wp.array(dtype=int), block_size: int, by_bounce: int, counts: wp.array(dtype=int)):
-        count_block(status, block_size, by_bounce, counts, wp.tid())
+    def count_paths(status: wp.array(dtype=int), block_size: int, by_bounce: int, with_free: int, counts: wp.array(dtype=int)):
+        count_block(status, block_size, by_bounce, with_free, counts, wp.tid())
 
     @wp.kernel(**KERNEL_OPTIONS)
     def scatter_paths(
-        status: wp.array(dtype=int), block_size: int, by_bounce: int, offsets: wp.array(dtype=int), slots: wp.array(dtype=int),
-        lengths: wp.array(dtype=int),
+        status: wp.array(dtype=int), block_size: int, by_bounce: int, with_free: int, offsets: wp.array(dtype=int),
+        slots: wp.array(dtype=int), lengths: wp.array(dtype=int),
     ):  # fmt: skip
-        scatter_block(status, block_size, by_bounce, offsets, slots, lengths, wp.tid())
+        scatter_block(status, block_size, by_bounce, with_free, offsets, slots, lengths, wp.tid())
 
     return count_paths, scatter_paths
 
@@ -201,6 +245,7 @@ class Counts:
         self.on_device = wp.zeros(size, dtype=int, device=device)
         # a CUDA device writes to memory that the host has pinned without a detour
         self._on_host = wp.zeros(size, dtype=int, device="cpu", pinned=True) if device.is_cuda else self.on_device
+        self._lengths = self._on_host.numpy()  # the same memory
         self._places = [self.on_device[place : place + 1] for place in range(size)]
 
     def at(self, place: int) -> wp.array:
@@ -213,14 +258,14 @@ class Counts:
         if device.is_cuda:
             wp.copy(self._on_host, self.on_device)
             wp.synchronize_stream(device.stream)
-        return self._on_host.numpy().tolist()
+        return self._lengths.tolist()
 
 
 @dataclass(frozen=True)
 class TurnLists:
     """What the next turn begins with."""
 
-    free: wp.array | None  # free slots, those of paths at their end too
+    free: wp.array | None  # free slots, those of paths at their end too, if they were asked for
     bounced: SlotList  # new extending rays
     bounced_parts: list[SlotList]  # the same by bounce, if that was asked for
     shadow: SlotList  # new shadow rays
@@ -245,7 +290,7 @@ class PathLists:
 
     def all_free(self, status: wp.array) -> wp.array:
         """The list of free slots while no path is alive."""
-        self._make(ListSet.TURN, status)
+        self._make(ListSet.TURN, status, with_free=True)
         return self._halves[0]
 
     def back(self, status: wp.array, bound: int) -> tuple[SlotList, SlotList]:
@@ -254,30 +299,35 @@ class PathLists:
         lengths = (self.counts.at(Length.MISS), self.counts.at(Length.SURFACE))
         return tuple(SlotList(slots, length, bound) for slots, length in zip(self._halves, lengths))
 
-    def end_turn(self, status: wp.array, bound: int, by_bounce: bool) -> SlotList:
-        """Make all lists of the next turn; rays in them count as under way from now on. Returns the paths at their end, at most `bound`."""
-        self._make(ListSet.TURN, status, by_bounce)
+    def end_turn(self, status: wp.array, bound: int, by_bounce: bool, with_free: bool) -> SlotList:
+        """Make all lists of the next turn; rays in them count as under way from now on. Returns the paths at their end, at most `bound`.
+
+        `by_bounce`: list new extending rays by bounce; `with_free`: list free slots, for paths that are to be generated.
+        """
+        self._make(ListSet.TURN, status, by_bounce, with_free)
         return SlotList(self._halves[0], self.counts.at(Length.DONE), bound)
 
-    def next_turn(self, lengths: list[int], by_bounce: bool) -> TurnLists:
+    def next_turn(self, lengths: list[int], by_bounce: bool, with_free: bool) -> TurnLists:
         """The lists that `end_turn` has made, with the fetched `lengths`; valid until `back`."""
-        place, parts = lengths[Length.DONE] + lengths[Length.FREE], []
-        free = self._slots[:place] if place else None
-        bounced = self._part(place, lengths, Length.BOUNCE)
+        place = lengths[Length.DONE] + lengths[Length.FREE]
+        free = self._slots[:place] if place and with_free else None
+        bounced, parts = self._part(place, lengths, Length.BOUNCE), []
         for length in (Length.BOUNCE_1, Length.BOUNCE_2, Length.BOUNCE_LATER):
-            parts.append(self._part(place, lengths, length))
+            if by_bounce:
+                parts.append(self._part(place, lengths, length))
             place += lengths[length]
-        return TurnLists(free, bounced, parts if by_bounce else [], self._part(place, lengths, Length.SHADOW))
+        return TurnLists(free, bounced, parts, self._part(place, lengths, Length.SHADOW))
 
     def _part(self, place: int, lengths: list[int], which: Length) -> SlotList:
         length = lengths[which]
         return SlotList(self._slots[place : place + length], self.counts.at(which), length) if length else NO_SLOTS
 
-    def _make(self, lists: ListSet, status: wp.array, by_bounce: bool = False) -> None:
+    def _make(self, lists: ListSet, status: wp.array, by_bounce: bool = False, with_free: bool = False) -> None:
         count_paths, scatter_paths = list_kernels(lists)
         counts, offsets = self._work[lists]
-        rule = (status, self._block_size, int(by_bounce))
+        rule = (status, self._block_size, int(by_bounce), int(with_free))
         threads = self._blocks * (32 if self._device.is_cuda else 1)
-        self._launches.launch(count_paths, threads, *rule, counts)
-        wp.utils.array_scan(counts, offsets, inclusive=False)
+        if self._device.is_cuda or self._blocks > 1:
+            self._launches.launch(count_paths, threads, *rule, counts)
+            wp.utils.array_scan(counts, offsets, inclusive=False)
         self._launches.launch(scatter_paths, threads, *rule, offsets, self._slots, self.counts.on_device)

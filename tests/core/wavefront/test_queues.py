@@ -34,20 +34,34 @@ def has(status: np.ndarray, bits: Status) -> np.ndarray:
 WAITING = Status.RAY_NEW | Status.RAY_OUT | Status.SHADOW_NEW | Status.SHADOW_OUT
 
 
-@pytest.mark.parametrize("by_bounce", [False, True])
+def few_alive(seed: int) -> np.ndarray:
+    """Statuses of a tile that comes to its end: runs of free slots, of every length, with paths between them, int32 [PATHS]."""
+    rng = np.random.default_rng(seed)
+    before = statuses(seed)
+    before[np.repeat(rng.random(PATHS) < 0.9, rng.integers(1, 70, PATHS))[:PATHS]] &= ~int(Status.ALIVE)
+    return before
+
+
+@pytest.mark.parametrize("statuses_of", [statuses, few_alive])
+@pytest.mark.parametrize("by_bounce, with_free", [(False, True), (True, True), (False, False), (True, False)])
 @pytest.mark.parametrize("block_size", BLOCKS)
-def test_the_lists_of_a_turn(block_size, by_bounce):
-    before = statuses(block_size)
+def test_the_lists_of_a_turn(block_size, by_bounce, with_free, statuses_of):
+    before = statuses_of(block_size)
     status, lists = wp.array(before, device=DEVICE), lists_of(PATHS, block_size)
-    done = lists.end_turn(status, PATHS, by_bounce)
+    lists._slots.fill_(-1)
+    done = lists.end_turn(status, PATHS, by_bounce, with_free)
     lengths = lists.counts.fetch()
-    turn = lists.next_turn(lengths, by_bounce)
+    turn = lists.next_turn(lengths, by_bounce, with_free)
     alive = has(before, Status.ALIVE)
     ended = alive & has(before, Status.ENDED) & ~has(before, WAITING)
     goes_on = alive & ~ended
     new, shadow, bounce = goes_on & has(before, Status.RAY_NEW), goes_on & has(before, Status.SHADOW_NEW), before >> BOUNCE_SHIFT
     assert slots_of(done) == np.flatnonzero(ended).tolist()
-    assert turn.free.numpy().tolist() == [*np.flatnonzero(ended), *np.flatnonzero(~alive)]
+    if with_free:
+        assert turn.free.numpy().tolist() == [*np.flatnonzero(ended), *np.flatnonzero(~alive)]
+    else:
+        assert turn.free is None and lengths[Length.FREE] == 0
+    assert (lists._slots.numpy() >= 0).sum() == ended.sum() + new.sum() + shadow.sum() + (with_free and (~alive).sum()), "nothing else is listed"
     assert slots_of(turn.shadow) == (PATHS + np.flatnonzero(shadow)).tolist() and turn.shadow.bound == shadow.sum()
     classes = [np.flatnonzero(new & chosen).tolist() for chosen in (bounce <= 1, bounce == 2, bounce > 2)]
     expected = sum(classes, []) if by_bounce else np.flatnonzero(new).tolist()
@@ -57,9 +71,10 @@ def test_the_lists_of_a_turn(block_size, by_bounce):
     assert np.array_equal(status.numpy(), before ^ flips), "listed rays count as under way"
 
 
+@pytest.mark.parametrize("statuses_of", [statuses, few_alive])
 @pytest.mark.parametrize("block_size", BLOCKS)
-def test_paths_whose_rays_are_back(block_size):
-    before = statuses(100 + block_size)
+def test_paths_whose_rays_are_back(block_size, statuses_of):
+    before = statuses_of(100 + block_size)
     status, lists = wp.array(before, device=DEVICE), lists_of(PATHS, block_size)
     miss, surface = lists.back(status, PATHS)
     shaded = has(before, Status.ALIVE) & ~has(before, WAITING | Status.ENDED)
@@ -73,9 +88,9 @@ def test_paths_whose_rays_are_back(block_size):
 def test_all_paths_alike(paths, bits):
     lists = lists_of(paths, 0)
     status = wp.full(paths, bits, dtype=int, device=DEVICE)
-    done = lists.end_turn(status, paths, True)
+    done = lists.end_turn(status, paths, True, True)
     lengths = lists.counts.fetch()
-    turn = lists.next_turn(lengths, True)
+    turn = lists.next_turn(lengths, True, True)
     everyone = list(range(paths))
     waits = bool(bits & int(Status.RAY_NEW))
     assert (turn.free is None) == waits and slots_of(done) == (everyone if bits & int(Status.ENDED) else [])
@@ -95,6 +110,6 @@ def test_lists_are_made_again_and_again_in_the_same_memory():
         before = statuses(seed)
         status = wp.array(before, device=DEVICE)
         miss, surface = lists.back(status, PATHS)
-        lists.end_turn(status, PATHS, bool(seed % 2))
+        lists.end_turn(status, PATHS, bool(seed % 2), bool(seed // 2))
         again, _ = lists.back(wp.array(before, device=DEVICE), PATHS)
         assert slots_of(again) == slots_of(lists_of(PATHS, 0).back(wp.array(before, device=DEVICE), PATHS)[0])
