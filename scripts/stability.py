@@ -123,13 +123,13 @@ def main(arguments: list[str] | None = None) -> int:
         try:
             return run(options, folders, standard_output)
         except RayBatchError as error:
-            folders.take_back()
             print(f"stability.py: error: {' '.join(str(error).split())}", file=sys.stderr)
             return 1
         except KeyboardInterrupt:
-            folders.take_back()
             print("stability.py: stopped", file=sys.stderr)
             return 130
+        finally:
+            folders.take_back()  # those in which nothing was written
 
 
 if __name__ == "__main__":

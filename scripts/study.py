@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from raybatch_addon.core.errors import RayBatchError
-from rendering.output import OutputError, OutputFolders, leave, own_standard_output
+from rendering.output import OutputFolders, leave, own_standard_output
 from rendering.request import UsageError
 
 PAGES = ROOT / "docs/studies"
@@ -119,14 +119,14 @@ def main(arguments: list[str] | None = None) -> int:
     with own_standard_output(given.verbose) as standard_output:
         try:
             return run(given, folders, standard_output)
-        except (RayBatchError, OutputError) as error:
-            folders.take_back()
+        except RayBatchError as error:
             print(f"study.py: error: {' '.join(str(error).split())}", file=sys.stderr)
             return 1
         except KeyboardInterrupt:
-            folders.take_back()
             print("study.py: stopped; start it again to go on", file=sys.stderr)
             return 130
+        finally:
+            folders.take_back()  # those in which nothing was written
 
 
 if __name__ == "__main__":

@@ -178,7 +178,7 @@ def test_turns_are_interleaved_and_a_study_cut_short_goes_on(tmp_path):
 def test_rows_of_another_kind_are_refused(tmp_path):
     header = {"study": "a", "device_kind": "cpu", "quick": False, "device": DEVICE, "versions": {"raybatch": "1", "warp": "1.19"}}
     rows.RowFile(tmp_path / "a.jsonl", header).add({"case": "x", "turn": 0})
-    rows.RowFile(tmp_path / "b.jsonl", header | {"quick": True})
+    rows.RowFile(tmp_path / "b.jsonl", header | {"quick": True}).add({"case": "x", "turn": 0})
     with pytest.raises(UsageError, match="quick.*--fresh"):
         rows.RowFile(tmp_path / "a.jsonl", header | {"quick": True})
     with pytest.raises(UsageError, match="device = 'CPU', and this is 'H200'"):
@@ -272,7 +272,8 @@ def test_numbers_are_written_to_be_read():
     ],
 )
 def test_bad_input_is_told_in_one_line(tmp_path, arguments, words):
-    assert words in error_line(run_script("study.py", *arguments, "--out", tmp_path))
+    assert words in error_line(run_script("study.py", *arguments, "--out", tmp_path / "new"))
+    assert not (tmp_path / "new").exists()
 
 
 def test_studies_are_listed():

@@ -25,8 +25,8 @@ class RowFile:
     """A file of rows under a header, which says what they are of."""
 
     def __init__(self, path: Path, header: dict[str, Any]):
-        """Goes on with the file, if there is one; raises `UsageError` where it holds something else."""
-        self.path, self.rows = path, []
+        """Goes on with the file, if there is one, else begins it with the first row; raises `UsageError` where it holds something else."""
+        self.path, self.rows, self._header = path, [], header
         if path.exists():
             found, self.rows = read_rows(path)
             wanted = alike(header)
@@ -36,9 +36,6 @@ class RowFile:
                         f"{path} holds rows with {name} = {value!r}, and this is {wanted[name]!r}: choose another --out, or "
                         "give --fresh to measure all of it again"
                     )
-        else:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps({"header": header}) + "\n", encoding="utf-8")
 
     def has(self, key: str, turn: int) -> bool:
         """Whether this was measured."""
@@ -47,6 +44,9 @@ class RowFile:
     def add(self, row: Row) -> None:
         """Write it at once."""
         line = json.dumps(row, allow_nan=False)
+        if not self.path.exists():
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            line = json.dumps({"header": self._header}) + "\n" + line
         with self.path.open("a", encoding="utf-8") as file:
             file.write(line + "\n")
         self.rows.append(row)
