@@ -27,17 +27,10 @@ def addon():
 @pytest.fixture
 def scene(addon):
     """An empty scene with factory settings, RayBatch as its engine, and nothing in it but a camera."""
-    import bpy
+    from blender.features.compare import empty_scene
 
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    scene = bpy.context.scene
-    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.location = (0, 0, 10)
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-    scene.render.engine = "RAYBATCH"
-    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 32, 24, 100
-    scene.raybatch.device = "cpu"
+    scene = empty_scene()
+    scene.render.resolution_x, scene.render.resolution_y = 32, 24
     scene.raybatch.sample_count = 2
     yield scene
     reports = sys.modules["raybatch_addon.reports"]

@@ -1,0 +1,86 @@
+"""Things to put into a scene."""
+
+from __future__ import annotations
+
+import bmesh
+import bpy
+from blender_builders import add_grid, add_mesh, add_object, material_of, node_tree
+from mathutils import Vector
+
+
+def shaded(obj: bpy.types.Object, kind: str, distribution: str | None = None, **inputs) -> bpy.types.Object:
+    """`obj` with a material of one shader node; inputs by name, with _ for a space."""
+    tree, surface = node_tree(material_of(obj, f"{obj.name} material"))
+    node = tree.nodes.new(kind)
+    if distribution is not None:
+        node.distribution = distribution
+    for name, value in inputs.items():
+        node.inputs[name.replace("_", " ")].default_value = value
+    tree.links.new(node.outputs[0], surface)
+    return obj
+
+
+def diffuse(obj: bpy.types.Object, color) -> bpy.types.Object:
+    """`obj` as Lambert's surface."""
+    return shaded(obj, "ShaderNodeBsdfDiffuse", Color=(*color, 1))
+
+
+def principled(obj: bpy.types.Object, color, **inputs) -> bpy.types.Object:
+    """`obj` with Blender's standard surface."""
+    return shaded(obj, "ShaderNodeBsdfPrincipled", Base_Color=(*color, 1), **inputs)
+
+
+def quad(name: str, corners, color) -> bpy.types.Object:
+    """One diffuse face."""
+    return diffuse(add_mesh(name, corners, [(0, 1, 2, 3)]), color)
+
+
+def box(name: str, place, size, turn: float, color) -> bpy.types.Object:
+    """A diffuse box, turned about the vertical axis."""
+    h = 0.5
+    corners = [(x, y, z) for x in (-h, h) for y in (-h, h) for z in (-h, h)]
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    obj = add_mesh(name, corners, faces)
+    obj.location, obj.scale, obj.rotation_euler.z = place, size, turn
+    return diffuse(obj, color)
+
+
+def ball(name: str, place, radius: float, segments: int = 32, rings: int = 16, smooth: bool = True) -> bpy.types.Object:
+    """A UV sphere with UV coordinates."""
+    mesh = bpy.data.meshes.new(name)
+    shape = bmesh.new()
+    bmesh.ops.create_uvsphere(shape, u_segments=segments, v_segments=rings, radius=radius, calc_uvs=True)
+    shape.loops.layers.uv.verify()
+    for face in shape.faces:
+        face.smooth = smooth
+    shape.to_mesh(mesh)
+    shape.free()
+    obj = add_object(name, mesh)
+    obj.location = place
+    return obj
+
+
+def look(scene: bpy.types.Scene, eye, target, lens: float = 35.0) -> None:
+    """Aim the scene's camera."""
+    camera = scene.camera
+    camera.location, camera.data.lens = eye, lens
+    camera.rotation_euler = (Vector(target) - Vector(eye)).to_track_quat("-Z", "Y").to_euler()
+
+
+def lamp(kind: str, place, target=None, **values) -> bpy.types.Object:
+    """A new light of `kind`, with its properties."""
+    data = bpy.data.lights.new(kind.title(), kind)
+    for name, value in values.items():
+        setattr(data, name, value)
+    obj = add_object(data.name, data)
+    obj.location = place
+    if target is not None:
+        obj.rotation_euler = (Vector(target) - Vector(place)).to_track_quat("-Z", "Y").to_euler()
+    return obj
+
+
+def floor(size: float = 8.0, color=(0.5, 0.4, 0.3)) -> bpy.types.Object:
+    """A diffuse square at z = 0."""
+    obj = add_grid("Floor", 1)
+    obj.scale = (size, size, 1)
+    return diffuse(obj, color)

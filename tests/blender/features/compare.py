@@ -1,0 +1,201 @@
+"""Whole pictures by two engines, with Cycles made unbiased, and the difference that is left when noise is taken away.
+
+Every engine renders a scene twice, with seeds of its own; its picture is the mean of the two, whose variance in a
+pixel is estimated by (first - second)^2 / 4. With A the picture by RayBatch and B that by Cycles, the expectation of
+(A - B)^2 is their true difference squared plus both variances, so that
+
+    relMSE = mean(((A - B)^2 - (A1 - A2)^2 / 4 - (B1 - B2)^2 / 4) / (B^2 + EPSILON))
+
+estimates the difference without the noise; it may come out below zero.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from raybatch_addon import frame, reports
+
+EPSILON = 1e-2  # keeps what is nearly black from counting most
+BOUNCES = 6
+
+
+class RenderFailed(Exception):
+    """RayBatch gave no picture; the message is its own."""
+
+
+@dataclass
+class Picture:
+    """Two independent renders of one engine: linear float64 [height, width, 3], bottom row first."""
+
+    first: np.ndarray
+    second: np.ndarray
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Both together."""
+        return (self.first + self.second) / 2
+
+    @property
+    def variance(self) -> np.ndarray:
+        """Of each pixel of `mean`, as estimated from the two."""
+        return (self.first - self.second) ** 2 / 4
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What two pictures have in common."""
+
+    ours: np.ndarray  # [3], mean of each channel
+    theirs: np.ndarray  # [3]
+    deviations: np.ndarray  # [3], difference of the means over its standard error
+    noise: float  # largest standard error of a channel's ratio of means
+    rel_mse: float
+    rel_mse_noise: float  # standard error of `rel_mse`
+
+    @property
+    def ratios(self) -> np.ndarray:
+        """Ours over theirs, [3]; 1 where both are black."""
+        dark = np.maximum(self.ours, self.theirs) <= 1e-12
+        return np.where(dark, 1.0, self.ours / np.where(dark, 1.0, np.maximum(self.theirs, 1e-12)))
+
+    @property
+    def mean_error(self) -> float:
+        """Largest relative difference of a channel's mean."""
+        return float(np.abs(self.ratios - 1).max())
+
+
+def rel_mse(ours: Picture, theirs: Picture) -> float:
+    """As the module's head states it."""
+    return float(_differences(ours, theirs).mean())
+
+
+def _differences(ours: Picture, theirs: Picture) -> np.ndarray:
+    difference = (ours.mean - theirs.mean) ** 2 - ours.variance - theirs.variance
+    return difference / (theirs.mean**2 + EPSILON)
+
+
+def figures_of(ours: Picture, theirs: Picture) -> Figures:
+    """The figures of two pictures of one size."""
+    means = ours.mean.mean((0, 1)), theirs.mean.mean((0, 1))
+    pixels = ours.first.shape[0] * ours.first.shape[1]
+    error = np.sqrt((ours.variance + theirs.variance).sum((0, 1))) / pixels
+    differences = _differences(ours, theirs)
+    return Figures(
+        means[0], means[1], (means[0] - means[1]) / np.maximum(error, 1e-12), float((error / np.maximum(means[1], 1e-12)).max()),
+        float(differences.mean()), float(differences.mean(-1).std() / np.sqrt(pixels)),
+    )  # fmt: skip
+
+
+# --- the scene, set alike for both
+
+
+def empty_scene() -> bpy.types.Scene:
+    """An empty scene with factory settings, RayBatch as its engine, and nothing in it but a camera. The add-on is registered."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.location = (0, 0, 10)
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    scene.render.engine = "RAYBATCH"
+    scene.render.resolution_percentage = 100
+    scene.raybatch.device = "cpu"
+    return scene
+
+
+def set_alike(scene: bpy.types.Scene, resolution: int = 64) -> None:
+    """Cycles without what makes it biased, and RayBatch with the same filter and bounces; a black world."""
+    render, cycles, ours = scene.render, scene.cycles, scene.raybatch
+    render.resolution_x = render.resolution_y = resolution
+    image = render.image_settings
+    image.file_format, image.color_mode, image.color_depth, image.exr_codec = "OPEN_EXR", "RGB", "32", "ZIP"
+    cycles.device, cycles.use_denoising, cycles.use_adaptive_sampling = "CPU", False, False
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = cycles.light_sampling_threshold = cycles.blur_glossy = 0
+    cycles.caustics_reflective = cycles.caustics_refractive = True
+    cycles.pixel_filter_type, cycles.filter_width = "BLACKMAN_HARRIS", 1.5
+    ours.pixel_filter, ours.filter_width = "BLACKMAN_HARRIS", 1.5
+    set_bounces(scene, BOUNCES)
+    add_world(scene, 0.0)
+
+
+def set_bounces(scene: bpy.types.Scene, count: int) -> None:
+    """Of every kind, also through transparent surfaces, for both engines."""
+    for name in ("max", "diffuse", "glossy", "transmission", "transparent_max"):
+        setattr(scene.cycles, f"{name}_bounces", count)
+    scene.raybatch.bounce_max = scene.raybatch.transparent_bounce_max = count
+
+
+def add_world(scene: bpy.types.Scene, strength: float, color=(1, 1, 1)) -> bpy.types.World:
+    """A new world of one colour; returns it."""
+    scene.world = bpy.data.worlds.new("World")
+    if bpy.app.version < (5, 0):
+        scene.world.use_nodes = True
+    background = next(node for node in scene.world.node_tree.nodes if node.type == "BACKGROUND")
+    background.inputs["Color"].default_value = (*color, 1)
+    background.inputs["Strength"].default_value = strength
+    return scene.world
+
+
+# --- the engines
+
+
+def by_raybatch(scene: bpy.types.Scene, seed: int, samples: int) -> tuple[np.ndarray, list[str]]:
+    """Pixels and warnings. Raises `RenderFailed`."""
+    films = []
+
+    def listen(_layer, _scene, film):
+        films.append(film)
+
+    scene.render.engine = "RAYBATCH"
+    scene.raybatch.seed, scene.raybatch.sample_count = seed, samples
+    frame.film_listeners.append(listen)
+    try:
+        bpy.ops.render.render()
+    except RuntimeError as error:
+        raise RenderFailed(" ".join(str(error).split())) from None
+    finally:
+        frame.film_listeners.remove(listen)
+    (film,) = films
+    if invalid := film.statistics["invalid_samples"]:
+        raise RenderFailed(f"{invalid} samples were not finite")
+    return film.passes["Combined"][..., :3].astype(float), list(reports.last().warnings)
+
+
+def by_cycles(scene: bpy.types.Scene, seed: int, samples: int, path: Path) -> np.ndarray:
+    """Pixels, by way of an EXR file at `path`."""
+    scene.render.engine, scene.render.filepath = "CYCLES", str(path)
+    scene.cycles.seed, scene.cycles.samples = seed, samples
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(str(path))
+    image.colorspace_settings.name = "Non-Color"
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    width, height = image.size
+    pixels = pixels.reshape(height, width, -1)[..., :3].astype(float)
+    bpy.data.images.remove(image)
+    return pixels
+
+
+def raybatch_picture(scene: bpy.types.Scene, samples: int, seeds=(1, 2)) -> Picture:
+    """Two renders of `samples` each."""
+    (first, warnings), (second, _) = (by_raybatch(scene, seed, samples) for seed in seeds)
+    return Picture(first, second, warnings)
+
+
+def cycles_picture(scene: bpy.types.Scene, samples: int, folder: Path, seeds=(3, 4)) -> Picture:
+    """Two renders of `samples` each."""
+    return Picture(*(by_cycles(scene, seed, samples, folder / f"{seed}.exr") for seed in seeds))
+
+
+def both_reopened(folder: Path, samples: int, cycles_samples: int | None = None) -> tuple[Picture, Picture]:
+    """The scene as it is, saved and opened again, by RayBatch and by Cycles; `samples` are those of each of the two renders."""
+    blend = str(folder / "scene.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+    bpy.ops.wm.open_mainfile(filepath=blend)
+    scene = bpy.context.scene
+    return raybatch_picture(scene, samples), cycles_picture(scene, cycles_samples or samples, folder)
