@@ -11,6 +11,8 @@ from enum import IntEnum, IntFlag
 
 import numpy as np
 
+from .program import Instruction, Program, ProgramFeatures  # noqa: F401  (the archive finds its classes here)
+
 
 class Visibility(IntFlag):
     """Kinds of rays that see an object; an object is skipped by rays whose bit it lacks."""
@@ -88,6 +90,7 @@ class Material:
     # Kinds that the material's nodes can have when a slider moves (by node kind, not by value):
     # kernels are compiled for these, so that moving a slider never compiles. Includes those of `closures`.
     kinds: tuple[ClosureKind, ...] = ()
+    program: Program | None = None  # makes the closures at every point, instead of `closures`
 
 
 @dataclass(frozen=True)
@@ -154,6 +157,7 @@ class World:
 
     radiance: tuple[float, float, float] = (0.0, 0.0, 0.0)  # linear RGB [W/(m² sr)]
     visibility: int = int(Visibility.ALL)
+    program: Program | None = None  # makes the radiance of every direction, instead of `radiance`: the sum of its emission closures
 
 
 @dataclass(frozen=True)

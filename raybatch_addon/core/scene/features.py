@@ -14,6 +14,7 @@ import numpy as np
 
 from ..settings import RenderSettings
 from .description import CameraKind, ClosureKind, LightKind, Scene, Visibility
+from .program import ProgramFeatures, program_features
 
 # Kinds that scatter; the others emit or let light pass
 SCATTERING = tuple(k for k in ClosureKind if k not in (ClosureKind.EMISSION, ClosureKind.TRANSPARENT))
@@ -24,6 +25,8 @@ class SceneFeatures:
     """Everything that kernels are specialised on."""
 
     closures: tuple[ClosureKind, ...] = ()  # sorted
+    programs: ProgramFeatures = ProgramFeatures()  # of materials: what their shader graphs need
+    world_program: ProgramFeatures = ProgramFeatures()
     lights: tuple[LightKind, ...] = ()  # sorted
     light_sphere: bool = False  # a point or spot light shaped as a sphere
     light_hits: bool = False  # a light without mesh that rays can meet
@@ -58,6 +61,8 @@ class SceneFeatures:
         names |= {f"light {kind.name.lower()}": kind in self.lights for kind in LightKind}
         names |= {f"pass {name}": name in self.passes for name in ("Depth", "Position", "Normal")}
         names |= {
+            "shader programs": bool(self.programs),
+            "world program": bool(self.world_program),
             "shadow rays": self.shadow_rays,
             "lights met by rays": self.light_hits,
             "mesh lights": self.mesh_lights,
@@ -84,11 +89,13 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
             kinds.update(closure.kind for closure in material.closures)
     return SceneFeatures(
         closures=tuple(sorted(kinds)),
+        programs=_material_programs(scene) if surfaces else ProgramFeatures(),
+        world_program=program_features([scene.world.program]),
         lights=tuple(sorted({light.kind for light in scene.lights})),
         light_sphere=any(l.kind in (LightKind.POINT, LightKind.SPOT) and not l.soft_falloff and l.radius > 0 for l in scene.lights),
         light_hits=any(_can_be_met(light) for light in scene.lights),
         mesh_lights=ClosureKind.EMISSION in kinds,
-        world=any(scene.world.radiance),
+        world=any(scene.world.radiance) or scene.world.program is not None,
         camera=scene.camera.kind,
         depth_of_field=scene.camera.lens_radius > 0,
         surfaces=surfaces,
@@ -102,6 +109,12 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         clamping=settings.clamp_direct > 0 or settings.clamp_indirect > 0,
         roulette=settings.roulette_bounce <= settings.bounce_max,
     )  # fmt: skip
+
+
+def _material_programs(scene: Scene) -> ProgramFeatures:
+    return program_features(
+        [material.program for material in scene.materials], max((len(material.closures) for material in scene.materials), default=0)
+    )
 
 
 # What Blender's Principled BSDF can become

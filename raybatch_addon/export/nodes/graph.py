@@ -6,6 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+# Groups within groups, and sockets on the way of one link: more of them is a cycle
+_GROUPS_MOST = 64
+_HOPS_MOST = 1000
+
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear Rec. 709: how Blender turns a colour into a value
 
 
@@ -19,6 +23,7 @@ class Source:
 
     socket: Any
     groups: tuple[Any, ...] = ()
+    through: tuple[str, ...] = ()  # types of the sockets of groups and muted nodes on the way: values are converted at each
 
     @property
     def node(self) -> Any:
@@ -37,7 +42,8 @@ def find_source(socket, groups: tuple[Any, ...] = ()) -> tuple[Source | None, An
     `groups` are the group nodes around the socket. The input socket returned is `socket` itself, or that of
     a group node around it; None where a muted node or an unfinished group passes nothing on.
     """
-    while True:
+    through: list[str] = []
+    for _ in range(_HOPS_MOST):
         link = next((link for link in socket.links if link.is_valid and not link.is_muted), None)
         if link is None:
             return None, socket
@@ -47,19 +53,27 @@ def find_source(socket, groups: tuple[Any, ...] = ()) -> tuple[Source | None, An
             if passed is None:
                 return None, None
             socket = passed
+            through.append(socket.type)
         elif node.bl_idname == "NodeReroute":
             socket = node.inputs[0]
         elif node.bl_idname == "NodeGroupInput":
             socket = _by_identifier(groups[-1].inputs, output.identifier)
             groups = groups[:-1]
+            if socket is None:
+                return None, None
+            through.append(socket.type)
         elif node.bl_idname == "ShaderNodeGroup":
             inner = _group_output(node)
             if inner is None:
                 return None, None
             socket = _by_identifier(inner.inputs, output.identifier)
             groups = (*groups, node)
+            if socket is None or len(groups) > _GROUPS_MOST:
+                return None, None
+            through.append(socket.type)
         else:
-            return Source(output, groups), None
+            return Source(output, groups, tuple(reversed(through))), None
+    return None, None
 
 
 def _group_output(group):
@@ -70,7 +84,7 @@ def _group_output(group):
 
 
 def _by_identifier(sockets, identifier: str):
-    return next(socket for socket in sockets if socket.identifier == identifier)
+    return next((socket for socket in sockets if socket.identifier == identifier), None)
 
 
 def constant_value(socket, groups: tuple[Any, ...] = ()) -> float | tuple[float, ...]:

@@ -1,0 +1,70 @@
+"""Shader graphs as small programs: what the export makes of a graph, and the interpreter of `shading/nodes` runs.
+
+A program is a list of instructions. Each has the name of an op and one word (int32) for each letter of the op's signature
+(`shading/nodes/op.py`):
+
+- `n`, `v`: a number, or three. A word w >= 0 is a register: the offset of its first float; w < 0 is the constant at index -1 - w.
+- `i`: the value itself. `t`: the index of a table's first constant. `m`: an image. `a`: an attribute.
+- `N`, `V`: the register that is written; -1: not wanted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """One step of a program."""
+
+    op: str
+    words: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Program:
+    """What computes a surface's closures, or the radiance of a world or light."""
+
+    instructions: tuple[Instruction, ...] = ()
+    constants: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))  # float32, shape [n]
+    register_count: int = 0  # floats
+    closure_count: int = 0  # the most closures that it makes
+    # Names of everything that the graph's nodes may need when values change; kernels are compiled for these. Includes those
+    # of `instructions`.
+    ops: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ProgramFeatures:
+    """What an interpreter is compiled for."""
+
+    ops: tuple[str, ...] = ()  # sorted; none: there is no program
+    register_count: int = 1  # floats of its stack
+    closure_count: int = 1  # closures that a material can have
+
+    def __bool__(self) -> bool:
+        return bool(self.ops)
+
+
+def program_features(programs: Iterable[Program | None], closure_count: int = 0) -> ProgramFeatures:
+    """What `programs` need, beside materials of up to `closure_count` closures without program.
+
+    Sizes are rounded up, so that they grow rarely, and kernels are rarely compiled anew.
+    """
+    there = [program for program in programs if program is not None]
+    if not there:
+        return ProgramFeatures()
+    ops = set().union(*(program.ops for program in there))
+    ops.update(instruction.op for program in there for instruction in program.instructions)
+    return ProgramFeatures(
+        tuple(sorted(ops)),
+        _rounded_up(max(program.register_count for program in there), 16),
+        _rounded_up(max(closure_count, *(program.closure_count for program in there)), 4),
+    )
+
+
+def _rounded_up(count: int, least: int) -> int:
+    return max(least, 1 << max(count - 1, 0).bit_length())

@@ -1,0 +1,244 @@
+"""Builds programs: values in, instructions out, constants folded, registers shared.
+
+Values are computed once and never change (static single assignment); `finish` gives them registers by the order of their last uses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import warp as wp
+
+from ...scene.program import Instruction, Program
+from ..materials import ClosureRecord
+from .op import Op, as_python, op_named
+
+Constant = float | tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Value:
+    """A number (width 1) or vector (width 3) of a program: known, or computed by an instruction."""
+
+    width: int
+    constant: tuple[float, ...] | None = None
+
+    @property
+    def known(self) -> bool:
+        """Whether it is a constant."""
+        return self.constant is not None
+
+    @staticmethod
+    def of(value: Value | Constant) -> Value:
+        """`value` as a `Value`; what is not finite in float32 becomes 0."""
+        if isinstance(value, Value):
+            return value
+        plain = tuple(float(c) for c in value) if hasattr(value, "__len__") else (float(value),)
+        if len(plain) not in (1, 3):
+            raise ValueError(f"a value has 1 or 3 numbers, not {len(plain)}")
+        return Value(len(plain), tuple(_single(c) for c in plain))
+
+    def number(self) -> float:
+        """The known number."""
+        return self.constant[0]
+
+
+def _single(x: float) -> float:
+    with np.errstate(over="ignore"):
+        single = float(np.float32(x))
+    return single if math.isfinite(single) else 0.0
+
+
+@dataclass
+class _Step:
+    op: Op
+    inputs: list[Value | int]  # ints: immediates, images, attributes, places of tables
+    outputs: list[Value]
+
+
+class ProgramBuilder:
+    """Collects the steps of one program."""
+
+    def __init__(self) -> None:
+        self._steps: list[_Step] = []
+        self._same: dict[tuple, tuple[Value, ...]] = {}  # by op and operands: what was computed already
+        self._constants: list[float] = []
+        self._places: dict[tuple[float, ...], int] = {}
+
+    def value(self, name: str, *operands) -> Value | tuple[Value, ...]:
+        """What the op `name` makes of `operands`: one for each letter of what it reads.
+
+        A `Value`, or one for each output. With constants alone it is run here and now.
+        """
+        op = op_named(name)
+        inputs = self._inputs(op, operands)
+        if op.foldable and all(not isinstance(each, Value) or each.known for each in inputs):
+            folded = self._run(op, inputs)
+            if folded is not None:
+                return folded[0] if len(folded) == 1 else folded
+        key = (name, *(each.constant or id(each) if isinstance(each, Value) else each for each in inputs))
+        if key not in self._same:
+            outputs = [Value(3 if letter == "V" else 1) for letter in op.outputs]
+            self._steps.append(_Step(op, inputs, outputs))
+            self._same[key] = tuple(outputs)
+        outputs = self._same[key]
+        return outputs[0] if len(outputs) == 1 else outputs
+
+    def closure(self, name: str, *operands) -> None:
+        """Adds a closure; the first operand is its weight."""
+        op = op_named(name)
+        self._steps.append(_Step(op, self._inputs(op, operands), []))
+
+    def table(self, values: Sequence[float]) -> int:
+        """The place of `values` among the constants."""
+        return self._place(tuple(_single(float(v)) for v in values))
+
+    def constant_closures(self) -> list[ClosureRecord] | None:
+        """The closures, where all of them are constant; else None."""
+        steps = self._needed()
+        if not all(step.op.makes_closures and step.op.foldable and all(_is_known(each) for each in step.inputs) for step in steps):
+            return None
+        closures = _Closures([None] * sum(step.op.closures_most for step in steps))
+        count = 0
+        for step in steps:
+            data, words = self._host_words(step.inputs)
+            count = as_python(step.op.function)(SimpleNamespace(code=[0, *words], constants=data), [], 0, None, closures, count)
+        return list(closures[:count])
+
+    def finish(self) -> Program:
+        """The program of all closures so far."""
+        steps = self._needed()
+        registers = _Registers(steps)
+        instructions = []
+        for i, step in enumerate(steps):
+            words = [self._word(each, registers) for each in step.inputs]
+            # outputs before inputs are free: an op may write one before it has read all
+            words += [registers.take(each) for each in step.outputs]
+            registers.free_after(i)
+            instructions.append(Instruction(step.op.name, tuple(words)))
+        ops = {step.op.name for step in steps}
+        return Program(
+            tuple(instructions), np.array(self._constants, np.float32), registers.count, sum(step.op.closures_most for step in steps), tuple(sorted(ops))
+        )
+
+    def _needed(self) -> list[_Step]:
+        """The steps that closures depend on, in order."""
+        wanted: set[int] = set()
+        steps = []
+        for step in reversed(self._steps):
+            if step.op.makes_closures or any(id(each) in wanted for each in step.outputs):
+                wanted.update(id(each) for each in step.inputs if isinstance(each, Value))
+                steps.append(step)
+        return steps[::-1]
+
+    def _inputs(self, op: Op, operands: Sequence) -> list[Value | int]:
+        letters = op.inputs
+        if len(letters) != len(operands):
+            raise ValueError(f"the op {op.name!r} takes {len(letters)} operands ({letters}), not {len(operands)}")
+        inputs: list[Value | int] = []
+        for letter, operand in zip(letters, operands):
+            if letter in "nv":
+                value = Value.of(operand)
+                if value.width != (3 if letter == "v" else 1):
+                    raise ValueError(f"the op {op.name!r} takes a {'vector' if letter == 'v' else 'number'} where it was given another")
+                inputs.append(value)
+            elif letter == "t":
+                inputs.append(operand if isinstance(operand, int) else self.table(operand))
+            else:
+                inputs.append(int(operand))
+        return inputs
+
+    def _run(self, op: Op, inputs: list[Value | int]) -> tuple[Value, ...] | None:
+        """Outputs of `op`, run on the host; None where it cannot be."""
+        constants, words = self._host_words(inputs)
+        offset, outputs = 0, []
+        for letter in op.outputs:
+            outputs.append(offset)
+            offset += 3 if letter == "V" else 1
+        stack = [0.0] * offset
+        data = SimpleNamespace(code=[0, *words, *outputs], constants=constants)
+        try:
+            as_python(op.function)(data, stack, 0, None)
+        except ArithmeticError:  # Python objects where a device goes on; let the device do it
+            return None
+        return tuple(
+            Value.of(stack[at : at + 3] if letter == "V" else stack[at]) for at, letter in zip(outputs, op.outputs)
+        )
+
+    def _host_words(self, inputs: list[Value | int]) -> tuple[list[float], list[int]]:
+        """Constants and words with which `inputs`, all known, can be read on the host."""
+        constants, words = list(self._constants), []
+        for each in inputs:
+            if isinstance(each, Value):
+                words.append(-1 - len(constants))
+                constants += each.constant
+            else:
+                words.append(each)
+        return constants, words
+
+    def _word(self, operand: Value | int, registers: _Registers) -> int:
+        if not isinstance(operand, Value):
+            return operand
+        return -1 - self._place(operand.constant) if operand.known else registers.place[id(operand)]
+
+    def _place(self, values: tuple[float, ...]) -> int:
+        if values not in self._places:
+            self._places[values] = len(self._constants)
+            self._constants += values
+        return self._places[values]
+
+
+class _Closures(list):
+    """Closures as ops write them on the host: an array that has a shape."""
+
+    @property
+    def shape(self) -> tuple[int]:
+        return (len(self),)
+
+
+def _is_known(operand: Value | int) -> bool:
+    return not isinstance(operand, Value) or operand.known
+
+
+class _Registers:
+    """Places of values in the stack: each from its own step to its last reader's."""
+
+    def __init__(self, steps: list[_Step]):
+        self._last: dict[int, int] = {}
+        for i, step in enumerate(steps):
+            for each in step.inputs:
+                if isinstance(each, Value) and not each.known:
+                    self._last[id(each)] = i
+        self._ends: dict[int, list[Value]] = {}
+        self._free: list[bool] = []
+        self.place: dict[int, int] = {}
+
+    @property
+    def count(self) -> int:
+        """Floats of the stack."""
+        return len(self._free)
+
+    def take(self, value: Value) -> int:
+        """A place for `value`; -1 where nothing reads it."""
+        if id(value) not in self._last:
+            return -1
+        at = next((i for i in range(self.count) if all(self._free[i : i + value.width]) and i + value.width <= self.count), None)
+        if at is None:
+            at = self.count
+            while at > 0 and self._free[at - 1] and self.count - at < value.width - 1:
+                at -= 1
+            self._free += [True] * (at + value.width - self.count)
+        self._free[at : at + value.width] = [False] * value.width
+        self.place[id(value)] = at
+        self._ends.setdefault(self._last[id(value)], []).append(value)
+        return at
+
+    def free_after(self, step: int) -> None:
+        """Places of values that `step` is the last to read."""
+        for value in self._ends.pop(step, ()):
+            at = self.place[id(value)]
+            self._free[at : at + value.width] = [True] * value.width

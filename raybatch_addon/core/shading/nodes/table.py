@@ -1,0 +1,62 @@
+"""Programs on the device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...errors import SceneError
+from ...scene.program import Program
+from .op import INPUTS, op_named
+from .run import END, FIRST_OP, LENGTH_SHIFT
+
+
+def encode(programs: Sequence[Program | None], ops: Sequence[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Programs as one array of code, one of constants, and where each begins (-1 for None).
+
+    Ops are numbered by their place in `ops`. Raises `SceneError` for a program that is not valid: unknown ops or operands out of range.
+    """
+    numbers = {name: FIRST_OP + i for i, name in enumerate(ops)}
+    code: list[int] = []
+    constants: list[np.ndarray] = []
+    first = np.full(len(programs), -1, np.int32)
+    constant_first = 0
+    for index, program in enumerate(programs):
+        if program is None:
+            continue
+        first[index] = len(code)
+        for instruction in program.instructions:
+            words = _checked(instruction, program, numbers, constant_first)
+            code.append(numbers[instruction.op] | (len(words) + 1) << LENGTH_SHIFT)
+            code += words
+        code.append(END)
+        constants.append(np.asarray(program.constants, np.float32))
+        constant_first += len(program.constants)
+    if any(not np.isfinite(values).all() for values in constants):
+        raise SceneError("a shader program has a constant that is not a finite number")
+    return np.array(code, np.int32), np.concatenate(constants) if constants else np.zeros(0, np.float32), first
+
+
+def _checked(instruction, program: Program, numbers: dict[str, int], constant_first: int) -> list[int]:
+    """Words of `instruction` with constants counted from the first of all programs."""
+    if instruction.op not in numbers:
+        raise SceneError(f"a shader program has the op {instruction.op!r}, which the scene's features lack")
+    op = op_named(instruction.op)
+    if len(instruction.words) != len(op.signature):
+        raise SceneError(f"the op {instruction.op!r} of a shader program has {len(instruction.words)} words instead of {len(op.signature)}")
+    words = []
+    for letter, word in zip(op.signature, instruction.words):
+        width = 3 if letter in "vV" else 1
+        if letter in "nv" and word < 0 or letter == "t":
+            index = word if letter == "t" else -1 - word
+            good = 0 <= index <= len(program.constants) - width
+            word = index + constant_first if letter == "t" else word - constant_first
+        elif letter in "nvNV":
+            good = 0 <= word <= program.register_count - width or (letter not in INPUTS and word == -1)
+        else:
+            good = -(2**31) <= word < 2**31
+        if not good:
+            raise SceneError(f"the op {instruction.op!r} of a shader program has an operand out of range")
+        words.append(word)
+    return words

@@ -1,0 +1,262 @@
+"""A node as its handler sees it, and the walk over a graph that calls the handlers."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+from ...core.scene.description import ClosureKind
+from ...core.shading.nodes.builder import Constant, ProgramBuilder, Value
+from .graph import find_source, node_label
+from .registry import shader_nodes, value_nodes
+
+WHITE = Value.of((1.0, 1.0, 1.0))
+BLACK = Value.of((0.0, 0.0, 0.0))
+_VECTORS = {"VECTOR", "RGBA", "ROTATION"}
+# Python's own limit would end chains of a few hundred nodes
+_RECURSION_LIMIT = 40_000
+
+
+@dataclass
+class Graph:
+    """One graph on its way to a program."""
+
+    owner: Any = None  # Blender's material, world or light
+    builder: ProgramBuilder = field(default_factory=ProgramBuilder)
+    kinds: set[ClosureKind] = field(default_factory=set)
+    notes: list[str] = field(default_factory=list)  # what is left out or approximated, in words
+    images: Any = None  # collects images: `index(node) -> int`
+    attributes: Any = None  # collects names of attributes: `index(name, kind) -> int`
+    shift: int = 0  # bump mapping evaluates its height thrice: here, and a little aside along two axes
+    _known: dict[tuple, dict[str, Value]] = field(default_factory=dict)
+    _open: set[tuple] = field(default_factory=set)  # nodes being evaluated: one met again is a cycle
+
+    def surface(self, socket, weight: Value = WHITE, groups: tuple[Any, ...] = ()) -> None:
+        """Adds the closures that feed the shader input `socket`."""
+        source, _ = find_source(socket, groups)
+        if source is None:
+            return
+        node = Node(self, source.node, source.groups)
+        with self._inside(node, "surface") as new:
+            if not new:
+                self.note(f"{node_label(node.node)} is linked to itself: the link is ignored")
+                return
+            handled = shader_nodes.get(node.node.bl_idname)
+            if handled is None:
+                self._unknown_shader(node, weight)
+                return
+            self.kinds.update(handled.kinds(node) if callable(handled.kinds) else handled.kinds)
+            handled.handler(node, weight)
+
+    def value(self, source) -> Value:
+        """What comes out of the socket `source.socket`."""
+        node = Node(self, source.node, source.groups)
+        key = (*node.key, self.shift)
+        if key not in self._known:
+            with self._inside(node, "value") as new:
+                if not new:
+                    self.note(f"{node_label(node.node)} is linked to itself: the link is ignored")
+                    return Value.of(0.0)
+                self._known[key] = self._outputs(node)
+        outputs = self._known[key]
+        return outputs.get(source.socket.identifier) or outputs.get("") or Value.of(0.0)
+
+    def note(self, text: str) -> None:
+        """Remembers what is not rendered as it is."""
+        if text not in self.notes:
+            self.notes.append(text)
+
+    def _outputs(self, node: Node) -> dict[str, Value]:
+        handled = value_nodes.get(node.node.bl_idname)
+        if handled is None:
+            self.note(f"{node_label(node.node)} is not supported; {node.pass_through_words()}")
+            return {"": node.passed_through()}
+        result = handled.handler(node)
+        if isinstance(result, dict):
+            return {name: Value.of(value) for name, value in result.items()}
+        return {"": Value.of(result)}
+
+    def _unknown_shader(self, node: Node, weight: Value) -> None:
+        inner = next((s for s in node.node.inputs if s.type == "SHADER" and find_source(s, node.groups)[0] is not None), None)
+        if inner is not None:
+            self.note(f"{node_label(node.node)} is not supported; its first linked shader passes through")
+            self.surface(inner, weight, node.groups)
+            return
+        color = [max(float(c), 0.0) for c in getattr(self.owner, "diffuse_color", getattr(self.owner, "color", (0.8, 0.8, 0.8)))[:3]]
+        self.note(f"{node_label(node.node)} is not supported; it is a diffuse surface in the viewport colour")
+        self.kinds.add(ClosureKind.DIFFUSE)
+        node.closure("diffuse", node.times(weight, color), 0.0)
+
+    @contextmanager
+    def _inside(self, node: Node, what: str) -> Iterator[bool]:
+        key = (*node.key, what, self.shift)
+        if key in self._open:
+            yield False
+            return
+        self._open.add(key)
+        try:
+            yield True
+        finally:
+            self._open.discard(key)
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node and the group nodes around it."""
+
+    graph: Graph
+    node: Any
+    groups: tuple[Any, ...] = ()
+
+    @property
+    def key(self) -> tuple:
+        """What tells this use of the node from others."""
+        return (self.node.as_pointer(), *(group.as_pointer() for group in self.groups))
+
+    @property
+    def shift(self) -> int:
+        """Which of bump mapping's three evaluations this is."""
+        return self.graph.shift
+
+    def socket(self, key: int | str):
+        """The input number, identifier or name `key`; None where this Blender has none."""
+        inputs = self.node.inputs
+        if isinstance(key, int):
+            return inputs[key] if key < len(inputs) else None
+        by_identifier = next((s for s in inputs if s.identifier == key), None)
+        return by_identifier or next((s for s in inputs if s.name == key and s.enabled), None) or inputs.get(key)
+
+    def has(self, key: int | str) -> bool:
+        """Whether there is such an input."""
+        return self.socket(key) is not None
+
+    def linked(self, key: int | str) -> bool:
+        """Whether a node feeds the input."""
+        socket = self.socket(key)
+        return socket is not None and find_source(socket, self.groups)[0] is not None
+
+    def wants(self, output: str) -> bool:
+        """Whether anything is linked to the output called or identified as `output`."""
+        return any(s.is_linked for s in self.node.outputs if output in (s.identifier, s.name))
+
+    def output(self, name: str) -> str:
+        """The identifier of the enabled output called `name`."""
+        named = [s for s in self.node.outputs if s.name == name]
+        return next((s.identifier for s in named if s.enabled), named[0].identifier if named else name)
+
+    def number(self, key: int | str, default: float = 0.0) -> Value:
+        """The input as a number; `default` where there is no such input."""
+        return self._input(key, default, 1)
+
+    def vector(self, key: int | str, default: Constant = (0.0, 0.0, 0.0)) -> Value:
+        """The input as a vector."""
+        return self._input(key, default, 3)
+
+    def color(self, key: int | str, default: Constant = (0.0, 0.0, 0.0)) -> Value:
+        """The input as a colour: linear RGB, as it is."""
+        return self._input(key, default, 3)
+
+    def op(self, name: str, *operands) -> Any:
+        """Computes a value; see `ProgramBuilder.value`."""
+        return self.graph.builder.value(name, *operands)
+
+    def closure(self, name: str, *operands) -> None:
+        """Adds a closure; the first operand is its weight."""
+        self.graph.builder.closure(name, *operands)
+
+    def shader(self, key: int | str, weight: Value) -> None:
+        """Adds the closures that come in at a shader input, of that weight."""
+        self.graph.surface(self.socket(key), weight, self.groups)
+
+    def constant(self, value: Constant) -> Value:
+        """A constant."""
+        return Value.of(value)
+
+    def times(self, a: Value | Constant, b: Value | Constant) -> Value:
+        """The product of a vector with a number or vector."""
+        return self.op("multiply_colors", self.as_vector(a), self.as_vector(b))
+
+    def as_vector(self, value: Value | Constant) -> Value:
+        """`value` as a vector: a number three times."""
+        value = Value.of(value)
+        return value if value.width == 3 else self.op("splat", value)
+
+    def as_number(self, value: Value | Constant, color: bool = True) -> Value:
+        """`value` as a number: a colour's luminance, a vector's mean."""
+        value = Value.of(value)
+        return value if value.width == 1 else self.op("luminance" if color else "average", value)
+
+    def warn(self, text: str) -> None:
+        """Notes what of this node is left out or approximated."""
+        self.graph.note(f"{text} of {node_label(self.node)}")
+
+    def coordinates(self) -> Value:
+        """Generated texture coordinates, which textures take where nothing is linked."""
+        return self.op("generated", self.shift)
+
+    def uv(self) -> Value:
+        """The active UV map, as a vector; what images take where nothing is linked."""
+        return self.op("uv", self.graph.attributes.index("", "UV") if self.graph.attributes else -1, self.shift)
+
+    def passed_through(self) -> Value:
+        """The first linked input of the kind of the first output, else what the output says by itself."""
+        kinds = {s.type for s in self.node.outputs}
+        for i, socket in enumerate(self.node.inputs):
+            if socket.type in kinds and self.linked(i):
+                return self._input(i, 0.0, 3 if socket.type in _VECTORS else 1)
+        return Value.of(0.0)
+
+    def pass_through_words(self) -> str:
+        """What `passed_through` does, in words."""
+        kinds = {s.type for s in self.node.outputs}
+        linked = [s.name for i, s in enumerate(self.node.inputs) if s.type in kinds and self.linked(i)]
+        return f"its input {linked[0]} passes through" if linked else "it gives 0"
+
+    def _input(self, key: int | str, default: Constant, width: int) -> Value:
+        socket = self.socket(key)
+        if socket is None:
+            return self.as_vector(default) if width == 3 else Value.of(default)
+        source, own = find_source(socket, self.groups)
+        if source is None:
+            value, kind = (Value.of(0.0), socket.type) if own is None else (own_value(own), own.type)
+            through = ()
+        else:
+            value, kind, through = self.graph.value(source), source.socket.type, source.through
+        for step in (*through, socket.type):
+            value, kind = self._converted(value, kind, step), step
+        if width == 3:
+            return self.as_vector(value)
+        return self.as_number(value, kind == "RGBA")
+
+    def _converted(self, value: Value, kind: str, to: str) -> Value:
+        """`value` of a socket of type `kind` as Blender hands it to one of type `to`."""
+        if to in _VECTORS:
+            return self.as_vector(value)
+        value = self.as_number(value, kind == "RGBA")
+        if to in ("INT", "BOOLEAN") and kind not in ("INT", "BOOLEAN"):
+            return self.op("truncate", value) if to == "INT" else self.op("is_positive", value)
+        return value
+
+
+def own_value(socket) -> Value:
+    """What an unlinked socket says by itself."""
+    value = getattr(socket, "default_value", 0.0)
+    if isinstance(value, str):
+        return Value.of(0.0)
+    if hasattr(value, "__len__"):
+        return Value.of((*(float(c) for c in value[:3]), 0.0, 0.0)[:3])
+    return Value.of(float(value))
+
+
+@contextmanager
+def deep_recursion() -> Iterator[None]:
+    """Lets long chains of nodes be followed."""
+    before = sys.getrecursionlimit()
+    sys.setrecursionlimit(max(before, _RECURSION_LIMIT))
+    try:
+        yield
+    finally:
+        sys.setrecursionlimit(before)
