@@ -12,10 +12,11 @@ from typing import NamedTuple
 import warp as wp
 
 from ..scene.description import ClosureKind
+from .albedo import AlbedoTables
 from .lobes import Lobe, make_lobes, relative_index
 from .materials import (
     DELTA, DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT,
-    BsdfSample, BsdfValue, ClosureFeatures, MaterialTable, ShadingFrame, upload_materials,
+    BsdfSample, BsdfValue, ClosureFeatures, ClosureRecord, MaterialTable, ShadingFrame, upload_materials,
 )  # fmt: skip
 from .microfacet import (
     fresnel_dielectric, ggx_distribution, ggx_shadowing, ggx_visible,
@@ -25,7 +26,7 @@ from .sampling import bitangent_of, sample_cosine_hemisphere, tangent_of, to_wor
 
 __all__ = [
     "DELTA", "DIFFUSE", "GLOSSY", "TRANSMISSION", "TRANSPARENT",
-    "Bsdf", "BsdfSample", "BsdfValue", "ClosureFeatures", "MaterialTable", "ShadingFrame",
+    "Bsdf", "BsdfSample", "BsdfValue", "ClosureFeatures", "ClosureRecord", "MaterialTable", "ShadingFrame",
     "make_bsdf", "upload_materials",
 ]  # fmt: skip
 
@@ -48,11 +49,11 @@ _HEIGHT_KEPT = wp.constant(0.25)
 class Bsdf(NamedTuple):
     """Functions (`wp.Function`) of one specialisation."""
 
-    evaluate: wp.Function  # (table, material: int, frame, wo, wi) -> BsdfValue
-    sample: wp.Function  # (table, material: int, frame, wo, u_lobe: float, u: vec2) -> BsdfSample
-    emission: wp.Function  # (table, material: int) -> vec3: radiance [W/(m² sr)], the same on both sides
-    transparency: wp.Function  # (table, material: int) -> vec3: share of light that passes straight on
-    scatters: wp.Function  # (table, material: int) -> bool: has lobes for `evaluate`; if not, shadow rays are in vain
+    evaluate: wp.Function  # (closures, first, end, albedo, frame, wo, wi) -> BsdfValue
+    sample: wp.Function  # (closures, first, end, albedo, frame, wo, u_lobe: float, u: vec2) -> BsdfSample
+    emission: wp.Function  # (closures, first, end) -> vec3: radiance [W/(m² sr)], the same on both sides
+    transparency: wp.Function  # (closures, first, end) -> vec3: share of light that passes straight on
+    scatters: wp.Function  # (closures, first, end) -> bool: has lobes for `evaluate`; if not, shadow rays are in vain
 
 
 @wp.struct
@@ -102,7 +103,9 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
     has_lambert = has(_K.DIFFUSE, _K.LAYERED_DIFFUSE)
 
     @wp.func
-    def mix(table: MaterialTable, material: int, frame: ShadingFrame, wo: wp.vec3, wi: wp.vec3) -> _Mixture:
+    def mix(
+        closures: wp.array(dtype=ClosureRecord), first: int, end: int, albedo: AlbedoTables, frame: ShadingFrame, wo: wp.vec3, wi: wp.vec3
+    ) -> _Mixture:
         """All closures but their delta lobes; the selection counts delta lobes too."""
         mixture = _Mixture()
         above = wp.dot(wi, frame.geometric_normal)
@@ -116,9 +119,9 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
             cos_o = wp.dot(n, wo)
             if not cos_o > 0.0:  # wo lies in the triangle's plane
                 return _Mixture()
-        for c in range(table.closure_first[material], table.closure_first[material + 1]):
-            kind = table.kind[c]
-            lobe = view(table, c, frame, cos_o)
+        for c in range(first, end):
+            kind = closures[c].kind
+            lobe = view(closures, c, albedo, frame, cos_o)
             mixture.selection += lobe.selection
             if wp.static(has_lambert):
                 if kind == _DIFFUSE or kind == _LAYERED_DIFFUSE:
@@ -126,7 +129,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                     mixture.diffuse_selection += lobe.selection
             if wp.static(has_facets):
                 cos_i = wp.dot(n, wi)
-                alpha = table.roughness[c] * table.roughness[c]
+                alpha = closures[c].roughness * closures[c].roughness
                 if cos_i > 0.0 and above > 0.0 and not is_specular(alpha):
                     half = wo + wi
                     cosine = wp.min(wp.length(half) * 0.5, 1.0)  # to either direction
@@ -134,16 +137,16 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                     shadowed = pdf * ggx_shadowing(alpha, cos_o, cos_i)
                     if wp.static(has_mirror):
                         if kind == _GLOSSY or kind == _METAL or kind == _DIELECTRIC:
-                            mixture.value += shadowed * wp.cw_mul(lobe.scale, mirror_fresnel(table, c, cosine))
+                            mixture.value += shadowed * wp.cw_mul(lobe.scale, mirror_fresnel(closures, c, cosine))
                             mixture.density += lobe.selection * pdf
                     if wp.static(has_glass):
                         if kind == _GLASS:
-                            f = fresnel_dielectric(cosine, relative_index(table.ior[c], frame.entering))
+                            f = fresnel_dielectric(cosine, relative_index(closures[c].ior, frame.entering))
                             mixture.value += (f * shadowed) * lobe.scale
                             mixture.density += lobe.selection * (f * pdf)
                 if wp.static(has_glass):
                     if kind == _GLASS and cos_i < 0.0 and above < 0.0 and not is_specular(alpha):
-                        eta = relative_index(table.ior[c], frame.entering)
+                        eta = relative_index(closures[c].ior, frame.entering)
                         half = wo + eta * wi
                         if wp.dot(half, n) < 0.0:
                             half = -half
@@ -157,15 +160,17 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                             jacobian = (eta * (c_o / root)) * (eta * (-c_i / root)) / square
                             pdf = passed * _visible_density(alpha, cos_o, n, half) * jacobian
                             shadowed = pdf * ggx_shadowing(alpha, cos_o, -cos_i)
-                            mixture.value += shadowed * wp.cw_mul(lobe.scale, table.refraction[c])
+                            mixture.value += shadowed * wp.cw_mul(lobe.scale, closures[c].refraction)
                             mixture.density += lobe.selection * pdf
         return mixture
 
     @wp.func
-    def evaluate(table: MaterialTable, material: int, frame: ShadingFrame, wo: wp.vec3, wi: wp.vec3) -> BsdfValue:
+    def evaluate(
+        closures: wp.array(dtype=ClosureRecord), first: int, end: int, albedo: AlbedoTables, frame: ShadingFrame, wo: wp.vec3, wi: wp.vec3
+    ) -> BsdfValue:
         """Value and density of all lobes but delta ones; 0 where there is nothing."""
         result = BsdfValue()
-        mixture = mix(table, material, frame, wo, wi)
+        mixture = mix(closures, first, end, albedo, frame, wo, wi)
         if mixture.selection > 0.0:
             result.value = mixture.value
             result.pdf = mixture.density
@@ -178,8 +183,9 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
 
     @wp.func
     def sample(
-        table: MaterialTable, material: int, frame: ShadingFrame, wo: wp.vec3, u_lobe: float, u: wp.vec2
-    ) -> BsdfSample:
+        closures: wp.array(dtype=ClosureRecord), first: int, end: int, albedo: AlbedoTables, frame: ShadingFrame, wo: wp.vec3,
+        u_lobe: float, u: wp.vec2,
+    ) -> BsdfSample:  # fmt: skip
         """A direction by one closure, chosen by what it reflects, weighted as a sample of all together."""
         result = BsdfSample()
         n = frame.normal
@@ -195,8 +201,8 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         chosen = int(-1)
         left = float(u_lobe)
         lobe = Lobe()
-        for c in range(table.closure_first[material], table.closure_first[material + 1]):
-            candidate = view(table, c, frame, cos_o)
+        for c in range(first, end):
+            candidate = view(closures, c, albedo, frame, cos_o)
             if candidate.selection > 0.0:
                 total += candidate.selection
                 p = candidate.selection / total
@@ -209,7 +215,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         if chosen < 0:
             return result
 
-        kind = table.kind[chosen]
+        kind = closures[chosen].kind
         wi = -wo
         bits = int(0)
         delta = wp.vec3(0.0)  # times the probability of the lobe: weight of a delta lobe
@@ -223,7 +229,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                 delta = lobe.scale
         if wp.static(has_facets):
             if kind == _GLOSSY or kind == _METAL or kind == _DIELECTRIC or kind == _GLASS:
-                alpha = table.roughness[chosen] * table.roughness[chosen]
+                alpha = closures[chosen].roughness * closures[chosen].roughness
                 h = n
                 if not is_specular(alpha):
                     t = tangent_of(n)
@@ -235,7 +241,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                 passes = bool(False)
                 if wp.static(has_glass):
                     if kind == _GLASS:
-                        eta = relative_index(table.ior[chosen], frame.entering)
+                        eta = relative_index(closures[chosen].ior, frame.entering)
                         if left >= fresnel_dielectric(cosine, eta):
                             passes = True
                             bits = TRANSMISSION
@@ -255,10 +261,10 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                     delta = lobe.scale  # GLASS: Fresnel's factor is in the probability
                     if wp.static(has_glass):
                         if passes:
-                            delta = wp.cw_mul(delta, table.refraction[chosen])
+                            delta = wp.cw_mul(delta, closures[chosen].refraction)
                     if wp.static(has_mirror):
                         if kind != _GLASS:
-                            delta = wp.cw_mul(lobe.scale, mirror_fresnel(table, chosen, cosine))
+                            delta = wp.cw_mul(lobe.scale, mirror_fresnel(closures, chosen, cosine))
 
         # A direction on a side that its lobe does not serve is absorbed: `mix` gives it no density there,
         # and another lobe's value must not be counted for it.
@@ -279,7 +285,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
             result.weight = (total / lobe.selection) * delta
             return result
 
-        mixture = mix(table, material, frame, wo, wi)
+        mixture = mix(closures, first, end, albedo, frame, wo, wi)
         density = mixture.density
         if density > 0.0:
             value = mixture.value
@@ -300,37 +306,37 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         return result
 
     @wp.func
-    def emission(table: MaterialTable, material: int) -> wp.vec3:
+    def emission(closures: wp.array(dtype=ClosureRecord), first: int, end: int) -> wp.vec3:
         """Radiance that the surface emits, on both sides [W/(m² sr)]."""
         radiance = wp.vec3(0.0)
         if wp.static(has_emission):
-            for c in range(table.closure_first[material], table.closure_first[material + 1]):
-                if table.kind[c] == _EMISSION:
-                    radiance += table.weight[c]
+            for c in range(first, end):
+                if closures[c].kind == _EMISSION:
+                    radiance += closures[c].weight
         return radiance
 
     @wp.func
-    def transparency(table: MaterialTable, material: int) -> wp.vec3:
+    def transparency(closures: wp.array(dtype=ClosureRecord), first: int, end: int) -> wp.vec3:
         """Share of light that passes straight through the surface."""
         passed = wp.vec3(0.0)
         if wp.static(has_transparent):
-            for c in range(table.closure_first[material], table.closure_first[material + 1]):
-                if table.kind[c] == _TRANSPARENT:
-                    passed += table.weight[c]
+            for c in range(first, end):
+                if closures[c].kind == _TRANSPARENT:
+                    passed += closures[c].weight
         return passed
 
     @wp.func
-    def scatters(table: MaterialTable, material: int) -> bool:
+    def scatters(closures: wp.array(dtype=ClosureRecord), first: int, end: int) -> bool:
         """Whether any closure has a lobe that `evaluate` sees."""
         found = bool(False)
-        for c in range(table.closure_first[material], table.closure_first[material + 1]):
-            kind = table.kind[c]
+        for c in range(first, end):
+            kind = closures[c].kind
             if wp.static(has_lambert):
                 if kind == _DIFFUSE or kind == _LAYERED_DIFFUSE:
                     found = True
             if wp.static(has_facets):
                 if kind == _GLOSSY or kind == _METAL or kind == _DIELECTRIC or kind == _GLASS:
-                    if not is_specular(table.roughness[c] * table.roughness[c]):
+                    if not is_specular(closures[c].roughness * closures[c].roughness):
                         found = True
         return found
 

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import warp as wp
 
 from ..scene.description import ClosureKind
-from .albedo import coat_albedo, coat_fresnel_average, energy_compensation, glass_albedo, reflection_albedo
-from .materials import ClosureFeatures, MaterialTable, ShadingFrame
+from .albedo import AlbedoTables, coat_albedo, coat_fresnel_average, energy_compensation, glass_albedo, reflection_albedo
+from .materials import ClosureFeatures, ClosureRecord, ShadingFrame
 from .microfacet import fresnel_dielectric, fresnel_schlick, is_refraction_specular, is_specular
 
 _K = ClosureKind
@@ -23,8 +23,8 @@ _TRANSPARENT = wp.constant(int(_K.TRANSPARENT))
 class LobeFunctions(NamedTuple):
     """Functions (`wp.Function`) of one specialisation."""
 
-    view: wp.Function  # (table, c: int, frame, cos_o: float) -> Lobe
-    mirror_fresnel: wp.Function  # (table, c: int, cosine: float) -> vec3: reflectance of a facet
+    view: wp.Function  # (closures, c: int, albedo, frame, cos_o: float) -> Lobe
+    mirror_fresnel: wp.Function  # (closures, c: int, cosine: float) -> vec3: reflectance of a facet
 
 
 @wp.struct
@@ -57,35 +57,39 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
     has_glass, has_transparent = has(_K.GLASS), has(_K.TRANSPARENT)
 
     @wp.func
-    def coat_reflects(table: MaterialTable, c: int, cos_o: float) -> wp.vec2:
+    def coat_reflects(closures: wp.array(dtype=ClosureRecord), c: int, tables: AlbedoTables, cos_o: float) -> wp.vec2:
         """(albedo of the coat, energy compensation of its lobe)."""
-        roughness = table.roughness[c]
-        ior = table.ior[c]
+        roughness = closures[c].roughness
+        ior = closures[c].ior
         if is_specular(roughness * roughness):
             return wp.vec2(fresnel_dielectric(cos_o, ior), 1.0)
         mean = wp.vec3(0.0)
-        if table.colour_scale[c] > 0.0:
-            mean = wp.vec3(coat_fresnel_average(table.albedo, ior))
-        factor = energy_compensation(table.albedo, roughness, cos_o, mean)[0]
-        return wp.vec2(coat_albedo(table.albedo, roughness, ior, cos_o) * factor, factor)
+        if closures[c].colour_scale > 0.0:
+            mean = wp.vec3(coat_fresnel_average(tables, ior))
+        factor = energy_compensation(tables, roughness, cos_o, mean)[0]
+        return wp.vec2(coat_albedo(tables, roughness, ior, cos_o) * factor, factor)
 
     @wp.func
-    def mirror_albedo(table: MaterialTable, c: int, cos_o: float, mean: wp.vec3) -> wp.vec4:
+    def mirror_albedo(
+        closures: wp.array(dtype=ClosureRecord), c: int, tables: AlbedoTables, cos_o: float, mean: wp.vec3
+    ) -> wp.vec4:
         """(energy compensation, single-scattering albedo) of GGX with F = 1, for facets that reflect `mean`."""
-        roughness = table.roughness[c]
+        roughness = closures[c].roughness
         if is_specular(roughness * roughness):
             return wp.vec4(1.0, 1.0, 1.0, 1.0)
-        colour = table.colour_scale[c] * mean
+        colour = closures[c].colour_scale * mean
         bounded = wp.min(colour, wp.vec3(1.0))
-        f = energy_compensation(table.albedo, roughness, cos_o, bounded)
-        return wp.vec4(f[0], f[1], f[2], reflection_albedo(table.albedo, roughness, cos_o))
+        f = energy_compensation(tables, roughness, cos_o, bounded)
+        return wp.vec4(f[0], f[1], f[2], reflection_albedo(tables, roughness, cos_o))
 
     @wp.func
-    def view_lobe(table: MaterialTable, c: int, frame: ShadingFrame, cos_o: float) -> Lobe:
+    def view_lobe(
+        closures: wp.array(dtype=ClosureRecord), c: int, tables: AlbedoTables, frame: ShadingFrame, cos_o: float
+    ) -> Lobe:
         """Closure `c` seen at `cos_o` to the facets' normal."""
         lobe = Lobe()
-        kind = table.kind[c]
-        weight = table.weight[c]
+        kind = closures[c].kind
+        weight = closures[c].weight
         albedo = wp.vec3(0.0)
         if wp.static(has_diffuse):
             if kind == _DIFFUSE:
@@ -93,33 +97,33 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
                 albedo = weight
         if wp.static(has_layered):
             if kind == _LAYERED_DIFFUSE:
-                lobe.scale = wp.max(1.0 - coat_reflects(table, c, cos_o)[0], 0.0) * weight
+                lobe.scale = wp.max(1.0 - coat_reflects(closures, c, tables, cos_o)[0], 0.0) * weight
                 albedo = lobe.scale
         if wp.static(has_glossy):
             if kind == _GLOSSY:
-                m = mirror_albedo(table, c, cos_o, weight)
+                m = mirror_albedo(closures, c, tables, cos_o, weight)
                 lobe.scale = wp.cw_mul(weight, wp.vec3(m[0], m[1], m[2]))
                 albedo = m[3] * lobe.scale
         if wp.static(has_metal):
             if kind == _METAL:
-                edge = table.edge[c]
+                edge = closures[c].edge
                 # the hemisphere's mean of (1 - cos)^5 is 1 / 21
-                m = mirror_albedo(table, c, cos_o, weight + (edge - weight) / 21.0)
+                m = mirror_albedo(closures, c, tables, cos_o, weight + (edge - weight) / 21.0)
                 lobe.scale = wp.vec3(m[0], m[1], m[2])
                 albedo = m[3] * wp.cw_mul(lobe.scale, fresnel_schlick(weight, edge, cos_o))
         if wp.static(has_dielectric):
             if kind == _DIELECTRIC:
-                coat = coat_reflects(table, c, cos_o)
+                coat = coat_reflects(closures, c, tables, cos_o)
                 lobe.scale = coat[1] * weight
                 albedo = coat[0] * weight
         if wp.static(has_glass):
             if kind == _GLASS:
-                roughness = table.roughness[c]
-                eta = relative_index(table.ior[c], frame.entering)
+                roughness = closures[c].roughness
+                eta = relative_index(closures[c].ior, frame.entering)
                 lobe.scale = weight
                 # where refraction is not blurred, facets do not hide light from each other either
-                if table.colour_scale[c] > 0.0 and not is_refraction_specular(roughness * roughness, eta):
-                    lobe.scale = weight / glass_albedo(table.albedo, roughness, eta, cos_o)
+                if closures[c].colour_scale > 0.0 and not is_refraction_specular(roughness * roughness, eta):
+                    lobe.scale = weight / glass_albedo(tables, roughness, eta, cos_o)
                 albedo = weight
         if wp.static(has_transparent):
             if kind == _TRANSPARENT:
@@ -129,16 +133,16 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
         return lobe
 
     @wp.func
-    def mirror_fresnel(table: MaterialTable, c: int, cosine: float) -> wp.vec3:
+    def mirror_fresnel(closures: wp.array(dtype=ClosureRecord), c: int, cosine: float) -> wp.vec3:
         """Reflectance of a facet of a GLOSSY, METAL or DIELECTRIC closure."""
-        kind = table.kind[c]
+        kind = closures[c].kind
         f = wp.vec3(1.0)
         if wp.static(has_metal):
             if kind == _METAL:
-                f = fresnel_schlick(table.weight[c], table.edge[c], cosine)
+                f = fresnel_schlick(closures[c].weight, closures[c].edge, cosine)
         if wp.static(has_dielectric):
             if kind == _DIELECTRIC:
-                f = wp.vec3(fresnel_dielectric(cosine, table.ior[c]))
+                f = wp.vec3(fresnel_dielectric(cosine, closures[c].ior))
         return f
 
     return LobeFunctions(view_lobe, mirror_fresnel)

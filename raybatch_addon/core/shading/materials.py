@@ -56,18 +56,25 @@ class ClosureFeatures:
 
 
 @wp.struct
+class ClosureRecord:
+    """One weighted closure on the device; what a kind does not use is ignored."""
+
+    kind: int  # `ClosureKind`
+    weight: wp.vec3  # linear RGB, >= 0
+    roughness: float  # [0, 1]; alpha is its square
+    ior: float  # inside over outside
+    edge: wp.vec3  # METAL: `weight` at grazing angles
+    refraction: wp.vec3  # GLASS: colour of refracted light relative to `weight`
+    colour_scale: float  # makes `weight` the colour of a facet; 0: single scattering only
+
+
+@wp.struct
 class MaterialTable:
-    """Closures of all materials, one after the other. Arrays without use for the features have length 0."""
+    """Closures of all materials, one after the other."""
 
     closure_first: wp.array(dtype=int)  # material m has the closures [first[m], first[m + 1]); [material_count + 1]
-    kind: wp.array(dtype=int)  # `ClosureKind`; this and the following: [closure_count]
-    weight: wp.array(dtype=wp.vec3)
-    roughness: wp.array(dtype=float)  # [0, 1]; alpha is its square
-    ior: wp.array(dtype=float)  # inside over outside
-    edge: wp.array(dtype=wp.vec3)  # METAL
-    refraction: wp.array(dtype=wp.vec3)  # GLASS: colour of refracted light relative to `weight`
-    colour_scale: wp.array(dtype=float)  # makes `weight` the colour of a facet; 0: single scattering only
-    albedo: AlbedoTables
+    closures: wp.array(dtype=ClosureRecord)  # [closure_count]
+    albedo: AlbedoTables  # arrays without use for the features have length 0
 
 
 @wp.struct
@@ -112,17 +119,16 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
         for closure in material.closures:
             _check(material, closure, features)
     first = np.cumsum([0] + [len(material.closures) for material in materials], dtype=np.int32)
-    rough = features.facets or features.coats
+    records = np.zeros(len(closures), ClosureRecord.numpy_dtype())
+    for record, closure in zip(records, closures):
+        record["kind"] = int(closure.kind)
+        record["weight"], record["edge"], record["refraction"] = closure.weight, closure.edge, closure.refraction
+        record["roughness"] = min(max(closure.roughness, 0.0), 1.0)
+        record["ior"], record["colour_scale"] = _ior(closure), _colour_scale(closure)
 
     table = MaterialTable()
     table.closure_first = wp.array(first, dtype=int, device=device)
-    table.kind = _upload([int(c.kind) for c in closures], int, device)
-    table.weight = _upload([c.weight for c in closures], wp.vec3, device)
-    table.roughness = _upload([min(max(c.roughness, 0.0), 1.0) for c in closures] if rough else [], float, device)
-    table.ior = _upload([_ior(c) for c in closures] if features.coats or features.has(_K.GLASS) else [], float, device)
-    table.edge = _upload([c.edge for c in closures] if features.has(_K.METAL) else [], wp.vec3, device)
-    table.refraction = _upload([c.refraction for c in closures] if features.has(_K.GLASS) else [], wp.vec3, device)
-    table.colour_scale = _upload([_colour_scale(c) for c in closures] if rough else [], float, device)
+    table.closures = wp.array(records, dtype=ClosureRecord, device=device)
     table.albedo = upload_tables(
         device,
         reflection=features.coats or features.has(_K.GLOSSY, _K.METAL),
@@ -143,11 +149,6 @@ def _check(material: Material, closure: Closure, features: ClosureFeatures) -> N
             f"material {material.name!r}: the {kind.name.lower()} closure has a value that is negative, infinite or not "
             "a number; look for such a value in the material's nodes"
         )
-
-
-def _upload(values: list, dtype, device) -> wp.array:
-    shape = (len(values), 3) if dtype is wp.vec3 else (len(values),)
-    return wp.array(np.array(values, np.int32 if dtype is int else np.float32).reshape(shape), dtype=dtype, device=device)
 
 
 def _ior(closure: Closure) -> float:

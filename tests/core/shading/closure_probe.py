@@ -30,7 +30,7 @@ def kernels(features):
         value: wp.array(dtype=wp.vec3), pdf: wp.array(dtype=float),
     ):  # fmt: skip
         i = wp.tid()
-        result = bsdf.evaluate(table, 0, frame, wo[i], wi[i])
+        result = bsdf.evaluate(table.closures, table.closure_first[0], table.closure_first[1], table.albedo, frame, wo[i], wi[i])
         value[i] = result.value
         pdf[i] = result.pdf
 
@@ -41,7 +41,10 @@ def kernels(features):
         lobe: wp.array(dtype=int),
     ):  # fmt: skip
         i = wp.tid()
-        result = bsdf.sample(table, 0, frame, wo[i], u[i][0], wp.vec2(u[i][1], u[i][2]))
+        result = bsdf.sample(
+            table.closures, table.closure_first[0], table.closure_first[1], table.albedo, frame, wo[i], u[i][0],
+            wp.vec2(u[i][1], u[i][2]),
+        )  # fmt: skip
         direction[i] = result.direction
         weight[i] = result.weight
         pdf[i] = result.pdf
@@ -49,9 +52,11 @@ def kernels(features):
 
     @wp.kernel(**KERNEL_OPTIONS)
     def constants(table: MaterialTable, out: wp.array(dtype=wp.vec3)):
-        out[0] = bsdf.emission(table, 0)
-        out[1] = bsdf.transparency(table, 0)
-        out[2] = wp.vec3(wp.where(bsdf.scatters(table, 0), 1.0, 0.0))
+        first = table.closure_first[0]
+        end = table.closure_first[1]
+        out[0] = bsdf.emission(table.closures, first, end)
+        out[1] = bsdf.transparency(table.closures, first, end)
+        out[2] = wp.vec3(wp.where(bsdf.scatters(table.closures, first, end), 1.0, 0.0))
 
     return SimpleNamespace(evaluate=evaluate, sample=sample, constants=constants)
 

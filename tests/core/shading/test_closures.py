@@ -320,14 +320,14 @@ def source_of(features):
 
 
 def test_only_what_is_needed_is_compiled_and_allocated():
-    """A diffuse material's module holds no function of facets, and its table no array of them."""
+    """A diffuse material's module holds no function of facets, and its table no albedos of them."""
     source, everything = source_of(ClosureFeatures((K.DIFFUSE,))), source_of(EVERYTHING)
     assert "sample_cosine_hemisphere" in source
     names = ("ggx_", "fresnel_dielectric", "fresnel_schlick", "visible_normal", "_albedo_", "_facet_normal", "refracted")
     for name in (*names, "reflected"):
         assert name not in source and name in everything, name
     table = table_of(Closure(K.DIFFUSE, WHITE), features=ClosureFeatures((K.DIFFUSE,)))
-    for array in (table.roughness, table.ior, table.edge, table.albedo.reflection, table.albedo.coat, table.albedo.glass):
+    for array in (table.albedo.reflection, table.albedo.coat, table.albedo.glass):
         assert array.size == 0
     glossy = table_of(Closure(K.GLOSSY, WHITE, 0.3), features=ClosureFeatures((K.GLOSSY,)))
     assert glossy.albedo.reflection.size > 0 and glossy.albedo.coat.size == 0 and glossy.albedo.glass.size == 0

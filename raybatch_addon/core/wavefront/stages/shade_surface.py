@@ -125,7 +125,9 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     def gather_emission(
         data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, material: int, seen_from: float
     ):
-        emission = bsdf_emission(data.materials, material)
+        emission = bsdf_emission(
+            data.materials.closures, data.materials.closure_first[material], data.materials.closure_first[material + 1]
+        )
         if is_positive(emission):
             weight = float(1.0)
             pdf = paths.pdf[path]
@@ -151,7 +153,11 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         light = light_sample(data.lights, data.geometry, surface.position, u_choice, u)
         if light.pdf <= 0.0:
             return 0
-        bsdf = bsdf_evaluate(data.materials, surface.material, frame, -rays.direction[path], light.direction)
+        first = data.materials.closure_first[surface.material]
+        end = data.materials.closure_first[surface.material + 1]
+        bsdf = bsdf_evaluate(
+            data.materials.closures, first, end, data.materials.albedo, frame, -rays.direction[path], light.direction
+        )
         value = bsdf.value
         weight = 1.0 / light.pdf
         if is_lit_in_part(light.visibility):
@@ -249,7 +255,8 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                 )  # fmt: skip
 
         scattered = bsdf_sample(
-            data.materials, surface.material, frame, -direction,
+            data.materials.closures, data.materials.closure_first[surface.material],
+            data.materials.closure_first[surface.material + 1], data.materials.albedo, frame, -direction,
             sample_1d(key, sample, dimension + wp.uint32(LOBE)), sample_2d(key, sample, dimension + wp.uint32(BSDF)),
         )  # fmt: skip
         throughput = wp.cw_mul(paths.throughput[path], scattered.weight)
@@ -327,7 +334,9 @@ def transparent_shadow_kernel(features: SurfaceFeatures) -> wp.Kernel:
             paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
         else:
             surface = surface_point(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot])
-            light = wp.cw_mul(paths.shadow_light[path], transparency(data.materials, surface.material))
+            first = data.materials.closure_first[surface.material]
+            end = data.materials.closure_first[surface.material + 1]
+            light = wp.cw_mul(paths.shadow_light[path], transparency(data.materials.closures, first, end))
             if is_positive(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
                 direction = rays.direction[slot]
                 origin = spawn_origin(surface.position, surface.error, surface.geometric_normal, direction)
