@@ -65,6 +65,8 @@ class Mesh:
     triangle_slot: np.ndarray | None = None  # material slot, int32, shape [triangle_count]; None: slot 0 everywhere
     corner_normals: np.ndarray | None = None  # unit, float32, shape [triangle_count, 3, 3]; None: flat
     corner_uvs: np.ndarray | None = None  # float32, shape [triangle_count, 3, 2]; None: no UV map
+    # centre and half size of the box that generated texture coordinates span, in object space [m]; None: -1..1
+    texture_space: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
 
 
 @dataclass(frozen=True)
@@ -134,6 +136,28 @@ class Light:
     casts_shadow: bool = True
 
 
+class ImageEncoding(IntEnum):
+    """What the numbers of an image stand for."""
+
+    LINEAR = 0  # linear RGB, or data that are no colour
+    SRGB = 1  # the sRGB transfer function; decoded after interpolation, as Blender does
+
+
+@dataclass(frozen=True)
+class Image:
+    """A picture that textures read. The bottom row comes first; alpha, where there is any, has been multiplied into the colours.
+
+    With tiles (UDIM) it is many pictures: tile 1001 + 10 v + u covers texture coordinates u..u + 1, v..v + 1.
+    A picture without pixels counts as missing, and so does the place of a tile that is not there: magenta.
+    """
+
+    name: str
+    # uint8 (255 is 1), float16 or float32, shape [height, width, channels] with 1 (grey), 3 (RGB) or 4 (RGBA) channels
+    pixels: np.ndarray | None = None
+    encoding: ImageEncoding = ImageEncoding.LINEAR
+    tiles: tuple[tuple[int, np.ndarray], ...] | None = None  # tile number and its pixels, instead of `pixels`
+
+
 @dataclass(frozen=True)
 class Camera:
     """A camera whose rays pass through a window one metre in front of it (PERSPECTIVE)."""
@@ -187,6 +211,7 @@ class Scene:
     # material index by slot; an instance's slot s is `slot_materials[slot_first + s]`. int32, shape [k]
     slot_materials: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
     materials: tuple[Material, ...] = ()
+    images: tuple[Image, ...] = ()
     lights: tuple[Light, ...] = ()
     world: World = World()
     object_names: tuple[str, ...] = ()

@@ -56,6 +56,11 @@ def full_scene() -> d.Scene:
         instances=d.Instances(one, matrix[None].copy(), one, np.array([int(d.Visibility.ALL)], np.int32), one),
         slot_materials=np.array([1, 0], np.int32),
         materials=materials,
+        images=(
+            d.Image("one", np.random.default_rng(2).integers(0, 256, (4, 3, 4)).astype(np.uint8), d.ImageEncoding.SRGB),
+            d.Image("many", tiles=((1001, np.ones((2, 2, 1), np.float16)), (1012, np.full((1, 2, 3), np.inf, np.float32)))),
+            d.Image("missing"),
+        ),
         lights=(d.Light("sun", d.LightKind.SUN, matrix, (1.0, 0.9, 0.8), angle=0.01, visibility=d.Visibility.DIFFUSE),),
         world=d.World((0.1, 0.2, 0.3)),
         object_names=("Grün",),
