@@ -17,8 +17,8 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 
-def mesh_object(path: Path, up: str, drop: list[int]) -> bpy.types.Object:
-    """The geometry of `path` as an object, turned so that Blender's z is up, without the materials `drop`."""
+def mesh_object(path: Path, up: str, drop: list[int], flat: bool) -> bpy.types.Object:
+    """The geometry of `path` as an object, turned so that Blender's z is up, without the materials `drop`; normals are interpolated, but for `flat`."""
     with np.load(path) as arrays:
         v, f = arrays["v"].astype(np.float32), arrays["f"].astype(np.int32)
         if drop:
@@ -32,6 +32,8 @@ def mesh_object(path: Path, up: str, drop: list[int]) -> bpy.types.Object:
     mesh.loops.foreach_set("vertex_index", f.ravel())
     mesh.polygons.add(len(f))
     mesh.polygons.foreach_set("loop_start", np.arange(0, f.size, 3, dtype=np.int32))
+    if flat:
+        mesh.shade_flat()
     mesh.update()
     material = bpy.data.materials.new("white")
     material.use_nodes = True
@@ -96,13 +98,14 @@ def main() -> None:
     how.add_argument("--stage", action="store_true", help="on a floor, under an area light, seen from the front")
     parser.add_argument("--up", choices=("y", "z"), default="z", help="the axis of the file that points up")
     parser.add_argument("--drop", type=int, action="append", default=[], help="leave out triangles of this material id")
+    parser.add_argument("--flat", action="store_true", help="shade every triangle with its own normal; else normals are interpolated")
     parser.add_argument("--sun", type=float, default=4.0, help="irradiance of the sun [W/m²]")
     parser.add_argument("--world", type=float, default=0.5, help="radiance of the world")
     given = parser.parse_args()
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    placed = mesh_object(given.mesh, given.up, given.drop)
+    placed = mesh_object(given.mesh, given.up, given.drop, given.flat)
     scene.collection.objects.link(placed)
     if given.stage:
         on_a_stage(scene, placed)
