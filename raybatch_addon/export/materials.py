@@ -8,6 +8,8 @@ import bpy
 
 from ..core.scene.description import ClosureKind, Material
 from .nodes import shader_at
+from .nodes.collections import Collections
+from .nodes.compile import compile_graph
 from .nodes.graph import NotUnderstood, find_source
 from .nodes.mixture import WHITE, Mixture, single
 from .nodes.principled import principled_mixture
@@ -20,7 +22,8 @@ _NAMED_USERS = 3
 class MaterialTable:
     """The materials of one scene, each exported once, in the order of their first use."""
 
-    def __init__(self) -> None:
+    def __init__(self, collections: Collections | None = None) -> None:
+        self.collections = collections or Collections()
         self.materials: list[Material] = []
         self._index: dict[Any, int] = {}
         self._notes: dict[int, list[str]] = {}  # by material: what was left out
@@ -31,7 +34,7 @@ class MaterialTable:
         key = None if material is None else material.original.as_pointer()
         if key not in self._index:
             self._index[key] = len(self.materials)
-            exported, notes = export_material(material)
+            exported, notes = export_material(material, self.collections)
             self.materials.append(exported)
             if notes:
                 self._notes[self._index[key]] = notes
@@ -53,20 +56,27 @@ class MaterialTable:
         return lines
 
 
-def export_material(material: bpy.types.Material | None) -> tuple[Material, list[str]]:
+def export_material(material: bpy.types.Material | None, collections: Collections | None = None) -> tuple[Material, list[str]]:
     """`material`, and in words what of it is not rendered as it is.
 
-    A graph that is not understood becomes a diffuse surface of the material's viewport colour.
+    What a graph has that is not understood is replaced; `collections` gets what programs refer to by index.
     """
+    collections = collections or Collections()
     if material is None:
         return _material("default", single(ClosureKind.DIFFUSE, _DEFAULT_GREY)), []
     notes: list[str] = []
     try:
         mixture = _surface(material, notes)
-    except NotUnderstood as reason:
-        mixture = single(ClosureKind.DIFFUSE, tuple(max(float(c), 0.0) for c in material.diffuse_color[:3]))
-        notes = [f"{reason}: this is not supported yet; rendered in the material's viewport colour"]
+    except NotUnderstood:
+        return _compiled(material, collections)
     return _material(material.name, mixture), notes
+
+
+def _compiled(material: bpy.types.Material, collections: Collections) -> tuple[Material, list[str]]:
+    tree = material.node_tree
+    output = tree.get_output_node("CYCLES") or tree.get_output_node("ALL") or tree.get_output_node("EEVEE")
+    compiled = compile_graph(output.inputs["Surface"], material, collections)
+    return Material(material.name, compiled.closures, compiled.kinds, compiled.program), list(compiled.notes)
 
 
 def _surface(material: bpy.types.Material, notes: list[str]) -> Mixture:

@@ -40,7 +40,8 @@ def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | 
         if loops is None:
             loops = _read(mesh.loop_triangles, "loops", np.int32, count, 3)
         uvs = _read(layer.uv, "vector", np.float32, len(mesh.loops), 2)[loops]
-    return Mesh(mesh.name, positions, triangles, _slots(mesh, count), normals, uvs)
+    space = (tuple(mesh.texspace_location), tuple(mesh.texspace_size))
+    return Mesh(mesh.name, positions, triangles, _slots(mesh, count), normals, uvs, space)
 
 
 def slot_count(mesh: bpy.types.Mesh) -> int:

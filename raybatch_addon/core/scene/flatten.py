@@ -76,6 +76,15 @@ def flatten(scene: Scene) -> FlatGeometry:
     return _joined(chunks, instance_mesh, transform, tuple(merged), shared)
 
 
+def is_mirrored_where_baked(scene: Scene) -> np.ndarray:
+    """Which instances have their triangles' last two corners exchanged in `FlatGeometry`, bool, shape [instance_count]."""
+    instances = scene.instances
+    if len(instances) == 0:
+        return np.zeros(0, bool)
+    uses = np.bincount(instances.mesh, minlength=len(scene.meshes))
+    return (uses[instances.mesh] == 1) & (np.linalg.det(np.asarray(instances.transform, np.float64)[:, :, :3]) < 0)
+
+
 @dataclass(frozen=True)
 class _Chunk:
     positions: np.ndarray

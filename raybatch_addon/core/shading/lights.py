@@ -150,6 +150,8 @@ def choose_emitter(table: LightTable, bits: wp.uint32) -> int:
 @wp.func
 def find_triangle(table: LightTable, instance: int, primitive: int) -> int:
     """Emitter of an instance's triangle, or -1."""
+    if table.instance_first.shape[0] == 0:  # what emits does so by a program alone
+        return -1
     low = table.instance_first[instance]
     end = table.instance_first[instance + 1]
     high = end

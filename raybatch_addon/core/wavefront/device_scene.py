@@ -15,6 +15,8 @@ from ..scene.features import SceneFeatures
 from ..scene.geometry import Geometry
 from ..shading.camera import CameraData, upload_camera
 from ..shading.closures import ClosureFeatures, MaterialTable, upload_materials
+from ..shading.nodes.op import NodeData
+from ..shading.nodes.table import upload_programs
 from ..shading.light_table import LightTable, UploadedLights, upload_lights
 from .geometry_cache import BuiltGeometry, GeometryCache, GeometryRequest, PagedTree
 from .tracing import Tracing
@@ -26,6 +28,7 @@ class SceneData:
 
     geometry: Geometry
     materials: MaterialTable
+    nodes: NodeData  # of shader programs; empty where there are none
     lights: LightTable
     world: wp.vec3  # radiance of the world [W/(m² sr)]
     world_visibility: int
@@ -59,6 +62,7 @@ class DeviceScene:
             kept = cache.get(scene, request, device)
             data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
+            data.nodes = upload_programs(scene, features, data.geometry, device)
         lights = upload_lights(scene, device)
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)

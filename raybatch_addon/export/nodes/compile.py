@@ -7,6 +7,7 @@ from typing import Any
 
 from ...core.scene.description import Closure, ClosureKind
 from ...core.scene.program import Program
+from .collections import Collections
 from .node import Graph, deep_recursion
 
 
@@ -20,9 +21,9 @@ class Compiled:
     notes: tuple[str, ...]  # what is left out or approximated
 
 
-def compile_graph(socket, owner: Any, images: Any = None, attributes: Any = None) -> Compiled:
-    """The graph that feeds the shader input `socket` of an output node of `owner`; see `Graph` for `images` and `attributes`."""
-    graph = Graph(owner, images=images, attributes=attributes)
+def compile_graph(socket, owner: Any, collections: Collections) -> Compiled:
+    """The graph that feeds the shader input `socket` of an output node of `owner`; `collections` gets what it refers to."""
+    graph = Graph(owner, collections)
     with deep_recursion():
         graph.surface(socket)
     kinds = tuple(sorted(graph.kinds))

@@ -10,6 +10,7 @@ from typing import Any
 
 from ...core.scene.description import ClosureKind
 from ...core.shading.nodes.builder import Constant, ProgramBuilder, Value
+from .collections import Collections
 from .graph import find_source, node_label
 from .registry import shader_nodes, value_nodes
 
@@ -25,11 +26,10 @@ class Graph:
     """One graph on its way to a program."""
 
     owner: Any = None  # Blender's material, world or light
+    collections: Collections = field(default_factory=Collections)
     builder: ProgramBuilder = field(default_factory=ProgramBuilder)
     kinds: set[ClosureKind] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)  # what is left out or approximated, in words
-    images: Any = None  # collects images: `index(node) -> int`
-    attributes: Any = None  # collects names of attributes: `index(name, kind) -> int`
     shift: int = 0  # bump mapping evaluates its height thrice: here, and a little aside along two axes
     _known: dict[tuple, dict[str, Value]] = field(default_factory=dict)
     _open: set[tuple] = field(default_factory=set)  # nodes being evaluated: one met again is a cycle
@@ -199,7 +199,7 @@ class Node:
 
     def uv(self) -> Value:
         """The active UV map, as a vector; what images take where nothing is linked."""
-        return self.op("uv", self.graph.attributes.index("", "UV") if self.graph.attributes else -1, self.shift)
+        return self.op("uv", -1, self.shift)
 
     def passed_through(self) -> Value:
         """The first linked input of the kind of the first output, else what the output says by itself."""

@@ -1,10 +1,71 @@
-"""What input ops read of the scene beside its triangles."""
+"""What input ops read of the scene beside its triangles: where objects are, their texture space, values at corners of triangles."""
 
+import numpy as np
 import warp as wp
+
+from ...scene.description import Scene
+from ...scene.flatten import is_mirrored_where_baked
+from ...scene.geometry import mat34
 
 
 @wp.struct
 class InputData:
     """Arrays that no program of the scene reads have no entries."""
 
-    uvs: wp.array(dtype=wp.vec2)  # of triangle corners, [3 * triangle_count]
+    to_object: wp.array(dtype=mat34)  # world to object, of each instance
+    texture_offset: wp.array(dtype=wp.vec3)  # generated coordinates are position in object space times scale, plus offset; of each instance
+    texture_scale: wp.array(dtype=wp.vec3)
+    uv_first: wp.array(dtype=int)  # of each instance: first of its corners in `uvs`, -1: it has none
+    uvs: wp.array(dtype=wp.vec2)  # of triangle corners
+
+
+def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> InputData:
+    """What programs with `ops` read of `scene`."""
+    inputs = InputData()
+    instances = scene.instances
+    if any(name in ops for name in ("generated", "object_coordinates")):
+        inputs.to_object = wp.array(_inverses(instances.transform), dtype=mat34, device=device)
+    if "generated" in ops:
+        spaces = np.array([mesh.texture_space or ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)) for mesh in scene.meshes], np.float64).reshape(-1, 2, 3)
+        size = np.where(spaces[:, 1] != 0, spaces[:, 1], 1.0)
+        scale = 0.5 / size
+        offset = 0.5 - spaces[:, 0] * scale
+        inputs.texture_scale = wp.array(scale[instances.mesh].astype(np.float32), dtype=wp.vec3, device=device)
+        inputs.texture_offset = wp.array(offset[instances.mesh].astype(np.float32), dtype=wp.vec3, device=device)
+    if "uv" in ops:
+        first, uvs = _corner_values(scene)
+        inputs.uv_first = wp.array(first, dtype=int, device=device)
+        inputs.uvs = wp.array(uvs, dtype=wp.vec2, device=device)
+    return inputs
+
+
+def _inverses(transform: np.ndarray) -> np.ndarray:
+    """Inverses of transforms, float32, shape [n, 3, 4]; those of singular ones are 0."""
+    matrix = np.asarray(transform, np.float64)
+    result = np.zeros_like(matrix)
+    usable = np.abs(np.linalg.det(matrix[:, :, :3])) > 0
+    linear = np.linalg.inv(matrix[usable, :, :3])
+    result[usable, :, :3] = linear
+    result[usable, :, 3] = -np.einsum("nij,nj->ni", linear, matrix[usable, :, 3])
+    return result.astype(np.float32)
+
+
+def _corner_values(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """First corner of each instance, int32, and UVs of all corners, float32, shape [n, 2]."""
+    first = np.full(len(scene.instances), -1, np.int32)
+    chunks: list[np.ndarray] = []
+    places: dict[tuple[int, bool], int] = {}
+    count = 0
+    mirrored = is_mirrored_where_baked(scene)
+    for i, mesh_index in enumerate(scene.instances.mesh.tolist()):
+        uvs = scene.meshes[mesh_index].corner_uvs
+        if uvs is None:
+            continue
+        key = (mesh_index, bool(mirrored[i]))
+        if key not in places:
+            # corners in the order that the geometry has them
+            chunks.append((uvs[:, [0, 2, 1]] if key[1] else uvs).reshape(-1, 2))
+            places[key] = count
+            count += len(chunks[-1])
+        first[i] = places[key]
+    return first, np.concatenate(chunks).astype(np.float32) if chunks else np.zeros((0, 2), np.float32)

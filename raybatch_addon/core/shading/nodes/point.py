@@ -22,4 +22,28 @@ class ShadingPoint:
     ray_kind: int  # `Visibility` bit of the ray
     bounce: int  # scattering events of the path so far
     passed: int  # transparent surfaces that the ray has passed
-    footprint: float  # width of a pixel at the point [m]: how far apart bump mapping looks
+    # one step aside along either axis of the surface, a pixel wide or so, for bump mapping: in the world, and of `barycentric`
+    step_x: wp.vec3  # [m]
+    step_y: wp.vec3
+    step_x_barycentric: wp.vec2
+    step_y_barycentric: wp.vec2
+
+
+@wp.func
+def shifted_position(point: ShadingPoint, shift: int) -> wp.vec3:
+    """The position itself (shift 0), or one step aside along x (1) or y (2)."""
+    if shift == 1:
+        return point.position + point.step_x
+    if shift == 2:
+        return point.position + point.step_y
+    return point.position
+
+
+@wp.func
+def shifted_barycentric(point: ShadingPoint, shift: int) -> wp.vec2:
+    """The same of the barycentric weights."""
+    if shift == 1:
+        return point.barycentric + point.step_x_barycentric
+    if shift == 2:
+        return point.barycentric + point.step_y_barycentric
+    return point.barycentric

@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import warp as wp
 
 from ...errors import SceneError
+from ...scene.description import Scene
+from ...scene.features import SceneFeatures
+from ...scene.geometry import Geometry
 from ...scene.program import Program
-from .op import INPUTS, op_named
+from .inputs_data import upload_inputs
+from .op import INPUTS, NodeData, op_named
 from .run import END, FIRST_OP, LENGTH_SHIFT
 
 
@@ -36,6 +41,20 @@ def encode(programs: Sequence[Program | None], ops: Sequence[str]) -> tuple[np.n
     if any(not np.isfinite(values).all() for values in constants):
         raise SceneError("a shader program has a constant that is not a finite number")
     return np.array(code, np.int32), np.concatenate(constants) if constants else np.zeros(0, np.float32), first
+
+
+def upload_programs(scene: Scene, features: SceneFeatures, geometry: Geometry, device: wp.Device) -> NodeData:
+    """The programs of the scene's materials, and what they read; all is empty where there are none."""
+    data = NodeData()
+    if not features.programs:
+        return data
+    code, constants, first = encode([material.program for material in scene.materials], features.programs.ops)
+    data.code = wp.array(code, dtype=int, device=device)
+    data.constants = wp.array(constants, dtype=float, device=device)
+    data.program_first = wp.array(first, dtype=int, device=device)
+    data.geometry = geometry
+    data.inputs = upload_inputs(scene, features.programs.ops, device)
+    return data
 
 
 def _checked(instruction, program: Program, numbers: dict[str, int], constant_first: int) -> list[int]:

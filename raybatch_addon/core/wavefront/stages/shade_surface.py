@@ -10,6 +10,7 @@ import warp as wp
 from ...film.tile import FilmTile
 from ...kernel import KERNEL_OPTIONS
 from ...scene.description import ClosureKind, LightKind, Visibility
+from ...scene.program import ProgramFeatures
 from ...shading.closures import DELTA, DIFFUSE, TRANSMISSION, TRANSPARENT, ClosureFeatures, ShadingFrame, make_bsdf
 from ...shading.lights import LightFeatures, is_lit_in_part, light_weights, make_lights
 from ...shading.sampling import (
@@ -24,11 +25,13 @@ from ...shading.sampling import (
     pixel_key,
     tangent_of,
 )
+from ...shading.materials import ClosureRecord
 from ...shading.surface import SurfacePoint, make_surface, spawn_origin
 from ..device_scene import SceneData
-from ..rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of
+from ..rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
 from .generate import TileWork, pixel_sample
 from .limits import PathLimits, clamped
+from .surface_program import make_surface_program, shading_point
 
 RAY_NEW = int(Status.RAY_NEW)
 SHADOW_NEW = int(Status.SHADOW_NEW)
@@ -44,6 +47,7 @@ class SurfaceFeatures:
     """What the stage is specialised on; the fields are those of `SceneFeatures`."""
 
     closures: tuple[ClosureKind, ...]
+    programs: ProgramFeatures
     lights: tuple[LightKind, ...]
     light_sphere: bool
     mesh_lights: bool
@@ -120,14 +124,15 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     light_sample = lights.sample
     light_hit_pdf = lights.hit_pdf
     sample_weight, hit_weight = light_weights(features.mis)
+    programs = features.programs
+    surface_closures = make_surface_program(programs)
 
     @wp.func
     def gather_emission(
-        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, material: int, seen_from: float
-    ):
-        emission = bsdf_emission(
-            data.materials.closures, data.materials.closure_first[material], data.materials.closure_first[material + 1]
-        )
+        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, closures: wp.array(dtype=ClosureRecord), first: int, end: int,
+        seen_from: float,
+    ):  # fmt: skip
+        emission = bsdf_emission(closures, first, end)
         if is_positive(emission):
             weight = float(1.0)
             pdf = paths.pdf[path]
@@ -147,17 +152,13 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     @wp.func
     def connect_light(
         data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, surface: SurfacePoint, frame: ShadingFrame,
-        u_choice: float, u: wp.vec2,
+        closures: wp.array(dtype=ClosureRecord), first: int, end: int, u_choice: float, u: wp.vec2,
     ) -> int:  # fmt: skip
         """Aim a shadow ray at a light; returns the status bit that submits it, or 0."""
         light = light_sample(data.lights, data.geometry, surface.position, u_choice, u)
         if light.pdf <= 0.0:
             return 0
-        first = data.materials.closure_first[surface.material]
-        end = data.materials.closure_first[surface.material + 1]
-        bsdf = bsdf_evaluate(
-            data.materials.closures, first, end, data.materials.albedo, frame, -rays.direction[path], light.direction
-        )
+        bsdf = bsdf_evaluate(closures, first, end, data.materials.albedo, frame, -rays.direction[path], light.direction)
         value = bsdf.value
         weight = 1.0 / light.pdf
         if is_lit_in_part(light.visibility):
@@ -222,6 +223,20 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             passed_t = paths.passed_t[path]
         surface = surface_point(data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path])
         frame = shading_frame(surface, -direction)
+        if wp.static(bool(programs)):
+            point = shading_point(
+                surface, -direction, frame.normal, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], hit_t
+            )
+            point.ray_kind = visibility_of(status)
+            point.bounce = bounce
+            point.passed = passed
+            closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
+            first = int(0)
+            end = surface_closures(data, surface.material, point, closures)
+        else:
+            closures = data.materials.closures
+            first = data.materials.closure_first[surface.material]
+            end = data.materials.closure_first[surface.material + 1]
 
         if bounce == 0 and passed == 0:
             if wp.static("Normal" in features.passes):
@@ -233,7 +248,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                     film.position[where.pixel] = surface.position
 
         if wp.static(features.emission):
-            gather_emission(data, limits, paths, rays, path, surface.material, passed_t)
+            gather_emission(data, limits, paths, rays, path, closures, first, end, passed_t)
 
         # at its last surface a path scatters no more, but still passes what is transparent, as shadow rays do
         last = bounce > limits.bounce_max
@@ -250,13 +265,12 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if wp.static(features.shadow_rays):
             if x < limits.nee_end and not last:
                 status = status | connect_light(
-                    data, limits, paths, rays, path, surface, frame,
+                    data, limits, paths, rays, path, surface, frame, closures, first, end,
                     sample_1d(key, sample, dimension + wp.uint32(LIGHT_CHOICE)), sample_2d(key, sample, dimension + wp.uint32(LIGHT)),
                 )  # fmt: skip
 
         scattered = bsdf_sample(
-            data.materials.closures, data.materials.closure_first[surface.material],
-            data.materials.closure_first[surface.material + 1], data.materials.albedo, frame, -direction,
+            closures, first, end, data.materials.albedo, frame, -direction,
             sample_1d(key, sample, dimension + wp.uint32(LOBE)), sample_2d(key, sample, dimension + wp.uint32(BSDF)),
         )  # fmt: skip
         throughput = wp.cw_mul(paths.throughput[path], scattered.weight)
@@ -318,6 +332,8 @@ def transparent_shadow_kernel(features: SurfaceFeatures) -> wp.Kernel:
     """
     surface_point = make_surface(features.instancing, features.smooth_normals).point
     transparency = make_bsdf(ClosureFeatures(features.closures)).transparency
+    programs = features.programs
+    surface_closures = make_surface_program(programs)
 
     @wp.kernel(**KERNEL_OPTIONS)
     def connect_transparent(
@@ -334,9 +350,25 @@ def transparent_shadow_kernel(features: SurfaceFeatures) -> wp.Kernel:
             paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
         else:
             surface = surface_point(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot])
-            first = data.materials.closure_first[surface.material]
-            end = data.materials.closure_first[surface.material + 1]
-            light = wp.cw_mul(paths.shadow_light[path], transparency(data.materials.closures, first, end))
+            if wp.static(bool(programs)):
+                direction = rays.direction[slot]
+                normal = surface.normal
+                if wp.dot(normal, direction) > 0.0:
+                    normal = -normal
+                point = shading_point(
+                    surface, -direction, normal, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot], rays.hit_t[slot]
+                )
+                point.ray_kind = wp.static(int(Visibility.SHADOW))
+                point.bounce = bounce_of(status)
+                point.passed = passed / wp.static(SHADOW_PASS)
+                closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
+                first = int(0)
+                end = surface_closures(data, surface.material, point, closures)
+            else:
+                closures = data.materials.closures
+                first = data.materials.closure_first[surface.material]
+                end = data.materials.closure_first[surface.material + 1]
+            light = wp.cw_mul(paths.shadow_light[path], transparency(closures, first, end))
             if is_positive(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
                 direction = rays.direction[slot]
                 origin = spawn_origin(surface.position, surface.error, surface.geometric_normal, direction)
