@@ -1,0 +1,119 @@
+#!/usr/bin/env python3
+"""Compare every feature of materials, textures and worlds with Cycles. `parity.py --help` says how."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT / "tests"), str(ROOT)]
+
+from raybatch_addon.core.errors import RayBatchError
+from rendering.output import OutputFolders, leave, own_standard_output, write_json, write_whole
+
+DESCRIPTION = """\
+Render each feature of tests/blender/features with Cycles and with RayBatch, on the CPU, and compare.
+
+A node alone is compared number by number at 1,024 points; a picture by the mean of each channel and by relMSE without the noise.
+Without --only and --quick the table of all features is written, docs/parity.md with its thumbnails. The exit code is 0 whether
+features are within bounds or not, and 1 if something else went wrong; --strict makes it 1 also when a feature is out of bounds.
+"""
+
+
+def argument_parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="parity.py", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
+    add = parser.add_argument
+    add("--only", action="append", default=[], metavar="NAME[,NAME]", help="features of this name, of this family, or with this part in their names")
+    add("--quick", action="store_true", help="only the features that are compared with every change")
+    add("--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there")
+    add("--out", type=Path, metavar="DIR", help="write parity.md and parity/*.png there (default: docs/, when all features are compared)")
+    add("--list", action="store_true", help="name the features, and compare none")
+    add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes side by side (default: one a core)")
+    add("--strict", action="store_true", help="exit with 1 if a feature is out of bounds")
+    add("--verbose", action="store_true", help="pass on what Blender and Warp print, to standard error")
+    add("--worker", type=Path, help=argparse.SUPPRESS)  # one process of many: where its results go
+    add("--exactly", action="append", default=[], help=argparse.SUPPRESS)
+    return parser
+
+
+def work(options: argparse.Namespace) -> int:
+    """One process of many."""
+    import raybatch_addon
+
+    raybatch_addon.register()
+    from blender.features.registry import all_features
+    from blender.features.runner import run
+    from parity_report.workers import write_results
+
+    results = []
+
+    def done(result) -> None:
+        results.append(result)
+        write_results(results, options.worker)
+
+    run([each for each in all_features() if each.name in options.exactly], done)
+    return 0
+
+
+def run(options: argparse.Namespace, folders: OutputFolders, standard_output) -> int:
+    """The exit code."""
+    if options.worker:
+        return work(options)
+    from blender.features.registry import chosen_features
+    from parity_report.page import counts, json_report, page, write_thumbnails
+    from parity_report.workers import run_groups
+    from raybatch_addon.core.report.statistics import versions
+
+    features = chosen_features([name for names in options.only for name in names.split(",")], options.quick)
+    if options.list:
+        for each in features:
+            print(f"{each.family:10} {each.kind:8} {each.name}{'  (quick)' if each.quick else ''}", file=standard_output)
+        return 0
+    if options.json and options.json != "-":
+        folders.prepare(Path(options.json).absolute())
+    started = time.perf_counter()
+    results = run_groups(features, Path(__file__).resolve(), options.jobs, lambda result: print(result.text(), file=sys.stderr, flush=True))
+    seconds = time.perf_counter() - started
+    import bpy
+
+    known = {"Blender": bpy.app.version_string, "Warp": versions()["warp"], "RayBatch": versions()["raybatch"]}
+    whole = not (options.only or options.quick)
+    if options.out or whole:
+        out = options.out or ROOT / "docs"
+        out.mkdir(parents=True, exist_ok=True)
+        text = page(results, write_thumbnails(results, out / "parity"), known)
+        write_whole(out / "parity.md", lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    if options.json:
+        write_json(options.json, [json_report(results, known, seconds)], standard_output)
+    for name, (ok, total) in counts(results).items():
+        print(f"{name}: {ok} of {total} within bounds", file=sys.stderr)
+    print(f"{seconds:.0f} s", file=sys.stderr)
+    return int(options.strict and not all(result.ok for result in results))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The exit code."""
+    options = argument_parser().parse_args(arguments)
+    folders = OutputFolders()
+    with own_standard_output(options.verbose) as standard_output:
+        try:
+            return run(options, folders, standard_output)
+        except (RayBatchError, LookupError) as error:
+            print(f"parity.py: error: {' '.join(str(error.args[0] if error.args else error).split())}", file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            print("parity.py: stopped", file=sys.stderr)
+            return 130
+        finally:
+            folders.take_back()
+
+
+if __name__ == "__main__":
+    leave(main())

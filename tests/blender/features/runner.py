@@ -1,0 +1,163 @@
+"""Features rendered by both engines, and what came of it."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from .compare import RenderFailed, cycles_picture, empty_scene, figures_of, raybatch_picture, set_alike
+from .registry import Feature
+from .sheet import CELLS_MOST, TOLERANCE, Cell, build_sheet, render_sheet
+
+MEAN_TOLERANCE = 0.01
+REL_MSE_TOLERANCE = 3e-3
+# Standard errors at which a figure can be told from its tolerance
+MEAN_NOISE = 0.0025
+REL_MSE_NOISE = 6e-4
+SAMPLES_MOST = 4096
+
+OK, DIFFERENT, UNSUPPORTED, NOISY, FAILED = "ok", "differs", "not supported", "too noisy", "failed"
+
+
+@dataclass
+class Result:
+    """What came of one feature."""
+
+    feature: Feature
+    status: str
+    figures: dict[str, float] = field(default_factory=dict)
+    note: str = ""
+    ours: np.ndarray | None = None  # [height, width, 3], bottom row first: of the worst plane, or the picture
+    theirs: np.ndarray | None = None
+    seconds: float = 0.0
+
+    @property
+    def ok(self) -> bool:
+        """Within bounds."""
+        return self.status == OK
+
+    def text(self) -> str:
+        """One line."""
+        numbers = ", ".join(f"{name} {value:.3g}" for name, value in self.figures.items())
+        return f"{self.status:13} {self.feature.name}: {numbers}{'; ' if self.note and numbers else ''}{self.note}"
+
+
+def run(features: list[Feature], done: Callable[[Result], None] = lambda result: None) -> list[Result]:
+    """All of them, nodes first; `done` is called with each result."""
+    results = []
+    with tempfile.TemporaryDirectory() as folder:
+        for results_of_some in _runs(features, Path(folder)):
+            for result in results_of_some:
+                done(result)
+                results.append(result)
+    return results
+
+
+def _runs(features: list[Feature], folder: Path) -> Iterator[list[Result]]:
+    for sheet in sheets([each for each in features if each.kind == "node"]):
+        yield run_sheet(sheet, folder)
+    for each in features:
+        if each.kind == "picture":
+            yield [run_picture(each, folder)]
+
+
+def sheets(features: list[Feature]) -> list[list[Feature]]:
+    """Features of a family together, as many as a sheet takes, about."""
+    made: list[list[Feature]] = []
+    size, family = 0, None
+    for each in features:
+        if not made or family != each.family or size + len(each.variants) > CELLS_MOST:
+            made.append([])
+            size, family = 0, each.family
+        made[-1].append(each)
+        size += len(each.variants)
+    return made
+
+
+def run_sheet(features: list[Feature], folder: Path) -> list[Result]:
+    """Those that cannot be rendered together are rendered one by one."""
+    started = time.perf_counter()
+    try:
+        scene, cells = build_sheet(features)
+        warnings = render_sheet(scene, cells, folder)
+    except RenderFailed as error:
+        if len(features) > 1:
+            return [result for each in features for result in run_sheet([each], folder)]
+        return [Result(features[0], FAILED, note=str(error), seconds=time.perf_counter() - started)]
+    except Exception as error:  # of one builder: the others must be told apart from it
+        if len(features) > 1:
+            return [result for each in features for result in run_sheet([each], folder)]
+        traceback.print_exc()
+        return [Result(features[0], FAILED, note=f"the scene cannot be built: {error}", seconds=time.perf_counter() - started)]
+    seconds = (time.perf_counter() - started) / len(features)
+    return [_node_result(each, [cell for cell in cells if cell.feature is each], warnings, seconds) for each in features]
+
+
+def _node_result(feature: Feature, cells: list[Cell], warnings: list[str], seconds: float) -> Result:
+    worst = max(cells, key=lambda cell: cell.worst)
+    names = {f"“{cell.material}”" for cell in cells}
+    told = [text.split(": ", 1)[-1] for text in warnings if any(name in text for name in names)]
+    told = list(dict.fromkeys(told))
+    figures = {"error": worst.worst}
+    result = Result(feature, OK, figures, "; ".join(told), worst.ours, worst.theirs, seconds)
+    if empty := [cell.label for cell in cells if cell.empty]:
+        result.status, result.note = FAILED, f"Cycles' picture is the same everywhere: {', '.join(empty)}"
+    elif worst.worst > TOLERANCE:
+        bad = [cell for cell in cells if cell.worst > TOLERANCE]
+        figures["points beyond the bound, %"] = 100 * float(np.mean([cell.errors > TOLERANCE for cell in bad]))
+        result.status = UNSUPPORTED if told else DIFFERENT
+        where = [f"{cell.label or 'it'} ({cell.worst:.2g})" for cell in bad]
+        some = f"{len(bad)} of {len(cells)} planes: {', '.join(where[:12])}{', ...' if len(where) > 12 else ''}" if len(cells) > 1 else ""
+        result.note = "; ".join(filter(None, [some, *told]))
+    return result
+
+
+def run_picture(feature: Feature, folder: Path) -> Result:
+    """With as many samples as it takes to tell."""
+    started = time.perf_counter()
+    result = Result(feature, OK)
+    try:
+        _run_picture(feature, folder, result)
+    except RenderFailed as error:
+        result.status, result.note = FAILED, str(error)
+    except Exception as error:
+        traceback.print_exc()
+        result.status, result.note = FAILED, f"the scene cannot be built: {error}"
+    result.seconds = time.perf_counter() - started
+    return result
+
+
+def _run_picture(feature: Feature, folder: Path, result: Result) -> None:
+    scene = empty_scene()
+    set_alike(scene, feature.resolution)
+    feature.build(scene)
+    samples = feature.samples
+    for _ in range(2):
+        ours, theirs = raybatch_picture(scene, samples), cycles_picture(scene, samples, folder)
+        found = figures_of(ours, theirs)
+        short = max((found.noise / MEAN_NOISE) ** 2, found.rel_mse_noise / REL_MSE_NOISE)
+        if short <= 1 or samples >= SAMPLES_MOST:
+            break
+        clearly = found.mean_error > MEAN_TOLERANCE + 5 * found.noise or found.rel_mse > REL_MSE_TOLERANCE + 5 * found.rel_mse_noise
+        if clearly:
+            break
+        samples = min(SAMPLES_MOST, math.ceil(1.3 * short * samples))
+    result.ours, result.theirs = ours.mean, theirs.mean
+    result.figures = {
+        "mean": found.mean_error, "mean's noise": found.noise, "deviations": float(np.abs(found.deviations).max()),
+        "relMSE": found.rel_mse, "relMSE's noise": found.rel_mse_noise, "samples": 2 * samples,
+    }  # fmt: skip
+    result.note = "; ".join(text.split(": ", 1)[-1] for text in ours.warnings)
+    if found.theirs.max() < 1e-3:
+        result.status, result.note = FAILED, "Cycles' picture is black"
+    elif found.mean_error > MEAN_TOLERANCE or found.rel_mse > REL_MSE_TOLERANCE:
+        result.status = UNSUPPORTED if ours.warnings else DIFFERENT
+    elif found.noise > 2 * MEAN_NOISE or found.rel_mse_noise > 2 * REL_MSE_NOISE:
+        result.status = NOISY

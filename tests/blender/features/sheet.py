@@ -1,0 +1,138 @@
+"""Nodes alone: what they give is emitted by planes, at 32 x 32 points each, and compared number by number.
+
+Many planes make one sheet, so that kernels are compiled once for all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from blender_builders import add_mesh, material_of, node_tree
+
+from .compare import by_cycles, by_raybatch, empty_scene, set_alike, set_bounces
+from .graph import Graph
+from .registry import Feature
+
+EDGE = 32  # points of a plane's edge
+TOLERANCE = 1e-4  # absolute below 1, relative above
+CELLS_MOST = 64  # of a sheet
+# A plane's corners in its own space; z varies too
+_CORNERS = [(x, y, x / 2 - y / 4) for x, y in ((-2, -2), (2, -2), (2, 2), (-2, 2))]
+
+
+@dataclass
+class Cell:
+    """One output of one variant of a feature."""
+
+    feature: Feature
+    label: str
+    place: int
+    material: str
+    ours: np.ndarray | None = None  # [EDGE, EDGE, 3], bottom row first
+    theirs: np.ndarray | None = None
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Of each point, [EDGE, EDGE]."""
+        difference = np.abs(self.ours - self.theirs) / np.maximum(1.0, np.abs(self.theirs))
+        return np.where(np.isfinite(self.theirs) & np.isfinite(self.ours), difference, np.inf).max(-1)
+
+    @property
+    def worst(self) -> float:
+        """The largest error."""
+        return float(self.errors.max())
+
+    @property
+    def empty(self) -> bool:
+        """Nothing to see, where there should be."""
+        return not self.feature.flat and float(np.ptp(self.theirs, axis=(0, 1)).max()) < 1e-6
+
+
+def _outputs(feature: Feature, variant: Any, graph: Graph) -> dict[str, bpy.types.NodeSocket]:
+    made = feature.build(graph) if variant is None else feature.build(graph, variant)
+    if isinstance(made, bpy.types.NodeSocket):
+        made = {made.identifier: made}
+    return made
+
+
+def _plane(name: str, place: tuple[int, int]) -> bpy.types.Object:
+    obj = add_mesh(name, _CORNERS, [(0, 1, 2, 3)])
+    layer = obj.data.uv_layers.new(name="UVMap")
+    for loop, (u, v) in zip(layer.data, ((0, 0), (1, 0), (1, 1), (0, 1))):
+        loop.uv = (u, v)
+    obj.scale = (0.5, 0.5, 0.5)
+    obj.location = (2 * place[0], 2 * place[1], 0)
+    return obj
+
+
+def _add_cell(feature: Feature, variant: Any, index: int, place: tuple[int, int]) -> tuple[int, str, str]:
+    """Number of outputs of the variant, the label of the one at `index`, and the material's name."""
+    obj = _plane(feature.name, place)
+    material = material_of(obj, feature.name)
+    tree, surface = node_tree(material)
+    graph = Graph(tree, obj)
+    outputs = _outputs(feature, variant, graph)
+    label, socket = list(outputs.items())[index]
+    value = graph.vector_math("ADD", socket, (feature.offset,) * 3) if feature.offset else socket
+    graph.set(surface, graph.value("ShaderNodeEmission", {"Color": value}))
+    words = [] if variant is None else list(map(str, variant)) if isinstance(variant, tuple) else [str(variant)]
+    words += [label] if len(outputs) > 1 else []
+    return len(outputs), " ".join(words), material.name
+
+
+def build_sheet(features: list[Feature]) -> tuple[bpy.types.Scene, list[Cell]]:
+    """A scene with a plane for each output of each variant."""
+    wanted = [(each, variant) for each in features for variant in each.variants]
+    counts = _output_counts(wanted)
+    columns = math.ceil(math.sqrt(sum(counts)))
+    scene = empty_scene()
+    set_alike(scene, EDGE * columns)
+    set_bounces(scene, 0)
+    for settings, kind in ((scene.cycles, "pixel_filter_type"), (scene.raybatch, "pixel_filter")):
+        setattr(settings, kind, "GAUSSIAN")
+        settings.filter_width = 0.01
+    scene.raybatch.nee = "OFF"
+    camera = scene.camera
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 2 * columns
+    camera.location = (columns - 1, columns - 1, 10)
+    cells: list[Cell] = []
+    for (each, variant), count in zip(wanted, counts):
+        for index in range(count):
+            place = len(cells)
+            _, label, material = _add_cell(each, variant, index, (place % columns, place // columns))
+            cells.append(Cell(each, label, place, material))
+    return scene, cells
+
+
+def _output_counts(wanted: list[tuple[Feature, Any]]) -> list[int]:
+    empty_scene()
+    return [_add_cell(each, variant, 0, (0, 0))[0] for each, variant in wanted]
+
+
+def render_sheet(scene: bpy.types.Scene, cells: list[Cell], folder: Path) -> list[str]:
+    """Fill the cells; returns RayBatch's warnings. Raises `RenderFailed`."""
+    theirs = by_cycles(scene, 0, 1, folder / "sheet.exr")
+    ours, warnings = by_raybatch(scene, 0, 1)
+    columns = theirs.shape[1] // EDGE
+    for cell in cells:
+        row, column = divmod(cell.place, columns)
+        part = slice(EDGE * row, EDGE * row + EDGE), slice(EDGE * column, EDGE * column + EDGE)
+        cell.ours, cell.theirs = ours[part] - cell.feature.offset, theirs[part] - cell.feature.offset
+    return warnings
+
+
+def compare_node(build: Callable[[Graph], Any], folder: Path | str = "/tmp", **more) -> float:
+    """The largest difference of what `build(graph)` returns (a socket, or several by name) between RayBatch and Cycles.
+
+    Absolute below 1, relative above. `more` are fields of `Feature`.
+    """
+    scene, cells = build_sheet([Feature("node", "Textures", "node", build, **more)])
+    for warning in render_sheet(scene, cells, Path(folder)):
+        print(warning)
+    return max(cell.worst for cell in cells)
