@@ -1,0 +1,31 @@
+"""Voronoi Texture."""
+
+from __future__ import annotations
+
+from ...core.shading.nodes.builder import Value
+from ...core.shading.nodes.voronoi import op_name
+from ...core.shading.nodes.voronoi_cells import CHEBYCHEV, EUCLIDEAN, MANHATTAN, MINKOWSKI
+from .node import Node
+from .registry import values
+
+_METRICS = {"EUCLIDEAN": EUCLIDEAN, "MANHATTAN": MANHATTAN, "CHEBYCHEV": CHEBYCHEV, "MINKOWSKI": MINKOWSKI}
+# Inputs in the order of the ops' operands; unused ones are disabled sockets, whatever is linked to them
+_NUMBERS = ("W", "Scale", "Detail", "Roughness", "Lacunarity", "Smoothness", "Exponent", "Randomness")
+
+
+@values("ShaderNodeTexVoronoi", family="Textures")
+def voronoi(node: Node) -> dict[str, Value]:
+    """Distance, colour and place of a cell's point, or one number."""
+    settings = node.node
+    dimensions = int(settings.voronoi_dimensions[0])
+    feature = settings.feature.lower()
+    place = node.constant((0.0, 0.0, 0.0))
+    if dimensions > 1:
+        place = node.vector("Vector") if node.linked("Vector") else node.coordinates()
+    numbers = [node.number(name) if node.socket(name).enabled else node.constant(0.0) for name in _NUMBERS]
+    outputs = node.op(op_name(dimensions, feature), _METRICS[settings.distance], settings.normalize, place, *numbers)
+    if feature == "distance_to_edge":
+        return {"Distance": outputs}
+    if feature == "n_sphere_radius":
+        return {"Radius": outputs}
+    return dict(zip(("Distance", "Color", "Position", "W"), outputs))
