@@ -1,0 +1,130 @@
+"""Colours of glowing bodies and of single wavelengths, in linear Rec. 709.
+
+Their numbers are tables that the ops are given, so that no kernel holds them.
+"""
+
+import numpy as np
+import warp as wp
+
+from .math import greater, safe_divide
+from .op import NodeData, number, op, put_number, put_vector
+from .point import ShadingPoint
+
+# CIE 1931 colour matching functions of the 2 degree observer every 5 nm from 380 nm on (CIE 15), in 1e-4: x, y, z
+_MATCHING = """
+14 0 65  22 1 105  42 1 201  76 2 362  143 4 679  232 6 1102  435 12 2074  776 22 3713  1344 40 6456  2148 73 10391  2839 116 13856
+3285 168 16230  3483 230 17471  3481 298 17826  3362 380 17721  3187 480 17441  2908 600 16692  2511 739 15281  1954 910 12876
+1421 1126 10419  956 1390 8130  580 1693 6162  320 2080 4652  147 2586 3533  49 3230 2720  24 4073 2123  93 5030 1582  291 6082 1117
+633 7100 782  1096 7932 573  1655 8620 422  2257 9149 298  2904 9540 203  3597 9803 134  4334 9950 87  5121 10000 57  5945 9950 39
+6784 9786 27  7621 9520 21  8425 9154 18  9163 8700 17  9786 8163 14  10263 7570 11  10567 6949 10  10622 6310 8  10456 5668 6
+10026 5030 3  9384 4412 2  8544 3810 2  7514 3210 1  6424 2650 0  5419 2170 0  4479 1750 0  3608 1382 0  2835 1070 0  2187 816 0
+1649 610 0  1212 446 0  874 320 0  636 232 0  468 170 0  329 119 0  227 82 0  158 57 0  114 41 0  81 29 0  58 21 0  41 15 0  29 10 0
+20 7 0  14 5 0  10 4 0  7 2 0  5 2 0  3 1 0  2 1 0  2 1 0  1 0 0  1 0 0  1 0 0  0 0 0
+"""
+# XYZ to linear Rec. 709, white D65 (IEC 61966-2-1, more digits)
+_XYZ_TO_REC709 = ((3.2404542, -1.5371385, -0.4985314), (-0.9692660, 1.8760108, 0.0415560), (0.0556434, -0.2040259, 1.0572252))
+_BRIGHTEST = 2.52  # what brings the highest channel of all wavelengths to about 1
+WAVELENGTH_FIRST = 380.0  # [nm]
+WAVELENGTH_STEP = 5.0  # [nm]
+WAVELENGTH_COUNT = 81
+
+# Light of a black body of luminance 1 at temperatures t [K]: a fit by pieces. Each has where it begins; a, b, c of a/t + b t + c for
+# red and for green; a, b, c, d of ((a t + b) t + c) t + d for blue. Numbers of Cycles (Apache-2.0), whose pictures are to be met.
+_BLACKBODY = (
+    (800, 1.61919106e3, -2.05010916e-3, 5.02995757, -4.88999748e2, 6.04330754e-4, -7.55807526e-2,
+     5.96945309e-11, -4.85742887e-8, -9.70622247e-5, -4.07936148e-3),
+    (965, 2.48845471e3, -1.11330907e-3, 3.22621544, -7.55994277e2, 3.16730098e-4, 4.78306139e-1,
+     2.40430366e-11, 5.55021075e-8, -1.98503712e-4, 2.89312858e-2),
+    (1167, 3.34143193e3, -4.86551192e-4, 1.76486769, -1.02363977e3, 1.20223470e-4, 9.36662319e-1,
+     -1.40949732e-11, 1.89878968e-7, -3.56632824e-4, 9.10767778e-2),
+    (1449, 4.09461742e3, -1.27446582e-4, 7.25731635e-1, -1.26571316e3, 4.87340896e-6, 1.27054498,
+     -3.61460868e-11, 2.84822009e-7, -4.93211319e-4, 1.56723440e-1),
+    (1902, 4.67028036e3, 2.91258199e-5, 1.26703442e-1, -1.42529332e3, -4.01150431e-5, 1.43972784,
+     -1.97075738e-11, 1.75359352e-7, -2.50542825e-4, -2.22783266e-2),
+    (3315, 4.59509185e3, 2.87495649e-5, 1.50345020e-1, -1.17554822e3, -2.16378048e-5, 1.30408023,
+     -1.61997957e-13, -1.64216008e-8, 3.86216271e-4, -7.38077418e-1),
+    (6365, 3.78717450e3, 9.35907826e-6, 3.99075871e-1, -5.00799571e2, -4.59832026e-6, 1.09098763,
+     6.72650283e-13, -2.73078809e-8, 4.24098264e-4, -7.52335691e-1),
+)  # fmt: skip
+BLACKBODY_PIECES = len(_BLACKBODY)
+BLACKBODY_WIDTH = len(_BLACKBODY[0])
+COLDEST, HOTTEST = 800.0, 12000.0  # [K]; beyond, the colour stays
+INFINITELY_FAR = 3.0e38  # [m]
+
+
+def wavelength_table() -> list[float]:
+    """What the op `wavelength` wants: RGB of each wavelength, channels below 0 included."""
+    matching = np.array(_MATCHING.split(), float).reshape(-1, 3) * 1e-4
+    return (matching @ np.array(_XYZ_TO_REC709).T / _BRIGHTEST).ravel().tolist()
+
+
+def blackbody_table() -> list[float]:
+    """What the op `blackbody` wants: the pieces of its fit."""
+    return [float(x) for piece in _BLACKBODY for x in piece]
+
+
+@wp.func
+def wavelength_color(constants: wp.array(dtype=float), first: int, wavelength: float) -> wp.vec3:
+    """Linear RGB of light of `wavelength` [nm], no channel below 0; black where none is seen."""
+    position = (wavelength - WAVELENGTH_FIRST) / WAVELENGTH_STEP
+    if not (position > -1.0 and position < float(WAVELENGTH_COUNT - 1)):  # NaN too
+        return wp.vec3(0.0, 0.0, 0.0)
+    i = int(position)  # towards 0: the first step goes on below 380 nm
+    t = position - float(i)
+    color = wp.vec3(0.0, 0.0, 0.0)
+    count = int(3)
+    for c in range(count):
+        here = constants[first + 3 * i + c]
+        color[c] = greater(here + t * (constants[first + 3 * i + 3 + c] - here), 0.0)
+    return color
+
+
+@wp.func
+def blackbody_color(constants: wp.array(dtype=float), first: int, temperature: float) -> wp.vec3:
+    """Linear RGB of a black body of `temperature` [K] and luminance 1, no channel below 0."""
+    if temperature >= HOTTEST:
+        return wp.vec3(0.8262954810464208, 0.9945080501520986, 1.566307710274283)
+    if temperature < COLDEST:
+        return wp.vec3(5.413294490189271, 0.0, 0.0)
+    at = int(first)
+    for piece in range(1, BLACKBODY_PIECES):
+        if temperature >= constants[first + piece * BLACKBODY_WIDTH]:
+            at = first + piece * BLACKBODY_WIDTH
+    inverse = safe_divide(1.0, temperature)
+    red = constants[at + 1] * inverse + constants[at + 2] * temperature + constants[at + 3]
+    green = constants[at + 4] * inverse + constants[at + 5] * temperature + constants[at + 6]
+    blue = ((constants[at + 7] * temperature + constants[at + 8]) * temperature + constants[at + 9]) * temperature + constants[at + 10]
+    return wp.vec3(greater(red, 0.0), greater(green, 0.0), greater(blue, 0.0))
+
+
+@op("wavelength", "nt>V")
+@wp.func
+def wavelength_op(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """Wavelength [nm], table > colour."""
+    put_vector(data, stack, pc + 3, wavelength_color(data.constants, data.code[pc + 2], number(data, stack, pc + 1)))
+
+
+@op("blackbody", "nt>V")
+@wp.func
+def blackbody_op(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """Temperature [K], table > colour."""
+    put_vector(data, stack, pc + 3, blackbody_color(data.constants, data.code[pc + 2], number(data, stack, pc + 1)))
+
+
+@op("light_falloff", "nn>NNN", foldable=False)
+@wp.func
+def light_falloff(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """Strength, smoothing [m²] > strengths that fall with the square of the distance, with the distance, and not at all."""
+    strength = number(data, stack, pc + 1)
+    smooth = number(data, stack, pc + 2)
+    length = point.ray_length
+    # Light from infinitely far does not fall
+    if not (length < INFINITELY_FAR):
+        length = 1.0
+        smooth = 0.0
+    squared = length * length
+    if smooth > 0.0:
+        strength = strength * squared / (smooth + squared)
+    put_number(data, stack, pc + 3, strength)
+    put_number(data, stack, pc + 4, strength * length)
+    put_number(data, stack, pc + 5, strength * squared)
