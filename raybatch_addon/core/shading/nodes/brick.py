@@ -1,0 +1,92 @@
+"""Rows of bricks in mortar, each brick of its own tint."""
+
+import warp as wp
+
+from .op import NodeData, number, op, put_number, put_vector, vector, wanted
+from .perlin import finite_or_zero, finite_vector_or_zero, floor_to_int
+from .point import ShadingPoint
+
+_LOW_31 = wp.constant(wp.uint32(0x7FFFFFFF))
+_UNIT_31 = wp.constant(2.0**-31)
+
+
+@wp.struct
+class Wall:
+    """How bricks are laid; lengths in units of the texture's space."""
+
+    width: float  # of a brick, without squash
+    row_height: float
+    mortar_size: float  # from a brick's edge to where its mortar ends
+    mortar_smooth: float  # part of that over which mortar fades in from the inside, 0: none
+    bias: float  # added to tints
+    offset: float  # of a brick's width by which rows are shifted, ...
+    offset_frequency: int  # ... namely each so-many-th; at least 1
+    squash: float  # of the width that bricks have in rows ...
+    squash_frequency: int  # ... each so-many-th; at least 1
+
+
+@wp.func
+def _tint_of(brick: int, row: int) -> float:
+    """A number in [0, 1] of a brick: an old integer noise (three multiplications) over both numbers' lower halves."""
+    n = (wp.uint32(row) << wp.uint32(16)) + (wp.uint32(brick) & wp.uint32(0xFFFF))
+    n = (n + wp.uint32(1013)) & _LOW_31
+    n = n ^ (n >> wp.uint32(13))
+    n = (n * (n * n * wp.uint32(60493) + wp.uint32(19990303)) + wp.uint32(1376312589)) & _LOW_31
+    return wp.float32(n) * _UNIT_31
+
+
+@wp.func
+def _smooth_step(t: float) -> float:
+    s = wp.clamp(t, 0.0, 1.0)
+    return 3.0 * s * s - 2.0 * s * s * s
+
+
+@wp.func
+def brick(p: wp.vec3, wall: Wall) -> wp.vec2:
+    """Tint of the brick at `p`, and how much mortar is there: both in [0, 1]."""
+    row = floor_to_int(p[1] / wall.row_height)
+    width = wall.width
+    shift = float(0.0)
+    if wall.offset_frequency != 0 and wall.squash_frequency != 0:
+        if row % wall.squash_frequency == 0:
+            width *= wall.squash
+        if row % wall.offset_frequency == 0:
+            shift = width * wall.offset
+    column = floor_to_int((p[0] + shift) / width)
+    x = (p[0] + shift) - width * float(column)
+    y = p[1] - wall.row_height * float(row)
+    tint = wp.clamp(_tint_of(column, row) + finite_or_zero(wall.bias), 0.0, 1.0)
+    edge = wp.min(wp.min(x, y), wp.min(width - x, wall.row_height - y))
+    if edge >= wall.mortar_size:
+        return wp.vec2(tint, 0.0)
+    if wall.mortar_smooth == 0.0:
+        return wp.vec2(tint, 1.0)
+    return wp.vec2(tint, finite_or_zero(_smooth_step((1.0 - edge / wall.mortar_size) / wall.mortar_smooth)))
+
+
+@op("brick", "vvvvnnnnnnnini>NV", foldable=False)
+@wp.func
+def brick_op(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """Mortar and colour of a wall: vector, colours of bricks (at tint 0, at 1) and mortar, scale; mortar size and smooth, bias, width and row
+
+    height; offset and its frequency, squash and its frequency.
+    """
+    scale = number(data, stack, pc + 5)
+    wall = Wall()
+    wall.mortar_size = number(data, stack, pc + 6)
+    wall.mortar_smooth = number(data, stack, pc + 7)
+    wall.bias = number(data, stack, pc + 8)
+    wall.width = number(data, stack, pc + 9)
+    wall.row_height = number(data, stack, pc + 10)
+    wall.offset = number(data, stack, pc + 11)
+    wall.offset_frequency = data.code[pc + 12]
+    wall.squash = number(data, stack, pc + 13)
+    wall.squash_frequency = data.code[pc + 14]
+    found = brick(vector(data, stack, pc + 1) * scale, wall)
+    mortar = found[1]
+    put_number(data, stack, pc + 15, mortar)
+    if wanted(data, pc + 16):
+        color = vector(data, stack, pc + 2)
+        if mortar != 1.0:
+            color = (1.0 - found[0]) * color + found[0] * vector(data, stack, pc + 3)
+        put_vector(data, stack, pc + 16, finite_vector_or_zero(color * (1.0 - mortar) + vector(data, stack, pc + 4) * mortar))
