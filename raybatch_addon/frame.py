@@ -81,7 +81,7 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
             listener(progress)
 
     recorder = None
-    if wants_recording(depsgraph.scene, settings):
+    if wants_recording(depsgraph.scene, settings, has_windows=not bpy.app.background):
         recorder = convergence.recorder_for(convergence.store, depsgraph.scene.name, layer_name, depsgraph.scene.frame_current, settings)
     observers = [recorder] if recorder else []
     film = None
@@ -103,10 +103,14 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
         listener(layer_name, scene, film)
 
 
-def wants_recording(scene: bpy.types.Scene, settings: RenderSettings) -> bool:
-    """Whether error and rays a second over time are to be kept: where the error is estimated anyway, or the panel was asked to."""
+def wants_recording(scene: bpy.types.Scene, settings: RenderSettings, has_windows: bool) -> bool:
+    """Whether error and rays a second over time are to be kept: where the panel was asked to, or shows an error that is estimated anyway.
+
+    Without windows nobody looks at the panel, and to be looked at a render is cut into rounds, which take time. What it needs to end at
+    an error or by the clock it looks at itself.
+    """
     own = getattr(scene, "raybatch_convergence", None)
-    return settings.half_count > 1 or bool(own and own.record)
+    return bool(own and own.record) or has_windows and settings.half_count > 1
 
 
 def _report_warnings(engine: bpy.types.RenderEngine, report: reports.RenderReport, warnings: list[str]) -> None:

@@ -29,6 +29,7 @@ def lit(scene):
     lamp.location = (0.5, 0.5, 1)
     scene.camera.location = (0, 0, 4)
     scene.raybatch.error_estimate = "ON"
+    scene.raybatch_convergence.record = True  # without windows nothing is recorded but on demand
     scene.raybatch.sample_count = 16
     store.clear()
     yield scene
@@ -106,6 +107,29 @@ def test_without_an_estimate_only_rays_are_recorded_and_only_on_demand(lit, reco
         assert run.rates and not run.points and run.slope is None and run.time_to(1e-3) is None
         lines = [text for kind, text, *_ in drawn(ui.RAYBATCH_RENDER_PT_convergence, context_of(lit)) if kind == "label"]
         assert any("Error Estimate" in text for text in lines)
+
+
+@pytest.mark.parametrize("change", [{}, dict(error_target=0.003, sample_count=64), dict(time_limit=60.0)])
+def test_without_windows_nothing_is_recorded_unless_it_was_asked_for(lit, change, monkeypatch):
+    """The error is in the statistics either way, and the render ends where it would have."""
+    for name, value in change.items():
+        setattr(lit.raybatch, name, value)
+    recorded = render()
+    errors, observers, original = [reports.last().statistics["ViewLayer"]["error"]], [], Session.render
+
+    def watched(self, *args, **options):
+        observers.extend(options["observers"])
+        return original(self, *args, **options)
+
+    monkeypatch.setattr(Session, "render", watched)
+    lit.raybatch_convergence.record = False
+    assert render().number == recorded.number and not observers
+    errors.append(reports.last().statistics["ViewLayer"]["error"])
+    assert errors[0] == errors[1] and errors[0]["relmse"] > 0
+    settings = frame.settings_from(lit)
+    assert frame.wants_recording(lit, settings, has_windows=True) and not frame.wants_recording(lit, settings, has_windows=False)
+    unknown = settings.replace(error_estimate="OFF", error_target=0.0)
+    assert not frame.wants_recording(lit, unknown, has_windows=True), "nothing tells the error"
 
 
 def test_stop_at_error_ends_the_render(lit):
