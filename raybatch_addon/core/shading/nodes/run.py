@@ -1,6 +1,7 @@
 """The interpreter: runs programs with the ops that a scene needs, and no others."""
 
 import functools
+from collections.abc import Callable
 
 import warp as wp
 
@@ -22,10 +23,15 @@ def make_run(features: ProgramFeatures) -> wp.Function:
 
     `stack` is a local array of `register_count` floats, `closures` one of `closure_count` records.
     """
+    number_of = {name: FIRST_OP + i for i, name in enumerate(features.ops)}
     ops = [op_named(name) for name in features.ops]
-    values = [(FIRST_OP + i, each.function) for i, each in enumerate(ops) if not each.makes_closures]
-    makers = [(FIRST_OP + i, each.function) for i, each in enumerate(ops) if each.makes_closures]
-    value_count, maker_count = len(values), len(makers)
+    compute = _no_value
+    make = _no_closure
+    for each in ops:
+        if each.makes_closures:
+            make = _or_closure(number_of[each.name], each.function, make)
+        else:
+            compute = _or_value(number_of[each.name], each.function, compute)
 
     @wp.func
     def run(
@@ -38,13 +44,51 @@ def make_run(features: ProgramFeatures) -> wp.Function:
             op = word & wp.static((1 << LENGTH_SHIFT) - 1)
             if op == wp.static(END):
                 break
-            for i in range(wp.static(value_count)):
-                if op == wp.static(values[i][0]):
-                    wp.static(values[i][1])(data, stack, pc, point)
-            for i in range(wp.static(maker_count)):
-                if op == wp.static(makers[i][0]):
-                    count = wp.static(makers[i][1])(data, stack, pc, point, closures, count)
+            compute(op, data, stack, pc, point)
+            count = make(op, data, stack, pc, point, closures, count)
             pc += word >> wp.static(LENGTH_SHIFT)
         return count
 
     return run
+
+
+@wp.func
+def _no_value(op: int, data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    pass
+
+
+@wp.func
+def _no_closure(
+    op: int, data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int
+) -> int:
+    return count
+
+
+# A chain of functions, one an op: each refers to the next by name, so that Warp sees all of them when it hashes a kernel. It does not see what
+# `wp.static` picks from a list in a loop: kernels with other ops, or with ops that were changed, would be taken for the same.
+def _or_value(number: int, function: wp.Function, others: wp.Function) -> wp.Function:
+    def step(op: int, data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+        if op == wp.static(number):
+            function(data, stack, pc, point)
+        else:
+            others(op, data, stack, pc, point)
+
+    return _named(step, number)
+
+
+def _or_closure(number: int, function: wp.Function, others: wp.Function) -> wp.Function:
+    def step(
+        op: int, data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int
+    ) -> int:
+        if op == wp.static(number):
+            return function(data, stack, pc, point, closures, count)
+        return others(op, data, stack, pc, point, closures, count)
+
+    return _named(step, number)
+
+
+def _named(step: Callable, number: int) -> wp.Function:
+    """`step` as a Warp function of a name of its own: those of one name would be taken for each other."""
+    step.__name__ = f"step_{number}"
+    step.__qualname__ = f"make_run.{step.__name__}"
+    return wp.func(step)
