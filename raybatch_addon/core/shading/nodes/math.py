@@ -286,14 +286,17 @@ def evaluate_clamp(ordered: int, x: float, low: float, high: float) -> float:
     return limited(x, low, high)
 
 
-@op("math", "innn>N")
+@op("math", "iinnn>N")
 @wp.func
 def math_op(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """Operation, a, b, c > result."""
-    a = number(data, stack, pc + 2)
-    b = number(data, stack, pc + 3)
-    c = number(data, stack, pc + 4)
-    put_number(data, stack, pc + 5, evaluate_math(data.code[pc + 1], a, b, c))
+    """Operation, whether the result is clamped to [0, 1] (0, 1), a, b, c > result."""
+    a = number(data, stack, pc + 3)
+    b = number(data, stack, pc + 4)
+    c = number(data, stack, pc + 5)
+    result = evaluate_math(data.code[pc + 1], a, b, c)
+    if data.code[pc + 2] == 1:
+        result = saturated(result)
+    put_number(data, stack, pc + 6, result)
 
 
 @op("clamp", "innn>N")

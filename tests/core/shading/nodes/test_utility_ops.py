@@ -21,7 +21,8 @@ EDGES = [0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.0, 3.0, 1e-20, -1e-20, 1e7, -1
 NOT_NUMBERS = [float("nan"), float("inf"), float("-inf"), 3e38, -3e38]
 FLAGS = (0, 1)
 CASES = [
-    *(("math", (each,)) for each in MathOperation),
+    *(("math", (each, 0)) for each in MathOperation),
+    ("math", (MathOperation.TANGENT, 1)),
     *(("clamp", (flag,)) for flag in FLAGS),
     *(("vector_math", (each,)) for each in VectorOperation),
     *(("mix_float", (flag,)) for flag in FLAGS),

@@ -1,0 +1,50 @@
+"""Vectors taken apart, put together, moved and turned; the falloff of light."""
+
+from __future__ import annotations
+
+from ...core.shading.nodes.builder import Value
+from ...core.shading.nodes.rotate import MappingKind, RotationKind
+from .node import Node, own_value
+from .registry import values
+
+
+@values("ShaderNodeCombineXYZ", family="Utilities")
+def combine_xyz(node: Node) -> Value:
+    """A vector from three numbers."""
+    return node.op("combine_xyz", node.number(0), node.number(1), node.number(2))
+
+
+@values("ShaderNodeSeparateXYZ", family="Utilities")
+def separate_xyz(node: Node) -> dict[str, Value]:
+    """A vector as three numbers."""
+    return dict(zip("XYZ", node.op("separate_xyz", node.vector(0))))
+
+
+@values("ShaderNodeMapping", family="Utilities")
+def mapping(node: Node) -> Value:
+    """Coordinates scaled, rotated and moved."""
+    operands = node.vector("Vector"), node.vector("Location"), node.vector("Rotation"), node.vector("Scale")
+    return node.op("mapping", MappingKind[node.node.vector_type], *operands)
+
+
+@values("ShaderNodeVectorRotate", family="Utilities")
+def vector_rotate(node: Node) -> Value:
+    """A vector turned around a point."""
+    how = RotationKind[node.node.rotation_type], node.node.invert
+    return node.op(
+        "vector_rotate", *how, node.vector("Vector"), node.vector("Center"), node.vector("Axis"), node.number("Angle"), node.vector("Rotation")
+    )
+
+
+@values("ShaderNodeNormal", family="Utilities")
+def normal(node: Node) -> dict[str, Value]:
+    """A direction, and how far another points the same way."""
+    direction, cosine = node.op("normal", own_value(node.node.outputs["Normal"]), node.vector("Normal"))
+    return {"Normal": direction, "Dot": cosine}
+
+
+@values("ShaderNodeLightFalloff", family="Utilities")
+def light_falloff(node: Node) -> dict[str, Value]:
+    """Strengths that fall with distance in other ways than light does."""
+    quadratic, linear, constant = node.op("light_falloff", node.number("Strength"), node.number("Smooth"))
+    return {"Quadratic": quadratic, "Linear": linear, "Constant": constant}

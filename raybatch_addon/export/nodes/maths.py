@@ -1,0 +1,45 @@
+"""Math, Vector Math, Map Range, Clamp, and the mixes of numbers and vectors."""
+
+from __future__ import annotations
+
+from ...core.shading.nodes.builder import Value
+from ...core.shading.nodes.map_range import RangeInterpolation
+from ...core.shading.nodes.math import MathOperation
+from ...core.shading.nodes.vector_math import VectorOperation
+from .node import Node
+from .registry import values
+
+
+@values("ShaderNodeMath", family="Utilities")
+def math(node: Node) -> Value:
+    """One operation on up to three numbers."""
+    settings = node.node
+    return node.op("math", MathOperation[settings.operation], settings.use_clamp, node.number(0), node.number(1), node.number(2))
+
+
+@values("ShaderNodeVectorMath", family="Utilities")
+def vector_math(node: Node) -> dict[str, Value]:
+    """One operation on up to three vectors and a number."""
+    operands = node.vector(0), node.vector(1), node.vector(2), node.number("Scale")
+    vector, number = node.op("vector_math", VectorOperation[node.node.operation], *operands)
+    return {"Vector": vector, "Value": number}
+
+
+@values("ShaderNodeClamp", family="Utilities")
+def clamp(node: Node) -> Value:
+    """A number between two others."""
+    return node.op("clamp", node.node.clamp_type == "RANGE", node.number("Value"), node.number("Min"), node.number("Max"))
+
+
+_RANGE = ("From Min", "From Max", "To Min", "To Max", "Steps")
+_RANGE_OF_VECTORS = ("From_Min_FLOAT3", "From_Max_FLOAT3", "To_Min_FLOAT3", "To_Max_FLOAT3", "Steps_FLOAT3")
+
+
+@values("ShaderNodeMapRange", family="Utilities")
+def map_range(node: Node) -> Value:
+    """A number or a vector from one range to another."""
+    settings = node.node
+    how = RangeInterpolation[settings.interpolation_type], settings.clamp
+    if settings.data_type == "FLOAT_VECTOR":
+        return node.op("map_range_vector", *how, node.vector("Vector"), *(node.vector(key) for key in _RANGE_OF_VECTORS))
+    return node.op("map_range", *how, node.number("Value"), *(node.number(key) for key in _RANGE))
