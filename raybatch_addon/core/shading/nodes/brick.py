@@ -3,7 +3,7 @@
 import warp as wp
 
 from .op import NodeData, number, op, put_number, put_vector, vector, wanted
-from .perlin import finite_or_zero, finite_vector_or_zero, floor_to_int
+from .perlin import finite_or_zero, finite_vector_or_zero, floor_to_int, sum_with_product
 from .point import ShadingPoint
 
 _LOW_31 = wp.constant(wp.uint32(0x7FFFFFFF))
@@ -42,6 +42,12 @@ def _smooth_step(t: float) -> float:
 
 
 @wp.func
+def _lesser(a: float, b: float) -> float:
+    """The lesser one; `b` where either is NaN, as a brick without width leaves it."""
+    return wp.where(a < b, a, b)
+
+
+@wp.func
 def brick(p: wp.vec3, wall: Wall) -> wp.vec2:
     """Tint of the brick at `p`, and how much mortar is there: both in [0, 1]."""
     row = floor_to_int(p[1] / wall.row_height)
@@ -52,11 +58,11 @@ def brick(p: wp.vec3, wall: Wall) -> wp.vec2:
             width *= wall.squash
         if row % wall.offset_frequency == 0:
             shift = width * wall.offset
-    column = floor_to_int((p[0] + shift) / width)
-    x = (p[0] + shift) - width * float(column)
-    y = p[1] - wall.row_height * float(row)
-    tint = wp.clamp(_tint_of(column, row) + finite_or_zero(wall.bias), 0.0, 1.0)
-    edge = wp.min(wp.min(x, y), wp.min(width - x, wall.row_height - y))
+    columns = wp.floor((p[0] + shift) / width)
+    x = sum_with_product(p[0] + shift, -width, columns)
+    y = sum_with_product(p[1], -wall.row_height, wp.floor(p[1] / wall.row_height))
+    tint = wp.clamp(_tint_of(floor_to_int(columns), row) + finite_or_zero(wall.bias), 0.0, 1.0)
+    edge = _lesser(_lesser(x, y), _lesser(width - x, wall.row_height - y))
     if edge >= wall.mortar_size:
         return wp.vec2(tint, 0.0)
     if wall.mortar_smooth == 0.0:

@@ -166,7 +166,7 @@ def make_fractal_noise(dimensions: int) -> SimpleNamespace:
 
         @wp.func
         def distorted(p: float, distortion: float) -> float:
-            return sum_with_product(p, signed_noise(p + offset_of(0)), distortion)
+            return p + signed_noise(p + offset_of(0)) * distortion
 
     else:
 

@@ -38,7 +38,7 @@ _SINE = wp.constant(int(WaveProfile.SINE))
 _SAW = wp.constant(int(WaveProfile.SAW))
 _FBM = wp.constant(int(FractalKind.FBM))
 _HALF_PI = wp.constant(1.5707963267948966)
-_TWO_PI = wp.constant(6.283185307179586)
+_ONE_OVER_TWO_PI = wp.constant(0.15915494309189535)
 # Blender's nudge: whole coordinates are in the cell that they begin, not in either by rounding
 _NUDGE = wp.constant(0.000001)
 _SHRINK = wp.constant(0.999999)
@@ -74,7 +74,7 @@ def wave(kind: int, profile: int, p: wp.vec3, phase: float, distortion: Distorti
     angle = finite_or_zero(angle)
     if profile == _SINE:
         return 0.5 + 0.5 * wp.sin(angle - _HALF_PI)
-    turns = angle / _TWO_PI
+    turns = angle * _ONE_OVER_TWO_PI
     if profile == _SAW:
         return turns - wp.floor(turns)
     return wp.abs(turns - wp.floor(turns + 0.5)) * 2.0
