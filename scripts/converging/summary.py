@@ -58,6 +58,12 @@ class Outcome:
         """The last points of its runs."""
         return [run.points[-1] for run in self.runs if run.points]
 
+    @property
+    def end(self) -> dict[str, float | None]:
+        """Medians of the last points."""
+        names = ("samples", "seconds", "seconds_total", "rmse", "relmse", "flip")
+        return {name: _median([getattr(point, name) for point in self.last]) for name in names}
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -196,8 +202,6 @@ def _run(run: Run) -> dict[str, Any]:
 
 
 def _summary(each: Outcome, study: Study) -> dict[str, Any]:
-    last = each.last
-    middle = {name: _median([getattr(point, name) for point in last]) for name in ("samples", "seconds", "seconds_total", "rmse", "relmse", "flip")}
     return {
         "engine": each.variant.engine, "label": each.variant.label, "settings": each.variant.values, "runs": len(each.runs),
         **shortened(slope_data(each.slope)), "slope_seconds": short(each.slope_seconds.slope) if each.slope_seconds else None,
@@ -206,8 +210,8 @@ def _summary(each: Outcome, study: Study) -> dict[str, Any]:
         "efficiency": each.efficiency.json() if each.efficiency else None,
         "efficiency_relative": each.efficiency_relative.json() if each.efficiency_relative else None,
         "efficiency_relmse": short(each.efficiency_relmse),
-        "end": shortened(middle),
-        "invalid_samples": max((point.invalid_samples for point in last), default=0),
+        "end": shortened(each.end),
+        "invalid_samples": max((point.invalid_samples for point in each.last), default=0),
         "first_seconds": short(study.first_seconds.get(each.variant.label)),
     }  # fmt: skip
 
@@ -226,12 +230,11 @@ def rows(summary: Summary) -> list[list[str]]:
     """A row for each variant, under HEADS."""
     found = []
     for each in summary.outcomes:
-        last = each.last
-        middle = {name: _median([getattr(point, name) for point in last]) for name in ("samples", "seconds", "rmse", "relmse", "flip")}
+        end, count = each.end, len(each.runs)
         found.append([
-            each.variant.label, f"{len(each.runs)} run{'s' * (len(each.runs) != 1)}", f"{middle['samples'] or 0:,.0f}", _text(middle["seconds"], "{:.3f}"),
-            _text(middle["rmse"], "{:.3g}"), _text(middle["relmse"], "{:.3g}"), _text(middle["flip"], "{:.3g}"), slope_text(each.slope),
-            target_text(each), _text(each.speed_up, "x {:.2f}"), *relative_text(each.efficiency_relative, is_first=each is summary.outcomes[0]),
+            each.variant.label, f"{count} run{'s' * (count != 1)}", f"{end['samples'] or 0:,.0f}", _text(end["seconds"], "{:.3f}"),
+            _text(end["rmse"], "{:.3g}"), _text(end["relmse"], "{:.3g}"), _text(end["flip"], "{:.3g}"), slope_text(each.slope), target_text(each),
+            _text(each.speed_up, "x {:.2f}"), *relative_text(each.efficiency_relative, is_first=each is summary.outcomes[0]),
         ])  # fmt: skip
     return found
 

@@ -114,4 +114,5 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
     save(figure, folder, "batching")
 
 
-STUDY = Study("batching", "batching off, on and automatic, by bounces and by size of the scene, all in memory", cases, measure, fragment, draw, turns=(2, 3))
+ABOUT = "batching off, on and automatic, by bounces and by size of the scene, all in memory"
+STUDY = Study("batching", ABOUT, cases, measure, fragment, draw, turns=(2, 3))

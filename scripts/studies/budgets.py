@@ -59,8 +59,11 @@ def fragment(reports: dict[str, Report]) -> str:
     parts = [f"- {machine(report)}" for report in reports.values()]
     for report in reports.values():
         row = report["rows"][0]
-        parts.append(f"- {device_title(report)}: {row['grid']} x {row['grid']} {row['scene']}, {row['triangles']:,} triangles, {(row['tree_bytes'] or 0) / 1e6:,.0f} MB "
-                     f"of tree and triangles; {row['edge']} x {row['edge']} pixels, {row['samples']} samples, {BOUNCES} bounces.")  # fmt: skip
+        parts.append(
+            f"- {device_title(report)}: {row['grid']} x {row['grid']} {row['scene']}, {row['triangles']:,} triangles, "
+            f"{(row['tree_bytes'] or 0) / 1e6:,.0f} MB of tree and triangles; {row['edge']} x {row['edge']} pixels, {row['samples']} samples, "
+            f"{BOUNCES} bounces."
+        )
     wrong = [each for report in reports.values() for each in differing_films(report["rows"], ("scene", "grid", "edge", "samples"))]
     whole = sum(bool(row["complete"]) for report in reports.values() for row in report["rows"])
     parts += [f"- {films_line(wrong, whole)}", "", "![Speed by budget](budgets.svg)", ""]
@@ -74,7 +77,10 @@ def fragment(reports: dict[str, Report]) -> str:
                 row.get("method") if not row.get("refused") else f"refused: {row['refused']}", _megabytes(row.get("resident_peak")),
                 _megabytes(row.get("bytes_copied")), row.get("pages_loaded"), number(row.get("treelet_visits_per_ray")),
             ])  # fmt: skip
-    heads = ["device", "store", "budget", "seconds", "speed over in memory", "batching", "held at most [MB]", "copied [MB]", "pages brought in", "treelets visited by a ray"]
+    heads = [
+        "device", "store", "budget", "seconds", "speed over in memory", "batching", "held at most [MB]", "copied [MB]", "pages brought in",
+        "treelets visited by a ray",
+    ]  # fmt: skip
     return "\n".join([*parts, table(heads, rows)])
 
 
@@ -90,14 +96,18 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
     for axis, report in zip(axes, reports.values(), strict=True):
         seconds = medians(report["rows"])
         for store, colour in (("HOST", BLUE), ("DISK", RED)):
-            points = [(row["budget_share"], seconds[WHOLE] / seconds[key]) for key, row in first_rows(report["rows"]).items() if row["store"] == store and key in seconds]
+            mine = [(key, row) for key, row in first_rows(report["rows"]).items() if row["store"] == store and key in seconds]
+            points = [(row["budget_share"], seconds[WHOLE] / seconds[key]) for key, row in mine]
             if points:
-                axis.plot(*zip(*sorted(points), strict=True), "o-", color=colour, markersize=4, label=f"rest in {'host memory' if store == 'HOST' else 'a file'}")
+                label = f"rest in {'host memory' if store == 'HOST' else 'a file'}"
+                axis.plot(*zip(*sorted(points), strict=True), "o-", color=colour, markersize=4, label=label)
         axis.axhline(1, color="black", linewidth=0.8, label="all in memory, unbatched")
-        axis.set(xlabel="budget over geometry", ylim=(0, None), xlim=(0, 1.03), title=f"{device_title(report)}, {report['rows'][0]['triangles'] / 1e6:.1f}M triangles")
+        title = f"{device_title(report)}, {report['rows'][0]['triangles'] / 1e6:.1f}M triangles"
+        axis.set(xlabel="budget over geometry", ylim=(0, None), xlim=(0, 1.03), title=title)
     axes[0].set_ylabel("speed over all in memory")
     legend(figure, axes)
     save(figure, folder, "budgets")
 
 
-STUDY = Study("budgets", "memory budgets from a twentieth of the geometry to all of it, host memory and disk behind", cases, measure, fragment, draw, turns=(2, 3))
+ABOUT = "memory budgets from a twentieth of the geometry to all of it, host memory and disk behind"
+STUDY = Study("budgets", ABOUT, cases, measure, fragment, draw, turns=(2, 3))

@@ -66,7 +66,7 @@ def seconds_to(rows: Sequence[Row], target: float) -> tuple[float, bool] | None:
 
 
 def curves_table(reports: dict[str, Report], name: str) -> str:
-    """Slopes, and the time to the same error, by scene and variant; `name` heads the variants' column. What is extrapolated has a ~ before it."""
+    """Slopes, and the time to the same error (~: extrapolated), by scene and variant; `name` heads the variants' column."""
     rows = []
     for report in reports.values():
         for scene in scenes_of(report):
@@ -84,10 +84,10 @@ def curves_table(reports: dict[str, Report], name: str) -> str:
                 last = mine[0]["points"][-1]
                 flat = sum(bool(row["slope"] and row["slope"]["flattens"]) for row in mine)
                 rate = statistics.median(row["points"][-1]["samples"] / row["points"][-1]["seconds"] for row in mine)
+                slope = f"{statistics.median(slopes):.2f}{spread}" + (f" ({flat} of {len(mine)} flatten)" if flat else "") if slopes else ""
                 rows.append([
-                    device_title(report), scene, variant, last["samples"], number(mean_curve(mine)[-1].relmse),
-                    f"{statistics.median(slopes):.2f}{spread}" + (f" ({flat} of {len(mine)} flatten)" if flat else "") if slopes else "", number(rate),
-                    number(target), number(seconds, 3, beyond) if seconds is not None else "not to be told", number(base / seconds) if base and seconds else "",
+                    device_title(report), scene, variant, last["samples"], number(mean_curve(mine)[-1].relmse), slope, number(rate), number(target),
+                    number(seconds, 3, beyond) if seconds is not None else "not to be told", number(base / seconds) if base and seconds else "",
                 ])  # fmt: skip
     heads = ["device", "scene", name, "samples", "relMSE then", "slope of RMSE", "samples/s", "relMSE asked for", "seconds to it", "efficiency"]
     return table(heads, rows)
@@ -107,13 +107,14 @@ def draw_curves(reports: dict[str, Report], folder: Path, file: str, against: Se
             colour = COLOURS[names.index(variant)]
             for index, row in enumerate(runs(report, scene, variant)):
                 points = [(p[x], p["rmse"]) for p in row["points"] if p[x] > 0]
-                axis.plot(*zip(*points, strict=True), "o-", color=colour, markersize=2.5, linewidth=0.9, alpha=0.8, label=variant if index == 0 else None)
+                label = variant if index == 0 else None
+                axis.plot(*zip(*points, strict=True), "o-", color=colour, markersize=2.5, linewidth=0.9, alpha=0.8, label=label)
         _guide(axis, [(p[x], p["rmse"]) for row in runs(report, scene, variants(report, scene)[0]) for p in row["points"] if p[x] > 0])
         floor = median([row["floor"]["rmse"] for row in report["rows"] if row["scene"] == scene and row.get("floor")])
         if floor:
             axis.axhline(floor, color="black", linewidth=0.6, linestyle=":", label="noise of the reference")
-        axis.set(xscale="log", yscale="log", xlabel="samples of a pixel" if x == "samples" else "seconds of rendering", title=f"{scene}, {device_title(report)}")
-        axis.set_ylabel("RMSE")
+        x_label = "samples of a pixel" if x == "samples" else "seconds of rendering"
+        axis.set(xscale="log", yscale="log", xlabel=x_label, ylabel="RMSE", title=f"{scene}, {device_title(report)}")
         plain_ticks(axis.xaxis, 0.15)
         plain_ticks(axis.yaxis, 0.08)
     legend(figure, axes)

@@ -21,6 +21,7 @@ from .study import Case, Options, Report, Row, Study
 SCRIPTS = Path(__file__).resolve().parents[1]
 SCENES = ("demo", "dragon", "sponza", "san_miguel", "bunny")
 ON_A_STAGE = ("dragon", "bunny")  # on a floor under an area light; the others under a sun and a white world, from inside
+ENGINES = ("raybatch", "cycles")
 BOUNCES = 4
 TIMEOUT = 1800  # [s], of one comparison
 
@@ -88,13 +89,16 @@ def fragment(reports: dict[str, Report]) -> str:
             if not mine:
                 continue
             row, equal = mine[0], [each["equal_error"] for each in mine]
+            seconds = [statistics.median(each[engine]["seconds"] for each in mine) for engine in ENGINES]
+            errors = [statistics.median(each["relmse"][engine] for each in equal) for engine in ENGINES]
+            brightness, ratio = (statistics.median(each[name] for each in equal) for name in ("mean_ratio", "raybatch_over_cycles"))
             rows.append([
-                scene, f"{row['triangles']:,}", row["samples"], number(statistics.median(each["raybatch"]["seconds"] for each in mine)),
-                number(statistics.median(each["cycles"]["seconds"] for each in mine)), number(statistics.median(each["relmse"]["raybatch"] for each in equal)),
-                number(statistics.median(each["relmse"]["cycles"] for each in equal)), f"{statistics.median(each['mean_ratio'] for each in equal):.4f}",
-                f"**{number(statistics.median(each['raybatch_over_cycles'] for each in equal))}**",
+                scene, f"{row['triangles']:,}", row["samples"], *map(number, seconds), *map(number, errors), f"{brightness:.4f}", f"**{number(ratio)}**",
             ])  # fmt: skip
-    heads = ["scene", "triangles", "samples", "RayBatch [s]", "Cycles [s]", "relMSE RayBatch", "relMSE Cycles", "brightness, ratio", "time at equal error, RayBatch over Cycles"]
+    heads = [
+        "scene", "triangles", "samples", "RayBatch [s]", "Cycles [s]", "relMSE RayBatch", "relMSE Cycles", "brightness, ratio",
+        "time at equal error, RayBatch over Cycles",
+    ]  # fmt: skip
     return "\n".join([*parts, table(heads, rows)])
 
 

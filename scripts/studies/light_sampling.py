@@ -62,5 +62,5 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
     draw_curves(reports, folder, "light-sampling")
 
 
-STUDY = Study("light-sampling", "light sampling on and off, and multiple importance sampling against either strategy alone", cases, measure, fragment, draw,
-              turns=(2, 3))  # fmt: skip
+ABOUT = "light sampling on and off, and multiple importance sampling against either strategy alone"
+STUDY = Study("light-sampling", ABOUT, cases, measure, fragment, draw, turns=(2, 3))

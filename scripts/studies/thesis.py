@@ -132,7 +132,8 @@ def fragment(reports: dict[str, Report]) -> str:
     parts = [f"- {machine(report)}" for report in reports.values()]
     wrong = [each for report in reports.values() for each in differing_films(report["rows"], ("scene", "edge"))]
     whole = sum(bool(row["complete"]) for report in reports.values() for row in report["rows"])
-    parts += [f"- {films_line(wrong, whole)}", *_control_lines(reports), *_alive_lines(reports), "", "### In short", "", _summary_table(reports, theirs), "", _shape_table(reports), ""]
+    parts += [f"- {films_line(wrong, whole)}", *_control_lines(reports), *_alive_lines(reports), ""]
+    parts += ["### In short", "", _summary_table(reports, theirs), "", _shape_table(reports), ""]
     parts += ["### What each parameter does", "", _effects_table(reports, theirs), "", "![All combinations](thesis-initial.svg)", ""]
     for name, title in (("ray_count", "Rays alive (appendix D)"), ("queue_size", "Size of a queue's block (appendix E)")):
         parts += [f"### {title}", "", f"![{title}](thesis-{name.replace('_', '-')}.svg)", "", _full_table(name, reports, theirs), ""]
@@ -165,14 +166,17 @@ def _control_lines(reports: dict[str, Report]) -> list[str]:
             if len(found) > 1:
                 told.append(f"{number(min(found))} to {number(max(found))} s ({scene})")
         if told:
-            lines.append(f"- {device_title(report)}: the control, which was rendered in each group of cases, took {' and '.join(told)}: so much the machine's speed changed.")
+            lines.append(
+                f"- {device_title(report)}: the control, which was rendered in each group of cases, took {' and '.join(told)}: so much the "
+                "machine's speed changed."
+            )
     return lines
 
 
 def _full_table(name: str, reports: dict[str, Report], theirs: dict[str, Any]) -> str:
     ours = {kind: seconds_by_place(report, name) for kind, report in reports.items()}
-    rows = []
-    for row in sorted(theirs[name]["rows"], key=lambda each: (each["scene"], each["seconds"])) if name == "initial" else theirs[name]["rows"]:
+    rows, listed = [], theirs[name]["rows"]
+    for row in sorted(listed, key=lambda each: (each["scene"], each["seconds"])) if name == "initial" else listed:
         place = place_of(row, KEYS[name])
         rows.append([*place, f"{row['seconds']:.2f}", *(number(*_with_digits(found.get(place, (None, True)))) for found in ours.values())])
     return table([*(key.replace("_", " ") for key in KEYS[name]), "thesis [s]", *(f"{device_title(r)} [s]" for r in reports.values())], rows)
@@ -186,8 +190,8 @@ def _summary_table(reports: dict[str, Report], theirs: dict[str, Any]) -> str:
     rows = []
     for scene in SCENES:
         best = min((row for row in theirs["initial"]["rows"] if row["scene"] == scene), key=lambda row: row["seconds"])
-        worst = max(row["seconds"] for row in theirs["initial"]["rows"] if row["scene"] == scene)
-        rows.append([scene, "thesis, RTX 2080, one warp", _words(place_of(best, KEYS["initial"])[1:]), f"{best['seconds']:.1f}", f"{worst / best['seconds']:.1f}", ""])
+        worst = max(row["seconds"] for row in theirs["initial"]["rows"] if row["scene"] == scene) / best["seconds"]
+        rows.append([scene, "thesis, RTX 2080, one warp", _words(place_of(best, KEYS["initial"])[1:]), f"{best['seconds']:.1f}", f"{worst:.1f}", ""])
         for report in reports.values():
             ours = {p: s for p, (s, _) in seconds_by_place(report, "initial").items() if p[0] == scene and s is not None}
             if not ours:
@@ -253,7 +257,8 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
         for scene, colour in zip(SCENES, (BLUE, RED), strict=True):
             for storage, marker in zip(STORAGES, "o^", strict=True):
                 found = {p: s for p, (s, _) in seconds_by_place(report, "initial").items() if p[0] == scene and p[2] == storage and s}
-                axis.scatter([own[p] for p in found], list(found.values()), s=18, marker=marker, color=colour, alpha=0.7, label=f"{scene}, {storage}")
+                x, y = [own[p] for p in found], list(found.values())
+                axis.scatter(x, y, s=18, marker=marker, color=colour, alpha=0.7, label=f"{scene}, {storage}")
             control = control_seconds(report, scene)
             if control:
                 axis.axhline(control, color=colour, linestyle=":", label=f"{scene}, without queues")
