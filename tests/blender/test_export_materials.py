@@ -11,7 +11,6 @@ from blender_builders import add_object, add_triangle, exported, material_of, no
 
 from raybatch_addon.core.scene.description import ClosureKind as K  # noqa: E402
 from raybatch_addon.export.materials import export_material  # noqa: E402
-from raybatch_addon.export.nodes.bsdf import metal_edge  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("scene")
 
@@ -87,15 +86,6 @@ def test_values_of_weight_zero_leave_the_kind_but_no_closure():
     assert material.closures == () and material.kinds == (K.EMISSION,)
 
 
-def test_metals_meet_their_tint_at_82_degrees():
-    base, tint = (0.5, 0.6, 0.7), (1.0, 0.8, 0.95)
-    edge = metal_edge(base, tint)
-    assert edge[0] == 1.0
-    term = (1 - 1 / 7) ** 5
-    for b, t, e in zip(base, tint, edge):
-        assert b + (e - b) * term == pytest.approx(t * (b + (1 - b) * term))
-
-
 def test_mix_weighs_and_add_adds():
     material, tree, surface = new_material()
     mix, add = add_node(tree, "ShaderNodeMixShader"), add_node(tree, "ShaderNodeAddShader")
@@ -135,7 +125,7 @@ def test_principled_layers_share_the_light():
         assert by_kind[kind].roughness == 0.25
     for kind in (K.GLASS, K.DIELECTRIC, K.LAYERED_DIFFUSE):
         assert by_kind[kind].ior == 1.75
-    assert by_kind[K.METAL].edge == pytest.approx((0.375,) * 3)
+    assert by_kind[K.METAL].edge == (1, 1, 1)
     assert by_kind[K.METAL].share == 0.375
     assert by_kind[K.GLASS].refraction == pytest.approx(np.sqrt(red))
 

@@ -26,16 +26,28 @@ class Visibility(IntFlag):
 
 
 class ClosureKind(IntEnum):
-    """The scattering and emission models that a material mixes (see `shading/closures.py`)."""
+    """The scattering and emission models that a material mixes (see `shading/closures.py`), and what they may have besides.
+
+    Facets are of GGX where a closure does not say otherwise.
+    """
 
     DIFFUSE = 0  # Lambert
     LAYERED_DIFFUSE = 1  # Lambert below a dielectric coat (roughness, ior): scaled by what the coat lets through
-    GLOSSY = 2  # GGX reflection, Fresnel factor 1
-    METAL = 3  # GGX reflection, Schlick Fresnel from `weight` at normal incidence to `edge` at grazing
-    DIELECTRIC = 4  # GGX reflection off a dielectric coat, Fresnel from `ior`
-    GLASS = 5  # GGX reflection and refraction, Fresnel from `ior`
+    GLOSSY = 2  # facets that reflect all light
+    METAL = 3  # facets with the Fresnel of F82-tint: `colour` at normal incidence, Schlick's times `edge` at 82 degrees
+    DIELECTRIC = 4  # facets of a dielectric coat, Fresnel from `ior`
+    GLASS = 5  # facets that reflect and refract, Fresnel from `ior`
     TRANSPARENT = 6  # passes straight on, times `weight`
     EMISSION = 7  # emits `weight` as radiance on both sides
+    # Abilities: not models, but needed by closures whose values ask for them (`Closure.needs`)
+    BECKMANN = 32  # `distribution` 1
+    ANISOTROPIC = 33  # `aspect` other than 1
+    OWN_NORMAL = 34  # `normal`; also wherever there are programs
+
+    @property
+    def is_model(self) -> bool:
+        """Whether closures can be of this kind."""
+        return self < ClosureKind.BECKMANN
 
 
 class LightKind(IntEnum):
@@ -75,12 +87,29 @@ class Closure:
 
     kind: ClosureKind
     weight: tuple[float, float, float]  # linear RGB, >= 0: colour times mix factors (EMISSION: radiance, W/(m² sr))
-    roughness: float = 0.0  # Blender's roughness, 0..1; the GGX alpha is its square
+    roughness: float = 0.0  # Blender's roughness, 0..1; the facets' alpha is its square
     ior: float = 1.5  # of the inside relative to the outside (GLASS, DIELECTRIC, LAYERED_DIFFUSE)
-    edge: tuple[float, float, float] = (1.0, 1.0, 1.0)  # METAL: reflectance at grazing angles, times mix factors
+    edge: tuple[float, float, float] = (1.0, 1.0, 1.0)  # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence
     refraction: tuple[float, float, float] = (1.0, 1.0, 1.0)  # GLASS: what refracts is `weight` times this, what reflects `weight`
-    share: float = 1.0  # the mix factors that `weight` and `edge` contain: without them they are the colour of a facet
+    share: float = 1.0  # the mix factors that `weight` contains, where there is no `colour`
     multiscatter: bool = True  # GLOSSY to GLASS, LAYERED_DIFFUSE: add what bounces more than once between facets
+    # Colour of a facet without mix factors: GLOSSY, GLASS: what bounces between facets; METAL: reflectance at normal incidence.
+    # None: that of `weight`, in which `share` is no colour (METAL: all of it, and the weight is `share`)
+    colour: tuple[float, float, float] | None = None
+    distribution: int = 0  # of facets: 0 GGX, 1 Beckmann
+    aspect: float = 1.0  # of facets: alpha along the tangent is multiplied by it, across it divided
+    normal: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in world space; 0: that of the surface
+    tangent: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in world space; 0: facets are isotropic
+
+    @property
+    def needs(self) -> frozenset[ClosureKind]:
+        """The kind, and the abilities that its values ask for."""
+        abilities = {
+            ClosureKind.BECKMANN: self.distribution == 1,
+            ClosureKind.ANISOTROPIC: self.aspect != 1 and any(self.tangent),
+            ClosureKind.OWN_NORMAL: any(self.normal),
+        }
+        return frozenset([self.kind, *(kind for kind, there in abilities.items() if there)])
 
 
 @dataclass(frozen=True)
@@ -182,6 +211,7 @@ class World:
     radiance: tuple[float, float, float] = (0.0, 0.0, 0.0)  # linear RGB [W/(m² sr)]
     visibility: int = int(Visibility.ALL)
     program: Program | None = None  # makes the radiance of every direction, instead of `radiance`: the sum of its emission closures
+    sampling_size: int = 1024  # texels around the world, by whose brightness a program is sampled; 0: it is not
 
 
 @dataclass(frozen=True)

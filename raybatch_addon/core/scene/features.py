@@ -31,6 +31,8 @@ class SceneFeatures:
     light_sphere: bool = False  # a point or spot light shaped as a sphere
     light_hits: bool = False  # a light without mesh that rays can meet
     mesh_lights: bool = False  # materials that emit
+    mesh_programs: bool = False  # by a program
+    world_light: bool = False  # the world is not the same everywhere, and is sampled
     world: bool = False  # rays that leave the scene find light
     camera: CameraKind = CameraKind.PERSPECTIVE
     depth_of_field: bool = False
@@ -53,7 +55,12 @@ class SceneFeatures:
     @property
     def shadow_rays(self) -> bool:
         """There is something to aim at, and it is asked for."""
-        return self.nee != "OFF" and self.surfaces and (bool(self.lights) or self.mesh_lights)
+        return self.nee != "OFF" and self.surfaces and (bool(self.lights) or self.mesh_lights or self.world_light)
+
+    @property
+    def light_programs(self) -> bool:
+        """Light that is aimed at may come from programs."""
+        return self.shadow_rays and (self.mesh_programs or self.world_light)
 
     def left_out(self) -> list[str]:
         """Names of what this render did without."""
@@ -63,6 +70,8 @@ class SceneFeatures:
         names |= {
             "shader programs": bool(self.programs),
             "world program": bool(self.world_program),
+            "sampling of the world": self.world_light,
+            "emission by programs": self.mesh_programs,
             "shadow rays": self.shadow_rays,
             "lights met by rays": self.light_hits,
             "mesh lights": self.mesh_lights,
@@ -86,7 +95,10 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
     if surfaces:
         for material in scene.materials:
             kinds.update(material.kinds)
-            kinds.update(closure.kind for closure in material.closures)
+            for closure in material.closures:
+                kinds.update(closure.needs)
+            if material.program is not None:
+                kinds.add(ClosureKind.OWN_NORMAL)
     return SceneFeatures(
         closures=tuple(sorted(kinds)),
         programs=_material_programs(scene) if surfaces else ProgramFeatures(),
@@ -95,6 +107,8 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         light_sphere=any(l.kind in (LightKind.POINT, LightKind.SPOT) and not l.soft_falloff and l.radius > 0 for l in scene.lights),
         light_hits=any(_can_be_met(light) for light in scene.lights),
         mesh_lights=ClosureKind.EMISSION in kinds,
+        mesh_programs=surfaces and any(m.program is not None and ClosureKind.EMISSION in m.kinds for m in scene.materials),
+        world_light=surfaces and settings.nee != "OFF" and scene.world.program is not None and scene.world.sampling_size > 0,
         world=any(scene.world.radiance) or scene.world.program is not None,
         camera=scene.camera.kind,
         depth_of_field=scene.camera.lens_radius > 0,

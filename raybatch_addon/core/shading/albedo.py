@@ -25,7 +25,8 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from .microfacet import fresnel_dielectric, ggx_slope
+from .fresnel import fresnel_dielectric
+from .microfacet import ggx_slope
 
 _FILE = Path(__file__).with_name("albedo.npz")
 
@@ -40,22 +41,41 @@ class AlbedoTables:
     coat: wp.array3d(dtype=float)  # [index >= 1, roughness, cosine]
     fresnel_average: wp.array(dtype=float)  # cosine-weighted mean of the Fresnel factor; [index >= 1]
     glass: wp.array3d(dtype=float)  # reflection + refraction; [index, roughness, cosine]
+    glass_average: wp.array2d(dtype=float)  # its cosine-weighted mean; [index, roughness]
 
 
 @functools.cache
 def load_tables() -> dict[str, np.ndarray]:
     """The arrays of `AlbedoTables` by name, float32."""
     with np.load(_FILE) as file:
-        return {name: (file[name] / np.float64(np.iinfo(file[name].dtype).max)).astype(np.float32) for name in file.files}
+        tables = {name: file[name] / np.float64(np.iinfo(file[name].dtype).max) for name in file.files}
+    tables["glass_average"] = _average_over_cosines(tables["glass"])
+    return {name: table.astype(np.float32) for name, table in tables.items()}
+
+
+def _average_over_cosines(table: np.ndarray) -> np.ndarray:
+    """Cosine-weighted means of a table whose last axes are the roughness and the cosine coordinate, by Gauss-Legendre quadrature."""
+    nodes, weights = np.polynomial.legendre.leggauss(64)
+    cosine, weight = (nodes + 1) / 2, weights / 2
+    means = np.empty(table.shape[:-1])
+    for r in range(table.shape[-2]):
+        alpha = (r / (table.shape[-2] - 1)) ** 2
+        place = np.sqrt(cosine * (1 + alpha) / (cosine + alpha)) * (table.shape[-1] - 1)
+        cell = np.minimum(place.astype(int), table.shape[-1] - 2)
+        row = table[..., r, :]
+        values = row[..., cell] + (row[..., cell + 1] - row[..., cell]) * (place - cell)
+        means[..., r] = (values * 2 * cosine * weight).sum(-1)
+    return means
 
 
 def upload_tables(device, reflection: bool, coat: bool, glass: bool) -> AlbedoTables:
     """The tables that are asked for, on `device`. A coat needs `reflection` too."""
     wanted = {
         "reflection": reflection, "reflection_average": reflection,
-        "coat": coat, "fresnel_average": coat, "glass": glass,
+        "coat": coat, "fresnel_average": coat,
+        "glass": glass, "glass_average": glass,
     }  # fmt: skip
-    dimensions = {"reflection": 2, "coat": 3, "glass": 3}
+    dimensions = {"reflection": 2, "coat": 3, "glass": 3, "glass_average": 2}
     tables = AlbedoTables()
     for name, there in wanted.items():
         values = load_tables()[name] if there else np.zeros((0,) * dimensions.get(name, 1), np.float32)
@@ -108,11 +128,16 @@ def reflection_albedo(tables: AlbedoTables, roughness: float, cosine: float) -> 
 
 
 @wp.func
+def coat_fresnel(tables: AlbedoTables, roughness: float, ior: float, cosine: float) -> float:
+    """Mean reflectance of the facets of a dielectric of `ior` >= 1 that are seen from `cosine`, by how much light they would reflect."""
+    difference = _read_3d(tables.coat, _index_coordinate(ior), roughness, _cosine_coordinate(roughness, cosine))
+    return wp.clamp(fresnel_dielectric(ggx_slope(roughness * roughness, cosine), ior) + difference, 0.0, 1.0)
+
+
+@wp.func
 def coat_albedo(tables: AlbedoTables, roughness: float, ior: float, cosine: float) -> float:
     """GGX reflection off a dielectric of `ior` >= 1, single scattering."""
-    difference = _read_3d(tables.coat, _index_coordinate(ior), roughness, _cosine_coordinate(roughness, cosine))
-    mean = wp.clamp(fresnel_dielectric(ggx_slope(roughness * roughness, cosine), ior) + difference, 0.0, 1.0)
-    return reflection_albedo(tables, roughness, cosine) * mean
+    return reflection_albedo(tables, roughness, cosine) * coat_fresnel(tables, roughness, ior, cosine)
 
 
 @wp.func
@@ -134,6 +159,17 @@ def energy_compensation(tables: AlbedoTables, roughness: float, cosine: float, f
 
     `fresnel` in [0, 1]: mean reflectance of the facets; 0 gives 1, and 1 gives one over the albedo.
     """
-    e = reflection_albedo(tables, roughness, cosine)
     average = _read_1d(tables.reflection_average, roughness)
+    return _compensation(reflection_albedo(tables, roughness, cosine), average, fresnel)
+
+
+@wp.func
+def glass_compensation(tables: AlbedoTables, roughness: float, eta: float, cosine: float, colour: wp.vec3) -> wp.vec3:
+    """The same of glass, in which what bounces between facets takes `colour`."""
+    average = _read_2d(tables.glass_average, 0.5 + 0.5 * _index_coordinate(eta), roughness)
+    return _compensation(glass_albedo(tables, roughness, eta, cosine), average, colour)
+
+
+@wp.func
+def _compensation(e: float, average: float, fresnel: wp.vec3) -> wp.vec3:
     return wp.vec3(1.0) + ((1.0 - e) / e) * wp.cw_div(average * fresnel, wp.vec3(1.0) - (1.0 - average) * fresnel)

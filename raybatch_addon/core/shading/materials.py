@@ -27,11 +27,12 @@ _COAT_KINDS = frozenset({_K.LAYERED_DIFFUSE, _K.DIELECTRIC})
 # Indices of refraction are kept in a range whose squares and their inverses are far from the ends of
 # float32; beyond it a dielectric reflects more than 99.6 % and is a mirror for all purposes.
 IOR_RANGE = (1e-3, 1e3)
+_ASPECT_LEAST = 1e-4  # of anisotropic facets: alpha along one direction over the mean
 
 
 @dataclass(frozen=True)
 class ClosureFeatures:
-    """Kinds that BSDF functions are compiled for."""
+    """Kinds and abilities that BSDF functions are compiled for."""
 
     kinds: tuple[ClosureKind, ...] = ()
 
@@ -42,12 +43,17 @@ class ClosureFeatures:
     @property
     def scatters(self) -> bool:
         """Whether anything but emission and straight passage is there."""
-        return any(kind not in (_K.EMISSION, _K.TRANSPARENT) for kind in self.kinds)
+        return any(kind.is_model and kind not in (_K.EMISSION, _K.TRANSPARENT) for kind in self.kinds)
 
     @property
     def facets(self) -> bool:
-        """Whether GGX is needed."""
+        """Whether microfacets are needed."""
         return self.has(*MICROFACET_KINDS)
+
+    @property
+    def own_normals(self) -> bool:
+        """Whether closures may have a normal of their own."""
+        return self.has(_K.OWN_NORMAL)
 
     @property
     def coats(self) -> bool:
@@ -63,9 +69,29 @@ class ClosureRecord:
     weight: wp.vec3  # linear RGB, >= 0
     roughness: float  # [0, 1]; alpha is its square
     ior: float  # inside over outside
-    edge: wp.vec3  # METAL: `weight` at grazing angles
+    colour: wp.vec3  # of a facet, without mix factors: GLOSSY, GLASS between facets; METAL at normal incidence
+    edge: wp.vec3  # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence
     refraction: wp.vec3  # GLASS: colour of refracted light relative to `weight`
-    colour_scale: float  # makes `weight` the colour of a facet; 0: single scattering only
+    multiscatter: int  # 1: what bounces more than once between facets is added
+    distribution: int  # BECKMANN: 1
+    aspect: float  # ANISOTROPIC: alpha along `tangent` is multiplied by it, across it divided
+    tangent: wp.vec3  # ANISOTROPIC: about along the surface; 0: facets are isotropic
+    normal: wp.vec3  # OWN_NORMAL: unit; 0: the frame's
+
+
+@wp.func
+def new_closure(kind: int, weight: wp.vec3) -> ClosureRecord:
+    """A record with the values that mean nothing special, for ops that make closures."""
+    one = wp.vec3(1.0, 1.0, 1.0)
+    record = ClosureRecord()
+    record.kind = kind
+    record.weight = weight
+    record.ior = 1.5
+    record.colour = one
+    record.edge = one
+    record.refraction = one
+    record.aspect = 1.0
+    return record
 
 
 @wp.struct
@@ -121,10 +147,7 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     first = np.cumsum([0] + [len(material.closures) for material in materials], dtype=np.int32)
     records = np.zeros(len(closures), ClosureRecord.numpy_dtype())
     for record, closure in zip(records, closures):
-        record["kind"] = int(closure.kind)
-        record["weight"], record["edge"], record["refraction"] = closure.weight, closure.edge, closure.refraction
-        record["roughness"] = min(max(closure.roughness, 0.0), 1.0)
-        record["ior"], record["colour_scale"] = _ior(closure), _colour_scale(closure)
+        _fill(record, closure)
 
     table = MaterialTable()
     table.closure_first = wp.array(first, dtype=int, device=device)
@@ -138,12 +161,52 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     return table
 
 
+def constant_closure(record: ClosureRecord) -> Closure:
+    """`record`, made on the host, as the description has it."""
+    values = {name: float(getattr(record, name)) for name in ("roughness", "ior", "aspect")}
+    vectors = {name: tuple(float(x) for x in getattr(record, name)) for name in _COLOURS + _DIRECTIONS}
+    return Closure(
+        ClosureKind(record.kind), multiscatter=bool(record.multiscatter), distribution=int(record.distribution), **values, **vectors
+    )  # fmt: skip
+
+
+_COLOURS = ("weight", "colour", "edge", "refraction")
+_DIRECTIONS = ("normal", "tangent")
+
+
+def _fill(record, closure: Closure) -> None:
+    """`closure` into `record`, a row of records on the host."""
+    record["kind"] = int(closure.kind)
+    record["weight"], record["colour"] = _weight_and_colour(closure)
+    for name in ("edge", "refraction", "distribution", "multiscatter", *_DIRECTIONS):
+        record[name] = getattr(closure, name)
+    record["roughness"] = min(max(closure.roughness, 0.0), 1.0)
+    record["ior"] = _ior(closure)
+    record["aspect"] = max(closure.aspect, _ASPECT_LEAST)
+
+
+def _weight_and_colour(closure: Closure) -> tuple:
+    """The weight without colour where that is a kind's own, and the colour of a facet."""
+    if closure.colour is not None:
+        return closure.weight, closure.colour
+    scale = np.float32(1.0 / closure.share) if closure.share > 0 else np.float32(np.inf)
+    # a share too small to divide by means a closure too faint to see
+    scale = float(scale) if math.isfinite(scale) else 1.0
+    colour = np.float32(scale) * np.array(closure.weight, np.float32)
+    if closure.kind == _K.GLASS:
+        return closure.weight, colour * np.array(closure.refraction, np.float32)
+    if closure.kind == _K.METAL:
+        return (np.float32(1.0) / np.float32(scale),) * 3, colour
+    return closure.weight, colour
+
+
 def _check(material: Material, closure: Closure, features: ClosureFeatures) -> None:
     kind = ClosureKind(closure.kind)
-    if kind not in features.kinds:
-        raise ValueError(f"material {material.name!r} has a closure {kind.name} that its features lack")
-    colours = (*closure.weight, *closure.edge, *closure.refraction)
-    numbers = (*colours, closure.roughness, closure.ior, closure.share)
+    lacking = sorted(need.name for need in closure.needs if need not in features.kinds)
+    if lacking:
+        raise ValueError(f"material {material.name!r} has a closure that needs {', '.join(lacking)}, which its features lack")
+    colours = (*closure.weight, *closure.edge, *closure.refraction, *(closure.colour or ()))
+    numbers = (*colours, *closure.normal, *closure.tangent, closure.roughness, closure.ior, closure.share, closure.aspect)
     if not np.all(np.isfinite(np.asarray(numbers, np.float32))) or min(*colours, closure.share) < 0:
         raise SceneError(
             f"material {material.name!r}: the {kind.name.lower()} closure has a value that is negative, infinite or not "
@@ -156,11 +219,3 @@ def _ior(closure: Closure) -> float:
     if closure.kind in _COAT_KINDS:
         least = 1.0
     return min(max(closure.ior, least), largest)
-
-
-def _colour_scale(closure: Closure) -> float:
-    if not closure.multiscatter:
-        return 0.0
-    scale = np.float32(1.0 / closure.share) if closure.share > 0 else np.float32(np.inf)
-    # a share too small to divide by means a closure too faint to see
-    return float(scale) if math.isfinite(scale) else 1.0

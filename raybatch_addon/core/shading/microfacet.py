@@ -1,6 +1,6 @@
-"""GGX microfacets and Fresnel's equations.
+"""GGX microfacets, and mirrored and refracted directions.
 
-Isotropic GGX with the height-correlated Smith term (Heitz, "Understanding the Masking-Shadowing
+GGX with the height-correlated Smith term (Heitz, "Understanding the Masking-Shadowing
 Function in Microfacet-Based BRDFs", 2014), alpha = roughness^2. Directions point away from the
 surface; `cos_o`, `cos_i` are the cosines to the macroscopic normal, `h` is the microfacet's normal on
 the side of wo. `eta` is the index of refraction of the far side relative to that of wo's side.
@@ -44,6 +44,15 @@ def ggx_distribution(alpha: float, sin2_h: float) -> float:
 
 
 @wp.func
+def ggx_stretched_distribution(alpha_x: float, alpha_y: float, half: wp.vec3) -> float:
+    """The anisotropic D(h) [1/sr] for `half` in the local frame, of any length."""
+    x = half[0] / alpha_x
+    y = half[1] / alpha_y
+    t = wp.dot(half, half) / (x * x + y * y + half[2] * half[2])
+    return t * t / (wp.PI * alpha_x * alpha_y)
+
+
+@wp.func
 def ggx_slope(alpha: float, cosine: float) -> float:
     """sqrt(cos^2 + alpha^2 sin^2); Smith's Lambda is (this / cos - 1) / 2."""
     c2 = cosine * cosine
@@ -65,47 +74,19 @@ def ggx_shadowing(alpha: float, cos_o: float, cos_i: float) -> float:
 
 
 @wp.func
-def sample_visible_normal(wo: wp.vec3, alpha: float, u: wp.vec2) -> wp.vec3:
-    """A microfacet normal seen from `wo` (local frame, wo.z > 0), density D(h) (wo . h) `ggx_visible`.
+def sample_visible_normal(wo: wp.vec3, alpha_x: float, alpha_y: float, u: wp.vec2) -> wp.vec3:
+    """A GGX microfacet normal seen from `wo` (local frame, wo.z > 0), density D(h) (wo . h) G1(wo) / cos_o.
 
     Dupuy and Benyoub, "Sampling Visible GGX Normals with Spherical Caps", 2023.
     """
-    stretched = wp.normalize(wp.vec3(alpha * wo[0], alpha * wo[1], wo[2]))
+    stretched = wp.normalize(wp.vec3(alpha_x * wo[0], alpha_y * wo[1], wo[2]))
     phi = wp.TAU * u[0]
     height = (1.0 - u[1]) * (1.0 + stretched[2])  # > 0: the sum below without its cancellation
     z = height - stretched[2]
     r = wp.sqrt(wp.max((1.0 - z) * (1.0 + z), 0.0))
     x = r * wp.cos(phi) + stretched[0]
     y = r * wp.sin(phi) + stretched[1]
-    return wp.normalize(wp.vec3(alpha * x, alpha * y, height))
-
-
-@wp.func
-def fresnel_dielectric(cosine: float, eta: float) -> float:
-    """Reflectance of unpolarised light at a smooth dielectric, in [0, 1]; 1 at total internal reflection.
-
-    `cosine` in [0, 1] on the near side. The difference g - c of the textbook form (Cook and Torrance
-    1982) is taken as (eta^2 - 1) / (g + c), which is exact to rounding for every eta, 1 included.
-    """
-    m = (eta - 1.0) * (eta + 1.0)
-    if m == 0.0:
-        return 0.0
-    c = wp.min(wp.abs(cosine), 1.0)
-    g2 = m + c * c
-    if g2 <= 0.0:
-        return 1.0
-    g = wp.sqrt(g2)
-    s = m / ((g + c) * (g + c))
-    p = s * (c * (g + c) - 1.0) / (c * m / (g + c) + 1.0)
-    return wp.min(0.5 * (s * s + p * p), 1.0)
-
-
-@wp.func
-def fresnel_schlick(f0: wp.vec3, f90: wp.vec3, cosine: float) -> wp.vec3:
-    """f0 + (f90 - f0) (1 - cosine)^5 (Schlick 1994)."""
-    m = 1.0 - wp.clamp(cosine, 0.0, 1.0)
-    m2 = m * m
-    return f0 + (m2 * m2 * m) * (f90 - f0)
+    return wp.normalize(wp.vec3(alpha_x * x, alpha_y * y, height))
 
 
 @wp.func

@@ -10,9 +10,6 @@ from .mixture import Color, Mixture, saturated, single, times
 # Blender's smallest index of refraction, which keeps 1 / ior finite
 IOR_MIN = 1e-5
 
-# The cosine at which F82 states a metal's tint (82 degrees), and Schlick's term there
-_F82_TERM = (1.0 - 1.0 / 7.0) ** 5
-
 
 @handles("ShaderNodeBsdfDiffuse")
 def _diffuse(node: ShaderNode) -> Mixture:
@@ -36,7 +33,7 @@ def _metallic(node: ShaderNode) -> Mixture:
     multiscatter = _lobe(node, "Anisotropy")
     note_thin_film(node)
     base = _at_most_one(node.color("Base Color"))
-    edge = metal_edge(base, _at_most_one(node.color("Edge Tint")))
+    edge = _at_most_one(node.color("Edge Tint"))
     roughness = saturated(node.number("Roughness"))
     return single(ClosureKind.METAL, base, edge=edge, roughness=roughness, multiscatter=multiscatter)
 
@@ -65,17 +62,6 @@ def emission_strength(node: ShaderNode, name: str) -> float:
     if strength < 0:
         node.leave_out(f"negative {name}")
     return max(strength, 0.0)
-
-
-def metal_edge(base: Color, tint: Color) -> Color:
-    """Grazing reflectance of Schlick's Fresnel that meets the F82-tint model at 0 and 82 degrees.
-
-    The model's reflectance at 82 degrees is Schlick's (towards white) times `tint`; exact for a white tint.
-    (Kutz, Hasan and Edmondson, "Novel aspects of the Adobe Standard Material", 2021, section 2.)
-    """
-    at_82 = [t * (b + (1.0 - b) * _F82_TERM) for b, t in zip(base, tint)]
-    red, green, blue = (saturated(b + (f - b) / _F82_TERM) for b, f in zip(base, at_82))
-    return red, green, blue
 
 
 def note_thin_film(node: ShaderNode) -> None:

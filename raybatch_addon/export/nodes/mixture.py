@@ -28,14 +28,11 @@ class Mixture:
 
     def visible(self) -> Mixture:
         """Without the closures of weight 0."""
-        return Mixture(tuple(c for c in self.closures if any(c.weight) or (c.kind == ClosureKind.METAL and any(c.edge))), self.kinds)
+        return Mixture(tuple(c for c in self.closures if any(c.weight) or (c.kind == ClosureKind.METAL and c.share > 0)), self.kinds)
 
 
 def _scaled(closure: Closure, factor: float) -> Closure:
-    changes = {"weight": times(closure.weight, factor), "share": closure.share * factor}
-    if closure.kind == ClosureKind.METAL:
-        changes["edge"] = times(closure.edge, factor)
-    return dataclasses.replace(closure, **changes)
+    return dataclasses.replace(closure, weight=times(closure.weight, factor), share=closure.share * factor)
 
 
 def times(color: Color, factor: float) -> Color:

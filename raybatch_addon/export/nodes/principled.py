@@ -6,7 +6,7 @@ import math
 
 from ...core.scene.description import Closure, ClosureKind
 from . import ShaderNode, handles
-from .bsdf import IOR_MIN, emission_strength, metal_edge, note_thin_film
+from .bsdf import IOR_MIN, emission_strength, note_thin_film
 from .mixture import BLACK, WHITE, Color, Mixture, saturated, times
 
 KINDS = frozenset(
@@ -82,12 +82,12 @@ def principled_mixture(
     def lobe(
         kind: ClosureKind, color: Color, share: float, index: float = coat_ior, edge: Color = WHITE, refraction: Color = WHITE
     ) -> Closure:
-        return Closure(kind, times(color, share), roughness, index, times(edge, share), refraction, share, multiscatter)
+        return Closure(kind, times(color, share), roughness, index, edge, refraction, share, multiscatter)
 
     closures = (
         Closure(ClosureKind.TRANSPARENT, times(WHITE, 1.0 - alpha)),
         Closure(ClosureKind.EMISSION, times(emission, alpha)),
-        lobe(ClosureKind.METAL, base, metal, edge=metal_edge(base, tint)),
+        lobe(ClosureKind.METAL, base, metal, edge=tint),
         lobe(ClosureKind.GLASS, WHITE, glass, ior, refraction=refraction),
         lobe(ClosureKind.DIELECTRIC, WHITE if coat_ior != 1.0 else BLACK, plastic),
         lobe(ClosureKind.LAYERED_DIFFUSE, base, plastic),

@@ -141,7 +141,20 @@ ROUGH = {
     "glass": (Closure(K.GLASS, WHITE, 0.5, 1.5),),
     "glass 0.2": (Closure(K.GLASS, WHITE, 0.2, 1.33),),
     "plastic": (Closure(K.DIELECTRIC, WHITE, 0.3, 1.5), Closure(K.LAYERED_DIFFUSE, (0.8, 0.2, 0.1), 0.3, 1.5)),
-    "all": tuple(Closure(kind, (0.1, 0.2, 0.15), 0.4, 1.4) for kind in K if kind != K.EMISSION),
+    "anisotropic": (Closure(K.GLOSSY, WHITE, 0.5, aspect=0.3, tangent=(1.0, 0.3, 0.1)),),
+    "anisotropic metal": (Closure(K.METAL, (0.9, 0.6, 0.3), 0.6, aspect=3.0, tangent=(0.0, 1.0, 0.0), edge=(0.8, 0.9, 1.0)),),
+    "beckmann": (Closure(K.GLOSSY, WHITE, 0.5, multiscatter=False, distribution=1),),
+    "beckmann 1": (Closure(K.GLOSSY, WHITE, 1.0, multiscatter=False, distribution=1),),
+    "anisotropic beckmann": (
+        Closure(K.GLOSSY, WHITE, 0.5, multiscatter=False, distribution=1, aspect=0.3, tangent=(1.0, 0.3, 0.1)),
+    ),
+    "beckmann glass": (Closure(K.GLASS, WHITE, 0.5, 1.5, multiscatter=False, distribution=1),),
+    "tinted glass": (Closure(K.GLASS, (0.8, 0.9, 0.7), 0.5, 1.5, edge=(0.5, 2.0, 1.0), refraction=(0.9, 0.4, 0.2)),),
+    "own normals": (
+        Closure(K.DIFFUSE, (0.4, 0.5, 0.6), normal=(0.36, 0.48, 0.8)),
+        Closure(K.GLOSSY, (0.3, 0.2, 0.1), 0.4, normal=(-0.6, 0.0, 0.8)),
+    ),
+    "all": tuple(Closure(kind, (0.1, 0.2, 0.15), 0.4, 1.4) for kind in K if kind.is_model and kind != K.EMISSION),
 }
 
 

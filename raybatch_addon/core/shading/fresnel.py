@@ -1,0 +1,76 @@
+"""Fresnel's equations and the models that stand for them: the reflectance of a microfacet.
+
+`cosine` in [0, 1] is that between a direction and the facet's normal, on the near side; `eta` the index of refraction of the far
+side relative to the near one.
+"""
+
+import warp as wp
+
+# F82-tint states the reflectance at the cosine 1/7 (82 degrees); there (1 - cos)^5 is
+_F82_TERM = (6.0 / 7.0) ** 5
+_F82_SCALE = 7.0 / (6.0 / 7.0) ** 6  # one over cos (1 - cos)^6
+
+
+@wp.func
+def fresnel_dielectric(cosine: float, eta: float) -> float:
+    """Reflectance of unpolarised light at a smooth dielectric, in [0, 1]; 1 at total internal reflection.
+
+    `cosine` in [0, 1] on the near side. The difference g - c of the textbook form (Cook and Torrance
+    1982) is taken as (eta^2 - 1) / (g + c), which is exact to rounding for every eta, 1 included.
+    """
+    m = (eta - 1.0) * (eta + 1.0)
+    if m == 0.0:
+        return 0.0
+    c = wp.min(wp.abs(cosine), 1.0)
+    g2 = m + c * c
+    if g2 <= 0.0:
+        return 1.0
+    g = wp.sqrt(g2)
+    s = m / ((g + c) * (g + c))
+    p = s * (c * (g + c) - 1.0) / (c * m / (g + c) + 1.0)
+    return wp.min(0.5 * (s * s + p * p), 1.0)
+
+
+@wp.func
+def normal_reflectance(eta: float) -> float:
+    """Of a dielectric at normal incidence."""
+    r = (eta - 1.0) / (eta + 1.0)
+    return r * r
+
+
+@wp.func
+def tinted_dielectric(reflectance: float, eta: float, tint: wp.vec3) -> wp.vec3:
+    """A dielectric's `reflectance`, with that at normal incidence multiplied by `tint` and that at grazing angles kept.
+
+    Linear in the reflectance, so that it also takes a mean of it to the mean. White changes nothing, to the bit.
+    """
+    f0 = normal_reflectance(eta)
+    most = wp.vec3(1.0 / wp.max(f0, 1.0e-20))
+    return wp.vec3(reflectance) + (f0 * (1.0 - reflectance) / (1.0 - f0)) * (wp.min(tint, most) - wp.vec3(1.0))
+
+
+@wp.func
+def f82_dip(f0: wp.vec3, tint: wp.vec3) -> wp.vec3:
+    """How far F82-tint falls below Schlick's at grazing angles: the factor of cos (1 - cos)^6."""
+    white = wp.vec3(1.0)
+    return wp.static(_F82_SCALE) * wp.cw_mul(f0 + wp.static(_F82_TERM) * (white - f0), white - tint)
+
+
+@wp.func
+def fresnel_f82(f0: wp.vec3, tint: wp.vec3, cosine: float) -> wp.vec3:
+    """Schlick's towards white, multiplied by `tint` at 82 degrees, in [0, 1].
+
+    Kutz, Hasan and Edmondson, "Novel aspects of the Adobe Standard Material", 2021, section 2.
+    """
+    m = 1.0 - wp.clamp(cosine, 0.0, 1.0)
+    m2 = m * m
+    m5 = m2 * m2 * m
+    f = f0 + m5 * (wp.vec3(1.0) - f0) - (cosine * m5 * m) * f82_dip(f0, tint)
+    return wp.min(wp.max(f, wp.vec3(0.0)), wp.vec3(1.0))
+
+
+@wp.func
+def f82_average(f0: wp.vec3, tint: wp.vec3) -> wp.vec3:
+    """Cosine-weighted mean of `fresnel_f82` over the hemisphere: those of (1 - cos)^5 and cos (1 - cos)^6 are 1/21 and 1/126."""
+    mean = f0 + (wp.vec3(1.0) - f0) / 21.0 - f82_dip(f0, tint) / 126.0
+    return wp.min(wp.max(mean, wp.vec3(0.0)), wp.vec3(1.0))
