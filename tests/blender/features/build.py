@@ -7,6 +7,9 @@ import bpy
 from blender_builders import add_grid, add_mesh, add_object, material_of, node_tree
 from mathutils import Vector
 
+from .compare import add_world
+from .graph import Graph
+
 
 def shaded(obj: bpy.types.Object, kind: str, distribution: str | None = None, **inputs) -> bpy.types.Object:
     """`obj` with a material of one shader node; inputs by name, with _ for a space."""
@@ -18,6 +21,37 @@ def shaded(obj: bpy.types.Object, kind: str, distribution: str | None = None, **
         node.inputs[name.replace("_", " ")].default_value = value
     tree.links.new(node.outputs[0], surface)
     return obj
+
+
+def material_graph(obj: bpy.types.Object, build) -> bpy.types.Object:
+    """`obj` with a material whose surface is the shader that `build(graph)` returns."""
+    material = material_of(obj, f"{obj.name} material")
+    tree, surface = node_tree(material)
+    graph = Graph(tree, obj)
+    graph.set(surface, build(graph))
+    return obj
+
+
+def world_graph(scene: bpy.types.Scene, build) -> bpy.types.World:
+    """A new world whose surface is the shader that `build(graph)` returns."""
+    world = add_world(scene, 1.0)
+    tree = world.node_tree
+    tree.nodes.clear()
+    graph = Graph(tree)
+    graph.set(tree.nodes.new("ShaderNodeOutputWorld").inputs["Surface"], build(graph))
+    return world
+
+
+def studio(scene: bpy.types.Scene, build=None, smooth: bool = True, world: float = 0.6) -> bpy.types.Object:
+    """A ball, with the shader that `build(graph)` returns, over a floor under a wide sun and a pale sky; returns the ball."""
+    add_world(scene, world, (0.6, 0.75, 1.0))
+    floor()
+    lamp("SUN", (0, 0, 5), target=(2, 3, 0), energy=2.0, angle=0.8)
+    made = ball("Ball", (0, 0, 1), 1.0, segments=32, rings=16, smooth=smooth)
+    if build is not None:
+        material_graph(made, build)
+    look(scene, (0, -4.5, 2.2), (0, 0, 0.85), lens=50)
+    return made
 
 
 def diffuse(obj: bpy.types.Object, color) -> bpy.types.Object:

@@ -10,7 +10,8 @@ from typing import Any
 FAMILIES = ("Shaders", "Textures", "Inputs", "Utility", "World", "Surface")
 # Files of features beside this one
 MODULES = (
-    "textures", "utility", "utility_mix",
+    "shaders", "shaders_principled", "textures", "textures_image", "inputs", "inputs_pictures", "utility", "utility_mix", "utility_pictures", "worlds",
+    "surfaces",
 )  # fmt: skip
 SAMPLES = 96  # of each of the two renders of a picture, at first
 RESOLUTION = 40  # pixels, of a picture's edge
@@ -32,10 +33,12 @@ class Feature:
     variants: tuple[Any, ...] = (None,)
     offset: float = 8.0  # added to what a node gives, so that negative numbers can be emitted
     flat: bool = False  # a node that gives one value everywhere
-    samples: int = SAMPLES
+    samples: int = 0  # of each render, at first; 0: SAMPLES of a picture, 1 of a node
     resolution: int = RESOLUTION
-    expected: str = ""  # why it is known to be out of bounds
 
+
+# A node that is no function of exact coordinates alone is seen through a pixel filter 0.01 wide: so many samples see its middle
+SMOOTH = 256
 
 _FEATURES: dict[str, Feature] = {}
 

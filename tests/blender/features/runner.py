@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from .compare import RenderFailed, cycles_picture, empty_scene, figures_of, raybatch_picture, set_alike
-from .registry import Feature
+from .registry import SAMPLES, Feature
 from .sheet import CELLS_MOST, TOLERANCE, Cell, build_sheet, render_sheet
 
 MEAN_TOLERANCE = 0.01
@@ -69,13 +69,13 @@ def _runs(features: list[Feature], folder: Path) -> Iterator[list[Result]]:
 
 
 def sheets(features: list[Feature]) -> list[list[Feature]]:
-    """Features of a family together, as many as a sheet takes, about."""
+    """Features of a family and of as many samples together, as many as a sheet takes, about."""
     made: list[list[Feature]] = []
-    size, family = 0, None
-    for each in features:
-        if not made or family != each.family or size + len(each.variants) > CELLS_MOST:
+    size, last = 0, None
+    for each in sorted(features, key=lambda each: (each.family, each.samples)):
+        if not made or last != (each.family, each.samples) or size + len(each.variants) > CELLS_MOST:
             made.append([])
-            size, family = 0, each.family
+            size, last = 0, (each.family, each.samples)
         made[-1].append(each)
         size += len(each.variants)
     return made
@@ -138,7 +138,7 @@ def _run_picture(feature: Feature, folder: Path, result: Result) -> None:
     scene = empty_scene()
     set_alike(scene, feature.resolution)
     feature.build(scene)
-    samples = feature.samples
+    samples = feature.samples or SAMPLES
     for _ in range(2):
         ours, theirs = raybatch_picture(scene, samples), cycles_picture(scene, samples, folder)
         found = figures_of(ours, theirs)

@@ -117,8 +117,9 @@ def _output_counts(wanted: list[tuple[Feature, Any]]) -> list[int]:
 
 def render_sheet(scene: bpy.types.Scene, cells: list[Cell], folder: Path) -> list[str]:
     """Fill the cells; returns RayBatch's warnings. Raises `RenderFailed`."""
-    theirs = by_cycles(scene, 0, 1, folder / "sheet.exr")
-    ours, warnings = by_raybatch(scene, 0, 1)
+    samples = max(cell.feature.samples for cell in cells) or 1
+    theirs = by_cycles(scene, 0, samples, folder / "sheet.exr")
+    ours, warnings = by_raybatch(scene, 0, samples)
     columns = theirs.shape[1] // EDGE
     for cell in cells:
         row, column = divmod(cell.place, columns)
