@@ -1,0 +1,42 @@
+"""Where a texture node looks: what is linked, or generated coordinates, moved by the node's own mapping."""
+
+from __future__ import annotations
+
+import numpy as np
+from mathutils import Euler
+
+from ...core.shading.nodes.builder import Value
+from .node import Node
+
+_AXES = {"X": 0, "Y": 1, "Z": 2}
+_INVERTED = ("TEXTURE", "NORMAL")
+SCALE_LEAST = 1e-5  # of mappings that are inverted
+
+
+def texture_coordinates(node: Node) -> Value:
+    """The vector input of a texture node, after the mapping in its properties (which is seldom set)."""
+    place = node.vector("Vector") if node.linked("Vector") else node.coordinates()
+    mapping = node.node.texture_mapping
+    matrix, offset = affine_of(mapping)
+    if np.array_equal(matrix, np.eye(3)) and not offset.any():
+        return place
+    return node.op("affine", mapping.vector_type == "NORMAL", place, *map(tuple, matrix), tuple(offset))
+
+
+def affine_of(mapping) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix [3, 3] and offset [3] of Blender's texture mapping; its limits (min, max) mean nothing to Cycles either."""
+    scale = np.array(mapping.scale, float)
+    if mapping.vector_type in _INVERTED:
+        scale = np.where(np.abs(scale) < SCALE_LEAST, np.copysign(SCALE_LEAST, scale), scale)
+    matrix = np.array(Euler(mapping.rotation, "XYZ").to_matrix(), float) * scale
+    offset = np.array(mapping.translation, float) if mapping.vector_type in ("POINT", "TEXTURE") else np.zeros(3)
+    if mapping.vector_type == "TEXTURE":
+        matrix = np.linalg.inv(matrix)
+        offset = -matrix @ offset
+    if mapping.vector_type == "NORMAL":
+        matrix = np.linalg.inv(matrix).T
+    axes = np.zeros((3, 3))
+    for row, axis in enumerate((mapping.mapping_x, mapping.mapping_y, mapping.mapping_z)):
+        if axis != "NONE":
+            axes[row, _AXES[axis]] = 1.0
+    return matrix @ axes, offset
