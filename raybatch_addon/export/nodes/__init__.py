@@ -79,6 +79,6 @@ def shader_at(socket, groups: tuple[Any, ...] = (), left_out: list[str] | None =
 
 
 from . import bsdf, gabor, inputs, mixing, principled, shaders_basic, voronoi  # noqa: E402, F401  (they register their handlers)
-from . import colours, converters, curves, maths  # noqa: E402, F401
+from . import colours, converters, curves, maths, textures_procedural  # noqa: E402, F401
 from .node import Node  # noqa: E402, F401
 from .registry import shader, values  # noqa: E402, F401
