@@ -54,7 +54,10 @@ def argument_parser() -> argparse.ArgumentParser:
     add("--preset", metavar="NAME", help="set the whole schedule for all")
     add("--device", default=None, help="AUTO, cpu or cuda:N")
     add("--size", metavar="WxH", help=f"pixels; default: the file's; of geometry: {'x'.join(map(str, RESOLUTION_DEFAULT))}")
-    add("--camera", metavar="EX,EY,EZ,TX,TY,TZ,FOV", help="of geometry: eye, target and field of view [degrees] (write --camera=-1,... for a negative first number)")
+    add(
+        "--camera", metavar="EX,EY,EZ,TX,TY,TZ,FOV",
+        help="of geometry: eye, target and field of view [degrees] (write --camera=-1,... for a negative first number)",
+    )  # fmt: skip
     add("--up", choices=("y", "z"), help="of geometry: the axis that points up (default: z)")
     add("--grid", type=int, default=1, metavar="N", help="of geometry: repeat it N x N times")
     add("--reference-samples", type=int, metavar="N", help="of a reference that is made (default: 16 times those of a run)")

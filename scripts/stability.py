@@ -44,7 +44,9 @@ def argument_parser() -> argparse.ArgumentParser:
         prog="stability.py", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
     )
     parser.add_argument("--quick", action="store_true", help="only the cases that are checked with every change, about a third")
-    parser.add_argument("--only", action="append", default=[], metavar="NAME[,NAME]", help="cases with this name, of this family, or with this part in their names")
+    parser.add_argument(
+        "--only", action="append", default=[], metavar="NAME[,NAME]", help="cases with this name, of this family, or with this part in their names"
+    )
     parser.add_argument("--tracer", choices=("off", "on"), help="only this one")
     parser.add_argument("--device", default="AUTO", help="AUTO, cpu or cuda:N")
     parser.add_argument(
@@ -52,7 +54,9 @@ def argument_parser() -> argparse.ArgumentParser:
         help="how many rays each case of the family leaks traces with each tracer, such as 1e8 on a GPU; "
         "else 1e8 in all on a GPU, and on a CPU as many as fit in seconds",
     )  # fmt: skip
-    parser.add_argument("--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there")
+    parser.add_argument(
+        "--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there"
+    )
     parser.add_argument("--html", metavar="FILE", help="write a page that stands alone")
     parser.add_argument("--list", action="store_true", help="name the cases, and run none")
     parser.add_argument("--table", action="store_true", help="write the table of all cases in docs/stability.md, and run none")

@@ -54,21 +54,23 @@ def html_page(results: list[Result], device: dict[str, Any], versions: dict[str,
     families: dict[str, list[Result]] = {}
     for result in results:
         families.setdefault(result.case.family, []).append(result)
-    head = "".join(f"<th>{name}</th>" for name in ("case", "tracer", "", "measured", "expected", "tolerance", "of the tolerance", "invalid", "samples", "seconds"))
+    heads = ("case", "tracer", "", "measured", "expected", "tolerance", "of the tolerance", "invalid", "samples", "seconds")
+    head = "".join(f"<th>{name}</th>" for name in heads)
     tables = "".join(
         f"<h2>{html.escape(family)}</h2><table><thead><tr>{head}</tr></thead><tbody>{''.join(map(_row, rows))}</tbody></table>"
         for family, rows in families.items()
     )
     passed, failed = sum(r.passed for r in results), sum(r.failed for r in results)
     invalid, samples = sum(r.invalid_samples for r in results), sum(r.samples for r in results)
-    machine = " · ".join([f"{device['name']} ({device['alias']}), {device['cores']} cores", *(f"{name} {version}" for name, version in versions.items())])
+    where = f"{device['name']} ({device['alias']}), {device['cores']} cores"
+    machine = " · ".join([where, *(f"{name} {version}" for name, version in versions.items())])
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
         f"<title>Stability of RayBatch</title><style>{_STYLE}</style></head><body><h1>Stability on stiff and extreme cases</h1>"
         f"<p>{html.escape(machine)}</p>"
         f'<p class="counts"><b>{passed}</b> passed · <b class="{"bad" if failed else ""}">{failed}</b> failed · '
         f"<b>{len(results) - passed - failed}</b> skipped · {invalid:,} of {samples:,} samples invalid · {seconds:.0f} s</p>"
-        f"<p>Tracer <em>off</em> is the control, in which each ray visits the whole tree at once; with <em>on</em> rays wait at small treelets; <em>-</em> is run once, with none or with "
-        "several of its own. A case opens to what it does, and why its tolerance is what it is.</p>"
+        "<p>Tracer <em>off</em> is the control, in which each ray visits the whole tree at once; with <em>on</em> rays wait at small treelets; "
+        "<em>-</em> is run once, with none or with several of its own. A case opens to what it does, and why its tolerance is what it is.</p>"
         f"{tables}</body></html>\n"
     )

@@ -43,7 +43,8 @@ def json_report(device: dict[str, Any], versions: dict[str, str], results: list[
         )  # fmt: skip
     skipped = [{"name": r.case.name, "tracer": r.tracer, "reason": r.skipped} for r in results if r.skipped is not None]
     return {
-        "device": device["name"], "cases": cases, "skipped": skipped, "passed": sum(r.passed for r in results), "failed": sum(r.failed for r in results),
+        "device": device["name"], "cases": cases, "skipped": skipped,
+        "passed": sum(r.passed for r in results), "failed": sum(r.failed for r in results),
         "seconds": round(seconds, 3), "machine": device, "versions": versions,
     }  # fmt: skip
 
@@ -73,8 +74,10 @@ def text_report(results: list[Result], device: dict[str, Any], seconds: float) -
     head = ("case", "tracer", "", "measured", "expected", "tolerance", "used", "invalid", "seconds")
     rows = [head]
     for result in results:
-        numbers = [number(x) for x in (result.outcome.measured, result.outcome.expected, result.outcome.tolerance)] if result.outcome else [""] * 3
-        rows.append((result.case.name, result.tracer, verdict(result), *numbers, used(result), str(result.invalid_samples), f"{result.seconds:.1f}"))
+        found = result.outcome
+        numbers = [number(x) for x in (found.measured, found.expected, found.tolerance)] if found else [""] * 3
+        told = (used(result), str(result.invalid_samples), f"{result.seconds:.1f}")
+        rows.append((result.case.name, result.tracer, verdict(result), *numbers, *told))
     widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
     lines = [f"{device['name']} ({device['alias']})"]
     family = None
@@ -114,7 +117,8 @@ def cases_table(cases: Iterable[Case]) -> str:
     for each in cases:
         if each.family != family:
             family = each.family
-            lines += ["", f"### {family.capitalize()}", "", "| case | tracers | quick | what is done, and what is expected | why the tolerance |", "|---|---|---|---|---|"]
+            lines += ["", f"### {family.capitalize()}", ""]
+            lines += ["| case | tracers | quick | what is done, and what is expected | why the tolerance |", "|---|---|---|---|---|"]
         tracers = ", ".join(each.tracers) if each.traces else "any"
         lines.append(f"| {_cell(each.name)} | {tracers} | {'yes' if each.quick else ''} | {_cell(each.about)} | {_cell(each.bound)} |")
     return "\n".join(lines).strip()
