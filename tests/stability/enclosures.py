@@ -11,6 +11,7 @@ from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, M
 from raybatch_addon.core.settings import RenderSettings
 
 from .case import Sweep
+from .meshes import icosphere
 
 # Kernels are compiled for these, whichever of them a scene has
 KINDS = (ClosureKind.DIFFUSE, ClosureKind.GLOSSY, ClosureKind.GLASS, ClosureKind.EMISSION)
@@ -88,34 +89,10 @@ def wall_with_hole(size: float, hole: float, name: str = "wall with a hole") -> 
     return Mesh(name, np.concatenate([size * corners, hole * corners]).astype(np.float32), np.array(ring, np.int32))
 
 
-def icosphere(level: int, radius: float = 1.0, name: str = "icosphere") -> Mesh:
-    """20 * 4^level triangles that face outwards, corners on the sphere."""
-    g = (1 + math.sqrt(5)) / 2
-    corners = [
-        (-1, g, 0), (1, g, 0), (-1, -g, 0), (1, -g, 0), (0, -1, g), (0, 1, g), (0, -1, -g), (0, 1, -g), (g, 0, -1), (g, 0, 1), (-g, 0, -1), (-g, 0, 1),
-    ]  # fmt: skip
-    p = [np.array(v, np.float64) / np.linalg.norm(v) for v in corners]
-    faces = [
-        (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8),
-        (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
-    ]  # fmt: skip
-    middles: dict[tuple[int, int], int] = {}
-
-    def middle(a: int, b: int) -> int:
-        key = (min(a, b), max(a, b))
-        if key not in middles:
-            between = p[a] + p[b]
-            middles[key] = len(p)
-            p.append(between / np.linalg.norm(between))
-        return middles[key]
-
-    for _ in range(level):
-        split = []
-        for a, b, c in faces:
-            ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
-            split += [(a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca)]
-        faces = split
-    return Mesh(name, (radius * np.array(p)).astype(np.float32), np.array(faces, np.int32))
+def icosphere_mesh(levels: int) -> Mesh:
+    """20 * 4^levels triangles that face outwards, corners on the sphere of radius 1."""
+    positions, triangles = icosphere(levels)
+    return Mesh("icosphere", positions.astype(np.float32), triangles)
 
 
 def turned_askew(scale: float = 1.0) -> np.ndarray:

@@ -72,7 +72,7 @@ def grid(cells: int, step: float, name: str = "grid") -> Mesh:
 
 
 def icosphere(levels: int = 5) -> tuple[np.ndarray, np.ndarray]:
-    """A closed sphere of radius 1 of 20 * 4**levels triangles; vertices in float64."""
+    """A closed sphere of radius 1 of 20 * 4**levels triangles that face outwards; vertices in float64."""
     phi = (1 + 5**0.5) / 2
     vertices = [
         (-1, phi, 0), (1, phi, 0), (-1, -phi, 0), (1, -phi, 0), (0, -1, phi), (0, 1, phi),
@@ -82,15 +82,15 @@ def icosphere(levels: int = 5) -> tuple[np.ndarray, np.ndarray]:
         (0, 11, 5), (0, 5, 1), (0, 1, 7), (0, 7, 10), (0, 10, 11), (1, 5, 9), (5, 11, 4), (11, 10, 2), (10, 7, 6), (7, 1, 8),
         (3, 9, 4), (3, 4, 2), (3, 2, 6), (3, 6, 8), (3, 8, 9), (4, 9, 5), (2, 4, 11), (6, 2, 10), (8, 6, 7), (9, 8, 1),
     ]  # fmt: skip
-    positions, triangles = np.array(vertices, np.float64), np.array(faces)
+    positions, triangles = unit(np.array(vertices, np.float64)), np.array(faces)
     for _ in range(levels):
         edges = np.sort(np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
         unique, place = np.unique(edges, axis=0, return_inverse=True)
-        ab, bc, ca = (place.reshape(3, -1) + len(positions))
-        positions = np.concatenate([positions, positions[unique].mean(1)])
+        ab, bc, ca = place.reshape(3, -1) + len(positions)
+        positions = np.concatenate([positions, unit(positions[unique].mean(1))])
         a, b, c = triangles.T
         triangles = np.concatenate([np.stack(t, 1) for t in ((a, ab, ca), (b, bc, ab), (c, ca, bc), (ab, bc, ca))])
-    return positions / np.linalg.norm(positions, axis=1, keepdims=True), triangles.astype(np.int32)
+    return positions, triangles.astype(np.int32)
 
 
 def knot_core(s: np.ndarray) -> np.ndarray:

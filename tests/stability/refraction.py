@@ -13,7 +13,7 @@ from raybatch_addon.core.scene.description import Frame, Scene
 
 from .bench import Bench
 from .case import Outcome, Sweep, case
-from .enclosures import MANY, SCATTERED, add_exact, facing_down, glass, icosphere, joined, lamp, stretched, view_along, wall
+from .enclosures import MANY, SCATTERED, add_exact, facing_down, glass, icosphere_mesh, joined, lamp, stretched, view_along, wall
 from .fresnel import adding, ball_caustic, reflectance, slab_albedo
 from .uniform import SIGMAS, UNIT_ROUNDOFF, add_mean, mean_and_error
 
@@ -84,7 +84,7 @@ def nested_slabs(bench: Bench) -> Outcome:
     WHITE,
 )  # fmt: skip
 def nested_dielectrics(bench: Bench) -> Outcome:
-    sweep, ball = Sweep(), icosphere(2)
+    sweep, ball = Sweep(), icosphere_mesh(2)
     iors = (1.5, 0.9, 2.0, 0.5, 1.0, 1.2, 3.0, 0.7, 1.001, 1.33)
     objects = [(dataclasses.replace(ball, name=f"ball {i}"), stretched(*(1.0 - 0.08 * i,) * 3), glass(ior)) for i, ior in enumerate(iors)]
     scene = scenes.scene(objects, frame=MANY, view=scenes.camera(eye=(0, -4, 0), half_width=0.3), world=1.0)
@@ -124,7 +124,7 @@ def light_pipe(bench: Bench) -> Outcome:
 def caustic_in_white(bench: Bench) -> Outcome:
     sweep = Sweep()
     scene = scenes.scene(
-        [(icosphere(2), stretched(1, 1, 1, (0, 0, 1.2)), glass(1.5)), (scenes.plane("floor", 6.0), scenes.IDENTITY, wall())],
+        [(icosphere_mesh(2), stretched(1, 1, 1, (0, 0, 1.2)), glass(1.5)), (scenes.plane("floor", 6.0), scenes.IDENTITY, wall())],
         frame=MANY, view=scenes.camera(eye=(0, -4, 1.5), target=(0, 0, 0.6), half_width=0.5), world=1.0,
     )  # fmt: skip
     add_exact(sweep, bench.render(scene, SCATTERED, sample_count=8), 1.0, "floor and ball")
@@ -133,7 +133,7 @@ def caustic_in_white(bench: Bench) -> Outcome:
 
 @functools.cache
 def _ball_reference() -> tuple[float, float, float]:
-    return ball_caustic(icosphere(1), (0.0, 0.0, 1.5), 1.5, lamp_half=1.5, lamp_height=4.0)
+    return ball_caustic(icosphere_mesh(1), (0.0, 0.0, 1.5), 1.5, lamp_half=1.5, lamp_height=4.0)
 
 
 @case(
@@ -147,7 +147,7 @@ def caustic_under_a_ball(bench: Bench) -> Outcome:
     sweep, (expected, spread, left_out) = Sweep(), _ball_reference()
     scene = scenes.scene(
         [
-            (icosphere(1), stretched(1, 1, 1, (0, 0, 1.5)), glass(1.5)),
+            (icosphere_mesh(1), stretched(1, 1, 1, (0, 0, 1.5)), glass(1.5)),
             (scenes.plane("floor", 0.01), scenes.IDENTITY, wall()),
             (scenes.plane("lamp", 3.0), facing_down(4.0), lamp(1.0)),
         ],

@@ -17,7 +17,7 @@ from raybatch_addon.core.settings import RenderSettings
 
 from .bench import Bench
 from .case import Outcome, Sweep, case
-from .enclosures import SCATTERED, facing_down, glass, icosphere, joined, lamp, mirror, stretched, view_along, wall
+from .enclosures import SCATTERED, facing_down, glass, icosphere_mesh, joined, lamp, mirror, stretched, view_along, wall
 
 FAMILY = "scheduling"
 SAME = """A film is a function of its samples: a hit is one of the scene and the ray alone, sums are exact in any order, random numbers are keyed by
@@ -57,7 +57,7 @@ class _Films:
 @functools.cache
 def _room() -> Scene:
     """Coloured walls, a mirror, glass in glass and a lamp: rays of every kind go everywhere."""
-    ball = icosphere(3)
+    ball = icosphere_mesh(3)
     fine = [joined(name, ball, [scenes.IDENTITY]) for name in ("white", "mirror", "glass", "inner")]
     return scenes.scene(
         [

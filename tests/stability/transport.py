@@ -13,7 +13,7 @@ from raybatch_addon.core.scene.description import Camera, CameraKind, Closure, C
 from .bench import Bench
 from .case import Outcome, Sweep, case
 from .enclosures import (
-    FEW, KINDS, MANY, SCATTERED, add_exact, add_relative, facing_down, glass, icosphere, joined, lamp, mirror, stretched, turned_askew,
+    FEW, KINDS, MANY, SCATTERED, add_exact, add_relative, facing_down, glass, icosphere_mesh, joined, lamp, mirror, stretched, turned_askew,
     view_along, wall, wall_with_hole,
 )  # fmt: skip
 from .form_factors import square_form_factor
@@ -34,7 +34,7 @@ def _closed_meshes(material: Material) -> Scene:
     """Three closed meshes; each of three pixels begins its paths in the middle of one, in a direction along no axis."""
     ahead = np.array([0.3, 0.8, 0.2])
     view = scenes.look_at((0, 0, 0), ahead)
-    meshes = ((scenes.box("box"), scenes.IDENTITY), (icosphere(1), scenes.IDENTITY), (scenes.box("askew"), turned_askew()))
+    meshes = ((scenes.box("box"), scenes.IDENTITY), (icosphere_mesh(1), scenes.IDENTITY), (scenes.box("askew"), turned_askew()))
     objects = []
     for place, (mesh, matrix) in enumerate(meshes):
         matrix = matrix.copy()
@@ -76,7 +76,7 @@ def mirror_boxes(bench: Bench) -> Outcome:
 
 def _cavity(lamp_size: float) -> Scene:
     """A closed white room with white, mirroring and glass things in it; only the lamp absorbs."""
-    ball = icosphere(2)
+    ball = icosphere_mesh(2)
     return scenes.scene(
         [
             (scenes.box("room", 4), scenes.IDENTITY, wall()),
@@ -181,7 +181,7 @@ def roulette_of_long_paths(bench: Bench) -> Outcome:
 
 def _lit_room() -> Scene:
     """Coloured walls that absorb, a lamp, and nothing closed off."""
-    ball = icosphere(2)
+    ball = icosphere_mesh(2)
     return scenes.scene(
         [
             (scenes.box("room", 4), scenes.IDENTITY, wall((0.9, 0.7, 0.3))),
