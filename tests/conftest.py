@@ -19,11 +19,11 @@ def device() -> str:
 
 
 @pytest.fixture(scope="module")
-def session(device):
-    """A session on the device under test."""
+def session(device, tmp_path_factory):
+    """A session on the device under test, with a folder of its own for pages of geometry."""
     from raybatch_addon.core.session import Session
 
-    opened = Session(device)
+    opened = Session(device, page_folder=tmp_path_factory.mktemp("pages"))
     yield opened
     opened.close()
 

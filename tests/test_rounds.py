@@ -8,13 +8,21 @@ import pytest
 import scenes
 import schedule_scenes
 from under_test import DEVICE
-from watched_renders import FRAME, HALVES, SETTINGS, Watcher, assert_same, rounded_anew, stopping
+from watched_renders import (  # noqa: F401 (`halves_film` is the fixture `halves`)
+    FRAME,
+    HALVES,
+    SETTINGS,
+    Watcher,
+    assert_same,
+    halves_film,
+    rounded_anew,
+    stopping,
+)
 
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.report.half_error import half_error
 from raybatch_addon.core.scene.description import ClosureKind, Frame, World
-from raybatch_addon.core.session import Session
 from raybatch_addon.core.wavefront.rounds import half_seed
 
 WAYS = {
@@ -29,20 +37,8 @@ def settings_of(way: str) -> dict:
 
 
 @pytest.fixture(scope="module")
-def session(device, tmp_path_factory):
-    opened = Session(device, page_folder=tmp_path_factory.mktemp("pages"))
-    yield opened
-    opened.close()
-
-
-@pytest.fixture(scope="module")
 def plain(session):
     return session.render(scenes.mixed(FRAME), SETTINGS)
-
-
-@pytest.fixture(scope="module")
-def halves(session):
-    return session.render(scenes.mixed(FRAME), HALVES)
 
 
 # --- snapshots

@@ -8,23 +8,21 @@ from checking.films import FilmComparer
 from checking.schedules import SeededDraws
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-from watched_renders import FRAME, HALVES, SETTINGS, TARGET, WatchedSession, Watcher, assert_same, rounded_anew, stopping
+from watched_renders import (  # noqa: F401 (`halves_film` is the fixture `halves`)
+    FRAME,
+    HALVES,
+    SETTINGS,
+    TARGET,
+    WatchedSession,
+    Watcher,
+    assert_same,
+    halves_film,
+    rounded_anew,
+    stopping,
+)
 
 from raybatch_addon.core.errors import RayBatchError
-from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings import RenderSettings
-
-
-@pytest.fixture(scope="module")
-def session(device, tmp_path_factory):
-    opened = Session(device, page_folder=tmp_path_factory.mktemp("pages"))
-    yield opened
-    opened.close()
-
-
-@pytest.fixture(scope="module")
-def halves(session):
-    return session.render(scenes.mixed(FRAME), HALVES)
 
 
 @pytest.mark.parametrize("estimate", ["OFF", "ON"])

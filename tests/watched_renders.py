@@ -4,6 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
+import scenes
 
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.description import Frame
@@ -17,6 +18,12 @@ FRAME = Frame(24, 20, passes=PASSES)
 SETTINGS = RenderSettings(sample_count=7, bounce_max=5, roulette_bounce=2, clamp_indirect=3.0)
 HALVES = SETTINGS.replace(error_estimate="ON")
 TARGET = SETTINGS.replace(sample_count=512, error_target=0.05, tile_size=9)
+
+
+@pytest.fixture(scope="module", name="halves")
+def halves_film(session):
+    """The film of `HALVES`, rendered in one round."""
+    return session.render(scenes.mixed(FRAME), HALVES)
 
 
 class Watcher:
