@@ -179,6 +179,7 @@ class Session:
         integrators: list[TileIntegrator] = []
         if prepared is not None:
             device_scene, modules = prepared
+            job.warnings += device_scene.images.warnings
             if device_scene.paged and "page_file_warning" in device_scene.paged.statistics:
                 job.warnings.append(device_scene.paged.statistics["page_file_warning"])
             integrators = self._workers(job, device_scene, state)

@@ -35,9 +35,10 @@ def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool
         placements = collect_placements(depsgraph, cancelled or (lambda: False))
     except Cancelled:
         return None
-    world = export_world(_world(scene, depsgraph.view_layer), warnings)
+    collections = placements.materials.collections
+    world = export_world(_world(scene, depsgraph.view_layer), warnings, collections)
     instances = placements.instances()
-    warnings += placements.warnings + _unsupported(scene, depsgraph.view_layer)
+    warnings += placements.warnings + collections.warnings + _unsupported(scene, depsgraph.view_layer)
     return Scene(
         camera=camera,
         frame=frame,
@@ -47,6 +48,7 @@ def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool
         materials=tuple(placements.materials.materials),
         lights=tuple(placements.lights),
         world=world,
+        images=tuple(collections.images),
         object_names=tuple(placements.object_names),
         warnings=tuple(dict.fromkeys(warnings)),
     )

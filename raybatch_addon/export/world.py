@@ -5,27 +5,48 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..core.scene.description import Visibility, World
-from .emission_nodes import constant_emission, has_volume
-from .nodes.graph import NotUnderstood
+from ..core.scene.description import ClosureKind, Visibility, World
+from .emission_nodes import has_volume
+from .nodes.collections import Collections
+from .nodes.compile import compile_graph
 
 
-def export_world(world: bpy.types.World | None, warnings: list[str]) -> World:
+# Texels around a world that is not constant, by whose brightness it is sampled: Cycles' number where no image says more
+_SAMPLING_SIZE = 1024
+_SAMPLING_SIZE_MOST = 8192
+
+
+def export_world(world: bpy.types.World | None, warnings: list[str], collections: Collections | None = None) -> World:
     """`world` as it lights the scene, black where there is none.
 
-    What is not constant falls back to the world's viewport colour; `warnings` gets a line for everything that was replaced.
+    `collections` gets the images and attributes that its nodes refer to, `warnings` a line for everything that was replaced.
     """
+    collections = collections or Collections()
     if world is None:
         return World()
     radiance = np.array(world.color[:3], float)
+    program = None
     if has_nodes(world):
-        try:
-            radiance = constant_emission(world.node_tree)
-        except NotUnderstood as reason:
-            warnings.append(f"world “{world.name}”: {reason}: this is not supported yet; the world has its viewport colour instead")
+        output = world.node_tree.get_output_node("CYCLES") or world.node_tree.get_output_node("ALL")
+        compiled = compile_graph(output.inputs["Surface"] if output else None, world, collections)
+        warnings += [f"world “{world.name}”: {note}" for note in compiled.notes]
+        program = compiled.program
+        lit = [closure.weight for closure in compiled.closures if closure.kind == ClosureKind.EMISSION]
+        radiance = np.sum(lit, axis=0) if lit else np.zeros(3)
         if has_volume(world.node_tree):
             warnings.append(f"world “{world.name}”: volumes are not supported; the world's volume is left out")
-    return World(radiance=usable_emission(radiance, f"world “{world.name}”", warnings), visibility=_visibility(world))
+    radiance = usable_emission(radiance, f"world “{world.name}”", warnings)
+    return World(radiance, _visibility(world), program, _sampling_size(world, collections))
+
+
+def _sampling_size(world: bpy.types.World, collections: Collections) -> int:
+    own = getattr(world, "cycles", None)
+    method = getattr(own, "sampling_method", "AUTOMATIC")
+    if method == "NONE":
+        return 0
+    if method == "MANUAL":
+        return min(max(int(own.sample_map_resolution), 4), _SAMPLING_SIZE_MOST)
+    return min(max(_SAMPLING_SIZE, collections.environment_width), _SAMPLING_SIZE_MOST)
 
 
 def has_nodes(owner) -> bool:

@@ -39,6 +39,14 @@ class ClosureKind(IntEnum):
     GLASS = 5  # facets that reflect and refract, Fresnel from `ior`
     TRANSPARENT = 6  # passes straight on, times `weight`
     EMISSION = 7  # emits `weight` as radiance on both sides
+    ROUGH_DIFFUSE = 8  # Oren and Nayar's, `roughness`; `colour` is what each bounce between its grooves keeps
+    TRANSLUCENT = 9  # Lambert on the other side
+    REFRACTION = 10  # facets that refract all light but what they mirror totally
+    CONDUCTOR = 11  # facets with the Fresnel of a metal: `colour` is its index, `edge` its extinction coefficient
+    ASHIKHMIN_SHIRLEY = 12  # anisotropic Phong lobe
+    SHEEN = 13  # a layer of fibres
+    VELVET = 14  # Ashikhmin's; `roughness` is sigma
+    HOLDOUT = 15  # cuts a hole into the picture: takes light, and for `weight` of it the film's alpha is 0
     # Abilities: not models, but needed by closures whose values ask for them (`Closure.needs`)
     BECKMANN = 32  # `distribution` 1
     ANISOTROPIC = 33  # `aspect` other than 1
@@ -89,12 +97,14 @@ class Closure:
     weight: tuple[float, float, float]  # linear RGB, >= 0: colour times mix factors (EMISSION: radiance, W/(m² sr))
     roughness: float = 0.0  # Blender's roughness, 0..1; the facets' alpha is its square
     ior: float = 1.5  # of the inside relative to the outside (GLASS, DIELECTRIC, LAYERED_DIFFUSE)
-    edge: tuple[float, float, float] = (1.0, 1.0, 1.0)  # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence
+    # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence; CONDUCTOR: extinction coefficient
+    edge: tuple[float, float, float] = (1.0, 1.0, 1.0)
     refraction: tuple[float, float, float] = (1.0, 1.0, 1.0)  # GLASS: what refracts is `weight` times this, what reflects `weight`
     share: float = 1.0  # the mix factors that `weight` contains, where there is no `colour`
     multiscatter: bool = True  # GLOSSY to GLASS, LAYERED_DIFFUSE: add what bounces more than once between facets
-    # Colour of a facet without mix factors: GLOSSY, GLASS: what bounces between facets; METAL: reflectance at normal incidence.
-    # None: that of `weight`, in which `share` is no colour (METAL: all of it, and the weight is `share`)
+    # Colour of a facet without mix factors: GLOSSY, GLASS, ROUGH_DIFFUSE: of what bounces between facets; METAL: reflectance at
+    # normal incidence; CONDUCTOR: index of refraction.
+    # None: that of `weight`, in which `share` is no colour (METAL, CONDUCTOR: all of it, and the weight is `share`)
     colour: tuple[float, float, float] | None = None
     distribution: int = 0  # of facets: 0 GGX, 1 Beckmann
     aspect: float = 1.0  # of facets: alpha along the tangent is multiplied by it, across it divided

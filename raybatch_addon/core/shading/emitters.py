@@ -6,12 +6,13 @@ instance and then by primitive.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import SceneError
-from ..scene.description import ClosureKind, Light, LightKind, Scene, Visibility
+from ..scene.description import ClosureKind, Light, LightKind, Material, Scene, Visibility
 
 # Light is asked for at surfaces by these kinds of rays; an emitter that none of them sees lights nothing
 _LIT = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
@@ -28,18 +29,26 @@ class EmissiveTriangles:
     primitive: np.ndarray  # triangle of the instance's mesh, int32, shape [e], ascending within an instance
     radiance: np.ndarray  # on both sides [W/(m² sr)], float32, shape [e, 3]
     area: np.ndarray  # in world space [m²], float64, shape [e]
+    program: np.ndarray  # 1: a program says what it emits, of which `radiance` is an estimated mean; int32, shape [e]
     instance_first: np.ndarray  # first entry of each instance, int32, shape [instance_count + 1]
 
     def __len__(self) -> int:
         return len(self.instance)
 
 
-def find_emissive_triangles(scene: Scene) -> EmissiveTriangles:
-    """The emissive triangles of `scene` that surfaces can be lit by."""
+def find_emissive_triangles(
+    scene: Scene, emitted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+) -> EmissiveTriangles:
+    """The emissive triangles of `scene` that surfaces can be lit by.
+
+    `emitted` tells the mean radiance of triangles (instances, primitives) whose material is a program, float32, shape [n, 3]; those
+    of which it says 0 are left to chance. Without it, no program emits.
+    """
     instances = scene.instances
     emission = _material_emission(scene)
+    by_program = np.array([emitted is not None and _may_emit(material) for material in scene.materials], bool)
     chunks: list[tuple[np.ndarray, ...]] = []
-    candidates = np.flatnonzero(instances.visibility & _LIT) if emission.any() else np.zeros(0, int)
+    candidates = np.flatnonzero(instances.visibility & _LIT) if emission.any() or by_program.any() else np.zeros(0, int)
     for mesh_index in np.unique(instances.mesh[candidates]).tolist():
         mesh = scene.meshes[mesh_index]
         if len(mesh.triangles) == 0:
@@ -50,8 +59,9 @@ def find_emissive_triangles(scene: Scene) -> EmissiveTriangles:
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
         # instances that share their first slot share their materials
         for slot_first in np.unique(instances.slot_first[placed]).tolist():
-            radiance = emission[scene.slot_materials[slot_first + slot]]
-            primitive = np.flatnonzero(radiance.any(1)).astype(np.int32)
+            material = scene.slot_materials[slot_first + slot]
+            radiance, program = emission[material], by_program[material]
+            primitive = np.flatnonzero(radiance.any(1) | program).astype(np.int32)
             if len(primitive) == 0:
                 continue
             members = placed[instances.slot_first[placed] == slot_first]
@@ -61,16 +71,20 @@ def find_emissive_triangles(scene: Scene) -> EmissiveTriangles:
                 area = _instanced_areas(instances.transform[some], normal[primitive])
                 which, triangle = np.nonzero(area > 0)
                 chosen = primitive[triangle]
-                chunks.append((some[which].astype(np.int32), chosen, radiance[chosen], area[which, triangle]))
+                chunks.append((some[which].astype(np.int32), chosen, radiance[chosen], area[which, triangle], program[chosen]))
     if not chunks:
         none = np.zeros(0, np.int32)
         first = np.zeros(len(instances) + 1, np.int32)
-        return EmissiveTriangles(none, none, np.zeros((0, 3), np.float32), np.zeros(0), first)
-    instance, primitive, radiance, area = (np.concatenate(parts) for parts in zip(*chunks))
+        return EmissiveTriangles(none, none, np.zeros((0, 3), np.float32), np.zeros(0), none, first)
+    instance, primitive, radiance, area, program = (np.concatenate(parts) for parts in zip(*chunks))
+    if program.any():
+        radiance[program] = emitted(instance[program], primitive[program])
+        shines = radiance.any(1)
+        instance, primitive, radiance, area, program = (each[shines] for each in (instance, primitive, radiance, area, program))
     # a block keeps its order; only blocks of different meshes are out of order
     order = np.argsort(instance, kind="stable")
     first = np.searchsorted(instance[order], np.arange(len(instances) + 1)).astype(np.int32)
-    return EmissiveTriangles(instance[order], primitive[order], radiance[order], area[order], first)
+    return EmissiveTriangles(instance[order], primitive[order], radiance[order], area[order], program[order].astype(np.int32), first)
 
 
 def emitter_powers(scene: Scene, triangles: EmissiveTriangles) -> np.ndarray:
@@ -103,6 +117,14 @@ def fixed_point_cdf(power: np.ndarray) -> np.ndarray:
     # one unit to each, the rest in proportion
     first[1:] = np.floor(ends[:-1] / ends[-1] * (2.0**32 - count)).astype(np.uint64)
     return (first + np.arange(count, dtype=np.uint64)).astype(np.uint32)
+
+
+def world_power(scene: Scene, light: np.ndarray) -> float:
+    """Estimated power that comes from a world whose texels have the brightness `light` [W]: as of a sun of its mean."""
+    height = light.shape[0]
+    edges = np.cos(np.arange(height + 1) * (np.pi / height))
+    mean = float((light.mean(1, dtype=np.float64) * (edges[:-1] - edges[1:])).sum() / 2)
+    return 4 * np.pi**2 * scene_radius(scene) ** 2 * mean
 
 
 def scene_radius(scene: Scene) -> float:
@@ -145,6 +167,10 @@ def light_area(light: Light) -> float:
     """Area of a RECTANGLE or ELLIPSE [m²]."""
     area = abs(float(light.size[0]) * float(light.size[1]))
     return area * np.pi / 4 if light.kind == LightKind.ELLIPSE else area
+
+
+def _may_emit(material: Material) -> bool:
+    return material.program is not None and ClosureKind.EMISSION in material.kinds
 
 
 def _material_emission(scene: Scene) -> np.ndarray:

@@ -20,6 +20,11 @@ from .sampling import bitangent_of, cone_pdf, sample_cone, sample_disk, sample_s
 _SOLID_ANGLE_MIN = wp.constant(8.0 * np.pi * float(np.finfo(np.float32).eps) * 1000.0)
 
 
+# Where the radiance of a sampled light comes from
+WORLD_PROGRAM = 1
+SURFACE_PROGRAM = 2
+
+
 @wp.struct
 class LightSample:
     """A direction towards a light, or a light that a ray meets."""
@@ -34,6 +39,8 @@ class LightSample:
     visibility: int  # `Visibility` bits: kinds of scattering that it lights
     instance: int  # of a mesh light, else -1
     primitive: int  # of a mesh light, else -1
+    barycentric: wp.vec2  # of the point on a mesh light
+    program: int  # `radiance` is a factor of what a program gives: WORLD_PROGRAM, SURFACE_PROGRAM; else 0
 
 
 @wp.func

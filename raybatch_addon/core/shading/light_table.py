@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
 from ..scene.description import Light, LightKind, Scene
-from .emitters import emitter_powers, find_emissive_triangles, fixed_point_cdf, light_area
+from .emitters import emitter_powers, find_emissive_triangles, fixed_point_cdf, light_area, world_power
+from .world import WorldTable, build_world_table
 
 _FLOAT = np.finfo(np.float32)
 
@@ -49,7 +51,7 @@ class LightRecord:
 
 @wp.struct
 class LightTable:
-    """All emitters: lights without mesh first, then emissive triangles."""
+    """All emitters: lights without mesh first, then emissive triangles, then the world if it is sampled."""
 
     emitter_count: int
     light_count: int
@@ -65,6 +67,10 @@ class LightTable:
     triangle_radiance: wp.array(dtype=wp.vec3)  # [W/(m² sr)]
     instance_first: wp.array(dtype=int)  # first triangle of each instance in the three above; [instance_count + 1]
     instance_visibility: wp.array(dtype=int)  # `Visibility` bits
+    triangle_program: wp.array(dtype=int)  # 1: the radiance comes from a program; no entries where none does
+    world_emitter: int  # -1: the world is not sampled
+    world_visibility: int  # `Visibility` bits
+    world: WorldTable
 
 
 @dataclass
@@ -81,10 +87,19 @@ class UploadedLights:
         return self.table.emitter_count
 
 
-def upload_lights(scene: Scene, device: wp.Device) -> UploadedLights:
-    """The emitters of `scene` on `device`; raises `SceneError` for emission that is not finite."""
-    triangles = find_emissive_triangles(scene)
+def upload_lights(
+    scene: Scene, device: wp.Device, emitted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None, world: np.ndarray | None = None
+) -> UploadedLights:
+    """The emitters of `scene` on `device`; raises `SceneError` for emission that is not finite.
+
+    Args:
+        emitted: tells the mean radiance of triangles (instances, primitives) whose material is a program, float32, shape [n, 3].
+        world: brightness of the texels of the world, where it is sampled; see `build_world_table`.
+    """
+    triangles = find_emissive_triangles(scene, emitted)
     power = emitter_powers(scene, triangles)
+    if world is not None:
+        power = np.append(power, world_power(scene, world))
     records = np.zeros(len(scene.lights), LightRecord.numpy_dtype())
     for i, light in enumerate(scene.lights):
         _fill_record(records[i, ...], light)
@@ -114,6 +129,12 @@ def upload_lights(scene: Scene, device: wp.Device) -> UploadedLights:
     table.triangle_instance = upload(triangles.instance, int)
     table.triangle_primitive = upload(triangles.primitive, int)
     table.triangle_radiance = upload(triangles.radiance, wp.vec3)
+    table.triangle_program = upload(triangles.program if triangles.program.any() else triangles.program[:0], int)
+    table.world_emitter = -1
+    if world is not None:
+        table.world_emitter = len(power) - 1
+        table.world_visibility = int(scene.world.visibility)
+        table.world = build_world_table(world, device)
     has_triangles = len(triangles) > 0
     table.instance_first = upload(triangles.instance_first if has_triangles else np.zeros(0, np.int32), int)
     visibility = scene.instances.visibility.astype(np.int32)

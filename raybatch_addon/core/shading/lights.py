@@ -13,7 +13,10 @@ import warp as wp
 
 from ..scene.description import LightKind, Visibility
 from ..scene.geometry import Geometry, corners_of, triangle_vertices
+from .light_choice import choice_bits, choose_emitter, selection_pdf
 from .light_shapes import (
+    SURFACE_PROGRAM,
+    WORLD_PROGRAM,
     LightSample,
     meet_area_light,
     meet_disk,
@@ -28,6 +31,7 @@ from .light_shapes import (
 )
 from .light_table import LightRecord, LightTable
 from .sampling import sample_triangle
+from .world import sample_world, world_pdf
 
 # Eight roundings of float32 (Higham 2002, section 3.1), for each of: to the world, the sampled point, the ray to the
 # object, its test
@@ -48,6 +52,8 @@ class LightFeatures:
     light_sphere: bool = False  # a POINT or SPOT shaped as a sphere
     light_hits: bool = False  # a light that rays can meet
     mesh_lights: bool = False  # emissive triangles
+    mesh_programs: bool = False  # whose radiance comes from programs
+    world_light: bool = False  # the world is sampled
     mis: bool = True  # else light sampling alone finds what it can find
 
 
@@ -65,6 +71,29 @@ class Lights(NamedTuple):
     intersect: wp.Function
     # (table, direction, visibility, bsdf_pdf) -> vec3: the same of the suns, for a ray that leaves the scene
     miss: wp.Function
+
+
+@wp.func
+def sampled_world(table: LightTable, u: wp.vec2) -> LightSample:
+    """A direction into the world."""
+    s = LightSample()
+    found = sample_world(table.world, u)
+    s.direction = found.direction
+    s.pdf = found.pdf
+    s.distance = wp.inf
+    s.casts_shadow = 1
+    s.visibility = table.world_visibility
+    s.radiance = wp.vec3(1.0)
+    s.program = WORLD_PROGRAM
+    s.instance = -1
+    s.primitive = -1
+    return s
+
+
+@wp.func
+def world_light_pdf(table: LightTable, direction: wp.vec3) -> float:
+    """Density with which light sampling would have chosen `direction` into the world [1/sr]."""
+    return world_pdf(table.world, direction) * selection_pdf(table, table.world_emitter)
 
 
 @wp.func
@@ -108,43 +137,6 @@ def is_lit_in_part(visibility: int) -> bool:
     tell lobes apart; a scattered ray stands for all of them."""
     kinds = visibility & _SCATTERED
     return kinds != 0 and kinds != _SCATTERED
-
-
-@wp.func
-def selection_pdf(table: LightTable, emitter: int) -> float:
-    """Probability that light sampling asks `emitter`."""
-    if table.emitter_count == 1:
-        return 1.0
-    end = wp.uint32(0)  # 2^32 in 32 bits
-    if emitter + 1 < table.emitter_count:
-        end = table.emitter_first[emitter + 1]
-    return float(end - table.emitter_first[emitter]) * wp.static(2.0**-32)
-
-
-@wp.func
-def choice_bits(u_choice: float, u: wp.vec2) -> wp.uint32:
-    """32 random bits: the 24 of `u_choice`, and the last 8 of the 24 of `u[1]`.
-
-    24 bits cannot choose among millions of emitters in proportion. The bits that are used twice move a point on its
-    emitter by 2^-16 of its width at most.
-    """
-    high = wp.uint32(u_choice * wp.static(2.0**24))
-    low = wp.uint32(u[1] * wp.static(2.0**24))
-    return (high << wp.uint32(8)) | (low & wp.uint32(255))
-
-
-@wp.func
-def choose_emitter(table: LightTable, bits: wp.uint32) -> int:
-    """The emitter in whose interval `bits` lies."""
-    low = int(0)
-    high = table.emitter_count - 1
-    while low < high:
-        middle = low + (high - low + 1) // 2
-        if table.emitter_first[middle] <= bits:
-            low = middle
-        else:
-            high = middle - 1
-    return low
 
 
 @wp.func
@@ -219,6 +211,7 @@ def sample_triangle_light(table: LightTable, geometry: Geometry, triangle: int, 
     if s.distance > 0.0:
         s.direction = offset / s.distance
         s.radiance = table.triangle_radiance[triangle]
+        s.barycentric = wp.vec2(weight[1], weight[2])
         normal = wp.cross(b - a, c - a)
         s.pdf = triangle_density(normal, s.direction, s.distance)
         if s.pdf > 0.0:
@@ -311,7 +304,16 @@ def make_lights(features: LightFeatures) -> Lights:
                     s.primitive = -1
             else:
                 if wp.static(features.mesh_lights):
-                    s = sample_triangle_light(table, geometry, emitter - table.light_count, position, u)
+                    if emitter != table.world_emitter:
+                        s = sample_triangle_light(table, geometry, emitter - table.light_count, position, u)
+                        if wp.static(features.mesh_programs):
+                            if table.triangle_program.shape[0] > 0:
+                                if table.triangle_program[emitter - table.light_count] != 0:
+                                    s.radiance = wp.vec3(1.0)
+                                    s.program = SURFACE_PROGRAM
+                if wp.static(features.world_light):
+                    if emitter == table.world_emitter:
+                        s = sampled_world(table, u)
             s.pdf = s.pdf * selection_pdf(table, emitter)
             # beyond the range of numbers: too near or too small to count
             if not s.pdf < wp.inf:

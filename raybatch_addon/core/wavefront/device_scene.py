@@ -1,7 +1,8 @@
-"""A scene on a device: everything that kernels read."""
+"""A scene on a device, ready to render."""
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,28 +13,15 @@ from ..bvh.tree import Tree
 from ..bvh.treelet_tree import TreeletTree
 from ..scene.description import ClosureKind, Scene
 from ..scene.features import SceneFeatures
-from ..scene.geometry import Geometry
 from ..shading.camera import CameraData, upload_camera
-from ..shading.closures import ClosureFeatures, MaterialTable, upload_materials
-from ..shading.nodes.op import NodeData
+from ..shading.closures import ClosureFeatures, upload_materials
+from ..shading.image_upload import UploadedImages
+from ..shading.light_table import UploadedLights, upload_lights
 from ..shading.nodes.table import upload_programs
-from ..shading.light_table import LightTable, UploadedLights, upload_lights
 from .geometry_cache import BuiltGeometry, GeometryCache, GeometryRequest, PagedTree
+from .scene_data import SceneData
+from .stages.emitted import emission_of_triangles, world_texels
 from .tracing import Tracing
-
-
-@wp.struct
-class SceneData:
-    """What shading reads."""
-
-    geometry: Geometry
-    materials: MaterialTable
-    nodes: NodeData  # of shader programs; empty where there are none
-    lights: LightTable
-    world: wp.vec3  # radiance of the world [W/(m² sr)]
-    world_visibility: int
-    view_origin: wp.vec3  # of the camera, for depth
-    view_axis: wp.vec3
 
 
 @dataclass
@@ -52,18 +40,22 @@ class DeviceScene:
     lights: UploadedLights  # keeps the tree of the lights alive
     shadow_rays: bool  # there is an emitter to aim at, not only code for it
     built: BuiltGeometry | None
+    images: UploadedImages  # keeps them alive
 
     @staticmethod
     def build(scene: Scene, features: SceneFeatures, request: GeometryRequest, device: wp.Device, cache: GeometryCache) -> DeviceScene:
         """Upload `scene` and build its tree."""
         data = SceneData()
         built = treelets = None
+        images = cache.images.upload(scene.images, device)
         if features.surfaces:
             kept = cache.get(scene, request, device)
             data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
-            data.nodes = upload_programs(scene, features, data.geometry, device)
-        lights = upload_lights(scene, device)
+            programs = [material.program for material in scene.materials]
+            data.nodes = upload_programs(programs, features.programs, scene, data.geometry, images.table, device)
+        data.world_nodes = upload_programs([scene.world.program], features.world_program, scene, data.geometry, images.table, device)
+        lights = upload_lights(scene, device, *_program_light(data, scene, features, device))
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)
         data.world_visibility = scene.world.visibility
@@ -74,11 +66,12 @@ class DeviceScene:
             closure.kind == ClosureKind.TRANSPARENT and any(closure.weight)
             for material in scene.materials
             for closure in material.closures
-        )
+        ) or any(material.program is not None and ClosureKind.TRANSPARENT in material.kinds for material in scene.materials)
         return DeviceScene(
             device, features, data, upload_camera(scene.camera, scene.frame.width, scene.frame.height), built.tree if built else None,
             Tracing.of(request.plan, request.layout, features), treelets,
             built.box if built else None, lets_through, lights, features.shadow_rays and lights.emitter_count > 0, built,
+            images,
         )  # fmt: skip
 
     @property
@@ -90,3 +83,13 @@ class DeviceScene:
     def geometry_on_host(self) -> bool:
         """Whether a CUDA device reads what shading needs of triangles through the bus."""
         return self.paged is not None and self.device.is_cuda
+
+
+def _program_light(data: SceneData, scene: Scene, features: SceneFeatures, device: wp.Device):
+    """What tells the emission of triangles by programs, and the brightness of the world's texels; None where there is none to be told."""
+    emitted = world = None
+    if features.mesh_programs:
+        emitted = functools.partial(emission_of_triangles, data, features, device)
+    if features.world_light:
+        world = world_texels(data, features, scene.world.sampling_size, device)
+    return emitted, world

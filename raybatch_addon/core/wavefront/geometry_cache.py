@@ -27,6 +27,7 @@ from ..scene.description import Scene
 from ..scene.flatten import FlatGeometry, flatten
 from ..scene.geometry import Geometry, update_geometry, upload_geometry
 from ..settings import RenderSettings
+from ..shading.image_upload import ImageCache
 from .plan import Method, TracingPlan, cut_rule
 
 
@@ -129,11 +130,13 @@ class GeometryCache:
     """The geometry and tree of the last frame, for the next one: kept where it shows the same, refitted where things only moved."""
 
     def __init__(self):
+        self.images = ImageCache()
         self._last: Kept | None = None
         self._lock = threading.Lock()  # the build of a cancelled render may still be going on
 
     def clear(self) -> None:
         """Forget it."""
+        self.images.clear()
         self._last = None
 
     @property

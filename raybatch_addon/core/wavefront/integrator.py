@@ -207,7 +207,8 @@ class TileIntegrator:
         if kind == RayKind.CLOSEST:
             self._launch_over(self._kernels.settle, back, self._paths, self._rays)
         elif kind == RayKind.OCCLUSION:
-            self._launch_over(self._kernels.connect, back, self._paths, self._rays)
+            programs = (self._scene.data, self._limits) if self._scene.features.light_programs else ()
+            self._launch_over(self._kernels.connect, back, *programs, self._paths, self._rays)
         else:
             self._launch_over(self._kernels.connect_transparent, back, self._scene.data, self._limits, self._paths, self._rays)
 

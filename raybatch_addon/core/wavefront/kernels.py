@@ -16,7 +16,7 @@ from .plan import Method
 from .queues import QUEUE_KERNELS
 from .ray_order import order_kernels
 from .stages.accumulate import accumulate_kernel
-from .stages.connect import connect_kernel, settle_kernel
+from .stages.connect import ConnectFeatures, connect_kernel, connect_program_kernel, settle_kernel
 from .stages.generate import GenerateFeatures, counted_kernel, generate_kernel
 from .stages.shade_background import BackgroundFeatures, LightHitFeatures, background_kernel, light_hit_kernel
 from .stages.shade_surface import SurfaceFeatures, surface_kernel, transparent_shadow_kernel
@@ -43,8 +43,10 @@ class StageKernels:
         """The kernels for a scene with `features`."""
         has = features
         surface = SurfaceFeatures(
-            **narrow(features, tuple(SurfaceFeatures.__dataclass_fields__)), shadow_rays=has.shadow_rays
+            **narrow(features, tuple(SurfaceFeatures.__dataclass_fields__)), shadow_rays=has.shadow_rays,
+            light_programs=has.light_programs,
         )  # fmt: skip
+        connect = ConnectFeatures(**narrow(features, tuple(ConnectFeatures.__dataclass_fields__)))
         return StageKernels(
             generate=generate_kernel(
                 GenerateFeatures(
@@ -53,13 +55,16 @@ class StageKernels:
                 )  # fmt: skip
             ),
             settle=settle_kernel,
-            connect=connect_kernel if has.shadow_rays else None,
-            connect_transparent=transparent_shadow_kernel(surface) if has.shadow_rays and has.transparency else None,
+            connect=(connect_program_kernel(connect) if has.light_programs else connect_kernel) if has.shadow_rays else None,
+            connect_transparent=transparent_shadow_kernel(surface, connect) if has.shadow_rays and has.transparency else None,
             light_hits=light_hit_kernel(
                 LightHitFeatures(has.lights, has.light_sphere, has.light_hits, has.mis, has.transparency, has.clamping)
             ) if has.light_hits else None,
             background=background_kernel(
-                BackgroundFeatures(has.world, has.film_transparent, "Depth" in has.passes, has.clamping)
+                BackgroundFeatures(
+                    has.world, has.film_transparent, "Depth" in has.passes, has.clamping, has.world_program,
+                    has.world_light, has.mis,
+                )  # fmt: skip
             ),
             surface=surface_kernel(surface) if has.surfaces else None,
             accumulate=accumulate_kernel(layout_of(has.passes, has.film_transparent)),

@@ -69,6 +69,11 @@ class Paths:
     radiance: wp.array(dtype=wp.vec3)  # summed in bounce order
     pdf: wp.array(dtype=float)  # solid-angle density of the extending ray; 0: specular or from the camera
     shadow_light: wp.array(dtype=wp.vec3)  # what the shadow ray adds to `radiance` if nothing is in its way
+    # light of programs, which is multiplied in when the shadow ray is back
+    light_program: wp.array(dtype=int)  # WORLD_PROGRAM, SURFACE_PROGRAM; 0: `shadow_light` is all
+    light_instance: wp.array(dtype=int)
+    light_primitive: wp.array(dtype=int)
+    light_barycentric: wp.array(dtype=wp.vec2)
     # transparency
     passed: wp.array(dtype=int)  # transparent surfaces passed by the extending ray, and (x 65536) by the shadow ray
     passed_t: wp.array(dtype=float)  # distance from the last scattering to the extending ray's origin [m]
@@ -142,6 +147,10 @@ def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) 
     paths.radiance = zeros(wp.vec3)
     paths.pdf = zeros(float)
     paths.shadow_light = zeros(wp.vec3, features.shadow_rays)
+    paths.light_program = zeros(int, features.light_programs)
+    paths.light_instance = zeros(int, features.light_programs)
+    paths.light_primitive = zeros(int, features.light_programs)
+    paths.light_barycentric = zeros(wp.vec2, features.light_programs)
     paths.passed = zeros(int, features.transparency)
     paths.passed_t = zeros(float, features.transparency)
     paths.alpha = zeros(float, features.film_transparent)
@@ -167,6 +176,6 @@ def allocate_progress(count: int, words: int, instancing: bool, device: wp.Devic
 def bytes_per_path(features: SceneFeatures, reference: bool = False) -> int:
     """Device memory of one path alive: state, its ray slots, and its places in lists [bytes]. `reference`: Warp's own tree is traced."""
     path = 2 * 4 + 12 + 12 + 4
-    path += 12 * features.shadow_rays + 8 * features.transparency
+    path += 12 * features.shadow_rays + 8 * features.transparency + 20 * features.light_programs
     path += 4 * features.film_transparent + 12 * ("Normal" in features.passes)
     return path + RayNeeds.of(features, reference).bytes_per_path + LIST_BYTES_PER_PATH

@@ -177,6 +177,8 @@ class Node:
 
     def times(self, a: Value | Constant, b: Value | Constant) -> Value:
         """The product of a vector with a number or vector."""
+        if a is WHITE:  # the weight of what is linked to an output, whatever its sockets say
+            return self.as_vector(b)
         return self.op("multiply_colors", self.as_vector(a), self.as_vector(b))
 
     def as_vector(self, value: Value | Constant) -> Value:

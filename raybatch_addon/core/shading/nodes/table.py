@@ -9,9 +9,9 @@ import warp as wp
 
 from ...errors import SceneError
 from ...scene.description import Scene
-from ...scene.features import SceneFeatures
 from ...scene.geometry import Geometry
-from ...scene.program import Program
+from ...scene.program import Program, ProgramFeatures
+from ..textures import ImageTable
 from .inputs_data import upload_inputs
 from .op import INPUTS, NodeData, op_named
 from .run import END, FIRST_OP, LENGTH_SHIFT
@@ -43,17 +43,20 @@ def encode(programs: Sequence[Program | None], ops: Sequence[str]) -> tuple[np.n
     return np.array(code, np.int32), np.concatenate(constants) if constants else np.zeros(0, np.float32), first
 
 
-def upload_programs(scene: Scene, features: SceneFeatures, geometry: Geometry, device: wp.Device) -> NodeData:
-    """The programs of the scene's materials, and what they read; all is empty where there are none."""
+def upload_programs(
+    programs: Sequence[Program | None], features: ProgramFeatures, scene: Scene, geometry: Geometry, images: ImageTable, device: wp.Device
+) -> NodeData:
+    """`programs` and what they read of `scene`; all is empty where there are none."""
     data = NodeData()
-    if not features.programs:
+    if not features:
         return data
-    code, constants, first = encode([material.program for material in scene.materials], features.programs.ops)
+    code, constants, first = encode(programs, features.ops)
     data.code = wp.array(code, dtype=int, device=device)
     data.constants = wp.array(constants, dtype=float, device=device)
     data.program_first = wp.array(first, dtype=int, device=device)
     data.geometry = geometry
-    data.inputs = upload_inputs(scene, features.programs.ops, device)
+    data.images = images
+    data.inputs = upload_inputs(scene, features.ops, device)
     return data
 
 

@@ -1,12 +1,17 @@
 """Stage: rays come back from the tracer. Next: shading, when both rays of a path are back."""
 
-from __future__ import annotations
-
+import functools
+from dataclasses import dataclass
 
 import warp as wp
 
 from ...kernel import KERNEL_OPTIONS
-from ..rays import Paths, Rays, Status
+from ...scene.program import ProgramFeatures
+from ...shading.light_shapes import SURFACE_PROGRAM, WORLD_PROGRAM
+from ..scene_data import SceneData
+from ..rays import Paths, Rays, Status, bounce_of
+from .emitted import make_surface_emission, make_world_emission
+from .limits import PathLimits, clamped
 
 RAY_OUT = int(Status.RAY_OUT)
 SHADOW_OUT = int(Status.SHADOW_OUT)
@@ -37,3 +42,69 @@ def connect_kernel(paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: 
     if rays.hit_instance[slot] < 0:
         paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
     paths.status[path] = paths.status[path] & ~wp.static(SHADOW_OUT)
+
+
+@dataclass(frozen=True)
+class ConnectFeatures:
+    """What light of programs is specialised on; the fields are those of `SceneFeatures`."""
+
+    programs: ProgramFeatures
+    world_program: ProgramFeatures
+    mesh_programs: bool
+    world_light: bool
+    instancing: bool
+    smooth_normals: bool
+    clamping: bool
+
+
+@functools.cache
+def make_arrived(features: ConnectFeatures) -> wp.Function:
+    """Function (data, limits, paths, rays, path: int, slot: int) -> vec3: what an unhidden shadow ray brings to its path."""
+    has_world, has_surfaces = features.world_light, features.mesh_programs
+    world_emission = make_world_emission(features.world_program) if has_world else None
+    surface_emission = None
+    if has_surfaces:
+        surface_emission = make_surface_emission(features.programs, features.instancing, features.smooth_normals)
+
+    @wp.func
+    def arrived(data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, slot: int) -> wp.vec3:
+        light = paths.shadow_light[path]
+        kind = paths.light_program[path]
+        if kind == 0:
+            return light
+        direction = rays.direction[slot]
+        if wp.static(has_world):
+            if kind == wp.static(WORLD_PROGRAM):
+                light = wp.cw_mul(light, world_emission(data, rays.origin[slot], direction, 0, bounce_of(paths.status[path])))
+        if wp.static(has_surfaces):
+            if kind == wp.static(SURFACE_PROGRAM):
+                emitted = surface_emission(
+                    data, paths.light_instance[path], paths.light_primitive[path], paths.light_barycentric[path], -direction, rays.t_max[slot]
+                )
+                light = wp.cw_mul(light, emitted)
+        if wp.static(features.clamping):
+            light = clamped(limits, light, bounce_of(paths.status[path]) + 1)
+        return light
+
+    return arrived
+
+
+@functools.cache
+def connect_program_kernel(features: ConnectFeatures) -> wp.Kernel:
+    """Kernel (data, limits, paths, rays, slots, count): as `connect_kernel`, where programs say what light there is."""
+    arrived = make_arrived(features)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def connect_program(
+        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)
+    ):
+        i = wp.tid()
+        if i >= count[0]:
+            return
+        slot = slots[i]
+        path = slot - paths.status.shape[0]
+        if rays.hit_instance[slot] < 0:
+            paths.radiance[path] = paths.radiance[path] + arrived(data, limits, paths, rays, path, slot)
+        paths.status[path] = paths.status[path] & ~wp.static(SHADOW_OUT)
+
+    return connect_program

@@ -10,9 +10,11 @@ import warp as wp
 from ...film.tile import FilmTile
 from ...kernel import KERNEL_OPTIONS
 from ...scene.description import LightKind
-from ...shading.lights import LightFeatures, make_lights
-from ..device_scene import SceneData
+from ...scene.program import ProgramFeatures
+from ...shading.lights import LightFeatures, is_lit_in_part, light_weights, make_lights, world_light_pdf
+from ..scene_data import SceneData
 from ..rays import Paths, Rays, Status, bounce_of, visibility_of
+from .emitted import make_world_emission
 from .generate import TileWork, pixel_sample
 from .limits import PathLimits, clamped
 
@@ -41,6 +43,9 @@ class BackgroundFeatures:
     film_transparent: bool
     depth_pass: bool
     clamping: bool
+    world_program: ProgramFeatures = ProgramFeatures()
+    world_light: bool = False
+    mis: bool = True
 
 
 @functools.cache
@@ -84,6 +89,9 @@ def light_hit_kernel(features: LightHitFeatures) -> wp.Kernel:
 @functools.cache
 def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
     """Kernel (data, work, limits, paths, rays, film, slots, count): rays that leave the scene."""
+    has_program = bool(features.world_program)
+    world_emission = make_world_emission(features.world_program) if has_program else None
+    hit_weight = light_weights(features.mis)[1]
 
     @wp.kernel(**KERNEL_OPTIONS)
     def background(
@@ -110,7 +118,18 @@ def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
                 paths.alpha[path] = 1.0 - (throughput[0] + throughput[1] + throughput[2]) / 3.0
         if wp.static(features.world):
             if shows_world and (data.world_visibility & visibility_of(status)) != 0:
-                light = wp.cw_mul(throughput, data.world)
+                if wp.static(has_program):
+                    direction = rays.direction[path]
+                    light = wp.cw_mul(throughput, world_emission(data, rays.origin[path], direction, visibility_of(status), bounce))
+                    if wp.static(features.world_light):
+                        pdf = paths.pdf[path]
+                        if pdf > 0.0 and data.lights.world_emitter >= 0:
+                            if is_lit_in_part(data.lights.world_visibility):
+                                light = wp.vec3(0.0)  # found by light sampling alone
+                            else:
+                                light = hit_weight(pdf, world_light_pdf(data.lights, direction)) * light
+                else:
+                    light = wp.cw_mul(throughput, data.world)
                 if wp.static(features.clamping):
                     light = clamped(limits, light, bounce)
                 paths.radiance[path] = paths.radiance[path] + light

@@ -27,8 +27,9 @@ from ...shading.sampling import (
 )
 from ...shading.materials import ClosureRecord
 from ...shading.surface import SurfacePoint, make_surface, spawn_origin
-from ..device_scene import SceneData
+from ..scene_data import SceneData
 from ..rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
+from .connect import ConnectFeatures, make_arrived
 from .generate import TileWork, pixel_sample
 from .limits import PathLimits, clamped
 from .surface_program import make_surface_program, shading_point
@@ -51,6 +52,9 @@ class SurfaceFeatures:
     lights: tuple[LightKind, ...]
     light_sphere: bool
     mesh_lights: bool
+    mesh_programs: bool
+    world_light: bool
+    light_programs: bool
     mis: bool
     shadow_rays: bool
     instancing: bool
@@ -120,7 +124,12 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     bsdf_evaluate = bsdf.evaluate
     bsdf_sample = bsdf.sample
     bsdf_emission = bsdf.emission
-    lights = make_lights(LightFeatures(features.lights, features.light_sphere, False, features.mesh_lights))
+    lights = make_lights(
+        LightFeatures(
+            features.lights, features.light_sphere, False, features.mesh_lights,
+            mesh_programs=features.mesh_programs, world_light=features.world_light,
+        )
+    )  # fmt: skip
     light_sample = lights.sample
     light_hit_pdf = lights.hit_pdf
     sample_weight, hit_weight = light_weights(features.mis)
@@ -170,7 +179,8 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             return 0
         contribution = weight * wp.cw_mul(wp.cw_mul(paths.throughput[path], value), light.radiance)
         if wp.static(features.clamping):
-            contribution = clamped(limits, contribution, bounce_of(paths.status[path]) + 1)
+            if light.program == 0:
+                contribution = clamped(limits, contribution, bounce_of(paths.status[path]) + 1)
         if not is_positive(contribution):
             return 0
         if light.casts_shadow == 0:
@@ -193,6 +203,12 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if rays.visibility.shape[0] > 0:
             rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
         paths.shadow_light[path] = contribution
+        if wp.static(features.light_programs):
+            # the program says how bright the light is when the ray is back, if nothing hides it
+            paths.light_program[path] = light.program
+            paths.light_instance[path] = light.instance
+            paths.light_primitive[path] = light.primitive
+            paths.light_barycentric[path] = light.barycentric
         return wp.static(SHADOW_NEW)
 
     @wp.kernel(**KERNEL_OPTIONS)
@@ -325,13 +341,14 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
 
 
 @functools.cache
-def transparent_shadow_kernel(features: SurfaceFeatures) -> wp.Kernel:
+def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeatures) -> wp.Kernel:
     """Kernel (data, limits, paths, rays, slots, count): shadow rays of scenes in which surfaces may let them through.
 
     They come back with closest hits, in order, and go on behind each surface that is not opaque.
     """
     surface_point = make_surface(features.instancing, features.smooth_normals).point
     transparency = make_bsdf(ClosureFeatures(features.closures)).transparency
+    arrived = make_arrived(connect)
     programs = features.programs
     surface_closures = make_surface_program(programs)
 
@@ -347,7 +364,10 @@ def transparent_shadow_kernel(features: SurfaceFeatures) -> wp.Kernel:
         status = paths.status[path] & ~wp.static(SHADOW_OUT)
         passed = paths.passed[path]
         if rays.hit_instance[slot] < 0:
-            paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
+            if wp.static(features.light_programs):
+                paths.radiance[path] = paths.radiance[path] + arrived(data, limits, paths, rays, path, slot)
+            else:
+                paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
         else:
             surface = surface_point(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot])
             if wp.static(bool(programs)):

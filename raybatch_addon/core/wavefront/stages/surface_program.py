@@ -9,7 +9,7 @@ from ...shading.materials import ClosureRecord
 from ...shading.nodes.point import ShadingPoint
 from ...shading.nodes.run import make_run
 from ...shading.surface import SurfacePoint
-from ..device_scene import SceneData
+from ..scene_data import SceneData
 
 
 @wp.func

@@ -1,0 +1,142 @@
+"""Light that programs give: of the world in a direction, of a point on a surface."""
+
+import functools
+
+import numpy as np
+import warp as wp
+
+from ...kernel import KERNEL_OPTIONS
+from ...scene.description import ClosureKind
+from ...scene.features import SceneFeatures
+from ...scene.program import ProgramFeatures
+from ...shading.materials import ClosureRecord
+from ...shading.nodes.point import ShadingPoint
+from ...shading.nodes.run import make_run
+from ...shading.surface import make_surface
+from ...shading.world import WorldTable, texel_direction
+from ..scene_data import SceneData
+from .surface_program import make_surface_program, shading_point
+
+# Points of a texel of the world, along either axis, whose mean is its brightness
+_TEXEL_POINTS = 2
+# Points of a triangle whose mean is its emission: rows of a grid
+_TRIANGLE_ROWS = 4
+
+
+@wp.func
+def emission_of(closures: wp.array(dtype=ClosureRecord), count: int) -> wp.vec3:
+    """Radiance of all emission closures [W/(m² sr)]."""
+    radiance = wp.vec3(0.0)
+    for c in range(count):
+        if closures[c].kind == wp.static(int(ClosureKind.EMISSION)):
+            radiance += closures[c].weight
+    return radiance
+
+
+@functools.cache
+def make_world_emission(programs: ProgramFeatures) -> wp.Function:
+    """Function (data, origin, direction, ray_kind: int, bounce: int) -> vec3: the world's radiance."""
+    run = make_run(programs)
+
+    @wp.func
+    def world_emission(data: SceneData, origin: wp.vec3, direction: wp.vec3, ray_kind: int, bounce: int) -> wp.vec3:
+        point = ShadingPoint()
+        point.position = origin
+        point.incoming = -direction
+        point.normal = -direction
+        point.geometric_normal = -direction
+        point.instance = -1
+        point.ray_kind = ray_kind
+        point.bounce = bounce
+        stack = wp.zeros(wp.static(programs.register_count), dtype=float)
+        closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
+        return emission_of(closures, run(data.world_nodes, stack, data.world_nodes.program_first[0], point, closures))
+
+    return world_emission
+
+
+@functools.cache
+def make_surface_emission(programs: ProgramFeatures, instancing: bool, smooth_normals: bool) -> wp.Function:
+    """Function (data, instance: int, primitive: int, barycentric: vec2, incoming: vec3, distance: float) -> vec3: radiance towards `incoming`."""
+    surface_point = make_surface(instancing, smooth_normals).point
+    surface_closures = make_surface_program(programs)
+
+    @wp.func
+    def surface_emission(
+        data: SceneData, instance: int, primitive: int, barycentric: wp.vec2, incoming: wp.vec3, distance: float
+    ) -> wp.vec3:
+        surface = surface_point(data.geometry, instance, primitive, barycentric)
+        normal = surface.normal
+        if wp.dot(normal, incoming) < 0.0:
+            normal = -normal
+        point = shading_point(surface, incoming, normal, instance, primitive, barycentric, distance)
+        closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
+        return emission_of(closures, surface_closures(data, surface.material, point, closures))
+
+    return surface_emission
+
+
+@functools.cache
+def world_texels_kernel(programs: ProgramFeatures) -> wp.Kernel:
+    """Kernel (data, table, row_first, light): mean brightness of texels, from row `row_first` on."""
+    world_emission = make_world_emission(programs)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def world_texels(data: SceneData, table: WorldTable, row_first: int, light: wp.array(dtype=float)):
+        i = wp.tid()
+        row = row_first + i / table.width
+        column = i % table.width
+        total = float(0.0)
+        for k in range(wp.static(_TEXEL_POINTS * _TEXEL_POINTS)):
+            u = wp.vec2(float(k % _TEXEL_POINTS) + 0.5, float(k / _TEXEL_POINTS) + 0.5) / wp.static(float(_TEXEL_POINTS))
+            radiance = world_emission(data, wp.vec3(0.0), texel_direction(table, row, column, u), 0, 0)
+            total += (radiance[0] + radiance[1] + radiance[2]) * wp.static(1.0 / 3.0)
+        light[i] = wp.min(total * wp.static(1.0 / _TEXEL_POINTS**2), wp.static(1e30))
+
+    return world_texels
+
+
+@functools.cache
+def triangle_emission_kernel(programs: ProgramFeatures, instancing: bool, smooth_normals: bool) -> wp.Kernel:
+    """Kernel (data, instance, primitive, radiance): mean radiance of triangles, seen from the front and from the back."""
+    surface_emission = make_surface_emission(programs, instancing, smooth_normals)
+    surface_point = make_surface(instancing, smooth_normals).point
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def triangle_emission(
+        data: SceneData, instance: wp.array(dtype=int), primitive: wp.array(dtype=int), radiance: wp.array(dtype=wp.vec3)
+    ):
+        i = wp.tid()
+        total = wp.vec3(0.0)
+        points = int(0)
+        for row in range(wp.static(_TRIANGLE_ROWS)):
+            for column in range(wp.static(_TRIANGLE_ROWS)):
+                if row + column < wp.static(_TRIANGLE_ROWS):
+                    place = wp.vec2(float(row) + 0.33, float(column) + 0.33) / wp.static(_TRIANGLE_ROWS + 0.0)
+                    normal = surface_point(data.geometry, instance[i], primitive[i], place).geometric_normal
+                    total += surface_emission(data, instance[i], primitive[i], place, normal, 1.0)
+                    total += surface_emission(data, instance[i], primitive[i], place, -normal, 1.0)
+                    points += 2
+        radiance[i] = wp.min(total / float(points), wp.vec3(1e30))
+
+    return triangle_emission
+
+
+def emission_of_triangles(
+    data: SceneData, features: SceneFeatures, device: wp.Device, instance: np.ndarray, primitive: np.ndarray
+) -> np.ndarray:
+    """Mean radiance of triangles whose material is a program, float32, shape [n, 3]."""
+    kernel = triangle_emission_kernel(features.programs, features.instancing, features.smooth_normals)
+    radiance = wp.zeros(len(instance), dtype=wp.vec3, device=device)
+    inputs = [data, wp.array(instance, dtype=int, device=device), wp.array(primitive, dtype=int, device=device), radiance]
+    wp.launch(kernel, len(instance), inputs, device=device)
+    return radiance.numpy()
+
+
+def world_texels(data: SceneData, features: SceneFeatures, width: int, device: wp.Device) -> np.ndarray:
+    """Brightness of `width` texels around the world and half as many from pole to pole, float32."""
+    table = WorldTable()
+    table.width, table.height = width, max(1, width // 2)
+    light = wp.zeros(table.width * table.height, dtype=float, device=device)
+    wp.launch(world_texels_kernel(features.world_program), light.size, [data, table, 0, light], device=device)
+    return light.numpy().reshape(table.height, table.width)
