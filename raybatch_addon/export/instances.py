@@ -100,6 +100,7 @@ class _Collector:
         self.view_layer = depsgraph.view_layer
         self.viewport = depsgraph.mode != "RENDER"
         self.placements = Placements()
+        self.placements.materials.collections.frame = depsgraph.scene.frame_current
         self._templates: dict[Any, _Template | None] = {}
         self._meshes: dict[Any, int | None] = {}
         self._object_index: dict[str, int] = {}

@@ -23,7 +23,7 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
     """What programs with `ops` read of `scene`."""
     inputs = InputData()
     instances = scene.instances
-    if any(name in ops for name in ("generated", "object_coordinates")):
+    if any(name in ops for name in ("generated", "object_coordinates", "box_normal")):
         inputs.to_object = wp.array(_inverses(instances.transform), dtype=mat34, device=device)
     if "generated" in ops:
         spaces = np.array([mesh.texture_space or ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)) for mesh in scene.meshes], np.float64).reshape(-1, 2, 3)

@@ -1,0 +1,66 @@
+"""Image and environment textures."""
+
+from __future__ import annotations
+
+import bpy
+
+from ...core.shading.nodes.environment import EnvironmentProjection
+from ...core.shading.nodes.image import Projection
+from ...core.shading.textures import Extension, Interpolation
+from ..images import divides_alpha, export_image, image_key
+from .graph import node_label
+from .node import Node, Value
+from .registry import values
+
+_INTERPOLATIONS = {
+    "Closest": Interpolation.CLOSEST,
+    "Linear": Interpolation.LINEAR,
+    "Cubic": Interpolation.CUBIC,
+    "Smart": Interpolation.CUBIC,  # as Cycles takes it
+}
+
+
+@values("ShaderNodeTexImage", family="Textures")
+def image_texture(node: Node) -> dict[str, Value]:
+    """Colour and alpha of an image at texture coordinates, the active UV map where nothing is linked."""
+    texture = node.node
+    place, divide = _place(node)
+    interpolation, extension = _INTERPOLATIONS[texture.interpolation], Extension[texture.extension]
+    coordinates = node.vector("Vector") if node.linked("Vector") else node.uv()
+    if texture.projection == "BOX":
+        blend = float(texture.projection_blend)
+        color, alpha = node.op("image_box", place, interpolation, extension, divide, blend, coordinates, node.op("box_normal"))
+    else:
+        color, alpha = node.op("image", place, interpolation, extension, Projection[texture.projection], divide, coordinates)
+    return {"Color": color, "Alpha": alpha}
+
+
+@values("ShaderNodeTexEnvironment", family="Textures")
+def environment_texture(node: Node) -> dict[str, Value]:
+    """Colour of an image in a direction; where nothing is linked, that of the ray into the world, or of the point from the origin."""
+    texture = node.node
+    place, divide = _place(node)
+    image = node.graph.collections.images[place]
+    if image.pixels is not None and isinstance(node.graph.owner, bpy.types.World):
+        widest = node.graph.collections.environment_width
+        node.graph.collections.environment_width = max(widest, image.pixels.shape[1])
+    projection = EnvironmentProjection[texture.projection]
+    direction = node.vector("Vector") if node.linked("Vector") else node.op("environment_coordinates", node.shift)
+    color, alpha = node.op("environment", place, _INTERPOLATIONS[texture.interpolation], projection, divide, direction)
+    return {"Color": color, "Alpha": alpha}
+
+
+def _place(node: Node) -> tuple[int, int]:
+    """Where the node's image is among those of the scene, and whether alpha is divided out of its colours: only where it is used."""
+    collections, texture = node.graph.collections, node.node
+    arguments = (texture.image, texture.image_user, collections.frame)
+
+    def make():
+        image, notes = export_image(*arguments)
+        collections.warnings += notes
+        return image
+
+    place = collections.image(image_key(*arguments), make)
+    if texture.image is None:
+        node.graph.note(f"{node_label(texture)} has no image: it is magenta")
+    return place, int(node.wants("Alpha") and divides_alpha(texture.image))
