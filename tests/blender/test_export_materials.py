@@ -193,7 +193,7 @@ def test_a_colour_as_number_is_its_luminance_and_a_number_as_colour_is_grey():
     tree.links.new(color.outputs[0], emission.inputs["Strength"])
     tree.links.new(value.outputs[0], emission.inputs["Color"])
     tree.links.new(emission.outputs[0], surface)
-    assert weights(export_material(material)[0]) == {K.EMISSION: np.full(3, 0.5 * 0.7152)}
+    assert weights(export_material(material)[0]) == {K.EMISSION: np.full(3, 0.5 * 0.71516868)}
 
 
 def test_node_groups_within_node_groups_pass_values_in_and_shaders_out():

@@ -10,7 +10,7 @@ from typing import Any
 _GROUPS_MOST = 64
 _HOPS_MOST = 1000
 
-LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear Rec. 709: how Blender turns a colour into a value
+LUMINANCE = (0.21263901, 0.71516868, 0.07219232)  # of linear Rec. 709: how Blender turns a colour into a value
 
 
 class NotUnderstood(Exception):

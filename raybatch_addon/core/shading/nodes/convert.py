@@ -17,9 +17,9 @@ def splat(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingP
 @op("luminance", "v>N")
 @wp.func
 def luminance(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """Of linear Rec. 709."""
+    """Of linear Rec. 709 (IEC 61966-2-1, to all digits)."""
     c = vector(data, stack, pc + 1)
-    put_number(data, stack, pc + 2, 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2])
+    put_number(data, stack, pc + 2, 0.21263901 * c[0] + 0.71516868 * c[1] + 0.07219232 * c[2])
 
 
 @op("average", "v>N")
