@@ -7,7 +7,7 @@ from .op import NodeData, number, op, put_number, put_vector, vector
 from .point import ShadingPoint
 from .tables import read_table
 
-CURVE_SIZE = 256  # entries
+CURVE_SIZE = 257  # entries, 1/256 of the range apart
 
 
 @op("curves", "invnnt>V")

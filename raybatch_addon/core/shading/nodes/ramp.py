@@ -6,7 +6,7 @@ from .op import NodeData, number, op, put_number, put_vector
 from .point import ShadingPoint
 from .tables import read_table
 
-RAMP_SIZE = 256  # entries of red, green, blue and alpha
+RAMP_SIZE = 257  # entries of red, green, blue and alpha, 1/256 apart
 
 
 @op("color_ramp", "int>VN")

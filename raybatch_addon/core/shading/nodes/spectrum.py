@@ -21,8 +21,8 @@ _MATCHING = """
 1649 610 0  1212 446 0  874 320 0  636 232 0  468 170 0  329 119 0  227 82 0  158 57 0  114 41 0  81 29 0  58 21 0  41 15 0  29 10 0
 20 7 0  14 5 0  10 4 0  7 2 0  5 2 0  3 1 0  2 1 0  2 1 0  1 0 0  1 0 0  1 0 0  0 0 0
 """
-# XYZ to linear Rec. 709, white D65 (IEC 61966-2-1, more digits)
-_XYZ_TO_REC709 = ((3.2404542, -1.5371385, -0.4985314), (-0.9692660, 1.8760108, 0.0415560), (0.0556434, -0.2040259, 1.0572252))
+# XYZ to linear Rec. 709 with the white D65 of (0.3127, 0.3290)
+_XYZ_TO_REC709 = ((3.24096994, -1.53738318, -0.49861076), (-0.96924364, 1.8759675, 0.04155506), (0.05563008, -0.20397696, 1.05697151))
 _BRIGHTEST = 2.52  # what brings the highest channel of all wavelengths to about 1
 WAVELENGTH_FIRST = 380.0  # [nm]
 WAVELENGTH_STEP = 5.0  # [nm]
@@ -46,6 +46,8 @@ _BLACKBODY = (
     (6365, 3.78717450e3, 9.35907826e-6, 3.99075871e-1, -5.00799571e2, -4.59832026e-6, 1.09098763,
      6.72650283e-13, -2.73078809e-8, 4.24098264e-4, -7.52335691e-1),
 )  # fmt: skip
+# The fit is for a white that is rounded otherwise
+_FIT_TO_REC709 = (1.00015915, 0.99997692, 0.99976005)
 BLACKBODY_PIECES = len(_BLACKBODY)
 BLACKBODY_WIDTH = len(_BLACKBODY[0])
 COLDEST, HOTTEST = 800.0, 12000.0  # [K]; beyond, the colour stays
@@ -60,7 +62,9 @@ def wavelength_table() -> list[float]:
 
 def blackbody_table() -> list[float]:
     """What the op `blackbody` wants: the pieces of its fit."""
-    return [float(x) for piece in _BLACKBODY for x in piece]
+    red, green, blue = _FIT_TO_REC709
+    scales = (1.0, red, red, red, green, green, green, blue, blue, blue, blue)
+    return [x * scale for piece in _BLACKBODY for x, scale in zip(piece, scales)]
 
 
 @wp.func
@@ -83,9 +87,9 @@ def wavelength_color(constants: wp.array(dtype=float), first: int, wavelength: f
 def blackbody_color(constants: wp.array(dtype=float), first: int, temperature: float) -> wp.vec3:
     """Linear RGB of a black body of `temperature` [K] and luminance 1, no channel below 0."""
     if temperature >= HOTTEST:
-        return wp.vec3(0.8262954810464208, 0.9945080501520986, 1.566307710274283)
+        return wp.vec3(0.826426988, 0.994485096, 1.565931871)
     if temperature < COLDEST:
-        return wp.vec3(5.413294490189271, 0.0, 0.0)
+        return wp.vec3(5.414156016, 0.0, 0.0)
     at = int(first)
     for piece in range(1, BLACKBODY_PIECES):
         if temperature >= constants[first + piece * BLACKBODY_WIDTH]:
