@@ -11,6 +11,7 @@ from ..images import divides_alpha, export_image, image_key
 from .graph import node_label
 from .node import Node, Value
 from .registry import values
+from .texture_mapping import mapped
 
 _INTERPOLATIONS = {
     "Closest": Interpolation.CLOSEST,
@@ -26,7 +27,7 @@ def image_texture(node: Node) -> dict[str, Value]:
     texture = node.node
     place, divide = _place(node)
     interpolation, extension = _INTERPOLATIONS[texture.interpolation], Extension[texture.extension]
-    coordinates = node.vector("Vector") if node.linked("Vector") else node.uv()
+    coordinates = mapped(node, node.vector("Vector") if node.linked("Vector") else node.uv())
     if texture.projection == "BOX":
         blend = float(texture.projection_blend)
         color, alpha = node.op("image_box", place, interpolation, extension, divide, blend, coordinates, node.op("box_normal"))
@@ -45,7 +46,7 @@ def environment_texture(node: Node) -> dict[str, Value]:
         widest = node.graph.collections.environment_width
         node.graph.collections.environment_width = max(widest, image.pixels.shape[1])
     projection = EnvironmentProjection[texture.projection]
-    direction = node.vector("Vector") if node.linked("Vector") else node.op("environment_coordinates", node.shift)
+    direction = mapped(node, node.vector("Vector") if node.linked("Vector") else node.op("environment_coordinates", node.shift))
     color, alpha = node.op("environment", place, _INTERPOLATIONS[texture.interpolation], projection, divide, direction)
     return {"Color": color, "Alpha": alpha}
 

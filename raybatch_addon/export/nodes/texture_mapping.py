@@ -14,8 +14,12 @@ SCALE_LEAST = 1e-5  # of mappings that are inverted
 
 
 def texture_coordinates(node: Node) -> Value:
-    """The vector input of a texture node, after the mapping in its properties (which is seldom set)."""
-    place = node.vector("Vector") if node.linked("Vector") else node.coordinates()
+    """The vector input of a texture node, after the mapping in its properties."""
+    return mapped(node, node.vector("Vector") if node.linked("Vector") else node.coordinates())
+
+
+def mapped(node: Node, place: Value) -> Value:
+    """`place` after the mapping in the properties of a texture node (which is seldom set)."""
     mapping = node.node.texture_mapping
     matrix, offset = affine_of(mapping)
     if np.array_equal(matrix, np.eye(3)) and not offset.any():
