@@ -3,16 +3,17 @@
 import warp as wp
 
 from .op import NodeData, op, put_vector, vector
+from .perlin import finite_vector_or_zero
 from .point import ShadingPoint
 
 
 @wp.func
 def affine(v: wp.vec3, x: wp.vec3, y: wp.vec3, z: wp.vec3, offset: wp.vec3, to_unit: int) -> wp.vec3:
-    """The matrix of rows `x`, `y` and `z` times `v`, plus `offset`; made a unit vector (0 stays 0) where `to_unit` is 1."""
-    mapped = wp.vec3(wp.dot(x, v), wp.dot(y, v), wp.dot(z, v)) + offset
+    """The matrix of rows `x`, `y` and `z` times `v`, plus `offset`; made a unit vector (0 stays 0) where `to_unit` is 1; finite."""
+    mapped = finite_vector_or_zero(wp.vec3(wp.dot(x, v), wp.dot(y, v), wp.dot(z, v)) + offset)
     length = wp.length(mapped)
     if to_unit == 1 and length > 0.0:
-        return mapped / length
+        return finite_vector_or_zero(mapped / length)
     return mapped
 
 

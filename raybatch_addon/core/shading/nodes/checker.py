@@ -6,7 +6,7 @@ from .op import NodeData, number, op, put_number, put_vector, vector
 from .perlin import floor_to_int
 from .point import ShadingPoint
 
-# Blender's nudge: whole coordinates are in the cell that they begin, not in either by rounding
+# Blender's nudge: 0 and 1, as faces of cubes have them, are both within the first cell
 _NUDGE = wp.constant(0.000001)
 _SHRINK = wp.constant(0.999999)
 

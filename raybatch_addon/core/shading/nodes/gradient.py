@@ -49,9 +49,9 @@ def gradient(kind: int, p: wp.vec3) -> float:
         value = wp.max(_RADIUS - wp.length(p), 0.0)
         if kind == _QUADRATIC_SPHERE:
             value *= value
-    if wp.isnan(value):
+    if not (value > 0.0):  # NaN too
         return 0.0
-    return wp.clamp(value, 0.0, 1.0)
+    return wp.min(value, 1.0)
 
 
 @op("gradient", "iv>NV")

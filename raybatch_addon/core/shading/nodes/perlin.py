@@ -25,6 +25,7 @@ _SCALE_4 = wp.constant(0.8344)
 _PERIOD = wp.constant(PERIOD)
 _ONE_OVER_PERIOD = wp.constant(1.0e-5)
 _SHIFTED_FROM = wp.constant(SHIFTED_FROM)
+_LARGEST = wp.constant(3.4028234663852886e38)
 _BEYOND_INT = wp.constant(2.0**31)
 _LEAST_INT = wp.constant(-(2**31))
 
@@ -41,7 +42,7 @@ def floor_to_int(x: float) -> int:
 @wp.func
 def finite_or_zero(x: float) -> float:
     """`x`, or 0 for infinities and NaN."""
-    return wp.where(wp.isfinite(x), x, 0.0)
+    return wp.where(wp.abs(x) <= _LARGEST, x, 0.0)
 
 
 @wp.func

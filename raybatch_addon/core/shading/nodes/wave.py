@@ -39,7 +39,7 @@ _SAW = wp.constant(int(WaveProfile.SAW))
 _FBM = wp.constant(int(FractalKind.FBM))
 _HALF_PI = wp.constant(1.5707963267948966)
 _ONE_OVER_TWO_PI = wp.constant(0.15915494309189535)
-# Blender's nudge: whole coordinates are in the cell that they begin, not in either by rounding
+# Blender's nudge: 0 and 1, as faces of cubes have them, are both within the first cell
 _NUDGE = wp.constant(0.000001)
 _SHRINK = wp.constant(0.999999)
 
