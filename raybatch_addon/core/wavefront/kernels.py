@@ -17,9 +17,10 @@ from .queues import QUEUE_KERNELS
 from .ray_order import order_kernels
 from .stages.accumulate import accumulate_kernel
 from .stages.connect import ConnectFeatures, connect_kernel, connect_program_kernel, settle_kernel
+from .stages.connect_transparent import transparent_shadow_kernel
 from .stages.generate import GenerateFeatures, counted_kernel, generate_kernel
 from .stages.shade_background import BackgroundFeatures, LightHitFeatures, background_kernel, light_hit_kernel
-from .stages.shade_surface import SurfaceFeatures, surface_kernel, transparent_shadow_kernel
+from .stages.shade_surface import SurfaceFeatures, surface_kernel
 from .tracers import tracer_kernels
 from .tracing import Tracing
 

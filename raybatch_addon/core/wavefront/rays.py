@@ -41,6 +41,8 @@ class Status(IntFlag):
 # Above the status: the `Visibility` bit of the extending ray (5 bits), and the bounce (up to 2^18 - 1)
 VISIBILITY_SHIFT = 8
 BOUNCE_SHIFT = 13
+# In `Paths.passed`, passes by the shadow ray are counted above those of the extending ray; both go on from what the path passed before
+SHADOW_PASS = 1 << 16
 # Places in lists: two lists, and blocks' counts of paths (`queues.py`)
 LIST_BYTES_PER_PATH = 2 * 4 + 1
 

@@ -43,3 +43,9 @@ def clamped(limits: PathLimits, light: wp.vec3, bounce: int) -> wp.vec3:
     if limit > 0.0 and largest > limit:
         return light * (limit / largest)
     return light
+
+
+@wp.func
+def is_positive(light: wp.vec3) -> bool:
+    """Whether any channel is above 0, or not a number: that must reach the film, which counts it."""
+    return not (light[0] <= 0.0 and light[1] <= 0.0 and light[2] <= 0.0)

@@ -28,19 +28,15 @@ from ...shading.sampling import (
 from ...shading.materials import ClosureRecord
 from ...shading.surface import SurfacePoint, make_surface, spawn_origin
 from ..scene_data import SceneData
-from ..rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
-from .connect import ConnectFeatures, make_arrived
+from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
 from .generate import TileWork, pixel_sample
-from .limits import PathLimits, clamped
+from .limits import PathLimits, clamped, is_positive
 from .surface_program import make_surface_program, shading_point
 
 RAY_NEW = int(Status.RAY_NEW)
 SHADOW_NEW = int(Status.SHADOW_NEW)
-SHADOW_OUT = int(Status.SHADOW_OUT)
 HIT = int(Status.HIT)
 ENDED = int(Status.ENDED)
-# Passes by the shadow ray are counted above those of the extending ray; both go on from what the path passed before
-SHADOW_PASS = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -73,12 +69,6 @@ class SurfaceFeatures:
     def emission(self) -> bool:
         """Surfaces that emit."""
         return ClosureKind.EMISSION in self.closures
-
-
-@wp.func
-def is_positive(light: wp.vec3) -> bool:
-    """Whether any channel is above 0, or not a number: that must reach the film, which counts it."""
-    return not (light[0] <= 0.0 and light[1] <= 0.0 and light[2] <= 0.0)
 
 
 @wp.func
@@ -338,65 +328,3 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         paths.status[path] = status
 
     return shade
-
-
-@functools.cache
-def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeatures) -> wp.Kernel:
-    """Kernel (data, limits, paths, rays, slots, count): shadow rays of scenes in which surfaces may let them through.
-
-    They come back with closest hits, in order, and go on behind each surface that is not opaque.
-    """
-    surface_point = make_surface(features.instancing, features.smooth_normals).point
-    transparency = make_bsdf(ClosureFeatures(features.closures)).transparency
-    arrived = make_arrived(connect)
-    programs = features.programs
-    surface_closures = make_surface_program(programs)
-
-    @wp.kernel(**KERNEL_OPTIONS)
-    def connect_transparent(
-        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)
-    ):
-        i = wp.tid()
-        if i >= count[0]:
-            return
-        slot = slots[i]
-        path = slot - paths.status.shape[0]
-        status = paths.status[path] & ~wp.static(SHADOW_OUT)
-        passed = paths.passed[path]
-        if rays.hit_instance[slot] < 0:
-            if wp.static(features.light_programs):
-                paths.radiance[path] = paths.radiance[path] + arrived(data, limits, paths, rays, path, slot)
-            else:
-                paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
-        else:
-            surface = surface_point(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot])
-            if wp.static(bool(programs)):
-                direction = rays.direction[slot]
-                normal = surface.normal
-                if wp.dot(normal, direction) > 0.0:
-                    normal = -normal
-                point = shading_point(
-                    surface, -direction, normal, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot], rays.hit_t[slot]
-                )
-                point.ray_kind = wp.static(int(Visibility.SHADOW))
-                point.bounce = bounce_of(status)
-                point.passed = passed / wp.static(SHADOW_PASS)
-                closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
-                first = int(0)
-                end = surface_closures(data, surface.material, point, closures)
-            else:
-                closures = data.materials.closures
-                first = data.materials.closure_first[surface.material]
-                end = data.materials.closure_first[surface.material + 1]
-            light = wp.cw_mul(paths.shadow_light[path], transparency(closures, first, end))
-            if is_positive(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
-                direction = rays.direction[slot]
-                origin = spawn_origin(surface.position, surface.error, surface.geometric_normal, direction)
-                rays.t_max[slot] = rays.t_max[slot] - wp.dot(origin - rays.origin[slot], direction)
-                rays.origin[slot] = origin
-                paths.shadow_light[path] = light
-                paths.passed[path] = passed + wp.static(SHADOW_PASS)
-                status = status | wp.static(SHADOW_NEW)
-        paths.status[path] = status
-
-    return connect_transparent

@@ -1,0 +1,84 @@
+"""Stage: shadow rays of scenes in which surfaces may let them through are back. Next: `trace` again behind such a surface, or shading."""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ...kernel import KERNEL_OPTIONS
+from ...scene.description import Visibility
+from ...shading.closures import ClosureFeatures, make_bsdf
+from ...shading.materials import ClosureRecord
+from ...shading.surface import make_surface, spawn_origin
+from ..rays import SHADOW_PASS, Paths, Rays, Status, bounce_of
+from ..scene_data import SceneData
+from .connect import ConnectFeatures, make_arrived
+from .limits import PathLimits, is_positive
+from .shade_surface import SurfaceFeatures
+from .surface_program import make_surface_program, shading_point
+
+SHADOW_NEW = int(Status.SHADOW_NEW)
+SHADOW_OUT = int(Status.SHADOW_OUT)
+
+
+@functools.cache
+def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeatures) -> wp.Kernel:
+    """Kernel (data, limits, paths, rays, slots, count): shadow rays of scenes in which surfaces may let them through.
+
+    They come back with closest hits, in order, and go on behind each surface that is not opaque.
+    """
+    surface_point = make_surface(features.instancing, features.smooth_normals).point
+    transparency = make_bsdf(ClosureFeatures(features.closures)).transparency
+    arrived = make_arrived(connect)
+    programs = features.programs
+    surface_closures = make_surface_program(programs)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def connect_transparent(
+        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)
+    ):
+        i = wp.tid()
+        if i >= count[0]:
+            return
+        slot = slots[i]
+        path = slot - paths.status.shape[0]
+        status = paths.status[path] & ~wp.static(SHADOW_OUT)
+        passed = paths.passed[path]
+        if rays.hit_instance[slot] < 0:
+            if wp.static(features.light_programs):
+                paths.radiance[path] = paths.radiance[path] + arrived(data, limits, paths, rays, path, slot)
+            else:
+                paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
+        else:
+            surface = surface_point(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot])
+            if wp.static(bool(programs)):
+                direction = rays.direction[slot]
+                normal = surface.normal
+                if wp.dot(normal, direction) > 0.0:
+                    normal = -normal
+                point = shading_point(
+                    surface, -direction, normal, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot], rays.hit_t[slot]
+                )
+                point.ray_kind = wp.static(int(Visibility.SHADOW))
+                point.bounce = bounce_of(status)
+                point.passed = passed / wp.static(SHADOW_PASS)
+                closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
+                first = int(0)
+                end = surface_closures(data, surface.material, point, closures)
+            else:
+                closures = data.materials.closures
+                first = data.materials.closure_first[surface.material]
+                end = data.materials.closure_first[surface.material + 1]
+            light = wp.cw_mul(paths.shadow_light[path], transparency(closures, first, end))
+            if is_positive(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
+                direction = rays.direction[slot]
+                origin = spawn_origin(surface.position, surface.error, surface.geometric_normal, direction)
+                rays.t_max[slot] = rays.t_max[slot] - wp.dot(origin - rays.origin[slot], direction)
+                rays.origin[slot] = origin
+                paths.shadow_light[path] = light
+                paths.passed[path] = passed + wp.static(SHADOW_PASS)
+                status = status | wp.static(SHADOW_NEW)
+        paths.status[path] = status
+
+    return connect_transparent
