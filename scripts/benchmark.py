@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Measure RayBatch: whole renders, and traversal alone. `benchmark.py render --help` and `benchmark.py traversal --help` say how."""
+"""Measure RayBatch: whole renders, what recording them costs, and traversal alone. `benchmark.py COMMAND --help` says how."""
 
 from __future__ import annotations
 
@@ -36,6 +36,14 @@ A budget is in bytes, or a share of what tree and triangles take in memory. Rend
 render relative to the one in memory in the same turn, trees apart. --set and --preset hold for all of them. All films are
 compared bit for bit; where one differs the report says so, and the exit code is 1. Stages are timed in renders of their own,
 with counters (--no-counters leaves them out).
+"""
+RECORDING = """\
+Measure what it costs to record a render of SCENE, a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do not).
+
+It is rendered plain; recorded (a picture at 1, 2, 4, ... samples of every pixel, for which the render is cut into rounds); and
+with error_estimate ON, in one round and recorded. Renders take turns. Times are of the processor, all threads together (on
+CUDA: of rendering). The cost is the median over turns of what comes on top of the plain render's, beside the two values
+between which half of the turns lie. Films are compared: where recording changes one the exit code is 1.
 """
 TRAVERSAL = """\
 Measure how fast tracers find hits, all on the same rays of real paths.
@@ -84,19 +92,25 @@ def argument_parser() -> argparse.ArgumentParser:
         added.add_argument("--camera", metavar="EX,EY,EZ,TX,TY,TZ,FOV", help="of geometry: eye, target and field of view [degrees] (write --camera=-1,... for a negative first number); default: shows all of it")
         added.add_argument("--up", choices=("y", "z"), help="of geometry: the axis that points up (default: z)")
 
-    render = command("render", RENDER)
-    render.add_argument("scene", type=Path, metavar="SCENE")
-    geometry_options(render)
-    render.add_argument("--samples", type=int, default=16, help="per pixel (default: 16)")
-    render.add_argument("--bounces", type=int, default=7, help="default: 7")
-    render.add_argument("--size", metavar="WxH", help=f"pixels; default: the file's; of geometry: {'x'.join(map(str, RESOLUTION_DEFAULT))}")
-    render.add_argument("--threads", type=int, default=0, help="of the CPU, for both engines; default: every core")
-    render.add_argument("--runs", type=int, default=3, help="timed runs (default: 3)")
+    def whole_renders(name: str, description: str, samples: int, runs: int) -> argparse.ArgumentParser:
+        added = command(name, description)
+        added.add_argument("scene", type=Path, metavar="SCENE")
+        geometry_options(added)
+        added.add_argument("--samples", type=int, default=samples, help="per pixel (default: %(default)s)")
+        added.add_argument("--bounces", type=int, default=7, help="default: 7")
+        added.add_argument("--size", metavar="WxH", help=f"pixels; default: the file's; of geometry: {'x'.join(map(str, RESOLUTION_DEFAULT))}")
+        added.add_argument("--threads", type=int, default=0, help="of the CPU, for every engine; default: every core")
+        added.add_argument("--runs", type=int, default=runs, help="timed runs (default: %(default)s)")
+        return added
+
+    render = whole_renders("render", RENDER, samples=16, runs=3)
     render.add_argument("--against", choices=("cycles", "memory"), help="measure that engine, or all geometry in memory, beside RayBatch")
     render.add_argument("--budgets", metavar="BUDGET[,BUDGET]", help="with --against memory: geometry on the device at most, such as 1.5G,700M or 10%%,5%%")
     render.add_argument("--no-counters", action="store_true", help="with --against memory: leave out the time of stages, which costs a compilation and a render of each")
     render.add_argument("--equal-error", action="store_true", help="compare at equal error too; see above")
     render.add_argument("--picture", type=Path, metavar="FILE", help="save the picture as .png or .exr")
+
+    whole_renders("recording", RECORDING, samples=64, runs=9)
 
     traversal = command("traversal", TRAVERSAL)
     traversal.add_argument("--scene", type=Path, required=True, metavar="FILE")
@@ -116,7 +130,7 @@ def argument_parser() -> argparse.ArgumentParser:
 def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """The report that was asked for, and the same in words; raises `RayBatchError`."""
     from benchmarking.scenes import SceneRequest
-    from benchmarking.tables import memory_text, render_text, traversal_text
+    from benchmarking.tables import memory_text, recording_text, render_text, traversal_text
 
     for name in ("runs", "ray_count", "samples"):
         value = getattr(options, name, None)
@@ -124,12 +138,22 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
             raise UsageError(f"--{name.replace('_', '-')} {value} is not valid: it must be 1 or more")
     changes, resolution = parse_settings(options.set, options.preset)
     scene = SceneRequest(options.scene, options.grid, options.camera, options.up)
-    if options.command == "render":
+    if options.command in ("render", "recording"):
+        from benchmarking.recording import measure_recording
         from benchmarking.render import measure_render
         from benchmarking.whole_render import RenderRequest
 
         if options.size:
             resolution = parse_settings([f"resolution={options.size}"])[1]
+        if options.command == "recording":
+            if not options.samples > 1:
+                raise UsageError(f"--samples {options.samples} is not valid: it must be 2 or more, for a sample in either half")
+            report = measure_recording(
+                RenderRequest(
+                    scene, options.device, options.samples, options.bounces, options.threads, options.runs, resolution, settings=changes
+                )
+            )
+            return report, recording_text(report)
         request = RenderRequest(
             scene, options.device, options.samples, options.bounces, options.threads, options.runs, resolution, options.against,
             options.budgets, not options.no_counters, options.equal_error, options.picture, changes,

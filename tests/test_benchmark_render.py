@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scenes
 from benchmark_scenes import assert_one_error, bowl, save_bowl
-from benchmarking import memory
+from benchmarking import memory, recording
 from benchmarking.render import equal_error
 from command_line import HIDE_BPY, run_script
 
@@ -36,6 +36,35 @@ def test_whole_renders_are_told_in_words_or_as_json(tmp_path, capfd):
     said = capfd.readouterr().out
     assert said.startswith("mixed.scene.npz") and "whole render" in said and "{" not in said
     assert picture.is_file()
+
+
+def test_what_recording_costs(tmp_path, capfd):
+    archive = tmp_path / "mixed.scene.npz"
+    save_scene(archive, scenes.mixed(scenes.Frame(16, 12)), RenderSettings(error_target=0.5, time_limit=1e-3))  # which end no render here
+    options = ["recording", str(archive), "--device", "cpu", "--samples", "5", "--runs", "3", "--threads", "1"]
+    assert benchmark.main([*options, "--json"]) == 0
+    report = json.loads(capfd.readouterr().out)
+    assert report["samples_per_pixel"] == 5 and report["clock"] == "processor"
+    assert report["films"] == {"compared": 4, "equal": True, "differences": []}
+    told = [(way["error_estimate"], way["recorded"], way["rounds"]) for way in report["ways"]]
+    assert told == [("OFF", False, 1), ("OFF", True, 4), ("ON", False, 1), ("ON", True, 4)]
+    assert report["ways"][0]["cost"] == report["ways"][0]["seconds_added"] == 0
+    for way in report["ways"]:
+        assert way["runs"] == 3 and way["seconds"] > 0 and way["cost_half"][0] <= way["cost"] <= way["cost_half"][1]
+    assert benchmark.main([*options, "--runs", "1"]) == 0
+    said = capfd.readouterr().out
+    assert said.startswith("mixed.scene.npz") and "recording changes no bit of the films" in said
+    assert benchmark.main([*options, "--samples", "1"]) == 1
+    assert_one_error(capfd, "must be 2 or more")
+
+
+def test_a_film_that_recording_changed_is_told(tmp_path, monkeypatch, capfd):
+    monkeypatch.setattr(recording, "_compared", lambda films: {"compared": 4, "equal": False, "differences": ["recorded, with a flaw"]})
+    archive = tmp_path / "mixed.scene.npz"
+    save_scene(archive, scenes.mixed(scenes.Frame(16, 12)), RenderSettings())
+    assert benchmark.main(["recording", str(archive), "--device", "cpu", "--samples", "2", "--runs", "1"]) == 1
+    said = capfd.readouterr()
+    assert "FILMS DIFFER: recorded, with a flaw" in said.out and "films differ" in said.err
 
 
 IN_MEMORY = ("--device", "cpu", "--samples", "1", "--size", "32x24", "--threads", "1", "--against", "memory", "--set", "geometry_store=HOST")

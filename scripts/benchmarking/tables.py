@@ -75,6 +75,29 @@ def render_text(report: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def recording_text(report: dict[str, Any]) -> str:
+    """The report of `benchmark.py recording`."""
+    frame, films = report["frame"], report["films"]
+    rows = []
+    for each in report["ways"]:
+        cost = ["", "", ""]
+        if each is not report["ways"][0]:
+            least, most = (f"{100 * share:+.1f}" for share in each["cost_half"])
+            cost = [f"{1000 * each['seconds_added']:+.0f} ms", f"{100 * each['cost']:+.1f} %", f"{least} to {most} %"]
+        rows.append([each["way"], str(each["rounds"]), f"{each['seconds']:.3f} s", *cost])
+    lines = [
+        f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}",
+        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, {report['bounces']} bounces, "
+        f"{report['ways'][0]['runs']} turns, {report['clock']} time",
+        "",
+        table(["render", "rounds", "median", "added", "cost", "half of the turns"], rows),
+        "recording changes no bit of the films" if films["equal"] else "FILMS DIFFER: " + "; ".join(films["differences"]),
+    ]
+    if report["invalid_samples"]:
+        lines.append(f"{report['invalid_samples']:,} samples were not finite")
+    return "\n".join(lines)
+
+
 def memory_text(report: dict[str, Any]) -> str:
     """The report of `benchmark.py render --against memory`."""
     frame, memory = report["frame"], report["memory"]
