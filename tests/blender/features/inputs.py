@@ -10,8 +10,10 @@ from .registry import SMOOTH, feature
 COLUMNS, ROWS = 5, 7  # faces; such that no pixel's middle lies on an edge
 
 
-def hills(graph: Graph, smooth: bool = True) -> bpy.types.Object:
-    """The plane's mesh becomes hills of 5 x 7 faces."""
+def hills(graph: Graph, smooth: bool = True, turn=None) -> bpy.types.Object:
+    """The plane's mesh becomes hills of 5 x 7 faces; turned, they are smaller, so as not to reach into the next plane's pixels."""
+    if turn is not None:
+        graph.obj.rotation_euler, graph.obj.scale = turn, (0.33, 0.33, 0.33)
     mesh = graph.obj.data
     mesh.clear_geometry()
     u, v = np.meshgrid(np.linspace(0, 1, COLUMNS + 1), np.linspace(0, 1, ROWS + 1))
@@ -30,10 +32,10 @@ def hills(graph: Graph, smooth: bool = True) -> bpy.types.Object:
     return graph.obj
 
 
-def _input(name: str, kind: str, outputs: tuple[str, ...], quick: bool = False, smooth: bool = True, turn=(0.0, 0.0, 0.0), **properties) -> None:
+def _input(name: str, kind: str, outputs: tuple[str, ...], quick: bool = False, smooth: bool = True, turn=None, **properties) -> None:
     @feature(name, "Inputs", "node", variants=outputs, samples=SMOOTH, quick=quick, flat=True)
     def build(graph: Graph, output: str):
-        hills(graph, smooth).rotation_euler = turn
+        hills(graph, smooth, turn)
         return graph.value(kind, None, output, **properties)
 
 
@@ -176,7 +178,7 @@ def color_attribute(graph: Graph, variant: tuple):
 
 @feature("Tangent: radial", "Inputs", "node", samples=SMOOTH, variants=("X", "Y", "Z"))
 def tangent_radial(graph: Graph, axis: str):
-    hills(graph).rotation_euler = (0.1, 0.0, 0.3)
+    hills(graph, turn=(0.1, 0.0, 0.3))
     return graph.value("ShaderNodeTangent", direction_type="RADIAL", axis=axis)
 
 

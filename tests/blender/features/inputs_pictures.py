@@ -122,7 +122,7 @@ def attribute_instancer(scene: bpy.types.Scene) -> None:
 
 @feature("Texture Coordinate: from an instancer", "Inputs", "picture")
 def from_instancer(scene: bpy.types.Scene) -> None:
-    """Each vertex of a mesh has a copy of a ball, coloured by where the mesh is there."""
+    """Each face of a mesh has a copy of a ball, coloured by where the mesh is there."""
     add_world(scene, 0.8, (0.9, 0.9, 1.0))
     parent = diffuse(add_object("Parent", bpy.data.meshes.new("Parent")), (0.5, 0.5, 0.5))
     parent.data.from_pydata([(-1.2, 0, 0), (0, 0.6, 0.4), (1.2, 0, 0.2), (0, -0.8, -0.3)], [], [(0, 1, 2), (0, 2, 3)])
@@ -131,6 +131,6 @@ def from_instancer(scene: bpy.types.Scene) -> None:
         layer.uv = (0.15 * i, 1 - 0.12 * i)
     child = ball("Child", (0, 0, 0), 0.35, 16, 8)
     child.parent = parent
-    parent.instance_type = "VERTS"
-    material_graph(child, lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": graph.value("ShaderNodeTexCoord", None, "Generated", from_instancer=True)}))
+    parent.instance_type = "FACES"
+    material_graph(child, lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": graph.value("ShaderNodeTexCoord", None, "UV", from_instancer=True)}))
     look(scene, (0, -5, 2.5), (0, 0, 0), lens=40)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import tempfile
 import time
 import traceback
@@ -100,11 +101,15 @@ def run_sheet(features: list[Feature], folder: Path) -> list[Result]:
     return [_node_result(each, [cell for cell in cells if cell.feature is each], warnings, seconds) for each in features]
 
 
+def _reasons(warnings: list[str]) -> list[str]:
+    """Warnings without what they are about, each once."""
+    return list(dict.fromkeys(re.sub(r"^(material|world|light) “[^”]*”( of “[^”]*”.*?)?: ", "", text) for text in warnings))
+
+
 def _node_result(feature: Feature, cells: list[Cell], warnings: list[str], seconds: float) -> Result:
     worst = max(cells, key=lambda cell: cell.worst)
     names = {f"“{cell.material}”" for cell in cells}
-    told = [text.split(": ", 1)[-1] for text in warnings if any(name in text for name in names)]
-    told = list(dict.fromkeys(told))
+    told = _reasons([text for text in warnings if any(name in text for name in names)])
     figures = {"error": worst.worst}
     result = Result(feature, OK, figures, "; ".join(told), worst.ours, worst.theirs, seconds)
     if empty := [cell.label for cell in cells if cell.empty]:
@@ -154,7 +159,7 @@ def _run_picture(feature: Feature, folder: Path, result: Result) -> None:
         "mean": found.mean_error, "mean's noise": found.noise, "deviations": float(np.abs(found.deviations).max()),
         "relMSE": found.rel_mse, "relMSE's noise": found.rel_mse_noise, "samples": 2 * samples,
     }  # fmt: skip
-    result.note = "; ".join(text.split(": ", 1)[-1] for text in ours.warnings)
+    result.note = "; ".join(_reasons(ours.warnings))
     if found.theirs.max() < 1e-3:
         result.status, result.note = FAILED, "Cycles' picture is black"
     elif found.mean_error > MEAN_TOLERANCE or found.rel_mse > REL_MSE_TOLERANCE:

@@ -251,15 +251,15 @@ def scales(scene: bpy.types.Scene) -> None:
 
 @feature("Bounces between textured walls", "Surface", "picture")
 def textured_room(scene: bpy.types.Scene) -> None:
-    """A room with a wall of bricks."""
+    """A room with a floor of bricks."""
     white = (0.73, 0.73, 0.73)
-    quad("Floor", [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)], white)
+    ground = quad("Floor", [(-1, -1, -1), (1, -1, -1), (1, 1, -1), (-1, 1, -1)], white)
     quad("Ceiling", [(-1, -1, 1), (-1, 1, 1), (1, 1, 1), (1, -1, 1)], white)
-    back = quad("Back", [(-1, 1, -1), (1, 1, -1), (1, 1, 1), (-1, 1, 1)], white)
+    quad("Back", [(-1, 1, -1), (1, 1, -1), (1, 1, 1), (-1, 1, 1)], white)
     quad("Left", [(-1, -1, -1), (-1, 1, -1), (-1, 1, 1), (-1, -1, 1)], (0.65, 0.05, 0.05))
     quad("Right", [(1, -1, -1), (1, -1, 1), (1, 1, 1), (1, 1, -1)], (0.12, 0.45, 0.15))
-    back.data.materials.clear()
-    material_graph(back, lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": graph.value(
-        "ShaderNodeTexBrick", {"Vector": graph.vector_math("ADD", graph.value("ShaderNodeTexCoord", output="Generated"), (0, 0, 0)), "Scale": 2.0})}))  # fmt: skip
+    ground.data.materials.clear()
+    material_graph(ground, lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": graph.value(
+        "ShaderNodeTexBrick", {"Vector": graph.value("ShaderNodeTexCoord", output="Generated"), "Scale": 2.0})}))  # fmt: skip
     lamp("AREA", (0, 0, 0.98), energy=40.0, shape="SQUARE", size=0.7, color=(1, 0.85, 0.6))
     look(scene, (0, -3.6, 0), (0, 0, 0), lens=42)

@@ -11,7 +11,7 @@ def operations(kind: str, name: str = "operation") -> tuple[str, ...]:
     return tuple(item.identifier for item in getattr(bpy.types, kind).bl_rna.properties[name].enum_items)
 
 
-@feature("Math", "Utility", "node", variants=operations("ShaderNodeMath"), quick=True)
+@feature("Math", "Utility", "node", variants=operations("ShaderNodeMath"), quick=True, offset=128.0)
 def math(graph: Graph, operation: str):
     third = 0.5 if operation in ("SMOOTH_MIN", "SMOOTH_MAX", "COMPARE") else graph.z
     return graph.math(operation, graph.x, graph.y, third)
@@ -22,7 +22,7 @@ def math_clamped(graph: Graph, operation: str):
     return graph.math(operation, graph.x, graph.y, clamp=True)
 
 
-@feature("Vector Math", "Utility", "node", variants=operations("ShaderNodeVectorMath"), quick=True)
+@feature("Vector Math", "Utility", "node", variants=operations("ShaderNodeVectorMath"), quick=True, offset=128.0)
 def vector_math(graph: Graph, operation: str):
     second = graph.vector_math("MULTIPLY_ADD", graph.point, (-0.5, 0.75, 1.25), (0.25, -0.5, 0.125))
     node = graph.node("ShaderNodeVectorMath", {0: graph.point, 1: second}, operation=operation)
@@ -82,7 +82,8 @@ def mapping(graph: Graph, kind: str):
 
 @feature("Mapping: linked", "Utility", "node", variants=operations("ShaderNodeMapping", "vector_type"))
 def mapping_linked(graph: Graph, kind: str):
-    return graph.value("ShaderNodeMapping", {"Vector": graph.point, "Rotation": graph.point, "Scale": graph.unit}, vector_type=kind)
+    scale = graph.vector_math("ADD", graph.unit, (0.5, 0.5, 0.5))
+    return graph.value("ShaderNodeMapping", {"Vector": graph.point, "Rotation": graph.point, "Scale": scale}, vector_type=kind)
 
 
 @feature("Vector Rotate", "Utility", "node", variants=tuple((kind, invert) for kind in operations("ShaderNodeVectorRotate", "rotation_type") for invert in (False, True)))

@@ -59,6 +59,8 @@ def _normal_map(space: str, strength: float = 1.0, **properties) -> None:
         pixels[..., 2] = 0.9
         if space != "TANGENT":
             pixels[..., :3] = 0.5 + 0.5 * (pattern(seed=8)[..., :3] - 0.5) + (0.0, -0.3, 0.25)
+        if space.startswith("BLENDER"):
+            pixels[..., 1:3] = 1 - pixels[..., 1:3]
 
         def surface(graph: Graph):
             node = graph.node("ShaderNodeTexImage", {"Vector": graph.value("ShaderNodeTexCoord", output="UV")})
