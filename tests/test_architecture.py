@@ -22,6 +22,7 @@ ROOMS = (
     "core/presets.py",
     "core/device.py",
     "core/scene",
+    "core/sky",
     "core/bvh",
     "core/shading",
     "core/film",

@@ -78,7 +78,7 @@ def shader_at(socket, groups: tuple[Any, ...] = (), left_out: list[str] | None =
     return handler(ShaderNode(source.node, source.socket.identifier, source.groups, left_out))
 
 
-from . import bsdf, gabor, image, inputs, mixing, principled, shaders_basic, voronoi  # noqa: E402, F401  (they register their handlers)
+from . import bsdf, gabor, image, inputs, mixing, principled, shaders_basic, sky, voronoi  # noqa: E402, F401  (they register their handlers)
 from . import colours, converters, curves, maths, textures_procedural  # noqa: E402, F401
 from .node import Node  # noqa: E402, F401
 from .registry import shader, values  # noqa: E402, F401

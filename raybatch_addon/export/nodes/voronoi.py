@@ -7,6 +7,7 @@ from ...core.shading.nodes.voronoi import op_name
 from ...core.shading.nodes.voronoi_cells import CHEBYCHEV, EUCLIDEAN, MANHATTAN, MINKOWSKI
 from .node import Node
 from .registry import values
+from .texture_mapping import texture_coordinates
 
 _METRICS = {"EUCLIDEAN": EUCLIDEAN, "MANHATTAN": MANHATTAN, "CHEBYCHEV": CHEBYCHEV, "MINKOWSKI": MINKOWSKI}
 # Inputs in the order of the ops' operands; unused ones are disabled sockets, whatever is linked to them
@@ -19,9 +20,7 @@ def voronoi(node: Node) -> dict[str, Value]:
     settings = node.node
     dimensions = int(settings.voronoi_dimensions[0])
     feature = settings.feature.lower()
-    place = node.constant((0.0, 0.0, 0.0))
-    if dimensions > 1:
-        place = node.vector("Vector") if node.linked("Vector") else node.coordinates()
+    place = texture_coordinates(node) if dimensions > 1 else node.constant((0.0, 0.0, 0.0))
     numbers = [node.number(name) if node.socket(name).enabled else node.constant(0.0) for name in _NUMBERS]
     outputs = node.op(op_name(dimensions, feature), _METRICS[settings.distance], settings.normalize, place, *numbers)
     if feature == "distance_to_edge":
