@@ -24,6 +24,34 @@ _SOLID_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 _UNSUPPORTED_TYPES = {"VOLUME": "volumes", "CURVES": "hair curves", "POINTCLOUD": "point clouds"}
 
 
+_RANDOM_MOST = 2**32 - 1  # of an object's random number
+
+
+def _random_id(name: str) -> int:
+    """The random number of an object that is no instance, as Cycles draws it from the name: a hash of 32 bits, hashed by lookup3."""
+    code = 0
+    for byte in name.encode():
+        code = (code * 37 + (byte if byte < 128 else byte - 256)) & 0xFFFFFFFF
+    return _hashed(code)
+
+
+def _hashed(key: int) -> int:
+    """Jenkins' lookup3 (2006), its last round, of two words: `key` and 0."""
+    a = b = c = (0xDEADBEEF + (2 << 2) + 13) & 0xFFFFFFFF
+    a = (a + key) & 0xFFFFFFFF
+
+    def turned(x: int, by: int) -> int:
+        return ((x << by) | (x >> (32 - by))) & 0xFFFFFFFF
+
+    c = ((c ^ b) - turned(b, 14)) & 0xFFFFFFFF
+    a = ((a ^ c) - turned(c, 11)) & 0xFFFFFFFF
+    b = ((b ^ a) - turned(a, 25)) & 0xFFFFFFFF
+    c = ((c ^ b) - turned(b, 16)) & 0xFFFFFFFF
+    a = ((a ^ c) - turned(c, 4)) & 0xFFFFFFFF
+    b = ((b ^ a) - turned(a, 14)) & 0xFFFFFFFF
+    return ((c ^ b) - turned(b, 24)) & 0xFFFFFFFF
+
+
 class Cancelled(Exception):
     """The export was given up because its caller asked for it."""
 
@@ -50,6 +78,7 @@ class Placements:
     warnings: list[str] = field(default_factory=list)
     _templates: list[_Template] = field(default_factory=list)
     _matrices: list[Any] = field(default_factory=list)
+    _info: list[tuple[float, ...]] = field(default_factory=list)  # see `Instances.info`
 
     def instances(self) -> Instances:
         """The placements, without those whose matrix cannot be used; these are named in `warnings`."""
@@ -70,7 +99,8 @@ class Placements:
                 how_often = f" ({times:,} instances)" if times > 1 else ""
                 self.warnings.append(f"object “{self.object_names[index]}”{how_often} is left out: {reason}")
         mesh, slot_first, visibility, owner = np.ascontiguousarray(table[usable].T)
-        return Instances(mesh, np.ascontiguousarray(transform[usable]), slot_first, visibility, owner)
+        info = np.array(self._info, np.float32).reshape(count, 6)[usable]
+        return Instances(mesh, np.ascontiguousarray(transform[usable]), slot_first, visibility, owner, info)
 
 
 def is_singular(transform: np.ndarray) -> np.ndarray:
@@ -134,6 +164,8 @@ class _Collector:
         if template is not None:
             self.placements._templates.append(template)
             self.placements._matrices.append([tuple(row) for row in placed.matrix_world])
+            number = placed.random_id if placed.is_instance else _random_id(obj.name)
+            self.placements._info.append((*obj.color, float(obj.pass_index), number / _RANDOM_MOST))
 
     def finish(self) -> Placements:
         """All that was collected, with the warnings that needed the whole list."""

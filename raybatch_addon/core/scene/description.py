@@ -143,6 +143,8 @@ class Instances:
     slot_first: np.ndarray  # first entry of the instance in `Scene.slot_materials`, int32, shape [n]
     visibility: np.ndarray  # `Visibility` bits, int32, shape [n]
     object: np.ndarray  # index into `Scene.object_names`, int32, shape [n]
+    # what shader programs may ask: red, green, blue, alpha of the object's colour, its index, and a random number; float32, shape [n, 6]
+    info: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.mesh)

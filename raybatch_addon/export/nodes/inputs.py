@@ -1,10 +1,12 @@
-"""Values, colours and texture coordinates."""
+"""Values, coordinates, and what is known of the point, its object and its ray."""
 
 from __future__ import annotations
 
 from ...core.shading.nodes.builder import Value
 from .node import Node, own_value
 from .registry import values
+
+_AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
 @values("ShaderNodeValue", "ShaderNodeRGB", family="Inputs")
@@ -13,14 +15,112 @@ def constant(node: Node) -> Value:
     return own_value(node.node.outputs[0])
 
 
-@values("ShaderNodeTexCoord", family="Inputs")
+@values("ShaderNodeTexCoord", family="Inputs", note="from instancer is not supported")
 def texture_coordinates(node: Node) -> dict[str, Value]:
     """Coordinates by output."""
+    if node.node.from_instancer:
+        node.warn("From Instancer")
     outputs = {}
     if node.wants("Generated"):
         outputs["Generated"] = node.coordinates()
-    if node.wants("Object"):
-        outputs["Object"] = node.op("object_coordinates", node.shift)
+    if node.wants("Normal"):
+        outputs["Normal"] = node.op("object_normal")
     if node.wants("UV"):
         outputs["UV"] = node.uv()
+    if node.wants("Object"):
+        outputs["Object"] = _in_object(node, node.node.object)
+    if node.wants("Camera"):
+        outputs["Camera"] = node.op("camera_coordinates")[3]
+    if node.wants("Window"):
+        outputs["Window"] = node.op("window_coordinates")
+    if node.wants("Reflection"):
+        outputs["Reflection"] = node.op("reflection")
     return outputs
+
+
+def _in_object(node: Node, other) -> Value:
+    """The point in the space of the object itself, or of another."""
+    if other is None:
+        return node.op("object_coordinates", node.shift)
+    matrix = other.matrix_world.inverted_safe()
+    return node.op("affine", 0, node.op("position", node.shift), *(tuple(row) for row in _rows(matrix)))
+
+
+def _rows(matrix) -> list[tuple[float, float, float]]:
+    """Three rows of the linear part, and the offset."""
+    return [tuple(matrix[i][:3]) for i in range(3)] + [(matrix[0][3], matrix[1][3], matrix[2][3])]
+
+
+@values("ShaderNodeNewGeometry", family="Inputs", note="pointiness and random per island give 0")
+def geometry(node: Node) -> dict[str, Value]:
+    """The point on its surface."""
+    outputs = {}
+    if node.wants("Position"):
+        outputs["Position"] = node.op("position", node.shift)
+    if any(node.wants(name) for name in ("Normal", "True Normal", "Incoming")):
+        outputs["Normal"], outputs["True Normal"], outputs["Incoming"] = node.op("normals")
+    if node.wants("Tangent"):
+        outputs["Tangent"] = node.op("radial_tangent", _AXES["Z"], node.shift)
+    if node.wants("Parametric"):
+        outputs["Parametric"] = node.op("parametric", node.shift)
+    if node.wants("Backfacing"):
+        outputs["Backfacing"] = node.op("backfacing")
+    for name in ("Pointiness", "Random Per Island"):
+        if node.wants(name):
+            node.warn(f"{name} is 0: it is not supported; this is an output")
+    return outputs
+
+
+@values("ShaderNodeObjectInfo", family="Inputs")
+def object_info(node: Node) -> dict[str, Value]:
+    """The object that is met, and its material."""
+    outputs = {}
+    if node.wants("Location"):
+        outputs["Location"] = node.op("object_location")
+    names = ("Color", "Alpha", "Object Index", "Random")
+    if any(node.wants(name) for name in names):
+        for name, value in zip(names, node.op("object_info")):
+            outputs[node.output(name)] = value
+    outputs["Material Index"] = node.constant(float(getattr(node.graph.owner, "pass_index", 0)))
+    return outputs
+
+
+@values("ShaderNodeCameraData", family="Inputs")
+def camera_data(node: Node) -> dict[str, Value]:
+    """The point as the camera sees it."""
+    direction, depth, distance, _ = node.op("camera_coordinates")
+    return {"View Vector": direction, "View Z Depth": depth, "View Distance": distance}
+
+
+@values("ShaderNodeLightPath", family="Inputs", note="depths by kind of ray and singular rays give 0")
+def light_path(node: Node) -> dict[str, Value]:
+    """The ray that met the point."""
+    names = (
+        "Is Camera Ray", "Is Shadow Ray", "Is Diffuse Ray", "Is Glossy Ray", "Is Reflection Ray", "Is Transmission Ray", "Ray Length",
+        "Ray Depth", "Transparent Depth",
+    )  # fmt: skip
+    for name in ("Is Singular Ray", "Is Volume Scatter Ray", "Diffuse Depth", "Glossy Depth", "Transmission Depth", "Portal Depth"):
+        if node.wants(name):
+            node.warn(f"{name} is 0: it is not supported; this is an output")
+    return {node.output(name): value for name, value in zip(names, node.op("light_path"))}
+
+
+@values("ShaderNodeFresnel", family="Inputs")
+def fresnel(node: Node) -> Value:
+    """Reflectance of a dielectric."""
+    return node.op("fresnel", node.number("IOR"), node.normal())
+
+
+@values("ShaderNodeLayerWeight", family="Inputs")
+def layer_weight(node: Node) -> dict[str, Value]:
+    """Weights for layers."""
+    by_fresnel, facing = node.op("layer_weight", node.number("Blend"), node.normal())
+    return {"Fresnel": by_fresnel, "Facing": facing}
+
+
+@values("ShaderNodeWireframe", family="Inputs", note="sizes in pixels are taken as sizes in metres")
+def wireframe(node: Node) -> Value:
+    """Edges of triangles."""
+    if node.node.use_pixel_size:
+        node.warn("Pixel Size")
+    return node.op("wireframe", node.number("Size"))

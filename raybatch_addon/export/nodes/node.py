@@ -199,6 +199,10 @@ class Node:
         """Generated texture coordinates, which textures take where nothing is linked."""
         return self.op("generated", self.shift)
 
+    def normal(self, key: int | str = "Normal") -> Value:
+        """A normal input; the shading normal where nothing is linked."""
+        return self.vector(key) if self.linked(key) else self.op("normals")[0]
+
     def uv(self) -> Value:
         """The active UV map, as a vector; what images take where nothing is linked."""
         return self.op("uv", -1, self.shift)

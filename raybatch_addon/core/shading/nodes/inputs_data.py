@@ -3,9 +3,14 @@
 import numpy as np
 import warp as wp
 
-from ...scene.description import Scene
+from ...scene.description import CameraKind, Scene
 from ...scene.flatten import is_mirrored_where_baked
 from ...scene.geometry import mat34
+
+
+# Ops that go between the spaces of world and object, and that know a mesh's texture space
+_TEXTURE_SPACE_OPS = frozenset({"generated", "radial_tangent"})
+_OBJECT_OPS = _TEXTURE_SPACE_OPS | {"object_coordinates", "object_normal", "box_normal", "object_location", "vector_transform"}
 
 
 @wp.struct
@@ -13,6 +18,12 @@ class InputData:
     """Arrays that no program of the scene reads have no entries."""
 
     to_object: wp.array(dtype=mat34)  # world to object, of each instance
+    to_world: wp.array(dtype=mat34)  # object to world, also of what geometry has in world space already
+    info: wp.array2d(dtype=float)  # of each instance; columns as `Instances.info`
+    to_camera: mat34  # world to camera, which looks along +Z here
+    camera_position: wp.vec3  # [m]
+    perspective: int  # 0: orthographic
+    window: wp.vec4  # `Camera.window`
     texture_offset: wp.array(dtype=wp.vec3)  # generated coordinates are position in object space times scale, plus offset; of each instance
     texture_scale: wp.array(dtype=wp.vec3)
     uv_first: wp.array(dtype=int)  # of each instance: first of its corners in `uvs`, -1: it has none
@@ -23,9 +34,19 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
     """What programs with `ops` read of `scene`."""
     inputs = InputData()
     instances = scene.instances
-    if any(name in ops for name in ("generated", "object_coordinates", "box_normal")):
+    matrix = np.eye(4)
+    matrix[:3] = scene.camera.transform
+    to_camera = np.diag([1.0, 1.0, -1.0, 1.0]) @ np.linalg.inv(matrix)
+    inputs.to_camera = mat34(*to_camera[:3].ravel().tolist())
+    inputs.camera_position = wp.vec3(*matrix[:3, 3].tolist())
+    inputs.perspective = int(scene.camera.kind == CameraKind.PERSPECTIVE)
+    inputs.window = wp.vec4(*scene.camera.window)
+    if not _OBJECT_OPS.isdisjoint(ops):
         inputs.to_object = wp.array(_inverses(instances.transform), dtype=mat34, device=device)
-    if "generated" in ops:
+        inputs.to_world = wp.array(np.asarray(instances.transform, np.float32), dtype=mat34, device=device)
+    if "object_info" in ops and instances.info is not None:
+        inputs.info = wp.array(np.asarray(instances.info, np.float32), dtype=float, device=device)
+    if not _TEXTURE_SPACE_OPS.isdisjoint(ops):
         spaces = np.array([mesh.texture_space or ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)) for mesh in scene.meshes], np.float64).reshape(-1, 2, 3)
         size = np.where(spaces[:, 1] != 0, spaces[:, 1], 1.0)
         scale = 0.5 / size
