@@ -49,13 +49,12 @@ def space_kind(settings: bpy.types.ColorManagedInputColorspaceSettings) -> Space
 
 
 def to_scene_linear(colors: np.ndarray, name: str) -> np.ndarray:
-    """`colors` [height, width, 3] of the space `name` in the scene's linear space, float32.
+    """`colors` [height, width, 4] of the space `name` in the scene's linear space, float32; alpha is nothing but handed on.
 
     Raises `ValueError` where colour management does not know `name`, or lets nothing be converted now.
     """
     height, width = colors.shape[:2]
-    values = np.ones((height, width, 4), np.float32)
-    values[..., :3] = colors
+    values = np.array(colors, np.float32, order="C")
     try:
         image = bpy.data.images.new("RayBatch conversion", width, height, alpha=True, float_buffer=True, is_data=True)
     except (AttributeError, RuntimeError) as error:  # Blender does not let its data be changed at times
@@ -71,7 +70,7 @@ def to_scene_linear(colors: np.ndarray, name: str) -> np.ndarray:
         raise ValueError(f"the colour space “{name}” is not known") from error
     finally:
         bpy.data.images.remove(image)
-    return values[..., :3]
+    return values
 
 
 def srgb_to_linear(x: np.ndarray) -> np.ndarray:
@@ -81,13 +80,13 @@ def srgb_to_linear(x: np.ndarray) -> np.ndarray:
 
 def _measured_kind(name: str) -> SpaceKind:
     steps = np.linspace(0, 1, 5, dtype=np.float32)
-    colors = np.stack(np.meshgrid(steps, steps, steps), -1).reshape(5, 25, 3)
+    colors = np.stack([*np.meshgrid(steps, steps, steps), np.ones((5, 5, 5))], -1).reshape(5, 25, 4)
     try:
         converted = to_scene_linear(colors, name)
     except ValueError:
         return SpaceKind.UNKNOWN
-    if np.abs(converted - colors).max() < _SAME:
+    if np.abs(converted - colors)[..., :3].max() < _SAME:
         return SpaceKind.LINEAR
-    if np.abs(converted - srgb_to_linear(colors)).max() < _SAME:
+    if np.abs(converted - srgb_to_linear(colors))[..., :3].max() < _SAME:
         return SpaceKind.SRGB
     return SpaceKind.OTHER

@@ -189,16 +189,21 @@ def _multiplied(pixels: np.ndarray, sixteen_bit: bool) -> np.ndarray:
 
 
 def _converted(pixels: np.ndarray, image: bpy.types.Image) -> np.ndarray:
-    """Bytes of another colour space as half-precision numbers of the scene's, rounded where Cycles rounds."""
-    alpha = (pixels[..., 3:] / np.float32(255.0)).astype(np.float16)
-    colors = (pixels[..., :3] / np.float32(255.0)).astype(np.float16)
+    """Bytes of another colour space as half-precision numbers of the scene's, rounded where Cycles rounds.
+
+    Alpha is divided out of the colours meanwhile; it is handed through the conversion with them, whose rounding it gets too.
+    """
+    values = (pixels / np.float32(255.0)).astype(np.float16).astype(np.float32)
+    colors, alpha = values[..., :3], values[..., 3:]
     if image.alpha_mode == "STRAIGHT":
-        colors = (colors.astype(np.float32) * alpha.astype(np.float32)).astype(np.float16)
-    factor = np.ones_like(alpha, np.float32)
-    if divides_alpha(image):
-        factor = np.where(alpha == 0, np.float32(1.0), alpha.astype(np.float32))
-    linear = to_scene_linear(colors.astype(np.float32) / factor, image.colorspace_settings.name) * factor
-    return np.concatenate([np.clip(linear, -_HALF_MAX, _HALF_MAX).astype(np.float16), alpha], 2)
+        colors[:] = (colors * alpha).astype(np.float16)
+    divides = divides_alpha(image)
+    if divides:
+        colors *= np.float32(1.0) / np.where(alpha == 0, np.float32(1.0), alpha)
+    values = to_scene_linear(values, image.colorspace_settings.name)
+    if divides:
+        values[..., :3] *= np.where(values[..., 3:] == 0, np.float32(1.0), values[..., 3:])
+    return np.clip(values, -_HALF_MAX, _HALF_MAX).astype(np.float16)
 
 
 def _compact(pixels: np.ndarray, image: bpy.types.Image) -> np.ndarray:
