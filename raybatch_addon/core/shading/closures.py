@@ -11,15 +11,18 @@ import warp as wp
 
 from ..scene.description import ClosureKind
 from .albedo import AlbedoTables
+from .ashikhmin_shirley import phong_exponent, sample_phong
 from .facets import make_facets
 from .lobes import Lobe, make_lobes, relative_index
 from .materials import (
-    DELTA, DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT,
+    DELTA, DIFFUSE, GLOSSY, MICROFACET_KINDS, PASSING_KINDS, TRANSMISSION, TRANSPARENT,
     BsdfSample, BsdfValue, ClosureFeatures, ClosureRecord, MaterialTable, ShadingFrame, upload_materials,
 )  # fmt: skip
 from .microfacet import is_refraction_specular, is_specular, reflected, refracted
-from .mixture import facet_normal, make_mixture, make_normals
-from .sampling import bitangent_of, sample_cosine_hemisphere, tangent_of, to_world
+from .mixture import LAMBERTIAN, SOFT, make_mixture
+from .normals import facet_normal, make_normals
+from .sampling import bitangent_of, sample_cosine_hemisphere, spherical_direction, tangent_of, to_world
+from .sheen import sample_sheen, sheen_lobe, sheen_tangent
 
 __all__ = [
     "DELTA", "DIFFUSE", "GLOSSY", "TRANSMISSION", "TRANSPARENT",
@@ -28,14 +31,15 @@ __all__ = [
 ]  # fmt: skip
 
 _K = ClosureKind
-_DIFFUSE = wp.constant(int(_K.DIFFUSE))
-_LAYERED_DIFFUSE = wp.constant(int(_K.LAYERED_DIFFUSE))
-_GLOSSY = wp.constant(int(_K.GLOSSY))
-_METAL = wp.constant(int(_K.METAL))
-_DIELECTRIC = wp.constant(int(_K.DIELECTRIC))
 _GLASS = wp.constant(int(_K.GLASS))
+_REFRACTION = wp.constant(int(_K.REFRACTION))
 _TRANSPARENT = wp.constant(int(_K.TRANSPARENT))
 _EMISSION = wp.constant(int(_K.EMISSION))
+_TRANSLUCENT = wp.constant(int(_K.TRANSLUCENT))
+_ASHIKHMIN_SHIRLEY = wp.constant(int(_K.ASHIKHMIN_SHIRLEY))
+_SHEEN = wp.constant(int(_K.SHEEN))
+_VELVET = wp.constant(int(_K.VELVET))
+_HOLDOUT = wp.constant(int(_K.HOLDOUT))
 _ONE_BELOW = wp.constant(1.0 - 2.0**-24)  # the largest float32 below 1
 
 
@@ -47,6 +51,7 @@ class Bsdf(NamedTuple):
     emission: wp.Function  # (closures, first, end) -> vec3: radiance [W/(m² sr)], the same on both sides
     transparency: wp.Function  # (closures, first, end) -> vec3: share of light that passes straight on
     scatters: wp.Function  # (closures, first, end) -> bool: has lobes for `evaluate`; if not, shadow rays are in vain
+    holdout: wp.Function  # (closures, first, end) -> float: share of the film's alpha that the surface takes away
 
 
 @functools.cache
@@ -56,10 +61,14 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
     view, reflectance = make_lobes(features)
     mean_alpha, facets_of, _, _, sample_normal = make_facets(features)
     mix, glass_reflects = make_mixture(features)
-    has_glass, has_transparent, has_emission = has(_K.GLASS), has(_K.TRANSPARENT), has(_K.EMISSION)
-    has_facets, has_coats = features.facets, features.coats
-    has_lambert = has(_K.DIFFUSE, _K.LAYERED_DIFFUSE)
-    bends = has_facets or has_coats
+    is_lambertian, is_cosine = features.test(LAMBERTIAN), features.test((*LAMBERTIAN, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT))
+    is_soft, is_facets, is_passing = features.test(SOFT), features.test(MICROFACET_KINDS), features.test(PASSING_KINDS)
+    has_lambert, has_cosine = has(*LAMBERTIAN), has(*LAMBERTIAN, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT)
+    has_transparent, has_emission, has_holdout = has(_K.TRANSPARENT), has(_K.EMISSION), has(_K.HOLDOUT)
+    has_translucent, has_sheen, has_velvet = has(_K.TRANSLUCENT), has(_K.SHEEN), has(_K.VELVET)
+    has_facets, has_passing, has_phong = features.facets, has(*PASSING_KINDS), has(_K.ASHIKHMIN_SHIRLEY)
+    has_refraction = has(_K.REFRACTION)
+    bends = features.facets or features.coats
     own = features.own_normals
     has_own_normal, own_normal = make_normals(own)
 
@@ -106,7 +115,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                 cos_o = wp.dot(facet_normal(own_normal(closures, c, frame), frame, wo), wo)
                 if not cos_o > 0.0:
                     return result
-            candidate = view(closures, c, albedo, frame, cos_o)
+            candidate = view(closures, c, albedo, frame, wo, cos_o)
             if candidate.selection > 0.0:
                 total += candidate.selection
                 p = candidate.selection / total
@@ -134,26 +143,53 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
             if wp.static(bends):
                 n = facet_normal(about, frame, wo)
                 cos_o = wp.dot(n, wo)
-        if wp.static(has_lambert):
-            if kind == _DIFFUSE or kind == _LAYERED_DIFFUSE:
-                wi = to_world(sample_cosine_hemisphere(u), tangent, bitangent, about)
+        if wp.static(has_cosine):
+            if is_cosine(kind):
+                local = sample_cosine_hemisphere(u)
+                bits = DIFFUSE
+                if wp.static(has_translucent):
+                    if kind == _TRANSLUCENT:
+                        local[2] = -local[2]
+                        bits = DIFFUSE | TRANSMISSION
+                wi = to_world(local, tangent, bitangent, about)
+        if wp.static(has_sheen):
+            if kind == _SHEEN:
+                fibres = sheen_lobe(albedo.sheen, closures[chosen].roughness, wp.dot(about, wo))
+                along = sheen_tangent(about, wo, tangent)
+                wi = to_world(sample_sheen(fibres, u), along, wp.cross(about, along), about)
+                bits = DIFFUSE
+        if wp.static(has_velvet):
+            if kind == _VELVET:
+                wi = to_world(spherical_direction(u[1], wp.TAU * u[0]), tangent, bitangent, about)
                 bits = DIFFUSE
         if wp.static(has_transparent):
             if kind == _TRANSPARENT:
                 bits = TRANSPARENT | DELTA
                 delta = lobe.scale
         if wp.static(has_facets):
-            if kind == _GLOSSY or kind == _METAL or kind == _DIELECTRIC or kind == _GLASS:
+            if is_facets(kind):
                 alpha = mean_alpha(closures, chosen)
                 h = n
                 if not is_specular(alpha):
-                    h = sample_normal(facets_of(closures, chosen, n, cos_o), wo, u)
+                    facets = facets_of(closures, chosen, n, cos_o)
+                    if kind != _ASHIKHMIN_SHIRLEY:
+                        h = sample_normal(facets, wo, u)
+                    if wp.static(has_phong):
+                        if kind == _ASHIKHMIN_SHIRLEY:
+                            along = tangent_of(n)
+                            if facets.alpha_x != facets.alpha_y:
+                                along = facets.tangent
+                            local_half = sample_phong(phong_exponent(facets.alpha_x), phong_exponent(facets.alpha_y), u)
+                            h = to_world(local_half, along, wp.cross(n, along), n)
                 cosine = wp.max(wp.dot(wo, h), 0.0)
                 f = reflectance(closures, chosen, cosine, frame.entering)
                 bits = GLOSSY
                 share = float(1.0)  # of the samples, those that go this way
-                if wp.static(has_glass):
-                    if kind == _GLASS:
+                if wp.static(has_refraction):
+                    if kind == _REFRACTION and f[0] > 0.0:
+                        return result  # total reflection, which this closure lacks
+                if wp.static(has_passing):
+                    if is_passing(kind):
                         eta = relative_index(closures[chosen].ior, frame.entering)
                         share = glass_reflects(closures, chosen, f)
                         if left >= share:
@@ -180,7 +216,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         side = wp.dot(wi, frame.geometric_normal)
         facet_side = side
         if wp.static(has_facets):
-            if (bits & (GLOSSY | TRANSMISSION)) != 0:
+            if (bits & (GLOSSY | TRANSMISSION)) != 0 and (bits & DIFFUSE) == 0:
                 facet_side = wp.dot(wi, n)
         if (bits & (TRANSMISSION | TRANSPARENT)) != 0:
             side = -side
@@ -240,13 +276,23 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         found = bool(False)
         for c in range(first, end):
             kind = closures[c].kind
-            if wp.static(has_lambert):
-                if kind == _DIFFUSE or kind == _LAYERED_DIFFUSE:
-                    found = True
+            if is_lambertian(kind) or is_soft(kind):
+                found = True
             if wp.static(has_facets):
-                if kind == _GLOSSY or kind == _METAL or kind == _DIELECTRIC or kind == _GLASS:
+                if is_facets(kind):
                     if not is_specular(mean_alpha(closures, c)):
                         found = True
         return found
 
-    return Bsdf(evaluate, sample, emission, transparency, scatters)
+    @wp.func
+    def holdout(closures: wp.array(dtype=ClosureRecord), first: int, end: int) -> float:
+        """Share of the surface that is a hole in the picture, in [0, 1]."""
+        share = float(0.0)
+        if wp.static(has_holdout):
+            for c in range(first, end):
+                if closures[c].kind == _HOLDOUT:
+                    weight = closures[c].weight
+                    share += (weight[0] + weight[1] + weight[2]) / 3.0
+        return wp.min(share, 1.0)
+
+    return Bsdf(evaluate, sample, emission, transparency, scatters, holdout)

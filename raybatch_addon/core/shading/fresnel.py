@@ -74,3 +74,41 @@ def f82_average(f0: wp.vec3, tint: wp.vec3) -> wp.vec3:
     """Cosine-weighted mean of `fresnel_f82` over the hemisphere: those of (1 - cos)^5 and cos (1 - cos)^6 are 1/21 and 1/126."""
     mean = f0 + (wp.vec3(1.0) - f0) / 21.0 - f82_dip(f0, tint) / 126.0
     return wp.min(wp.max(mean, wp.vec3(0.0)), wp.vec3(1.0))
+
+
+@wp.func
+def _conductor(n: float, k: float, cosine: float) -> float:
+    c2 = cosine * cosine
+    nk2 = n * n + k * k
+    t1 = n * n - k * k - (1.0 - c2)
+    t2 = wp.sqrt(t1 * t1 + 4.0 * n * n * k * k)
+    u = wp.sqrt(wp.max(0.5 * (t2 + t1), 0.0))
+    s_above = t2 + c2 - 2.0 * cosine * u
+    s_below = t2 + c2 + 2.0 * cosine * u
+    # parallel to the surface's plane of incidence, over that of s
+    p_above = c2 * t2 + (1.0 - c2) * (1.0 - c2) - 2.0 * cosine * u * (1.0 - c2)
+    p_below = c2 * t2 + (1.0 - c2) * (1.0 - c2) + 2.0 * cosine * u * (1.0 - c2)
+    if s_below <= 0.0 or nk2 <= 0.0:
+        return 1.0
+    rs = s_above / s_below
+    if p_below <= 0.0:
+        return rs
+    return wp.clamp(0.5 * rs * (1.0 + p_above / p_below), 0.0, 1.0)
+
+
+@wp.func
+def fresnel_conductor(index: wp.vec3, extinction: wp.vec3, cosine: float) -> wp.vec3:
+    """Reflectance of unpolarised light at a conductor of complex index n + i k, by channel (Born and Wolf, section 14.4)."""
+    return wp.vec3(
+        _conductor(index[0], extinction[0], cosine), _conductor(index[1], extinction[1], cosine), _conductor(index[2], extinction[2], cosine)
+    )
+
+
+@wp.func
+def conductor_average(index: wp.vec3, extinction: wp.vec3) -> wp.vec3:
+    """Cosine-weighted mean of `fresnel_conductor` over the hemisphere, about: that of the F82 model of equal reflectances at 0 and 82 degrees."""
+    f0 = fresnel_conductor(index, extinction, 1.0)
+    schlick = f0 + wp.static(_F82_TERM) * (wp.vec3(1.0) - f0)
+    dip = wp.static(_F82_SCALE) * (schlick - fresnel_conductor(index, extinction, wp.static(1.0 / 7.0)))
+    mean = f0 + (wp.vec3(1.0) - f0) / 21.0 - dip / 126.0
+    return wp.min(wp.max(mean, wp.vec3(0.0)), wp.vec3(1.0))

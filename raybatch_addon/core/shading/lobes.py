@@ -11,24 +11,29 @@ from .albedo import (
     reflection_albedo,
 )  # fmt: skip
 from .facets import make_facets
-from .fresnel import f82_average, fresnel_dielectric, fresnel_f82, tinted_dielectric
-from .materials import ClosureFeatures, ClosureRecord, ShadingFrame
+from .fresnel import conductor_average, f82_average, fresnel_conductor, fresnel_dielectric, fresnel_f82, tinted_dielectric
+from .materials import MIRROR_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
 from .microfacet import is_refraction_specular, is_specular
+from .normals import make_normals
+from .sheen import sheen_lobe
 
 _K = ClosureKind
-_DIFFUSE = wp.constant(int(_K.DIFFUSE))
 _LAYERED_DIFFUSE = wp.constant(int(_K.LAYERED_DIFFUSE))
-_GLOSSY = wp.constant(int(_K.GLOSSY))
 _METAL = wp.constant(int(_K.METAL))
 _DIELECTRIC = wp.constant(int(_K.DIELECTRIC))
 _GLASS = wp.constant(int(_K.GLASS))
-_TRANSPARENT = wp.constant(int(_K.TRANSPARENT))
+_REFRACTION = wp.constant(int(_K.REFRACTION))
+_CONDUCTOR = wp.constant(int(_K.CONDUCTOR))
+_SHEEN = wp.constant(int(_K.SHEEN))
+_VELVET = wp.constant(int(_K.VELVET))
+# About the albedo of velvet, which is not known; how often it is sampled, no more
+_VELVET_ALBEDO = 0.3
 
 
 class LobeFunctions(NamedTuple):
     """Functions (`wp.Function`) of one specialisation."""
 
-    view: wp.Function  # (closures, c: int, albedo, frame, cos_o: float) -> Lobe
+    view: wp.Function  # (closures, c: int, albedo, frame, wo, cos_o: float) -> Lobe
     reflectance: wp.Function  # (closures, c: int, cosine: float, entering: int) -> vec3: share of light that a facet reflects
 
 
@@ -57,10 +62,16 @@ def _sum(v: wp.vec3) -> float:
 def make_lobes(features: ClosureFeatures) -> LobeFunctions:
     """The functions for closures of `features.kinds`."""
     has = features.has
-    has_diffuse, has_layered = has(_K.DIFFUSE), has(_K.LAYERED_DIFFUSE)
-    has_glossy, has_metal, has_dielectric = has(_K.GLOSSY), has(_K.METAL), has(_K.DIELECTRIC)
-    has_mirror = has_glossy or has_metal or has_dielectric
-    has_glass, has_transparent = has(_K.GLASS), has(_K.TRANSPARENT)
+    # whose albedo is their weight, or about that
+    is_plain = features.test((_K.DIFFUSE, _K.TRANSPARENT, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT, _K.REFRACTION, _K.ASHIKHMIN_SHIRLEY))
+    is_mirror = features.test(MIRROR_KINDS)
+    has_layered, has_metal, has_dielectric, has_conductor = (
+        has(kind) for kind in (_K.LAYERED_DIFFUSE, _K.METAL, _K.DIELECTRIC, _K.CONDUCTOR)
+    )
+    has_mirror = has(*MIRROR_KINDS)
+    has_glass, has_refraction, has_sheen, has_velvet = has(_K.GLASS), has(_K.REFRACTION), has(_K.SHEEN), has(_K.VELVET)
+    has_dielectrics = has_glass or has_refraction or has_dielectric
+    _, own_normal = make_normals(features.own_normals)
 
     mean_alpha = make_facets(features).alpha
     alike = not has(_K.ANISOTROPIC)
@@ -109,33 +120,39 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
         if wp.static(has_metal):
             if kind == _METAL:
                 f = fresnel_f82(closures[c].colour, closures[c].edge, cosine)
-        if wp.static(has_dielectric or has_glass):
-            if kind == _DIELECTRIC or kind == _GLASS:
+        if wp.static(has_conductor):
+            if kind == _CONDUCTOR:
+                f = fresnel_conductor(closures[c].colour, closures[c].edge, cosine)
+        if wp.static(has_dielectrics):
+            if kind == _DIELECTRIC or kind == _GLASS or kind == _REFRACTION:
                 eta = closures[c].ior
-                if kind == _GLASS:
+                if kind != _DIELECTRIC:
                     eta = relative_index(eta, entering)
-                f = tinted_dielectric(fresnel_dielectric(cosine, eta), eta, closures[c].edge)
+                white = fresnel_dielectric(cosine, eta)
+                f = tinted_dielectric(white, eta, closures[c].edge)
+                if wp.static(has_refraction):
+                    if kind == _REFRACTION:
+                        f = wp.vec3(wp.where(white < 1.0, 0.0, 1.0))
         return f
 
     @wp.func
     def view_lobe(
-        closures: wp.array(dtype=ClosureRecord), c: int, tables: AlbedoTables, frame: ShadingFrame, cos_o: float
+        closures: wp.array(dtype=ClosureRecord), c: int, tables: AlbedoTables, frame: ShadingFrame, wo: wp.vec3, cos_o: float
     ) -> Lobe:
         """Closure `c` seen at `cos_o` to the facets' normal."""
         lobe = Lobe()
         kind = closures[c].kind
         weight = closures[c].weight
         albedo = wp.vec3(0.0)
-        if wp.static(has_diffuse):
-            if kind == _DIFFUSE:
-                lobe.scale = weight
-                albedo = weight
+        if is_plain(kind):
+            lobe.scale = weight
+            albedo = weight
         if wp.static(has_layered):
             if kind == _LAYERED_DIFFUSE:
                 lobe.scale = wp.max(1.0 - coat_reflects(closures, c, tables, cos_o), 0.0) * weight
                 albedo = lobe.scale
         if wp.static(has_mirror):
-            if kind == _GLOSSY or kind == _METAL or kind == _DIELECTRIC:
+            if is_mirror(kind):
                 roughness = table_roughness(closures, c)
                 mean = closures[c].colour
                 seen = wp.vec3(1.0)
@@ -143,6 +160,10 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
                     if kind == _METAL:
                         mean = f82_average(closures[c].colour, closures[c].edge)
                         seen = fresnel_f82(closures[c].colour, closures[c].edge, cos_o)
+                if wp.static(has_conductor):
+                    if kind == _CONDUCTOR:
+                        mean = conductor_average(closures[c].colour, closures[c].edge)
+                        seen = fresnel_conductor(closures[c].colour, closures[c].edge, cos_o)
                 if wp.static(has_dielectric):
                     if kind == _DIELECTRIC:
                         ior = closures[c].ior
@@ -164,10 +185,15 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
                     bounded = wp.min(closures[c].colour, wp.vec3(1.0))
                     lobe.scale = wp.cw_mul(weight, glass_compensation(tables, roughness, eta, cos_o, bounded))
                 albedo = weight
-        if wp.static(has_transparent):
-            if kind == _TRANSPARENT:
+        if wp.static(has_sheen):
+            if kind == _SHEEN:
+                fibres = sheen_lobe(tables.sheen, closures[c].roughness, wp.dot(own_normal(closures, c, frame), wo))
+                lobe.scale = fibres[0] * weight
+                albedo = lobe.scale
+        if wp.static(has_velvet):
+            if kind == _VELVET:
                 lobe.scale = weight
-                albedo = weight
+                albedo = wp.static(_VELVET_ALBEDO) * weight
         lobe.selection = _sum(albedo)
         return lobe
 

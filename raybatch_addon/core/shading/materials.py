@@ -3,8 +3,9 @@
 `shading/closures.py` holds the functions that evaluate and sample them.
 """
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +23,9 @@ TRANSPARENT = 8  # passed straight on
 DELTA = 16  # in a direction that no other strategy finds
 
 _K = ClosureKind
-MICROFACET_KINDS = frozenset({_K.GLOSSY, _K.METAL, _K.DIELECTRIC, _K.GLASS})
+MIRROR_KINDS = frozenset({_K.GLOSSY, _K.METAL, _K.DIELECTRIC, _K.CONDUCTOR})  # facets that reflect and let nothing through
+PASSING_KINDS = frozenset({_K.GLASS, _K.REFRACTION})  # facets that refract
+MICROFACET_KINDS = MIRROR_KINDS | PASSING_KINDS | {_K.ASHIKHMIN_SHIRLEY}
 _COAT_KINDS = frozenset({_K.LAYERED_DIFFUSE, _K.DIELECTRIC})
 # Indices of refraction are kept in a range whose squares and their inverses are far from the ends of
 # float32; beyond it a dielectric reflects more than 99.6 % and is a mirror for all purposes.
@@ -40,10 +43,14 @@ class ClosureFeatures:
         """Whether any of `kinds` is among them."""
         return any(kind in self.kinds for kind in kinds)
 
+    def test(self, kinds: Iterable[ClosureKind]) -> wp.Function:
+        """Function (kind: int) -> bool: whether it is one of `kinds`; those that are not here cost nothing."""
+        return _kind_test(tuple(sorted(int(kind) for kind in kinds if kind in self.kinds)))
+
     @property
     def scatters(self) -> bool:
         """Whether anything but emission and straight passage is there."""
-        return any(kind.is_model and kind not in (_K.EMISSION, _K.TRANSPARENT) for kind in self.kinds)
+        return any(kind.is_model and kind not in (_K.EMISSION, _K.TRANSPARENT, _K.HOLDOUT) for kind in self.kinds)
 
     @property
     def facets(self) -> bool:
@@ -61,6 +68,21 @@ class ClosureFeatures:
         return self.has(*_COAT_KINDS)
 
 
+@functools.cache
+def _kind_test(kinds: tuple[int, ...]) -> wp.Function:
+    count = len(kinds)
+
+    @wp.func
+    def is_one(kind: int) -> bool:
+        found = bool(False)
+        for i in range(wp.static(count)):
+            if kind == wp.static(kinds[i]):
+                found = True
+        return found
+
+    return is_one
+
+
 @wp.struct
 class ClosureRecord:
     """One weighted closure on the device; what a kind does not use is ignored."""
@@ -69,8 +91,8 @@ class ClosureRecord:
     weight: wp.vec3  # linear RGB, >= 0
     roughness: float  # [0, 1]; alpha is its square
     ior: float  # inside over outside
-    colour: wp.vec3  # of a facet, without mix factors: GLOSSY, GLASS between facets; METAL at normal incidence
-    edge: wp.vec3  # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence
+    colour: wp.vec3  # of a facet, without mix factors: GLOSSY, GLASS, ROUGH_DIFFUSE between facets; METAL at normal incidence; CONDUCTOR: index
+    edge: wp.vec3  # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence; CONDUCTOR: extinction coefficient
     refraction: wp.vec3  # GLASS: colour of refracted light relative to `weight`
     multiscatter: int  # 1: what bounces more than once between facets is added
     distribution: int  # BECKMANN: 1
@@ -154,9 +176,10 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     table.closures = wp.array(records, dtype=ClosureRecord, device=device)
     table.albedo = upload_tables(
         device,
-        reflection=features.coats or features.has(_K.GLOSSY, _K.METAL),
+        reflection=features.coats or features.has(*MIRROR_KINDS),
         coat=features.coats,
         glass=features.has(_K.GLASS),
+        sheen=features.has(_K.SHEEN),
     )
     return table
 
@@ -195,7 +218,7 @@ def _weight_and_colour(closure: Closure) -> tuple:
     colour = np.float32(scale) * np.array(closure.weight, np.float32)
     if closure.kind == _K.GLASS:
         return closure.weight, colour * np.array(closure.refraction, np.float32)
-    if closure.kind == _K.METAL:
+    if closure.kind in (_K.METAL, _K.CONDUCTOR):
         return (np.float32(1.0) / np.float32(scale),) * 3, colour
     return closure.weight, colour
 

@@ -6,28 +6,32 @@ normal's side, refracted ones on the other, and everything else is 0.
 """
 
 import functools
+import math
 from typing import NamedTuple
 
 import warp as wp
 
 from ..scene.description import ClosureKind
 from .albedo import AlbedoTables
+from .ashikhmin_shirley import phong_density, phong_exponent
+from .diffuse import rough_diffuse
 from .facets import make_facets
 from .lobes import make_lobes, relative_index
-from .materials import ClosureFeatures, ClosureRecord, ShadingFrame
+from .materials import MIRROR_KINDS, PASSING_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
 from .microfacet import is_refraction_specular, is_specular
+from .normals import bump_shadow, facet_normal, make_normals
+from .sampling import tangent_of
+from .sheen import sheen_density, sheen_lobe, sheen_tangent, velvet
 
 _K = ClosureKind
-_DIFFUSE = wp.constant(int(_K.DIFFUSE))
-_LAYERED_DIFFUSE = wp.constant(int(_K.LAYERED_DIFFUSE))
-_GLOSSY = wp.constant(int(_K.GLOSSY))
-_METAL = wp.constant(int(_K.METAL))
-_DIELECTRIC = wp.constant(int(_K.DIELECTRIC))
 _GLASS = wp.constant(int(_K.GLASS))
-
-# Share of wo's height above the triangle that a mirrored direction keeps at least, by bending the
-# normal. A choice of look, as any treatment of interpolated normals; flat surfaces have the share 1.
-_HEIGHT_KEPT = wp.constant(0.25)
+_ROUGH_DIFFUSE = wp.constant(int(_K.ROUGH_DIFFUSE))
+_TRANSLUCENT = wp.constant(int(_K.TRANSLUCENT))
+_ASHIKHMIN_SHIRLEY = wp.constant(int(_K.ASHIKHMIN_SHIRLEY))
+_SHEEN = wp.constant(int(_K.SHEEN))
+_VELVET = wp.constant(int(_K.VELVET))
+LAMBERTIAN = (_K.DIFFUSE, _K.LAYERED_DIFFUSE)
+SOFT = (_K.ROUGH_DIFFUSE, _K.TRANSLUCENT, _K.SHEEN, _K.VELVET)  # other diffuse closures
 
 
 class MixtureFunctions(NamedTuple):
@@ -50,73 +54,68 @@ class Mixture:
     selection: float  # of all closures
 
 
-@wp.func
-def facet_normal(n: wp.vec3, frame: ShadingFrame, wo: wp.vec3) -> wp.vec3:
-    """Unit normal `n`, bent so that wo is above it and wo's mirror direction above the triangle.
-
-    After Keller et al., "The Iray Light Transport Simulation and Rendering System" (2017), A.3.
-    """
-    c = wp.dot(n, wo)
-    # a normal that faces away from wo is first turned to be perpendicular to it
-    mirrored = 2.0 * wp.max(c, 0.0) * n - wo
-    height = wp.dot(mirrored, frame.geometric_normal)
-    least = _HEIGHT_KEPT * wp.dot(wo, frame.geometric_normal)
-    if c > 0.0 and height >= least:
-        return n
-    return wp.normalize(wo + wp.normalize(mirrored + (least - height) * frame.geometric_normal))
-
-
-@wp.func
-def _bump_shadow(n: wp.vec3, frame: ShadingFrame, wi: wp.vec3) -> float:
-    """What is left of diffuse light from `wi` where a normal `n` of its own tilts the facets of a surface.
-
-    Without it light ends abruptly where the surface turns away (Conty Estevez, Lecocq and Stein, "A Microfacet-Based Shadowing
-    Function to Solve the Bump Terminator Problem", 2019).
-    """
-    cos_d = wp.abs(wp.dot(frame.normal, n))
-    cos_i = wp.dot(frame.normal, wi)
-    if cos_d >= 1.0:
-        return 1.0
-    if cos_i <= 0.0:
-        return 0.0
-    if cos_i >= 1.0:
-        return 1.0
-    alpha2 = wp.min(0.125 * (1.0 / wp.max(cos_d * cos_d, 1.0e-20) - 1.0), 1.0)
-    return 2.0 * cos_i / (cos_i + wp.sqrt(cos_i * cos_i + alpha2 * (1.0 - cos_i * cos_i)))
-
-
-@functools.cache
-def make_normals(own: bool) -> tuple[wp.Function, wp.Function]:
-    """Functions (closures, c: int) -> bool: whether a closure has a normal of its own, and (closures, c: int, frame) -> vec3: its normal."""
-
-    @wp.func
-    def has_own_normal(closures: wp.array(dtype=ClosureRecord), c: int) -> bool:
-        if wp.static(own):
-            n = closures[c].normal
-            return n[0] != 0.0 or n[1] != 0.0 or n[2] != 0.0
-        return False
-
-    @wp.func
-    def own_normal(closures: wp.array(dtype=ClosureRecord), c: int, frame: ShadingFrame) -> wp.vec3:
-        if has_own_normal(closures, c):
-            return closures[c].normal
-        return frame.normal
-
-    return has_own_normal, own_normal
-
-
 @functools.cache
 def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
     """The functions for closures of `features`."""
     has = features.has
     view, reflectance = make_lobes(features)
     mean_alpha, facets_of, visible_density, shadowing, _ = make_facets(features)
-    has_glass = has(_K.GLASS)
-    has_facets, has_coats = features.facets, features.coats
-    has_lambert = has(_K.DIFFUSE, _K.LAYERED_DIFFUSE)
-    bends = has_facets or has_coats
+    is_lambertian, is_soft = features.test(LAMBERTIAN), features.test(SOFT)
+    is_mirror, is_passing = features.test(MIRROR_KINDS), features.test(PASSING_KINDS)
+    has_lambert, has_soft = has(*LAMBERTIAN), has(*SOFT)
+    has_glass, has_mirror, has_passing = has(_K.GLASS), has(*MIRROR_KINDS), has(*PASSING_KINDS)
+    has_rough_diffuse, has_translucent, has_sheen, has_velvet = (has(kind) for kind in SOFT)
+    has_phong, has_facets = has(_K.ASHIKHMIN_SHIRLEY), features.facets
+    bends = features.facets or features.coats
     own = features.own_normals
     has_own_normal, own_normal = make_normals(own)
+
+    @wp.func
+    def soft(
+        closures: wp.array(dtype=ClosureRecord), c: int, albedo: AlbedoTables, frame: ShadingFrame, wo: wp.vec3, wi: wp.vec3
+    ) -> wp.vec4:
+        """(f |cos| over the closure's scale, density) of one of `SOFT`, wi on its side of the triangle."""
+        kind = closures[c].kind
+        normal = own_normal(closures, c, frame)
+        cosine = wp.dot(normal, wi)
+        found = wp.vec4(0.0)
+        if wp.static(has_rough_diffuse):
+            if kind == _ROUGH_DIFFUSE:
+                f = rough_diffuse(closures[c].roughness, wp.min(closures[c].colour, wp.vec3(1.0)), wo, wi, normal)
+                found = wp.vec4(f[0], f[1], f[2], wp.max(cosine, 0.0) / wp.PI)
+        if wp.static(has_translucent):
+            if kind == _TRANSLUCENT:
+                below = wp.max(-cosine, 0.0) / wp.PI
+                found = wp.vec4(below, below, below, below)
+        if wp.static(has_sheen):
+            if kind == _SHEEN:
+                lobe = sheen_lobe(albedo.sheen, closures[c].roughness, wp.dot(normal, wo))
+                along = sheen_tangent(normal, wo, tangent_of(normal))
+                density = sheen_density(lobe, wp.vec3(wp.dot(wi, along), wp.dot(wi, wp.cross(normal, along)), cosine))
+                found = wp.vec4(density, density, density, density)
+        if wp.static(has_velvet):
+            if kind == _VELVET and cosine > 0.0:
+                value = velvet(closures[c].roughness, wo, wi, normal)
+                found = wp.vec4(value, value, value, wp.static(0.5 / math.pi))
+        if wp.static(own):
+            if kind != _TRANSLUCENT and has_own_normal(closures, c):
+                shadow = bump_shadow(normal, frame, wi)
+                found = wp.vec4(shadow * found[0], shadow * found[1], shadow * found[2], found[3])
+        return found
+
+    @wp.func
+    def phong(closures: wp.array(dtype=ClosureRecord), c: int, n: wp.vec3, cos_o: float, wo: wp.vec3, wi: wp.vec3) -> wp.vec2:
+        """(f cos over the closure's scale, density) of Ashikhmin and Shirley's lobe, wi above the surface."""
+        facets = facets_of(closures, c, n, cos_o)
+        half = wp.normalize(wo + wi)
+        along = tangent_of(n)
+        if facets.alpha_x != facets.alpha_y:
+            along = facets.tangent
+        local = wp.vec3(wp.dot(half, along), wp.dot(half, wp.cross(n, along)), wp.dot(half, n))
+        cos_i = wp.dot(n, wi)
+        d = wp.max(wp.dot(half, wo), 1.0e-6)
+        pdf = 0.25 * phong_density(phong_exponent(facets.alpha_x), phong_exponent(facets.alpha_y), local) / d
+        return wp.vec2(pdf * cos_i / wp.max(cos_i, cos_o), pdf)
 
     @wp.func
     def glass_reflects(closures: wp.array(dtype=ClosureRecord), c: int, f: wp.vec3) -> float:
@@ -152,39 +151,52 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
                 cos_o = wp.dot(n, wo)
                 if not cos_o > 0.0:
                     return Mixture()
-            lobe = view(closures, c, albedo, frame, cos_o)
+            lobe = view(closures, c, albedo, frame, wo, cos_o)
             mixture.selection += lobe.selection
             if wp.static(has_lambert):
-                if kind == _DIFFUSE or kind == _LAYERED_DIFFUSE:
+                if is_lambertian(kind):
                     if has_own_normal(closures, c):
                         about = own_normal(closures, c, frame)
                         cosine = wp.dot(wi, about)
                         if above > 0.0 and cosine > 0.0:
-                            value = (_bump_shadow(about, frame, wi) * cosine / wp.PI) * lobe.scale
+                            value = (bump_shadow(about, frame, wi) * cosine / wp.PI) * lobe.scale
                             mixture.value += value
                             mixture.soft += value
                             mixture.density += lobe.selection * cosine / wp.PI
                     else:
                         mixture.diffuse += lobe.scale
                         mixture.diffuse_selection += lobe.selection
+            if wp.static(has_soft):
+                if is_soft(kind) and (above > 0.0) == (kind != _TRANSLUCENT):
+                    both = soft(closures, c, albedo, frame, wo, wi)
+                    value = wp.cw_mul(lobe.scale, wp.vec3(both[0], both[1], both[2]))
+                    mixture.value += value
+                    mixture.soft += value
+                    mixture.density += lobe.selection * both[3]
             if wp.static(has_facets):
                 cos_i = wp.dot(n, wi)
                 alpha = mean_alpha(closures, c)
                 if cos_i > 0.0 and above > 0.0 and not is_specular(alpha):
-                    if kind == _GLOSSY or kind == _METAL or kind == _DIELECTRIC or kind == _GLASS:
-                        facets = facets_of(closures, c, n, cos_o)
-                        half = wo + wi
-                        cosine = wp.min(wp.length(half) * 0.5, 1.0)  # to either direction
-                        pdf = 0.25 * visible_density(facets, wo, half)
-                        shadowed = pdf * shadowing(facets, wo, wi, cos_i)
-                        f = reflectance(closures, c, cosine, frame.entering)
-                        if wp.static(has_glass):
-                            if kind == _GLASS:
-                                pdf = glass_reflects(closures, c, f) * pdf
-                        mixture.value += shadowed * wp.cw_mul(lobe.scale, f)
-                        mixture.density += lobe.selection * pdf
-                if wp.static(has_glass):
-                    if kind == _GLASS and cos_i < 0.0 and above < 0.0 and not is_specular(alpha):
+                    if wp.static(has_mirror or has_glass):
+                        if is_mirror(kind) or kind == _GLASS:
+                            facets = facets_of(closures, c, n, cos_o)
+                            half = wo + wi
+                            cosine = wp.min(wp.length(half) * 0.5, 1.0)  # to either direction
+                            pdf = 0.25 * visible_density(facets, wo, half)
+                            shadowed = pdf * shadowing(facets, wo, wi, cos_i)
+                            f = reflectance(closures, c, cosine, frame.entering)
+                            if wp.static(has_glass):
+                                if kind == _GLASS:
+                                    pdf = glass_reflects(closures, c, f) * pdf
+                            mixture.value += shadowed * wp.cw_mul(lobe.scale, f)
+                            mixture.density += lobe.selection * pdf
+                    if wp.static(has_phong):
+                        if kind == _ASHIKHMIN_SHIRLEY:
+                            bright = phong(closures, c, n, cos_o, wo, wi)
+                            mixture.value += bright[0] * lobe.scale
+                            mixture.density += lobe.selection * bright[1]
+                if wp.static(has_passing):
+                    if is_passing(kind) and cos_i < 0.0 and above < 0.0 and not is_specular(alpha):
                         eta = relative_index(closures[c].ior, frame.entering)
                         half = wo + eta * wi
                         if wp.dot(half, n) < 0.0:

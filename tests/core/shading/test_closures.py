@@ -1,5 +1,6 @@
 """Closures: sampling against density, energy, reciprocity, delta lobes, extremes, and what is compiled."""
 
+import dataclasses
 import itertools
 from pathlib import Path
 
@@ -21,18 +22,23 @@ from tests.core.shading.closure_probe import (
 from under_test import BLOCK_DIM, DEVICE, SOURCE_SUFFIX
 
 
+def reflects_alone(name):
+    """Whether no closure of ROUGH[name] lets light through."""
+    return not {closure.kind for closure in ROUGH[name]} & {K.GLASS, K.REFRACTION, K.TRANSLUCENT, K.TRANSPARENT}
+
+
 @pytest.mark.parametrize("entering", [1, 0])
 @pytest.mark.parametrize("cosine", [0.95, 0.5, 0.12])
 @pytest.mark.parametrize("name", ROUGH)
 def test_samples_follow_their_density(name, cosine, entering):
     """Pearson's chi-squared on either side; the samples are random, not stratified, so that it applies."""
-    if entering == 0 and "glass" not in name and name != "all":
+    if entering == 0 and reflects_alone(name):
         pytest.skip("the same from both sides")
     wo, frame, count = toward(cosine), frame_of(entering=entering), 20_000
     u = np.random.default_rng(1).random((count, 3), np.float32)
     direction, weight, pdf, lobe = sample(ROUGH[name], wo, count, frame, u=u)
     direction = direction[(lobe != 0) & (lobe & DELTA == 0)]
-    ior = ROUGH[name][0].ior if "glass" in name else 1.4
+    ior = 1.4 if reflects_alone(name) else ROUGH[name][0].ior
     eta = ior if entering else 1 / ior
     behind = -wo / eta
     behind[2] = -np.sqrt(max(1 - behind[0] ** 2 - behind[1] ** 2, 0))
@@ -136,16 +142,19 @@ def test_energy_compensation_knows_the_mix_factor():
     assert np.all(dark < half - 0.02)
 
 
-@pytest.mark.parametrize("name", ["diffuse", "glossy", "glossy 0.2", "metal"])
+@pytest.mark.parametrize("name", [
+    "diffuse", "glossy", "glossy 0.2", "metal", "anisotropic", "anisotropic metal", "beckmann", "anisotropic beckmann", "conductor",
+    "rough diffuse", "rough diffuse 1", "ashikhmin-shirley", "anisotropic ashikhmin-shirley", "velvet",
+])
 def test_reciprocity(name):
     """f(wo, wi) = f(wi, wo) for single scattering."""
-    closures = [Closure(c.kind, c.weight, c.roughness, c.ior, multiscatter=False) for c in ROUGH[name]]
+    closures = [dataclasses.replace(c, multiscatter=False) for c in ROUGH[name]]
     rng = np.random.default_rng(3)
     for _ in range(20):
         a, b = (toward(rng.uniform(0.05, 1), rng.uniform(0, 6)) for _ in range(2))
         forward, _ = evaluate(closures, a, b)
         backward, _ = evaluate(closures, b, a)
-        np.testing.assert_allclose(forward / b[2], backward / a[2], rtol=1e-4)
+        np.testing.assert_allclose(forward / b[2], backward / a[2], rtol=1e-4, atol=1e-30)
 
 
 def test_evaluation_against_textbook_formulas():
@@ -272,10 +281,11 @@ def test_light_does_not_leak(name):
         crosses = (lobe & (TRANSMISSION | TRANSPARENT)) != 0
         height = direction[:, 2]
         assert np.all(height[used & crosses] < 0) and np.all(height[used & ~crosses] > 0)
-        assert used.mean() > 0.2  # the bent normal leaves something, though the shading normal faces away
+        if name != "velvet" or normal @ wo > 0:  # velvet is black from behind
+            assert used.mean() > 0.2  # the bent normal leaves something, though the shading normal faces away
         below = toward(0.3, 1.0) * [1, 1, -1]
         value, density = evaluate(ROUGH[name], wo, below, frame)
-        if "glass" not in name and name != "all":
+        if reflects_alone(name):
             assert not value.any() and not density.any()
 
 
@@ -286,7 +296,10 @@ def test_extremes_stay_finite():
     corner = np.array(list(itertools.product((0.0, 0.5, 1 - 2.0**-24), repeat=3)), np.float32)
     kinds = [k for k in K if k.is_model and k not in (K.EMISSION, K.TRANSPARENT)]
     for kind, roughness in itertools.product(kinds, (0.0, SMOOTH, 1.12 * SMOOTH, 0.1, 1.0)):
-        refracts = kind in (K.GLASS, K.DIELECTRIC, K.LAYERED_DIFFUSE)
+        refracts = kind in (K.GLASS, K.DIELECTRIC, K.LAYERED_DIFFUSE, K.REFRACTION)
+        # velvet of the least sigma is 1e4 / pi times as bright as its mean along the surface, and its samples are uniform; grooves that
+        # are lit and seen along the surface have a BSDF of one over the cosine
+        largest = 2e4 if kind in (K.VELVET, K.ROUGH_DIFFUSE) else 200
         for ior in (0.0, 0.5, 1.0, 1.0 + 1e-6, 1.0005, 1.5, 1e9) if refracts else (1.5,):
             closures = [Closure(kind, WHITE, roughness, ior)]
             for wo, entering in itertools.product(normal_ish, (0, 1)):
@@ -295,7 +308,7 @@ def test_extremes_stay_finite():
                 assert np.isfinite(value).all() and np.isfinite(pdf).all() and (value >= 0).all() and (pdf >= 0).all()
                 direction, weight, pdf, lobe = sample(closures, wo, 0, frame, u=corner)
                 assert np.isfinite(direction).all() and np.isfinite(weight).all() and np.isfinite(pdf).all()
-                assert (weight >= 0).all() and (weight < 200).all()
+                assert (weight >= 0).all() and (weight < largest).all()
                 np.testing.assert_allclose(np.linalg.norm(direction[lobe != 0], axis=1), 1, atol=1e-5)
 
 
@@ -324,7 +337,7 @@ def test_only_what_is_needed_is_compiled_and_allocated():
     """A diffuse material's module holds no function of facets, and its table no albedos of them."""
     source, everything = source_of(ClosureFeatures((K.DIFFUSE,))), source_of(EVERYTHING)
     assert "sample_cosine_hemisphere" in source
-    names = ("ggx_", "fresnel_dielectric", "fresnel_f82", "visible_normal", "_albedo_", "facet_normal", "refracted", "beckmann")
+    names = ("ggx_", "fresnel_dielectric", "fresnel_f82", "visible_normal", "_albedo_", "facet_normal", "refracted", "beckmann", "phong", "velvet_0", "sheen_lobe_0", "rough_diffuse", "fresnel_conductor")
     for name in (*names, "reflected"):
         assert name not in source and name in everything, name
     table = table_of(Closure(K.DIFFUSE, WHITE), features=ClosureFeatures((K.DIFFUSE,)))
