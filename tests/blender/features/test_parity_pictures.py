@@ -1,0 +1,17 @@
+"""The quick features that are whole pictures against Cycles; scripts/parity.py compares all of them."""
+
+import pytest
+
+bpy = pytest.importorskip("bpy")
+if bpy.app.version < (5, 2):
+    pytest.skip("features are compared with the Cycles of Blender 5.2", allow_module_level=True)
+
+from blender.features.known import quick_parameters  # noqa: E402
+from blender.features.runner import run_picture  # noqa: E402
+
+
+@pytest.mark.parametrize("feature", quick_parameters("picture"))
+def test_pictures(feature, addon, tmp_path):
+    result = run_picture(feature, tmp_path)
+    print(result.text())
+    assert result.ok, result.text()
