@@ -31,7 +31,9 @@ class CyclesPoints:
         self._material = bpy.data.materials.new("Node")
         self._mesh.materials.append(self._material)
 
-    def values(self, kind: str, inputs: Mapping[str, object], output: str, mapping: Mapping[str, object] | None = None, **properties) -> np.ndarray:
+    def values(
+        self, kind: str, inputs: Mapping[str, object], output: str, mapping: Mapping[str, object] | None = None, **properties
+    ) -> np.ndarray:
         """The output of a node of `kind`, float32 [COUNT, 3].
 
         `inputs` by identifier: arrays [COUNT] of numbers or [COUNT, 3] of vectors and colours, or one number for all; what is

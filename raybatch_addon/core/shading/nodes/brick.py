@@ -73,9 +73,9 @@ def brick(p: wp.vec3, wall: Wall) -> wp.vec2:
 @op("brick", "vvvvnnnnnnnini>NV", foldable=False)
 @wp.func
 def brick_op(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """Mortar and colour of a wall: vector, colours of bricks (at tint 0, at 1) and mortar, scale; mortar size and smooth, bias, width and row
+    """Mortar and colour of a wall: vector, three colours (bricks of tint 0, of tint 1, mortar), scale, and how bricks are laid.
 
-    height; offset and its frequency, squash and its frequency.
+    That is: mortar size and smooth, bias, width, row height, offset and its frequency, squash and its frequency.
     """
     scale = number(data, stack, pc + 5)
     wall = Wall()

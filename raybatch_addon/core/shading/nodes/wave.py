@@ -83,7 +83,7 @@ def wave(kind: int, profile: int, p: wp.vec3, phase: float, distortion: Distorti
 @op("wave", "iivnnnnnn>NV", foldable=False)
 @wp.func
 def wave_op(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """Factor and colour of a wave: `WaveKind`, `WaveProfile`, vector, scale, phase; amount, detail, scale and roughness of the distortion."""
+    """Factor and colour: `WaveKind`, `WaveProfile`, vector, scale, phase; amount, detail, scale and roughness of the distortion."""
     distortion = Distortion()
     distortion.amount = number(data, stack, pc + 6)
     distortion.detail = number(data, stack, pc + 7)
