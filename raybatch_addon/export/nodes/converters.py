@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ...core.shading.nodes.builder import Value
 from ...core.shading.nodes.rotate import MappingKind, RotationKind
+from ...core.shading.nodes.spaces import Space, VectorKind
 from .node import Node, own_value
 from .registry import values
 
@@ -48,3 +49,10 @@ def light_falloff(node: Node) -> dict[str, Value]:
     """Strengths that fall with distance in other ways than light does."""
     quadratic, linear, constant = node.op("light_falloff", node.number("Strength"), node.number("Smooth"))
     return {"Quadratic": quadratic, "Linear": linear, "Constant": constant}
+
+
+@values("ShaderNodeVectorTransform", family="Utilities")
+def vector_transform(node: Node) -> Value:
+    """A vector in another space."""
+    settings = node.node
+    return node.op("vector_transform", VectorKind[settings.vector_type], Space[settings.convert_from], Space[settings.convert_to], node.vector("Vector"))
