@@ -159,7 +159,8 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
         text = f"object “{_object_name(scene, i)}” has {why}: it is not rendered"
         if text not in warnings:
             warnings.append(text)
-    return Instances(*(getattr(instances, field.name)[keep] for field in dataclasses.fields(Instances)))
+    columns = (getattr(instances, field.name) for field in dataclasses.fields(Instances))
+    return Instances(*(None if column is None else column[keep] for column in columns))
 
 
 def _mesh_extents(meshes: tuple[Mesh, ...]) -> tuple[np.ndarray, np.ndarray]:
