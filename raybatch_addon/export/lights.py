@@ -11,9 +11,9 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..core.scene.description import Light, LightKind, Visibility
-from .emission_nodes import constant_emission
-from .nodes.graph import NotUnderstood
+from ..core.scene.description import ClosureKind, Light, LightKind, Visibility
+from .nodes.collections import Collections
+from .nodes.compile import compile_graph
 from .world import has_nodes, usable_emission
 
 _MAX_BOUNCES = 1024  # Cycles' default: no limit
@@ -68,11 +68,22 @@ def _strength(light: bpy.types.Light, name: str, warnings: list[str]) -> np.ndar
     if getattr(light, "use_temperature", False):
         strength = strength * np.array(light.temperature_color[:3], float)
     if has_nodes(light):
-        try:
-            strength = strength * constant_emission(light.node_tree)
-        except NotUnderstood as reason:
-            warnings.append(f"{name}: {reason}: this is not supported yet; the light shines as if it had no nodes")
+        strength = strength * _node_emission(light, name, warnings)
     return strength
+
+
+def _node_emission(light: bpy.types.Light, name: str, warnings: list[str]) -> np.ndarray:
+    """What the light's nodes make of its strength, linear RGB."""
+    output = light.node_tree.get_output_node("CYCLES") or light.node_tree.get_output_node("ALL")
+    if output is None:
+        return np.zeros(3)
+    compiled = compile_graph(output.inputs["Surface"], light, Collections())
+    warnings += [f"{name}: {note}" for note in compiled.notes]
+    if compiled.program is not None:
+        varying = ", ".join(compiled.varying)
+        warnings.append(f"{name}: {varying}: light that is not the same everywhere is not supported yet; it shines as if it had no nodes")
+        return np.ones(3)
+    return sum((np.array(c.weight) for c in compiled.closures if c.kind == ClosureKind.EMISSION), np.zeros(3))
 
 
 def _shape(light: bpy.types.Light, scale: np.ndarray) -> tuple[float, dict | None]:

@@ -6,13 +6,13 @@ from typing import Any
 
 import bpy
 
-from ..core.scene.description import ClosureKind, Material
-from .nodes import shader_at
+from ..core.scene.description import Closure, ClosureKind, Material
+from ..core.shading.nodes.builder import Value
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph
-from .nodes.graph import NotUnderstood, find_source
-from .nodes.mixture import WHITE, Mixture, single
-from .nodes.principled import principled_mixture
+from .nodes.graph import find_source
+from .nodes.shaders_principled import KINDS as PRINCIPLED_KINDS
+from .nodes.shaders_principled import Layers, layered_closures
 
 _DEFAULT_GREY = (0.8, 0.8, 0.8)  # Blender's surface without a material
 # Objects named in a message about their material
@@ -63,48 +63,29 @@ def export_material(material: bpy.types.Material | None, collections: Collection
     """
     collections = collections or Collections()
     if material is None:
-        return _material("default", single(ClosureKind.DIFFUSE, _DEFAULT_GREY)), []
-    notes: list[str] = []
-    try:
-        mixture = _surface(material, notes)
-    except NotUnderstood:
-        return _compiled(material, collections)
-    return _material(material.name, mixture), notes
-
-
-def _compiled(material: bpy.types.Material, collections: Collections) -> tuple[Material, list[str]]:
-    tree = material.node_tree
-    output = tree.get_output_node("CYCLES") or tree.get_output_node("ALL") or tree.get_output_node("EEVEE")
-    compiled = compile_graph(output.inputs["Surface"], material, collections)
-    return Material(material.name, compiled.closures, compiled.kinds, compiled.program), list(compiled.notes)
-
-
-def _surface(material: bpy.types.Material, notes: list[str]) -> Mixture:
+        return Material("default", (Closure(ClosureKind.DIFFUSE, _DEFAULT_GREY),), (ClosureKind.DIFFUSE,)), []
     if not has_nodes(material):
-        return principled_mixture(
-            base=tuple(max(float(c), 0.0) for c in material.diffuse_color[:3]),
-            metallic=float(material.metallic),
-            roughness=float(material.roughness),
-        )
+        return Material(material.name, _viewport_closures(material), tuple(sorted(PRINCIPLED_KINDS))), []
     tree = material.node_tree
     output = tree.get_output_node("CYCLES") or tree.get_output_node("ALL") or tree.get_output_node("EEVEE")
     if output is None:
-        return Mixture()
-    left_out: list[str] = []
-    surface = shader_at(output.inputs["Surface"], left_out=left_out)
+        return Material(material.name), []
     linked = {name for name in ("Surface", "Volume", "Displacement") if find_source(output.inputs[name])[0] is not None}
-    left_out += [name.lower() for name in ("Volume", "Displacement") if name in linked]
-    if left_out:
-        notes.append(f"not supported yet and left out: {', '.join(left_out)}")
-    if "Volume" in linked and "Surface" not in linked:
-        return single(ClosureKind.TRANSPARENT, WHITE)  # a volume alone has no surface
-    return surface
+    left_out = [name.lower() for name in ("Volume", "Displacement") if name in linked]
+    notes = [f"not supported yet and left out: {', '.join(left_out)}"] if left_out else []
+    if "Volume" in linked and "Surface" not in linked:  # a volume alone has no surface
+        return Material(material.name, (Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0)),), (ClosureKind.TRANSPARENT,)), notes
+    compiled = compile_graph(output.inputs["Surface"], material, collections)
+    return Material(material.name, compiled.closures, compiled.kinds, compiled.program), [*compiled.notes, *notes]
+
+
+def _viewport_closures(material: bpy.types.Material) -> tuple[Closure, ...]:
+    """Of a material without nodes."""
+    color = tuple(float(c) for c in material.diffuse_color[:3])
+    return layered_closures(Layers(Value.of(color), Value.of(material.metallic), Value.of(material.roughness)))
 
 
 def has_nodes(material: bpy.types.Material) -> bool:
     """Whether `material` is described by its nodes. From Blender 5.0 on it is wherever it has a tree."""
     return material.node_tree is not None and (bpy.app.version >= (5, 0) or material.use_nodes)
 
-
-def _material(name: str, mixture: Mixture) -> Material:
-    return Material(name, mixture.visible().closures, tuple(sorted(mixture.kinds)))

@@ -6,10 +6,9 @@ import bpy
 import numpy as np
 
 from ..core.scene.description import ClosureKind, Visibility, World
-from .emission_nodes import has_volume
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph
-
+from .nodes.graph import find_source
 
 # Texels around a world that is not constant, by whose brightness it is sampled: Cycles' number where no image says more
 _SAMPLING_SIZE = 1024
@@ -33,7 +32,8 @@ def export_world(world: bpy.types.World | None, warnings: list[str], collections
         program = compiled.program
         lit = [closure.weight for closure in compiled.closures if closure.kind == ClosureKind.EMISSION]
         radiance = np.sum(lit, axis=0) if lit else np.zeros(3)
-        if has_volume(world.node_tree):
+        volume = output.inputs.get("Volume") if output else None
+        if volume is not None and find_source(volume)[0] is not None:
             warnings.append(f"world “{world.name}”: volumes are not supported; the world's volume is left out")
     radiance = usable_emission(radiance, f"world “{world.name}”", warnings)
     return World(radiance, _visibility(world), program, _sampling_size(world, collections))

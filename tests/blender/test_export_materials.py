@@ -11,6 +11,7 @@ from blender_builders import add_object, add_triangle, exported, material_of, no
 
 from raybatch_addon.core.scene.description import ClosureKind as K  # noqa: E402
 from raybatch_addon.export.materials import export_material  # noqa: E402
+from raybatch_addon.export.nodes.registry import Handled, shader_nodes  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("scene")
 
@@ -39,10 +40,11 @@ def of_one(kind, **inputs):
 
 
 def weights(material):
-    """Weights by kind, those of the same kind added."""
+    """Weights by kind, a metal's times its colour, those of the same kind added."""
     totals = {}
     for closure in material.closures:
-        totals[closure.kind] = totals.get(closure.kind, 0) + np.array(closure.weight)
+        weight = np.array(closure.weight) * (closure.colour if closure.kind == K.METAL else 1)
+        totals[closure.kind] = totals.get(closure.kind, 0) + weight
     return {kind: pytest.approx(total, rel=1e-6) for kind, total in totals.items()}
 
 
@@ -99,7 +101,7 @@ def test_mix_weighs_and_add_adds():
     assert notes == []
     red, green = np.array(RED[:3]), np.array(GREEN[:3])
     assert weights(got) == {K.DIFFUSE: 0.75 * red, K.GLASS: 0.25 * green, K.EMISSION: np.full(3, 3.0)}
-    assert {c.kind: c.share for c in got.closures}[K.GLASS] == 0.25
+    assert {c.kind: c.colour for c in got.closures}[K.GLASS] == pytest.approx(green)
     mix.inputs[0].default_value = 7
     assert weights(export_material(material)[0]) == {K.GLASS: green, K.EMISSION: np.full(3, 3.0)}
 
@@ -126,7 +128,7 @@ def test_principled_layers_share_the_light():
     for kind in (K.GLASS, K.DIELECTRIC, K.LAYERED_DIFFUSE):
         assert by_kind[kind].ior == 1.75
     assert by_kind[K.METAL].edge == (1, 1, 1)
-    assert by_kind[K.METAL].share == 0.375
+    assert by_kind[K.METAL].weight == (0.375,) * 3
     assert by_kind[K.GLASS].refraction == pytest.approx(np.sqrt(red))
 
 
@@ -154,11 +156,19 @@ def test_specular_level_scales_the_reflectance_of_the_coat():
     assert reflectance(0) == 0
 
 
-def test_layers_that_are_not_rendered_are_named():
+def test_layers_that_depend_on_the_view_make_a_program():
     material, notes = of_one("ShaderNodeBsdfPrincipled", Coat_Weight=0.5, Sheen_Weight=0.5)
+    assert notes == [] and material.closures == () and K.SHEEN in material.kinds
+    assert {"layer_coat", "layer_sheen", "dielectric", "sheen", "layered_diffuse"} <= set(material.program.ops)
+    plain = of_one("ShaderNodeBsdfPrincipled")[0]
+    assert plain.program is None and K.SHEEN not in plain.kinds
+
+
+def test_what_is_approximated_is_named():
+    material, notes = of_one("ShaderNodeBsdfPrincipled", Subsurface_Weight=0.5)
     assert K.LAYERED_DIFFUSE in {closure.kind for closure in material.closures}
     (note,) = notes
-    assert "Coat Weight" in note and "Sheen Weight" in note and "Principled BSDF" in note
+    assert "Subsurface" in note and "diffuse" in note and "Principled BSDF" in note
 
 
 @pytest.mark.parametrize("node, inputs", [("ShaderNodeEmission", {"Strength": -2}), ("ShaderNodeBsdfPrincipled", {"Emission_Strength": -2})])
@@ -230,45 +240,51 @@ def test_node_groups_within_node_groups_pass_values_in_and_shaders_out():
 
 
 @pytest.mark.parametrize("what", ["texture", "shader", "mix by texture"])
-def test_what_is_not_understood_has_its_viewport_colour_and_is_named_with_node_and_objects(what):
+def test_what_is_not_supported_is_replaced_and_named_with_node_and_objects(what):
     obj = add_triangle("Thing")
     add_object("Other", obj.data)
     material = material_of(obj, "Odd")
     tree, surface = node_tree(material)
-    noise = tree.nodes.new("ShaderNodeTexNoise")
+    unknown = tree.nodes.new("ShaderNodeUVAlongStroke")
     if what == "texture":
-        shader = tree.nodes.new("ShaderNodeBsdfPrincipled")
-        tree.links.new(noise.outputs["Color"], shader.inputs["Base Color"])
+        shader = add_node(tree, "ShaderNodeBsdfDiffuse")
+        tree.links.new(unknown.outputs[0], shader.inputs["Color"])
     elif what == "shader":
-        shader = tree.nodes.new("ShaderNodeBsdfTranslucent")
+        shader = tree.nodes.new("ShaderNodeBsdfToon")
     else:
         shader = tree.nodes.new("ShaderNodeMixShader")
-        tree.links.new(noise.outputs[0], shader.inputs[0])
+        tree.links.new(unknown.outputs[0], shader.inputs[0])
+        tree.links.new(add_node(tree, "ShaderNodeBsdfDiffuse", Color=RED).outputs[0], shader.inputs[1])
     tree.links.new(shader.outputs[0], surface)
     material.diffuse_color = (0.5, 0.25, 0.125, 1)
     scene = exported()
     (got,) = scene.materials
-    assert weights(got) == {K.DIFFUSE: np.array([0.5, 0.25, 0.125])}
+    expected = {"texture": {}, "shader": {K.DIFFUSE: np.array([0.5, 0.25, 0.125])}, "mix by texture": {K.DIFFUSE: np.array(RED[:3])}}[what]
+    assert weights(got) == expected
     (warning,) = scene.warnings
-    node = "Translucent" if what == "shader" else "Noise Texture"
-    for name in ("“Odd”", node, "“Thing”", "“Other”", "viewport colour"):
+    for name in ("“Odd”", "Toon BSDF" if what == "shader" else "UV Along Stroke", "“Thing”", "“Other”", "viewport colour" if what == "shader" else "it gives 0"):
         assert name in warning
 
 
-def test_a_bump_map_is_left_out_and_said_so():
+def test_a_handler_that_fails_costs_its_own_node_alone(monkeypatch):
+    def fail(node, weight):
+        node.closure("emission", weight)
+        raise KeyError("no such socket")
+
+    monkeypatch.setitem(shader_nodes, "ShaderNodeEmission", Handled("ShaderNodeEmission", "Shaders", fail))
     material, tree, surface = new_material()
-    diffuse = add_node(tree, "ShaderNodeBsdfDiffuse", Color=RED)
-    tree.links.new(tree.nodes.new("ShaderNodeBump").outputs[0], diffuse.inputs["Normal"])
-    tree.links.new(diffuse.outputs[0], surface)
+    add = add_node(tree, "ShaderNodeAddShader")
+    tree.links.new(add_node(tree, "ShaderNodeEmission").outputs[0], add.inputs[0])
+    tree.links.new(add_node(tree, "ShaderNodeBsdfGlass").outputs[0], add.inputs[1])
+    tree.links.new(add.outputs[0], surface)
     got, notes = export_material(material)
-    assert weights(got) == {K.DIFFUSE: np.array(RED[:3])}
-    assert "Normal" in notes[0]
+    assert set(weights(got)) == {K.DIFFUSE, K.GLASS}
+    (note,) = notes
+    assert "Emission" in note and "no such socket" in note and "viewport colour" in note
 
 
 def test_values_that_are_not_finite_fall_back():
-    material, notes = of_one("ShaderNodeEmission", Strength=math.inf)
-    if notes:  # Blender may have clamped it
-        assert material.kinds == (K.DIFFUSE,) and "not a finite number" in notes[0]
+    material, _ = of_one("ShaderNodeEmission", Strength=math.inf)
     assert all(np.isfinite(closure.weight).all() for closure in material.closures)
 
 

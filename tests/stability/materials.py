@@ -8,7 +8,9 @@ import numpy as np
 
 from raybatch_addon.core.scene.description import Closure
 from raybatch_addon.core.scene.description import ClosureKind as K
-from raybatch_addon.export.nodes.principled import principled_mixture
+from raybatch_addon.core.shading.nodes.builder import Value
+from raybatch_addon.core.shading.nodes.closure_ops_facets import Distribution
+from raybatch_addon.export.nodes.shaders_principled import Layers, layered_closures
 from tests.core.shading import closure_probe as probe
 
 from .bench import Bench
@@ -196,17 +198,22 @@ def furnace_principled(bench: Bench) -> Outcome:
     sweep = Sweep()
     rng = np.random.default_rng(8)
     for metallic, roughness, ior, specular, transmission, alpha in _principled_corners():
-        mixture = principled_mixture(
-            base=WHITE, metallic=metallic, roughness=roughness, ior=ior, specular=specular, transmission=transmission, alpha=alpha
+        closures = _principled(
+            base=WHITE, metallic=metallic, roughness=roughness, ior=ior, level=specular, transmission=transmission, alpha=alpha
         )
         note = f"metallic {metallic:g}, roughness {roughness:.3g}, index {ior:g}, specular {specular:g}, transmission {transmission:g}"
         for entering in (1, 0) if transmission and metallic < 1 else (1,):
             cosine = float(rng.uniform(0.1, 1))
-            measured, spread = albedo(bench, mixture.visible().closures, cosine, entering, 8)
+            measured, spread = albedo(bench, closures, cosine, entering, 8)
             loss = 0.012 if entering else 0.03
             note_here = f"{note}, alpha {alpha:g}, cosine {cosine:.3f}, entering {entering}"
             sweep.add(measured, 1.0, (_GAIN_GLASS if measured > 1 else loss) + spread + 1e-6, note_here)
     return sweep.outcome()
+
+
+def _principled(distribution: Distribution = Distribution.MULTI_GGX, **inputs) -> tuple[Closure, ...]:
+    """Closures of a Principled BSDF of constants."""
+    return layered_closures(Layers(distribution=distribution, **{name: Value.of(value) for name, value in inputs.items()}))
 
 
 @case(
@@ -222,12 +229,12 @@ def principled_at_random(bench: Bench) -> Outcome:
     sweep = Sweep()
     for i in range(300):
         u = rng.random(12)
-        mixture = principled_mixture(
-            base=tuple(u[:3]), metallic=u[3], roughness=u[4] ** 2, ior=float(10 ** rng.uniform(-2, 3)) if i % 2 else 1 + u[5], specular=2 * u[6],
-            tint=tuple(u[7:10]), transmission=u[10], alpha=u[11], multiscatter=bool(i % 3),
+        closures = _principled(
+            base=tuple(u[:3]), metallic=u[3], roughness=u[4] ** 2, ior=float(10 ** rng.uniform(-2, 3)) if i % 2 else 1 + u[5], level=2 * u[6],
+            transmission=u[10], alpha=u[11], distribution=Distribution.MULTI_GGX if i % 3 else Distribution.GGX,
         )  # fmt: skip
         cosine = float(10 ** rng.uniform(-4, 0))
-        measured, spread = albedo(bench, mixture.visible().closures, cosine, 1, 8)
+        measured, spread = albedo(bench, closures, cosine, 1, 8)
         sweep.add(max(measured - 1, 0.0) if measured == measured else measured, 0.0, 0.02 + spread, f"number {i}, cosine {cosine:.2g}")
     return sweep.outcome()
 

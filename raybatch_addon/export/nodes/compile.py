@@ -20,6 +20,7 @@ class Compiled:
     program: Program | None
     kinds: tuple[ClosureKind, ...]  # that it can have, whatever its values
     notes: tuple[str, ...]  # what is left out or approximated
+    varying: tuple[str, ...] = ()  # names of nodes whose outputs are not constants
 
 
 def compile_graph(socket, owner: Any, collections: Collections) -> Compiled:
@@ -32,4 +33,4 @@ def compile_graph(socket, owner: Any, collections: Collections) -> Compiled:
     records = graph.builder.constant_closures()
     if records is not None:
         return Compiled(tuple(constant_closure(record) for record in records), None, kinds, tuple(graph.notes))
-    return Compiled((), graph.builder.finish(), kinds, tuple(graph.notes))
+    return Compiled((), graph.builder.finish(), kinds, tuple(graph.notes), tuple(graph.varying))

@@ -1,20 +1,13 @@
-"""Following the links of a shader graph: through reroutes, muted nodes and node groups, to shaders and constants."""
+"""Following the links of a shader graph: through reroutes, muted nodes and node groups, to the node that feeds a socket."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 # Groups within groups, and sockets on the way of one link: more of them is a cycle
 _GROUPS_MOST = 64
 _HOPS_MOST = 1000
-
-LUMINANCE = (0.21263901, 0.71516868, 0.07219232)  # of linear Rec. 709: how Blender turns a colour into a value
-
-
-class NotUnderstood(Exception):
-    """A part of a graph that cannot be expressed; the message names the node."""
 
 
 @dataclass(frozen=True)
@@ -85,36 +78,3 @@ def _group_output(group):
 
 def _by_identifier(sockets, identifier: str):
     return next((socket for socket in sockets if socket.identifier == identifier), None)
-
-
-def constant_value(socket, groups: tuple[Any, ...] = ()) -> float | tuple[float, ...]:
-    """The constant at the input `socket`: its own value, or that of a Value or RGB node. Raises `NotUnderstood`."""
-    source, own = find_source(socket, groups)
-    if source is None:
-        return 0.0 if own is None else _plain(own)
-    if source.node.bl_idname in ("ShaderNodeValue", "ShaderNodeRGB"):
-        return _plain(source.socket)
-    raise NotUnderstood(f"{node_label(source.node)}, which gives the {socket.name} of {node_label(socket.node)}")
-
-
-def constant_float(socket, groups: tuple[Any, ...] = ()) -> float:
-    """`constant_value` as a number, as Blender converts it."""
-    value = constant_value(socket, groups)
-    if isinstance(value, tuple):
-        return sum(c * w for c, w in zip(value, LUMINANCE))
-    return value
-
-
-def constant_color(socket, groups: tuple[Any, ...] = ()) -> tuple[float, float, float]:
-    """`constant_value` as linear RGB, negative channels raised to 0."""
-    value = constant_value(socket, groups)
-    red, green, blue = value if isinstance(value, tuple) else (value,) * 3
-    return max(red, 0.0), max(green, 0.0), max(blue, 0.0)
-
-
-def _plain(socket) -> float | tuple[float, float, float]:
-    value = socket.default_value
-    plain = tuple(float(c) for c in value[:3]) if hasattr(value, "__len__") else float(value)
-    if not all(math.isfinite(c) for c in (plain if isinstance(plain, tuple) else (plain,))):
-        raise NotUnderstood(f"the {socket.name} of {node_label(socket.node)} is not a finite number")
-    return plain

@@ -30,6 +30,7 @@ class Graph:
     builder: ProgramBuilder = field(default_factory=ProgramBuilder)
     kinds: set[ClosureKind] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)  # what is left out or approximated, in words
+    varying: list[str] = field(default_factory=list)  # nodes whose outputs are not constants, in the order of the way to them
     shift: int = 0  # bump mapping evaluates its height thrice: here, and a little aside along two axes
     _known: dict[tuple, dict[str, Value]] = field(default_factory=dict)
     _open: set[tuple] = field(default_factory=set)  # nodes being evaluated: one met again is a cycle
@@ -48,8 +49,13 @@ class Graph:
             if handled is None:
                 self._unknown_shader(node, weight)
                 return
-            self.kinds.update(handled.kinds(node) if callable(handled.kinds) else handled.kinds)
-            handled.handler(node, weight)
+            step = self.builder.step_count
+            try:
+                self.kinds.update(handled.kinds(node) if callable(handled.kinds) else handled.kinds)
+                handled.handler(node, weight)
+            except Exception as error:  # noqa: BLE001  (one node that cannot be read must not cost the others)
+                self.builder.drop_closures(step)
+                self._viewport_colour(node, weight, f"cannot be read ({error_text(error)})")
 
     def value(self, source) -> Value:
         """What comes out of the socket `source.socket`."""
@@ -60,7 +66,13 @@ class Graph:
                 if not new:
                     self.note(f"{node_label(node.node)} is linked to itself: the link is ignored")
                     return Value.of(0.0)
-                self._known[key] = self._outputs(node)
+                try:
+                    self._known[key] = self._outputs(node)
+                except Exception as error:  # noqa: BLE001
+                    self.note(f"{node_label(node.node)} cannot be read ({error_text(error)}); it gives 0")
+                    self._known[key] = {"": Value.of(0.0)}
+                if not all(value.known for value in self._known[key].values()):
+                    self.varying.append(node_label(node.node))
         outputs = self._known[key]
         return outputs.get(source.socket.identifier) or outputs.get("") or Value.of(0.0)
 
@@ -85,10 +97,17 @@ class Graph:
             self.note(f"{node_label(node.node)} is not supported; its first linked shader passes through")
             self.surface(inner, weight, node.groups)
             return
+        self._viewport_colour(node, weight, "is not supported")
+
+    def _viewport_colour(self, node: Node, weight: Value, why: str) -> None:
+        """A surface or light in place of a shader."""
         color = [max(float(c), 0.0) for c in getattr(self.owner, "diffuse_color", getattr(self.owner, "color", (0.8, 0.8, 0.8)))[:3]]
-        self.note(f"{node_label(node.node)} is not supported; it is a diffuse surface in the viewport colour")
-        self.kinds.add(ClosureKind.DIFFUSE)
-        node.closure("diffuse", node.times(weight, color), 0.0)
+        if type(self.owner).__name__ in ("Material", "NoneType"):
+            self.note(f"{node_label(node.node)} {why}; it is a diffuse surface in the viewport colour")
+            self.kinds.add(ClosureKind.DIFFUSE)
+            node.closure("diffuse", node.times(weight, color), BLACK)
+        else:
+            self.note(f"{node_label(node.node)} {why}; it gives no light")
 
     @contextmanager
     def _inside(self, node: Node, what: str) -> Iterator[bool]:
@@ -101,6 +120,11 @@ class Graph:
             yield True
         finally:
             self._open.discard(key)
+
+
+def error_text(error: Exception) -> str:
+    """An exception in one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
 
 
 @dataclass(frozen=True)
@@ -137,6 +161,10 @@ class Node:
         """Whether a node feeds the input."""
         socket = self.socket(key)
         return socket is not None and find_source(socket, self.groups)[0] is not None
+
+    def used(self, key: int | str) -> bool:
+        """Whether the input is there and is linked or not 0."""
+        return self.has(key) and (self.linked(key) or any(self._input(key, 0.0, 1).constant or (1.0,)))
 
     def wants(self, output: str) -> bool:
         """Whether anything is linked to the output called or identified as `output`."""
@@ -202,6 +230,17 @@ class Node:
     def normal(self, key: int | str = "Normal") -> Value:
         """A normal input; the shading normal where nothing is linked."""
         return self.vector(key) if self.linked(key) else self.op("normals")[0]
+
+    def own_normal(self, key: int | str = "Normal") -> Value:
+        """A normal input for closures; 0, which stands for the surface's normal, where nothing is linked."""
+        if not self.linked(key):
+            return BLACK
+        self.graph.kinds.add(ClosureKind.OWN_NORMAL)
+        return self.vector(key)
+
+    def tangent(self, key: int | str = "Tangent") -> Value:
+        """A tangent input; around the object's Z axis where nothing is linked."""
+        return self.vector(key) if self.linked(key) else self.op("radial_tangent", 2, self.shift)
 
     def uv(self) -> Value:
         """The active UV map, as a vector; what images take where nothing is linked."""

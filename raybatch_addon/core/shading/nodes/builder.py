@@ -93,6 +93,15 @@ class ProgramBuilder:
         op = op_named(name)
         self._steps.append(_Step(op, self._inputs(op, operands), []))
 
+    @property
+    def step_count(self) -> int:
+        """Steps so far, those that nothing needs included."""
+        return len(self._steps)
+
+    def drop_closures(self, first: int) -> None:
+        """Takes back the closures of all steps from number `first` on."""
+        self._steps[first:] = [step for step in self._steps[first:] if not step.op.makes_closures]
+
     def table(self, values: Sequence[float]) -> int:
         """The place of `values` among the constants."""
         return self._place(tuple(_single(float(v)) for v in values))
@@ -110,8 +119,17 @@ class ProgramBuilder:
         return list(closures[:count])
 
     def finish(self) -> Program:
-        """The program of all closures so far."""
-        steps = self._needed()
+        """The program of all closures so far, without those that are known to be black.
+
+        Kernels are compiled, and their arrays measured, for these too: a constant that changes changes no kernel.
+        """
+        needed = self._needed()
+        most = _Registers(needed)
+        for i, step in enumerate(needed):
+            for each in step.outputs:
+                most.take(each)
+            most.free_after(i)
+        steps = self._needed(seen=True)
         registers = _Registers(steps)
         instructions = []
         for i, step in enumerate(steps):
@@ -120,16 +138,22 @@ class ProgramBuilder:
             words += [registers.take(each) for each in step.outputs]
             registers.free_after(i)
             instructions.append(Instruction(step.op.name, tuple(words)))
-        ops = {step.op.name for step in steps}
+        ops = {step.op.name for step in needed}
         return Program(
-            tuple(instructions), np.array(self._constants, np.float32), registers.count, sum(step.op.closures_most for step in steps), tuple(sorted(ops))
+            tuple(instructions),
+            np.array(self._constants, np.float32),
+            max(most.count, registers.count),
+            sum(step.op.closures_most for step in needed),
+            tuple(sorted(ops)),
         )
 
-    def _needed(self) -> list[_Step]:
-        """The steps that closures depend on, in order."""
+    def _needed(self, seen: bool = False) -> list[_Step]:
+        """The steps that closures depend on, in order; with `seen` those that are known to be black are left out."""
         wanted: set[int] = set()
         steps = []
         for step in reversed(self._steps):
+            if seen and step.op.makes_closures and step.inputs[0].constant == (0.0, 0.0, 0.0):
+                continue
             if step.op.makes_closures or any(id(each) in wanted for each in step.outputs):
                 wanted.update(id(each) for each in step.inputs if isinstance(each, Value))
                 steps.append(step)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from ...scene.geometry import Geometry
+from ..albedo import AlbedoTables
 from ..textures import ImageTable
 from .inputs_data import InputData
 
@@ -29,6 +30,7 @@ class NodeData:
     geometry: Geometry
     images: ImageTable
     inputs: InputData
+    albedo: AlbedoTables  # of layers; arrays that no program needs have length 0
 
 
 @dataclass(frozen=True)

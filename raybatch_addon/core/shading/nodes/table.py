@@ -11,6 +11,7 @@ from ...errors import SceneError
 from ...scene.description import Scene
 from ...scene.geometry import Geometry
 from ...scene.program import Program, ProgramFeatures
+from ..albedo import upload_tables
 from ..textures import ImageTable
 from .inputs_data import upload_inputs
 from .op import INPUTS, NodeData, op_named
@@ -57,6 +58,8 @@ def upload_programs(
     data.geometry = geometry
     data.images = images
     data.inputs = upload_inputs(scene, features.ops, device)
+    coat = not {"layer_coat", "layer_specular"}.isdisjoint(features.ops)
+    data.albedo = upload_tables(device, reflection=coat, coat=coat, glass=False, sheen="layer_sheen" in features.ops)
     return data
 
 

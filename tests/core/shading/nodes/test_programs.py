@@ -29,7 +29,7 @@ def test_constants_are_folded():
 def test_black_closures_vanish_where_all_is_constant():
     builder = ProgramBuilder()
     builder.closure("emission", (0.0, 0.0, 0.0))
-    builder.closure("diffuse", (0.5, 0.0, 0.0), 0.0)
+    builder.closure("diffuse", (0.5, 0.0, 0.0), (0.0, 0.0, 0.0))
     assert [record.kind for record in builder.constant_closures()] == [ClosureKind.DIFFUSE]
 
 
@@ -77,7 +77,7 @@ def test_a_program_gives_the_picture_of_the_closures_it_makes(session):
     for material in scene.materials:
         if [closure.kind for closure in material.closures] == [ClosureKind.DIFFUSE]:
             builder = ProgramBuilder()
-            builder.closure("diffuse", material.closures[0].weight, 0.0)
+            builder.closure("diffuse", material.closures[0].weight, (0.0, 0.0, 0.0))
             material = dataclasses.replace(material, closures=(), program=builder.finish(), kinds=(ClosureKind.DIFFUSE,))
         materials.append(material)
     assert any(material.program for material in materials) and not all(material.program for material in materials)

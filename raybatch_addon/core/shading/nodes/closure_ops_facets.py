@@ -1,0 +1,176 @@
+"""Ops that make closures of facets. Normals and tangents may be 0: the surface's normal, and facets that are alike in all directions."""
+
+from enum import IntEnum
+
+import warp as wp
+
+from ...scene.description import ClosureKind
+from ..materials import IOR_RANGE, ClosureRecord, new_closure
+from .closure_ops import is_black, unit_color, unit_number, usable_index, usable_normal, usable_weight
+from .op import NodeData, closure_op, number, vector
+from .point import ShadingPoint
+
+
+class Distribution(IntEnum):
+    """How facets are turned: an immediate of these ops."""
+
+    GGX = 0
+    MULTI_GGX = 1  # with what bounces more than once between facets
+    BECKMANN = 2
+
+
+_IOR_LEAST = IOR_RANGE[0]
+_ASPECT_LEAST = 1e-4
+_GLOSSY = wp.constant(int(ClosureKind.GLOSSY))
+_METAL = wp.constant(int(ClosureKind.METAL))
+_DIELECTRIC = wp.constant(int(ClosureKind.DIELECTRIC))
+_GLASS = wp.constant(int(ClosureKind.GLASS))
+_REFRACTION = wp.constant(int(ClosureKind.REFRACTION))
+_CONDUCTOR = wp.constant(int(ClosureKind.CONDUCTOR))
+_ASHIKHMIN_SHIRLEY = wp.constant(int(ClosureKind.ASHIKHMIN_SHIRLEY))
+_LAYERED_DIFFUSE = wp.constant(int(ClosureKind.LAYERED_DIFFUSE))
+
+
+@wp.func
+def facet_closure(kind: int, weight: wp.vec3, distribution: int, roughness: float, normal: wp.vec3) -> ClosureRecord:
+    """A record of facets that are alike in all directions."""
+    record = new_closure(kind, weight)
+    if distribution == wp.static(int(Distribution.MULTI_GGX)):
+        record.multiscatter = 1
+    if distribution == wp.static(int(Distribution.BECKMANN)):
+        record.distribution = 1
+    record.roughness = unit_number(roughness)
+    record.normal = usable_normal(normal)
+    return record
+
+
+@wp.func
+def usable_aspect(aspect: float) -> float:
+    """`aspect` between its least and the inverse of that; 1 where it is no number."""
+    result = float(1.0)
+    if aspect > 0.0 and aspect < wp.inf:
+        result = wp.clamp(aspect, wp.static(_ASPECT_LEAST), wp.static(1.0 / _ASPECT_LEAST))
+    return result
+
+
+@closure_op("glossy", "vvinnvv")
+@wp.func
+def glossy(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+    """Reflects all light: weight, colour (which the weight contains), distribution, roughness, aspect, tangent, normal."""
+    weight = usable_weight(vector(data, stack, pc + 1))
+    if is_black(weight) or count >= closures.shape[0]:
+        return count
+    record = facet_closure(_GLOSSY, weight, data.code[pc + 3], number(data, stack, pc + 4), vector(data, stack, pc + 7))
+    record.colour = usable_weight(vector(data, stack, pc + 2))
+    record.aspect = usable_aspect(number(data, stack, pc + 5))
+    record.tangent = usable_normal(vector(data, stack, pc + 6))
+    closures[count] = record
+    return count + 1
+
+
+@closure_op("ashikhmin_shirley", "vnnvv")
+@wp.func
+def ashikhmin_shirley(
+    data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int
+) -> int:
+    """A Phong lobe: weight, roughness, aspect, tangent, normal."""
+    weight = usable_weight(vector(data, stack, pc + 1))
+    if is_black(weight) or count >= closures.shape[0]:
+        return count
+    record = facet_closure(_ASHIKHMIN_SHIRLEY, weight, 0, number(data, stack, pc + 2), vector(data, stack, pc + 5))
+    record.aspect = usable_aspect(number(data, stack, pc + 3))
+    record.tangent = usable_normal(vector(data, stack, pc + 4))
+    closures[count] = record
+    return count + 1
+
+
+@closure_op("metal", "vvvinnvv")
+@wp.func
+def metal(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+    """F82-tint: weight (without colour), reflectance at normal incidence, tint at 82 degrees, distribution, roughness, aspect, tangent, normal."""
+    weight = usable_weight(vector(data, stack, pc + 1))
+    if is_black(weight) or count >= closures.shape[0]:
+        return count
+    record = facet_closure(_METAL, weight, data.code[pc + 4], number(data, stack, pc + 5), vector(data, stack, pc + 8))
+    record.colour = unit_color(vector(data, stack, pc + 2))
+    record.edge = unit_color(vector(data, stack, pc + 3))
+    record.aspect = usable_aspect(number(data, stack, pc + 6))
+    record.tangent = usable_normal(vector(data, stack, pc + 7))
+    closures[count] = record
+    return count + 1
+
+
+@closure_op("conductor", "vvvinnvv")
+@wp.func
+def conductor(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+    """A metal by its indices: weight, index of refraction, extinction coefficient, distribution, roughness, aspect, tangent, normal."""
+    weight = usable_weight(vector(data, stack, pc + 1))
+    if is_black(weight) or count >= closures.shape[0]:
+        return count
+    record = facet_closure(_CONDUCTOR, weight, data.code[pc + 4], number(data, stack, pc + 5), vector(data, stack, pc + 8))
+    record.colour = usable_weight(vector(data, stack, pc + 2))
+    record.edge = usable_weight(vector(data, stack, pc + 3))
+    record.aspect = usable_aspect(number(data, stack, pc + 6))
+    record.tangent = usable_normal(vector(data, stack, pc + 7))
+    closures[count] = record
+    return count + 1
+
+
+@closure_op("dielectric", "vvinnnvv")
+@wp.func
+def dielectric(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+    """What a dielectric reflects: weight, tint at normal incidence, distribution, roughness, index, aspect, tangent, normal."""
+    weight = usable_weight(vector(data, stack, pc + 1))
+    ior = usable_index(number(data, stack, pc + 5), 1.0)
+    if is_black(weight) or ior == 1.0 or count >= closures.shape[0]:
+        return count
+    record = facet_closure(_DIELECTRIC, weight, data.code[pc + 3], number(data, stack, pc + 4), vector(data, stack, pc + 8))
+    record.ior = ior
+    record.edge = usable_weight(vector(data, stack, pc + 2))
+    record.aspect = usable_aspect(number(data, stack, pc + 6))
+    record.tangent = usable_normal(vector(data, stack, pc + 7))
+    closures[count] = record
+    return count + 1
+
+
+@closure_op("layered_diffuse", "vinnv")
+@wp.func
+def layered_diffuse(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+    """Lambert's law below what `dielectric` reflects of the same distribution, roughness and index: weight, these, normal."""
+    weight = usable_weight(vector(data, stack, pc + 1))
+    if is_black(weight) or count >= closures.shape[0]:
+        return count
+    record = facet_closure(_LAYERED_DIFFUSE, weight, data.code[pc + 2], number(data, stack, pc + 3), vector(data, stack, pc + 5))
+    record.ior = usable_index(number(data, stack, pc + 4), 1.0)
+    closures[count] = record
+    return count + 1
+
+
+@closure_op("glass", "vvvvinnv")
+@wp.func
+def glass(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+    """Reflects and refracts: weight, what refracts relative to it, colour of bounces between facets, tint of what is reflected at normal incidence,
+    distribution, roughness, index, normal."""
+    weight = usable_weight(vector(data, stack, pc + 1))
+    if is_black(weight) or count >= closures.shape[0]:
+        return count
+    record = facet_closure(_GLASS, weight, data.code[pc + 5], number(data, stack, pc + 6), vector(data, stack, pc + 8))
+    record.refraction = usable_weight(vector(data, stack, pc + 2))
+    record.colour = usable_weight(vector(data, stack, pc + 3))
+    record.edge = usable_weight(vector(data, stack, pc + 4))
+    record.ior = usable_index(number(data, stack, pc + 7), wp.static(_IOR_LEAST))
+    closures[count] = record
+    return count + 1
+
+
+@closure_op("refraction", "vinnv")
+@wp.func
+def refraction(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+    """Refracts all light: weight, distribution, roughness, index, normal."""
+    weight = usable_weight(vector(data, stack, pc + 1))
+    if is_black(weight) or count >= closures.shape[0]:
+        return count
+    record = facet_closure(_REFRACTION, weight, data.code[pc + 2], number(data, stack, pc + 3), vector(data, stack, pc + 5))
+    record.ior = usable_index(number(data, stack, pc + 4), wp.static(_IOR_LEAST))
+    closures[count] = record
+    return count + 1

@@ -1,0 +1,174 @@
+"""What layers of a surface leave to those below them, and other quantities that closures are made of.
+
+A layer takes from all channels what it reflects of the one of which it reflects most, as seen from where the ray came.
+"""
+
+import warp as wp
+
+from ..albedo import coat_fresnel, coat_fresnel_average, energy_compensation, reflection_albedo
+from ..fresnel import fresnel_dielectric, normal_reflectance, tinted_dielectric
+from ..microfacet import is_specular
+from ..sheen import sheen_lobe
+from .closure_ops import is_black, unit_number, usable_index, usable_normal, usable_weight
+from .closure_ops_facets import Distribution
+from .op import NodeData, number, op, put_number, put_vector, vector
+from .point import ShadingPoint
+
+_REFLECTANCE_MOST = 0.99  # of a dielectric at normal incidence: no finite index of refraction has 1 (Blender's bound)
+
+
+@wp.func
+def below_layer(weight: wp.vec3, layer: wp.vec3) -> wp.vec3:
+    """What is left of `weight` below a layer that reflects `layer`."""
+    most = float(0.0)
+    for i in range(3):
+        if weight[i] > 0.0:
+            most = wp.max(most, layer[i] / weight[i])
+    return wp.max(1.0 - most, 0.0) * weight
+
+
+@wp.func
+def _seen_at(normal: wp.vec3, point: ShadingPoint) -> float:
+    """Cosine of the viewer to `normal`, or to the surface's where that is 0."""
+    n = normal
+    if is_black(n):
+        n = point.normal
+    return wp.clamp(wp.dot(n, point.incoming), 0.0, 1.0)
+
+
+@wp.func
+def _reflected(data: NodeData, roughness: float, ior: float, cosine: float) -> float:
+    """Mean reflectance of the facets of a dielectric that are seen."""
+    if ior == 1.0:
+        return 0.0
+    if is_specular(roughness * roughness):
+        return fresnel_dielectric(cosine, ior)
+    return coat_fresnel(data.albedo, roughness, ior, cosine)
+
+
+@op("layer_sheen", "vnvnvvn>VVV", foldable=False)
+@wp.func
+def layer_sheen(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """Fibres on top: weight, share, tint, roughness, the surface's normal, the coat's, the coat's share > weight of the fibres, of what is below, their normal."""
+    weight = usable_weight(vector(data, stack, pc + 1))
+    share = wp.max(number(data, stack, pc + 2), 0.0)
+    fibres = usable_weight(share * wp.cw_mul(usable_weight(vector(data, stack, pc + 3)), weight))
+    base = usable_normal(vector(data, stack, pc + 5))
+    coat = usable_normal(vector(data, stack, pc + 6))
+    normal = wp.vec3(0.0)
+    if not (is_black(base) and is_black(coat)):
+        if is_black(base):
+            base = point.normal
+        if is_black(coat):
+            coat = point.normal
+        between = unit_number(number(data, stack, pc + 7))
+        normal = usable_normal((1.0 - between) * base + between * coat)
+    albedo = sheen_lobe(data.albedo.sheen, unit_number(number(data, stack, pc + 4)), _seen_at(normal, point))[0]
+    put_vector(data, stack, pc + 8, fibres)
+    put_vector(data, stack, pc + 9, below_layer(weight, albedo * fibres))
+    put_vector(data, stack, pc + 10, normal)
+
+
+@op("layer_coat", "vnnnvv>VV", foldable=False)
+@wp.func
+def layer_coat(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """A coat of varnish: weight, share, roughness, index, tint, normal > weight of the coat, of what is below.
+
+    The tint is that of light which crosses the coat once along its normal; on its way from the viewer it goes further.
+    """
+    weight = usable_weight(vector(data, stack, pc + 1))
+    share = wp.max(number(data, stack, pc + 2), 0.0)
+    roughness = unit_number(number(data, stack, pc + 3))
+    ior = usable_index(number(data, stack, pc + 4), 1.0)
+    tint = usable_weight(vector(data, stack, pc + 5))
+    cosine = _seen_at(usable_normal(vector(data, stack, pc + 6)), point)
+    coat = usable_weight(share * weight)
+    below = below_layer(weight, _reflected(data, roughness, ior, cosine) * coat)
+    inside = wp.sqrt(wp.max(1.0 - (1.0 - cosine * cosine) / (ior * ior), 1.0e-12))
+    passed = wp.vec3(1.0)
+    for i in range(3):
+        if tint[i] != 1.0:
+            through = float(0.0)
+            if tint[i] > 0.0:
+                through = wp.pow(tint[i], 1.0 / inside)
+            passed[i] = wp.max(1.0 + share * (through - 1.0), 0.0)
+    put_vector(data, stack, pc + 7, coat)
+    put_vector(data, stack, pc + 8, wp.cw_mul(below, passed))
+
+
+@op("layer_specular", "vvinnv>V", foldable=False)
+@wp.func
+def layer_specular(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """What the closure `dielectric` leaves: weight, tint, distribution, roughness, index, normal > weight of what is below."""
+    weight = usable_weight(vector(data, stack, pc + 1))
+    tint = usable_weight(vector(data, stack, pc + 2))
+    roughness = unit_number(number(data, stack, pc + 4))
+    ior = usable_index(number(data, stack, pc + 5), 1.0)
+    cosine = _seen_at(usable_normal(vector(data, stack, pc + 6)), point)
+    if ior > 1.0:
+        layer = wp.cw_mul(weight, tinted_dielectric(_reflected(data, roughness, ior, cosine), ior, tint))
+        if data.code[pc + 3] == wp.static(int(Distribution.MULTI_GGX)) and not is_specular(roughness * roughness):
+            mean = tinted_dielectric(coat_fresnel_average(data.albedo, ior), ior, tint)
+            factor = energy_compensation(data.albedo, roughness, cosine, wp.min(mean, wp.vec3(1.0)))
+            layer = reflection_albedo(data.albedo, roughness, cosine) * wp.cw_mul(layer, factor)
+        weight = below_layer(weight, layer)
+    put_vector(data, stack, pc + 7, weight)
+
+
+@op("specular_index", "nn>N")
+@wp.func
+def specular_index(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """The index of refraction whose reflectance at normal incidence is twice the level (second) times that of an index (first)."""
+    ior = usable_index(number(data, stack, pc + 1), 1.0e-5)
+    level = wp.max(number(data, stack, pc + 2), 0.0)
+    result = ior
+    if level != 0.5:
+        root = wp.sqrt(wp.min(2.0 * level * normal_reflectance(ior), wp.static(_REFLECTANCE_MOST)))
+        result = (1.0 + root) / (1.0 - root)
+        if ior < 1.0:
+            result = 1.0 / result
+    put_number(data, stack, pc + 3, result)
+
+
+@op("refraction_tint", "v>V")
+@wp.func
+def refraction_tint(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """Of light that crosses one of the two surfaces of what has a colour: the square root."""
+    c = vector(data, stack, pc + 1)
+    put_vector(
+        data, stack, pc + 2, wp.vec3(wp.sqrt(unit_number(c[0])), wp.sqrt(unit_number(c[1])), wp.sqrt(unit_number(c[2])))
+    )
+
+
+@op("glossy_aspect", "n>N")
+@wp.func
+def glossy_aspect(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """Alpha along the tangent over the mean, from a glossy anisotropy in [-1, 1]; none where it is small."""
+    anisotropy = wp.clamp(number(data, stack, pc + 1), -0.99, 0.99)
+    aspect = float(1.0)
+    if anisotropy > 1.0e-4:
+        aspect = 1.0 - anisotropy
+    if anisotropy < -1.0e-4:
+        aspect = 1.0 / (1.0 + anisotropy)
+    put_number(data, stack, pc + 2, aspect)
+
+
+@op("principled_aspect", "n>N")
+@wp.func
+def principled_aspect(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """The same from an anisotropy in [0, 1] of Principled and Metallic."""
+    put_number(data, stack, pc + 2, 1.0 / wp.sqrt(1.0 - 0.9 * unit_number(number(data, stack, pc + 1))))
+
+
+@op("rotate_tangent", "vvn>V", foldable=False)
+@wp.func
+def rotate_tangent(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """A tangent turned about a normal (0: the surface's), by a number of turns."""
+    tangent = vector(data, stack, pc + 1)
+    axis = usable_normal(vector(data, stack, pc + 2))
+    if is_black(axis):
+        axis = point.normal
+    angle = wp.TAU * number(data, stack, pc + 3)
+    c = wp.cos(angle)
+    turned = c * tangent + wp.sin(angle) * wp.cross(axis, tangent) + ((1.0 - c) * wp.dot(axis, tangent)) * axis
+    put_vector(data, stack, pc + 4, turned)

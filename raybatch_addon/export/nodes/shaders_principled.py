@@ -1,0 +1,181 @@
+"""The Principled BSDF: layers of closures, each of which takes its share from those below.
+
+From the top: transparency takes 1 - alpha of all; sheen and coat take what they reflect as seen from where the ray came; emission is seen through
+both; of the rest metal takes its share, of what is left glass takes its own, and a dielectric above a diffuse base has the remainder.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...core.scene.description import Closure, ClosureKind
+from ...core.shading.materials import constant_closure
+from ...core.shading.nodes.builder import Value
+from ...core.shading.nodes.closure_ops_facets import Distribution
+from .node import BLACK, WHITE, Graph, Node
+from .registry import shader
+from .shaders_facets import anisotropy, distribution, note_thin_film
+
+_K = ClosureKind
+KINDS = (_K.TRANSPARENT, _K.EMISSION, _K.METAL, _K.GLASS, _K.DIELECTRIC, _K.LAYERED_DIFFUSE)
+_ONE, _NONE = Value.of(1.0), Value.of(0.0)
+
+
+@dataclass(frozen=True)
+class Coat:
+    """A layer of varnish."""
+
+    weight: Value
+    roughness: Value
+    ior: Value
+    tint: Value
+    normal: Value  # 0: the surface's
+
+
+@dataclass(frozen=True)
+class Sheen:
+    """A layer of fibres."""
+
+    weight: Value
+    roughness: Value
+    tint: Value
+
+
+@dataclass(frozen=True)
+class Layers:
+    """Inputs of the BSDF; layers that are None are not there."""
+
+    base: Value
+    metallic: Value
+    roughness: Value
+    ior: Value = Value.of(1.5)
+    level: Value = Value.of(0.5)  # of the specular layer: twice this is what its reflectance is multiplied by
+    tint: Value = WHITE  # of what is reflected: at the edge of metal, at normal incidence of the rest
+    transmission: Value = _NONE
+    alpha: Value = _ONE
+    emission: Value = BLACK  # radiance
+    distribution: Distribution = Distribution.MULTI_GGX
+    normal: Value = BLACK  # 0: the surface's
+    aspect: Value = _ONE
+    tangent: Value = BLACK
+    diffuse_roughness: Value | None = None
+    coat: Coat | None = None
+    sheen: Sheen | None = None
+
+    @property
+    def tinted(self) -> bool:
+        """Whether what the specular layer reflects may have a colour."""
+        return self.tint.constant != WHITE.constant
+
+
+@shader(
+    "ShaderNodeBsdfPrincipled", kinds=lambda node: _kinds(node),
+    note="subsurface scattering is rendered as diffuse reflection of the same colour; without thin film; thin walls refract like solids",
+)  # fmt: skip
+def principled(node: Node, weight: Value) -> None:
+    """All layers."""
+    _note_approximations(node)
+    aspect, tangent = anisotropy(node, "principled_aspect", "Anisotropic", "Anisotropic Rotation")
+    strength = node.number("Emission Strength")
+    if strength.known and strength.number() < 0:
+        node.warn("negative Emission Strength, taken as 0,")
+    layers = Layers(
+        base=node.color("Base Color"),
+        metallic=node.number("Metallic"),
+        roughness=node.number("Roughness"),
+        ior=node.number("IOR"),
+        level=node.number("Specular IOR Level"),
+        tint=node.color("Specular Tint"),
+        transmission=node.number("Transmission Weight"),
+        alpha=node.number("Alpha"),
+        emission=node.times(node.color("Emission Color"), strength),
+        distribution=distribution(node),
+        normal=node.own_normal(),
+        aspect=aspect,
+        tangent=tangent,
+        diffuse_roughness=node.number("Diffuse Roughness") if node.used("Diffuse Roughness") else None,
+        coat=_coat(node),
+        sheen=_sheen(node),
+    )
+    add_layers(node, weight, layers)
+
+
+def add_layers(node: Node, weight: Value, layers: Layers) -> None:
+    """Adds the closures of the BSDF."""
+    through, weight = node.op("mix_weights", weight, layers.alpha)
+    node.closure("transparent", through)
+    if layers.sheen is not None:
+        weight = _add_sheen(node, weight, layers)
+    if layers.coat is not None:
+        coat = layers.coat
+        coat_weight, weight = node.op("layer_coat", weight, coat.weight, coat.roughness, coat.ior, coat.tint, coat.normal)
+        node.closure("dielectric", coat_weight, WHITE, Distribution.GGX, coat.roughness, coat.ior, 1.0, BLACK, coat.normal)
+    node.closure("emission", node.times(layers.emission, weight))
+    facets = (layers.distribution, layers.roughness)
+    turned = (layers.aspect, layers.tangent, layers.normal)
+    weight, metal = node.op("mix_weights", weight, layers.metallic)
+    node.closure("metal", metal, layers.base, layers.tint, *facets, *turned)
+    weight, glass = node.op("mix_weights", weight, layers.transmission)
+    refraction = node.op("refraction_tint", layers.base)
+    node.closure("glass", glass, refraction, refraction, layers.tint, *facets, layers.ior, layers.normal)
+    ior = node.op("specular_index", layers.ior, layers.level)
+    node.closure("dielectric", weight, layers.tint, *facets, ior, *turned)
+    if layers.diffuse_roughness is None and not layers.tinted:
+        node.closure("layered_diffuse", node.times(layers.base, weight), *facets, ior, layers.normal)
+        return
+    weight = node.times(layers.base, node.op("layer_specular", weight, layers.tint, *facets, ior, layers.normal))
+    if layers.diffuse_roughness is None:
+        node.closure("diffuse", weight, layers.normal)
+    else:
+        node.closure("rough_diffuse", weight, layers.base, layers.diffuse_roughness, layers.normal)
+
+
+def _add_sheen(node: Node, weight: Value, layers: Layers) -> Value:
+    """Adds fibres; what they leave of `weight`."""
+    sheen, coat = layers.sheen, layers.coat
+    coat_normal, share = (layers.normal, _NONE) if coat is None else (coat.normal, coat.weight)
+    fibres, below, normal = node.op("layer_sheen", weight, sheen.weight, sheen.tint, sheen.roughness, layers.normal, coat_normal, share)
+    node.closure("sheen", fibres, sheen.roughness, normal)
+    return below
+
+
+def layered_closures(layers: Layers) -> tuple[Closure, ...]:
+    """The closures of `layers` that are constants."""
+    graph = Graph()
+    add_layers(Node(graph, None), WHITE, layers)
+    return tuple(constant_closure(record) for record in graph.builder.constant_closures())
+
+
+def _kinds(node: Node) -> list[ClosureKind]:
+    found = list(KINDS)
+    if node.used("Anisotropic"):
+        found.append(_K.ANISOTROPIC)
+    if node.used("Sheen Weight"):
+        found.append(_K.SHEEN)
+    if node.used("Diffuse Roughness"):
+        found += [_K.DIFFUSE, _K.ROUGH_DIFFUSE]
+    elif node.color("Specular Tint").constant != WHITE.constant:
+        found.append(_K.DIFFUSE)
+    return found
+
+
+def _coat(node: Node) -> Coat | None:
+    if not node.used("Coat Weight"):
+        return None
+    numbers = (node.number(f"Coat {name}") for name in ("Weight", "Roughness", "IOR"))
+    normal = node.own_normal("Coat Normal") if node.linked("Coat Normal") else node.own_normal()
+    return Coat(*numbers, node.color("Coat Tint"), normal)
+
+
+def _sheen(node: Node) -> Sheen | None:
+    if not node.used("Sheen Weight"):
+        return None
+    return Sheen(node.number("Sheen Weight"), node.number("Sheen Roughness"), node.color("Sheen Tint"))
+
+
+def _note_approximations(node: Node) -> None:
+    note_thin_film(node)
+    if node.used("Subsurface Weight"):
+        node.warn("Subsurface is rendered as diffuse reflection of the same colour; this is an input")
+    if node.used("Thin Wall"):
+        node.warn("Thin Wall is not supported, light refracts as in a solid; this is an input")
