@@ -38,7 +38,7 @@ class Feature:
 
 
 # A node that is no function of exact coordinates alone is seen through a pixel filter 0.01 wide: so many samples see its middle
-SMOOTH = 256
+SMOOTH = 1024
 
 _FEATURES: dict[str, Feature] = {}
 

@@ -15,13 +15,17 @@ import bpy
 import numpy as np
 from blender_builders import add_mesh, material_of, node_tree
 
-from .compare import by_cycles, by_raybatch, empty_scene, set_alike, set_bounces
+from .compare import add_world, by_cycles, by_raybatch, empty_scene, set_alike, set_bounces
 from .graph import Graph
 from .registry import Feature
 
 EDGE = 32  # points of a plane's edge
 TOLERANCE = 1e-4  # absolute below 1, relative above
 CELLS_MOST = 64  # of a sheet
+# Radiance of the world behind the planes: pixels of which a sample missed its plane are told by it. Cycles loses rays at edges between triangles
+BEHIND = 1e6
+BEHIND_SEEN = 500.0
+MISSED_MOST = 0.03  # of the points of a cell, by one engine alone
 # A plane's corners in its own space; z varies too
 _CORNERS = [(x, y, x / 2 - y / 4) for x, y in ((-2, -2), (2, -2), (2, 2), (-2, 2))]
 
@@ -41,7 +45,16 @@ class Cell:
     def errors(self) -> np.ndarray:
         """Of each point, [EDGE, EDGE]."""
         difference = np.abs(self.ours - self.theirs) / np.maximum(1.0, np.abs(self.theirs))
-        return np.where(np.isfinite(self.theirs) & np.isfinite(self.ours), difference, np.inf).max(-1)
+        difference = np.where(np.isfinite(self.theirs) & np.isfinite(self.ours), difference, np.inf).max(-1)
+        missed = self.missed
+        if np.mean(missed[0] != missed[1]) > MISSED_MOST:
+            return np.where(missed[0] != missed[1], np.inf, difference)
+        return np.where(missed.any(0), 0.0, difference)
+
+    @property
+    def missed(self) -> np.ndarray:
+        """Whether ours and theirs saw what is behind, bool [2, EDGE, EDGE]."""
+        return np.stack([each.max(-1) > BEHIND_SEEN for each in (self.ours, self.theirs)])
 
     @property
     def worst(self) -> float:
@@ -51,7 +64,8 @@ class Cell:
     @property
     def empty(self) -> bool:
         """Nothing to see, where there should be."""
-        return not self.feature.flat and float(np.ptp(self.theirs, axis=(0, 1)).max()) < 1e-6
+        seen = self.theirs[~self.missed[1]]
+        return seen.size == 0 or (not self.feature.flat and float(np.ptp(seen, axis=0).max()) < 1e-6)
 
 
 def _outputs(feature: Feature, variant: Any, graph: Graph) -> dict[str, bpy.types.NodeSocket]:
@@ -94,6 +108,7 @@ def build_sheet(features: list[Feature]) -> tuple[bpy.types.Scene, list[Cell]]:
     scene = empty_scene()
     set_alike(scene, EDGE * columns)
     set_bounces(scene, 0)
+    add_world(scene, BEHIND)
     for settings, kind in ((scene.cycles, "pixel_filter_type"), (scene.raybatch, "pixel_filter")):
         setattr(settings, kind, "GAUSSIAN")
         settings.filter_width = 0.01
