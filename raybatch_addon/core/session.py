@@ -219,7 +219,7 @@ class Session:
             return call
 
         size = GeometrySize.of(checked)
-        free = free_memory(self.device) + self._geometry.device_bytes
+        free = self._geometry.free_for_geometry(checked.images, self.device)
         memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
         plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory)
         return _Job(
@@ -351,6 +351,7 @@ class Session:
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),
                 "lights": len(job.scene.lights),
+                "images": {"count": len(job.scene.images), "bytes": device_scene.images.bytes if device_scene else 0},
                 "invalid_samples": invalid,
                 "modules": modules,
                 "warnings": job.warnings,

@@ -135,6 +135,11 @@ class ImageCache:
         return own
 
 
+def device_bytes_of(images: Sequence[Image]) -> int:
+    """What `images` take on a device if none is made smaller [bytes]."""
+    return sum({id(each.pixels): each.device_bytes for each in _wanted(images, []) if each is not None}.values())
+
+
 def _rows_of(places) -> int:
     return max((place for place in places if 0 <= place <= LAST_TILE - FIRST_TILE), default=-1) // int(TILE_COLUMNS) + 1
 

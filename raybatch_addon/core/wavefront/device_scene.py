@@ -47,7 +47,7 @@ class DeviceScene:
         """Upload `scene` and build its tree."""
         data = SceneData()
         built = treelets = None
-        images = cache.images.upload(scene.images, device)
+        images = cache.images.upload(scene.images, device, cache.image_budget(device))
         if features.surfaces:
             kept = cache.get(scene, request, device)
             data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets

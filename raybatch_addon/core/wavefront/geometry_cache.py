@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import threading
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,12 +23,17 @@ from ..bvh.residency import Residency, staging_bytes_of
 from ..bvh.tree import Tree
 from ..bvh.treelet_tree import TreeletTree, cut_scene_tree
 from ..bvh.treelets import CutRule
-from ..scene.description import Scene
+from ..device import free_memory
+from ..scene.description import Image, Scene
 from ..scene.flatten import FlatGeometry, flatten
 from ..scene.geometry import Geometry, update_geometry, upload_geometry
 from ..settings import RenderSettings
-from ..shading.image_upload import ImageCache
+from ..shading.image_upload import ImageCache, device_bytes_of
 from .plan import Method, TracingPlan, cut_rule
+
+
+# Of a device's free memory, what images may take: geometry, rays and the film need the rest
+IMAGE_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -144,6 +149,21 @@ class GeometryCache:
         """Memory that the last frame's tree holds on the device, and the next one's may have [bytes]."""
         last = self._last
         return last.device_bytes if last else 0
+
+    def image_budget(self, device: wp.Device) -> int | None:
+        """What images may take of the memory of `device` [bytes]; None: they lie where they are.
+
+        It does not depend on what is kept of the last frame, or images would be made smaller in one frame and not in the next.
+        """
+        if not device.is_cuda:
+            return None
+        return int(IMAGE_SHARE * (free_memory(device) + self.device_bytes + self.images.device_bytes))
+
+    def free_for_geometry(self, images: Sequence[Image], device: wp.Device) -> int:
+        """Memory that the geometry of a frame with `images` may have on `device` [bytes]."""
+        budget = self.image_budget(device)
+        images_need = 0 if budget is None else min(device_bytes_of(images), budget) - self.images.device_bytes
+        return free_memory(device) + self.device_bytes - images_need
 
     def get(self, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept:
         """Geometry and tree of `scene`; those of the last call cannot be used any more.
