@@ -50,6 +50,7 @@ class ClosureKind(IntEnum):
     # Abilities: not models, but needed by closures whose values ask for them (`Closure.needs`)
     BECKMANN = 32  # `distribution` 1
     ANISOTROPIC = 33  # `aspect` other than 1
+    THIN_FILM = 35  # `film_thickness`
     OWN_NORMAL = 34  # `normal`; also wherever there are programs
 
     @property
@@ -76,6 +77,17 @@ class CameraKind(IntEnum):
 
 
 @dataclass(frozen=True)
+class Attribute:
+    """Numbers across a mesh that shader programs read; see `Scene.attributes`."""
+
+    kind: str
+    name: str
+    # float32; of corners, shape [triangle_count, 3, width], or of whole triangles, shape [triangle_count, width]. The width tells what it
+    # is: 1 a number, 2 a pair, 3 a vector, 4 a colour with alpha
+    values: np.ndarray
+
+
+@dataclass(frozen=True)
 class Mesh:
     """Triangles in object space, shared by any number of instances."""
 
@@ -87,6 +99,7 @@ class Mesh:
     corner_uvs: np.ndarray | None = None  # float32, shape [triangle_count, 3, 2]; None: no UV map
     # centre and half size of the box that generated texture coordinates span, in object space [m]; None: -1..1
     texture_space: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    attributes: tuple[Attribute, ...] = ()  # what programs of its materials ask for
 
 
 @dataclass(frozen=True)
@@ -110,6 +123,8 @@ class Closure:
     aspect: float = 1.0  # of facets: alpha along the tangent is multiplied by it, across it divided
     normal: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in world space; 0: that of the surface
     tangent: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in world space; 0: facets are isotropic
+    film_thickness: float = 0.0  # METAL, CONDUCTOR, DIELECTRIC, GLASS: of a film on the facets [nm]; below 0.1 there is none
+    film_ior: float = 1.33  # of that film, relative to the outside
 
     @property
     def needs(self) -> frozenset[ClosureKind]:
@@ -117,6 +132,7 @@ class Closure:
         abilities = {
             ClosureKind.BECKMANN: self.distribution == 1,
             ClosureKind.ANISOTROPIC: self.aspect != 1 and any(self.tangent),
+            ClosureKind.THIN_FILM: self.film_thickness > 0,
             ClosureKind.OWN_NORMAL: any(self.normal),
         }
         return frozenset([self.kind, *(kind for kind, there in abilities.items() if there)])
@@ -145,6 +161,7 @@ class Instances:
     object: np.ndarray  # index into `Scene.object_names`, int32, shape [n]
     # what shader programs may ask: red, green, blue, alpha of the object's colour, its index, and a random number; float32, shape [n, 6]
     info: np.ndarray | None = None
+    attributes: np.ndarray | None = None  # RGBA that programs read by index, of objects and what places them; float32, shape [n, k, 4]
 
     def __len__(self) -> int:
         return len(self.mesh)
@@ -254,6 +271,7 @@ class Scene:
     slot_materials: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
     materials: tuple[Material, ...] = ()
     images: tuple[Image, ...] = ()
+    attributes: tuple[tuple[str, str], ...] = ()  # kind and name of what programs read of meshes by index
     lights: tuple[Light, ...] = ()
     world: World = World()
     object_names: tuple[str, ...] = ()

@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
+from .film import load_film
 from .fresnel import fresnel_dielectric
 from .microfacet import ggx_slope
 from .sheen import load_sheen
@@ -43,6 +44,7 @@ class AlbedoTables:
     fresnel_average: wp.array(dtype=float)  # cosine-weighted mean of the Fresnel factor; [index >= 1]
     glass: wp.array3d(dtype=float)  # reflection + refraction; [index, roughness, cosine]
     glass_average: wp.array2d(dtype=float)  # its cosine-weighted mean; [index, roughness]
+    film: wp.array3d(dtype=float)  # transforms of the channels' sensitivities (`film.py`); [channel, detour, 2]
     sheen: wp.array3d(dtype=float)  # albedo, scale and tilt of a layer of fibres (`sheen.py`); [3, roughness, cosine]
 
 
@@ -52,7 +54,7 @@ def load_tables() -> dict[str, np.ndarray]:
     with np.load(_FILE) as file:
         tables = {name: file[name] / np.float64(np.iinfo(file[name].dtype).max) for name in file.files}
     tables["glass_average"] = _average_over_cosines(tables["glass"])
-    tables["sheen"] = load_sheen()
+    tables["sheen"], tables["film"] = load_sheen(), load_film()
     return {name: table.astype(np.float32) for name, table in tables.items()}
 
 
@@ -71,14 +73,14 @@ def _average_over_cosines(table: np.ndarray) -> np.ndarray:
     return means
 
 
-def upload_tables(device, reflection: bool, coat: bool, glass: bool, sheen: bool) -> AlbedoTables:
+def upload_tables(device, reflection: bool, coat: bool, glass: bool, sheen: bool, film: bool = False) -> AlbedoTables:
     """The tables that are asked for, on `device`. A coat needs `reflection` too."""
     wanted = {
         "reflection": reflection, "reflection_average": reflection,
         "coat": coat, "fresnel_average": coat,
-        "glass": glass, "glass_average": glass, "sheen": sheen,
+        "glass": glass, "glass_average": glass, "sheen": sheen, "film": film,
     }  # fmt: skip
-    dimensions = {"reflection": 2, "coat": 3, "glass": 3, "glass_average": 2, "sheen": 3}
+    dimensions = {"reflection": 2, "coat": 3, "glass": 3, "glass_average": 2, "sheen": 3, "film": 3}
     tables = AlbedoTables()
     for name, there in wanted.items():
         values = load_tables()[name] if there else np.zeros((0,) * dimensions.get(name, 1), np.float32)

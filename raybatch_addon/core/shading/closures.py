@@ -182,7 +182,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                             local_half = sample_phong(phong_exponent(facets.alpha_x), phong_exponent(facets.alpha_y), u)
                             h = to_world(local_half, along, wp.cross(n, along), n)
                 cosine = wp.max(wp.dot(wo, h), 0.0)
-                f = reflectance(closures, chosen, cosine, frame.entering)
+                f = reflectance(closures, chosen, albedo, cosine, frame.entering)
                 bits = GLOSSY
                 share = float(1.0)  # of the samples, those that go this way
                 if wp.static(has_refraction):

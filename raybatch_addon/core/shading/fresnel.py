@@ -7,8 +7,8 @@ side relative to the near one.
 import warp as wp
 
 # F82-tint states the reflectance at the cosine 1/7 (82 degrees); there (1 - cos)^5 is
-_F82_TERM = (6.0 / 7.0) ** 5
-_F82_SCALE = 7.0 / (6.0 / 7.0) ** 6  # one over cos (1 - cos)^6
+F82_TERM = (6.0 / 7.0) ** 5
+F82_SCALE = 7.0 / (6.0 / 7.0) ** 6  # one over cos (1 - cos)^6
 
 
 @wp.func
@@ -53,7 +53,7 @@ def tinted_dielectric(reflectance: float, eta: float, tint: wp.vec3) -> wp.vec3:
 def f82_dip(f0: wp.vec3, tint: wp.vec3) -> wp.vec3:
     """How far F82-tint falls below Schlick's at grazing angles: the factor of cos (1 - cos)^6."""
     white = wp.vec3(1.0)
-    return wp.static(_F82_SCALE) * wp.cw_mul(f0 + wp.static(_F82_TERM) * (white - f0), white - tint)
+    return wp.static(F82_SCALE) * wp.cw_mul(f0 + wp.static(F82_TERM) * (white - f0), white - tint)
 
 
 @wp.func
@@ -108,7 +108,7 @@ def fresnel_conductor(index: wp.vec3, extinction: wp.vec3, cosine: float) -> wp.
 def conductor_average(index: wp.vec3, extinction: wp.vec3) -> wp.vec3:
     """Cosine-weighted mean of `fresnel_conductor` over the hemisphere, about: that of the F82 model of equal reflectances at 0 and 82 degrees."""
     f0 = fresnel_conductor(index, extinction, 1.0)
-    schlick = f0 + wp.static(_F82_TERM) * (wp.vec3(1.0) - f0)
-    dip = wp.static(_F82_SCALE) * (schlick - fresnel_conductor(index, extinction, wp.static(1.0 / 7.0)))
+    schlick = f0 + wp.static(F82_TERM) * (wp.vec3(1.0) - f0)
+    dip = wp.static(F82_SCALE) * (schlick - fresnel_conductor(index, extinction, wp.static(1.0 / 7.0)))
     mean = f0 + (wp.vec3(1.0) - f0) / 21.0 - dip / 126.0
     return wp.min(wp.max(mean, wp.vec3(0.0)), wp.vec3(1.0))

@@ -11,6 +11,7 @@ from .albedo import (
     reflection_albedo,
 )  # fmt: skip
 from .facets import make_facets
+from .film import FILM_LEAST, film_on_conductor, film_on_dielectric, film_on_f82
 from .fresnel import conductor_average, f82_average, fresnel_conductor, fresnel_dielectric, fresnel_f82, tinted_dielectric
 from .materials import MIRROR_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
 from .microfacet import is_refraction_specular, is_specular
@@ -34,7 +35,7 @@ class LobeFunctions(NamedTuple):
     """Functions (`wp.Function`) of one specialisation."""
 
     view: wp.Function  # (closures, c: int, albedo, frame, wo, cos_o: float) -> Lobe
-    reflectance: wp.Function  # (closures, c: int, cosine: float, entering: int) -> vec3: share of light that a facet reflects
+    reflectance: wp.Function  # (closures, c: int, albedo, cosine: float, entering: int) -> vec3: share of light that a facet reflects
 
 
 @wp.struct
@@ -70,6 +71,7 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
     )
     has_mirror = has(*MIRROR_KINDS)
     has_glass, has_refraction, has_sheen, has_velvet = has(_K.GLASS), has(_K.REFRACTION), has(_K.SHEEN), has(_K.VELVET)
+    has_film = has(_K.THIN_FILM)
     has_dielectrics = has_glass or has_refraction or has_dielectric
     _, own_normal = make_normals(features.own_normals)
 
@@ -113,8 +115,8 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
         return wp.vec4(f[0], f[1], f[2], reflection_albedo(tables, roughness, cos_o))
 
     @wp.func
-    def reflectance(closures: wp.array(dtype=ClosureRecord), c: int, cosine: float, entering: int) -> wp.vec3:
-        """Share of light that a facet of closure `c` reflects, met at `cosine`."""
+    def bare_reflectance(closures: wp.array(dtype=ClosureRecord), c: int, cosine: float, entering: int) -> wp.vec3:
+        """`reflectance` of a facet without film."""
         kind = closures[c].kind
         f = wp.vec3(1.0)
         if wp.static(has_metal):
@@ -134,6 +136,29 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
                     if kind == _REFRACTION:
                         f = wp.vec3(wp.where(white < 1.0, 0.0, 1.0))
         return f
+
+    @wp.func
+    def reflectance(closures: wp.array(dtype=ClosureRecord), c: int, tables: AlbedoTables, cosine: float, entering: int) -> wp.vec3:
+        """Share of light that a facet of closure `c` reflects, met at `cosine`."""
+        if wp.static(has_film):
+            thickness = closures[c].film_thickness
+            if thickness > wp.static(FILM_LEAST):
+                kind = closures[c].kind
+                index = closures[c].film_ior
+                if wp.static(has_metal):
+                    if kind == _METAL:
+                        return film_on_f82(tables.film, thickness, index, closures[c].colour, closures[c].edge, cosine)
+                if wp.static(has_conductor):
+                    if kind == _CONDUCTOR:
+                        return film_on_conductor(tables.film, thickness, index, closures[c].colour, closures[c].edge, cosine)
+                if wp.static(has_dielectric or has_glass):
+                    if kind == _DIELECTRIC or kind == _GLASS:
+                        eta = closures[c].ior
+                        if kind == _GLASS and entering == 0:  # relative to the inside, where the light is
+                            index = index / eta
+                            eta = 1.0 / eta
+                        return film_on_dielectric(tables.film, thickness, index, eta, closures[c].edge, cosine)
+        return bare_reflectance(closures, c, cosine, entering)
 
     @wp.func
     def view_lobe(
@@ -172,6 +197,9 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
                         if not is_specular(roughness * roughness):
                             seen_white = coat_fresnel(tables, roughness, ior, cos_o)
                         seen = tinted_dielectric(seen_white, ior, closures[c].edge)
+                if wp.static(has_film):
+                    if closures[c].film_thickness > wp.static(FILM_LEAST):
+                        seen = reflectance(closures, c, tables, cos_o, frame.entering)
                 m = compensated(closures, c, tables, roughness, cos_o, mean)
                 lobe.scale = wp.cw_mul(weight, wp.vec3(m[0], m[1], m[2]))
                 albedo = m[3] * wp.cw_mul(lobe.scale, seen)

@@ -30,6 +30,7 @@ _COAT_KINDS = frozenset({_K.LAYERED_DIFFUSE, _K.DIELECTRIC})
 # Indices of refraction are kept in a range whose squares and their inverses are far from the ends of
 # float32; beyond it a dielectric reflects more than 99.6 % and is a mirror for all purposes.
 IOR_RANGE = (1e-3, 1e3)
+_FILM_IOR_LEAST = 1e-5
 _ASPECT_LEAST = 1e-4  # of anisotropic facets: alpha along one direction over the mean
 
 
@@ -98,6 +99,8 @@ class ClosureRecord:
     distribution: int  # BECKMANN: 1
     aspect: float  # ANISOTROPIC: alpha along `tangent` is multiplied by it, across it divided
     tangent: wp.vec3  # ANISOTROPIC: about along the surface; 0: facets are isotropic
+    film_thickness: float  # THIN_FILM, of METAL, CONDUCTOR, DIELECTRIC and GLASS [nm]; 0: none
+    film_ior: float  # relative to the outside
     normal: wp.vec3  # OWN_NORMAL: unit; 0: the frame's
 
 
@@ -113,6 +116,7 @@ def new_closure(kind: int, weight: wp.vec3) -> ClosureRecord:
     record.edge = one
     record.refraction = one
     record.aspect = 1.0
+    record.film_ior = 1.0
     return record
 
 
@@ -180,13 +184,14 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
         coat=features.coats,
         glass=features.has(_K.GLASS),
         sheen=features.has(_K.SHEEN),
+        film=features.has(_K.THIN_FILM),
     )
     return table
 
 
 def constant_closure(record: ClosureRecord) -> Closure:
     """`record`, made on the host, as the description has it."""
-    values = {name: float(getattr(record, name)) for name in ("roughness", "ior", "aspect")}
+    values = {name: float(getattr(record, name)) for name in _NUMBERS}
     vectors = {name: tuple(float(x) for x in getattr(record, name)) for name in _COLOURS + _DIRECTIONS}
     return Closure(
         ClosureKind(record.kind), multiscatter=bool(record.multiscatter), distribution=int(record.distribution), **values, **vectors
@@ -195,6 +200,7 @@ def constant_closure(record: ClosureRecord) -> Closure:
 
 _COLOURS = ("weight", "colour", "edge", "refraction")
 _DIRECTIONS = ("normal", "tangent")
+_NUMBERS = ("roughness", "ior", "aspect", "film_thickness", "film_ior")
 
 
 def _fill(record, closure: Closure) -> None:
@@ -206,6 +212,7 @@ def _fill(record, closure: Closure) -> None:
     record["roughness"] = min(max(closure.roughness, 0.0), 1.0)
     record["ior"] = _ior(closure)
     record["aspect"] = max(closure.aspect, _ASPECT_LEAST)
+    record["film_thickness"], record["film_ior"] = closure.film_thickness, max(closure.film_ior, _FILM_IOR_LEAST)
 
 
 def _weight_and_colour(closure: Closure) -> tuple:
@@ -230,6 +237,7 @@ def _check(material: Material, closure: Closure, features: ClosureFeatures) -> N
         raise ValueError(f"material {material.name!r} has a closure that needs {', '.join(lacking)}, which its features lack")
     colours = (*closure.weight, *closure.edge, *closure.refraction, *(closure.colour or ()))
     numbers = (*colours, *closure.normal, *closure.tangent, closure.roughness, closure.ior, closure.share, closure.aspect)
+    numbers = (*numbers, closure.film_thickness, closure.film_ior)
     if not np.all(np.isfinite(np.asarray(numbers, np.float32))) or min(*colours, closure.share) < 0:
         raise SceneError(
             f"material {material.name!r}: the {kind.name.lower()} closure has a value that is negative, infinite or not "

@@ -184,7 +184,7 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
                             cosine = wp.min(wp.length(half) * 0.5, 1.0)  # to either direction
                             pdf = 0.25 * visible_density(facets, wo, half)
                             shadowed = pdf * shadowing(facets, wo, wi, cos_i)
-                            f = reflectance(closures, c, cosine, frame.entering)
+                            f = reflectance(closures, c, albedo, cosine, frame.entering)
                             if wp.static(has_glass):
                                 if kind == _GLASS:
                                     pdf = glass_reflects(closures, c, f) * pdf
@@ -207,7 +207,7 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
                             facets = facets_of(closures, c, n, cos_o)
                             square = wp.dot(half, half)
                             root = wp.sqrt(square)
-                            f = reflectance(closures, c, c_o / root, frame.entering)
+                            f = reflectance(closures, c, albedo, c_o / root, frame.entering)
                             # Walter et al. 2007, equation 17: its denominator is the half vector's squared length
                             jacobian = (eta * (c_o / root)) * (eta * (-c_i / root)) / square
                             pdf = visible_density(facets, wo, half) * jacobian

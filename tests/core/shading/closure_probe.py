@@ -162,6 +162,12 @@ ROUGH = {
     "sheen": (Closure(K.SHEEN, WHITE, 0.5),),
     "sheen 0.2": (Closure(K.SHEEN, WHITE, 0.2),),
     "velvet": (Closure(K.VELVET, WHITE, 0.6),),
+    "film on metal": (Closure(K.METAL, (0.9, 0.6, 0.3), 0.4, edge=(0.8, 0.9, 1.0), film_thickness=500.0, film_ior=1.5),),
+    "film on conductor": (
+        Closure(K.CONDUCTOR, WHITE, 0.4, colour=(0.2, 0.9, 1.1), edge=(3.9, 2.4, 2.2), film_thickness=300.0, film_ior=2.0),
+    ),
+    "film on glass": (Closure(K.GLASS, WHITE, 0.4, 1.5, film_thickness=400.0, film_ior=1.33),),
+    "film on a coat": (Closure(K.DIELECTRIC, WHITE, 0.4, 1.5, edge=(0.5, 1.0, 2.0), film_thickness=700.0, film_ior=1.8),),
     "own normals": (
         Closure(K.DIFFUSE, (0.4, 0.5, 0.6), normal=(0.36, 0.48, 0.8)),
         Closure(K.GLOSSY, (0.3, 0.2, 0.1), 0.4, normal=(-0.6, 0.0, 0.8)),

@@ -337,7 +337,7 @@ def test_only_what_is_needed_is_compiled_and_allocated():
     """A diffuse material's module holds no function of facets, and its table no albedos of them."""
     source, everything = source_of(ClosureFeatures((K.DIFFUSE,))), source_of(EVERYTHING)
     assert "sample_cosine_hemisphere" in source
-    names = ("ggx_", "fresnel_dielectric", "fresnel_f82", "visible_normal", "_albedo_", "facet_normal", "refracted", "beckmann", "phong", "velvet_0", "sheen_lobe_0", "rough_diffuse", "fresnel_conductor")
+    names = ("ggx_", "fresnel_dielectric", "fresnel_f82", "visible_normal", "_albedo_", "facet_normal", "refracted", "beckmann", "phong", "velvet_0", "sheen_lobe_0", "rough_diffuse", "fresnel_conductor", "film_on")
     for name in (*names, "reflected"):
         assert name not in source and name in everything, name
     table = table_of(Closure(K.DIFFUSE, WHITE), features=ClosureFeatures((K.DIFFUSE,)))
