@@ -1,11 +1,12 @@
 """Colour spaces of images by name, through Blender's own colour management.
 
-Python is not given Blender's OpenColorIO, but an image datablock converts: floating-point pixels that are packed as they are come
-back in the scene's linear space once the datablock is said to be in another one.
+Python is not given Blender's OpenColorIO, but image datablocks convert: pixels of a floating-point file come out in the scene's
+linear space. So colours are packed, as such a file, into a datablock of the space that they are in.
 """
 
 from __future__ import annotations
 
+import struct
 from enum import Enum
 
 import bpy
@@ -54,23 +55,47 @@ def to_scene_linear(colors: np.ndarray, name: str) -> np.ndarray:
     Raises `ValueError` where colour management does not know `name`, or lets nothing be converted now.
     """
     height, width = colors.shape[:2]
-    values = np.array(colors, np.float32, order="C")
+    file = _exr(colors)
     try:
-        image = bpy.data.images.new("RayBatch conversion", width, height, alpha=True, float_buffer=True, is_data=True)
+        image = bpy.data.images.new("RayBatch conversion", 1, 1)
     except (AttributeError, RuntimeError) as error:  # Blender does not let its data be changed at times
         raise ValueError(f"colours cannot be converted now ({error})") from error
     try:
         image.alpha_mode = "CHANNEL_PACKED"  # colours are left alone by alpha
-        image.pixels.foreach_set(values.ravel())
-        image.pack()
+        image.pack(data=file, data_len=len(file))
         image.source = "FILE"
-        image.colorspace_settings.name = name  # read again, from what was packed
-        image.pixels.foreach_get(values.ravel())
+        image.colorspace_settings.name = name
+        values = np.empty(width * height * 4, np.float32)
+        image.pixels.foreach_get(values)
     except (TypeError, RuntimeError) as error:
         raise ValueError(f"the colour space “{name}” is not known") from error
     finally:
         bpy.data.images.remove(image)
-    return values
+    return values.reshape(height, width, 4)
+
+
+def _exr(colors: np.ndarray) -> bytes:
+    """`colors` [height, width, 4], bottom row first, as an uncompressed OpenEXR file of float32.
+
+    ("OpenEXR File Layout", openexr.com: magic number, attributes, offsets of rows, rows with a plane a channel.)
+    """
+    height, width = colors.shape[:2]
+    channels = b"".join(name + struct.pack("<BiIii", 0, 2, 0, 1, 1) for name in (b"A", b"B", b"G", b"R")) + b"\0"
+    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    attributes = (
+        (b"channels", b"chlist", channels), (b"compression", b"compression", b"\0"), (b"dataWindow", b"box2i", window),
+        (b"displayWindow", b"box2i", window), (b"lineOrder", b"lineOrder", b"\0"), (b"pixelAspectRatio", b"float", struct.pack("<f", 1)),
+        (b"screenWindowCenter", b"v2f", struct.pack("<2f", 0, 0)), (b"screenWindowWidth", b"float", struct.pack("<f", 1)),
+    )  # fmt: skip
+    header = struct.pack("<II", 20000630, 2)
+    for name, kind, value in attributes:
+        header += name + b"\0" + kind + b"\0" + struct.pack("<i", len(value)) + value
+    header += b"\0"
+    rows = np.empty(height, np.dtype([("y", "<i4"), ("size", "<i4"), ("planes", "<f4", (4, width))]))
+    rows["y"], rows["size"] = np.arange(height), 16 * width
+    rows["planes"] = np.moveaxis(colors[::-1, :, ::-1], 2, 1)
+    offsets = len(header) + 8 * height + np.arange(height, dtype="<u8") * rows.itemsize
+    return header + offsets.tobytes() + rows.tobytes()
 
 
 def srgb_to_linear(x: np.ndarray) -> np.ndarray:
