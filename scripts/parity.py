@@ -19,7 +19,8 @@ DESCRIPTION = """\
 Render each feature of tests/blender/features with Cycles and with RayBatch, on the CPU, and compare.
 
 A node alone is compared number by number at 1,024 points; a picture by the mean of each channel and by relMSE without the noise.
-Without --only and --quick the table of all features is written, docs/parity.md with its thumbnails. The exit code is 0 whether
+Without --only and --quick the table of all features is written, docs/parity.md with its thumbnails; with --only and --out docs the
+rows of those features alone are written anew. The exit code is 0 whether
 features are within bounds or not, and 1 if something else went wrong; --strict makes it 1 also when a feature is out of bounds.
 """
 
@@ -33,7 +34,8 @@ def argument_parser() -> argparse.ArgumentParser:
     add("--only", action="append", default=[], metavar="NAME[,NAME]", help="features of this name, of this family, or with this part in their names")
     add("--quick", action="store_true", help="only the features that are compared with every change")
     add("--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there")
-    add("--out", type=Path, metavar="DIR", help="write parity.md and parity/*.png there (default: docs/, when all features are compared)")
+    add("--out", type=Path, metavar="DIR", help="write parity.md and its folder parity/ there (default: docs/, when all features are compared); the rows of\n"
+        "features that are not compared this time stay as they are there")
     add("--list", action="store_true", help="name the features, and compare none")
     add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes side by side (default: one a core)")
     add("--strict", action="store_true", help="exit with 1 if a feature is out of bounds")
@@ -67,7 +69,7 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output) ->
     if options.worker:
         return work(options)
     from blender.features.registry import chosen_features
-    from parity_report.page import counts, json_report, page, write_thumbnails
+    from parity_report.page import counts, earlier_results, json_report, page, together, write_thumbnails
     from parity_report.workers import run_groups
     from raybatch_addon.core.report.statistics import versions
 
@@ -87,9 +89,12 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output) ->
     whole = not (options.only or options.quick)
     if options.out or whole:
         out = options.out or ROOT / "docs"
-        out.mkdir(parents=True, exist_ok=True)
-        text = page(results, write_thumbnails(results, out / "parity"), known)
+        (out / "parity").mkdir(parents=True, exist_ok=True)
+        stored = out / "parity" / "results.json"
+        rows = results if whole else together(earlier_results(stored), results)
+        text = page(rows, write_thumbnails(rows, out / "parity"), known)
         write_whole(out / "parity.md", lambda temporary: temporary.write_text(text, encoding="utf-8"))
+        write_json(str(stored), [json_report(rows, known, sum(row.seconds for row in rows))], standard_output)
     if options.json:
         write_json(options.json, [json_report(results, known, seconds)], standard_output)
     for name, (ok, total) in counts(results).items():

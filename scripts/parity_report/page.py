@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 from typing import Any
@@ -60,19 +61,43 @@ def thumbnail(result: Any) -> np.ndarray:
 
 
 def write_thumbnails(results: list, folder: Path) -> dict[str, str]:
-    """One PNG a feature in `folder`, and nothing else there that this wrote before; returns file names by feature."""
+    """One PNG a feature in `folder`; returns file names by feature, those that were there before included."""
     from PIL import Image
 
     folder.mkdir(parents=True, exist_ok=True)
     names = {}
     for result in results:
-        if result.ours is None or result.theirs is None:
-            continue
         name = f"{_slug(result.feature.name)}.png"
-        image = Image.fromarray(thumbnail(result)).quantize(128)
-        image.save(folder / name, optimize=True)
-        names[result.feature.name] = name
+        if result.ours is not None and result.theirs is not None:
+            Image.fromarray(thumbnail(result)).quantize(128).save(folder / name, optimize=True)
+        if (folder / name).exists():
+            names[result.feature.name] = name
+    for file in folder.glob("*.png"):
+        if file.name not in names.values():
+            file.unlink()  # of a feature that is there no more
     return names
+
+
+def earlier_results(file: Path) -> list:
+    """Results in a report by `json_report`, of features that are still there; without pictures. None without the file."""
+    from blender.features.registry import all_features
+    from blender.features.runner import Result
+
+    if not file.exists():
+        return []
+    by_name = {each.name: each for each in all_features()}
+    rows = json.loads(file.read_text(encoding="utf-8"))["features"]
+    return [
+        Result(by_name[row["name"]], row["status"], row["figures"], row["note"], seconds=row["seconds"]) for row in rows if row["name"] in by_name
+    ]
+
+
+def together(earlier: list, new: list) -> list:
+    """`new`, and those of `earlier` that it has not, in the order of the registry."""
+    from blender.features.registry import all_features
+
+    results = {result.feature.name: result for result in [*earlier, *new]}
+    return [results[each.name] for each in all_features() if each.name in results]
 
 
 def _figures(result: Any) -> str:

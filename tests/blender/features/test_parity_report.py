@@ -1,5 +1,6 @@
 """Figures, the list of features, and what scripts/parity.py makes of results; nothing is rendered."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +16,7 @@ from blender.features.compare import Picture, figures_of  # noqa: E402
 from blender.features.known import KNOWN  # noqa: E402
 from blender.features.registry import FAMILIES, all_features, chosen_features  # noqa: E402
 from blender.features.runner import DIFFERENT, OK, UNSUPPORTED, Result, _reasons, sheets  # noqa: E402
-from parity_report.page import counts, json_report, page, write_thumbnails  # noqa: E402
+from parity_report.page import counts, earlier_results, json_report, page, together, write_thumbnails  # noqa: E402
 from parity_report.workers import groups_of, read_results, write_results  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -97,6 +98,11 @@ def test_the_page_has_a_row_for_each(results, tmp_path):
     rows = [line for line in text.splitlines() if line.startswith(tuple(f"| {each.feature.name} |" for each in results))]
     assert len(rows) == 3 and "node \\| is not supported" in text and "| all | 1 | 3 | 33% |" in text
     report = json_report(results, {}, 1.0)
+    (tmp_path / "results.json").write_text(json.dumps(report))
+    mended = Result(results[0].feature, OK, results[0].figures)
+    rows = together(earlier_results(tmp_path / "results.json"), [mended])
+    assert {row.feature.name: row.status for row in rows} == {mended.feature.name: OK} | {each.feature.name: each.status for each in results[1:]}
+    assert len(write_thumbnails(rows, tmp_path)) == 2  # they stay
     assert report["counts"]["all"] == {"ok": 1, "total": 3} and counts(results)["Textures"] == (1, 1)
     assert [each["status"] for each in report["features"]] == [each.status for each in results]
 
