@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from mathutils import Euler
 
 from ...core.shading.nodes.builder import Value
 from .node import Node
@@ -32,7 +31,7 @@ def affine_of(mapping) -> tuple[np.ndarray, np.ndarray]:
     scale = np.array(mapping.scale, float)
     if mapping.vector_type in _INVERTED:
         scale = np.where(np.abs(scale) < SCALE_LEAST, np.copysign(SCALE_LEAST, scale), scale)
-    matrix = np.array(Euler(mapping.rotation, "XYZ").to_matrix(), float) * scale
+    matrix = _rotation(mapping.rotation) * scale
     offset = np.array(mapping.translation, float) if mapping.vector_type in ("POINT", "TEXTURE") else np.zeros(3)
     if mapping.vector_type == "TEXTURE":
         matrix = np.linalg.inv(matrix)
@@ -44,3 +43,15 @@ def affine_of(mapping) -> tuple[np.ndarray, np.ndarray]:
         if axis != "NONE":
             axes[row, _AXES[axis]] = 1.0
     return matrix @ axes, offset
+
+
+def _rotation(angles) -> np.ndarray:
+    """Matrix [3, 3] that turns about x, then y, then z [rad]."""
+    turned = np.eye(3)
+    for axis, angle in enumerate(angles):
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        turn = np.eye(3)
+        turn[[a, b], [a, b]] = np.cos(angle)
+        turn[a, b], turn[b, a] = -np.sin(angle), np.sin(angle)
+        turned = turn @ turned
+    return turned

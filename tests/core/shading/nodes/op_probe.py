@@ -34,7 +34,7 @@ def _kernel(name: str):
     return run
 
 
-def run_op(name: str, immediates: Sequence[int], operands: Sequence, skip: str = "") -> tuple[np.ndarray, ...]:
+def run_op(name: str, immediates: Sequence[int], operands: Sequence, skip: str = "", device=DEVICE) -> tuple[np.ndarray, ...]:
     """Outputs of the op, float32: [n] each number, [n, 3] each vector; outputs whose letters are in `skip` are not wanted, and 0.
 
     `operands` are the `n` and `v` words in order: arrays [n], [n, 3], or what fills such.
@@ -55,9 +55,9 @@ def run_op(name: str, immediates: Sequence[int], operands: Sequence, skip: str =
             at += 3 if letter in "vV" else 1
     values = np.ascontiguousarray(np.concatenate(columns, 1))
     data = NodeData()
-    data.code = wp.array(words, dtype=int, device=DEVICE)
-    out = wp.zeros((count, max(at - values.shape[1], 1)), dtype=float, device=DEVICE)
-    wp.launch(_kernel(name), count, [data, wp.array(values, dtype=float, device=DEVICE), out], device=DEVICE)
+    data.code = wp.array(words, dtype=int, device=device)
+    out = wp.zeros((count, max(at - values.shape[1], 1)), dtype=float, device=device)
+    wp.launch(_kernel(name), count, [data, wp.array(values, dtype=float, device=device), out], device=device)
     found, results, k = out.numpy(), [], 0
     for letter in signature:
         if letter in "NV":

@@ -1,6 +1,5 @@
 """Gradient and fractal noise against a float64 twin over Python's integers, and where numbers end."""
 
-import itertools
 import math
 
 import numpy as np
@@ -8,12 +7,10 @@ import pytest
 
 from raybatch_addon.core.shading.nodes.noise import DETAIL_MAX, FractalKind
 from raybatch_addon.core.shading.nodes.perlin import PERIOD, SHIFTED_FROM
-from tests.core.shading.nodes.hash_reference import jenkins
+from tests.core.shading.nodes.noise_reference import signed_noise
 from tests.core.shading.nodes.op_probe import run_op
 
 DIMENSIONS = (1, 2, 3, 4)
-WORD = 0xFFFFFFFF
-SCALES = (0.25, 0.6616, 0.982, 0.8344)
 AWKWARD = [0.0, -0.0, 1e-40, 1e7, -1e7, 1e12, 1e30, -1e38, 3.4e38, math.inf, -math.inf, math.nan]
 KINDS = list(FractalKind)
 
@@ -26,43 +23,13 @@ def noise(dimensions, points, kind=FractalKind.FBM, normalize=0, skip="", **more
     return run_op(f"noise_{dimensions}d", [kind, normalize], [*place, *values.values()], skip)
 
 
-def slope(bits, at):
-    """What a lattice point whose hash is `bits` gives at `at` from it."""
-    if len(at) == 1:
-        return (1 + bits % 8) * (-1 if bits & 8 else 1) * at[0]
-    if len(at) == 2:
-        u, v = at if bits & 4 == 0 else at[::-1]
-        chosen = [u, 2 * v]
-    elif len(at) == 3:
-        h = bits & 15
-        x, y, z = at
-        chosen = [x if h < 8 else y, y if h < 4 else x if h in (12, 14) else z]
-    else:
-        h = bits & 31
-        x, y, z, w = at
-        chosen = [x if h < 24 else y, y if h < 16 else z, z if h < 8 else w]
-    return sum(-value if bits >> k & 1 else value for k, value in enumerate(chosen))
-
-
-def reference(point):
-    """Signed noise at one point in float64."""
-    cell = [math.floor(x) for x in point]
-    total = 0.0
-    for corner in itertools.product((0, 1), repeat=len(point)):
-        at = [x - i - c for x, i, c in zip(point, cell, corner)]
-        fades = [t**3 * (t * (6 * t - 15) + 10) for t in (x - i for x, i in zip(point, cell))]
-        weight = math.prod(f if c else 1 - f for f, c in zip(fades, corner))
-        total += weight * slope(jenkins([(i + c) & WORD for i, c in zip(cell, corner)]), at)
-    return SCALES[len(point) - 1] * total
-
-
 def octaves_of(point, kind, detail, roughness, lacunarity, offset, gain):
     """Fractal noise at one point in float64, after Musgrave."""
     whole, rest = int(detail), detail - int(detail)
     if kind == FractalKind.RIDGED_MULTIFRACTAL:
         rest = 0.0
     parts = [1.0] * (whole + 1) + ([rest] if rest else [])
-    heard = [reference([x * lacunarity**k for x in point]) for k in range(len(parts))]
+    heard = [signed_noise([x * lacunarity**k for x in point]) for k in range(len(parts))]
     value = 1.0 if kind == FractalKind.MULTIFRACTAL else 0.0
     weight = 1.0
     for k, (part, signal) in enumerate(zip(parts, heard)):
@@ -94,7 +61,7 @@ def points_within(limit, count, seed=1):
 def test_one_octave_is_gradient_noise(dimensions):
     points = np.concatenate([points_within(8, 150), points_within(9e4, 50)])
     found, _ = noise(dimensions, points)
-    expected = [reference([float(x) for x in point[:dimensions]]) for point in points]
+    expected = [signed_noise([float(x) for x in point[:dimensions]]) for point in points]
     assert np.allclose(found, expected, rtol=0, atol=2e-6)
 
 
