@@ -27,10 +27,11 @@ def anisotropy(node: Node, aspect_op: str, name: str, rotation: str) -> tuple[Va
     return node.op(aspect_op, node.number(name)), tangent
 
 
-def note_thin_film(node: Node) -> None:
-    """Says that a thin film is left out."""
-    if node.used("Thin Film Thickness"):
-        node.warn("Thin Film is not supported and left out")
+def thin_film(node: Node) -> tuple[Value, Value]:
+    """Thickness [nm] and index of the film on the facets; thickness 0 where there is none."""
+    if not node.used("Thin Film Thickness"):
+        return node.constant(0.0), node.constant(1.0)
+    return node.number("Thin Film Thickness"), node.number("Thin Film IOR")
 
 
 def _kinds(kind: ClosureKind, anisotropic: str = ""):
@@ -40,6 +41,8 @@ def _kinds(kind: ClosureKind, anisotropic: str = ""):
             found.append(_K.BECKMANN)
         if anisotropic and node.used(anisotropic):
             found.append(_K.ANISOTROPIC)
+        if node.has("Thin Film Thickness") and node.used("Thin Film Thickness"):
+            found.append(_K.THIN_FILM)
         return found
 
     return kinds
@@ -66,28 +69,26 @@ def _is_conductor(node: Node) -> bool:
 
 
 @shader(
-    "ShaderNodeBsdfMetallic", kinds=lambda node: _kinds(_K.CONDUCTOR if _is_conductor(node) else _K.METAL, "Anisotropy")(node),
-    note="without thin film",
-)  # fmt: skip
+    "ShaderNodeBsdfMetallic", kinds=lambda node: _kinds(_K.CONDUCTOR if _is_conductor(node) else _K.METAL, "Anisotropy")(node)
+)
 def metallic(node: Node, weight: Value) -> None:
     """Metals by colour and tint, or by their indices."""
-    note_thin_film(node)
     aspect, tangent = anisotropy(node, "principled_aspect", "Anisotropy", "Rotation")
-    facets = (distribution(node), node.number("Roughness"), aspect, tangent, node.own_normal())
+    facets = (distribution(node), node.number("Roughness"), aspect, tangent, node.own_normal(), *thin_film(node))
     if _is_conductor(node):
         node.closure("conductor", weight, node.vector("IOR"), node.vector("Extinction"), *facets)
     else:
         node.closure("metal", weight, node.color("Base Color"), node.color("Edge Tint"), *facets)
 
 
-@shader("ShaderNodeBsdfGlass", kinds=_kinds(_K.GLASS), note="without thin film")
+@shader("ShaderNodeBsdfGlass", kinds=_kinds(_K.GLASS))
 def glass(node: Node, weight: Value) -> None:
     """Facets that reflect and refract."""
-    note_thin_film(node)
     color = node.color("Color")
     node.closure(
-        "glass", node.times(weight, color), WHITE, color, WHITE, distribution(node), node.number("Roughness"), node.number("IOR"), node.own_normal()
-    )
+        "glass", node.times(weight, color), WHITE, color, WHITE, distribution(node), node.number("Roughness"), node.number("IOR"), node.own_normal(),
+        *thin_film(node),
+    )  # fmt: skip
 
 
 @shader("ShaderNodeBsdfRefraction", kinds=_kinds(_K.REFRACTION))

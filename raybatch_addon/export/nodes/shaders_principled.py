@@ -14,7 +14,7 @@ from ...core.shading.nodes.builder import Value
 from ...core.shading.nodes.closure_ops_facets import Distribution
 from .node import BLACK, WHITE, Graph, Node
 from .registry import shader
-from .shaders_facets import anisotropy, distribution, note_thin_film
+from .shaders_facets import anisotropy, distribution, thin_film
 
 _K = ClosureKind
 KINDS = (_K.TRANSPARENT, _K.EMISSION, _K.METAL, _K.GLASS, _K.DIELECTRIC, _K.LAYERED_DIFFUSE)
@@ -58,6 +58,7 @@ class Layers:
     normal: Value = BLACK  # 0: the surface's
     aspect: Value = _ONE
     tangent: Value = BLACK
+    film: tuple[Value, Value] = (_NONE, _ONE)  # thickness [nm] and index
     diffuse_roughness: Value | None = None
     coat: Coat | None = None
     sheen: Sheen | None = None
@@ -67,10 +68,15 @@ class Layers:
         """Whether what the specular layer reflects may have a colour."""
         return self.tint.constant != WHITE.constant
 
+    @property
+    def filmed(self) -> bool:
+        """Whether there may be a thin film."""
+        return self.film[0].constant != _NONE.constant
+
 
 @shader(
     "ShaderNodeBsdfPrincipled", kinds=lambda node: _kinds(node),
-    note="subsurface scattering is rendered as diffuse reflection of the same colour; without thin film; thin walls refract like solids",
+    note="subsurface scattering is rendered as diffuse reflection of the same colour; thin walls refract like solids",
 )  # fmt: skip
 def principled(node: Node, weight: Value) -> None:
     """All layers."""
@@ -93,6 +99,7 @@ def principled(node: Node, weight: Value) -> None:
         normal=node.own_normal(),
         aspect=aspect,
         tangent=tangent,
+        film=thin_film(node),
         diffuse_roughness=node.number("Diffuse Roughness") if node.used("Diffuse Roughness") else None,
         coat=_coat(node),
         sheen=_sheen(node),
@@ -109,21 +116,25 @@ def add_layers(node: Node, weight: Value, layers: Layers) -> None:
     if layers.coat is not None:
         coat = layers.coat
         coat_weight, weight = node.op("layer_coat", weight, coat.weight, coat.roughness, coat.ior, coat.tint, coat.normal)
-        node.closure("dielectric", coat_weight, WHITE, Distribution.GGX, coat.roughness, coat.ior, 1.0, BLACK, coat.normal)
+        node.closure("dielectric", coat_weight, WHITE, Distribution.GGX, coat.roughness, coat.ior, 1.0, BLACK, coat.normal, _NONE, _ONE)
     node.closure("emission", node.times(layers.emission, weight))
     facets = (layers.distribution, layers.roughness)
-    turned = (layers.aspect, layers.tangent, layers.normal)
+    turned = (layers.aspect, layers.tangent, layers.normal, *layers.film)
     weight, metal = node.op("mix_weights", weight, layers.metallic)
     node.closure("metal", metal, layers.base, layers.tint, *facets, *turned)
     weight, glass = node.op("mix_weights", weight, layers.transmission)
     refraction = node.op("refraction_tint", layers.base)
-    node.closure("glass", glass, refraction, refraction, layers.tint, *facets, layers.ior, layers.normal)
+    node.closure("glass", glass, refraction, refraction, layers.tint, *facets, layers.ior, layers.normal, *layers.film)
     ior = node.op("specular_index", layers.ior, layers.level)
     node.closure("dielectric", weight, layers.tint, *facets, ior, *turned)
-    if layers.diffuse_roughness is None and not layers.tinted:
+    if layers.diffuse_roughness is None and not layers.tinted and not layers.filmed:
         node.closure("layered_diffuse", node.times(layers.base, weight), *facets, ior, layers.normal)
         return
-    weight = node.times(layers.base, node.op("layer_specular", weight, layers.tint, *facets, ior, layers.normal))
+    if layers.filmed:
+        below = node.op("layer_film", weight, layers.tint, ior, layers.normal, *layers.film)
+    else:
+        below = node.op("layer_specular", weight, layers.tint, *facets, ior, layers.normal)
+    weight = node.times(layers.base, below)
     if layers.diffuse_roughness is None:
         node.closure("diffuse", weight, layers.normal)
     else:
@@ -152,6 +163,8 @@ def _kinds(node: Node) -> list[ClosureKind]:
         found.append(_K.ANISOTROPIC)
     if node.used("Sheen Weight"):
         found.append(_K.SHEEN)
+    if node.used("Thin Film Thickness"):
+        found += [_K.THIN_FILM, _K.DIFFUSE]
     if node.used("Diffuse Roughness"):
         found += [_K.DIFFUSE, _K.ROUGH_DIFFUSE]
     elif node.color("Specular Tint").constant != WHITE.constant:
@@ -174,7 +187,6 @@ def _sheen(node: Node) -> Sheen | None:
 
 
 def _note_approximations(node: Node) -> None:
-    note_thin_film(node)
     if node.used("Subsurface Weight"):
         node.warn("Subsurface is rendered as diffuse reflection of the same colour; this is an input")
     if node.used("Thin Wall"):

@@ -5,6 +5,7 @@ from enum import IntEnum
 import warp as wp
 
 from ...scene.description import ClosureKind
+from ..film import FILM_LEAST
 from ..materials import IOR_RANGE, ClosureRecord, new_closure
 from .closure_ops import is_black, unit_color, unit_number, usable_index, usable_normal, usable_weight
 from .op import NodeData, closure_op, number, vector
@@ -21,6 +22,7 @@ class Distribution(IntEnum):
 
 _IOR_LEAST = IOR_RANGE[0]
 _ASPECT_LEAST = 1e-4
+FILM_IOR_LEAST = 1e-5
 _GLOSSY = wp.constant(int(ClosureKind.GLOSSY))
 _METAL = wp.constant(int(ClosureKind.METAL))
 _DIELECTRIC = wp.constant(int(ClosureKind.DIELECTRIC))
@@ -50,6 +52,16 @@ def usable_aspect(aspect: float) -> float:
     result = float(1.0)
     if aspect > 0.0 and aspect < wp.inf:
         result = wp.clamp(aspect, wp.static(_ASPECT_LEAST), wp.static(1.0 / _ASPECT_LEAST))
+    return result
+
+
+@wp.func
+def film_thickness(data: NodeData, stack: wp.array(dtype=float), at: int) -> float:
+    """The thickness [nm] whose word is at `at`, at least 0."""
+    thickness = number(data, stack, at)
+    result = float(0.0)
+    if thickness > 0.0:
+        result = wp.min(thickness, 1.0e9)
     return result
 
 
@@ -84,10 +96,11 @@ def ashikhmin_shirley(
     return count + 1
 
 
-@closure_op("metal", "vvvinnvv")
+@closure_op("metal", "vvvinnvvnn")
 @wp.func
 def metal(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
-    """F82-tint: weight (without colour), reflectance at normal incidence, tint at 82 degrees, distribution, roughness, aspect, tangent, normal."""
+    """F82-tint: weight (without colour), reflectance at normal incidence, tint at 82 degrees, distribution, roughness, aspect, tangent, normal, film's
+    thickness [nm] and index."""
     weight = usable_weight(vector(data, stack, pc + 1))
     if is_black(weight) or count >= closures.shape[0]:
         return count
@@ -96,14 +109,17 @@ def metal(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingP
     record.edge = unit_color(vector(data, stack, pc + 3))
     record.aspect = usable_aspect(number(data, stack, pc + 6))
     record.tangent = usable_normal(vector(data, stack, pc + 7))
+    record.film_thickness = film_thickness(data, stack, pc + 9)
+    record.film_ior = usable_index(number(data, stack, pc + 10), wp.static(FILM_IOR_LEAST))
     closures[count] = record
     return count + 1
 
 
-@closure_op("conductor", "vvvinnvv")
+@closure_op("conductor", "vvvinnvvnn")
 @wp.func
 def conductor(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
-    """A metal by its indices: weight, index of refraction, extinction coefficient, distribution, roughness, aspect, tangent, normal."""
+    """A metal by its indices: weight, index of refraction, extinction coefficient, distribution, roughness, aspect, tangent, normal, film's
+    thickness [nm] and index."""
     weight = usable_weight(vector(data, stack, pc + 1))
     if is_black(weight) or count >= closures.shape[0]:
         return count
@@ -112,23 +128,29 @@ def conductor(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Shad
     record.edge = usable_weight(vector(data, stack, pc + 3))
     record.aspect = usable_aspect(number(data, stack, pc + 6))
     record.tangent = usable_normal(vector(data, stack, pc + 7))
+    record.film_thickness = film_thickness(data, stack, pc + 9)
+    record.film_ior = usable_index(number(data, stack, pc + 10), wp.static(FILM_IOR_LEAST))
     closures[count] = record
     return count + 1
 
 
-@closure_op("dielectric", "vvinnnvv")
+@closure_op("dielectric", "vvinnnvvnn")
 @wp.func
 def dielectric(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
-    """What a dielectric reflects: weight, tint at normal incidence, distribution, roughness, index, aspect, tangent, normal."""
+    """What a dielectric reflects: weight, tint at normal incidence, distribution, roughness, index, aspect, tangent, normal, film's
+    thickness [nm] and index."""
     weight = usable_weight(vector(data, stack, pc + 1))
     ior = usable_index(number(data, stack, pc + 5), 1.0)
-    if is_black(weight) or ior == 1.0 or count >= closures.shape[0]:
+    film = film_thickness(data, stack, pc + 9)
+    if is_black(weight) or (ior == 1.0 and film <= wp.static(FILM_LEAST)) or count >= closures.shape[0]:
         return count
     record = facet_closure(_DIELECTRIC, weight, data.code[pc + 3], number(data, stack, pc + 4), vector(data, stack, pc + 8))
     record.ior = ior
     record.edge = usable_weight(vector(data, stack, pc + 2))
     record.aspect = usable_aspect(number(data, stack, pc + 6))
     record.tangent = usable_normal(vector(data, stack, pc + 7))
+    record.film_thickness = film
+    record.film_ior = usable_index(number(data, stack, pc + 10), wp.static(FILM_IOR_LEAST))
     closures[count] = record
     return count + 1
 
@@ -146,11 +168,11 @@ def layered_diffuse(data: NodeData, stack: wp.array(dtype=float), pc: int, point
     return count + 1
 
 
-@closure_op("glass", "vvvvinnv")
+@closure_op("glass", "vvvvinnvnn")
 @wp.func
 def glass(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
     """Reflects and refracts: weight, what refracts relative to it, colour of bounces between facets, tint of what is reflected at normal incidence,
-    distribution, roughness, index, normal."""
+    distribution, roughness, index, normal, film's thickness [nm] and index."""
     weight = usable_weight(vector(data, stack, pc + 1))
     if is_black(weight) or count >= closures.shape[0]:
         return count
@@ -159,6 +181,8 @@ def glass(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingP
     record.colour = usable_weight(vector(data, stack, pc + 3))
     record.edge = usable_weight(vector(data, stack, pc + 4))
     record.ior = usable_index(number(data, stack, pc + 7), wp.static(_IOR_LEAST))
+    record.film_thickness = film_thickness(data, stack, pc + 9)
+    record.film_ior = usable_index(number(data, stack, pc + 10), wp.static(FILM_IOR_LEAST))
     closures[count] = record
     return count + 1
 

@@ -6,11 +6,12 @@ A layer takes from all channels what it reflects of the one of which it reflects
 import warp as wp
 
 from ..albedo import coat_fresnel, coat_fresnel_average, energy_compensation, reflection_albedo
+from ..film import FILM_LEAST, film_on_dielectric
 from ..fresnel import fresnel_dielectric, normal_reflectance, tinted_dielectric
 from ..microfacet import is_specular
 from ..sheen import sheen_lobe
 from .closure_ops import is_black, unit_number, usable_index, usable_normal, usable_weight
-from .closure_ops_facets import Distribution
+from .closure_ops_facets import FILM_IOR_LEAST, Distribution, film_thickness
 from .op import NodeData, number, op, put_number, put_vector, vector
 from .point import ShadingPoint
 
@@ -113,6 +114,26 @@ def layer_specular(data: NodeData, stack: wp.array(dtype=float), pc: int, point:
             layer = reflection_albedo(data.albedo, roughness, cosine) * wp.cw_mul(layer, factor)
         weight = below_layer(weight, layer)
     put_vector(data, stack, pc + 7, weight)
+
+
+@op("layer_film", "vvnvnn>V", foldable=False)
+@wp.func
+def layer_film(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """What the closure `dielectric` with a film leaves: weight, tint, index, normal, film's thickness [nm] and index > weight of what is below.
+
+    Roughness is left out: what a film on rough facets reflects is not known beforehand. A film that is none leaves what a smooth
+    surface would.
+    """
+    weight = usable_weight(vector(data, stack, pc + 1))
+    tint = usable_weight(vector(data, stack, pc + 2))
+    ior = usable_index(number(data, stack, pc + 3), 1.0)
+    cosine = _seen_at(usable_normal(vector(data, stack, pc + 4)), point)
+    film = film_thickness(data, stack, pc + 5)
+    layer = tinted_dielectric(fresnel_dielectric(cosine, ior), ior, tint)
+    if film > wp.static(FILM_LEAST):
+        index = usable_index(number(data, stack, pc + 6), wp.static(FILM_IOR_LEAST))
+        layer = film_on_dielectric(data.albedo.film, film, index, ior, tint, cosine)
+    put_vector(data, stack, pc + 7, below_layer(weight, wp.cw_mul(weight, layer)))
 
 
 @op("specular_index", "nn>N")

@@ -59,7 +59,9 @@ def upload_programs(
     data.images = images
     data.inputs = upload_inputs(scene, features.ops, device)
     coat = not {"layer_coat", "layer_specular"}.isdisjoint(features.ops)
-    data.albedo = upload_tables(device, reflection=coat, coat=coat, glass=False, sheen="layer_sheen" in features.ops)
+    data.albedo = upload_tables(
+        device, reflection=coat, coat=coat, glass=False, sheen="layer_sheen" in features.ops, film="layer_film" in features.ops
+    )
     return data
 
 
