@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import bpy
 import numpy as np
 
 from ..core.scene.description import Instances, Light, Mesh, Visibility
+from .attributes import mesh_attributes, object_value
 from .lights import export_light
 from .materials import MaterialTable
 from .meshes import export_mesh, slot_count
@@ -20,6 +21,7 @@ _CANCEL_INTERVAL = 256
 # A matrix composed in float32 from a few products has elements wrong by about this much, relatively
 _MATRIX_ERROR = 8 * 2.0**-24
 
+_OBJECT_KINDS = {"OBJECT", "INSTANCER"}  # of attributes
 _SOLID_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 _UNSUPPORTED_TYPES = {"VOLUME": "volumes", "CURVES": "hair curves", "POINTCLOUD": "point clouds"}
 
@@ -64,6 +66,7 @@ class _Template:
     slot_first: int
     visibility: int
     object: int
+    attributes: tuple[tuple[int, tuple[float, ...]], ...] = ()  # place and value of each attribute of the object that materials ask for
 
 
 @dataclass
@@ -100,7 +103,18 @@ class Placements:
                 self.warnings.append(f"object “{self.object_names[index]}”{how_often} is left out: {reason}")
         mesh, slot_first, visibility, owner = np.ascontiguousarray(table[usable].T)
         info = np.array(self._info, np.float32).reshape(count, 6)[usable]
-        return Instances(mesh, np.ascontiguousarray(transform[usable]), slot_first, visibility, owner, info)
+        return Instances(mesh, np.ascontiguousarray(transform[usable]), slot_first, visibility, owner, info, self._attributes(usable))
+
+    def _attributes(self, usable: np.ndarray) -> np.ndarray | None:
+        """See `Instances.attributes`."""
+        asked = len(self.materials.collections.object_attributes)
+        if not asked:
+            return None
+        values = np.zeros((len(self._templates), asked, 4), np.float32)
+        for i, template in enumerate(self._templates):
+            for place, value in template.attributes:
+                values[i, place] = value
+        return values[usable]
 
 
 def is_singular(transform: np.ndarray) -> np.ndarray:
@@ -130,9 +144,12 @@ class _Collector:
         self.view_layer = depsgraph.view_layer
         self.viewport = depsgraph.mode != "RENDER"
         self.placements = Placements()
-        self.placements.materials.collections.frame = depsgraph.scene.frame_current
+        collections = self.placements.materials.collections
+        collections.frame = depsgraph.scene.frame_current
+        collections.scene, collections.view_layer = depsgraph.scene, depsgraph.view_layer
         self._templates: dict[Any, _Template | None] = {}
         self._meshes: dict[Any, int | None] = {}
+        self._attributes_seen: dict[Any, set[tuple[str, str]]] = {}  # by mesh
         self._object_index: dict[str, int] = {}
         self._unsupported: dict[str, list[str]] = {}
         self._visibilities: dict[int, int] = {}
@@ -187,35 +204,61 @@ class _Collector:
             visibility &= self._visibility(placed.parent)
         if visibility == 0:
             return None
-        mesh = self._mesh(obj, data)
+        wanted = self._materials(obj, data)
+        asked = set().union(*(self.placements.materials.asked[index] for index in wanted))
+        mesh = self._mesh(obj, data, sorted((kind, name) for kind, name in asked if kind not in _OBJECT_KINDS))
         if mesh is None:
             return None
-        return _Template(mesh, self._slots(obj, data), visibility, self._name_index(obj.name))
+        first = len(self.placements.slot_materials)
+        self.placements.slot_materials += wanted
+        values = self._object_values(obj, placed.parent, sorted((kind, name) for kind, name in asked if kind in _OBJECT_KINDS))
+        return _Template(mesh, first, visibility, self._name_index(obj.name), values)
 
-    def _mesh(self, obj, data) -> int | None:
+    def _mesh(self, obj, data, asked: list[tuple[str, str]]) -> int | None:
+        """The place of the mesh, with the attributes `asked`."""
         key = (data.as_pointer(), data.session_uid)
-        if key not in self._meshes:
-            # A mesh that is being edited has its triangles elsewhere, until it is asked for as a mesh
-            edited = data.is_editmode
-            exported = export_mesh(obj.to_mesh() if edited else data, obj.name, self.placements.warnings)
-            if edited:
-                obj.to_mesh_clear()
-            self._meshes[key] = None if exported is None else len(self.placements.meshes)
+        known = key in self._meshes
+        place = self._meshes.get(key)
+        if known and (place is None or self._attributes_seen[key].issuperset(asked)):
+            return place
+        # A mesh that is being edited has its triangles elsewhere, until it is asked for as a mesh
+        edited = data.is_editmode
+        mesh = obj.to_mesh() if edited else data
+        meshes, warnings = self.placements.meshes, self.placements.warnings
+        if not known:
+            exported = export_mesh(mesh, obj.name, warnings)
+            place = self._meshes[key] = None if exported is None else len(meshes)
             if exported is not None:
-                self.placements.meshes.append(exported)
-        return self._meshes[key]
+                meshes.append(exported)
+        if place is not None:
+            seen = self._attributes_seen.setdefault(key, set())
+            added = mesh_attributes(mesh, [each for each in asked if each not in seen], obj.name, warnings)
+            meshes[place] = replace(meshes[place], attributes=(*meshes[place].attributes, *added))
+            seen.update(asked)
+        if edited:
+            obj.to_mesh_clear()
+        return place
 
-    def _slots(self, obj, data) -> int:
-        """Appends the materials of the object's slots; returns where they begin."""
+    def _object_values(self, obj, parent, asked: list[tuple[str, str]]) -> tuple[tuple[int, tuple[float, ...]], ...]:
+        """Places and values of the object's attributes `asked`."""
+        values = []
+        for kind, name in asked:
+            value = object_value(obj, parent, kind, name)
+            if value is None:
+                self._note(f"attribute “{name}” of objects is asked for by a material and is 0, because it is not", obj.name)
+            else:
+                values.append((self.placements.materials.collections.object_attribute(kind, name), value))
+        return tuple(values)
+
+    def _materials(self, obj, data) -> list[int]:
+        """The materials of the object's slots."""
         slots = obj.material_slots
         wanted = []
         for i in range(slot_count(data)):
             material = slots[i].material if i < len(slots) else data.materials[i] if i < len(data.materials) else None
             material = self.view_layer.material_override or material
             wanted.append(self.placements.materials.index(material, obj.name))
-        first = len(self.placements.slot_materials)
-        self.placements.slot_materials += wanted
-        return first
+        return wanted
 
     def _visibility(self, obj) -> int:
         original = obj.original

@@ -25,6 +25,7 @@ class MaterialTable:
     def __init__(self, collections: Collections | None = None) -> None:
         self.collections = collections or Collections()
         self.materials: list[Material] = []
+        self.asked: list[frozenset[tuple[str, str]]] = []  # by material: kind and name of the attributes that it asks for
         self._index: dict[Any, int] = {}
         self._notes: dict[int, list[str]] = {}  # by material: what was left out
         self._users: dict[int, list[str]] = {}
@@ -34,8 +35,10 @@ class MaterialTable:
         key = None if material is None else material.original.as_pointer()
         if key not in self._index:
             self._index[key] = len(self.materials)
+            self.collections.asked.clear()
             exported, notes = export_material(material, self.collections)
             self.materials.append(exported)
+            self.asked.append(frozenset(self.collections.asked))
             if notes:
                 self._notes[self._index[key]] = notes
         index = self._index[key]

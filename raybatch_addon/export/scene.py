@@ -49,6 +49,7 @@ def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool
         lights=tuple(placements.lights),
         world=world,
         images=tuple(collections.images),
+        attributes=tuple(collections.attributes),
         object_names=tuple(placements.object_names),
         warnings=tuple(dict.fromkeys(warnings)),
     )

@@ -15,6 +15,10 @@ class Collections:
         self.warnings: list[str] = []  # of images and attributes that cannot be used as they are, by name
         self._image_places: dict[Any, int] = {}
         self._attribute_places: dict[tuple[str, str], int] = {}
+        self._object_attribute_places: dict[tuple[str, str], int] = {}
+        self.asked: set[tuple[str, str]] = set()  # attributes that the graph at hand asks for
+        self.view_layer: Any = None  # Blender's, whose properties graphs may ask for
+        self.scene: Any = None
 
     def image(self, key: Any, make) -> int:
         """The place of the image known as `key`, which `make()` exports when it is asked for first."""
@@ -24,10 +28,21 @@ class Collections:
         return self._image_places[key]
 
     def attribute(self, kind: str, name: str) -> int:
-        """The place of an attribute: `kind` tells where it is looked for."""
+        """The place of an attribute of meshes: `kind` tells how it is found, see `export/attributes.py`."""
+        self.asked.add((kind, name))
         return self._attribute_places.setdefault((kind, name), len(self._attribute_places))
+
+    def object_attribute(self, kind: str, name: str) -> int:
+        """The same of objects (`kind` OBJECT), or of what places them (INSTANCER)."""
+        self.asked.add((kind, name))
+        return self._object_attribute_places.setdefault((kind, name), len(self._object_attribute_places))
 
     @property
     def attributes(self) -> list[tuple[str, str]]:
-        """(kind, name) of all attributes, by their place."""
+        """(kind, name) of all attributes of meshes, by their place."""
         return list(self._attribute_places)
+
+    @property
+    def object_attributes(self) -> list[tuple[str, str]]:
+        """(kind, name) of all attributes of objects, by their place."""
+        return list(self._object_attribute_places)

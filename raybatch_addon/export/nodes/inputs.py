@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ...core.shading.nodes.builder import Value
+from .attributes import mesh_attribute
 from .node import Node, own_value
 from .registry import values
 
@@ -51,7 +52,7 @@ def _rows(matrix) -> list[tuple[float, float, float]]:
     return [tuple(matrix[i][:3]) for i in range(3)] + [(matrix[0][3], matrix[1][3], matrix[2][3])]
 
 
-@values("ShaderNodeNewGeometry", family="Inputs", note="pointiness and random per island give 0")
+@values("ShaderNodeNewGeometry", family="Inputs")
 def geometry(node: Node) -> dict[str, Value]:
     """The point on its surface."""
     outputs = {}
@@ -65,9 +66,9 @@ def geometry(node: Node) -> dict[str, Value]:
         outputs["Parametric"] = node.op("parametric", node.shift)
     if node.wants("Backfacing"):
         outputs["Backfacing"] = node.op("backfacing")
-    for name in ("Pointiness", "Random Per Island"):
+    for name, attribute in (("Pointiness", "pointiness"), ("Random Per Island", "random_per_island")):
         if node.wants(name):
-            node.warn(f"{name} is 0: it is not supported; this is an output")
+            outputs[name] = mesh_attribute(node, "GEOMETRY", attribute)[1]
     return outputs
 
 

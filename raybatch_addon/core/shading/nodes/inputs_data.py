@@ -3,6 +3,7 @@
 import numpy as np
 import warp as wp
 
+from ...errors import SceneError
 from ...scene.description import CameraKind, Scene
 from ...scene.flatten import is_mirrored_where_baked
 from ...scene.geometry import mat34
@@ -11,6 +12,10 @@ from ...scene.geometry import mat34
 # Ops that go between the spaces of world and object, and that know a mesh's texture space
 _TEXTURE_SPACE_OPS = frozenset({"generated", "radial_tangent"})
 _OBJECT_OPS = _TEXTURE_SPACE_OPS | {"object_coordinates", "object_normal", "box_normal", "object_location", "vector_transform"}
+_ATTRIBUTE_OPS = frozenset({"attribute", "normal_map", "uv_tangent"})
+
+PER_CORNER = 8  # of `InputData.attribute_layout`: there are values for each corner, not for each triangle
+_NUMBERS_MOST = 2**31 - 1
 
 
 @wp.struct
@@ -28,6 +33,11 @@ class InputData:
     texture_scale: wp.array(dtype=wp.vec3)
     uv_first: wp.array(dtype=int)  # of each instance: first of its corners in `uvs`, -1: it has none
     uvs: wp.array(dtype=wp.vec2)  # of triangle corners
+    attribute_row: wp.array(dtype=int)  # of each instance: its row in the next two
+    attribute_first: wp.array2d(dtype=int)  # first number of each of `Scene.attributes` in `attribute_values`, -1: it has none
+    attribute_layout: wp.array2d(dtype=int)  # numbers of a value, and PER_CORNER
+    attribute_values: wp.array(dtype=float)
+    object_attributes: wp.array2d(dtype=wp.vec4)  # `Instances.attributes`
 
 
 def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> InputData:
@@ -57,7 +67,39 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
         first, uvs = _corner_values(scene)
         inputs.uv_first = wp.array(first, dtype=int, device=device)
         inputs.uvs = wp.array(uvs, dtype=wp.vec2, device=device)
+    if not _ATTRIBUTE_OPS.isdisjoint(ops):
+        _upload_attributes(scene, inputs, device)
+    if "object_attribute" in ops and instances.attributes is not None:
+        inputs.object_attributes = wp.array(np.asarray(instances.attributes, np.float32), dtype=wp.vec4, device=device)
     return inputs
+
+
+def _upload_attributes(scene: Scene, inputs: InputData, device: wp.Device) -> None:
+    """What meshes have of `Scene.attributes`, with the corners of triangles in the order that the geometry has them."""
+    rows: dict[tuple[int, bool], int] = {}
+    row_of = np.array([
+        rows.setdefault(key, len(rows)) for key in zip(scene.instances.mesh.tolist(), is_mirrored_where_baked(scene).tolist())
+    ], np.int32)  # fmt: skip
+    first = np.full((max(len(rows), 1), max(len(scene.attributes), 1)), -1, np.int32)
+    layout = np.zeros_like(first)
+    places = {key: place for place, key in enumerate(scene.attributes)}
+    chunks, count = [], 0
+    for (mesh, mirrored), row in rows.items():
+        for attribute in scene.meshes[mesh].attributes:
+            place = places.get((attribute.kind, attribute.name))
+            if place is None:
+                continue
+            values = np.asarray(attribute.values, np.float32)
+            first[row, place] = count
+            layout[row, place] = values.shape[-1] | (PER_CORNER if values.ndim == 3 else 0)
+            chunks.append((values[:, [0, 2, 1]] if mirrored and values.ndim == 3 else values).ravel())
+            count += len(chunks[-1])
+    if count > _NUMBERS_MOST:
+        raise SceneError(f"the attributes that materials read have {count:,} numbers; at most {_NUMBERS_MOST:,} can be indexed")
+    inputs.attribute_row = wp.array(row_of, dtype=int, device=device)
+    inputs.attribute_first = wp.array(first, dtype=int, device=device)
+    inputs.attribute_layout = wp.array(layout, dtype=int, device=device)
+    inputs.attribute_values = wp.array(np.concatenate(chunks) if chunks else np.zeros(0, np.float32), dtype=float, device=device)
 
 
 def _inverses(transform: np.ndarray) -> np.ndarray:
