@@ -132,7 +132,8 @@ def functions_of(features: Any, device: str) -> dict[str, set[str]]:
     for kernel in StageKernels.choose(features).all():
         options = {**kernel.module.options, "block_dim": 1, "mode": "release"}
         text = wp._src.context.ModuleBuilder(kernel.module, options).codegen("cuda" if find_device(device).is_cuda else "cpu")
-        found[kernel.key] = set(re.findall(r"^static (?:CUDA_CALLABLE )?[\w:<>, ]+ (\w+)\(", text, re.M))
+        names = re.findall(r"^static (?:CUDA_CALLABLE )?[\w:<>, ]+ (?!adj_)(\w+)\(", text, re.M)
+        found[kernel.key] = {re.sub(r"_\d+$", "", name.rsplit("__locals__", 1)[-1]) for name in names}
     return found
 
 
@@ -144,11 +145,12 @@ def functions_report(device: str) -> dict[str, Any]:
     features = derive_features(plain_scene(), RenderSettings())
     plain = set().union(*functions_of(features, device).values())
     every = set().union(*functions_of(every_feature(features), device).values())
-    modules_of_ops = {op.function.key for op in _all_ops().values()}
+    ops = {op.function.key.rsplit("__locals__", 1)[-1] for op in _all_ops().values()}
+    shared = {"is_positive"}  # also of BSDFs
     return {
         "functions": {"plain": len(plain), "all": len(every)},
         "only_with_features": sorted(every - plain),
-        "ops_in_plain": sorted(name for name in plain if any(name == op or name.startswith(f"{op}_") for op in modules_of_ops)),
+        "ops_in_plain": sorted((plain & ops) - shared),
     }
 
 
