@@ -261,12 +261,13 @@ def test_progress_tells_the_samples_that_there_are(session):
     film = session.render(scenes.mixed(FRAME), limited, on_progress=told.append)
     samples = [progress.samples_done for progress in told if progress.stage == "render"]
     assert samples == sorted(samples) and samples[-1] == film.statistics["samples_per_pixel"] and told[-1].fraction > 0.5
+    many_turns = SETTINGS.replace(tile_size=4, ray_count=64)
     with stopping(5):
-        film = session.render(scenes.mixed(FRAME), SETTINGS, on_progress=told.append)
+        film = session.render(scenes.mixed(FRAME), many_turns, on_progress=told.append)
     begun = film.sample_total / (24 * 20)
     assert 0 < begun < 7 and told[-1].samples_done == pytest.approx(begun)
     more = []
-    session.render(scenes.mixed(FRAME), SETTINGS, resume=film, on_progress=more.append)
+    session.render(scenes.mixed(FRAME), many_turns, resume=film, on_progress=more.append)
     samples = [progress.samples_done for progress in more if progress.stage == "render"]
     assert samples[0] >= begun * (1 - 1e-12) and samples[-1] == 7
 

@@ -51,7 +51,7 @@ class BackgroundFeatures:
 @functools.cache
 def light_hit_kernel(features: LightHitFeatures) -> wp.Kernel:
     """Kernel (data, limits, paths, rays, slots, count): lights that rays met on their way."""
-    lights = make_lights(LightFeatures(features.lights, features.light_sphere, features.light_hits, False, features.mis))
+    lights = make_lights(LightFeatures(features.lights, features.light_sphere, features.light_hits, mesh_lights=False, mis=features.mis))
     intersect = lights.intersect
     miss = lights.miss
 
