@@ -28,7 +28,7 @@ for _name, _distribution, _roughness in (
     ("GGX", "GGX", 0.35), ("multiscatter GGX", "MULTI_GGX", 0.7), ("Beckmann", "BECKMANN", 0.4), ("Ashikhmin-Shirley", "ASHIKHMIN_SHIRLEY", 0.35),
     ("sharp", "GGX", 0.0),
 ):  # fmt: skip
-    shader(f"Glossy BSDF: {_name}", "ShaderNodeBsdfAnisotropic", _name == "Beckmann", {"distribution": _distribution}, Color=COLOR, Roughness=_roughness)
+    shader(f"Glossy BSDF: {_name}", "ShaderNodeBsdfAnisotropic", False, {"distribution": _distribution}, Color=COLOR, Roughness=_roughness)
 for _distribution, _name in (("GGX", "GGX"), ("MULTI_GGX", "multiscatter GGX"), ("BECKMANN", "Beckmann")):
     shader(f"Glass BSDF: {_name}", "ShaderNodeBsdfGlass", False, {"distribution": _distribution}, Color=(0.9, 0.8, 0.95), Roughness=0.4, IOR=1.45)
 shader("Glass BSDF: sharp", "ShaderNodeBsdfGlass", True, Color=(0.9, 0.8, 0.95), Roughness=0.0, IOR=1.45)
@@ -36,7 +36,7 @@ shader("Glass BSDF: thin film", "ShaderNodeBsdfGlass", Color=(1, 1, 1), Roughnes
 shader("Refraction BSDF: GGX", "ShaderNodeBsdfRefraction", False, {"distribution": "GGX"}, Color=(0.9, 0.8, 0.95), Roughness=0.3, IOR=1.3)
 shader("Refraction BSDF: Beckmann", "ShaderNodeBsdfRefraction", False, {"distribution": "BECKMANN"}, Color=(0.9, 0.8, 0.95), Roughness=0.3, IOR=1.3)
 shader("Translucent BSDF", "ShaderNodeBsdfTranslucent", Color=COLOR)
-shader("Transparent BSDF", "ShaderNodeBsdfTransparent", True, Color=(0.7, 0.4, 0.9))
+shader("Transparent BSDF", "ShaderNodeBsdfTransparent", Color=(0.7, 0.4, 0.9))
 shader("Sheen BSDF: microfiber", "ShaderNodeBsdfSheen", False, {"distribution": "MICROFIBER"}, Color=COLOR, Roughness=0.4)
 shader("Sheen BSDF: Ashikhmin", "ShaderNodeBsdfSheen", False, {"distribution": "ASHIKHMIN"}, Color=COLOR, Roughness=0.4)
 shader("Metallic BSDF: F82 tint", "ShaderNodeBsdfMetallic", False, {"fresnel_type": "F82"}, Base_Color=COLOR, Edge_Tint=(0.6, 0.9, 0.7), Roughness=0.3)
@@ -44,7 +44,7 @@ shader("Metallic BSDF: physical conductor", "ShaderNodeBsdfMetallic", False, {"f
        Extinction=(3.61, 2.63, 2.29), Roughness=0.3)  # fmt: skip
 shader("Metallic BSDF: thin film", "ShaderNodeBsdfMetallic", False, {"fresnel_type": "F82"}, Base_Color=COLOR, Roughness=0.3, Thin_Film_Thickness=400.0,
        Thin_Film_IOR=1.5)  # fmt: skip
-shader("Emission", "ShaderNodeEmission", True, Color=COLOR, Strength=1.5)
+shader("Emission", "ShaderNodeEmission", Color=COLOR, Strength=1.5)
 
 
 @feature("Glossy BSDF: anisotropy and tangent", "Shaders", "picture")
@@ -110,7 +110,7 @@ def add_shader(scene: bpy.types.Scene) -> None:
     studio(scene, surface)
 
 
-@feature("Shaders with textured sockets", "Shaders", "picture", quick=True)
+@feature("Shaders with textured sockets", "Shaders", "picture")
 def textured_sockets(scene: bpy.types.Scene) -> None:
     """Colour and roughness of one, IOR of another, all from textures."""
     add_world(scene, 0.6, (0.6, 0.75, 1.0))

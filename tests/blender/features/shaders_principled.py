@@ -44,7 +44,7 @@ SOCKETS = {
         "Emission Color": (0.1, 0.2, 0.4), "Emission Strength": 0.2,
     },
 }  # fmt: skip
-QUICK = ("metallic", "coat", "transmission")
+QUICK = ("coat",)
 
 
 def _principled(name: str, inputs: dict, **properties) -> None:

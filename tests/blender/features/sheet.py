@@ -21,7 +21,7 @@ from .registry import Feature
 
 EDGE = 32  # points of a plane's edge
 TOLERANCE = 1e-4  # absolute below 1, relative above
-CELLS_MOST = 64  # of a sheet
+CELLS_MOST = 160  # variants of a sheet, about
 # Radiance of the world behind the planes: pixels of which a sample missed its plane are told by it. Cycles loses rays at edges between triangles
 BEHIND = 1e6
 BEHIND_SEEN = 500.0

@@ -15,7 +15,7 @@ def _sun(scene: bpy.types.Scene, world: float = 0.4, angle: float = 0.3) -> None
     lamp("SUN", (0, 0, 5), target=(2, 3, 0), energy=2.0, angle=angle)
 
 
-@feature("Smooth normals: the shadow's terminator", "Surface", "picture", quick=True)
+@feature("Smooth normals: the shadow's terminator", "Surface", "picture")
 def terminator(scene: bpy.types.Scene) -> None:
     """A ball of few faces with low light."""
     _sun(scene, 0.2)
@@ -113,7 +113,7 @@ def bump_leak(scene: bpy.types.Scene) -> None:
     look(scene, (0, -1.4, 0), (0, 0, -0.1), lens=22)
 
 
-@feature("Backfacing decides the shader", "Surface", "picture", quick=True)
+@feature("Backfacing decides the shader", "Surface", "picture")
 def backfacing(scene: bpy.types.Scene) -> None:
     _sun(scene)
     floor()

@@ -52,7 +52,7 @@ def bump_chain(scene: bpy.types.Scene) -> None:
 def _normal_map(space: str, strength: float = 1.0, **properties) -> None:
     name = space.replace("_", " ").lower() + "".join(f", {value}" for value in properties.values()) + (f", strength {strength}" if strength != 1 else "")
 
-    @feature(f"Normal Map: {name}", "Utility", "picture", quick=space == "TANGENT" and strength == 1 and not properties)
+    @feature(f"Normal Map: {name}", "Utility", "picture")
     def build(scene: bpy.types.Scene) -> None:
         pixels = pattern()
         pixels[..., :2] = 0.5 + 0.5 * (pixels[..., :2] - 0.5)

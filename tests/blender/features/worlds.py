@@ -25,7 +25,7 @@ def _background(graph: Graph, color, strength=1.0):
     return graph.value("ShaderNodeBackground", {"Color": color, "Strength": strength})
 
 
-@feature("Background", "World", "picture", quick=True)
+@feature("Background", "World", "picture")
 def background(scene: bpy.types.Scene) -> None:
     _stage(scene, lambda graph: _background(graph, (0.3, 0.5, 0.9), 1.3))
 
