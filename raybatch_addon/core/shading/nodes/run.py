@@ -23,15 +23,9 @@ def make_run(features: ProgramFeatures) -> wp.Function:
 
     `stack` is a local array of `register_count` floats, `closures` one of `closure_count` records.
     """
-    number_of = {name: FIRST_OP + i for i, name in enumerate(features.ops)}
-    ops = [op_named(name) for name in features.ops]
-    compute = _no_value
-    make = _no_closure
-    for each in ops:
-        if each.makes_closures:
-            make = _or_closure(number_of[each.name], each.function, make)
-        else:
-            compute = _or_value(number_of[each.name], each.function, compute)
+    ops = [(FIRST_OP + i, op_named(name)) for i, name in enumerate(features.ops)]
+    compute = _value_tree([(number, op.function) for number, op in ops if not op.makes_closures])
+    make = _closure_tree([(number, op.function) for number, op in ops if op.makes_closures])
 
     @wp.func
     def run(
@@ -64,31 +58,61 @@ def _no_closure(
     return count
 
 
-# A chain of functions, one an op: each refers to the next by name, so that Warp sees all of them when it hashes a kernel. It does not see what
-# `wp.static` picks from a list in a loop: kernels with other ops, or with ops that were changed, would be taken for the same.
-def _or_value(number: int, function: wp.Function, others: wp.Function) -> wp.Function:
-    def step(op: int, data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+# Trees of functions, whose leaves are ops: each refers to the next by name, so that Warp sees all of them when it hashes a kernel. It does
+# not see what `wp.static` picks from a list in a loop: kernels with other ops, or with ops that were changed, would be taken for the same.
+# A tree, because Warp generates the code of a function within that of its caller: a chain of all ops is too deep for Python.
+def _value_tree(ops: list[tuple[int, wp.Function]]) -> wp.Function:
+    if not ops:
+        return _no_value
+    number, function = ops[0]
+
+    def leaf(op: int, data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
         if op == wp.static(number):
             function(data, stack, pc, point)
+
+    if len(ops) == 1:
+        return _named(leaf, "value", ops)
+    half = len(ops) // 2
+    middle, before, after = ops[half][0], _value_tree(ops[:half]), _value_tree(ops[half:])
+
+    def branch(op: int, data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+        if op < wp.static(middle):
+            before(op, data, stack, pc, point)
         else:
-            others(op, data, stack, pc, point)
+            after(op, data, stack, pc, point)
 
-    return _named(step, number)
+    return _named(branch, "values", ops)
 
 
-def _or_closure(number: int, function: wp.Function, others: wp.Function) -> wp.Function:
-    def step(
+def _closure_tree(ops: list[tuple[int, wp.Function]]) -> wp.Function:
+    if not ops:
+        return _no_closure
+    number, function = ops[0]
+
+    def leaf(
         op: int, data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int
     ) -> int:
         if op == wp.static(number):
             return function(data, stack, pc, point, closures, count)
-        return others(op, data, stack, pc, point, closures, count)
+        return count
 
-    return _named(step, number)
+    if len(ops) == 1:
+        return _named(leaf, "closure", ops)
+    half = len(ops) // 2
+    middle, before, after = ops[half][0], _closure_tree(ops[:half]), _closure_tree(ops[half:])
+
+    def branch(
+        op: int, data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int
+    ) -> int:
+        if op < wp.static(middle):
+            return before(op, data, stack, pc, point, closures, count)
+        return after(op, data, stack, pc, point, closures, count)
+
+    return _named(branch, "closures", ops)
 
 
-def _named(step: Callable, number: int) -> wp.Function:
-    """`step` as a Warp function of a name of its own: those of one name would be taken for each other."""
-    step.__name__ = f"step_{number}"
-    step.__qualname__ = f"make_run.{step.__name__}"
-    return wp.func(step)
+def _named(body: Callable, kind: str, ops: list[tuple[int, wp.Function]]) -> wp.Function:
+    """`body` as a Warp function of a name of its own: those of one name would be taken for each other."""
+    body.__name__ = f"{kind}_{ops[0][0]}_to_{ops[-1][0]}"
+    body.__qualname__ = f"make_run.{body.__name__}"
+    return wp.func(body)
