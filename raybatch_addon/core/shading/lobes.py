@@ -95,9 +95,10 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
         ior = closures[c].ior
         if is_specular(roughness * roughness):
             return fresnel_dielectric(cos_o, ior)
-        mean = wp.vec3(0.0)
-        if closures[c].multiscatter == 1:
-            mean = wp.vec3(coat_fresnel_average(tables, ior))
+        if closures[c].multiscatter == 0:
+            # what facets hide from each other is lost to the layer below too, as in Cycles
+            return coat_fresnel(tables, roughness, ior, cos_o)
+        mean = wp.vec3(coat_fresnel_average(tables, ior))
         factor = energy_compensation(tables, roughness, cos_o, mean)[0]
         return coat_albedo(tables, roughness, ior, cos_o) * factor
 

@@ -62,6 +62,8 @@ class Layers:
     diffuse_roughness: Value | None = None
     coat: Coat | None = None
     sheen: Sheen | None = None
+    thin: bool = False  # glass is a sheet with two surfaces
+    behind: Value = _NONE  # share of diffuse light that leaves a thin wall on its other side
 
     @property
     def tinted(self) -> bool:
@@ -76,7 +78,7 @@ class Layers:
 
 @shader(
     "ShaderNodeBsdfPrincipled", kinds=lambda node: _kinds(node),
-    note="subsurface scattering is rendered as diffuse reflection of the same colour; thin walls refract like solids",
+    note="subsurface scattering is rendered as diffuse reflection of the same colour; rough thin walls let light pass straight on",
 )  # fmt: skip
 def principled(node: Node, weight: Value) -> None:
     """All layers."""
@@ -103,6 +105,8 @@ def principled(node: Node, weight: Value) -> None:
         diffuse_roughness=node.number("Diffuse Roughness") if node.used("Diffuse Roughness") else None,
         coat=_coat(node),
         sheen=_sheen(node),
+        thin=_is_thin(node),
+        behind=_behind(node),
     )
     add_layers(node, weight, layers)
 
@@ -123,18 +127,27 @@ def add_layers(node: Node, weight: Value, layers: Layers) -> None:
     weight, metal = node.op("mix_weights", weight, layers.metallic)
     node.closure("metal", metal, layers.base, layers.tint, *facets, *turned)
     weight, glass = node.op("mix_weights", weight, layers.transmission)
-    refraction = node.op("refraction_tint", layers.base)
-    node.closure("glass", glass, refraction, refraction, layers.tint, *facets, layers.ior, layers.normal, *layers.film)
+    if layers.thin:
+        _add_thin_glass(node, glass, layers)
+    else:
+        refraction = node.op("refraction_tint", layers.base)
+        node.closure("glass", glass, refraction, refraction, layers.tint, *facets, layers.ior, layers.normal, *layers.film)
     ior = node.op("specular_index", layers.ior, layers.level)
     node.closure("dielectric", weight, layers.tint, *facets, ior, *turned)
-    if layers.diffuse_roughness is None and not layers.tinted and not layers.filmed:
+    plain = layers.diffuse_roughness is None and layers.behind.constant == _NONE.constant
+    if plain and not layers.tinted and not layers.filmed:
         node.closure("layered_diffuse", node.times(layers.base, weight), *facets, ior, layers.normal)
         return
-    if layers.filmed:
+    if weight.constant == BLACK.constant:  # all is metal or glass
+        below = weight
+    elif layers.filmed:
         below = node.op("layer_film", weight, layers.tint, ior, layers.normal, *layers.film)
     else:
         below = node.op("layer_specular", weight, layers.tint, *facets, ior, layers.normal)
     weight = node.times(layers.base, below)
+    if layers.behind.constant != _NONE.constant:
+        weight, through = node.op("mix_weights", weight, layers.behind)
+        node.closure("translucent", through, layers.normal)
     if layers.diffuse_roughness is None:
         node.closure("diffuse", weight, layers.normal)
     else:
@@ -150,6 +163,15 @@ def _add_sheen(node: Node, weight: Value, layers: Layers) -> Value:
     return below
 
 
+def _add_thin_glass(node: Node, weight: Value, layers: Layers) -> None:
+    """Adds a sheet of glass."""
+    reflected, passed = weight, BLACK
+    if weight.constant != BLACK.constant:
+        reflected, passed = node.op("layer_thin_glass", weight, layers.base, layers.tint, layers.ior, layers.normal)
+    node.closure("glossy", reflected, layers.tint, Distribution.MULTI_GGX, layers.roughness, _ONE, BLACK, layers.normal)
+    node.closure("transparent", passed)
+
+
 def layered_closures(layers: Layers) -> tuple[Closure, ...]:
     """The closures of `layers` that are constants."""
     graph = Graph()
@@ -157,19 +179,29 @@ def layered_closures(layers: Layers) -> tuple[Closure, ...]:
     return tuple(constant_closure(record) for record in graph.builder.constant_closures())
 
 
-def _kinds(node: Node) -> list[ClosureKind]:
-    found = list(KINDS)
-    if node.used("Anisotropic"):
-        found.append(_K.ANISOTROPIC)
-    if node.used("Sheen Weight"):
-        found.append(_K.SHEEN)
-    if node.used("Thin Film Thickness"):
-        found += [_K.THIN_FILM, _K.DIFFUSE]
-    if node.used("Diffuse Roughness"):
-        found += [_K.DIFFUSE, _K.ROUGH_DIFFUSE]
-    elif node.color("Specular Tint").constant != WHITE.constant:
-        found.append(_K.DIFFUSE)
-    return found
+def _kinds(node: Node) -> set[ClosureKind]:
+    """Those that it always can have, and what values of today ask for besides."""
+    extra = {
+        (_K.ANISOTROPIC,): node.used("Anisotropic"),
+        (_K.SHEEN,): node.used("Sheen Weight"),
+        (_K.THIN_FILM, _K.DIFFUSE): node.used("Thin Film Thickness"),
+        (_K.ROUGH_DIFFUSE, _K.DIFFUSE): node.used("Diffuse Roughness"),
+        (_K.DIFFUSE,): node.color("Specular Tint").constant != WHITE.constant,
+        (_K.GLOSSY,): _is_thin(node),
+        (_K.TRANSLUCENT, _K.DIFFUSE): _is_thin(node) and node.used("Subsurface Weight"),
+    }
+    return {*KINDS, *(kind for kinds, there in extra.items() if there for kind in kinds)}
+
+
+def _is_thin(node: Node) -> bool:
+    return node.used("Thin Wall")
+
+
+def _behind(node: Node) -> Value:
+    """Of a thin wall's diffuse light the share that subsurface scattering sends through."""
+    if not _is_thin(node) or not node.used("Subsurface Weight"):
+        return _NONE
+    return node.op("forward_share", node.number("Subsurface Weight"), node.number("Subsurface Anisotropy"))
 
 
 def _coat(node: Node) -> Coat | None:
@@ -187,7 +219,13 @@ def _sheen(node: Node) -> Sheen | None:
 
 
 def _note_approximations(node: Node) -> None:
-    if node.used("Subsurface Weight"):
+    ior = node.number("IOR")
+    if ior.known and ior.number() < 1.0 and node.used("Specular IOR Level"):
+        node.warn("an IOR below 1 reflects nothing but where it is transmissive; this is an input")
+    if node.used("Subsurface Weight") and not _is_thin(node):
         node.warn("Subsurface is rendered as diffuse reflection of the same colour; this is an input")
-    if node.used("Thin Wall"):
-        node.warn("Thin Wall is not supported, light refracts as in a solid; this is an input")
+    if _is_thin(node):
+        if node.used("Roughness") and node.used("Transmission Weight"):
+            node.warn("Thin Wall lets light pass straight on, however rough it is; this is an input")
+        if not node.number("Thin Wall").known:
+            node.warn("Thin Wall is taken as on everywhere; this is an input")

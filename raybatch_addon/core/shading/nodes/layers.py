@@ -8,9 +8,10 @@ import warp as wp
 from ..albedo import coat_fresnel, coat_fresnel_average, energy_compensation, reflection_albedo
 from ..film import FILM_LEAST, film_on_dielectric
 from ..fresnel import fresnel_dielectric, normal_reflectance, tinted_dielectric
+from ..materials import IOR_RANGE
 from ..microfacet import is_specular
 from ..sheen import sheen_lobe
-from .closure_ops import is_black, unit_number, usable_index, usable_normal, usable_weight
+from .closure_ops import is_black, unit_color, unit_number, usable_index, usable_normal, usable_weight
 from .closure_ops_facets import FILM_IOR_LEAST, Distribution, film_thickness
 from .op import NodeData, number, op, put_number, put_vector, vector
 from .point import ShadingPoint
@@ -136,6 +137,32 @@ def layer_film(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Sha
     put_vector(data, stack, pc + 7, below_layer(weight, wp.cw_mul(weight, layer)))
 
 
+@op("layer_thin_glass", "vvvnv>VV", foldable=False)
+@wp.func
+def layer_thin_glass(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """A sheet of glass with both its surfaces: weight, colour of light that crosses it along its normal, tint of what a surface reflects at normal
+    incidence, index, normal > weights of what it reflects and of what passes, all bounces between the surfaces added up."""
+    weight = usable_weight(vector(data, stack, pc + 1))
+    color = unit_color(vector(data, stack, pc + 2))
+    ior = usable_index(number(data, stack, pc + 4), wp.static(IOR_RANGE[0]))
+    cosine = _seen_at(usable_normal(vector(data, stack, pc + 5)), point)
+    surface = tinted_dielectric(fresnel_dielectric(cosine, ior), ior, usable_weight(vector(data, stack, pc + 3)))
+    inside = wp.sqrt(wp.max(1.0 - (1.0 - cosine * cosine) / (ior * ior), 0.0))
+    reflected = wp.vec3(0.0)
+    passed = wp.vec3(0.0)
+    for i in range(3):
+        r = wp.min(surface[i], 1.0)
+        absorbed = float(0.0)
+        if color[i] > 0.0 and inside > 0.0:
+            absorbed = wp.pow(color[i], 1.0 / inside)
+        bounced = r * absorbed
+        if r < 1.0:
+            passed[i] = absorbed * (1.0 - r) * (1.0 - r) / (1.0 - bounced * bounced)
+        reflected[i] = r + passed[i] * bounced
+    put_vector(data, stack, pc + 6, wp.cw_mul(weight, reflected))
+    put_vector(data, stack, pc + 7, wp.cw_mul(weight, passed))
+
+
 @op("specular_index", "nn>N")
 @wp.func
 def specular_index(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
@@ -159,6 +186,14 @@ def refraction_tint(data: NodeData, stack: wp.array(dtype=float), pc: int, point
     put_vector(
         data, stack, pc + 2, wp.vec3(wp.sqrt(unit_number(c[0])), wp.sqrt(unit_number(c[1])), wp.sqrt(unit_number(c[2])))
     )
+
+
+@op("forward_share", "nn>N")
+@wp.func
+def forward_share(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """Of diffuse light, the share that a thin wall lets through: of the first, which scatters within it, by the second, how far it scatters ahead."""
+    ahead = unit_number(0.5 + 0.5 * number(data, stack, pc + 2))
+    put_number(data, stack, pc + 3, unit_number(number(data, stack, pc + 1)) * ahead)
 
 
 @op("glossy_aspect", "n>N")
