@@ -19,15 +19,14 @@ def _light_path(output: str, scale: float = 1.0) -> None:
     @feature(f"Light Path: {output}", "Inputs", "picture")
     def build(scene: bpy.types.Scene) -> None:
         """A ball whose colour depends on who looks, beside a mirror, glass, and a floor that it lights."""
-        add_world(scene, 0.6, (0.6, 0.75, 1.0))
+        add_world(scene, 0.1, (0.6, 0.75, 1.0))
         floor(4.0, (0.7, 0.7, 0.7))
-        lamp("SUN", (0, 0, 5), target=(2, 3, 0), energy=2.0, angle=0.8)
 
         def surface(graph: Graph):
             factor = graph.value("ShaderNodeLightPath", output=output)
             if scale != 1.0:
                 factor = graph.math("MULTIPLY", factor, scale)
-            both = [graph.value("ShaderNodeEmission", {"Color": color, "Strength": 0.8}) for color in ((0.9, 0.2, 0.1), (0.1, 0.4, 0.9))]
+            both = [graph.value("ShaderNodeEmission", {"Color": color, "Strength": 2.5}) for color in ((0.9, 0.2, 0.1), (0.1, 0.4, 0.9))]
             glow = graph.value("ShaderNodeMixShader", {0: factor, 1: both[0], 2: both[1]})
             return graph.value("ShaderNodeMixShader", {0: 0.5, 1: glow, 2: graph.value("ShaderNodeBsdfTransparent")})
 

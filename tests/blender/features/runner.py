@@ -24,6 +24,7 @@ MEAN_NOISE = 0.0025
 REL_MSE_NOISE = 6e-4
 SAMPLES_MOST = 4096
 
+NOT_SUPPORTED = "not supported"  # in a warning
 OK, DIFFERENT, UNSUPPORTED, NOISY, FAILED = "ok", "differs", "not supported", "too noisy", "failed"
 
 
@@ -112,6 +113,8 @@ def _node_result(feature: Feature, cells: list[Cell], warnings: list[str], secon
     told = _reasons([text for text in warnings if any(name in text for name in names)])
     figures = {"error": worst.worst}
     result = Result(feature, OK, figures, "; ".join(told), worst.ours, worst.theirs, seconds)
+    if any(NOT_SUPPORTED in text for text in told):
+        result.status = UNSUPPORTED
     if empty := [cell.label for cell in cells if cell.empty]:
         result.status, result.note = FAILED, f"Cycles' picture is the same everywhere: {', '.join(empty)}"
     elif worst.worst > TOLERANCE:
@@ -162,6 +165,8 @@ def _run_picture(feature: Feature, folder: Path, result: Result) -> None:
     result.note = "; ".join(_reasons(ours.warnings))
     if found.theirs.max() < 1e-3:
         result.status, result.note = FAILED, "Cycles' picture is black"
+    elif NOT_SUPPORTED in result.note:
+        result.status = UNSUPPORTED  # even if this picture hardly shows it
     elif found.mean_error > MEAN_TOLERANCE or found.rel_mse > REL_MSE_TOLERANCE:
         result.status = UNSUPPORTED if ours.warnings else DIFFERENT
     elif found.noise > 2 * MEAN_NOISE or found.rel_mse_noise > 2 * REL_MSE_NOISE:
