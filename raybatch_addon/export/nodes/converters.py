@@ -56,3 +56,10 @@ def vector_transform(node: Node) -> Value:
     """A vector in another space."""
     settings = node.node
     return node.op("vector_transform", VectorKind[settings.vector_type], Space[settings.convert_from], Space[settings.convert_to], node.vector("Vector"))
+
+
+@values("ShaderNodeRadialTiling", family="Utilities")
+def radial_tiling(node: Node) -> dict[str, Value]:
+    """Segments around the origin."""
+    outputs = node.op("radial_tiling", node.node.normalize, node.vector("Vector"), node.number("Sides"), node.number("Roundness"))
+    return dict(zip(("Segment Coordinates", "Segment ID", "Segment Width", "Segment Rotation"), outputs))

@@ -43,3 +43,15 @@ def map_range(node: Node) -> Value:
     if settings.data_type == "FLOAT_VECTOR":
         return node.op("map_range_vector", *how, node.vector("Vector"), *(node.vector(key) for key in _RANGE_OF_VECTORS))
     return node.op("map_range", *how, node.number("Value"), *(node.number(key) for key in _RANGE))
+
+
+@values("ShaderNodeSqueeze", family="Utilities", note="Cycles leaves it out; here it is what EEVEE makes of it")
+def squeeze(node: Node) -> Value:
+    """A number squeezed into 0..1 by a logistic curve."""
+
+    def computed(operation: MathOperation, a: Value | float, b: Value | float = 0.0) -> Value:
+        return node.op("math", operation, False, a, b, 0.0)
+
+    from_center = computed(MathOperation.SUBTRACT, node.number("Center"), node.number("Value"))
+    power = computed(MathOperation.EXPONENT, computed(MathOperation.MULTIPLY, from_center, node.number("Width")))
+    return computed(MathOperation.DIVIDE, 1.0, computed(MathOperation.ADD, power, 1.0))

@@ -41,6 +41,7 @@ CASES = [
     *(("mapping", (each,)) for each in MappingKind),
     *(("vector_rotate", (each, flag)) for each, flag in itertools.product(RotationKind, FLAGS)),
     ("normal", ()),
+    *(("radial_tiling", (flag,)) for flag in FLAGS),
     *(("color_ramp", (flag,)) for flag in FLAGS),
     *(("curves", (flag,)) for flag in FLAGS),
     *(("float_curve", (flag,)) for flag in FLAGS),
@@ -77,6 +78,8 @@ def values_of(name: str, count: int, choices: list[float] | None = None) -> np.n
     values = rng.choice(choices, (count, width_of(name))) if choices else rng.uniform(-2, 3, (count, width_of(name)))
     if "curve" in name:
         values[:, -2:] = -0.5, 1.5  # where curves begin and end
+    if name == "radial_tiling" and not choices:
+        values[:, 3:] = np.stack([np.abs(values[:, 3]) * 3 + 2.5, np.abs(values[:, 4]) * 0.5], 1)
     if name == "wavelength":
         values = values * 100 + 500
     if name == "blackbody":

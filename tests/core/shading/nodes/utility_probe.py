@@ -12,7 +12,7 @@ import warp as wp
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.program import ProgramFeatures
 from raybatch_addon.core.shading.materials import ClosureRecord
-from raybatch_addon.core.shading.nodes import colour, curves, map_range, math, mixing, ramp, rotate, spectrum, vector_math  # noqa: F401
+from raybatch_addon.core.shading.nodes import colour, curves, map_range, math, mixing, radial_tiling, ramp, rotate, spaces, spectrum, vector_math  # noqa: F401
 from raybatch_addon.core.shading.nodes.op import NodeData, as_python, op_named
 from raybatch_addon.core.shading.nodes.point import ShadingPoint
 from raybatch_addon.core.shading.nodes.run import END, FIRST_OP, LENGTH_SHIFT, make_run
@@ -21,7 +21,7 @@ from under_test import DEVICE
 OPS = (
     "blackbody", "bright_contrast", "clamp", "color_ramp", "combine_color", "combine_xyz", "curves", "float_curve", "gamma", "hue_saturation",
     "invert", "light_falloff", "map_range", "map_range_vector", "mapping", "math", "mix_color", "mix_float", "mix_vector", "normal",
-    "separate_color", "separate_xyz", "vector_math", "vector_rotate", "wavelength",
+    "radial_tiling", "separate_color", "separate_xyz", "vector_math", "vector_rotate", "wavelength",
 )  # fmt: skip
 REGISTERS = 32
 
@@ -81,14 +81,15 @@ def on_device(name: str, immediates: Sequence[int], values: np.ndarray, table: S
     return out.numpy()
 
 
-def on_host(name: str, immediates: Sequence[int], values: np.ndarray, table: Sequence[float] = ()) -> np.ndarray:
-    """The same, folded."""
+def on_host(name: str, immediates: Sequence[int], values: np.ndarray, table: Sequence[float] = (), inputs=None, point=None) -> np.ndarray:
+    """The same, folded; `inputs` and `point` have what ops read of the scene that are not folded."""
     words, read, written = _layout(name, immediates)
     function = as_python(op_named(name).function)
+    constants = [float(np.float32(x)) for x in table]
     rows = []
     for row in values:
         stack = [float(x) for x in row] + [0.0] * written
-        function(SimpleNamespace(code=[0, *words], constants=[float(np.float32(x)) for x in table]), stack, 0, None)
+        function(SimpleNamespace(code=[0, *words], constants=constants, inputs=inputs), stack, 0, point)
         rows.append(stack[read:])
     with np.errstate(over="ignore"):
         return np.array(rows, np.float64).astype(np.float32)
