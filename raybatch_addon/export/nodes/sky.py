@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import bpy
-
 from ...core.scene.description import Image
 from ...core.shading.nodes.builder import Value
 from ...core.sky import multiple_scattering, single_scattering
@@ -12,15 +10,18 @@ from ...core.sky.hosek_wilkie import hosek_wilkie_table
 from ...core.sky.preetham import preetham_table
 from .node import Node
 from .registry import values
-from .texture_mapping import texture_coordinates
+from .texture_mapping import mapped, texture_coordinates
 
 _MODELS = {"SINGLE_SCATTERING": single_scattering, "MULTIPLE_SCATTERING": multiple_scattering}
 
 
-@values("ShaderNodeTexSky", family="Textures", note="the sun's disc is seen in worlds alone, as in Cycles")
+@values("ShaderNodeTexSky", family="Textures")
 def sky(node: Node) -> Value:
-    """The sky in a direction; where nothing is linked, the one that is looked in."""
-    settings, direction = node.node, texture_coordinates(node)
+    """The sky in a direction; where nothing is linked, the one that is looked in, or generated coordinates on surfaces."""
+    settings = node.node
+    # With the sun's disc there is no input, whatever was linked to it before
+    shines = settings.sun_disc and settings.sky_type in _MODELS
+    direction = mapped(node, node.coordinates()) if shines else texture_coordinates(node)
     if settings.sky_type == "PREETHAM":
         return node.op("sky_preetham", preetham_table(settings.sun_direction, settings.turbidity), direction)
     if settings.sky_type == "HOSEK_WILKIE":
@@ -30,7 +31,6 @@ def sky(node: Node) -> Value:
     elevation, azimuth = wrapped_sun(settings.sun_elevation, settings.sun_rotation)
     atmosphere = Atmosphere(elevation, settings.altitude, settings.air_density, settings.aerosol_density, settings.ozone_density)
     size = max(settings.sun_size, SUN_SIZE_MIN)
-    shines = settings.sun_disc and isinstance(node.graph.owner, bpy.types.World)
     table = sky_table(model.sun_disc(atmosphere, size) if shines else None, elevation, azimuth, size, settings.sun_intensity, settings.altitude)
     key = (settings.sky_type, atmosphere)
     picture = node.graph.collections.image(key, lambda: Image(f"sky of {node.node.name}", model.sky_picture(atmosphere)))
