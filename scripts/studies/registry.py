@@ -6,11 +6,11 @@ import difflib
 
 from rendering.request import UsageError
 
-from . import batching, budgets, cycles, light_sampling, sequences, thesis
+from . import batching, budgets, cycles, environment, light_sampling, sequences, thesis
 from .study import Study
 
 STUDIES: dict[str, Study] = {each.name: each for each in (
-    thesis.STUDY, batching.STUDY, light_sampling.STUDY, sequences.STUDY, budgets.STUDY, cycles.STUDY,
+    thesis.STUDY, batching.STUDY, light_sampling.STUDY, environment.STUDY, sequences.STUDY, budgets.STUDY, cycles.STUDY,
 )}  # fmt: skip
 
 
