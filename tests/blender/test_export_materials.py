@@ -283,6 +283,19 @@ def test_a_handler_that_fails_costs_its_own_node_alone(monkeypatch):
     assert "Emission" in note and "no such socket" in note and "viewport colour" in note
 
 
+def test_normals_of_closures_count_where_something_is_linked_to_them():
+    for linked in (False, True):
+        material, tree, surface = new_material()
+        diffuse = add_node(tree, "ShaderNodeBsdfDiffuse")
+        coordinates = tree.nodes.new("ShaderNodeTexCoord")
+        tree.links.new(coordinates.outputs["Object"], diffuse.inputs["Color"])
+        if linked:
+            tree.links.new(coordinates.outputs["Normal"], diffuse.inputs["Normal"])
+        tree.links.new(diffuse.outputs[0], surface)
+        got, _ = export_material(material)
+        assert got.program is not None and (K.OWN_NORMAL in got.kinds) == linked
+
+
 def test_values_that_are_not_finite_fall_back():
     material, _ = of_one("ShaderNodeEmission", Strength=math.inf)
     assert all(np.isfinite(closure.weight).all() for closure in material.closures)

@@ -51,7 +51,7 @@ class ClosureKind(IntEnum):
     BECKMANN = 32  # `distribution` 1
     ANISOTROPIC = 33  # `aspect` other than 1
     THIN_FILM = 35  # `film_thickness`
-    OWN_NORMAL = 34  # `normal`; also wherever there are programs
+    OWN_NORMAL = 34  # `normal`
 
     @property
     def is_model(self) -> bool:

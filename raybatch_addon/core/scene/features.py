@@ -97,8 +97,6 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
             kinds.update(material.kinds)
             for closure in material.closures:
                 kinds.update(closure.needs)
-            if material.program is not None:
-                kinds.add(ClosureKind.OWN_NORMAL)
     return SceneFeatures(
         closures=tuple(sorted(kinds)),
         programs=_material_programs(scene) if surfaces else ProgramFeatures(),
