@@ -251,7 +251,7 @@ def make_edge_octave(dimensions: int) -> wp.Function:
         count = int(wp.static(3**dimensions))
         for i in range(count):
             to_point = cells.point(cell, cells.offset(i, 3), randomness) - local
-            squared = wp.dot(to_point, to_point)
+            squared = cells.dot(to_point, to_point)
             if squared < nearest:
                 nearest = squared
                 to_nearest = to_point
@@ -259,9 +259,9 @@ def make_edge_octave(dimensions: int) -> wp.Function:
         for i in range(count):
             to_point = cells.point(cell, cells.offset(i, 3), randomness) - local
             across = to_point - to_nearest
-            squared = wp.dot(across, across)
+            squared = cells.dot(across, across)
             if squared > _SAME_POINT:
-                nearest = wp.min(nearest, wp.dot((to_nearest + to_point) / 2.0, across / wp.sqrt(squared)))
+                nearest = wp.min(nearest, cells.dot((to_nearest + to_point) / 2.0, across / wp.sqrt(squared)))
         return nearest
 
     return line if dimensions == 1 else edge
@@ -321,7 +321,7 @@ def make_n_sphere_radius(dimensions: int) -> wp.Function:
         for i in range(count):
             candidate = cells.offset(i, 3)
             point = cells.point(cell, candidate, settings.randomness)
-            squared = wp.dot(point - local, point - local)
+            squared = cells.dot(point - local, point - local)
             if squared < nearest:
                 nearest = squared
                 offset = candidate
@@ -331,7 +331,7 @@ def make_n_sphere_radius(dimensions: int) -> wp.Function:
         for i in range(count):
             if i != wp.static(3**dimensions // 2):  # its own cell
                 point = cells.point(cell, cells.offset(i, 3) + offset, settings.randomness)
-                squared = wp.dot(found - point, found - point)
+                squared = cells.dot(found - point, found - point)
                 if squared < nearest:
                     nearest = squared
                     neighbour = point

@@ -33,6 +33,7 @@ class Cells(NamedTuple):
     floor: wp.Function  # (place: vector) -> vector: the cell that holds it
     place: wp.Function  # (xyz: vec3, w) -> vector: those coordinates that count
     position: wp.Function  # (place: vector) -> vec4 (x, y, z, w) with zeros for what does not count
+    dot: wp.Function  # (vector, vector) -> float
     measure: wp.Function  # (difference: vector, metric, exponent) -> float
     rank: wp.Function  # the same, but only the order of its values counts (cheaper)
 
@@ -153,21 +154,37 @@ def make_cells(dimensions: int) -> Cells:
         return result
 
     @wp.func
+    def total(parts: vector):
+        # In the order in which Blender's vector units add, which decides between points that are equally far
+        result = float(parts[0])
+        if wp.static(dimensions == 4):
+            result = (parts[0] + parts[1]) + (parts[2] + parts[3])
+        else:
+            for k in range(wp.static(1), wp.static(dimensions)):
+                result += parts[k]
+        return result
+
+    @wp.func
+    def dot(a: vector, b: vector):
+        return total(wp.cw_mul(a, b))
+
+    @wp.func
     def rank(difference: vector, metric: int, exponent: float):
         result = float(0.0)
         if wp.static(dimensions == 1):
             result = wp.abs(difference[0])
         elif metric == wp.static(EUCLIDEAN):
-            result = wp.dot(difference, difference)
-        elif metric == wp.static(MANHATTAN):
-            for k in range(wp.static(dimensions)):
-                result += wp.abs(difference[k])
+            result = dot(difference, difference)
         elif metric == wp.static(CHEBYCHEV):
             for k in range(wp.static(dimensions)):
                 result = wp.max(result, wp.abs(difference[k]))
         else:
+            parts = vector()
             for k in range(wp.static(dimensions)):
-                result += wp.pow(wp.abs(difference[k]), exponent)
+                parts[k] = wp.abs(difference[k])
+                if metric == wp.static(MINKOWSKI):
+                    parts[k] = wp.pow(parts[k], exponent)
+            result = total(parts)
         return result
 
     @wp.func
@@ -180,4 +197,4 @@ def make_cells(dimensions: int) -> Cells:
                 result = wp.pow(result, 1.0 / exponent)
         return result
 
-    return Cells(dimensions, vector, integers, offset, point, colour, floor, place, position, measure, rank)
+    return Cells(dimensions, vector, integers, offset, point, colour, floor, place, position, dot, measure, rank)
