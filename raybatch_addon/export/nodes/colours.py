@@ -37,7 +37,8 @@ def mix_rgb(node: Node) -> Value:
 @values("ShaderNodeHueSaturation", family="Utilities")
 def hue_saturation(node: Node) -> Value:
     """Hue, saturation and value, changed."""
-    return node.op("hue_saturation", node.number("Hue"), node.number("Saturation"), node.number("Value"), node.number("Fac"), node.color("Color"))
+    numbers = (node.number(key) for key in ("Hue", "Saturation", "Value", "Fac"))
+    return node.op("hue_saturation", *numbers, node.color("Color"))
 
 
 @values("ShaderNodeBrightContrast", family="Utilities")

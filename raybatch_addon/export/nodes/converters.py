@@ -32,9 +32,8 @@ def mapping(node: Node) -> Value:
 def vector_rotate(node: Node) -> Value:
     """A vector turned around a point."""
     how = RotationKind[node.node.rotation_type], node.node.invert
-    return node.op(
-        "vector_rotate", *how, node.vector("Vector"), node.vector("Center"), node.vector("Axis"), node.number("Angle"), node.vector("Rotation")
-    )
+    vectors = (node.vector(key) for key in ("Vector", "Center", "Axis"))
+    return node.op("vector_rotate", *how, *vectors, node.number("Angle"), node.vector("Rotation"))
 
 
 @values("ShaderNodeNormal", family="Utilities")
@@ -55,7 +54,8 @@ def light_falloff(node: Node) -> dict[str, Value]:
 def vector_transform(node: Node) -> Value:
     """A vector in another space."""
     settings = node.node
-    return node.op("vector_transform", VectorKind[settings.vector_type], Space[settings.convert_from], Space[settings.convert_to], node.vector("Vector"))
+    how = VectorKind[settings.vector_type], Space[settings.convert_from], Space[settings.convert_to]
+    return node.op("vector_transform", *how, node.vector("Vector"))
 
 
 @values("ShaderNodeRadialTiling", family="Utilities")

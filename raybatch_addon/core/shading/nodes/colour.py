@@ -52,7 +52,10 @@ def bright_contrast(color: wp.vec3, bright: float, contrast: float) -> wp.vec3:
     """`color`, brighter by `bright` and spread around 0.5 by 1 + `contrast`; not below 0."""
     slope = 1.0 + contrast
     offset = bright - contrast * 0.5
-    return wp.vec3(greater(slope * color[0] + offset, 0.0), greater(slope * color[1] + offset, 0.0), greater(slope * color[2] + offset, 0.0))
+    r = greater(slope * color[0] + offset, 0.0)
+    g = greater(slope * color[1] + offset, 0.0)
+    b = greater(slope * color[2] + offset, 0.0)
+    return wp.vec3(r, g, b)
 
 
 @wp.func

@@ -34,7 +34,9 @@ def _eased(interpolation: int, factor: float) -> float:
 
 
 @wp.func
-def map_component(interpolation: int, clamp: int, x: float, from_min: float, from_max: float, to_min: float, to_max: float, steps: float) -> float:
+def map_component(
+    interpolation: int, clamp: int, x: float, from_min: float, from_max: float, to_min: float, to_max: float, steps: float
+) -> float:
     """`x` mapped; an empty range counts as its own beginning."""
     factor = safe_divide(x - from_min, from_max - from_min)
     if interpolation == RangeInterpolation.STEPPED:
@@ -48,7 +50,9 @@ def map_component(interpolation: int, clamp: int, x: float, from_min: float, fro
 
 
 @wp.func
-def map_number(interpolation: int, clamp: int, x: float, from_min: float, from_max: float, to_min: float, to_max: float, steps: float) -> float:
+def map_number(
+    interpolation: int, clamp: int, x: float, from_min: float, from_max: float, to_min: float, to_max: float, steps: float
+) -> float:
     """`x` mapped; an empty range gives 0, or what is nearest to it between `to_min` and `to_max` where `clamp` is 1."""
     if from_min == from_max:
         if clamp == 1 and interpolation < RangeInterpolation.SMOOTHSTEP:

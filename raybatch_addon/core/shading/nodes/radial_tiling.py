@@ -2,7 +2,8 @@
 
 A polygon with a whole number of sides has equal segments of angle 2 A, beginning at the x axis. Otherwise the last segment is what is left
 of the turn, 2 L. Corners are arcs between sides; each half of a side begins where an arc ends, and ends at the segment's middle. A point
-has two coordinates: how far out it lies, as the distance of the sides of the polygon through it from the origin, and how far along its side.
+has two coordinates: how far out it lies, as the distance from the origin of the sides of the polygon through it, and how far along its
+side.
 """
 
 import warp as wp
@@ -138,7 +139,9 @@ def tile_of_corner(side: Side, half: float, roundness: float, length: float, ang
 
 
 @wp.func
-def tile_of_last(regular: Side, outer: Side, inner: Side, corner: Corner, half: float, last_half: float, around: float, length: float, angle: float) -> Tile:
+def tile_of_last(
+    regular: Side, outer: Side, inner: Side, corner: Corner, half: float, last_half: float, around: float, length: float, angle: float
+) -> Tile:
     """A point in the last segment, or beside the corners at its ends."""
     begin = TURN - 2.0 * last_half
     shrunk = safe_divide(wp.cos(half), wp.cos(last_half))  # distance of the other sides over that of the last

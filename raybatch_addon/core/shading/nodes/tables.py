@@ -12,10 +12,13 @@ def table_position(x: float, count: int) -> float:
 
 
 @wp.func
-def read_table(constants: wp.array(dtype=float), first: int, stride: int, count: int, x: float, interpolate: int, extrapolate: int) -> float:
+def read_table(
+    constants: wp.array(dtype=float), first: int, stride: int, count: int, x: float, interpolate: int, extrapolate: int
+) -> float:
     """What the table of `count` entries, each `stride` numbers after the last, says at `x` in [0, 1].
 
-    Beyond, the end's, or where `extrapolate` is 1 the straight line through the last two entries. Without `interpolate` the entry at or below `x`.
+    Beyond, the end's, or where `extrapolate` is 1 the straight line through the last two entries. Without `interpolate` the entry at or
+    below `x`.
     """
     last = first + (count - 1) * stride
     if extrapolate == 1 and x < 0.0:

@@ -34,11 +34,15 @@ def one(name, immediates, *operands, **more):
     "operation, a, b, c, expected",
     [
         (M.DIVIDE, 1, 0, 0, 0), (M.POWER, -2, 3, 0, -8), (M.POWER, -2, 0.5, 0, 0), (M.POWER, 0, 0, 0, 1), (M.POWER, 0, -1, 0, 0),
-        (M.POWER, -2, 4e9, 0, 0), (M.POWER, -2, NAN, 0, 0), (M.LOGARITHM, 8, 2, 0, 3), (M.LOGARITHM, -8, 2, 0, 0), (M.LOGARITHM, 8, 1, 0, 0),
-        (M.SQRT, -4, 0, 0, 0), (M.SQRT, NAN, 0, 0, 0), (M.INVERSE_SQRT, 4, 0, 0, 0.5), (M.INVERSE_SQRT, 0, 0, 0, 0), (M.SIGN, -0.0, 0, 0, 0),
-        (M.COMPARE, 1, 1.4, 0.5, 1), (M.COMPARE, 1, 1, -1, 1), (M.COMPARE, 1, 1.4, 0.3, 0), (M.ROUND, -0.5, 0, 0, 0), (M.TRUNC, -1.7, 0, 0, -1),
+        (M.POWER, -2, 4e9, 0, 0), (M.POWER, -2, NAN, 0, 0), (M.LOGARITHM, 8, 2, 0, 3), (M.LOGARITHM, -8, 2, 0, 0),
+        (M.LOGARITHM, 8, 1, 0, 0),
+        (M.SQRT, -4, 0, 0, 0), (M.SQRT, NAN, 0, 0, 0), (M.INVERSE_SQRT, 4, 0, 0, 0.5), (M.INVERSE_SQRT, 0, 0, 0, 0),
+        (M.SIGN, -0.0, 0, 0, 0),
+        (M.COMPARE, 1, 1.4, 0.5, 1), (M.COMPARE, 1, 1, -1, 1), (M.COMPARE, 1, 1.4, 0.3, 0), (M.ROUND, -0.5, 0, 0, 0),
+        (M.TRUNC, -1.7, 0, 0, -1),
         (M.FRACT, -0.25, 0, 0, 0.75), (M.MODULO, -5.5, 2, 0, -1.5), (M.FLOORED_MODULO, -5.5, 2, 0, 0.5), (M.MODULO, 5, 0, 0, 0),
-        (M.WRAP, 5.5, 2, -1, 2.5 - 3), (M.WRAP, 5, 2, 2, 2), (M.SNAP, 1.9, 0.5, 0, 1.5), (M.SNAP, 1.9, 0, 0, 0), (M.PINGPONG, 3.2, 2, 0, 0.8),
+        (M.WRAP, 5.5, 2, -1, 2.5 - 3), (M.WRAP, 5, 2, 2, 2), (M.SNAP, 1.9, 0.5, 0, 1.5), (M.SNAP, 1.9, 0, 0, 0),
+        (M.PINGPONG, 3.2, 2, 0, 0.8),
         (M.PINGPONG, 3, 0, 0, 0), (M.ARCSINE, 2, 0, 0, math.pi / 2), (M.ARCCOSINE, NAN, 0, 0, math.pi), (M.ARCTAN2, 0, 0, 0, 0),
         (M.ARCTAN2, 1, -1, 0, 0.75 * math.pi), (M.SMOOTH_MIN, 1, 3, 0, 1), (M.SMOOTH_MIN, 1, 1, 0.6, 0.9), (M.SMOOTH_MAX, 1, 1, 0.6, 1.1),
         (M.DEGREES, math.pi, 0, 0, 180), (M.MINIMUM, NAN, 2, 0, 2), (M.LESS_THAN, NAN, 2, 0, 0), (M.EXPONENT, 200, 0, 0, INF),
@@ -62,7 +66,8 @@ def test_a_clamped_result_is_within_0_and_1():
         (V.REFLECT, (1, -1, 0), (0, 5, 0), (0, 0, 0), 0, (1, 1, 0)), (V.REFRACT, (1, 0, 0), (0, 1, 0), (0, 0, 0), 1.5, (0, 0, 0)),
         (V.REFRACT, (0, -1, 0), (0, 2, 0), (0, 0, 0), 0.7, (0, -1, 0)), (V.FACEFORWARD, (1, 2, 3), (0, 0, 1), (0, 0, 1), 0, (-1, -2, -3)),
         (V.MODULO, (-5.5, 5.5, 1), (2, -2, 0), (0, 0, 0), 0, (-1.5, 1.5, 0)), (V.WRAP, (5.5, 1, 3), (2, 1, 4), (-1, 1, 0), 0, (-0.5, 1, 3)),
-        (V.SNAP, (1.9, -0.2, 1), (0.5, 0.5, 0), (0, 0, 0), 0, (1.5, -0.5, 0)), (V.POWER, (-2, -2, 0), (3, 0.5, 0), (0, 0, 0), 0, (-8, 0, 1)),
+        (V.SNAP, (1.9, -0.2, 1), (0.5, 0.5, 0), (0, 0, 0), 0, (1.5, -0.5, 0)),
+        (V.POWER, (-2, -2, 0), (3, 0.5, 0), (0, 0, 0), 0, (-8, 0, 1)),
         (V.CROSS_PRODUCT, (1, 0, 0), (0, 1, 0), (0, 0, 0), 0, (0, 0, 1)), (V.SIGN, (-3, 0, 2), (0, 0, 0), (0, 0, 0), 0, (-1, 0, 1)),
         (V.LENGTH, (3, 4, 0), (0, 0, 0), (0, 0, 0), 0, (0, 0, 0, 5)), (V.DISTANCE, (3, 4, 1), (0, 0, 1), (0, 0, 0), 0, (0, 0, 0, 5)),
     ],
@@ -84,7 +89,8 @@ def test_blend_modes_at_their_corners():
 
     assert mixed(BlendMode.BURN, 0.5, 0) == 0 and mixed(BlendMode.DODGE, 0.5, 1) == 1 and mixed(BlendMode.DODGE, 0, 1) == 0
     assert mixed(BlendMode.DIVIDE, 0.5, 0) == 0.5 and mixed(BlendMode.DIVIDE, 0.5, 2) == 0.25
-    assert mixed(BlendMode.SCREEN, 0.5, 0.5) == 0.75 and mixed(BlendMode.EXCLUSION, 2, 2) == 0 and mixed(BlendMode.LINEAR_LIGHT, 0.25, 1) == 1.25
+    assert mixed(BlendMode.SCREEN, 0.5, 0.5) == 0.75 and mixed(BlendMode.EXCLUSION, 2, 2) == 0
+    assert mixed(BlendMode.LINEAR_LIGHT, 0.25, 1) == 1.25
     assert mixed(BlendMode.MIX, 0, 1, 7) == 1
     assert one("mix_color", (BlendMode.HUE, 1, 0), 1, (0.25, 0.5, 0.75), (0.3, 0.3, 0.3)) == pytest.approx((0.25, 0.5, 0.75))
     assert one("mix_color", (BlendMode.COLOR, 1, 0), 1, (0.2, 0.2, 0.8), (0.5, 0.25, 0.25)) == pytest.approx((0.8, 0.4, 0.4))

@@ -12,16 +12,16 @@ import warp as wp
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.program import ProgramFeatures
 from raybatch_addon.core.shading.materials import ClosureRecord
-from raybatch_addon.core.shading.nodes import colour, curves, map_range, math, mixing, radial_tiling, ramp, rotate, spaces, spectrum, vector_math  # noqa: F401
+from raybatch_addon.core.shading import nodes  # noqa: F401  (registers the ops)
 from raybatch_addon.core.shading.nodes.op import NodeData, as_python, op_named
 from raybatch_addon.core.shading.nodes.point import ShadingPoint
 from raybatch_addon.core.shading.nodes.run import END, FIRST_OP, LENGTH_SHIFT, make_run
 from under_test import DEVICE
 
 OPS = (
-    "blackbody", "bright_contrast", "clamp", "color_ramp", "combine_color", "combine_xyz", "curves", "float_curve", "gamma", "hue_saturation",
-    "invert", "light_falloff", "map_range", "map_range_vector", "mapping", "math", "mix_color", "mix_float", "mix_vector", "normal",
-    "radial_tiling", "separate_color", "separate_xyz", "vector_math", "vector_rotate", "wavelength",
+    "blackbody", "bright_contrast", "clamp", "color_ramp", "combine_color", "combine_xyz", "curves", "float_curve", "gamma",
+    "hue_saturation", "invert", "light_falloff", "map_range", "map_range_vector", "mapping", "math", "mix_color", "mix_float",
+    "mix_vector", "normal", "radial_tiling", "separate_color", "separate_xyz", "vector_math", "vector_rotate", "wavelength",
 )  # fmt: skip
 REGISTERS = 32
 
