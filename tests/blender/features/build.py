@@ -83,8 +83,8 @@ def ball(name: str, place, radius: float, segments: int = 32, rings: int = 16, s
     """A UV sphere with UV coordinates."""
     mesh = bpy.data.meshes.new(name)
     shape = bmesh.new()
-    bmesh.ops.create_uvsphere(shape, u_segments=segments, v_segments=rings, radius=radius, calc_uvs=True)
     shape.loops.layers.uv.verify()
+    bmesh.ops.create_uvsphere(shape, u_segments=segments, v_segments=rings, radius=radius, calc_uvs=True)
     for face in shape.faces:
         face.smooth = smooth
     shape.to_mesh(mesh)

@@ -67,7 +67,7 @@ def bevel(scene: bpy.types.Scene) -> None:
     studio(scene).hide_render = True
     obj = box("Box", (0, 0, 0.8), (1.4, 1.4, 1.4), 0.5, (0.8, 0.5, 0.2))
     obj.data.materials.clear()
-    material_graph(obj, lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Normal": graph.value("ShaderNodeBevel", {"Radius": 0.2})}))
+    material_graph(obj, lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Normal": graph.value("ShaderNodeBevel", {"Radius": 0.4})}))
 
 
 @feature("Ambient Occlusion", "Inputs", "picture")
