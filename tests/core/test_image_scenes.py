@@ -15,7 +15,7 @@ from raybatch_addon.core.shading.nodes.image import Projection
 from raybatch_addon.core.shading.textures import Extension, Interpolation
 from raybatch_addon.core.wavefront.geometry_cache import GeometryCache
 
-SETTINGS = RenderSettings(sample_count=1, bounce_max=0, pixel_filter="BOX", filter_width=0.01)
+SETTINGS = RenderSettings(sample_count=1, bounce_max=0, pixel_filter="BOX")  # every ray stays in its pixel, which is one texel
 PICTURE = np.random.default_rng(2).random((6, 6, 3)).astype(np.float32)
 
 
