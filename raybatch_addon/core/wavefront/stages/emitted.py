@@ -1,6 +1,8 @@
 """Light that programs give: of the world in a direction, of a point on a surface."""
 
 import functools
+import os
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import warp as wp
@@ -17,8 +19,9 @@ from ...shading.world import WorldTable, texel_direction
 from ..scene_data import SceneData
 from .surface_program import make_surface_program, shading_point
 
-# Points of a texel of the world, along either axis, whose mean is its brightness
+# Points of a texel of the world, along either axis, whose mean is its brightness; one where texels are as many as an image's
 _TEXEL_POINTS = 2
+_FINE_WIDTH = 4096
 # Points of a triangle whose mean is its emission: rows of a grid
 _TRIANGLE_ROWS = 4
 
@@ -78,20 +81,20 @@ def make_surface_emission(programs: ProgramFeatures, instancing: bool, smooth_no
 
 @functools.cache
 def world_texels_kernel(programs: ProgramFeatures) -> wp.Kernel:
-    """Kernel (data, table, row_first, light): mean brightness of texels, from row `row_first` on."""
+    """Kernel (data, table, row_first, points, light): mean brightness of texels of rows from `row_first` on, `points` along either axis."""
     world_emission = make_world_emission(programs)
 
     @wp.kernel(**KERNEL_OPTIONS)
-    def world_texels(data: SceneData, table: WorldTable, row_first: int, light: wp.array(dtype=float)):
-        i = wp.tid()
-        row = row_first + i / table.width
+    def world_texels(data: SceneData, table: WorldTable, row_first: int, points: int, light: wp.array(dtype=float)):
+        i = row_first * table.width + wp.tid()
+        row = i / table.width
         column = i % table.width
         total = float(0.0)
-        for k in range(wp.static(_TEXEL_POINTS * _TEXEL_POINTS)):
-            u = wp.vec2(float(k % _TEXEL_POINTS) + 0.5, float(k / _TEXEL_POINTS) + 0.5) / wp.static(float(_TEXEL_POINTS))
+        for k in range(points * points):
+            u = wp.vec2(float(k % points) + 0.5, float(k / points) + 0.5) / float(points)
             radiance = world_emission(data, wp.vec3(0.0), texel_direction(table, row, column, u), 0, 0)
             total += (radiance[0] + radiance[1] + radiance[2]) * wp.static(1.0 / 3.0)
-        light[i] = wp.min(total * wp.static(1.0 / _TEXEL_POINTS**2), wp.static(1e30))
+        light[i] = wp.min(total / float(points * points), wp.static(1e30))
 
     return world_texels
 
@@ -138,5 +141,16 @@ def world_texels(data: SceneData, features: SceneFeatures, width: int, device: w
     table = WorldTable()
     table.width, table.height = width, max(1, width // 2)
     light = wp.zeros(table.width * table.height, dtype=float, device=device)
-    wp.launch(world_texels_kernel(features.world_program), light.size, [data, table, 0, light], device=device)
+    kernel = world_texels_kernel(features.world_program)
+    points = 1 if width >= _FINE_WIDTH else _TEXEL_POINTS
+    wp.load_module(kernel.module, device=device)
+    # a launch on the CPU runs on one thread
+    threads = 1 if device.is_cuda else min(os.cpu_count() or 1, table.height)
+    rows = [table.height * i // threads for i in range(threads + 1)]
+
+    def launch(first: int, end: int) -> None:
+        wp.launch(kernel, (end - first) * table.width, [data, table, first, points, light], device=device)
+
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(launch, rows[:-1], rows[1:]))
     return light.numpy().reshape(table.height, table.width)
