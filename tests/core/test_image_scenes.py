@@ -96,7 +96,7 @@ def test_an_image_too_large_for_the_device_is_made_smaller_and_named(session, mo
 
 def test_a_world_shows_its_image(session):
     builder = ProgramBuilder()
-    direction = builder.value("environment_coordinates", 0)
+    direction = builder.value("position", 0)
     color, _ = builder.value("environment", 0, Interpolation.CLOSEST, EnvironmentProjection.EQUIRECTANGULAR, 0, direction)
     builder.closure("emission", color)
     below = np.zeros((2, 1, 3), np.float32)

@@ -30,7 +30,7 @@ def image_texture(node: Node) -> dict[str, Value]:
     coordinates = mapped(node, node.vector("Vector") if node.linked("Vector") else node.uv())
     if texture.projection == "BOX":
         blend = float(texture.projection_blend)
-        color, alpha = node.op("image_box", place, interpolation, extension, divide, blend, coordinates, node.op("box_normal"))
+        color, alpha = node.op("image_box", place, interpolation, extension, divide, blend, coordinates, node.op("object_normal"))
     else:
         color, alpha = node.op("image", place, interpolation, extension, Projection[texture.projection], divide, coordinates)
     return {"Color": color, "Alpha": alpha}
@@ -46,7 +46,7 @@ def environment_texture(node: Node) -> dict[str, Value]:
         widest = node.graph.collections.environment_width
         node.graph.collections.environment_width = max(widest, image.pixels.shape[1])
     projection = EnvironmentProjection[texture.projection]
-    direction = mapped(node, node.vector("Vector") if node.linked("Vector") else node.op("environment_coordinates", node.shift))
+    direction = mapped(node, node.vector("Vector") if node.linked("Vector") else node.op("position", node.shift))
     color, alpha = node.op("environment", place, _INTERPOLATIONS[texture.interpolation], projection, divide, direction)
     return {"Color": color, "Alpha": alpha}
 

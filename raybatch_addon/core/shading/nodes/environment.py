@@ -6,7 +6,7 @@ import warp as wp
 
 from ..textures import Extension, sample_image
 from .op import NodeData, op, put_number, put_vector, vector
-from .point import ShadingPoint, shifted_position
+from .point import ShadingPoint
 
 
 class EnvironmentProjection(IntEnum):
@@ -40,16 +40,6 @@ def mirror_ball_place(direction: wp.vec3) -> wp.vec2:
         x = x / length
         z = z / length
     return wp.vec2(0.5 * (x + 1.0), 0.5 * (z + 1.0))
-
-
-@op("environment_coordinates", "i>V", foldable=False)
-@wp.func
-def environment_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """Where an environment is looked at with nothing linked: along the ray, or from the origin to the point; word 1 is the shift."""
-    direction = -point.incoming
-    if point.instance >= 0:
-        direction = shifted_position(point, data.code[pc + 1])
-    put_vector(data, stack, pc + 2, direction)
 
 
 @op("environment", "miiiv>VN", foldable=False)

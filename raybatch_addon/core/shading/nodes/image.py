@@ -108,22 +108,6 @@ def box_place(axis: int, p: wp.vec3, normal: wp.vec3) -> wp.vec2:
     return wp.vec2(across, up)
 
 
-@op("box_normal", ">V", foldable=False)
-@wp.func
-def box_normal(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """The normal in object space, by which boxes mix; not of unit length."""
-    normal = point.normal
-    if point.instance >= 0:
-        # normals are moved by the transposed inverse, here that of world to object; up to a factor its cofactors
-        m = data.inputs.to_object[point.instance]
-        x = wp.vec3(m[0, 0], m[0, 1], m[0, 2])
-        y = wp.vec3(m[1, 0], m[1, 1], m[1, 2])
-        z = wp.vec3(m[2, 0], m[2, 1], m[2, 2])
-        side = wp.sign(wp.dot(x, wp.cross(y, z)))
-        normal = side * wp.vec3(wp.dot(wp.cross(y, z), normal), wp.dot(wp.cross(z, x), normal), wp.dot(wp.cross(x, y), normal))
-    put_vector(data, stack, pc + 1, normal)
-
-
 @op("image", "miiiiv>VN", foldable=False)
 @wp.func
 def image(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
