@@ -69,7 +69,7 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output) ->
     if options.worker:
         return work(options)
     from blender.features.registry import chosen_features
-    from parity_report.page import counts, earlier_results, json_report, page, together, write_thumbnails
+    from parity_report.page import counts, json_report
     from parity_report.workers import run_groups
     from raybatch_addon.core.report.statistics import versions
 
@@ -80,27 +80,38 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output) ->
         return 0
     if options.json and options.json != "-":
         folders.prepare(Path(options.json).absolute())
-    started = time.perf_counter()
-    results = run_groups(features, Path(__file__).resolve(), options.jobs, lambda result: print(result.text(), file=sys.stderr, flush=True))
-    seconds = time.perf_counter() - started
     import bpy
 
     known = {"Blender": bpy.app.version_string, "Warp": versions()["warp"], "RayBatch": versions()["raybatch"]}
     whole = not (options.only or options.quick)
-    if options.out or whole:
-        out = options.out or ROOT / "docs"
-        (out / "parity").mkdir(parents=True, exist_ok=True)
-        stored = out / "parity" / "results.json"
-        rows = results if whole else together(earlier_results(stored), results)
-        text = page(rows, write_thumbnails(rows, out / "parity"), known)
-        write_whole(out / "parity.md", lambda temporary: temporary.write_text(text, encoding="utf-8"))
-        write_json(str(stored), [json_report(rows, known, sum(row.seconds for row in rows))], standard_output)
+    out = options.out or (ROOT / "docs" if whole else None)
+    started = time.perf_counter()
+
+    def tell(result) -> None:
+        print(result.text(), file=sys.stderr, flush=True)
+        if out:  # what was done is there if the rest is stopped
+            _write_page(out, [result], known, standard_output)
+
+    results = run_groups(features, Path(__file__).resolve(), options.jobs, tell)
+    seconds = time.perf_counter() - started
     if options.json:
         write_json(options.json, [json_report(results, known, seconds)], standard_output)
     for name, (ok, total) in counts(results).items():
         print(f"{name}: {ok} of {total} within bounds", file=sys.stderr)
     print(f"{seconds:.0f} s", file=sys.stderr)
     return int(options.strict and not all(result.ok for result in results))
+
+
+def _write_page(out: Path, results: list, known: dict[str, str], standard_output) -> None:
+    """`results` and the rows of other features that are in `out` already, as a page with its pictures and as JSON."""
+    from parity_report.page import earlier_results, json_report, page, together, write_thumbnails
+
+    (out / "parity").mkdir(parents=True, exist_ok=True)
+    stored = out / "parity" / "results.json"
+    rows = together(earlier_results(stored), results)
+    text = page(rows, write_thumbnails(rows, out / "parity"), known)
+    write_whole(out / "parity.md", lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_json(str(stored), [json_report(rows, known, sum(row.seconds for row in rows))], standard_output)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -26,11 +27,17 @@ def groups_of(features: list) -> list[list]:
 
 
 def run_groups(features: list, script: Path, jobs: int, done: Callable) -> list:
-    """Results of `features`, in their order; `done` is called with each as it comes, on any thread."""
+    """Results of `features`, in their order; `done` is called with each as it comes, one at a time."""
     from blender.features.runner import FAILED, Result
 
     results: dict[str, Result] = {}
+    telling = threading.Lock()
     by_name = {each.name: each for each in features}
+
+    def tell(result: Result) -> None:
+        with telling:
+            results[result.feature.name] = result
+            done(result)
 
     def run(group: list) -> None:
         with tempfile.TemporaryDirectory() as folder:
@@ -40,14 +47,12 @@ def run_groups(features: list, script: Path, jobs: int, done: Callable) -> list:
         missing = [each for each in group if each.name not in {result.feature.name for result in found}]
         if missing and len(group) > 1:
             for result in found:
-                results[result.feature.name] = result
-                done(result)
+                tell(result)
             for each in missing:
                 run([each])
             return
         for result in found + [Result(each, FAILED, note=why or "no result") for each in missing]:
-            results[result.feature.name] = result
-            done(result)
+            tell(result)
 
     with ThreadPoolExecutor(jobs) as pool:
         list(pool.map(run, groups_of(features)))
