@@ -169,6 +169,8 @@ def test_what_is_approximated_is_named():
     assert K.LAYERED_DIFFUSE in {closure.kind for closure in material.closures}
     (note,) = notes
     assert "Subsurface" in note and "diffuse" in note and "Principled BSDF" in note
+    material, notes = of_one("ShaderNodeSubsurfaceScattering", Color=RED)
+    assert weights(material) == {K.DIFFUSE: np.array(RED[:3])} and "diffuse" in notes[0] and "Subsurface Scattering" in notes[0]
 
 
 @pytest.mark.parametrize("node, inputs", [("ShaderNodeEmission", {"Strength": -2}), ("ShaderNodeBsdfPrincipled", {"Emission_Strength": -2})])

@@ -20,6 +20,13 @@ def diffuse(node: Node, weight: Value) -> None:
         node.closure("diffuse", node.times(weight, color), node.own_normal())
 
 
+@shader("ShaderNodeSubsurfaceScattering", kinds=(_K.DIFFUSE,), note="rendered as diffuse reflection of the same colour")
+def subsurface(node: Node, weight: Value) -> None:
+    """Light that comes out where it went in."""
+    node.warn("scattering below the surface is rendered as diffuse reflection of the same colour; this is the shader")
+    node.closure("diffuse", node.times(weight, node.color("Color")), node.own_normal())
+
+
 @shader("ShaderNodeBsdfTranslucent", kinds=(_K.TRANSLUCENT,))
 def translucent(node: Node, weight: Value) -> None:
     """Diffuse light on the other side."""
