@@ -1,7 +1,7 @@
 """Attributes of Blender's meshes, objects and view layers, as shader programs read them.
 
 Kinds of a mesh's attributes, and their names:
-- GEOMETRY: by name, as Cycles finds it; also `N`, `uv`, `vertex_color`, `pointiness`, `random_per_island`.
+- GEOMETRY: by name, as Cycles finds it; also `uv`, `vertex_color`, `pointiness`, `random_per_island`.
 - COLOR: a colour attribute; without name the one that is marked for rendering.
 - TANGENT: tangents and the signs of bitangents of a UV map; without name the one that is marked for rendering.
 """
@@ -107,7 +107,6 @@ def _tangent(arrays: MeshArrays, name: str) -> np.ndarray | None:
 
 
 _STANDARD = {
-    "N": lambda arrays: arrays.corner_normals,
     "uv": _active_uv,
     "vertex_color": lambda arrays: _color(arrays, ""),
     "pointiness": lambda arrays: arrays.of_points(pointiness(arrays.positions, arrays.vertex_normals, arrays.edges)[:, None]),

@@ -74,11 +74,12 @@ def export_material(material: bpy.types.Material | None, collections: Collection
     if output is None:
         return Material(material.name), []
     linked = {name for name in ("Surface", "Volume", "Displacement") if find_source(output.inputs[name])[0] is not None}
-    left_out = [name.lower() for name in ("Volume", "Displacement") if name in linked]
-    notes = [f"not supported yet and left out: {', '.join(left_out)}"] if left_out else []
+    notes = ["not supported yet and left out: volume"] if "Volume" in linked else []
+    if "Displacement" in linked and material.displacement_method != "BUMP":
+        notes.append("displacement is rendered as bump: the surface stays where it is")
     if "Volume" in linked and "Surface" not in linked:  # a volume alone has no surface
         return Material(material.name, (Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0)),), (ClosureKind.TRANSPARENT,)), notes
-    compiled = compile_graph(output.inputs["Surface"], material, collections)
+    compiled = compile_graph(output.inputs["Surface"], material, collections, "Displacement" in linked)
     return Material(material.name, compiled.closures, compiled.kinds, compiled.program), [*compiled.notes, *notes]
 
 

@@ -131,10 +131,10 @@ class MaterialTable:
 
 @wp.struct
 class ShadingFrame:
-    """Directions at a surface point. Both normals are on the side of wo."""
+    """Directions at a surface point."""
 
-    normal: wp.vec3  # unit shading normal, on the same side as geometric_normal
-    geometric_normal: wp.vec3  # unit, of the triangle
+    normal: wp.vec3  # unit shading normal, on the same side as geometric_normal; it may be turned away from wo
+    geometric_normal: wp.vec3  # unit, of the triangle, on the side of wo
     tangent: wp.vec3  # unit; with bitangent and normal a right-handed frame
     bitangent: wp.vec3
     entering: int  # 1: wo is in front of the surface, so that what refracts enters the object

@@ -28,6 +28,9 @@ def attribute(node: Node) -> dict[str, Value]:
     if name in ("generated", "position"):
         color = node.coordinates() if name == "generated" else node.op("object_coordinates", node.shift)
         return _outputs(color, node.op("average", color), node.constant(1.0))
+    if name == "N":  # of all attributes this one alone comes in world space
+        normal = node.surface_normal()
+        return _outputs(normal, node.op("average", normal), node.constant(1.0))
     if name == "tangent":
         return _outputs(*mesh_attribute(node, "TANGENT", "")[:2], node.constant(1.0))
     return _outputs(*mesh_attribute(node, "GEOMETRY", name))

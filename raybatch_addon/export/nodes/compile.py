@@ -10,6 +10,7 @@ from ...core.scene.program import Program
 from ...core.shading.materials import constant_closure
 from .collections import Collections
 from .node import Graph, deep_recursion
+from .normals import bump_from_displacement
 
 
 @dataclass(frozen=True)
@@ -23,10 +24,15 @@ class Compiled:
     varying: tuple[str, ...] = ()  # names of nodes whose outputs are not constants
 
 
-def compile_graph(socket, owner: Any, collections: Collections) -> Compiled:
-    """The graph that feeds the shader input `socket` of an output node of `owner`; `collections` gets what it refers to."""
+def compile_graph(socket, owner: Any, collections: Collections, displaced: bool = False) -> Compiled:
+    """The graph that feeds the shader input `socket` of an output node of `owner`; `collections` gets what it refers to.
+
+    With `displaced` the displacement of the same node bends the surface's normal.
+    """
     graph = Graph(owner, collections)
     with deep_recursion():
+        if displaced:
+            bump_from_displacement(graph, socket.node)
         if socket is not None:
             graph.surface(socket)
     kinds = tuple(sorted(graph.kinds))

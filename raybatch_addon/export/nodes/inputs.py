@@ -31,9 +31,9 @@ def texture_coordinates(node: Node) -> dict[str, Value]:
     if node.wants("Object"):
         outputs["Object"] = _in_object(node, node.node.object)
     if node.wants("Camera"):
-        outputs["Camera"] = node.op("camera_coordinates")[3]
+        outputs["Camera"] = node.op("camera_coordinates", node.shift)[3]
     if node.wants("Window"):
-        outputs["Window"] = node.op("window_coordinates")
+        outputs["Window"] = node.op("window_coordinates", node.shift)
     if node.wants("Reflection"):
         outputs["Reflection"] = node.op("reflection")
     return outputs
@@ -59,7 +59,8 @@ def geometry(node: Node) -> dict[str, Value]:
     if node.wants("Position"):
         outputs["Position"] = node.op("position", node.shift)
     if any(node.wants(name) for name in ("Normal", "True Normal", "Incoming")):
-        outputs["Normal"], outputs["True Normal"], outputs["Incoming"] = node.op("normals")
+        _, outputs["True Normal"], outputs["Incoming"] = node.op("normals")
+        outputs["Normal"] = node.surface_normal()
     if node.wants("Tangent"):
         outputs["Tangent"] = node.op("radial_tangent", _AXES["Z"], node.shift)
     if node.wants("Parametric"):
@@ -89,7 +90,7 @@ def object_info(node: Node) -> dict[str, Value]:
 @values("ShaderNodeCameraData", family="Inputs")
 def camera_data(node: Node) -> dict[str, Value]:
     """The point as the camera sees it."""
-    direction, depth, distance, _ = node.op("camera_coordinates")
+    direction, depth, distance, _ = node.op("camera_coordinates", node.shift)
     return {"View Vector": direction, "View Z Depth": depth, "View Distance": distance}
 
 

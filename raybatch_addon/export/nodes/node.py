@@ -31,6 +31,7 @@ class Graph:
     kinds: set[ClosureKind] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)  # what is left out or approximated, in words
     varying: list[str] = field(default_factory=list)  # nodes whose outputs are not constants, in the order of the way to them
+    bumped: Value | None = None  # the surface's normal, where the displacement of the material bends it
     shift: int = 0  # bump mapping evaluates its height thrice: here, and a little aside along two axes
     _known: dict[tuple, dict[str, Value]] = field(default_factory=dict)
     _open: set[tuple] = field(default_factory=set)  # nodes being evaluated: one met again is a cycle
@@ -229,14 +230,18 @@ class Node:
 
     def normal(self, key: int | str = "Normal") -> Value:
         """A normal input; the shading normal where nothing is linked."""
-        return self.vector(key) if self.linked(key) else self.op("normals")[0]
+        return self.vector(key) if self.linked(key) else self.surface_normal()
+
+    def surface_normal(self) -> Value:
+        """The shading normal."""
+        return self.graph.bumped or self.op("normals")[0]
 
     def own_normal(self, key: int | str = "Normal") -> Value:
         """A normal input for closures; 0, which stands for the surface's normal, where nothing is linked."""
-        if not self.linked(key):
+        if not self.linked(key) and self.graph.bumped is None:
             return BLACK
         self.graph.kinds.add(ClosureKind.OWN_NORMAL)
-        return self.vector(key)
+        return self.normal(key)
 
     def tangent(self, key: int | str = "Tangent") -> Value:
         """A tangent input; around the object's Z axis where nothing is linked."""

@@ -89,12 +89,13 @@ def backfacing(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Sha
 
 
 @wp.func
-def tangent_around(data: NodeData, point: ShadingPoint, direction: wp.vec3) -> wp.vec3:
-    """The tangent that follows `direction`, of object space, on the surface."""
-    along = direction
-    if point.instance >= 0:
-        along = transform_vector(data.inputs.to_world[point.instance], direction)
-    return wp.cross(point.normal, wp.normalize(wp.cross(along, point.normal)))
+def surface_tangent(data: NodeData, point: ShadingPoint, direction: wp.vec3) -> wp.vec3:
+    """The tangent that follows `direction`, of object space, on the surface; as in Cycles it goes to the world as normals do."""
+    along = world_normal(data, point, direction)
+    across = wp.cross(along, point.normal)
+    if wp.dot(across, across) == 0.0:
+        return wp.vec3(0.0)
+    return wp.cross(point.normal, wp.normalize(across))
 
 
 @op("radial_tangent", "ii>V", foldable=False)
@@ -111,28 +112,28 @@ def radial_tangent(data: NodeData, stack: wp.array(dtype=float), pc: int, point:
         around = wp.vec3(0.0, -from_axis[2], from_axis[1])
     elif axis == 1:
         around = wp.vec3(-from_axis[2], 0.0, from_axis[0])
-    put_vector(data, stack, pc + 3, tangent_around(data, point, around))
+    put_vector(data, stack, pc + 3, surface_tangent(data, point, around))
 
 
-@op("camera_coordinates", ">VNNV", foldable=False)
+@op("camera_coordinates", "i>VNNV", foldable=False)
 @wp.func
 def camera_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """Direction from the camera in its own axes (+Z ahead), depth along its axis, distance, and the point itself in those axes."""
-    place = point.position
+    """Direction from the camera in its own axes (+Z ahead), depth along its axis, distance, and the point in those axes; word 1 is the shift."""
+    place = shifted_position(point, data.code[pc + 1])
     if point.instance < 0:
         place = data.inputs.camera_position - point.incoming
     p = transform_point(data.inputs.to_camera, place)
-    put_vector(data, stack, pc + 1, wp.normalize(p))
-    put_number(data, stack, pc + 2, p[2])
-    put_number(data, stack, pc + 3, wp.length(p))
-    put_vector(data, stack, pc + 4, p)
+    put_vector(data, stack, pc + 2, wp.normalize(p))
+    put_number(data, stack, pc + 3, p[2])
+    put_number(data, stack, pc + 4, wp.length(p))
+    put_vector(data, stack, pc + 5, p)
 
 
-@op("window_coordinates", ">V", foldable=False)
+@op("window_coordinates", "i>V", foldable=False)
 @wp.func
 def window_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """Where the point is seen in the frame, 0..1."""
-    place = point.position
+    """Where the point is seen in the frame, 0..1; word 1 is the shift."""
+    place = shifted_position(point, data.code[pc + 1])
     if point.instance < 0:
         place = data.inputs.camera_position - point.incoming
     p = transform_point(data.inputs.to_camera, place)
@@ -144,7 +145,7 @@ def window_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, po
         x = x / depth
         y = y / depth
     w = data.inputs.window
-    put_vector(data, stack, pc + 1, wp.vec3((x - w[0]) / (w[1] - w[0]), (y - w[2]) / (w[3] - w[2]), 0.0))
+    put_vector(data, stack, pc + 2, wp.vec3((x - w[0]) / (w[1] - w[0]), (y - w[2]) / (w[3] - w[2]), 0.0))
 
 
 @op("wireframe", "n>N", foldable=False)

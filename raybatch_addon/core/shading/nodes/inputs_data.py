@@ -11,7 +11,7 @@ from ...scene.geometry import mat34
 
 # Ops that go between the spaces of world and object, and that know a mesh's texture space
 _TEXTURE_SPACE_OPS = frozenset({"generated", "radial_tangent"})
-_OBJECT_OPS = _TEXTURE_SPACE_OPS | {"object_coordinates", "object_normal", "box_normal", "object_location", "vector_transform"}
+_OBJECT_OPS = _TEXTURE_SPACE_OPS | {"object_coordinates", "object_normal", "object_location", "vector_transform", "normal_map", "uv_tangent", "displacement"}
 _ATTRIBUTE_OPS = frozenset({"attribute", "normal_map", "uv_tangent"})
 
 PER_CORNER = 8  # of `InputData.attribute_layout`: there are values for each corner, not for each triangle
@@ -28,6 +28,7 @@ class InputData:
     to_camera: mat34  # world to camera, which looks along +Z here
     camera_position: wp.vec3  # [m]
     perspective: int  # 0: orthographic
+    pixel_width: float  # of a pixel one metre in front of the camera, or of an orthographic one's anywhere [m]
     window: wp.vec4  # `Camera.window`
     texture_offset: wp.array(dtype=wp.vec3)  # generated coordinates are position in object space times scale, plus offset; of each instance
     texture_scale: wp.array(dtype=wp.vec3)
@@ -51,6 +52,8 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
     inputs.camera_position = wp.vec3(*matrix[:3, 3].tolist())
     inputs.perspective = int(scene.camera.kind == CameraKind.PERSPECTIVE)
     inputs.window = wp.vec4(*scene.camera.window)
+    left, right, bottom, top = scene.camera.window
+    inputs.pixel_width = 0.5 * ((right - left) / scene.frame.width + (top - bottom) / scene.frame.height)
     if not _OBJECT_OPS.isdisjoint(ops):
         inputs.to_object = wp.array(_inverses(instances.transform), dtype=mat34, device=device)
         inputs.to_world = wp.array(np.asarray(instances.transform, np.float32), dtype=mat34, device=device)

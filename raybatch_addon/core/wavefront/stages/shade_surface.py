@@ -95,9 +95,6 @@ def shading_frame(surface: SurfacePoint, wo: wp.vec3) -> ShadingFrame:
         frame.geometric_normal = -frame.geometric_normal
         frame.normal = -frame.normal
         frame.entering = 0
-    # an interpolated normal that is turned away from the viewer cannot be shaded
-    if wp.dot(wo, frame.normal) <= 0.0:
-        frame.normal = frame.geometric_normal
     frame.tangent = tangent_of(frame.normal)
     frame.bitangent = bitangent_of(frame.normal)
     return frame
@@ -231,7 +228,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         frame = shading_frame(surface, -direction)
         if wp.static(bool(programs)):
             point = shading_point(
-                surface, -direction, frame.normal, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], hit_t
+                surface, -direction, frame.normal, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], passed_t + hit_t
             )
             point.ray_kind = visibility_of(status)
             point.bounce = bounce

@@ -7,6 +7,8 @@ import warp as wp
 from ...scene.program import ProgramFeatures
 from ...shading.materials import ClosureRecord
 from ...shading.nodes.point import ShadingPoint
+from ...scene.geometry import triangle_vertices
+from ...shading.nodes.op import NodeData
 from ...shading.nodes.run import make_run
 from ...shading.surface import SurfacePoint
 from ..scene_data import SceneData
@@ -32,6 +34,58 @@ def shading_point(
     return point
 
 
+# Share of a pixel that heights are compared over, as in Blender; and how many roundings of a position it is at least
+BUMP_STEP = 0.1
+_ROUNDINGS = 256.0
+
+
+@wp.func
+def with_steps(data: NodeData, point: ShadingPoint) -> ShadingPoint:
+    """`point` with its steps aside: in the plane of its triangle, a share of the pixel's width where its ray met it."""
+    result = ShadingPoint()
+    result.position = point.position
+    result.incoming = point.incoming
+    result.normal = point.normal
+    result.geometric_normal = point.geometric_normal
+    result.backfacing = point.backfacing
+    result.instance = point.instance
+    result.primitive = point.primitive
+    result.barycentric = point.barycentric
+    result.ray_length = point.ray_length
+    result.ray_kind = point.ray_kind
+    result.bounce = point.bounce
+    result.passed = point.passed
+    n = point.geometric_normal
+    width = data.inputs.pixel_width
+    if data.inputs.perspective != 0:
+        width = width * point.ray_length
+    p = point.position
+    largest = wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2])))
+    length = wp.max(wp.static(BUMP_STEP) * width, wp.static(_ROUNDINGS * 2.0**-24) * largest)
+    # the axes that Blender takes: where a height is curved over a step, they matter
+    across = wp.vec3(n[2] - n[1], n[0] - n[2], n[1] - n[0])
+    if n[0] == n[1] and n[0] == n[2]:
+        across = wp.vec3(n[2] - n[1], n[0] + n[2], -n[1] - n[0])
+    across = wp.normalize(across)
+    result.step_x = length * across
+    result.step_y = length * wp.cross(n, across)
+    a, b, c = triangle_vertices(data.geometry, point.instance, point.primitive)
+    result.step_x_barycentric = _in_triangle(b - a, c - a, result.step_x)
+    result.step_y_barycentric = _in_triangle(b - a, c - a, result.step_y)
+    return result
+
+
+@wp.func
+def _in_triangle(edge_1: wp.vec3, edge_2: wp.vec3, step: wp.vec3) -> wp.vec2:
+    """A step in the plane of a triangle as weights of its second and third corners; 0 where it has no area."""
+    normal = wp.cross(edge_1, edge_2)
+    square = wp.dot(normal, normal)
+    result = wp.vec2(0.0, 0.0)
+    if square > 0.0:
+        result = wp.vec2(wp.dot(wp.cross(step, edge_2), normal) / square, wp.dot(wp.cross(edge_1, step), normal) / square)
+    return result
+
+
 @functools.cache
 def make_surface_program(features: ProgramFeatures) -> wp.Function:
     """Function (data, material: int, point, closures) -> int: fills `closures`, a local array of `closure_count` records; how many there are.
@@ -39,12 +93,15 @@ def make_surface_program(features: ProgramFeatures) -> wp.Function:
     Materials without program have their closures copied.
     """
     run = make_run(features)
+    bumps = "bump" in features.ops
 
     @wp.func
     def surface_closures(data: SceneData, material: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord)) -> int:
         first = data.nodes.program_first[material]
         if first >= 0:
             stack = wp.zeros(wp.static(features.register_count), dtype=float)
+            if wp.static(bumps):
+                return run(data.nodes, stack, first, with_steps(data.nodes, point), closures)
             return run(data.nodes, stack, first, point, closures)
         count = int(0)
         for c in range(data.materials.closure_first[material], data.materials.closure_first[material + 1]):
