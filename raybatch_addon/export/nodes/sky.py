@@ -12,7 +12,9 @@ from .node import Node
 from .registry import values
 from .texture_mapping import mapped, texture_coordinates
 
-_MODELS = {"SINGLE_SCATTERING": single_scattering, "MULTIPLE_SCATTERING": multiple_scattering}
+# Blender before 5.0 has an earlier form of single scattering
+_EARLIER = "NISHITA"
+_MODELS = {"SINGLE_SCATTERING": single_scattering, "MULTIPLE_SCATTERING": multiple_scattering, _EARLIER: single_scattering}
 
 
 @values("ShaderNodeTexSky", family="Textures")
@@ -28,8 +30,13 @@ def sky(node: Node) -> Value:
         table = hosek_wilkie_table(settings.sun_direction, settings.turbidity, settings.ground_albedo)
         return node.op("sky_hosek_wilkie", table, direction)
     model = _MODELS[settings.sky_type]
+    if settings.sky_type == _EARLIER:
+        node.warn("the sky of Blender 5.2 (single scattering) takes the place of that")
+        aerosol = settings.dust_density
+    else:
+        aerosol = settings.aerosol_density
     elevation, azimuth = wrapped_sun(settings.sun_elevation, settings.sun_rotation)
-    atmosphere = Atmosphere(elevation, settings.altitude, settings.air_density, settings.aerosol_density, settings.ozone_density)
+    atmosphere = Atmosphere(elevation, settings.altitude, settings.air_density, aerosol, settings.ozone_density)
     size = max(settings.sun_size, SUN_SIZE_MIN)
     table = sky_table(model.sun_disc(atmosphere, size) if shines else None, elevation, azimuth, size, settings.sun_intensity, settings.altitude)
     key = (settings.sky_type, atmosphere)
