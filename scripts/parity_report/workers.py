@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-GROUP_SECONDS = 900  # a group is given up then
+GROUP_SECONDS = 3600  # a group is given up then
 PICTURES_TOGETHER = 6
 
 
