@@ -172,7 +172,7 @@ def film_on_dielectric(table: wp.array3d(dtype=float), thickness: float, index: 
         f = _film_channel(table, channel, upper, lower, detour)
         if f0 > 1.0e-5 and f < 1.0:
             share = wp.min((1.0 - f) / (1.0 - f0), 1.0)
-            f = f * (1.0 + share * (wp.min(tint[channel], 1.0 / f0) - 1.0))
+            f = wp.min(f * (1.0 + share * (wp.min(tint[channel], 1.0 / f0) - 1.0)), 1.0)
         reflectance[channel] = f
     return reflectance
 

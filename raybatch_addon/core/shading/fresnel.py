@@ -46,7 +46,8 @@ def tinted_dielectric(reflectance: float, eta: float, tint: wp.vec3) -> wp.vec3:
     """
     f0 = normal_reflectance(eta)
     most = wp.vec3(1.0 / wp.max(f0, 1.0e-20))
-    return wp.vec3(reflectance) + (f0 * (1.0 - reflectance) / (1.0 - f0)) * (wp.min(tint, most) - wp.vec3(1.0))
+    tinted = wp.vec3(reflectance) + (f0 * (1.0 - reflectance) / (1.0 - f0)) * (wp.min(tint, most) - wp.vec3(1.0))
+    return wp.min(wp.max(tinted, wp.vec3(0.0)), wp.vec3(1.0))
 
 
 @wp.func
