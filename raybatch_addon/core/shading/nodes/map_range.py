@@ -55,7 +55,7 @@ def map_number(
 ) -> float:
     """`x` mapped; an empty range gives 0, or what is nearest to it between `to_min` and `to_max` where `clamp` is 1."""
     if from_min == from_max:
-        if clamp == 1 and interpolation < RangeInterpolation.SMOOTHSTEP:
+        if clamp == 1:
             return evaluate_clamp(1, 0.0, to_min, to_max)
         return 0.0
     return map_component(interpolation, clamp, x, from_min, from_max, to_min, to_max, steps)
