@@ -112,14 +112,17 @@ def triangle_emission_kernel(programs: ProgramFeatures, instancing: bool, smooth
         i = wp.tid()
         total = wp.vec3(0.0)
         points = int(0)
-        for row in range(wp.static(_TRIANGLE_ROWS)):
-            for column in range(wp.static(_TRIANGLE_ROWS)):
-                if row + column < wp.static(_TRIANGLE_ROWS):
-                    place = wp.vec2(float(row) + 0.33, float(column) + 0.33) / wp.static(_TRIANGLE_ROWS + 0.0)
-                    normal = surface_point(data.geometry, instance[i], primitive[i], place).geometric_normal
+        # rows and sides are variables: unrolled, the loops would hold 32 interpreters
+        rows = int(_TRIANGLE_ROWS)
+        sides = int(2)
+        for row in range(rows):
+            for column in range(rows - row):
+                place = wp.vec2(float(row) + 0.33, float(column) + 0.33) / float(rows)
+                normal = surface_point(data.geometry, instance[i], primitive[i], place).geometric_normal
+                for _ in range(sides):
                     total += surface_emission(data, instance[i], primitive[i], place, normal, 1.0)
-                    total += surface_emission(data, instance[i], primitive[i], place, -normal, 1.0)
-                    points += 2
+                    normal = -normal
+                    points += 1
         radiance[i] = wp.min(total / float(points), wp.vec3(1e30))
 
     return triangle_emission
