@@ -55,7 +55,10 @@ def export_image(image: bpy.types.Image | None, user: Any, frame: int) -> tuple[
     signature = _signature(image, user, frame)
     kept = _kept.get(key)
     if kept is None or kept.signature != signature or image.is_dirty:
-        exported, notes = _exported(image, user, frame)
+        try:
+            exported, notes = _exported(image, user, frame)
+        except MemoryError:
+            exported, notes = Image(image.name), [f"image “{image.name}” does not fit in memory: it is magenta; make it smaller"]
         if kept is not None and _same(kept.image, exported):
             exported = kept.image  # the device has it already
         for old in [each for each, what in _kept.items() if now - what.used > KEPT_SECONDS]:

@@ -302,3 +302,14 @@ def test_a_color_space_that_nobody_knows_is_taken_as_linear_and_named(scene, mon
     monkeypatch.setattr(color_spaces, "_known", {})
     exported, notes = export_image(datablock(OPAQUE, "ACEScg"), None, 1)
     assert np.array_equal(exported.pixels, OPAQUE) and "“ACEScg”" in notes[0] and "“Painted”" in notes[0]
+
+
+def test_an_image_that_does_not_fit_in_memory_is_named(scene, monkeypatch):
+    from raybatch_addon.export import images
+
+    def exhausted(*_):
+        raise MemoryError
+
+    monkeypatch.setattr(images, "stored_pixels", exhausted)
+    exported, notes = export_image(datablock(), None, 1)
+    assert exported.pixels is None and "“Painted”" in notes[0] and "memory" in notes[0]
