@@ -52,7 +52,6 @@ def check(cycles, kind, op, immediates, inputs, output, at, table=(), **properti
     ours = on_device(op, immediates, operands, table)[:, at]
     error = apart(ours, theirs)
     assert error <= TOLERANCE, f"{op} {properties}: {error:.3g}"
-    return error
 
 
 @pytest.mark.parametrize("operation", MathOperation)
@@ -84,7 +83,8 @@ def test_map_range(cycles, interpolation, clamp):
     check(cycles, "ShaderNodeMapRange", "map_range", (interpolation, clamp), inputs, "Result", slice(0, 1), **how)
     names = ("Vector", *(f"{name.replace(' ', '_')}_FLOAT3" for name in names[1:]))
     inputs = {name: drawn(i, 3) for i, name in enumerate(names)}
-    check(cycles, "ShaderNodeMapRange", "map_range_vector", (interpolation, clamp), inputs, "Vector", slice(0, 3), data_type="FLOAT_VECTOR", **how)
+    how["data_type"] = "FLOAT_VECTOR"
+    check(cycles, "ShaderNodeMapRange", "map_range_vector", (interpolation, clamp), inputs, "Vector", slice(0, 3), **how)
 
 
 @pytest.mark.parametrize("ordered", [False, True])
@@ -105,7 +105,8 @@ def test_corrections_of_colours(cycles):
     color = drawn(7, 3)
     hue = {"Hue": drawn(1), "Saturation": drawn(2), "Value": drawn(3), "Fac": drawn(4), "Color": color}
     check(cycles, "ShaderNodeHueSaturation", "hue_saturation", (), hue, "Color", slice(0, 3))
-    check(cycles, "ShaderNodeBrightContrast", "bright_contrast", (), {"Color": color, "Bright": drawn(1), "Contrast": drawn(2)}, "Color", slice(0, 3))
+    bright = {"Color": color, "Bright": drawn(1), "Contrast": drawn(2)}
+    check(cycles, "ShaderNodeBrightContrast", "bright_contrast", (), bright, "Color", slice(0, 3))
     check(cycles, "ShaderNodeGamma", "gamma", (), {"Color": color, "Gamma": drawn(1) % 8}, "Color", slice(0, 3))
     check(cycles, "ShaderNodeInvert", "invert", (), {"Fac": drawn(1), "Color": color}, "Color", slice(0, 3))
 
@@ -125,7 +126,8 @@ def test_mapping(cycles, kind):
 @pytest.mark.parametrize("kind, invert", list(itertools.product(RotationKind, [False, True])))
 def test_vector_rotate(cycles, kind, invert):
     inputs = {"Vector": drawn(1, 3), "Center": drawn(2, 3), "Axis": drawn(3, 3), "Angle": drawn(4), "Rotation": drawn(5, 3)}
-    check(cycles, "ShaderNodeVectorRotate", "vector_rotate", (kind, invert), inputs, "Vector", slice(0, 3), rotation_type=kind.name, invert=invert)
+    how = {"rotation_type": kind.name, "invert": invert}
+    check(cycles, "ShaderNodeVectorRotate", "vector_rotate", (kind, invert), inputs, "Vector", slice(0, 3), **how)
 
 
 @pytest.mark.parametrize("normalize", [False, True])
