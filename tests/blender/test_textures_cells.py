@@ -79,7 +79,7 @@ def variants():
                     yield dimensions, feature, metric, place
 
 
-@pytest.mark.parametrize("dimensions, feature, metric, place", variants())
+@pytest.mark.parametrize("dimensions, feature, metric, place", list(variants()))
 def test_voronoi(cycles, dimensions, feature, metric, place):
     used, _ = inputs_in_use(feature, dimensions, metric)
     points, numbers = points_at(place), drawn(RANGES)
