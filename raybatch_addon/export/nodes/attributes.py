@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from ...core.shading.nodes.builder import Value
-from ..attributes import view_layer_value
 from .node import Node
 from .registry import values
 
@@ -39,6 +38,8 @@ def attribute(node: Node) -> dict[str, Value]:
 def _of_view_layer(node: Node, name: str) -> dict[str, Value]:
     """A constant."""
     collections = node.graph.collections
+    from ..attributes import view_layer_value  # of Blender, without which graphs can be built
+
     value = None if collections.scene is None else view_layer_value(collections.scene, collections.view_layer, name)
     if value is None:
         node.warn(f"attribute “{name}” is 0, because the view layer, the scene and its world have none of that name; this is the type View Layer")

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import bpy
-
 from ...core.shading.nodes.environment import EnvironmentProjection
 from ...core.shading.nodes.image import Projection
 from ...core.shading.textures import Extension, Interpolation
-from ..images import divides_alpha, export_image, image_key
 from .graph import node_label
 from .node import Node, Value
 from .registry import values
@@ -42,7 +39,7 @@ def environment_texture(node: Node) -> dict[str, Value]:
     texture = node.node
     place, divide = _place(node)
     image = node.graph.collections.images[place]
-    if image.pixels is not None and isinstance(node.graph.owner, bpy.types.World):
+    if image.pixels is not None and type(node.graph.owner).__name__ == "World":
         widest = node.graph.collections.environment_width
         node.graph.collections.environment_width = max(widest, image.pixels.shape[1])
     projection = EnvironmentProjection[texture.projection]
@@ -53,6 +50,8 @@ def environment_texture(node: Node) -> dict[str, Value]:
 
 def _place(node: Node) -> tuple[int, int]:
     """Where the node's image is among those of the scene, and whether alpha is divided out of its colours: only where it is used."""
+    from ..images import divides_alpha, export_image, image_key  # of Blender, without which graphs can be built
+
     collections, texture = node.graph.collections, node.node
     arguments = (texture.image, texture.image_user, collections.frame)
 

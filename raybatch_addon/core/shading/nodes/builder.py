@@ -187,7 +187,7 @@ class ProgramBuilder:
         data = SimpleNamespace(code=[0, *words, *outputs], constants=constants)
         try:
             as_python(op.function)(data, stack, 0, None)
-        except ArithmeticError:  # Python objects where a device goes on; let the device do it
+        except (ArithmeticError, AttributeError, TypeError, RuntimeError, ValueError):  # Python objects, or cannot do it; the device can
             return None
         return tuple(
             Value.of(stack[at : at + 3] if letter == "V" else stack[at]) for at, letter in zip(outputs, op.outputs)
