@@ -285,6 +285,15 @@ def test_a_handler_that_fails_costs_its_own_node_alone(monkeypatch):
     assert "Emission" in note and "no such socket" in note and "viewport colour" in note
 
 
+def test_a_colour_in_place_of_a_shader_shines():
+    material, tree, surface = new_material()
+    color = tree.nodes.new("ShaderNodeRGB")
+    color.outputs[0].default_value = RED
+    tree.links.new(color.outputs[0], surface)
+    got, notes = export_material(material)
+    assert notes == [] and weights(got) == {K.EMISSION: np.array(RED[:3])}
+
+
 def test_normals_of_closures_count_where_something_is_linked_to_them():
     for linked in (False, True):
         material, tree, surface = new_material()

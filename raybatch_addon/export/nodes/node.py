@@ -42,6 +42,10 @@ class Graph:
         if source is None:
             return
         node = Node(self, source.node, source.groups)
+        if source.socket.type != "SHADER":  # a number or colour in place of a shader shines, as in Cycles
+            self.kinds.add(ClosureKind.EMISSION)
+            node.closure("emission", node.times(weight, self.value(source)))
+            return
         with self._inside(node, "surface") as new:
             if not new:
                 self.note(f"{node_label(node.node)} is linked to itself: the link is ignored")
