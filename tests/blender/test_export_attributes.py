@@ -5,6 +5,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from blender_builders import add_object, add_triangle, exported, material_of, node_tree  # noqa: E402
+
 from raybatch_addon.export.attributes import mesh_attributes, property_value  # noqa: E402
 from raybatch_addon.export.mesh_shape import hashed, pointiness, random_per_island, welded  # noqa: E402
 from raybatch_addon.export.tangents import corner_tangents  # noqa: E402
@@ -102,3 +104,55 @@ def test_islands_have_a_number_each():
 
 def test_the_hash_takes_any_word():
     assert len(set(hashed(np.array([0, 1, 2, 2**32 - 1], np.uint32)).tolist())) == 4
+
+
+def asks(obj, kind, **properties):
+    """Gives `obj` a material that emits what a node of `kind` gives."""
+    tree, surface = node_tree(material_of(obj, "Asks"))
+    emission, node = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new(kind)
+    for name, value in properties.items():
+        setattr(node, name, value)
+    tree.links.new(node.outputs[0], emission.inputs["Color"])
+    tree.links.new(emission.outputs[0], surface)
+
+
+@pytest.mark.usefixtures("scene")
+def test_meshes_have_what_their_materials_ask_for_and_no_more():
+    one, other = add_triangle("One"), add_triangle("Other")
+    for obj in (one, other):
+        for name in ("wanted", "not wanted"):
+            obj.data.attributes.new(name, "FLOAT", "POINT")
+    asks(one, "ShaderNodeAttribute", attribute_name="wanted")
+    scene = exported()
+    assert scene.attributes == (("GEOMETRY", "wanted"),)
+    assert sorted([a.name for a in mesh.attributes] for mesh in scene.meshes) == [[], ["wanted"]]
+
+
+@pytest.mark.usefixtures("scene")
+def test_a_mesh_shared_by_objects_of_other_materials_has_what_both_ask_for():
+    one = add_triangle("One")
+    one.data.materials.append(None)
+    other = add_object("Other", one.data)
+    for obj, name in ((one, "first"), (other, "second")):
+        obj.data.attributes.new(name, "FLOAT", "POINT")
+        obj.material_slots[0].link = "OBJECT"
+        obj.material_slots[0].material = bpy.data.materials.new(name)
+        tree, surface = node_tree(obj.material_slots[0].material)
+        emission, node = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeAttribute")
+        node.attribute_name = name
+        tree.links.new(node.outputs[0], emission.inputs["Color"])
+        tree.links.new(emission.outputs[0], surface)
+    (mesh,) = exported().meshes
+    assert sorted(a.name for a in mesh.attributes) == ["first", "second"]
+
+
+@pytest.mark.usefixtures("scene")
+def test_objects_have_their_properties_and_those_of_what_places_them():
+    obj = add_triangle("One")
+    obj["tint"] = (0.1, 0.2, 0.3)
+    asks(obj, "ShaderNodeAttribute", attribute_type="OBJECT", attribute_name="tint")
+    assert exported().instances.attributes == pytest.approx(np.array([[[0.1, 0.2, 0.3, 1.0]]]))
+    del obj["tint"]
+    obj.update_tag()
+    scene = exported()
+    assert not scene.instances.attributes.any() and any("“tint”" in text and "“One”" in text for text in scene.warnings)

@@ -62,6 +62,11 @@ class SceneFeatures:
         """Light that is aimed at may come from programs."""
         return self.shadow_rays and (self.mesh_programs or self.world_light)
 
+    @property
+    def path_history(self) -> bool:
+        """Programs ask how a path has scattered so far."""
+        return "path_history" in self.programs.ops
+
     def left_out(self) -> list[str]:
         """Names of what this render did without."""
         names = {f"closure {kind.name.lower()}": kind in self.closures for kind in ClosureKind}

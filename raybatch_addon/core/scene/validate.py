@@ -118,10 +118,18 @@ def _checked_mesh(mesh: Mesh, warnings: list[str]) -> Mesh:
             reason = "has material slots that do not belong to its faces"
         elif mesh.corner_normals is not None and mesh.corner_normals.shape != (len(mesh.triangles), 3, 3):
             reason = "has normals that do not belong to its faces"
+        elif not all(_belongs(attribute.values, len(mesh.triangles)) for attribute in mesh.attributes):
+            reason = "has attributes that do not belong to its faces, or are not finite"
     if reason is None:
         return mesh
     warnings.append(f"mesh “{mesh.name}” {reason}: it is not rendered")
     return Mesh(mesh.name, np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
+
+
+def _belongs(values: np.ndarray, triangle_count: int) -> bool:
+    """Whether an attribute's values are finite, one for each triangle or each of its corners, of 1 to 4 numbers."""
+    shape = values.shape
+    return shape[:-1] in ((triangle_count,), (triangle_count, 3)) and 1 <= shape[-1] <= 4 and bool(np.isfinite(values).all())
 
 
 def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:

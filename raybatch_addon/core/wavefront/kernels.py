@@ -45,14 +45,14 @@ class StageKernels:
         has = features
         surface = SurfaceFeatures(
             **narrow(features, tuple(SurfaceFeatures.__dataclass_fields__)), shadow_rays=has.shadow_rays,
-            light_programs=has.light_programs,
+            light_programs=has.light_programs, path_history=has.path_history,
         )  # fmt: skip
         connect = ConnectFeatures(**narrow(features, tuple(ConnectFeatures.__dataclass_fields__)))
         return StageKernels(
             generate=generate_kernel(
                 GenerateFeatures(
                     has.camera, has.depth_of_field, has.sample_sequence, has.transparency, has.film_transparent,
-                    "Normal" in has.passes,
+                    "Normal" in has.passes, has.path_history,
                 )  # fmt: skip
             ),
             settle=settle_kernel,

@@ -80,6 +80,9 @@ class Paths:
     passed: wp.array(dtype=int)  # transparent surfaces passed by the extending ray, and (x 65536) by the shadow ray
     passed_t: wp.array(dtype=float)  # distance from the last scattering to the extending ray's origin [m]
     alpha: wp.array(dtype=float)  # coverage; transparent films
+    # `history_after` of the extending ray, and of the shadow ray; where a program asks
+    history: wp.array(dtype=int)
+    shadow_history: wp.array(dtype=int)
     # passes, filled at the first hit
     normal: wp.array(dtype=wp.vec3)
 
@@ -156,6 +159,8 @@ def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) 
     paths.passed = zeros(int, features.transparency)
     paths.passed_t = zeros(float, features.transparency)
     paths.alpha = zeros(float, features.film_transparent)
+    paths.history = zeros(int, features.path_history)
+    paths.shadow_history = zeros(int, features.path_history and features.shadow_rays)
     paths.normal = zeros(wp.vec3, "Normal" in features.passes)
     return paths
 
@@ -179,5 +184,6 @@ def bytes_per_path(features: SceneFeatures, reference: bool = False) -> int:
     """Device memory of one path alive: state, its ray slots, and its places in lists [bytes]. `reference`: Warp's own tree is traced."""
     path = 2 * 4 + 12 + 12 + 4
     path += 12 * features.shadow_rays + 8 * features.transparency + 20 * features.light_programs
+    path += 4 * features.path_history * (1 + features.shadow_rays)
     path += 4 * features.film_transparent + 12 * ("Normal" in features.passes)
     return path + RayNeeds.of(features, reference).bytes_per_path + LIST_BYTES_PER_PATH

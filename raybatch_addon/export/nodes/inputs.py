@@ -94,17 +94,24 @@ def camera_data(node: Node) -> dict[str, Value]:
     return {"View Vector": direction, "View Z Depth": depth, "View Distance": distance}
 
 
-@values("ShaderNodeLightPath", family="Inputs", note="depths by kind of ray and singular rays give 0")
+@values("ShaderNodeLightPath", family="Inputs", note="in worlds and lights depths by kind of ray and singular rays give 0")
 def light_path(node: Node) -> dict[str, Value]:
     """The ray that met the point."""
     names = (
         "Is Camera Ray", "Is Shadow Ray", "Is Diffuse Ray", "Is Glossy Ray", "Is Reflection Ray", "Is Transmission Ray", "Ray Length",
         "Ray Depth", "Transparent Depth",
     )  # fmt: skip
-    for name in ("Is Singular Ray", "Is Volume Scatter Ray", "Diffuse Depth", "Glossy Depth", "Transmission Depth", "Portal Depth"):
-        if node.wants(name):
-            node.warn(f"{name} is 0: it is not supported; this is an output")
-    return {node.output(name): value for name, value in zip(names, node.op("light_path"))}
+    outputs = {node.output(name): value for name, value in zip(names, node.op("light_path"))}
+    # these are counted only where they are asked for; Volume Scatter and Portal are never met, and are 0
+    counted = ("Is Diffuse Ray", "Is Glossy Ray", "Is Singular Ray", "Diffuse Depth", "Glossy Depth", "Transmission Depth")
+    if any(node.wants(name) for name in counted):
+        if type(node.graph.owner).__name__ == "Material":
+            outputs |= {node.output(name): value for name, value in zip(counted, node.op("path_history"))}
+        else:
+            for name in ("Is Singular Ray", "Diffuse Depth", "Glossy Depth", "Transmission Depth"):
+                if node.wants(name):
+                    node.warn(f"in worlds and lights {name} is 0: it is not supported there; this is an output")
+    return outputs
 
 
 @values("ShaderNodeFresnel", family="Inputs")
@@ -120,9 +127,31 @@ def layer_weight(node: Node) -> dict[str, Value]:
     return {"Fresnel": by_fresnel, "Facing": facing}
 
 
-@values("ShaderNodeWireframe", family="Inputs", note="sizes in pixels are taken as sizes in metres")
+@values("ShaderNodeWireframe", family="Inputs")
 def wireframe(node: Node) -> Value:
     """Edges of triangles."""
-    if node.node.use_pixel_size:
-        node.warn("Pixel Size")
-    return node.op("wireframe", node.number("Size"))
+    return node.op("wireframe", int(node.node.use_pixel_size), node.number("Size"))
+
+
+@values("ShaderNodeBevel", family="Inputs", note="not supported: the normal passes through")
+def bevel(node: Node) -> Value:
+    """The normal as it is."""
+    node.warn("rounding is not supported, and its normal passes through; this is the effect")
+    return node.normal()
+
+
+@values("ShaderNodeAmbientOcclusion", family="Inputs", note="not supported: nothing is occluded")
+def ambient_occlusion(node: Node) -> dict[str, Value]:
+    """The colour as it is."""
+    node.warn("occlusion is not supported and taken as none; this is the result")
+    return {"Color": node.color("Color"), "AO": node.constant(1.0)}
+
+
+@values(
+    "ShaderNodeHairInfo", "ShaderNodeParticleInfo", "ShaderNodePointInfo", "ShaderNodeVolumeInfo", family="Inputs",
+    note="gives 0, as on any mesh: hair, particles, points and volumes are not supported",
+)  # fmt: skip
+def of_no_mesh(node: Node) -> Value:
+    """Nothing that a mesh has."""
+    node.warn("hair, particles, points and volumes are not supported; 0 is the output")
+    return node.constant(0.0)

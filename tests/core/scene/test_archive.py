@@ -43,6 +43,7 @@ def full_scene() -> d.Scene:
         np.array([1], np.int32),
         np.tile(np.array([0, 0, 1], np.float32), (1, 3, 1)),
         np.random.default_rng(1).random((1, 3, 2), np.float32),
+        attributes=(d.Attribute("GEOMETRY", "Größe", np.full((1, 3, 4), 0.1, np.float32)), d.Attribute("COLOR", "", np.zeros((1, 1), np.float32))),
     )
     materials = (
         d.Material("glass", (d.Closure(d.ClosureKind.GLASS, (0.1, 0.2, 1 / 3), 0.4, 1.45),), (d.ClosureKind.GLASS,)),
@@ -53,7 +54,7 @@ def full_scene() -> d.Scene:
         camera=d.Camera(d.CameraKind.PERSPECTIVE, matrix, (-0.5, 0.5, -0.25, 0.25), clip_end=np.inf, lens_radius=0.01),
         frame=d.Frame(64, 32, border=(1, 2, 30, 20), transparent=True, passes=("Combined", "Depth")),
         meshes=(mesh, dataclasses.replace(mesh, name="second", corner_uvs=None)),
-        instances=d.Instances(one, matrix[None].copy(), one, np.array([int(d.Visibility.ALL)], np.int32), one),
+        instances=d.Instances(one, matrix[None].copy(), one, np.array([int(d.Visibility.ALL)], np.int32), one, attributes=np.ones((1, 2, 4), np.float32)),
         slot_materials=np.array([1, 0], np.int32),
         materials=materials,
         images=(
@@ -61,6 +62,7 @@ def full_scene() -> d.Scene:
             d.Image("many", tiles=((1001, np.ones((2, 2, 1), np.float16)), (1012, np.full((1, 2, 3), np.inf, np.float32)))),
             d.Image("missing"),
         ),
+        attributes=(("GEOMETRY", "Größe"), ("COLOR", "")),
         lights=(d.Light("sun", d.LightKind.SUN, matrix, (1.0, 0.9, 0.8), angle=0.01, visibility=d.Visibility.DIFFUSE),),
         world=d.World((0.1, 0.2, 0.3)),
         object_names=("Grün",),

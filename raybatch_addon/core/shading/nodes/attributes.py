@@ -12,7 +12,7 @@ _WIDTH = PER_CORNER - 1
 @wp.func
 def attribute_width(data: NodeData, point: ShadingPoint, attribute: int) -> int:
     """How many numbers the attribute has at every point: 1 to 4; 0 where the mesh has none of that name."""
-    if point.instance < 0 or attribute < 0 or data.inputs.attribute_row.shape[0] == 0:
+    if point.instance < 0 or attribute < 0 or attribute >= data.inputs.attribute_first.shape[1]:
         return 0
     row = data.inputs.attribute_row[point.instance]
     if data.inputs.attribute_first[row, attribute] < 0:
@@ -77,8 +77,9 @@ def attribute(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Shad
 def object_attribute(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """The same of the object, by the column in `Instances.attributes`; all is 0 where it has none."""
     value = wp.vec4(0.0)
-    if point.instance >= 0 and data.inputs.object_attributes.shape[0] > 0:
-        value = data.inputs.object_attributes[point.instance, data.code[pc + 1]]
+    column = data.code[pc + 1]
+    if point.instance >= 0 and column >= 0 and column < data.inputs.object_attributes.shape[1]:
+        value = data.inputs.object_attributes[point.instance, column]
     put_vector(data, stack, pc + 2, wp.vec3(value[0], value[1], value[2]))
     put_number(data, stack, pc + 3, mean(value))
     put_number(data, stack, pc + 4, value[3])

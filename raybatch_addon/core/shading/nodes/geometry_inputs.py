@@ -148,17 +148,44 @@ def window_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, po
     put_vector(data, stack, pc + 2, wp.vec3((x - w[0]) / (w[1] - w[0]), (y - w[2]) / (w[3] - w[2]), 0.0))
 
 
-@op("wireframe", "n>N", foldable=False)
+@wp.func
+def pixel_footprint(data: NodeData, point: ShadingPoint) -> float:
+    """Width of a pixel as far away as the ray has come [m]."""
+    width = data.inputs.pixel_width
+    if data.inputs.perspective != 0:
+        width = width * point.ray_length
+    return width
+
+
+@wp.func
+def footprint_axis(n: wp.vec3) -> wp.vec3:
+    """The first of two unit axes across the unit vector `n` along which Blender compares what is beside a point; the second is n x this."""
+    axis = wp.vec3(n[2] - n[1], n[0] - n[2], n[1] - n[0])
+    if n[0] == n[1] and n[0] == n[2]:
+        axis = wp.vec3(n[2] - n[1], n[0] + n[2], -n[1] - n[0])
+    return wp.normalize(axis)
+
+
+@wp.func
+def _seen_length(v: wp.vec3, direction: wp.vec3) -> float:
+    return wp.length(v - wp.dot(v, direction) * direction)
+
+
+@op("wireframe", "in>N", foldable=False)
 @wp.func
 def wireframe(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """1 nearer to an edge of the triangle than half the size [m]."""
+    """1 nearer to an edge of the triangle than half the size: in metres (word 1: 0), or in pixels (1)."""
     found = float(0.0)
     if point.instance >= 0:
-        half = 0.5 * number(data, stack, pc + 1)
+        half = 0.5 * number(data, stack, pc + 2)
+        if data.code[pc + 1] != 0:
+            axis = footprint_axis(point.geometric_normal)
+            other = wp.cross(point.geometric_normal, axis)
+            half = half * pixel_footprint(data, point) * 0.5 * (_seen_length(axis, point.incoming) + _seen_length(other, point.incoming))
         a, b, c = triangle_vertices(data.geometry, point.instance, point.primitive)
         if _distance(a, b, point.position) < half or _distance(b, c, point.position) < half or _distance(c, a, point.position) < half:
             found = 1.0
-    put_number(data, stack, pc + 2, found)
+    put_number(data, stack, pc + 3, found)
 
 
 @wp.func

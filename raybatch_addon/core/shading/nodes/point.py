@@ -1,6 +1,19 @@
 """The point for which a program runs."""
 
+from enum import IntFlag
+
 import warp as wp
+
+
+class HistoryBits(IntFlag):
+    """How a path scattered last. Above DEPTH_SHIFT follow three counts of DEPTH_BITS: of diffuse, glossy and transmitted scatterings."""
+
+    DIFFUSE = 1
+    GLOSSY = 2  # reflected or transmitted, also where it is sharp
+    SINGULAR = 4
+
+
+DEPTH_SHIFT, DEPTH_BITS = 3, 9
 
 
 @wp.struct
@@ -22,6 +35,7 @@ class ShadingPoint:
     ray_kind: int  # `Visibility` bit of the ray
     bounce: int  # scattering events of the path so far
     passed: int  # transparent surfaces that the ray has passed
+    history: int  # how the path has scattered: `HistoryBits`, and depths by kind above them
     # one step aside along either axis of the surface, a pixel wide or so, for bump mapping: in the world, and of `barycentric`
     step_x: wp.vec3  # [m]
     step_y: wp.vec3

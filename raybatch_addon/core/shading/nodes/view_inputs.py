@@ -5,7 +5,7 @@ import warp as wp
 from ...scene.description import Visibility
 from ..fresnel import fresnel_dielectric
 from .op import NodeData, number, op, put_number, vector, wanted
-from .point import ShadingPoint
+from .point import DEPTH_BITS, DEPTH_SHIFT, HistoryBits, ShadingPoint
 
 _BELOW_ONE = 1e-5
 
@@ -62,3 +62,21 @@ def light_path(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Sha
     put_number(data, stack, pc + 7, point.ray_length)
     put_number(data, stack, pc + 8, float(point.bounce))
     put_number(data, stack, pc + 9, float(point.passed))
+
+
+@wp.func
+def _depth(history: int, place: int) -> float:
+    return float((history >> (wp.static(DEPTH_SHIFT) + wp.static(DEPTH_BITS) * place)) & wp.static((1 << DEPTH_BITS) - 1))
+
+
+@op("path_history", ">NNNNNN", foldable=False)
+@wp.func
+def path_history(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """Whether the path scattered last diffusely, glossily, by a sharp mirror or lens; and how often diffusely, glossily, and through surfaces."""
+    h = point.history
+    put_number(data, stack, pc + 1, _truth((h & wp.static(int(HistoryBits.DIFFUSE))) != 0))
+    put_number(data, stack, pc + 2, _truth((h & wp.static(int(HistoryBits.GLOSSY))) != 0))
+    put_number(data, stack, pc + 3, _truth((h & wp.static(int(HistoryBits.SINGULAR))) != 0))
+    put_number(data, stack, pc + 4, _depth(h, 0))
+    put_number(data, stack, pc + 5, _depth(h, 1))
+    put_number(data, stack, pc + 6, _depth(h, 2))

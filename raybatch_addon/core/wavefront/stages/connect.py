@@ -11,6 +11,7 @@ from ...shading.light_shapes import SURFACE_PROGRAM, WORLD_PROGRAM
 from ..scene_data import SceneData
 from ..rays import Paths, Rays, Status, bounce_of
 from .emitted import make_surface_emission, make_world_emission
+from .history import DEPTHS
 from .limits import PathLimits, clamped
 
 RAY_OUT = int(Status.RAY_OUT)
@@ -61,6 +62,7 @@ class ConnectFeatures:
 def make_arrived(features: ConnectFeatures) -> wp.Function:
     """Function (data, limits, paths, rays, path: int, slot: int) -> vec3: what an unhidden shadow ray brings to its path."""
     has_world, has_surfaces = features.world_light, features.mesh_programs
+    has_history = "path_history" in features.programs.ops
     world_emission = make_world_emission(features.world_program) if has_world else None
     surface_emission = None
     if has_surfaces:
@@ -78,9 +80,13 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
                 light = wp.cw_mul(light, world_emission(data, rays.origin[slot], direction, 0, bounce_of(paths.status[path])))
         if wp.static(has_surfaces):
             if kind == wp.static(SURFACE_PROGRAM):
+                history = int(0)
+                if wp.static(has_history):
+                    history = paths.shadow_history[path] & wp.static(DEPTHS)
                 emitted = surface_emission(
-                    data, paths.light_instance[path], paths.light_primitive[path], paths.light_barycentric[path], -direction, rays.t_max[slot]
-                )
+                    data, paths.light_instance[path], paths.light_primitive[path], paths.light_barycentric[path], -direction, rays.t_max[slot],
+                    bounce_of(paths.status[path]), history,
+                )  # fmt: skip
                 light = wp.cw_mul(light, emitted)
         if wp.static(features.clamping):
             light = clamped(limits, light, bounce_of(paths.status[path]) + 1)

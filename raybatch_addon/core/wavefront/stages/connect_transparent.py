@@ -14,6 +14,7 @@ from ...shading.surface import make_surface, spawn_origin
 from ..rays import SHADOW_PASS, Paths, Rays, Status, bounce_of
 from ..scene_data import SceneData
 from .connect import ConnectFeatures, make_arrived
+from .history import DEPTHS
 from .limits import PathLimits, is_positive
 from .shade_surface import SurfaceFeatures
 from .surface_program import make_surface_program, shading_point
@@ -62,6 +63,8 @@ def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeature
                 )
                 point.ray_kind = wp.static(int(Visibility.SHADOW))
                 point.bounce = bounce_of(status)
+                if wp.static(features.path_history):
+                    point.history = paths.shadow_history[path] & wp.static(DEPTHS)
                 point.passed = passed / wp.static(SHADOW_PASS)
                 closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
                 first = int(0)

@@ -60,19 +60,24 @@ def make_world_emission(programs: ProgramFeatures) -> wp.Function:
 
 @functools.cache
 def make_surface_emission(programs: ProgramFeatures, instancing: bool, smooth_normals: bool) -> wp.Function:
-    """Function (data, instance: int, primitive: int, barycentric: vec2, incoming: vec3, distance: float) -> vec3: radiance towards `incoming`."""
+    """Function (data, instance: int, primitive: int, barycentric: vec2, incoming: vec3, distance: float, bounce: int, history: int) -> vec3.
+
+    Radiance towards `incoming`; bounce and history as `ShadingPoint` has them.
+    """
     surface_point = make_surface(instancing, smooth_normals).point
     surface_closures = make_surface_program(programs)
 
     @wp.func
     def surface_emission(
-        data: SceneData, instance: int, primitive: int, barycentric: wp.vec2, incoming: wp.vec3, distance: float
+        data: SceneData, instance: int, primitive: int, barycentric: wp.vec2, incoming: wp.vec3, distance: float, bounce: int, history: int
     ) -> wp.vec3:
         surface = surface_point(data.geometry, instance, primitive, barycentric)
         normal = surface.normal
         if wp.dot(normal, incoming) < 0.0:
             normal = -normal
         point = shading_point(surface, incoming, normal, instance, primitive, barycentric, distance)
+        point.bounce = bounce
+        point.history = history
         closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
         return emission_of(closures, surface_closures(data, surface.material, point, closures))
 
@@ -120,7 +125,7 @@ def triangle_emission_kernel(programs: ProgramFeatures, instancing: bool, smooth
                 place = wp.vec2(float(row) + 0.33, float(column) + 0.33) / float(rows)
                 normal = surface_point(data.geometry, instance[i], primitive[i], place).geometric_normal
                 for _ in range(sides):
-                    total += surface_emission(data, instance[i], primitive[i], place, normal, 1.0)
+                    total += surface_emission(data, instance[i], primitive[i], place, normal, 1.0, 0, 0)
                     normal = -normal
                     points += 1
         radiance[i] = wp.min(total / float(points), wp.vec3(1e30))

@@ -30,6 +30,7 @@ class GenerateFeatures:
     transparency: bool
     film_transparent: bool
     normal_pass: bool
+    path_history: bool = False
 
 
 @wp.struct
@@ -154,6 +155,8 @@ def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
         if wp.static(features.transparency):
             paths.passed[path] = 0
             paths.passed_t[path] = 0.0
+        if wp.static(features.path_history):
+            paths.history[path] = 0
         if wp.static(features.film_transparent):
             paths.alpha[path] = 1.0
         if wp.static(features.normal_pass):

@@ -30,6 +30,7 @@ from ...shading.surface import SurfacePoint, make_surface, spawn_origin
 from ..scene_data import SceneData
 from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
 from .generate import TileWork, pixel_sample
+from .history import history_after
 from .limits import PathLimits, clamped, is_positive
 from .surface_program import make_surface_program, shading_point
 
@@ -51,6 +52,7 @@ class SurfaceFeatures:
     mesh_programs: bool
     world_light: bool
     light_programs: bool
+    path_history: bool
     mis: bool
     shadow_rays: bool
     instancing: bool
@@ -233,6 +235,8 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             point.ray_kind = visibility_of(status)
             point.bounce = bounce
             point.passed = passed
+            if wp.static(features.path_history):
+                point.history = paths.history[path]
             closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
             first = int(0)
             end = surface_closures(data, surface.material, point, closures)
@@ -288,6 +292,11 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             else:
                 paths.passed[path] = passed + passed * wp.static(SHADOW_PASS)
                 paths.passed_t[path] = 0.0
+        if wp.static(features.path_history):
+            if wp.static(features.shadow_rays):
+                paths.shadow_history[path] = paths.history[path]
+            if (scattered.lobe & TRANSPARENT) == 0:
+                paths.history[path] = history_after(paths.history[path], scattered.lobe)
         if (scattered.lobe & TRANSPARENT) == 0:
             pdf = scattered.pdf
             if (scattered.lobe & DELTA) != 0 or x >= limits.nee_end:

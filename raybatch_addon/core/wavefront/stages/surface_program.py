@@ -8,6 +8,7 @@ from ...scene.program import ProgramFeatures
 from ...shading.materials import ClosureRecord
 from ...shading.nodes.point import ShadingPoint
 from ...scene.geometry import triangle_vertices
+from ...shading.nodes.geometry_inputs import footprint_axis, pixel_footprint
 from ...shading.nodes.op import NodeData
 from ...shading.nodes.run import make_run
 from ...shading.surface import SurfacePoint
@@ -55,18 +56,13 @@ def with_steps(data: NodeData, point: ShadingPoint) -> ShadingPoint:
     result.ray_kind = point.ray_kind
     result.bounce = point.bounce
     result.passed = point.passed
+    result.history = point.history
     n = point.geometric_normal
-    width = data.inputs.pixel_width
-    if data.inputs.perspective != 0:
-        width = width * point.ray_length
     p = point.position
     largest = wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2])))
-    length = wp.max(wp.static(BUMP_STEP) * width, wp.static(_ROUNDINGS * 2.0**-24) * largest)
+    length = wp.max(wp.static(BUMP_STEP) * pixel_footprint(data, point), wp.static(_ROUNDINGS * 2.0**-24) * largest)
     # the axes that Blender takes: where a height is curved over a step, they matter
-    across = wp.vec3(n[2] - n[1], n[0] - n[2], n[1] - n[0])
-    if n[0] == n[1] and n[0] == n[2]:
-        across = wp.vec3(n[2] - n[1], n[0] + n[2], -n[1] - n[0])
-    across = wp.normalize(across)
+    across = footprint_axis(n)
     result.step_x = length * across
     result.step_y = length * wp.cross(n, across)
     a, b, c = triangle_vertices(data.geometry, point.instance, point.primitive)

@@ -1,0 +1,28 @@
+"""How a path has scattered so far, in one word, for programs that ask."""
+
+import warp as wp
+
+from ...shading.closures import DELTA, DIFFUSE, TRANSMISSION
+from ...shading.nodes.point import DEPTH_BITS, DEPTH_SHIFT, HistoryBits
+
+_MOST = (1 << DEPTH_BITS) - 1
+DEPTHS = ((1 << (DEPTH_SHIFT + 3 * DEPTH_BITS)) - 1) & ~((1 << DEPTH_SHIFT) - 1)  # all but the bits of the last scattering
+
+
+@wp.func
+def history_after(history: int, lobe: int) -> int:
+    """`history` of a path that is scattered by `lobe` (bits of `shading/closures.py`). Counts stay at their largest."""
+    place = int(1)
+    kind = wp.static(int(HistoryBits.GLOSSY))
+    if (lobe & DIFFUSE) != 0:
+        place = 0
+        kind = wp.static(int(HistoryBits.DIFFUSE))
+    elif (lobe & DELTA) != 0:
+        kind = wp.static(int(HistoryBits.GLOSSY | HistoryBits.SINGULAR))
+    if (lobe & TRANSMISSION) != 0:
+        place = 2
+    shift = wp.static(DEPTH_SHIFT) + wp.static(DEPTH_BITS) * place
+    result = (history & wp.static(DEPTHS)) | kind
+    if ((history >> shift) & wp.static(_MOST)) < wp.static(_MOST):
+        result += 1 << shift
+    return result
