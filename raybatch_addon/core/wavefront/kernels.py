@@ -9,6 +9,7 @@ import warp as wp
 from ..film import layout_of
 from ..film.tile import add_spill_kernel, resolve_kernel
 from ..report.counters import count_kernel
+from ..scene.description import ClosureKind
 from ..scene.features import SceneFeatures, narrow
 from ..settings import RenderSettings
 from .hit_order import hit_key_kernel
@@ -46,6 +47,7 @@ class StageKernels:
         surface = SurfaceFeatures(
             **narrow(features, tuple(SurfaceFeatures.__dataclass_fields__)), shadow_rays=has.shadow_rays,
             light_programs=has.light_programs, path_history=has.path_history,
+            film_holes=has.film_transparent and ClosureKind.HOLDOUT in has.closures,
         )  # fmt: skip
         connect = ConnectFeatures(**narrow(features, tuple(ConnectFeatures.__dataclass_fields__)))
         return StageKernels(

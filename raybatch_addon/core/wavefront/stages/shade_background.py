@@ -115,7 +115,7 @@ def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
         if wp.static(features.film_transparent):
             if bounce == 0:
                 shows_world = False
-                paths.alpha[path] = 1.0 - (throughput[0] + throughput[1] + throughput[2]) / 3.0
+                paths.alpha[path] = paths.alpha[path] - (throughput[0] + throughput[1] + throughput[2]) / 3.0
         if wp.static(features.world):
             if shows_world and (data.world_visibility & visibility_of(status)) != 0:
                 if wp.static(has_program):

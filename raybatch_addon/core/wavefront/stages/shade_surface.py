@@ -61,6 +61,7 @@ class SurfaceFeatures:
     passes: tuple[str, ...]
     clamping: bool
     roulette: bool
+    film_holes: bool = False  # surfaces cut holes into a film that has alpha
 
     @property
     def transparency(self) -> bool:
@@ -113,6 +114,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     bsdf_evaluate = bsdf.evaluate
     bsdf_sample = bsdf.sample
     bsdf_emission = bsdf.emission
+    bsdf_holdout = bsdf.holdout
     lights = make_lights(
         LightFeatures(
             features.lights, features.light_sphere, False, features.mesh_lights,
@@ -253,6 +255,12 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                     film.depth[where.pixel] = wp.dot(surface.position - data.view_origin, data.view_axis)
                 if wp.static("Position" in features.passes):
                     film.position[where.pixel] = surface.position
+
+        if wp.static(features.film_holes):
+            if bounce == 0:
+                carried = paths.throughput[path]
+                seen = (carried[0] + carried[1] + carried[2]) / 3.0
+                paths.alpha[path] = paths.alpha[path] - seen * bsdf_holdout(closures, first, end)
 
         if wp.static(features.emission):
             gather_emission(data, limits, paths, rays, path, closures, first, end, passed_t)
