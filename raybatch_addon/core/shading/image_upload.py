@@ -17,6 +17,8 @@ LAST_TILE = 2000  # as Blender's
 TEXELS_MAX = 2**31 - 1  # of one picture: they are counted by an int32
 EDGE_LEAST = 16  # pictures are not made smaller than that to save memory [texels]
 
+_ALIGNMENT = 8  # of addresses: texels are loaded whole, up to so many bytes at a time
+
 _KINDS = {
     ("uint8", 1): (Texels.BYTE, wp.uint8), ("uint8", 4): (Texels.BYTE4, wp.vec4ub),
     ("float16", 1): (Texels.HALF, wp.float16), ("float16", 4): (Texels.HALF4, wp.vec4h),
@@ -204,6 +206,8 @@ def _upload(pixels: np.ndarray, halvings: int, device) -> _Picture:
     height, width, channels = own.shape
     texels, dtype = _KINDS[own.dtype.name, channels]
     flat = np.ascontiguousarray(own).reshape((-1, 4) if channels == 4 else -1)
+    if flat.ctypes.data % _ALIGNMENT:
+        flat = flat.copy()
     # on the CPU this is the very memory of the pixels; `keep` holds it
     array = wp.array(flat, dtype=dtype, device=device, copy=device.is_cuda)
     return _Picture(weakref.ref(pixels), halvings, texels, width, height, array, replaced)

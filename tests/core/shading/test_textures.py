@@ -226,3 +226,11 @@ def test_arrays_that_may_not_be_written_can_be_uploaded():
     assert np.allclose(look_up(Image("i", pixels), [(0.5, 0.5)])[0], 0.2)
     uv = points()
     assert np.array_equal(look_up(Image("i", np.asfortranarray(BYTES)), uv)[0], look_up(Image("i", BYTES), uv)[0])
+
+
+def test_pixels_anywhere_in_memory_can_be_uploaded():
+    flat = np.zeros(BYTES.size + 3, np.uint8)
+    odd = flat[3:].reshape(BYTES.shape)
+    odd[:] = BYTES
+    uv = points()
+    assert np.array_equal(look_up(Image("i", odd), uv)[0], look_up(Image("i", BYTES), uv)[0])
