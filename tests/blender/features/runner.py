@@ -112,7 +112,8 @@ def _node_result(feature: Feature, cells: list[Cell], warnings: list[str], secon
     names = {f"“{cell.material}”" for cell in cells}
     told = _reasons([text for text in warnings if any(name in text for name in names)])
     figures = {"error": worst.worst}
-    result = Result(feature, OK, figures, "; ".join(told), worst.ours, worst.theirs, seconds)
+    shown = worst if worst.worst > TOLERANCE else cells[-1]
+    result = Result(feature, OK, figures, "; ".join(told), shown.ours, shown.theirs, seconds)
     if any(NOT_SUPPORTED in text for text in told):
         result.status = UNSUPPORTED
     if empty := [cell.label for cell in cells if cell.empty]:
