@@ -52,7 +52,7 @@ def world(kind: str, sampling_size: int) -> tuple[World, tuple[Image, ...]]:
     """A world that shows `sky(kind)`."""
     builder = ProgramBuilder()
     projection = int(EnvironmentProjection.EQUIRECTANGULAR)
-    color, _ = builder.value("environment", 0, int(Interpolation.LINEAR), projection, 0, builder.value("environment_coordinates", 0))
+    color, _ = builder.value("environment", 0, int(Interpolation.LINEAR), projection, 0, builder.value("position", 0))
     builder.closure("emission", color)
     return World(program=builder.finish(), sampling_size=sampling_size), (Image(f"{kind} sky", sky(kind)),)
 

@@ -24,7 +24,7 @@ def under_image(pixels: np.ndarray, size: int) -> Scene:
     """A white floor under an image in longitudes and latitudes, the bottom row first, sampled by a table `size` texels wide."""
     builder = ProgramBuilder()
     projection = int(EnvironmentProjection.EQUIRECTANGULAR)
-    color, _ = builder.value("environment", 0, int(Interpolation.CLOSEST), projection, 0, builder.value("environment_coordinates", 0))
+    color, _ = builder.value("environment", 0, int(Interpolation.CLOSEST), projection, 0, builder.value("position", 0))
     builder.closure("emission", color)
     return dataclasses.replace(floor_of(), world=World(program=builder.finish(), sampling_size=size), images=(Image("sky", pixels),))
 
