@@ -13,6 +13,7 @@ from .nodes.graph import find_source
 # Texels around a world that is not constant, by whose brightness it is sampled: Cycles' number where no image says more
 _SAMPLING_SIZE = 1024
 _SAMPLING_SIZE_MOST = 8192
+_SUN_SIZE_MOST = 2048  # for the sake of suns alone; a larger table takes seconds to fill
 
 
 def export_world(world: bpy.types.World | None, warnings: list[str], collections: Collections | None = None) -> World:
@@ -44,9 +45,11 @@ def _sampling_size(world: bpy.types.World, collections: Collections) -> int:
     method = getattr(own, "sampling_method", "AUTOMATIC")
     if method == "NONE":
         return 0
+    # The table is all that aims at the sun of a sky, whatever its size is meant to be for the rest
+    least = min(collections.sun_width, _SUN_SIZE_MOST)
     if method == "MANUAL":
-        return min(max(int(own.sample_map_resolution), 4), _SAMPLING_SIZE_MOST)
-    return min(max(_SAMPLING_SIZE, collections.environment_width), _SAMPLING_SIZE_MOST)
+        return min(max(int(own.sample_map_resolution), 4, least), _SAMPLING_SIZE_MOST)
+    return min(max(_SAMPLING_SIZE, collections.environment_width, least), _SAMPLING_SIZE_MOST)
 
 
 def has_nodes(owner) -> bool:

@@ -28,6 +28,7 @@ from raybatch_addon.core.sky.atmosphere import sun_direction, wrapped_sun  # noq
 from raybatch_addon.core.wavefront.stages.emitted import emission_of  # noqa: E402
 from raybatch_addon.export.nodes.collections import Collections  # noqa: E402
 from raybatch_addon.export.nodes.compile import compile_graph  # noqa: E402
+from raybatch_addon.export.world import export_world  # noqa: E402
 
 # Preetham's formula is for turbidities from 2 on; below 1.2 it grows beyond bounds at the horizon
 FORMULAS = [((0.0, 0.0, 1.0), 2.2, 0.3), ((0.5, 0.3, 0.4), 3.7, 0.0), ((-0.5, 0.9, 0.1), 10.0, 0.8), ((1.0, 0.0, 0.0), 2.0, 1.0)]
@@ -195,6 +196,14 @@ def test_worlds_see_the_sun(version, kind, name, tmp_path):
 
     expected, world = in_world(build, window, _exr(tmp_path))
     assert_same(evaluate(world.node_tree.get_output_node("ALL").inputs["Surface"], world, looked), expected)
+
+
+@pytest.mark.parametrize("size, width", [(0.00951, 1322), (0.0, 2048), (0.5, 256)])
+def test_worlds_are_sampled_finely_enough_for_their_sun(version, size, width):
+    scene = empty_scene()
+    world = world_graph(scene, lambda graph: graph.value("ShaderNodeBackground", {"Color": graph.value("ShaderNodeTexSky", None, sun_size=size)}))
+    world.cycles.sampling_method, world.cycles.sample_map_resolution = "MANUAL", 256
+    assert export_world(world, []).sampling_size == pytest.approx(width, abs=1)
 
 
 def _exr(folder: Path) -> Path:

@@ -12,6 +12,7 @@ class Collections:
         self.frame = 0  # of the scene, for images that change with it
         self.images: list[Any] = []  # the core's `Image`s
         self.environment_width = 0  # of the widest image that worlds show [texels]
+        self.sun_width = 0  # texels around worlds of which the smallest sun in their skies is two wide
         self.warnings: list[str] = []  # of images and attributes that cannot be used as they are, by name
         self._image_places: dict[Any, int] = {}
         self._attribute_places: dict[tuple[str, str], int] = {}
