@@ -60,7 +60,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
     has = features.has
     view, reflectance = make_lobes(features)
     mean_alpha, facets_of, _, _, sample_normal = make_facets(features)
-    mix, glass_reflects = make_mixture(features)
+    mix, glass_shares = make_mixture(features)
     is_lambertian, is_cosine = features.test(LAMBERTIAN), features.test((*LAMBERTIAN, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT))
     is_soft, is_facets, is_passing = features.test(SOFT), features.test(MICROFACET_KINDS), features.test(PASSING_KINDS)
     has_lambert, has_cosine = has(*LAMBERTIAN), has(*LAMBERTIAN, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT)
@@ -191,10 +191,11 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                 if wp.static(has_passing):
                     if is_passing(kind):
                         eta = relative_index(closures[chosen].ior, frame.entering)
-                        share = glass_reflects(closures, chosen, f)
+                        shares = glass_shares(closures, chosen, f)
+                        share = shares[0]
                         if left >= share:
                             bits = TRANSMISSION
-                            share = 1.0 - share
+                            share = shares[1]
                             f = wp.cw_mul(wp.vec3(1.0) - f, closures[chosen].refraction)
                             if is_refraction_specular(alpha, eta):
                                 h = n

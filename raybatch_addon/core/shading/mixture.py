@@ -38,7 +38,7 @@ class MixtureFunctions(NamedTuple):
     """Functions (`wp.Function`) of one specialisation."""
 
     mix: wp.Function  # (closures, first, end, albedo, frame, wo, wi) -> Mixture
-    glass_reflects: wp.Function  # (closures, c: int, f: vec3) -> float: share of the samples of glass that a facet reflects
+    glass_shares: wp.Function  # (closures, c: int, f: vec3) -> vec2: shares of samples that a facet of glass reflects and refracts
 
 
 @wp.struct
@@ -118,14 +118,15 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
         return wp.vec2(pdf * cos_i / wp.max(cos_i, cos_o), pdf)
 
     @wp.func
-    def glass_reflects(closures: wp.array(dtype=ClosureRecord), c: int, f: wp.vec3) -> float:
-        """Share of samples that a facet reflects, of those that it does not absorb."""
+    def glass_shares(closures: wp.array(dtype=ClosureRecord), c: int, f: wp.vec3) -> wp.vec2:
+        """Shares of samples that a facet reflects and refracts, of those that it does not absorb."""
         passed = wp.cw_mul(wp.vec3(1.0) - f, closures[c].refraction)
         reflects = f[0] + f[1] + f[2]
-        total = reflects + passed[0] + passed[1] + passed[2]
+        passes = passed[0] + passed[1] + passed[2]
+        total = reflects + passes
         if total > 0.0:
-            return reflects / total
-        return 1.0
+            return wp.vec2(reflects / total, passes / total)
+        return wp.vec2(1.0, 0.0)
 
     @wp.func
     def mix(
@@ -187,7 +188,7 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
                             f = reflectance(closures, c, albedo, cosine, frame.entering)
                             if wp.static(has_glass):
                                 if kind == _GLASS:
-                                    pdf = glass_reflects(closures, c, f) * pdf
+                                    pdf = glass_shares(closures, c, f)[0] * pdf
                             mixture.value += shadowed * wp.cw_mul(lobe.scale, f)
                             mixture.density += lobe.selection * pdf
                     if wp.static(has_phong):
@@ -214,7 +215,7 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
                             shadowed = pdf * shadowing(facets, wo, wi, -cos_i)
                             passed = wp.cw_mul(wp.vec3(1.0) - f, closures[c].refraction)
                             mixture.value += shadowed * wp.cw_mul(lobe.scale, passed)
-                            mixture.density += lobe.selection * ((1.0 - glass_reflects(closures, c, f)) * pdf)
+                            mixture.density += lobe.selection * (glass_shares(closures, c, f)[1] * pdf)
         return mixture
 
-    return MixtureFunctions(mix, glass_reflects)
+    return MixtureFunctions(mix, glass_shares)
