@@ -134,9 +134,10 @@ def _exported(image: bpy.types.Image, user: Any, frame: int) -> tuple[Image, lis
     if image.source == "TILED":
         tiles, encoding = [], ImageEncoding.LINEAR
         for tile in image.tiles:
-            pixels, encoding = _picture(image, kind, tile_path(image, tile.number), tile.number)
+            path = tile_path(image, tile.number)
+            pixels, encoding = _picture(image, kind, path, tile.number)
             if pixels is None:
-                notes.append(f"{label}, tile {tile.number}, has no pixels or cannot be read ({tile_path(image, tile.number)}): it is magenta")
+                notes.append(f"{label}, tile {tile.number}, has no pixels" + (f", or {path} cannot be read" if path else "") + ": it is magenta")
             tiles.append((tile.number, pixels))
         return Image(image.name, None, encoding, tuple(tiles)), notes
     path = sequence_path(image, frame_number(user, frame)) if image.source == "SEQUENCE" else None

@@ -142,7 +142,8 @@ def test_alpha_of_painted_floats(scene, tmp_path, mode):
 
 @since_5_2
 @pytest.mark.parametrize("space", [
-    "sRGB", "Non-Color", "Linear Rec.709", "ACEScg", "Linear Rec.2020", "Display P3", "Rec.1886", "Rec.2020", "Filmic Log", "Linear CIE-XYZ D65",
+    "sRGB", "Non-Color", "Linear Rec.709", "ACEScg", "Linear Rec.2020", "Display P3", "Rec.1886", "Rec.2020", "Filmic Log",
+    "Linear CIE-XYZ D65",
     "Gamma 2.2 Encoded Rec.709", "Filmic sRGB",
 ])  # fmt: skip
 @pytest.mark.parametrize("mode", ["STRAIGHT", "CHANNEL_PACKED"])
@@ -233,7 +234,8 @@ def test_tiles(scene, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "frame, settings", [(1, {}), (3, {}), (9, {}), (8, {"use_cyclic": True}), (4, {"frame_offset": 1}), (6, {"frame_start": 5}), (2, {"frame_start": 5})]
+    "frame, settings",
+    [(1, {}), (3, {}), (9, {}), (8, {"use_cyclic": True}), (4, {"frame_offset": 1}), (6, {"frame_start": 5}), (2, {"frame_start": 5})],
 )
 def test_frames_of_a_sequence(scene, tmp_path, frame, settings):
     for number in range(7):

@@ -32,8 +32,9 @@ def sheet(image: Image, world=None, **program) -> Scene:
         "sheet", np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     )
     one = np.zeros(1, np.int32)
+    above = np.array([[1, 0, 0, 0.5], [0, 1, 0, 0.5], [0, 0, 1, 1]], np.float32)
     return Scene(
-        camera=Camera(CameraKind.ORTHOGRAPHIC, np.array([[1, 0, 0, 0.5], [0, 1, 0, 0.5], [0, 0, 1, 1]], np.float32), (-0.5, 0.5, -0.5, 0.5)),
+        camera=Camera(CameraKind.ORTHOGRAPHIC, above, (-0.5, 0.5, -0.5, 0.5)),
         frame=Frame(6, 6),
         meshes=(mesh,),
         instances=Instances(one, np.eye(3, 4, dtype=np.float32)[None], one, np.full(1, int(Visibility.ALL), np.int32), one),

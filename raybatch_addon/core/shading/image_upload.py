@@ -165,7 +165,8 @@ def _wanted(images: Sequence[Image], warnings: list[str]) -> Iterator[_Wanted | 
             elif pixels is None:
                 yield None
             elif pixels.ndim != 3 or pixels.shape[2] not in (1, 3, 4) or pixels.dtype.name not in ("uint8", "float16", "float32"):
-                warnings.append(f"{label} has pixels of a kind that is not understood ({pixels.dtype}, shape {list(pixels.shape)}); it is magenta")
+                kind = f"{pixels.dtype}, shape {list(pixels.shape)}"
+                warnings.append(f"{label} has pixels of a kind that is not understood ({kind}); it is magenta")
                 yield None
             elif pixels.size == 0:
                 warnings.append(f"{label} has no pixels; it is magenta")

@@ -140,7 +140,8 @@ def test_alpha_is_divided_out_before_decoding():
 def test_tiles():
     one, two, three = (np.full((2, 2, 4), v, np.uint8) for v in (51, 102, 153))
     image = Image("udim", tiles=((1001, one), (1012, two), (1002, three)))
-    uv = [(0.5, 0.5), (1.5, 1.5), (1.5, 0.5), (0.5, 1.5), (2.5, 0.5), (-0.5, 0.5), (-1.5, 0.5), (0.5, -2), (10.5, 0.5), (0.5, 3.0), (1e9, 1e30)]
+    uv = [(0.5, 0.5), (1.5, 1.5), (1.5, 0.5), (0.5, 1.5), (2.5, 0.5), (-0.5, 0.5), (-1.5, 0.5)]
+    uv += [(0.5, -2), (10.5, 0.5), (0.5, 3.0), (1e9, 1e30)]
     values, _ = look_up([Image("other", BYTES), image], uv, image=1)
     assert np.allclose(values[:3, 0], (0.2, 0.4, 0.6))
     assert np.allclose(values[5, 0], 0.2)  # truncation: Cycles too takes the first tile
@@ -151,7 +152,8 @@ def test_tiles():
 @pytest.mark.parametrize("extension", Extension)
 @pytest.mark.parametrize("size", [(1, 1), (3, 5), (4096, 2)])
 def test_any_coordinate_gives_a_finite_value(interpolation, extension, size):
-    special = [0, -0.0, 1, -1, 0.5, 1e-45, -1e-45, 1e7, -1e7, 1e7 + 1, 3.4e38, -3.4e38, np.inf, -np.inf, np.nan, 2**31, -(2**31), 2**24 + 2.0]
+    special = [0, -0.0, 1, -1, 0.5, 1e-45, -1e-45, 1e7, -1e7, 1e7 + 1, 3.4e38, -3.4e38, np.inf, -np.inf, np.nan]
+    special += [2**31, -(2**31), 2**24 + 2.0]
     uv = [(u, v) for u in special for v in special]
     values, _ = look_up(Image("i", np.full((size[1], size[0], 4), 0.25, np.float32)), uv, interpolation, extension)
     assert np.all(np.isfinite(values)) and values.min() >= 0 and values.max() <= 0.2500001
