@@ -127,7 +127,7 @@ def samples_agree(bench: Bench) -> Outcome:
         value, density = evaluate(bench, some, wo, direction[found], entering)
         note = f"{name}, cosine {cosine:g}, entering {entering}"
         sweep.add(np.abs(pdf[found] / density - 1).max(), 0.0, 4 * UNIT_ROUNDOFF, f"density of {note}")
-        scale = value.max(1, keepdims=True)
+        scale = np.maximum(value.max(1, keepdims=True), 1e-30)  # a value of 0 has a weight of 0
         sweep.add(np.abs((weight[found] * density[:, None] - value) / scale).max(), 0.0, 8 * UNIT_ROUNDOFF, f"weight of {note}")
     return sweep.outcome()
 

@@ -226,7 +226,7 @@ def _weight_and_colour(closure: Closure) -> tuple:
     if closure.kind == _K.GLASS:
         return closure.weight, colour * np.array(closure.refraction, np.float32)
     if closure.kind in (_K.METAL, _K.CONDUCTOR):
-        return (np.float32(1.0) / np.float32(scale),) * 3, colour
+        return (closure.share,) * 3, colour
     return closure.weight, colour
 
 
