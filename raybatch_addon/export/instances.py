@@ -14,6 +14,7 @@ from .attributes import mesh_attributes, object_value
 from .lights import export_light
 from .materials import MaterialTable
 from .meshes import export_mesh, slot_count
+from .nodes.collections import OF_INSTANCER
 
 # Instances between two looks at the clock of whoever waits for a cancel
 _CANCEL_INTERVAL = 256
@@ -21,7 +22,7 @@ _CANCEL_INTERVAL = 256
 # A matrix composed in float32 from a few products has elements wrong by about this much, relatively
 _MATRIX_ERROR = 8 * 2.0**-24
 
-_OBJECT_KINDS = {"OBJECT", "INSTANCER"}  # of attributes
+_OBJECT_KINDS = {"OBJECT", "INSTANCER", OF_INSTANCER}  # of attributes
 _SOLID_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 _UNSUPPORTED_TYPES = {"VOLUME": "volumes", "CURVES": "hair curves", "POINTCLOUD": "point clouds"}
 
@@ -67,6 +68,7 @@ class _Template:
     visibility: int
     object: int
     attributes: tuple[tuple[int, tuple[float, ...]], ...] = ()  # place and value of each attribute of the object that materials ask for
+    of_instancer: tuple[tuple[int, str], ...] = ()  # place and name of what they ask of the surface that places each instance
 
 
 @dataclass
@@ -82,6 +84,7 @@ class Placements:
     _templates: list[_Template] = field(default_factory=list)
     _matrices: list[Any] = field(default_factory=list)
     _info: list[tuple[float, ...]] = field(default_factory=list)  # see `Instances.info`
+    _of_instancer: list[tuple[int, int, tuple[float, ...]]] = field(default_factory=list)  # instance, place and value of attributes
 
     def instances(self) -> Instances:
         """The placements, without those whose matrix cannot be used; these are named in `warnings`."""
@@ -102,7 +105,8 @@ class Placements:
                 how_often = f" ({times:,} instances)" if times > 1 else ""
                 self.warnings.append(f"object “{self.object_names[index]}”{how_often} is left out: {reason}")
         mesh, slot_first, visibility, owner = np.ascontiguousarray(table[usable].T)
-        info = np.array(self._info, np.float32).reshape(count, 6)[usable]
+        asked = any(m.program is not None and "object_info" in m.program.ops for m in self.materials.materials)
+        info = np.array(self._info, np.float32).reshape(count, 6)[usable] if asked else None
         return Instances(mesh, np.ascontiguousarray(transform[usable]), slot_first, visibility, owner, info, self._attributes(usable))
 
     def _attributes(self, usable: np.ndarray) -> np.ndarray | None:
@@ -114,7 +118,16 @@ class Placements:
         for i, template in enumerate(self._templates):
             for place, value in template.attributes:
                 values[i, place] = value
+        for i, place, value in self._of_instancer:
+            values[i, place] = value
         return values[usable]
+
+
+def _place_of(placed: bpy.types.DepsgraphObjectInstance, name: str) -> tuple[float, ...]:
+    """Where an instance is on the surface that places it: its generated coordinates as Cycles has them, or its `uv`."""
+    if name == "uv":
+        return (*placed.uv, 0.0, 1.0)
+    return (*(0.5 * x - 0.5 for x in placed.orco), 1.0)
 
 
 def is_singular(transform: np.ndarray) -> np.ndarray:
@@ -179,6 +192,10 @@ class _Collector:
             self._templates[key] = self._template(placed, obj, data)
         template = self._templates[key]
         if template is not None:
+            if placed.is_instance:
+                instance = len(self.placements._templates)
+                for place, name in template.of_instancer:
+                    self.placements._of_instancer.append((instance, place, _place_of(placed, name)))
             self.placements._templates.append(template)
             self.placements._matrices.append([tuple(row) for row in placed.matrix_world])
             number = placed.random_id if placed.is_instance else _random_id(obj.name)
@@ -211,8 +228,10 @@ class _Collector:
             return None
         first = len(self.placements.slot_materials)
         self.placements.slot_materials += wanted
-        values = self._object_values(obj, placed.parent, sorted((kind, name) for kind, name in asked if kind in _OBJECT_KINDS))
-        return _Template(mesh, first, visibility, self._name_index(obj.name), values)
+        collections = self.placements.materials.collections
+        of_instancer = tuple((collections.object_attribute(kind, name), name) for kind, name in sorted(asked) if kind == OF_INSTANCER)
+        values = self._object_values(obj, placed.parent, sorted(each for each in asked if each[0] in _OBJECT_KINDS - {OF_INSTANCER}))
+        return _Template(mesh, first, visibility, self._name_index(obj.name), values, of_instancer)
 
     def _mesh(self, obj, data, asked: list[tuple[str, str]]) -> int | None:
         """The place of the mesh, with the attributes `asked`."""

@@ -156,3 +156,16 @@ def test_objects_have_their_properties_and_those_of_what_places_them():
     obj.update_tag()
     scene = exported()
     assert not scene.instances.attributes.any() and any("“tint”" in text and "“One”" in text for text in scene.warnings)
+
+
+@pytest.mark.usefixtures("scene")
+def test_instances_know_where_they_are_on_what_places_them():
+    parent = add_object("Parent", bpy.data.meshes.new("Parent"))
+    parent.data.from_pydata(SQUARE.tolist(), [], [(0, 1, 2), (0, 2, 3)])
+    uvs = parent.data.uv_layers.new(name="UVMap")
+    uvs.uv.foreach_set("vector", np.repeat([[0.25, 0.5], [0.75, 0.125]], 3, axis=0).astype(np.float32).ravel())
+    child = add_triangle("Child")
+    child.parent, parent.instance_type = parent, "FACES"
+    asks(child, "ShaderNodeUVMap", from_instancer=True)
+    values = exported().instances.attributes
+    assert sorted(values[values.any(axis=(1, 2)), 0, :2].tolist()) == [[0.25, 0.5], [0.75, 0.125]]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ...core.shading.nodes.builder import Value
+from .collections import OF_INSTANCER
 from .node import Node
 from .registry import values
 
@@ -54,11 +55,16 @@ def color_attribute(node: Node) -> dict[str, Value]:
     return {"Color": color, "Alpha": alpha}
 
 
-@values("ShaderNodeUVMap", family="Inputs", note="from instancer is not supported")
+def of_instancer(node: Node, name: str) -> Value:
+    """Where the instance is on what places it, `generated` or `uv`; 0 of what is no instance."""
+    return node.op("object_attribute", node.graph.collections.object_attribute(OF_INSTANCER, name))[0]
+
+
+@values("ShaderNodeUVMap", family="Inputs")
 def uv_map(node: Node) -> Value:
     """A UV map; without name the one that is marked for rendering."""
     if node.node.from_instancer:
-        node.warn("From Instancer")
+        return of_instancer(node, "uv")
     if not node.node.uv_map:
         return node.uv()
     return mesh_attribute(node, "GEOMETRY", node.node.uv_map)[0]

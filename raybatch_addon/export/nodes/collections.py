@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+# A kind of attribute: where instances are on what places them; `generated` or `uv`
+OF_INSTANCER = "OF_INSTANCER"
+
 
 class Collections:
     """Collected over all graphs of a scene."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ...core.shading.nodes.builder import Value
-from .attributes import mesh_attribute
+from .attributes import mesh_attribute, of_instancer
 from .node import Node, own_value
 from .registry import values
 
@@ -16,18 +16,17 @@ def constant(node: Node) -> Value:
     return own_value(node.node.outputs[0])
 
 
-@values("ShaderNodeTexCoord", family="Inputs", note="from instancer is not supported")
+@values("ShaderNodeTexCoord", family="Inputs")
 def texture_coordinates(node: Node) -> dict[str, Value]:
     """Coordinates by output."""
-    if node.node.from_instancer:
-        node.warn("From Instancer")
     outputs = {}
+    from_instancer = node.node.from_instancer
     if node.wants("Generated"):
-        outputs["Generated"] = node.coordinates()
+        outputs["Generated"] = of_instancer(node, "generated") if from_instancer else node.coordinates()
     if node.wants("Normal"):
         outputs["Normal"] = node.op("object_normal")
     if node.wants("UV"):
-        outputs["UV"] = node.uv()
+        outputs["UV"] = of_instancer(node, "uv") if from_instancer else node.uv()
     if node.wants("Object"):
         outputs["Object"] = _in_object(node, node.node.object)
     if node.wants("Camera"):
