@@ -36,6 +36,9 @@ def unregister() -> None:
     sessions = sys.modules.get(f"{__name__}.sessions")  # there if something was rendered
     if sessions is not None:
         sessions.close_all()
+    images = sys.modules.get(f"{__name__}.export.images")
+    if images is not None:
+        images.forget_images()
     reports.clear()
 
 

@@ -75,6 +75,7 @@ class SceneFeatures:
         names |= {
             "shader programs": bool(self.programs),
             "world program": bool(self.world_program),
+            "image textures": any(name.startswith(("image", "environment")) for name in (*self.programs.ops, *self.world_program.ops)),
             "sampling of the world": self.world_light,
             "emission by programs": self.mesh_programs,
             "shadow rays": self.shadow_rays,
