@@ -12,6 +12,8 @@ from .emitters import fixed_point_cdf
 
 # Light of a texel counts at least this share of the mean: nothing that the texels' points missed is left out for good
 _FLOOR = 1e-3
+# ... and this share of the brightest texel around it: the rim of a sun may lie between the points of a texel
+_AROUND = 0.05
 
 
 @wp.struct
@@ -37,7 +39,7 @@ def build_world_table(light: np.ndarray, device: wp.Device) -> WorldTable:
     height, width = light.shape
     edges = np.arange(height + 1) * (np.pi / height)
     share = light.astype(np.float64)
-    share += _FLOOR * share.mean()
+    share += _AROUND * _brightest_around(light) + _FLOOR * share.mean()
     rows = share.sum(1) * (np.cos(edges[:-1]) - np.cos(edges[1:]))
     table = WorldTable()
     table.width, table.height = width, height
@@ -47,6 +49,15 @@ def build_world_table(light: np.ndarray, device: wp.Device) -> WorldTable:
         texels[row] = fixed_point_cdf(share[row])
     table.texel_first = wp.array(texels.ravel(), dtype=wp.uint32, device=device)
     return table
+
+
+def _brightest_around(light: np.ndarray) -> np.ndarray:
+    """The brightest of a texel and the eight around it."""
+    rows = np.maximum(light, np.maximum(np.roll(light, 1, 1), np.roll(light, -1, 1)))
+    result = rows.copy()
+    np.maximum(result[1:], rows[:-1], out=result[1:])
+    np.maximum(result[:-1], rows[1:], out=result[:-1])
+    return result
 
 
 @wp.func
