@@ -170,7 +170,9 @@ def light_area(light: Light) -> float:
 
 
 def _may_emit(material: Material) -> bool:
-    return material.program is not None and ClosureKind.EMISSION in material.kinds
+    # a program whose emission is known to be black has no step for it, though its kinds count it
+    program = material.program
+    return program is not None and ClosureKind.EMISSION in material.kinds and any(step.op == "emission" for step in program.instructions)
 
 
 def _material_emission(scene: Scene) -> np.ndarray:

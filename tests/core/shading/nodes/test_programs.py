@@ -11,6 +11,7 @@ from raybatch_addon.core.scene.description import ClosureKind, Frame
 from raybatch_addon.core.scene.program import Instruction, Program, program_features
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.shading import nodes  # noqa: F401  (registers ops)
+from raybatch_addon.core.shading.emitters import find_emissive_triangles
 from raybatch_addon.core.shading.nodes.builder import ProgramBuilder, Value
 from raybatch_addon.core.shading.nodes.table import encode
 
@@ -92,3 +93,14 @@ def test_sizes_grow_rarely():
     assert (features.register_count, features.closure_count) == (16, 4)
     assert features.ops == ("emission", "object_coordinates")
     assert Value.of(1.0).known
+
+
+def test_triangles_whose_program_is_known_to_emit_nothing_are_no_lights():
+    for strength, count in ((0.0, 0), (1.0, 2)):
+        builder = ProgramBuilder()
+        builder.closure("emission", (strength,) * 3)
+        builder.closure("diffuse", builder.value("object_coordinates", 0), (0.0, 0.0, 0.0))
+        material = dataclasses.replace(scenes.diffuse(), closures=(), program=builder.finish(), kinds=(ClosureKind.DIFFUSE, ClosureKind.EMISSION))
+        scene = scenes.scene([(scenes.plane(), scenes.IDENTITY, material)])
+        found = find_emissive_triangles(scene, lambda instance, primitive: np.ones((len(instance), 3), np.float32))
+        assert len(found.primitive) == count
