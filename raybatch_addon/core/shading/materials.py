@@ -15,6 +15,9 @@ from ..errors import SceneError
 from ..scene.description import Closure, ClosureKind, Material
 from .albedo import AlbedoTables, upload_tables
 
+# In place of a kind, of a record that is no closure but tells the surface's normal
+SURFACE_NORMAL = 64
+
 # What happened to a sampled path (bits)
 DIFFUSE = 1  # reflected by a Lambertian closure
 GLOSSY = 2  # reflected by facets

@@ -6,25 +6,40 @@ import warp as wp
 
 from .materials import ClosureRecord, ShadingFrame
 
-# Share of wo's height above the triangle that a mirrored direction keeps at least, by bending the
-# normal. A choice of look, as any treatment of interpolated normals; flat surfaces have the share 1.
-_HEIGHT_KEPT = wp.constant(0.25)
+# Height above the triangle that a mirrored direction has at least: a share of wo's, and no more than this. As in Cycles, so that pictures agree
+_HEIGHT_SHARE = wp.constant(0.9)
+_HEIGHT_MOST = wp.constant(0.01)
 
 
 @wp.func
 def facet_normal(n: wp.vec3, frame: ShadingFrame, wo: wp.vec3) -> wp.vec3:
-    """Unit normal `n`, bent so that wo is above it and wo's mirror direction above the triangle.
+    """Unit normal `n`, bent towards the triangle's where wo's mirror direction would be below the triangle, until it is just above.
 
-    After Keller et al., "The Iray Light Transport Simulation and Rendering System" (2017), A.3.
+    In the plane of both normals, with the triangle's as the second axis, a normal (x, z) mirrors wo to the height 2 z (x wo_x + z wo_z) - wo_z.
+    With x = sqrt(1 - z^2) that is quadratic in z^2. A normal that stays may be turned away from wo.
     """
-    c = wp.dot(n, wo)
-    # a normal that faces away from wo is first turned to be perpendicular to it
-    mirrored = 2.0 * wp.max(c, 0.0) * n - wo
-    height = wp.dot(mirrored, frame.geometric_normal)
-    least = _HEIGHT_KEPT * wp.dot(wo, frame.geometric_normal)
-    if c > 0.0 and height >= least:
+    g = frame.geometric_normal
+    wo_z = wp.dot(wo, g)
+    least = wp.min(_HEIGHT_SHARE * wo_z, _HEIGHT_MOST)
+    n_z = wp.dot(n, g)
+    if 2.0 * wp.dot(n, wo) * n_z - wo_z >= least:
         return n
-    return wp.normalize(wo + wp.normalize(mirrored + (least - height) * frame.geometric_normal))
+    across = n - n_z * g
+    length = wp.length(across)
+    if length == 0.0:
+        return n
+    across = across / length
+    wo_x = wp.dot(wo, across)
+    a = wp.max(wo_x * wo_x + wo_z * wo_z, 1.0e-30)
+    # both squares by sums of what is not negative: no digits are lost
+    root = wp.abs(wo_x) * wp.sqrt(wp.max(a - least * least, 0.0))
+    sum = wo_z + least
+    difference = wo_z - least
+    upper = a + wo_z * least + root
+    lower = a - wo_z * least + root
+    if wo_x < 0.0:
+        return wp.normalize(wp.sqrt(0.5 / lower) * difference * across + wp.sqrt(0.5 * upper / a) * g)
+    return wp.normalize(wp.sqrt(0.5 * lower / a) * across + wp.sqrt(0.5 / upper) * sum * g)
 
 
 @wp.func

@@ -242,7 +242,7 @@ class Node:
 
     def own_normal(self, key: int | str = "Normal") -> Value:
         """A normal input for closures; 0, which stands for the surface's normal, where nothing is linked."""
-        if not self.linked(key) and self.graph.bumped is None:
+        if not self.linked(key):
             return BLACK
         self.graph.kinds.add(ClosureKind.OWN_NORMAL)
         return self.normal(key)

@@ -5,9 +5,11 @@ from enum import IntEnum
 import warp as wp
 
 from ...scene.geometry import transform_vector
+from ..materials import SURFACE_NORMAL, ClosureRecord, new_closure
 from .attributes import attribute_value, attribute_width
 from .geometry_inputs import object_normal, surface_tangent, world_normal
-from .op import NodeData, number, op, put_vector, vector
+from .closure_ops import usable_normal
+from .op import NodeData, closure_op, number, op, put_vector, vector
 from .point import ShadingPoint
 
 _TINY = 1e-30
@@ -147,3 +149,15 @@ def displacement(data: NodeData, stack: wp.array(dtype=float), pc: int, point: S
     if data.code[pc + 1] == 1 and point.instance >= 0:
         value = transform_vector(data.inputs.to_world[point.instance], object_normal(data, point, value))
     put_vector(data, stack, pc + 3, value)
+
+
+@closure_op("surface_normal", "v", foldable=False)
+@wp.func
+def surface_normal(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+    """The normal that all closures of the surface are about; the first of a program, and no closure itself."""
+    normal = usable_normal(vector(data, stack, pc + 1))
+    if count >= closures.shape[0] or wp.dot(normal, normal) == 0.0:
+        return count
+    closures[count] = new_closure(wp.static(SURFACE_NORMAL), wp.vec3(0.0))
+    closures[count].normal = normal
+    return count + 1

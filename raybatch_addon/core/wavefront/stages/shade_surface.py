@@ -25,7 +25,7 @@ from ...shading.sampling import (
     pixel_key,
     tangent_of,
 )
-from ...shading.materials import ClosureRecord
+from ...shading.materials import SURFACE_NORMAL, ClosureRecord
 from ...shading.surface import SurfacePoint, make_surface, spawn_origin
 from ..scene_data import SceneData
 from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
@@ -242,6 +242,12 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
             first = int(0)
             end = surface_closures(data, surface.material, point, closures)
+            if wp.static("surface_normal" in programs.ops):
+                if end > 0 and closures[0].kind == wp.static(SURFACE_NORMAL):
+                    first = 1
+                    frame.normal = closures[0].normal
+                    frame.tangent = tangent_of(frame.normal)
+                    frame.bitangent = bitangent_of(frame.normal)
         else:
             closures = data.materials.closures
             first = data.materials.closure_first[surface.material]

@@ -1,0 +1,52 @@
+"""Normals bent until what they mirror is above the triangle."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from raybatch_addon.core.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.shading.materials import ShadingFrame
+from raybatch_addon.core.shading.normals import facet_normal
+from under_test import DEVICE
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def probe(normals: wp.array(dtype=wp.vec3), wo: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.vec3)):
+    i = wp.tid()
+    frame = ShadingFrame()
+    frame.geometric_normal = wp.vec3(0.0, 0.0, 1.0)
+    out[i] = facet_normal(normals[i], frame, wo[i])
+
+
+def bent(normals, wo):
+    out = wp.zeros(len(normals), dtype=wp.vec3, device=DEVICE)
+    wp.launch(probe, len(normals), [wp.array(normals, dtype=wp.vec3, device=DEVICE), wp.array(wo, dtype=wp.vec3, device=DEVICE), out], device=DEVICE)
+    return out.numpy().astype(float)
+
+
+def directions(count, seed):
+    v = np.random.default_rng(seed).normal(size=(count, 3))
+    v[:, 2] = np.abs(v[:, 2])
+    return v / np.linalg.norm(v, axis=1, keepdims=True)
+
+
+def test_mirrored_directions_are_above_the_triangle():
+    n, wo = directions(20_000, 1), directions(20_000, 2)
+    found = bent(n, wo)
+    assert np.linalg.norm(found, axis=1) == pytest.approx(1, abs=1e-5)
+
+    def height(normal):
+        return 2 * (normal * wo).sum(1) * normal[:, 2] - wo[:, 2]
+
+    least = np.minimum(0.9 * wo[:, 2], 0.01)
+    assert (height(found) >= least - 1e-4).all()
+    kept = height(n) >= least + 1e-5
+    assert kept.any() and (~kept).any()
+    assert found[kept] == pytest.approx(n[kept], abs=1e-6)
+
+
+@pytest.mark.parametrize("z", [1e-30, 1e-6, 1.0])
+def test_grazing_directions_and_the_triangles_own_normal(z):
+    wo = np.array([[np.sqrt(1 - z * z), 0, z]])
+    assert bent(np.array([[0.0, 0, 1]]), wo) == pytest.approx(np.array([[0, 0, 1]]))
+    assert np.isfinite(bent(np.array([[-1.0, 0, 0]]), wo)).all()
