@@ -131,11 +131,13 @@ def counts(results: list) -> dict[str, tuple[int, int]]:
 
 def page(results: list, pictures: dict[str, str], versions: dict[str, str]) -> str:
     """The Markdown text; `pictures` are file names in the folder parity/ beside it."""
-    from blender.features.registry import FAMILIES
+    from blender.features.registry import FAMILIES, all_features
     from blender.features.runner import MEAN_TOLERANCE, REL_MSE_TOLERANCE, TOLERANCE
 
     lines = [_HEAD.format(node=TOLERANCE, mean=MEAN_TOLERANCE, rel_mse=REL_MSE_TOLERANCE, gain=GAIN)]
     lines += [", ".join(f"{name} {version}" for name, version in versions.items()) + ".", ""]
+    if missing := len(all_features()) - len(results):
+        lines += [f"**{missing} of {len(all_features())} features are not in this table yet.**", ""]
     lines += ["| family | within bounds | of | share |", "|---|---|---|---|"]
     lines += [f"| {name} | {ok} | {total} | {ok / total:.0%} |" for name, (ok, total) in counts(results).items()]
     for family in FAMILIES:
