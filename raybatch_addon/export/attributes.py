@@ -39,7 +39,9 @@ def mesh_attributes(mesh: bpy.types.Mesh, asked: Iterable[tuple[str, str]], user
             continue
         values = np.ascontiguousarray(values, np.float32)
         if not np.isfinite(values).all():
-            warnings.append(f"object “{user}”: attribute “{name}” of its mesh “{mesh.name}” has values that are not finite; they are 0")
+            warnings.append(
+                f"object “{user}”: attribute “{name}” of its mesh “{mesh.name}” has values that are not finite; they are 0"
+            )
             values = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
         found.append(Attribute(kind, name, values))
     return found

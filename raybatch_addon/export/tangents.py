@@ -1,7 +1,7 @@
 """Tangents of UV maps at the corners of triangles, after Mikkelsen's tangent space.
 
-Mikkelsen, "Simulation of Wrinkled Surfaces Revisited" (2008). Corners that share position, normal and UV are one; at each, triangles of the same
-orientation that are joined by edges form a group, whose tangent is the mean of theirs, weighted by their angles there.
+Mikkelsen, "Simulation of Wrinkled Surfaces Revisited" (2008). Corners that share position, normal and UV are one; at each, triangles of
+the same orientation that are joined by edges form a group, whose tangent is the mean of theirs, weighted by their angles there.
 """
 
 from __future__ import annotations
@@ -10,7 +10,10 @@ import numpy as np
 
 
 def corner_tangents(positions: np.ndarray, normals: np.ndarray, uvs: np.ndarray) -> np.ndarray:
-    """Unit tangents and signs of bitangents, float32, shape [n, 3, 4], of triangles with corners [n, 3, 3], their normals and UVs [n, 3, 2]."""
+    """Unit tangents and signs of bitangents, float32, shape [n, 3, 4].
+
+    Of triangles with corners `positions`, shape [n, 3, 3], `normals` and `uvs`, shape [n, 3, 2].
+    """
     count = len(positions)
     corner = _welded(positions, normals, uvs)
     p, uv, n = positions.astype(np.float64), uvs.astype(np.float64), _unit(normals.astype(np.float64))
@@ -49,7 +52,9 @@ def corner_tangents(positions: np.ndarray, normals: np.ndarray, uvs: np.ndarray)
 
 def _welded(*of_corners: np.ndarray) -> np.ndarray:
     """Numbers of corners, equal where all values are, shape [n, 3]."""
-    table = np.ascontiguousarray(np.concatenate([np.asarray(each, np.float32) + np.float32(0) for each in of_corners], 2).reshape(-1, sum(e.shape[2] for e in of_corners)))
+    # with 0 added, which makes -0 the same as 0
+    together = np.concatenate([np.asarray(each, np.float32) + np.float32(0) for each in of_corners], 2)
+    table = np.ascontiguousarray(together.reshape(-1, together.shape[2]))
     rows = table.view(np.dtype((np.void, table.dtype.itemsize * table.shape[1]))).ravel()
     return np.unique(rows, return_inverse=True)[1].reshape(-1, 3)
 

@@ -26,7 +26,10 @@ def three_heights(graph: Graph, height) -> tuple[Value, Value, Value]:
     return tuple(heights)
 
 
-@values("ShaderNodeBump", family="Utilities", note="heights are compared over a tenth of a pixel, whatever the filter width says; a bump within a height is that of the middle")
+@values(
+    "ShaderNodeBump", family="Utilities",
+    note="heights are compared over a tenth of a pixel, whatever the filter width says; a bump within a height is that of the middle",
+)  # fmt: skip
 def bump(node: Node) -> Value:
     """A normal bent by a height."""
     graph, normal = node.graph, node.normal()
