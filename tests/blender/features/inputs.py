@@ -32,8 +32,8 @@ def hills(graph: Graph, smooth: bool = True, turn=None) -> bpy.types.Object:
     return graph.obj
 
 
-def _input(name: str, kind: str, outputs: tuple[str, ...], quick: bool = False, smooth: bool = True, turn=None, **properties) -> None:
-    @feature(name, "Inputs", "node", variants=outputs, samples=SMOOTH, quick=quick, flat=True)
+def _input(name: str, kind: str, outputs: tuple[str, ...], quick: bool = False, smooth: bool = True, turn=None, offset: float = 8.0, **properties) -> None:
+    @feature(name, "Inputs", "node", variants=outputs, samples=SMOOTH, quick=quick, flat=True, offset=offset)
     def build(graph: Graph, output: str):
         hills(graph, smooth, turn)
         return graph.value(kind, None, output, **properties)
@@ -42,7 +42,7 @@ def _input(name: str, kind: str, outputs: tuple[str, ...], quick: bool = False, 
 _input("Texture Coordinate: generated and UV", "ShaderNodeTexCoord", ("Generated", "UV"), True)
 _input("Texture Coordinate: normal", "ShaderNodeTexCoord", ("Normal",), turn=(0.2, 0.1, 0.4))
 _input("Texture Coordinate: object", "ShaderNodeTexCoord", ("Object",), True, turn=(0.2, 0.1, 0.4))
-_input("Texture Coordinate: camera and window", "ShaderNodeTexCoord", ("Camera", "Window"))
+_input("Texture Coordinate: camera and window", "ShaderNodeTexCoord", ("Camera", "Window"), offset=16.0)
 _input("Texture Coordinate: reflection", "ShaderNodeTexCoord", ("Reflection",))
 _input("Geometry: position and normals", "ShaderNodeNewGeometry", ("Position", "Normal", "True Normal"), True, turn=(0.2, 0.1, 0.4))
 _input("Geometry: tangent", "ShaderNodeNewGeometry", ("Tangent",), turn=(0.0, 0.0, 0.4))

@@ -37,8 +37,9 @@ class Feature:
     resolution: int = RESOLUTION
 
 
-# A node that is no function of exact coordinates alone is seen through a pixel filter 0.01 wide: so many samples see its middle
-SMOOTH = 1024
+# A node that is no function of exact coordinates alone is seen through a pixel filter 0.01 wide: so many samples see its middle.
+# Not more: Cycles adds samples in float32, which would show
+SMOOTH = 32
 
 _FEATURES: dict[str, Feature] = {}
 
