@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-import bpy
-
 from ...core.scene.description import Image
 from ...core.shading.nodes.builder import Value
 from ...core.sky import multiple_scattering, single_scattering
@@ -43,7 +41,7 @@ def sky(node: Node) -> Value:
     atmosphere = Atmosphere(elevation, settings.altitude, settings.air_density, aerosol, settings.ozone_density)
     size = max(settings.sun_size, SUN_SIZE_MIN)
     table = sky_table(model.sun_disc(atmosphere, size) if shines else None, elevation, azimuth, size, settings.sun_intensity, settings.altitude)
-    if shines and isinstance(node.graph.owner, bpy.types.World):
+    if shines and type(node.graph.owner).__name__ == "World":
         node.graph.collections.sun_width = max(node.graph.collections.sun_width, math.ceil(4.0 * math.pi / size))
     key = (settings.sky_type, atmosphere)
     picture = node.graph.collections.image(key, lambda: Image(f"sky of {node.node.name}", model.sky_picture(atmosphere)))
