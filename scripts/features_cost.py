@@ -78,6 +78,14 @@ def every_feature(features: Any) -> Any:
     return dataclasses.replace(features, **flags | more | same)
 
 
+def features_without_data(features: Any) -> Any:
+    """Those of `every_feature` whose kernels can render a scene that has none of them: the others read tables that are not there."""
+    import dataclasses
+
+    every = every_feature(features)
+    return dataclasses.replace(features, closures=every.closures, programs=every.programs, lights=every.lights)
+
+
 def compile_once(kind: str, device: str) -> dict[str, float]:
     """Seconds in which the kernels of one kind are compiled, in this process, from nothing."""
     from raybatch_addon.core.scene.features import derive_features
@@ -109,7 +117,7 @@ def render_times(device: str, samples: int, repeats: int) -> dict[str, Any]:
     try:
         for _ in range(repeats + 1):  # the first warms up
             for kind in found:
-                door.derive_features = derive if kind == "plain" else lambda *given: every_feature(derive(*given))
+                door.derive_features = derive if kind == "plain" else lambda *given: features_without_data(derive(*given))
                 films[kind] = session.render(scene, settings)
                 found[kind].append(films[kind].statistics["seconds"]["render"])
     finally:

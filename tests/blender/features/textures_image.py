@@ -126,6 +126,6 @@ def ies(graph: Graph):
     angles = " ".join(str(10 * i) for i in range(10))
     text.write(f"IESNA:LM-63-1995\nTILT=NONE\n1 1000 1.0 10 1 1 2 0 0 0\n1.0 1.0 100\n{angles}\n0\n{candelas}\n")
     vector = graph.vector_math("MULTIPLY_ADD", graph.point, (1.0, 1.0, 0.2), (0.0, 0.0, -1.0))
-    node = graph.node("ShaderNodeTexIES", {"Vector": vector, "Strength": 50.0}, mode="INTERNAL")
+    node = graph.node("ShaderNodeTexIES", {"Vector": vector, "Strength": 0.05}, mode="INTERNAL")
     node.ies = text
     return node.outputs[0]

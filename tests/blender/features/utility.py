@@ -97,11 +97,11 @@ SPACES = ("WORLD", "OBJECT", "CAMERA")
 
 
 @feature("Vector Transform", "Utility", "node",
-         variants=tuple((kind, a, b) for kind in ("POINT", "VECTOR", "NORMAL") for a in SPACES for b in SPACES if a != b))  # fmt: skip
+         variants=tuple((kind, a, b) for kind in ("POINT", "VECTOR", "NORMAL") for a in SPACES for b in SPACES if a != b), offset=128.0)  # fmt: skip
 def vector_transform(graph: Graph, variant: tuple):
     kind, source, target = variant
     graph.obj.rotation_euler = (0.2, 0.0, 0.0)
-    graph.obj.scale = (0.5, 0.5, 0.6)
+    graph.obj.scale = (0.35, 0.35, 0.4)  # within its own pixels
     return graph.value("ShaderNodeVectorTransform", {0: graph.unit}, vector_type=kind, convert_from=source, convert_to=target)
 
 

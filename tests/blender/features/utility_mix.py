@@ -12,7 +12,7 @@ def _pair(graph: Graph) -> tuple:
     return first, second
 
 
-@feature("Mix: colours", "Utility", "node", variants=operations("ShaderNodeMix", "blend_type"), quick=True)
+@feature("Mix: colours", "Utility", "node", variants=operations("ShaderNodeMix", "blend_type"), quick=True, offset=128.0)
 def mix_color(graph: Graph, blend: str):
     first, second = _pair(graph)
     inputs = {"A_Color": first, "B_Color": second, "Factor_Float": 0.7}
