@@ -182,7 +182,7 @@ def tangent_radial(graph: Graph, axis: str):
     return graph.value("ShaderNodeTangent", direction_type="RADIAL", axis=axis)
 
 
-@feature("Wireframe", "Inputs", "node", variants=((0.12, False), (2.5, True)))
+@feature("Wireframe", "Inputs", "node", variants=((0.12, False), (2.7, True)))
 def wireframe(graph: Graph, variant: tuple):
     hills(graph, smooth=False)
     return graph.value("ShaderNodeWireframe", {0: variant[0]}, use_pixel_size=variant[1])

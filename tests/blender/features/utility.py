@@ -1,5 +1,7 @@
 """Mathematics, converters and operations on vectors and colours, alone."""
 
+from math import pi as PI
+
 import bpy
 
 from .graph import Graph
@@ -100,8 +102,8 @@ SPACES = ("WORLD", "OBJECT", "CAMERA")
          variants=tuple((kind, a, b) for kind in ("POINT", "VECTOR", "NORMAL") for a in SPACES for b in SPACES if a != b), offset=128.0)  # fmt: skip
 def vector_transform(graph: Graph, variant: tuple):
     kind, source, target = variant
-    graph.obj.rotation_euler = (0.2, 0.0, 0.0)
-    graph.obj.scale = (0.35, 0.35, 0.4)  # within its own pixels
+    # a quarter of a turn: pixels' middles stay in the middle of the cells of `point`
+    graph.obj.rotation_euler, graph.obj.scale = (0.0, 0.0, PI / 2), (0.5, 0.5, 0.8)
     return graph.value("ShaderNodeVectorTransform", {0: graph.unit}, vector_type=kind, convert_from=source, convert_to=target)
 
 
