@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import bpy
 import numpy as np
 
-from .export.scene import COST_PASS_PROPERTIES, wanted_passes
+from .export.passes import COST_PASS_PROPERTIES, wanted_passes
 
 if TYPE_CHECKING:
     from .core.session import Tile  # brings in Warp, which registering the add-on should not wait for

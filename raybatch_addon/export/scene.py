@@ -10,16 +10,8 @@ import numpy as np
 from ..core.scene.description import Frame, Scene
 from .camera import export_camera
 from .instances import Cancelled, collect_placements
+from .passes import PASS_PROPERTIES, wanted_passes
 from .world import export_world
-
-# Passes that can be rendered, by the property of a view layer that asks for them
-PASS_PROPERTIES = {"use_pass_z": "Depth", "use_pass_position": "Position", "use_pass_normal": "Normal"}
-# Passes that show cost, by the property of a view layer's `raybatch`
-COST_PASS_PROPERTIES = {
-    "use_pass_rays": "Rays", "use_pass_node_steps": "Node Steps", "use_pass_triangle_tests": "Triangle Tests",
-    "use_pass_treelet_visits": "Treelet Visits", "use_pass_times_queued": "Times Queued",
-}  # fmt: skip
-
 
 def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool] | None = None) -> Scene | None:
     """What the active camera of the depsgraph's scene sees of its view layer.
@@ -73,13 +65,6 @@ def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Fra
         if border == (0, 0, width, height):
             border = None
     return Frame(width, height, border, bool(render.film_transparent), wanted_passes(view_layer))
-
-
-def wanted_passes(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
-    """Names of the passes that are rendered for `view_layer`."""
-    own = getattr(view_layer, "raybatch", None)  # not there while the add-on is not registered
-    passes = [name for prop, name in PASS_PROPERTIES.items() if getattr(view_layer, prop)]
-    return ("Combined", *passes, *(name for prop, name in COST_PASS_PROPERTIES.items() if getattr(own, prop, False)))
 
 
 def _world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bpy.types.World | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..export.scene import COST_PASS_PROPERTIES, PASS_PROPERTIES
+from ..export.passes import COST_PASS_PROPERTIES, PASS_PROPERTIES
 from .panel import EnginePanel
 
 _GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT"}

@@ -9,7 +9,7 @@ import bpy
 
 from ..core.errors import SettingsError
 from ..core.settings import RenderSettings
-from ..export.scene import wanted_passes
+from ..export.passes import wanted_passes
 from ..export.settings import settings_from
 from .choices import last_statistics
 

@@ -17,7 +17,7 @@ from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.export.scene import COST_PASS_PROPERTIES, PASS_PROPERTIES
+from raybatch_addon.export.passes import COST_PASS_PROPERTIES, PASS_PROPERTIES
 from raybatch_addon.export.settings import assign_setting, settings_from
 
 from .imported import import_geometry

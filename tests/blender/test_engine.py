@@ -16,7 +16,7 @@ from raybatch_addon import frame, reports, sessions  # noqa: E402
 from raybatch_addon.core.errors import SceneError  # noqa: E402
 from raybatch_addon.core.film import PASSES as film_passes  # noqa: E402
 from raybatch_addon.core.film.layout import COST_PASSES  # noqa: E402
-from raybatch_addon.export.scene import COST_PASS_PROPERTIES, PASS_PROPERTIES  # noqa: E402
+from raybatch_addon.export.passes import COST_PASS_PROPERTIES, PASS_PROPERTIES  # noqa: E402
 from raybatch_addon.result import PASSES as result_passes  # noqa: E402
 from raybatch_addon.result import ResultWriter, register_passes  # noqa: E402
 
