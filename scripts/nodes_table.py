@@ -15,6 +15,7 @@ sys.path.insert(0, str(ROOT))
 
 import bpy
 
+from marked_text import with_part
 from raybatch_addon.export import nodes  # noqa: F401  (registers handlers)
 from raybatch_addon.export.nodes.registry import Handled, shader_nodes, value_nodes
 
@@ -50,10 +51,7 @@ def tables() -> str:
 
 def updated(text: str) -> str:
     """The manual `text` with the tables as they are now; raises `ValueError` where a mark is missing."""
-    text, found = re.subn(re.escape(FIRST) + ".*?" + re.escape(LAST), lambda _: f"{FIRST}\n\n{tables()}\n\n{LAST}", text, flags=re.S)
-    if found != 1:
-        raise ValueError(f"{MANUAL} must hold the line {FIRST}, and the line {LAST} behind it, once")
-    return text
+    return with_part(text, FIRST, LAST, tables(), MANUAL)
 
 
 def main(arguments: list[str]) -> int:

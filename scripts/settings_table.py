@@ -6,13 +6,13 @@ exit code is 1 where the file is not up to date.
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
+from marked_text import with_part
 from raybatch_addon.core.presets import PRESETS, preset_settings
 from raybatch_addon.core.settings import BYTES, GROUPS, SETTINGS, SettingInfo
 
@@ -76,10 +76,7 @@ def presets_table() -> str:
 def updated(text: str) -> str:
     """The manual `text` with both parts as they are now; raises `ValueError` where a mark is missing."""
     for part, made in zip(PARTS, (settings_tables(), presets_table()), strict=True):
-        first, last = _marks(part)
-        text, found = re.subn(re.escape(first) + ".*?" + re.escape(last), lambda _, f=first, m=made, b=last: f"{f}\n\n{m}\n\n{b}", text, flags=re.S)
-        if found != 1:
-            raise ValueError(f"{MANUAL} must hold the line {first}, and the line {last} behind it, once")
+        text = with_part(text, *_marks(part), made, MANUAL)
     return text
 
 

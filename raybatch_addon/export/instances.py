@@ -13,6 +13,7 @@ from ..core.scene.description import Instances, Light, Mesh, Visibility
 from .attributes import mesh_attributes, object_value
 from .lights import export_light
 from .materials import MaterialTable
+from .mesh_shape import hashed
 from .meshes import export_mesh, slot_count
 from .nodes.collections import OF_INSTANCER
 
@@ -35,24 +36,7 @@ def _random_id(name: str) -> int:
     code = 0
     for byte in name.encode():
         code = (code * 37 + (byte if byte < 128 else byte - 256)) & 0xFFFFFFFF
-    return _hashed(code)
-
-
-def _hashed(key: int) -> int:
-    """Jenkins' lookup3 (2006), its last round, of two words: `key` and 0."""
-    a = b = c = (0xDEADBEEF + (2 << 2) + 13) & 0xFFFFFFFF
-    a = (a + key) & 0xFFFFFFFF
-
-    def turned(x: int, by: int) -> int:
-        return ((x << by) | (x >> (32 - by))) & 0xFFFFFFFF
-
-    c = ((c ^ b) - turned(b, 14)) & 0xFFFFFFFF
-    a = ((a ^ c) - turned(c, 11)) & 0xFFFFFFFF
-    b = ((b ^ a) - turned(a, 25)) & 0xFFFFFFFF
-    c = ((c ^ b) - turned(b, 16)) & 0xFFFFFFFF
-    a = ((a ^ c) - turned(c, 4)) & 0xFFFFFFFF
-    b = ((b ^ a) - turned(a, 14)) & 0xFFFFFFFF
-    return ((c ^ b) - turned(b, 24)) & 0xFFFFFFFF
+    return int(hashed(np.array([code], np.uint32), words=2)[0])
 
 
 class Cancelled(Exception):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from marked_text import with_part
 from stability.case import Case
 from stability.cases import Result
 
@@ -126,12 +126,10 @@ def cases_table(cases: Iterable[Case]) -> str:
 
 def with_table(text: str, cases: Iterable[Case]) -> str:
     """The manual `text` with the table as it is now; raises `RayBatchError` where a mark is missing."""
-    first, last = MARKS
-    made = cases_table(cases)
-    new, found = re.subn(re.escape(first) + ".*?" + re.escape(last), lambda _: f"{first}\n\n{made}\n\n{last}", text, flags=re.S)
-    if found != 1:
-        raise RayBatchError(f"the manual must hold the line {first}, and the line {last} behind it, once")
-    return new
+    try:
+        return with_part(text, *MARKS, cases_table(cases), "the manual")
+    except ValueError as error:
+        raise RayBatchError(str(error)) from None
 
 
 def manual(root: Path) -> Path:

@@ -7,8 +7,7 @@ import warp as wp
 
 from ..scene.description import ClosureKind
 from .albedo import (
-    AlbedoTables, coat_albedo, coat_fresnel, coat_fresnel_average, energy_compensation, glass_albedo, glass_compensation,
-    reflection_albedo,
+    AlbedoTables, coat_albedo, coat_fresnel, coat_fresnel_average, energy_compensation, glass_compensation, reflection_albedo,
 )  # fmt: skip
 from .facets import make_facets
 from .film import FILM_LEAST, film_on_conductor, film_on_dielectric, film_on_f82

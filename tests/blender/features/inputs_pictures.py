@@ -3,7 +3,7 @@
 import bpy
 from blender_builders import add_object
 
-from .build import ball, box, diffuse, floor, lamp, look, material_graph, studio
+from .build import ball, box, diffuse, floor, look, material_graph, studio
 from .compare import add_world
 from .graph import Graph
 from .registry import feature

@@ -3,7 +3,7 @@
 import warp as wp
 
 from .op import NodeData, op, put_vector, vector
-from .perlin import finite_vector_or_zero
+from .finite import finite_vector_or_zero
 from .point import ShadingPoint
 
 

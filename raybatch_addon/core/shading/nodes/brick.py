@@ -3,7 +3,8 @@
 import warp as wp
 
 from .op import NodeData, number, op, put_number, put_vector, vector, wanted
-from .perlin import finite_or_zero, finite_vector_or_zero, floor_to_int, sum_with_product
+from .finite import finite_or_zero, finite_vector_or_zero
+from .perlin import floor_to_int, sum_with_product
 from .point import ShadingPoint
 
 _LOW_31 = wp.constant(wp.uint32(0x7FFFFFFF))

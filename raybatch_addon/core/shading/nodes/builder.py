@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-import warp as wp
 
 from ...scene.program import Instruction, Program
 from ..materials import ClosureRecord

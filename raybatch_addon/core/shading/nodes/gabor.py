@@ -12,7 +12,7 @@ import warp as wp
 from .hashing import hash_3_to_1, hash_3_to_2, hash_4_to_1, hash_4_to_2, hash_4_to_3
 from .op import NodeData, number, op, put_number, vector
 from .point import ShadingPoint
-from .voronoi_cells import finite_or_zero
+from .finite import finite_or_zero
 
 _WAVELETS = 8  # of a cell
 _FREQUENCY_MIN = 1e-3

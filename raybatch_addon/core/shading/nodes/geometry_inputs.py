@@ -2,10 +2,11 @@
 
 import warp as wp
 
-from ...scene.geometry import transform_point, transform_vector, triangle_vertices
+from ...scene.geometry import transform_point, triangle_vertices
 from .coordinates import object_position
 from .op import NodeData, number, op, put_number, put_vector
 from .point import ShadingPoint, shifted_barycentric, shifted_position
+from .spaces import transposed_vector
 
 
 @wp.func
@@ -14,13 +15,7 @@ def object_normal(data: NodeData, point: ShadingPoint, normal: wp.vec3) -> wp.ve
     if point.instance < 0:
         return normal
     # normals go from the object to the world by the transposed inverse; backwards by the transpose of the map itself
-    m = data.inputs.to_world[point.instance]
-    turned = wp.vec3(
-        m[0, 0] * normal[0] + m[1, 0] * normal[1] + m[2, 0] * normal[2],
-        m[0, 1] * normal[0] + m[1, 1] * normal[1] + m[2, 1] * normal[2],
-        m[0, 2] * normal[0] + m[1, 2] * normal[1] + m[2, 2] * normal[2],
-    )
-    return wp.normalize(turned)
+    return wp.normalize(transposed_vector(data.inputs.to_world[point.instance], normal))
 
 
 @wp.func
@@ -28,13 +23,7 @@ def world_normal(data: NodeData, point: ShadingPoint, normal: wp.vec3) -> wp.vec
     """A normal of the object in world space, unit."""
     if point.instance < 0:
         return normal
-    m = data.inputs.to_object[point.instance]
-    turned = wp.vec3(
-        m[0, 0] * normal[0] + m[1, 0] * normal[1] + m[2, 0] * normal[2],
-        m[0, 1] * normal[0] + m[1, 1] * normal[1] + m[2, 1] * normal[2],
-        m[0, 2] * normal[0] + m[1, 2] * normal[1] + m[2, 2] * normal[2],
-    )
-    return wp.normalize(turned)
+    return wp.normalize(transposed_vector(data.inputs.to_object[point.instance], normal))
 
 
 @op("position", "i>V", foldable=False)

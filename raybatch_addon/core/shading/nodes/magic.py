@@ -3,7 +3,7 @@
 import warp as wp
 
 from .op import NodeData, number, op, put_number, put_vector, vector
-from .perlin import finite_or_zero
+from .finite import finite_or_zero
 from .point import ShadingPoint
 
 DEPTH_MAX = 10

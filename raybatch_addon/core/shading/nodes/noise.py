@@ -11,7 +11,8 @@ import warp as wp
 
 from .hashing import hash_1_to_1, hash_2_to_1
 from .op import NodeData, number, op, put_number, put_vector, vector, wanted
-from .perlin import finite_or_zero, signed_noise_1d, signed_noise_2d, signed_noise_3d, signed_noise_4d, sum_with_product
+from .finite import finite_or_zero
+from .perlin import signed_noise_1d, signed_noise_2d, signed_noise_3d, signed_noise_4d, sum_with_product
 from .point import ShadingPoint
 
 

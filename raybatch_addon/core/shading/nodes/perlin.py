@@ -11,6 +11,7 @@ last bit.
 
 import warp as wp
 
+from .finite import finite_or_zero
 from .hashing import hash_bits_1, hash_bits_2, hash_bits_3, hash_bits_4
 
 PERIOD = 100000.0
@@ -25,7 +26,6 @@ _SCALE_4 = wp.constant(0.8344)
 _PERIOD = wp.constant(PERIOD)
 _ONE_OVER_PERIOD = wp.constant(1.0e-5)
 _SHIFTED_FROM = wp.constant(SHIFTED_FROM)
-_LARGEST = wp.constant(3.4028234663852886e38)
 _BEYOND_INT = wp.constant(2.0**31)
 _LEAST_INT = wp.constant(-(2**31))
 
@@ -37,18 +37,6 @@ def floor_to_int(x: float) -> int:
     if below >= -_BEYOND_INT and below < _BEYOND_INT:
         return int(below)
     return _LEAST_INT
-
-
-@wp.func
-def finite_or_zero(x: float) -> float:
-    """`x`, or 0 for infinities and NaN."""
-    return wp.where(wp.abs(x) <= _LARGEST, x, 0.0)
-
-
-@wp.func
-def finite_vector_or_zero(v: wp.vec3) -> wp.vec3:
-    """`v` with 0 in place of infinities and NaN."""
-    return wp.vec3(finite_or_zero(v[0]), finite_or_zero(v[1]), finite_or_zero(v[2]))
 
 
 @wp.func

@@ -10,7 +10,7 @@ import warp as wp
 from ..textures import Extension, ImageTable, Interpolation, sample_image
 from .op import NodeData, op, put_vector, vector
 from .point import ShadingPoint
-from .voronoi_cells import finite_or_zero
+from .finite import finite_or_zero
 
 # Places in the table of a formula
 _PHI, _THETA, _RADIANCE, _SHAPE = 0, 1, 2, 5

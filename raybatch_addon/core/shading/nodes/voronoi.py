@@ -11,7 +11,8 @@ import warp as wp
 from .hashing import hash_1_to_1
 from .op import NodeData, number, op, put_number, put_vector, vector
 from .point import ShadingPoint
-from .voronoi_cells import FARTHEST, finite_or_zero, make_cells
+from .finite import finite_or_zero
+from .voronoi_cells import FARTHEST, make_cells
 
 FEATURES = ("f1", "f2", "smooth_f1", "distance_to_edge", "n_sphere_radius")
 DETAIL_MAX = 15.0  # octaves beyond the first

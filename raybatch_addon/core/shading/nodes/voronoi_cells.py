@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import warp as wp
 
+from .finite import finite_or_zero
 from .hashing import cell_to_vec2, cell_to_vec3, cell_to_vec4, hash_1_to_1, hash_1_to_3
 
 # Metrics, in the order of Blender's
@@ -36,12 +37,6 @@ class Cells(NamedTuple):
     dot: wp.Function  # (vector, vector) -> float
     measure: wp.Function  # (difference: vector, metric, exponent) -> float
     rank: wp.Function  # the same, but only the order of its values counts (cheaper)
-
-
-@wp.func
-def finite_or_zero(x: float) -> float:
-    """`x`, or 0 where it is infinite or not a number."""
-    return wp.where(wp.isfinite(x), x, 0.0)
 
 
 @wp.func

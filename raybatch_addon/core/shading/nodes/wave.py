@@ -6,7 +6,7 @@ import warp as wp
 
 from .noise import FractalKind, fractal_noise_3d, make_fractal
 from .op import NodeData, number, op, put_number, put_vector, vector
-from .perlin import finite_or_zero
+from .finite import finite_or_zero
 from .point import ShadingPoint
 
 
