@@ -43,6 +43,7 @@ VISIBILITY_SHIFT = 8
 BOUNCE_SHIFT = 13
 # In `Paths.passed`, passes by the shadow ray are counted above those of the extending ray; both go on from what the path passed before
 SHADOW_PASS = 1 << 16
+LIGHT_BOUNCE_SHIFT = 8
 # Places in lists: two lists, and blocks' counts of paths (`queues.py`)
 LIST_BYTES_PER_PATH = 2 * 4 + 1
 
@@ -72,7 +73,8 @@ class Paths:
     pdf: wp.array(dtype=float)  # solid-angle density of the extending ray; 0: specular or from the camera
     shadow_light: wp.array(dtype=wp.vec3)  # what the shadow ray adds to `radiance` if nothing is in its way
     # light of programs, which is multiplied in when the shadow ray is back
-    light_program: wp.array(dtype=int)  # WORLD_PROGRAM, SURFACE_PROGRAM; 0: `shadow_light` is all
+    # WORLD_PROGRAM, SURFACE_PROGRAM, and above LIGHT_BOUNCE_SHIFT scattering events between camera and light; 0: `shadow_light` is all
+    light_program: wp.array(dtype=int)
     light_instance: wp.array(dtype=int)
     light_primitive: wp.array(dtype=int)
     light_barycentric: wp.array(dtype=wp.vec2)

@@ -9,7 +9,7 @@ from ...kernel import KERNEL_OPTIONS
 from ...scene.program import ProgramFeatures
 from ...shading.light_shapes import SURFACE_PROGRAM, WORLD_PROGRAM
 from ..scene_data import SceneData
-from ..rays import Paths, Rays, Status, bounce_of
+from ..rays import LIGHT_BOUNCE_SHIFT, Paths, Rays, Status
 from .emitted import make_surface_emission, make_world_emission
 from .history import DEPTHS
 from .limits import PathLimits, clamped
@@ -71,13 +71,15 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
     @wp.func
     def arrived(data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, slot: int) -> wp.vec3:
         light = paths.shadow_light[path]
-        kind = paths.light_program[path]
-        if kind == 0:
+        word = paths.light_program[path]
+        if word == 0:
             return light
+        kind = word & wp.static((1 << LIGHT_BOUNCE_SHIFT) - 1)
+        bounce = word >> wp.static(LIGHT_BOUNCE_SHIFT)
         direction = rays.direction[slot]
         if wp.static(has_world):
             if kind == wp.static(WORLD_PROGRAM):
-                light = wp.cw_mul(light, world_emission(data, rays.origin[slot], direction, 0, bounce_of(paths.status[path])))
+                light = wp.cw_mul(light, world_emission(data, rays.origin[slot], direction, 0, bounce))
         if wp.static(has_surfaces):
             if kind == wp.static(SURFACE_PROGRAM):
                 history = int(0)
@@ -85,11 +87,11 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
                     history = paths.shadow_history[path] & wp.static(DEPTHS)
                 emitted = surface_emission(
                     data, paths.light_instance[path], paths.light_primitive[path], paths.light_barycentric[path], -direction, rays.t_max[slot],
-                    bounce_of(paths.status[path]), history,
+                    bounce, history,
                 )  # fmt: skip
                 light = wp.cw_mul(light, emitted)
         if wp.static(features.clamping):
-            light = clamped(limits, light, bounce_of(paths.status[path]) + 1)
+            light = clamped(limits, light, bounce)
         return light
 
     return arrived

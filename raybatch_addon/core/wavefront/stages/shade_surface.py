@@ -28,7 +28,7 @@ from ...shading.sampling import (
 from ...shading.materials import SURFACE_NORMAL, ClosureRecord
 from ...shading.surface import SurfacePoint, make_surface, spawn_origin
 from ..scene_data import SceneData
-from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
+from ..rays import BOUNCE_SHIFT, LIGHT_BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
 from .generate import TileWork, pixel_sample
 from .history import history_after
 from .limits import PathLimits, clamped, is_positive
@@ -197,6 +197,9 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if wp.static(features.light_programs):
             # the program says how bright the light is when the ray is back, if nothing hides it
             paths.light_program[path] = light.program
+            if light.program != 0:
+                # when the ray is back, the path's own count tells no more: it may have scattered, or passed straight on
+                paths.light_program[path] = light.program + ((bounce_of(paths.status[path]) + 1) << wp.static(LIGHT_BOUNCE_SHIFT))
             paths.light_instance[path] = light.instance
             paths.light_primitive[path] = light.primitive
             paths.light_barycentric[path] = light.barycentric
