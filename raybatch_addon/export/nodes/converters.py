@@ -43,13 +43,6 @@ def normal(node: Node) -> dict[str, Value]:
     return {"Normal": direction, "Dot": cosine}
 
 
-@values("ShaderNodeLightFalloff", family="Utilities")
-def light_falloff(node: Node) -> dict[str, Value]:
-    """Strengths that fall with distance in other ways than light does."""
-    quadratic, linear, constant = node.op("light_falloff", node.number("Strength"), node.number("Smooth"))
-    return {"Quadratic": quadratic, "Linear": linear, "Constant": constant}
-
-
 @values("ShaderNodeVectorTransform", family="Utilities")
 def vector_transform(node: Node) -> Value:
     """A vector in another space."""

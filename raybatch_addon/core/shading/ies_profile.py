@@ -1,0 +1,171 @@
+"""Photometric files (IES LM-63): how much light a lamp sends in every direction, as Cycles understands them.
+
+LM-63 knows three systems of angles. All of them become that of type C: a vertical angle of 0 is down, 180 degrees up; horizontal angles
+go once around. Files in the wild keep to the standard loosely, so what they leave out is mirrored or repeated wherever that can be told.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+# From candela to what lights of Blender mean by watts: 4 pi over the luminous efficacy of the illuminant D65 [lm/W]
+CANDELA = 0.0706650768394
+_ANGLES_MOST = 10_000  # of either kind
+_VALUES_MOST = 2**22
+_CLOSE = 1e-4  # [degrees]
+# strtod and strtol: white space, and then as much as there is of a number; both leave off where theirs ends
+_DECIMAL = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)")
+_INTEGER = re.compile(r"\s*([+-]?\d+)")
+
+
+class ProfileError(ValueError):
+    """Text that is no photometric file that can be used; the message says why."""
+
+
+class PhotometricType(IntEnum):
+    """How a file counts angles."""
+
+    C = 1
+    B = 2
+    A = 3
+
+
+@dataclass(frozen=True)
+class LightProfile:
+    """Intensities on a grid of angles, in the system of type C."""
+
+    horizontal: np.ndarray  # [rad], float32, shape [h], h >= 2
+    vertical: np.ndarray  # [rad], float32, shape [v]
+    intensity: np.ndarray  # [W], float32, shape [h, v]
+
+    @property
+    def table(self) -> np.ndarray:
+        """All of it in one row: horizontal angles, vertical angles, intensities by horizontal angle; float32."""
+        return np.concatenate([self.horizontal, self.vertical, self.intensity.ravel()])
+
+
+def parse_profile(text: str) -> LightProfile:
+    """What a photometric file says; raises `ProfileError`."""
+    reader = _Reader(text.replace(",", " "))
+    reader.whole()  # lamps
+    reader.real()  # lumens of each
+    factor = reader.real()
+    vertical_count, horizontal_count = reader.whole(), reader.whole()
+    kind = reader.whole()
+    if kind not in tuple(PhotometricType):
+        raise ProfileError(f"its photometric type is {kind}, which is none of 1 (C), 2 (B) and 3 (A)")
+    reader.whole()  # unit of the next three
+    for _ in range(3):  # size of the lamp
+        reader.real()
+    factor *= reader.real() * reader.real()  # of the ballast
+    reader.real()  # watts that it takes
+    if not (1 <= vertical_count <= _ANGLES_MOST and 1 <= horizontal_count <= _ANGLES_MOST):
+        raise ProfileError(f"it has {vertical_count} vertical and {horizontal_count} horizontal angles")
+    if vertical_count * horizontal_count > _VALUES_MOST:
+        raise ProfileError(f"it has more than {_VALUES_MOST:,} values")
+    vertical = np.array([reader.real() for _ in range(vertical_count)], np.float32)
+    horizontal = np.array([reader.real() for _ in range(horizontal_count)], np.float32)
+    candela = np.array([reader.real() for _ in range(vertical_count * horizontal_count)])
+    with np.errstate(over="ignore", invalid="ignore"):
+        intensity = (factor * CANDELA * candela).astype(np.float32).reshape(horizontal_count, vertical_count)
+    horizontal, vertical, intensity = _OF_TYPE[PhotometricType(kind)](horizontal, vertical, intensity)
+    to_radians = np.float32(np.pi) / np.float32(180)
+    profile = LightProfile(horizontal * to_radians, vertical * to_radians, intensity)
+    if not all(np.isfinite(part).all() for part in (profile.horizontal, profile.vertical, profile.intensity)):
+        raise ProfileError("it has numbers that are not finite")
+    return profile
+
+
+class _Reader:
+    """Numbers one after the other, from behind the block about tilt on."""
+
+    def __init__(self, text: str) -> None:
+        self._text = text
+        tilt = text.find("\nTILT=")
+        if tilt < 0:
+            raise ProfileError("it has no line that begins with TILT=")
+        if text.startswith("\nTILT=INCLUDE", tilt):
+            self._at = tilt + len("\nTILT=INCLUDE")
+            self.real()  # how the lamp is mounted
+            for _ in range(2 * min(max(self.whole(), 0), _ANGLES_MOST)):  # angles and their factors, which are left out
+                self.real()
+        else:
+            self._at = text.find("\n", tilt + 1)
+            if self._at < 0:
+                raise ProfileError("it ends at the line that begins with TILT=")
+
+    def real(self) -> float:
+        """The next number."""
+        return float(self._next(_DECIMAL))
+
+    def whole(self) -> int:
+        """The next integer; what follows its digits is left for the next number, as in C."""
+        return int(self._next(_INTEGER))
+
+    def _next(self, pattern: re.Pattern[str]) -> str:
+        found = pattern.match(self._text, self._at)
+        if found is None:
+            line = self._text.count("\n", 0, self._at) + 1
+            raise ProfileError(f"it has no number where one must be, in line {line}" if self._text[self._at :].strip() else "it is cut short")
+        self._at = found.end()
+        return found.group(1)
+
+
+def _close(angle: np.float32, other: float) -> bool:
+    return bool(abs(angle - np.float32(other)) < np.float32(_CLOSE))
+
+
+def _mirrored(angles: np.ndarray, about: float) -> np.ndarray:
+    """Angles from the last to the second, mirrored about half of `about`; what is to be joined to `angles`."""
+    return np.float32(about) - angles[:0:-1]
+
+
+def _from_type_c(horizontal: np.ndarray, vertical: np.ndarray, intensity: np.ndarray):
+    if _close(horizontal[0], 90):  # from 90 to 270 degrees
+        horizontal = horizontal - np.float32(90)
+    if len(horizontal) == 1:  # the same all around
+        return np.array([0, 360], np.float32), vertical, np.repeat(intensity, 2, 0)
+    for whole in (90, 180):  # a quarter, which is mirrored twice; and a half
+        if _close(horizontal[-1], whole):
+            horizontal = np.concatenate([horizontal, np.float32(2 * whole) - horizontal[-2::-1]])
+            intensity = np.concatenate([intensity, intensity[-2::-1]])
+    if _close(horizontal[0], 0) and not _close(horizontal[-1], 360):
+        gap = np.float32(360) - horizontal[-1]
+        if _close(horizontal[-1] - horizontal[-2], gap) or _close(horizontal[1] - horizontal[0], gap):  # the last is the first
+            horizontal = np.append(horizontal, np.float32(360))
+            intensity = np.concatenate([intensity, intensity[:1]])
+    return horizontal, vertical, intensity
+
+
+def _from_type_b(horizontal: np.ndarray, vertical: np.ndarray, intensity: np.ndarray):
+    # its pole lies across: Cycles takes one kind of angle for the other, and leaves it to the user to turn the lamp
+    horizontal, vertical, intensity = vertical, horizontal, intensity.T
+    right = np.float32(90)
+    if _close(horizontal[0], 0):
+        horizontal = np.concatenate([_mirrored(horizontal, 90), right + horizontal])
+        intensity = np.concatenate([intensity[:0:-1], intensity])
+    else:
+        horizontal = horizontal + right
+    if _close(vertical[0], 0):
+        vertical = np.concatenate([_mirrored(vertical, 90), right + vertical])
+        intensity = np.concatenate([intensity[:, :0:-1], intensity], 1)
+    else:
+        vertical = vertical + right
+    return horizontal, vertical, intensity
+
+
+def _from_type_a(horizontal: np.ndarray, vertical: np.ndarray, intensity: np.ndarray):
+    # -90 to 90 degrees are 270 to 90 of type C
+    straight = np.float32(180)
+    turned, values = straight - horizontal[::-1], intensity[::-1]
+    if _close(horizontal[0], 0):
+        turned = np.concatenate([turned, straight + horizontal[1:]])
+        values = np.concatenate([values, intensity[1:]])
+    return turned, vertical + np.float32(90), values
+
+
+_OF_TYPE = {PhotometricType.A: _from_type_a, PhotometricType.B: _from_type_b, PhotometricType.C: _from_type_c}
