@@ -9,9 +9,11 @@ import numpy as np
 
 from ..core.scene.description import Frame, Scene
 from .camera import export_camera
+from .drivers import failed_drivers
 from .instances import Cancelled, collect_placements
 from .passes import PASS_PROPERTIES, wanted_passes
 from .world import export_world
+
 
 def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool] | None = None) -> Scene | None:
     """What the active camera of the depsgraph's scene sees of its view layer.
@@ -30,7 +32,7 @@ def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool
     collections = placements.materials.collections
     world = export_world(_world(scene, depsgraph.view_layer), warnings, collections)
     instances = placements.instances()
-    warnings += placements.warnings + collections.warnings + _unsupported(scene, depsgraph.view_layer)
+    warnings += placements.warnings + collections.warnings + failed_drivers(depsgraph) + _unsupported(scene, depsgraph.view_layer)
     return Scene(
         camera=camera,
         frame=frame,

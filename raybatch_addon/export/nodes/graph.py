@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,16 +30,22 @@ def node_label(node) -> str:
     return f"node “{node.name}” ({node.bl_label})"
 
 
-def find_source(socket, groups: tuple[Any, ...] = ()) -> tuple[Source | None, Any]:
+def find_source(socket, groups: tuple[Any, ...] = (), note: Callable[[str], None] = lambda text: None) -> tuple[Source | None, Any]:
     """What feeds the input `socket`: (source, None), or (None, input socket) whose own value counts.
 
     `groups` are the group nodes around the socket. The input socket returned is `socket` itself, or that of
-    a group node around it; None where a muted node or an unfinished group passes nothing on.
+    a group node around it; None where a muted node or an unfinished group passes nothing on. `note` is told of
+    groups and links that are broken.
     """
+    start = socket.node
     through: list[str] = []
     for _ in range(_HOPS_MOST):
-        link = next((link for link in socket.links if link.is_valid and not link.is_muted), None)
+        links = [link for link in socket.links if not link.is_muted]
+        link = next((link for link in links if link.is_valid), None)
         if link is None:
+            if links:
+                what = f"the link to input “{socket.name}” of {node_label(socket.node)}"
+                note(f"{what} is invalid to Blender, as part of a circle or between unlike sockets: it is ignored")
             return None, socket
         node, output = link.from_node, link.from_socket
         if node.mute:
@@ -58,14 +65,20 @@ def find_source(socket, groups: tuple[Any, ...] = ()) -> tuple[Source | None, An
         elif node.bl_idname == "ShaderNodeGroup":
             inner = _group_output(node)
             if inner is None:
+                what = "has no node tree" if node.node_tree is None else "has no Group Output node"
+                note(f"{node_label(node)} {what}: nothing comes out of it")
                 return None, None
             socket = _by_identifier(inner.inputs, output.identifier)
             groups = (*groups, node)
-            if socket is None or len(groups) > _GROUPS_MOST:
+            if socket is None:
+                return None, None
+            if len(groups) > _GROUPS_MOST:
+                note(f"{node_label(groups[0])} holds groups within groups without end: nothing comes out of it")
                 return None, None
             through.append(socket.type)
         else:
             return Source(output, groups, tuple(reversed(through))), None
+    note(f"{node_label(start)} is linked to reroutes or muted nodes that go round in a circle: the link is ignored")
     return None, None
 
 

@@ -38,7 +38,7 @@ class Graph:
 
     def surface(self, socket, weight: Value = WHITE, groups: tuple[Any, ...] = ()) -> None:
         """Adds the closures that feed the shader input `socket`."""
-        source, _ = find_source(socket, groups)
+        source, _ = find_source(socket, groups, self.note)
         if source is None:
             return
         node = Node(self, source.node, source.groups)
@@ -273,7 +273,7 @@ class Node:
         socket = self.socket(key)
         if socket is None:
             return self.as_vector(default) if width == 3 else Value.of(default)
-        source, own = find_source(socket, self.groups)
+        source, own = find_source(socket, self.groups, self.graph.note)
         if source is None:
             value, kind = (Value.of(0.0), socket.type) if own is None else (own_value(own), own.type)
             through = ()
