@@ -25,7 +25,7 @@ def failed_drivers(depsgraph: bpy.types.Depsgraph) -> list[str]:
 def _failed(datablock: bpy.types.ID) -> Iterator[str]:
     """Paths of properties whose drivers fail, of the datablock and of the node tree that it owns."""
     for owner in (datablock, getattr(datablock, "node_tree", None)):
-        data = owner.animation_data if owner is not None else None
+        data = getattr(owner, "animation_data", None)  # collections and images, among others, have none
         for curve in data.drivers if data else ():
             # what is muted is not evaluated, and fails nobody
             if not curve.mute and not curve.driver.is_valid:
