@@ -6,7 +6,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import re
 import subprocess
 import sys
 import tempfile
@@ -131,7 +130,7 @@ def render_times(device: str, samples: int, repeats: int) -> dict[str, Any]:
 
 
 def functions_of(features: Any, device: str) -> dict[str, set[str]]:
-    """Names of the functions in the source of a render's modules, by module."""
+    """Functions that a render's modules hold, by module: places and names, as in `shading.nodes.mixing.mix`."""
     import warp as wp
     from raybatch_addon.core.device import find_device
     from raybatch_addon.core.wavefront.kernels import StageKernels
@@ -139,10 +138,14 @@ def functions_of(features: Any, device: str) -> dict[str, set[str]]:
     found = {}
     for kernel in StageKernels.choose(features).all():
         options = {**kernel.module.options, "block_dim": 1, "mode": "release"}
-        text = wp._src.context.ModuleBuilder(kernel.module, options).codegen("cuda" if find_device(device).is_cuda else "cpu")
-        names = re.findall(r"^static (?:CUDA_CALLABLE )?[\w:<>, ]+ (?!adj_)(\w+)\(", text, re.M)
-        found[kernel.key] = {re.sub(r"_\d+$", "", name.rsplit("__locals__", 1)[-1]) for name in names}
+        builder = wp._src.context.ModuleBuilder(kernel.module, options, target="cuda" if find_device(device).is_cuda else "cpu")
+        found[kernel.key] = {name_of(function) for function in builder.functions}
     return found
+
+
+def name_of(function: Any) -> str:
+    """`function`, of Warp, by its place in the core and name."""
+    return f"{function.func.__module__.removeprefix('raybatch_addon.core.')}.{function.func.__name__}"
 
 
 def functions_report(device: str) -> dict[str, Any]:
@@ -153,12 +156,11 @@ def functions_report(device: str) -> dict[str, Any]:
     features = derive_features(plain_scene(), RenderSettings())
     plain = set().union(*functions_of(features, device).values())
     every = set().union(*functions_of(every_feature(features), device).values())
-    ops = {op.function.key.rsplit("__locals__", 1)[-1] for op in _all_ops().values()}
-    shared = {"is_positive"}  # also of BSDFs
+    ops = {name_of(op.function) for op in _all_ops().values()}
     return {
         "functions": {"plain": len(plain), "all": len(every)},
         "only_with_features": sorted(every - plain),
-        "ops_in_plain": sorted((plain & ops) - shared),
+        "ops_in_plain": sorted(plain & ops),
     }
 
 

@@ -1,0 +1,19 @@
+"""A scene pays for nothing that it does not have: what its kernels hold, and what its statistics list as left out."""
+
+from features_cost import functions_of, plain_scene
+
+from raybatch_addon.core.scene.features import derive_features
+from raybatch_addon.core.settings import RenderSettings
+
+# Where the code of features lies that a matt ball under a sun has not
+NOT_NEEDED = ("shading.nodes.", "shading.facets", "shading.fresnel", "shading.albedo", "shading.textures", "shading.microfacet", "shading.film",
+              "shading.sheen", "shading.beckmann", "shading.ashikhmin_shirley", "shading.emitters", "wavefront.stages.emitted")  # fmt: skip
+LEFT_OUT = ("closure glass", "closure thin_film", "image textures", "sampling of the world", "shader programs", "smooth normals", "world program")
+
+
+def test_modules_of_a_plain_scene_hold_no_code_of_other_features():
+    features = derive_features(plain_scene(), RenderSettings())
+    held = set().union(*functions_of(features, "cpu").values())
+    assert "shading.camera.camera_ray" in held
+    assert [name for name in sorted(held) if name.startswith(NOT_NEEDED)] == []
+    assert set(LEFT_OUT) <= set(features.left_out())
