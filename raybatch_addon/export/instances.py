@@ -39,6 +39,12 @@ def _random_id(name: str) -> int:
     return int(hashed(np.array([code], np.uint32), words=2)[0])
 
 
+def _random(placed: bpy.types.DepsgraphObjectInstance) -> float:
+    """The random number of a placed object, 0..1."""
+    # Blender gives the 32 bits with a sign
+    return (placed.random_id & _RANDOM_MOST if placed.is_instance else _random_id(placed.object.name)) / _RANDOM_MOST
+
+
 class Cancelled(Exception):
     """The export was given up because its caller asked for it."""
 
@@ -107,6 +113,10 @@ class Placements:
         return values[usable]
 
 
+def _named(names: list[str]) -> str:
+    return ", ".join(f"“{name}”" for name in dict.fromkeys(names))
+
+
 def _place_of(placed: bpy.types.DepsgraphObjectInstance, name: str) -> tuple[float, ...]:
     """Where an instance is on the surface that places it: its generated coordinates as Cycles has them, or its `uv`."""
     if name == "uv":
@@ -149,6 +159,7 @@ class _Collector:
         self._attributes_seen: dict[Any, set[tuple[str, str]]] = {}  # by mesh
         self._object_index: dict[str, int] = {}
         self._unsupported: dict[str, list[str]] = {}
+        self._lacking: dict[str, list[str]] = {}  # objects by the attribute that they do not have, and their materials ask for
         self._visibilities: dict[int, int] = {}
 
     def add(self, placed: bpy.types.DepsgraphObjectInstance, cancelled: Callable[[], bool]) -> None:
@@ -182,15 +193,17 @@ class _Collector:
                     self.placements._of_instancer.append((instance, place, _place_of(placed, name)))
             self.placements._templates.append(template)
             self.placements._matrices.append([tuple(row) for row in placed.matrix_world])
-            number = placed.random_id if placed.is_instance else _random_id(obj.name)
-            self.placements._info.append((*obj.color, float(obj.pass_index), number / _RANDOM_MOST))
+            self.placements._info.append((*obj.color, float(obj.pass_index), _random(placed)))
 
     def finish(self) -> Placements:
         """All that was collected, with the warnings that needed the whole list."""
         placements = self.placements
         for what, names in self._unsupported.items():
-            named = ", ".join(f"“{name}”" for name in names)
-            placements.warnings.append(f"{what} not supported yet: {named}")
+            placements.warnings.append(f"{what} not supported yet: {_named(names)}")
+        for attribute, names in self._lacking.items():
+            placements.warnings.append(
+                f"there is no attribute “{attribute}” on objects whose materials ask for it, and it counts as 0: {_named(names)}"
+            )
         placements.warnings += placements.materials.warnings()
         return placements
 
@@ -248,7 +261,7 @@ class _Collector:
         for kind, name in asked:
             value = object_value(obj, parent, kind, name)
             if value is None:
-                self._note(f"attribute “{name}” of objects is asked for by a material and is 0, because it is not", obj.name)
+                self._lacking.setdefault(name, []).append(obj.name)
             else:
                 values.append((self.placements.materials.collections.object_attribute(kind, name), value))
         return tuple(values)

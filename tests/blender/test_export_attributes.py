@@ -35,7 +35,8 @@ def test_domains(domain, shape):
 def test_a_missing_attribute_is_named():
     warnings: list[str] = []
     assert not mesh_attributes(square_mesh(), [("GEOMETRY", "none"), ("TANGENT", "map")], "Object", warnings)
-    assert len(warnings) == 2 and "“none”" in warnings[0] and "“map”" in warnings[1] and all("“Object”" in text for text in warnings)
+    assert len(warnings) == 2 and "“none”" in warnings[0] and "“map”" in warnings[1]
+    assert all("“Object”" in text for text in warnings)
 
 
 def test_values_that_are_no_numbers_become_0_and_are_told():
@@ -48,8 +49,8 @@ def test_values_that_are_no_numbers_become_0_and_are_told():
 
 
 @pytest.mark.parametrize("name, expected", [
-    ("number", (0.5, 0.5, 0.5, 1)), ("pair", (3, 4, 0, 1)), ("pass_index", (2, 2, 2, 1)), ("location", (1, 2, 3, 1)), ("none", None), ("", None),
-    ("location.x", None), ("location[1]", None), ("name", None), ('["number"]', (0.5, 0.5, 0.5, 1)),
+    ("number", (0.5, 0.5, 0.5, 1)), ("pair", (3, 4, 0, 1)), ("pass_index", (2, 2, 2, 1)), ("location", (1, 2, 3, 1)), ("none", None),
+    ("", None), ("location.x", None), ("location[1]", None), ("name", None), ('["number"]', (0.5, 0.5, 0.5, 1)),
 ])  # fmt: skip
 def test_properties_of_objects(name, expected):
     obj = bpy.data.objects.new("Object", None)
@@ -155,7 +156,9 @@ def test_objects_have_their_properties_and_those_of_what_places_them():
     del obj["tint"]
     obj.update_tag()
     scene = exported()
-    assert not scene.instances.attributes.any() and any("“tint”" in text and "“One”" in text for text in scene.warnings)
+    assert not scene.instances.attributes.any()
+    (text,) = scene.warnings
+    assert "“tint”" in text and "“One”" in text and "not supported" not in text
 
 
 @pytest.mark.usefixtures("scene")
@@ -169,3 +172,23 @@ def test_instances_know_where_they_are_on_what_places_them():
     asks(child, "ShaderNodeUVMap", from_instancer=True)
     values = exported().instances.attributes
     assert sorted(values[values.any(axis=(1, 2)), 0, :2].tolist()) == [[0.25, 0.5], [0.75, 0.125]]
+
+
+@pytest.mark.usefixtures("scene")
+def test_instances_have_random_numbers_of_their_own(scene):
+    """Blender's are 32 bits, which it gives with a sign."""
+    child = add_triangle("Child")
+    parts = bpy.data.collections.new("Parts")
+    scene.collection.objects.unlink(child)
+    parts.objects.link(child)
+    for i in range(8):
+        copy = add_object(f"Copy {i}", None)
+        copy.instance_type, copy.instance_collection = "COLLECTION", parts
+    tree, surface = node_tree(material_of(child, "Asks"))
+    emission, info = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeObjectInfo")
+    tree.links.new(info.outputs["Random"], emission.inputs["Strength"])
+    tree.links.new(emission.outputs[0], surface)
+    numbers = exported().instances.info[:, 5]
+    assert len(set(numbers.tolist())) == 8 and (numbers >= 0).all() and (numbers <= 1).all()
+    signed = [placed.random_id for placed in bpy.context.evaluated_depsgraph_get().object_instances if placed.is_instance]
+    assert min(signed) < 0 and sorted(numbers.tolist()) == pytest.approx(sorted(number % 2**32 / (2**32 - 1) for number in signed))

@@ -49,14 +49,16 @@ def bump_shadow(n: wp.vec3, frame: ShadingFrame, wi: wp.vec3) -> float:
     Without it light ends abruptly where the surface turns away (Conty Estevez, Lecocq and Stein, "A Microfacet-Based Shadowing
     Function to Solve the Bump Terminator Problem", 2019).
     """
-    cos_d = wp.abs(wp.dot(frame.normal, n))
+    cos_d = wp.dot(frame.normal, n)
     cos_i = wp.dot(frame.normal, wi)
-    if cos_d >= 1.0:
+    if cos_d * cos_i * wp.dot(n, wi) < 0.0:
+        return 0.0  # reflected for one of the normals, but not for the other: light would leak through the surface
+    cos_d = wp.abs(cos_d)
+    cos_i = wp.abs(cos_i)
+    if cos_d >= 1.0 or cos_i >= 1.0:
         return 1.0
-    if cos_i <= 0.0:
+    if cos_i == 0.0:
         return 0.0
-    if cos_i >= 1.0:
-        return 1.0
     alpha2 = wp.min(0.125 * (1.0 / wp.max(cos_d * cos_d, 1.0e-20) - 1.0), 1.0)
     return 2.0 * cos_i / (cos_i + wp.sqrt(cos_i * cos_i + alpha2 * (1.0 - cos_i * cos_i)))
 

@@ -1,4 +1,4 @@
-"""Normals bent until what they mirror is above the triangle."""
+"""Normals bent until what they mirror is above the triangle, and light that must not leak through surfaces whose normals are bent."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import warp as wp
 
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.shading.materials import ShadingFrame
-from raybatch_addon.core.shading.normals import facet_normal
+from raybatch_addon.core.shading.normals import bump_shadow, facet_normal
 from under_test import DEVICE
 
 
@@ -50,3 +50,21 @@ def test_grazing_directions_and_the_triangles_own_normal(z):
     wo = np.array([[np.sqrt(1 - z * z), 0, z]])
     assert bent(np.array([[0.0, 0, 1]]), wo) == pytest.approx(np.array([[0, 0, 1]]))
     assert np.isfinite(bent(np.array([[-1.0, 0, 0]]), wo)).all()
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def shadow_probe(normals: wp.array(dtype=wp.vec3), wi: wp.array(dtype=wp.vec3), out: wp.array(dtype=float)):
+    i = wp.tid()
+    frame = ShadingFrame()
+    frame.normal = wp.vec3(0.0, 0.0, 1.0)
+    out[i] = bump_shadow(normals[i], frame, wi[i])
+
+
+def test_light_on_one_side_of_either_normal_alone_does_not_count():
+    rows = np.random.default_rng(3).normal(size=(2, 20_000, 3))
+    n, wi = rows / np.linalg.norm(rows, axis=2, keepdims=True)
+    out = wp.zeros(len(n), dtype=float, device=DEVICE)
+    inputs = [wp.array(each, dtype=wp.vec3, device=DEVICE) for each in (n, wi)]
+    wp.launch(shadow_probe, len(n), [*inputs, out], device=DEVICE)
+    left, leaks = out.numpy(), n[:, 2] * wi[:, 2] * (n * wi).sum(1) < 0
+    assert not left[leaks].any() and (left[~leaks] > 0).all() and (left <= 1).all()
