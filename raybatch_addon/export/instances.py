@@ -45,6 +45,12 @@ def _random(placed: bpy.types.DepsgraphObjectInstance) -> float:
     return (placed.random_id & _RANDOM_MOST if placed.is_instance else _random_id(placed.object.name)) / _RANDOM_MOST
 
 
+def _random(placed: bpy.types.DepsgraphObjectInstance) -> float:
+    """The random number of a placed object, 0..1."""
+    # Blender gives the 32 bits with a sign
+    return (placed.random_id & _RANDOM_MOST if placed.is_instance else _random_id(placed.object.name)) / _RANDOM_MOST
+
+
 class Cancelled(Exception):
     """The export was given up because its caller asked for it."""
 
@@ -208,7 +214,7 @@ class _Collector:
         return placements
 
     def _add_light(self, placed, obj) -> None:
-        light = export_light(obj, placed.matrix_world.copy(), self.placements.warnings)
+        light = export_light(obj, placed.matrix_world.copy(), self.placements.warnings, self.placements.materials.collections, _random(placed))
         if light is not None:
             self.placements.lights.append(light)
 

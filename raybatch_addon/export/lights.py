@@ -11,7 +11,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..core.scene.description import ClosureKind, Light, LightKind, Visibility
+from ..core.scene.description import ClosureKind, Light, LightKind, Program, Visibility
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph
 from .world import has_nodes, usable_emission
@@ -22,10 +22,13 @@ _MAX_BOUNCES = 1024  # Cycles' default: no limit
 _SHEAR_MIN = 1e-4
 
 
-def export_light(obj: bpy.types.Object, matrix_world, warnings: list[str]) -> Light | None:
+def export_light(
+    obj: bpy.types.Object, matrix_world, warnings: list[str], collections: Collections | None = None, random: float = 0.0
+) -> Light | None:
     """The light object `obj`, evaluated, placed by `matrix_world` (4 x 4).
 
-    Returns None, with a line in `warnings`, for a light that cannot be rendered.
+    `collections` gets the images that its nodes refer to; `random` is the object's random number, 0..1. Returns None, with a line in
+    `warnings`, for a light that cannot be rendered.
     """
     light = obj.data
     name = f"light “{obj.name}”"
@@ -42,7 +45,11 @@ def export_light(obj: bpy.types.Object, matrix_world, warnings: list[str]) -> Li
     if values is None:
         warnings.append(f"{name}: its area is zero, so it gives no light; it is left out. Give it a size and a scale that are not 0")
         return None
-    strength = usable_emission(_strength(light, name, warnings) * emission, name, warnings)
+    factor, program = _nodes(light, name, warnings, collections or Collections())
+    strength = usable_emission(_strength(light) * factor * emission, name, warnings)
+    if program is not None:
+        matrix = np.array(matrix_world, np.float32)[:3]
+        values |= dict(program=program, object_transform=matrix, info=(*obj.color, float(obj.pass_index), random))
     return Light(
         name=obj.name,
         transform=transform,
@@ -62,28 +69,26 @@ def object_visibility(obj: bpy.types.Object) -> int:
     return int(seen)
 
 
-def _strength(light: bpy.types.Light, name: str, warnings: list[str]) -> np.ndarray:
-    """Power or strength by colour, nodes included [W, or W/m² of a sun]."""
+def _strength(light: bpy.types.Light) -> np.ndarray:
+    """Power or strength by colour, without nodes [W, or W/m² of a sun]."""
     strength = np.array(light.color[:3], float) * light.energy * 2.0 ** getattr(light, "exposure", 0.0)
     if getattr(light, "use_temperature", False):
         strength = strength * np.array(light.temperature_color[:3], float)
-    if has_nodes(light):
-        strength = strength * _node_emission(light, name, warnings)
     return strength
 
 
-def _node_emission(light: bpy.types.Light, name: str, warnings: list[str]) -> np.ndarray:
-    """What the light's nodes make of its strength, linear RGB."""
+def _nodes(light: bpy.types.Light, name: str, warnings: list[str], collections: Collections) -> tuple[np.ndarray, Program | None]:
+    """What the light's nodes multiply its strength by: the same everywhere, linear RGB; or a program as well."""
+    if not has_nodes(light):
+        return np.ones(3), None
     output = light.node_tree.get_output_node("CYCLES") or light.node_tree.get_output_node("ALL")
     if output is None:
-        return np.zeros(3)
-    compiled = compile_graph(output.inputs["Surface"], light, Collections())
+        return np.zeros(3), None
+    compiled = compile_graph(output.inputs["Surface"], light, collections)
     warnings += [f"{name}: {note}" for note in compiled.notes]
     if compiled.program is not None:
-        varying = ", ".join(compiled.varying)
-        warnings.append(f"{name}: {varying}: light that is not the same everywhere is not supported yet; it shines as if it had no nodes")
-        return np.ones(3)
-    return sum((np.array(c.weight) for c in compiled.closures if c.kind == ClosureKind.EMISSION), np.zeros(3))
+        return np.ones(3), compiled.program
+    return sum((np.array(c.weight) for c in compiled.closures if c.kind == ClosureKind.EMISSION), np.zeros(3)), None
 
 
 def _shape(light: bpy.types.Light, scale: np.ndarray) -> tuple[float, dict | None]:

@@ -15,18 +15,20 @@ from raybatch_addon.core.kernel import KERNEL_OPTIONS  # noqa: E402
 from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, LightKind, Scene, Visibility  # noqa: E402
 from raybatch_addon.core.scene.geometry import Geometry  # noqa: E402
 from raybatch_addon.core.shading.light_table import LightTable, upload_lights  # noqa: E402
+from raybatch_addon.core.shading.light_hits import LightHitFeatures, make_light_hits  # noqa: E402
 from raybatch_addon.core.shading.lights import LightFeatures, make_lights  # noqa: E402
+from raybatch_addon.core.shading.nodes.op import NodeData  # noqa: E402
 from raybatch_addon.export.lights import export_light  # noqa: E402
 from raybatch_addon.export.world import export_world  # noqa: E402
 
 COUNT = 2**15
-FEATURES = LightFeatures(lights=tuple(LightKind), light_sphere=True, light_hits=True)
+FEATURES = LightFeatures(lights=tuple(LightKind), light_sphere=True)
 
 
 @functools.cache
 def probe_kernel():
-    lights = make_lights(FEATURES)
-    sample, intersect, miss = lights.sample, lights.intersect, lights.miss
+    sample = make_lights(FEATURES).sample
+    intersect, miss = make_light_hits(LightHitFeatures(FEATURES.lights, FEATURES.light_sphere, light_hits=True))
 
     @wp.kernel(**KERNEL_OPTIONS)
     def probe(table: LightTable, geometry: Geometry, point: wp.vec3, up: wp.vec3, light: wp.array(dtype=wp.vec3)):
@@ -37,9 +39,9 @@ def probe_kernel():
             light[i] = s.radiance * (wp.max(wp.dot(s.direction, up), 0.0) / s.pdf)
 
     @wp.kernel(**KERNEL_OPTIONS)
-    def look(table: LightTable, origin: wp.vec3, direction: wp.vec3, visibility: int, light: wp.array(dtype=wp.vec3)):
-        seen = intersect(table, origin, direction, 0.0, 1e30, visibility, 0.0)
-        light[0] = seen + miss(table, direction, visibility, 0.0)
+    def look(table: LightTable, nodes: NodeData, origin: wp.vec3, direction: wp.vec3, visibility: int, light: wp.array(dtype=wp.vec3)):
+        seen = intersect(table, nodes, origin, direction, 0.0, 1e30, visibility, 0.0, 0)
+        light[0] = seen + miss(table, nodes, direction, visibility, 0.0, 0)
 
     return probe, look
 
@@ -61,7 +63,7 @@ def irradiance(light, point, up):
 def seen_radiance(light, origin, direction):
     uploaded = table_of(light)
     out = wp.zeros(1, dtype=wp.vec3, device="cpu")
-    inputs = [uploaded.table, wp.vec3(*origin), wp.vec3(*direction), int(Visibility.CAMERA)]
+    inputs = [uploaded.table, NodeData(), wp.vec3(*origin), wp.vec3(*direction), int(Visibility.CAMERA)]
     wp.launch(probe_kernel()[1], 1, inputs, [out], device="cpu", block_dim=1)
     return out.numpy()[0].astype(float)
 
@@ -220,8 +222,9 @@ def test_strength_and_nodes(scene):
     falloff = tree.nodes.new("ShaderNodeLightFalloff")
     tree.links.new(falloff.outputs[0], node.inputs["Strength"])
     warnings = []
-    np.testing.assert_allclose(export(lamp, warnings).emission, (1, 0.5, 0.25), rtol=1e-6)
-    assert len(warnings) == 1 and "Lamp" in warnings[0] and "Light Falloff" in warnings[0]
+    light = export(lamp, warnings)
+    np.testing.assert_allclose(light.emission, (1, 0.5, 0.25), rtol=1e-6)
+    assert not warnings and {step.op for step in light.program.instructions} >= {"light_falloff", "emission"}
     tree.links.clear()
     assert export(lamp).emission == (0, 0, 0)
 

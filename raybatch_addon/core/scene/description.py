@@ -192,6 +192,12 @@ class Light:
     spread: float = np.pi  # RECTANGLE, ELLIPSE: full angle into which light leaves [rad]
     visibility: int = int(Visibility.ALL)  # kinds of rays that meet the light itself
     casts_shadow: bool = True
+    # multiplies `emission` by the sum of its emission closures, in every direction and at every point of the light's shape; None: by 1
+    program: Program | None = None
+    # what the program may ask of the light's object: its map to the world with all scale and shear, float32, shape [3, 4] (None:
+    # `transform`), and a row as of `Instances.info`
+    object_transform: np.ndarray | None = None
+    info: tuple[float, ...] | None = None
 
 
 class ImageEncoding(IntEnum):

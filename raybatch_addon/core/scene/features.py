@@ -27,6 +27,7 @@ class SceneFeatures:
     closures: tuple[ClosureKind, ...] = ()  # sorted
     programs: ProgramFeatures = ProgramFeatures()  # of materials: what their shader graphs need
     world_program: ProgramFeatures = ProgramFeatures()
+    lamp_program: ProgramFeatures = ProgramFeatures()  # of lights without mesh
     lights: tuple[LightKind, ...] = ()  # sorted
     light_sphere: bool = False  # a point or spot light shaped as a sphere
     light_hits: bool = False  # a light without mesh that rays can meet
@@ -60,7 +61,12 @@ class SceneFeatures:
     @property
     def light_programs(self) -> bool:
         """Light that is aimed at may come from programs."""
-        return self.shadow_rays and (self.mesh_programs or self.world_light)
+        return self.shadow_rays and (self.mesh_programs or self.world_light or bool(self.lamp_program))
+
+    @property
+    def all_ops(self) -> tuple[str, ...]:
+        """Names of the ops of all programs."""
+        return self.programs.ops + self.world_program.ops + self.lamp_program.ops
 
     @property
     def path_history(self) -> bool:
@@ -75,7 +81,8 @@ class SceneFeatures:
         names |= {
             "shader programs": bool(self.programs),
             "world program": bool(self.world_program),
-            "image textures": any(name.startswith(("image", "environment")) for name in (*self.programs.ops, *self.world_program.ops)),
+            "programs of lights": bool(self.lamp_program),
+            "image textures": any(name.startswith(("image", "environment")) for name in self.all_ops),
             "sampling of the world": self.world_light,
             "emission by programs": self.mesh_programs,
             "shadow rays": self.shadow_rays,
@@ -107,6 +114,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         closures=tuple(sorted(kinds)),
         programs=_material_programs(scene) if surfaces else ProgramFeatures(),
         world_program=program_features([scene.world.program]),
+        lamp_program=program_features([light.program for light in scene.lights]),
         lights=tuple(sorted({light.kind for light in scene.lights})),
         light_sphere=any(l.kind in (LightKind.POINT, LightKind.SPOT) and not l.soft_falloff and l.radius > 0 for l in scene.lights),
         light_hits=any(_can_be_met(light) for light in scene.lights),

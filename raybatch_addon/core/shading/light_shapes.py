@@ -4,25 +4,19 @@ Densities are per solid angle at the shaded point, given that this light is aske
 same density, so that the two combine by multiple importance sampling. What lies outside the light's reach has density 0.
 
 Facts of Blender's lights (as Cycles renders them): a point or spot light is a sphere, or with soft falloff a disk that
-faces the shaded point; a spot's cone depends on the direction of the light that leaves, and is ignored inside a sphere;
-area lights shine from one side.
+faces the shaded point; a spot's cone depends on the direction of the light that leaves, and is ignored inside a sphere.
+Area lights are in `area_shapes.py`.
 """
 
-import numpy as np
 import warp as wp
 
 from .light_table import LightRecord
 from .sampling import bitangent_of, cone_pdf, sample_cone, sample_disk, sample_sphere, tangent_of, to_world
 
-
-# The solid angle of a rectangle is a sum of four angles of up to pi, less 2 pi: about eight roundings of pi. Where that
-# is more than a thousandth of it, uniform points on the rectangle serve as well: it is small and seen as a whole
-_SOLID_ANGLE_MIN = wp.constant(8.0 * np.pi * float(np.finfo(np.float32).eps) * 1000.0)
-
-
 # Where the radiance of a sampled light comes from
 WORLD_PROGRAM = 1
 SURFACE_PROGRAM = 2
+LAMP_PROGRAM = 3
 
 
 @wp.struct
@@ -37,10 +31,10 @@ class LightSample:
     delta: int  # 1: rays that a BSDF scatters never meet it
     casts_shadow: int  # 0: it shines through everything
     visibility: int  # `Visibility` bits: kinds of scattering that it lights
-    instance: int  # of a mesh light, else -1
+    instance: int  # of a mesh light; of a light without mesh whose program gives its radiance that light; else -1
     primitive: int  # of a mesh light, else -1
     barycentric: wp.vec2  # of the point on a mesh light
-    program: int  # `radiance` is a factor of what a program gives: WORLD_PROGRAM, SURFACE_PROGRAM; else 0
+    program: int  # `radiance` is a factor of what a program gives: WORLD_PROGRAM, SURFACE_PROGRAM, LAMP_PROGRAM; else 0
 
 
 @wp.func
@@ -54,6 +48,17 @@ def spot_attenuation(light: LightRecord, direction: wp.vec3) -> float:
         return wp.where(inside > 0.0, 1.0, 0.0)
     t = wp.clamp(inside * light.inverse_blend, 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
+
+
+@wp.func
+def spot_factor(light: LightRecord, position: wp.vec3, direction: wp.vec3) -> float:
+    """Share of a SPOT's light that comes to `position` from `direction`."""
+    # inside a sphere there is no cone
+    if light.sphere != 0:
+        offset = light.position - position
+        if wp.dot(offset, offset) <= light.radius * light.radius:
+            return 1.0
+    return spot_attenuation(light, direction)
 
 
 # --- spheres ----------------------------------------------------------------------------------------
@@ -184,214 +189,4 @@ def meet_sun(light: LightRecord, direction: wp.vec3) -> LightSample:
     if wp.dot(chord, chord) <= 2.0 * light.one_minus_cos:
         s.distance = wp.inf
         s.pdf = cone_pdf(light.one_minus_cos)
-    return s
-
-
-# --- rectangles and ellipses ------------------------------------------------------------------------
-
-
-@wp.struct
-class AreaTarget:
-    """The part of a rectangle or ellipse that is sampled, seen from the shaded point.
-
-    Coordinates along the light's axes [m]; the shaded point is at (0, 0), the light in the plane `height` away.
-    """
-
-    height: float  # <= 0: the light's back, or nothing of it reaches the point
-    x0: float
-    x1: float
-    y0: float
-    y1: float
-    ellipse: int  # 1: uniform points of the ellipse within these bounds, else of the rectangle
-
-
-@wp.func
-def rectangle_area(target: AreaTarget) -> float:
-    """Area of the bounds [m²]."""
-    return (target.x1 - target.x0) * (target.y1 - target.y0)
-
-
-@wp.func
-def rectangle_corner_angle(x: float, y: float, height: float, sign: float) -> float:
-    """Angle between the two planes through the shaded point and the edges that meet in corner (x, y)."""
-    return wp.atan2(height * wp.sqrt(x * x + y * y + height * height), sign * x * y)
-
-
-@wp.func
-def rectangle_solid_angle(target: AreaTarget) -> float:
-    """Solid angle of the bounds [sr]: the excess of their corner angles."""
-    h = target.height
-    lower = rectangle_corner_angle(target.x1, target.y0, h, 1.0) + rectangle_corner_angle(target.x0, target.y0, h, -1.0)
-    upper = rectangle_corner_angle(target.x1, target.y1, h, -1.0) + rectangle_corner_angle(target.x0, target.y1, h, 1.0)
-    return lower + upper - wp.TAU
-
-
-@wp.func
-def sample_spherical_rectangle(target: AreaTarget, solid_angle: float, u: wp.vec2) -> wp.vec2:
-    """A point of the bounds, uniform in solid angle (Urena, Fajardo and King 2013, "An Area-Preserving Parametrization
-    for Spherical Rectangles", section 4), with the second inversion written so that it does not cancel."""
-    h = target.height
-    x0 = target.x0
-    y0 = target.y0
-    y1 = target.y1
-    b0 = -y0 / wp.sqrt(h * h + y0 * y0)
-    b1 = y1 / wp.sqrt(h * h + y1 * y1)
-    # the angles of the two corners at x0 turn to the part of the solid angle left of x
-    angle = u[0] * solid_angle + wp.TAU
-    angle = angle - rectangle_corner_angle(x0, y1, h, 1.0) - rectangle_corner_angle(x0, y0, h, -1.0)
-    f = (wp.cos(angle) * b0 - b1) / wp.sin(angle)
-    # x / h = c / sqrt(1 - c^2) with c = sign(f) / sqrt(f^2 + b0^2)
-    below = f * f - h * h / (h * h + y0 * y0)
-    x = x0
-    if below > 0.0:
-        x = wp.where(f > 0.0, h, -h) / wp.sqrt(below)
-    else:
-        x = wp.where(f > 0.0, target.x1, x0)
-    x = wp.clamp(x, x0, target.x1)
-
-    # y / d is the tangent of an angle whose sine is uniform between those of y0 and y1
-    d_squared = x * x + h * h
-    r0 = wp.sqrt(d_squared + y0 * y0)
-    r1 = wp.sqrt(d_squared + y1 * y1)
-    sine = wp.lerp(y0 / r0, y1 / r1, u[1])
-    above0 = wp.where(y0 > 0.0, d_squared / (r0 * (r0 + y0)), 1.0 - y0 / r0)
-    above1 = wp.where(y1 > 0.0, d_squared / (r1 * (r1 + y1)), 1.0 - y1 / r1)
-    below0 = wp.where(y0 < 0.0, d_squared / (r0 * (r0 - y0)), 1.0 + y0 / r0)
-    below1 = wp.where(y1 < 0.0, d_squared / (r1 * (r1 - y1)), 1.0 + y1 / r1)
-    cosine_squared = wp.lerp(above0, above1, u[1]) * wp.lerp(below0, below1, u[1])
-    y = sine * wp.sqrt(d_squared / cosine_squared)
-    return wp.vec2(x, wp.clamp(y, y0, y1))
-
-
-@wp.func
-def area_target(light: LightRecord, position: wp.vec3, ellipse: int) -> AreaTarget:
-    """What to sample of a RECTANGLE or ELLIPSE: with a spread, no more than the bounds of the circle that reaches the point."""
-    offset = position - light.position
-    x = wp.dot(offset, light.axis_x)
-    y = wp.dot(offset, light.axis_y)
-    target = AreaTarget()
-    target.height = wp.dot(offset, light.axis)
-    target.x0 = -light.half_x - x
-    target.x1 = light.half_x - x
-    target.y0 = -light.half_y - y
-    target.y1 = light.half_y - y
-    target.ellipse = ellipse
-    if light.spread_scale > 0.0 and target.height > 0.0:
-        reach = target.height * light.tan_half_spread
-        part = AreaTarget()
-        part.height = target.height
-        part.x0 = wp.max(target.x0, -reach)
-        part.x1 = wp.min(target.x1, reach)
-        part.y0 = wp.max(target.y0, -reach)
-        part.y1 = wp.min(target.y1, reach)
-        if part.x0 >= part.x1 or part.y0 >= part.y1:
-            target.height = 0.0
-        elif ellipse == 0 or rectangle_area(part) < 0.25 * wp.PI * rectangle_area(target):
-            return part
-    return target
-
-
-@wp.func
-def area_target_pdf(target: AreaTarget, solid_angle: float, x: float, y: float) -> float:
-    """Density of the direction to (x, y) of the target; `solid_angle` is that of its bounds."""
-    distance_squared = x * x + y * y + target.height * target.height
-    if target.ellipse != 0:
-        return area_to_solid_angle(distance_squared, target.height, 0.25 * wp.PI * rectangle_area(target))
-    if solid_angle > _SOLID_ANGLE_MIN:
-        return 1.0 / solid_angle
-    return area_to_solid_angle(distance_squared, target.height, rectangle_area(target))
-
-
-@wp.func
-def area_falloff(light: LightRecord, beside: float, height: float) -> float:
-    """Radiance of an area light relative to that along its normal, towards a point `beside` it and `height` above."""
-    return wp.max(1.0 - (beside / height) * light.spread_scale, 0.0)
-
-
-@wp.func
-def outside_ellipse(light: LightRecord, target_x: float, target_y: float) -> bool:
-    """Whether a point, from the light's centre [m], misses the ellipse."""
-    x = target_x / light.half_x
-    y = target_y / light.half_y
-    return x * x + y * y > 1.0
-
-
-@wp.func
-def sample_area_light(light: LightRecord, position: wp.vec3, u: wp.vec2, ellipse: int) -> LightSample:
-    """A direction to the part of a RECTANGLE or ELLIPSE that lights `position`; `radiance` holds the falloff."""
-    s = LightSample()
-    target = area_target(light, position, ellipse)
-    if target.height <= 0.0:
-        return s
-    solid_angle = float(0.0)
-    p = wp.vec2()
-    if target.ellipse != 0:
-        d = sample_disk(u)
-        p = wp.vec2(
-            0.5 * (target.x0 + target.x1) + d[0] * light.half_x,
-            0.5 * (target.y0 + target.y1) + d[1] * light.half_y,
-        )
-    else:
-        solid_angle = rectangle_solid_angle(target)
-        if solid_angle > _SOLID_ANGLE_MIN:
-            p = sample_spherical_rectangle(target, solid_angle, u)
-        else:
-            p = wp.vec2(wp.lerp(target.x0, target.x1, u[0]), wp.lerp(target.y0, target.y1, u[1]))
-        if ellipse != 0:
-            offset = position - light.position
-            if outside_ellipse(light, p[0] + wp.dot(offset, light.axis_x), p[1] + wp.dot(offset, light.axis_y)):
-                return s
-    s.distance = wp.sqrt(p[0] * p[0] + p[1] * p[1] + target.height * target.height)
-    s.direction = to_world(wp.vec3(p[0], p[1], -target.height), light.axis_x, light.axis_y, light.axis)
-    s.pdf = area_target_pdf(target, solid_angle, p[0], p[1])
-    s.radiance = wp.vec3(area_falloff(light, wp.length(p), target.height))
-    return s
-
-
-@wp.func
-def meet_area_light(light: LightRecord, origin: wp.vec3, direction: wp.vec3, ellipse: int) -> LightSample:
-    """Where a ray meets the front of a RECTANGLE or ELLIPSE; `radiance` holds the falloff."""
-    s = LightSample()
-    offset = origin - light.position
-    height = wp.dot(offset, light.axis)
-    down = -wp.dot(direction, light.axis)
-    if height <= 0.0 or down <= 0.0:
-        return s
-    distance = height / down
-    x = wp.dot(direction, light.axis_x) * distance
-    y = wp.dot(direction, light.axis_y) * distance
-    from_centre_x = x + wp.dot(offset, light.axis_x)
-    from_centre_y = y + wp.dot(offset, light.axis_y)
-    if wp.abs(from_centre_x) > light.half_x or wp.abs(from_centre_y) > light.half_y:
-        return s
-    if ellipse != 0:
-        if outside_ellipse(light, from_centre_x, from_centre_y):
-            return s
-    falloff = area_falloff(light, wp.sqrt(x * x + y * y), height)
-    target = area_target(light, origin, ellipse)
-    if falloff > 0.0 and target.height > 0.0:
-        solid_angle = float(0.0)
-        if target.ellipse == 0:
-            solid_angle = rectangle_solid_angle(target)
-        s.distance = distance
-        s.pdf = area_target_pdf(target, solid_angle, x, y)
-        s.radiance = wp.vec3(falloff)
-    return s
-
-
-@wp.func
-def sample_parallel_light(light: LightRecord, position: wp.vec3, ellipse: int) -> LightSample:
-    """The one direction in which an area light of no spread reaches `position`."""
-    s = LightSample()
-    offset = position - light.position
-    height = wp.dot(offset, light.axis)
-    x = wp.dot(offset, light.axis_x)
-    y = wp.dot(offset, light.axis_y)
-    lit = height > 0.0 and wp.abs(x) <= light.half_x and wp.abs(y) <= light.half_y
-    if lit and ellipse != 0:
-        lit = not outside_ellipse(light, x, y)
-    if lit:
-        s.direction = -light.axis
-        s.distance = height
-        s.pdf = 1.0
     return s

@@ -30,6 +30,7 @@ class LightRecord:
     casts_shadow: int
     delta: int  # 1: no ray meets it by chance
     sphere: int  # POINT, SPOT: a sphere, else a disk that faces whoever looks
+    program: int  # 1: `emission` is multiplied by what a program gives
     position: wp.vec3  # [m]
     axis_x: wp.vec3  # unit
     axis_y: wp.vec3  # unit
@@ -88,13 +89,19 @@ class UploadedLights:
 
 
 def upload_lights(
-    scene: Scene, device: wp.Device, emitted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None, world: np.ndarray | None = None
+    scene: Scene,
+    device: wp.Device,
+    emitted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    world: np.ndarray | None = None,
+    lamps: Callable[[LightTable], np.ndarray] | None = None,
 ) -> UploadedLights:
     """The emitters of `scene` on `device`; raises `SceneError` for emission that is not finite.
 
     Args:
         emitted: tells the mean radiance of triangles (instances, primitives) whose material is a program, float32, shape [n, 3].
         world: brightness of the texels of the world, where it is sampled; see `build_world_table`.
+        lamps: tells by what factor programs change the brightness of each light, float64, shape [light_count], of a table in
+            which only lights are yet.
     """
     triangles = find_emissive_triangles(scene, emitted)
     power = emitter_powers(scene, triangles)
@@ -115,8 +122,10 @@ def upload_lights(
     table = LightTable()
     table.emitter_count = len(power)
     table.light_count = len(records)
-    table.emitter_first = upload(fixed_point_cdf(power), wp.uint32)
     table.lights = upload(records, LightRecord)
+    if lamps is not None:
+        power[: len(records)] *= lamps(table)
+    table.emitter_first = upload(fixed_point_cdf(power), wp.uint32)
     table.sun_count = len(suns)
     table.suns = upload(suns, int)
     table.tree_count = len(placed)
@@ -148,6 +157,7 @@ def _fill_record(record: np.ndarray, light: Light) -> None:
     record["kind"] = int(light.kind)
     record["visibility"] = int(light.visibility)
     record["casts_shadow"] = int(light.casts_shadow)
+    record["program"] = int(light.program is not None)
     record["axis_x"], record["axis_y"], record["axis"] = matrix[:, 0], matrix[:, 1], -matrix[:, 2]
     record["position"] = matrix[:, 3]
     emission = np.asarray(light.emission, np.float64)

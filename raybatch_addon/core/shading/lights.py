@@ -1,7 +1,4 @@
-"""Light sampling: which emitter, where on it, how likely; and the lights that rays meet by themselves.
-
-Lights without mesh neither block rays nor hide one another, as in Cycles: a ray gathers all that it passes.
-"""
+"""Light sampling: which emitter, where on it, how likely. What rays meet by themselves is in `light_hits.py`."""
 
 from __future__ import annotations
 
@@ -13,21 +10,17 @@ import warp as wp
 
 from ..scene.description import LightKind, Visibility
 from ..scene.geometry import Geometry, corners_of, triangle_vertices
+from .area_shapes import sample_area_light, sample_parallel_light
 from .light_choice import choice_bits, choose_emitter, selection_pdf
 from .light_shapes import (
+    LAMP_PROGRAM,
     SURFACE_PROGRAM,
     WORLD_PROGRAM,
     LightSample,
-    meet_area_light,
-    meet_disk,
-    meet_sphere,
-    meet_sun,
-    sample_area_light,
     sample_disk_light,
-    sample_parallel_light,
     sample_sphere_light,
     sample_sun,
-    spot_attenuation,
+    spot_factor,
 )
 from .light_table import LightRecord, LightTable
 from .sampling import sample_triangle
@@ -50,11 +43,10 @@ class LightFeatures:
 
     lights: tuple[LightKind, ...] = ()  # kinds there are
     light_sphere: bool = False  # a POINT or SPOT shaped as a sphere
-    light_hits: bool = False  # a light that rays can meet
     mesh_lights: bool = False  # emissive triangles
     mesh_programs: bool = False  # whose radiance comes from programs
     world_light: bool = False  # the world is sampled
-    mis: bool = True  # else light sampling alone finds what it can find
+    lamp_programs: bool = False  # lights without mesh whose radiance comes from programs
 
 
 class Lights(NamedTuple):
@@ -65,12 +57,6 @@ class Lights(NamedTuple):
     # (table, geometry, instance, primitive, direction, distance) -> float: density [1/sr] with which `sample` would have
     # chosen the direction of a ray that hit this triangle; 0: it never does
     hit_pdf: wp.Function
-    # (table, origin, direction, t_min, t_max, visibility, bsdf_pdf) -> vec3: weighted radiance of all lights on a ray at
-    # `t_min` <= t < `t_max` that rays of kind `visibility` see; suns are not among them. `origin` is where the ray
-    # scattered last, and `bsdf_pdf` the density of its direction there (see `mis_weight`)
-    intersect: wp.Function
-    # (table, direction, visibility, bsdf_pdf) -> vec3: the same of the suns, for a ray that leaves the scene
-    miss: wp.Function
 
 
 @wp.func
@@ -219,17 +205,6 @@ def sample_triangle_light(table: LightTable, geometry: Geometry, triangle: int, 
     return s
 
 
-@wp.func
-def spot_factor(light: LightRecord, position: wp.vec3, direction: wp.vec3) -> float:
-    """Share of a SPOT's light that comes to `position` from `direction`."""
-    # inside a sphere there is no cone
-    if light.sphere != 0:
-        offset = light.position - position
-        if wp.dot(offset, offset) <= light.radius * light.radius:
-            return 1.0
-    return spot_attenuation(light, direction)
-
-
 @functools.cache
 def make_lights(features: LightFeatures) -> Lights:
     """The `Lights` for scenes with these features."""
@@ -238,9 +213,6 @@ def make_lights(features: LightFeatures) -> Lights:
     has_sphere = has_round and features.light_sphere
     has_sun = LightKind.SUN in features.lights
     has_area = LightKind.RECTANGLE in features.lights or LightKind.ELLIPSE in features.lights
-    met_in_space = features.light_hits and (has_round or has_area)
-    met_suns = features.light_hits and has_sun
-    hit_weight = light_weights(features.mis)[1]
 
     @wp.func
     def sample_shape(light: LightRecord, position: wp.vec3, u: wp.vec2) -> LightSample:
@@ -302,6 +274,10 @@ def make_lights(features: LightFeatures) -> Lights:
                     s.visibility = light.visibility
                     s.instance = -1
                     s.primitive = -1
+                    if wp.static(features.lamp_programs):
+                        if light.program != 0:
+                            s.instance = emitter
+                            s.program = LAMP_PROGRAM
             else:
                 if wp.static(features.mesh_lights):
                     if emitter != table.world_emitter:
@@ -331,65 +307,4 @@ def make_lights(features: LightFeatures) -> Lights:
                 return triangle_density(wp.cross(b - a, c - a), direction, distance) * selection_pdf(table, emitter)
         return 0.0
 
-    @wp.func
-    def meet_shape(light: LightRecord, origin: wp.vec3, direction: wp.vec3) -> LightSample:
-        s = LightSample()
-        if wp.static(has_round):
-            if light.kind == _POINT or light.kind == _SPOT:
-                if wp.static(has_sphere):
-                    if light.sphere != 0:
-                        s = meet_sphere(light, origin, direction)
-                    else:
-                        s = meet_disk(light, origin, direction)
-                else:
-                    s = meet_disk(light, origin, direction)
-                s.radiance = wp.vec3(1.0)
-                if wp.static(has_spot):
-                    if light.kind == _SPOT and s.pdf > 0.0:
-                        s.radiance = wp.vec3(spot_factor(light, origin, direction))
-        if wp.static(has_area):
-            if light.kind > _SUN:
-                s = meet_area_light(light, origin, direction, wp.where(light.kind == _ELLIPSE, 1, 0))
-        return s
-
-    @wp.func
-    def intersect(
-        table: LightTable,
-        origin: wp.vec3,
-        direction: wp.vec3,
-        t_min: float,
-        t_max: float,
-        visibility: int,
-        bsdf_pdf: float,
-    ) -> wp.vec3:
-        total = wp.vec3()
-        if wp.static(met_in_space):
-            if table.tree_count > 0:
-                item = int(0)
-                query = wp.bvh_query_ray(table.tree, origin, direction)
-                while wp.bvh_query_next(query, item, t_max):
-                    emitter = table.tree_light[item]
-                    light = table.lights[emitter]
-                    sampled = bsdf_pdf > 0.0 and is_lit_in_part(light.visibility)
-                    if (light.visibility & visibility) != 0 and not sampled:
-                        met = meet_shape(light, origin, direction)
-                        if met.pdf > 0.0 and met.distance >= t_min and met.distance < t_max:
-                            weight = hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter))
-                            total += weight * wp.cw_mul(met.radiance, light.emission)
-        return total
-
-    @wp.func
-    def miss(table: LightTable, direction: wp.vec3, visibility: int, bsdf_pdf: float) -> wp.vec3:
-        total = wp.vec3()
-        if wp.static(met_suns):
-            for i in range(table.sun_count):
-                emitter = table.suns[i]
-                light = table.lights[emitter]
-                sampled = bsdf_pdf > 0.0 and is_lit_in_part(light.visibility)
-                if (light.visibility & visibility) != 0 and not sampled:
-                    met = meet_sun(light, direction)
-                    if met.pdf > 0.0:
-                        total += hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter)) * light.emission
-        return total
-
-    return Lights(sample, hit_pdf, intersect, miss)
+    return Lights(sample, hit_pdf)

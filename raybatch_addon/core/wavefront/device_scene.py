@@ -16,6 +16,8 @@ from ..scene.features import SceneFeatures
 from ..shading.camera import CameraData, upload_camera
 from ..shading.closures import ClosureFeatures, upload_materials
 from ..shading.image_upload import UploadedImages
+from ..shading.lamp_brightness import brightness_of_lamps
+from ..shading.lamp_program import upload_lamp_programs
 from ..shading.light_table import UploadedLights, upload_lights
 from ..shading.nodes.table import upload_programs
 from .geometry_cache import BuiltGeometry, GeometryCache, GeometryRequest, PagedTree
@@ -55,6 +57,7 @@ class DeviceScene:
             programs = [material.program for material in scene.materials]
             data.nodes = upload_programs(programs, features.programs, scene, data.geometry, images.table, device)
         data.world_nodes = upload_programs([scene.world.program], features.world_program, scene, data.geometry, images.table, device)
+        data.lamp_nodes = upload_lamp_programs(scene, features.lamp_program, data.geometry, images.table, device)
         lights = upload_lights(scene, device, *_program_light(data, scene, features, device))
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)
@@ -86,10 +89,12 @@ class DeviceScene:
 
 
 def _program_light(data: SceneData, scene: Scene, features: SceneFeatures, device: wp.Device):
-    """What tells the emission of triangles by programs, and the brightness of the world's texels; None where there is none to be told."""
-    emitted = world = None
+    """What tells the emission of triangles by programs, brightness of the world's texels, and of lamps; None where there is none to be told."""
+    emitted = world = lamps = None
     if features.mesh_programs:
         emitted = functools.partial(emission_of_triangles, data, features, device)
     if features.world_light:
         world = world_texels(data, features, scene.world.sampling_size, device)
-    return emitted, world
+    if features.lamp_program:
+        lamps = functools.partial(brightness_of_lamps, scene, data.lamp_nodes, features.lamp_program, device)
+    return emitted, world, lamps

@@ -12,6 +12,7 @@ from ..report.counters import count_kernel
 from ..scene.description import ClosureKind
 from ..scene.features import SceneFeatures, narrow
 from ..settings import RenderSettings
+from ..shading.light_hits import LightHitFeatures
 from .hit_order import hit_key_kernel
 from .plan import Method
 from .queues import QUEUE_KERNELS
@@ -20,7 +21,7 @@ from .stages.accumulate import accumulate_kernel
 from .stages.connect import ConnectFeatures, connect_kernel, connect_program_kernel, settle_kernel
 from .stages.connect_transparent import transparent_shadow_kernel
 from .stages.generate import GenerateFeatures, counted_kernel, generate_kernel
-from .stages.shade_background import BackgroundFeatures, LightHitFeatures, background_kernel, light_hit_kernel
+from .stages.shade_background import BackgroundFeatures, background_kernel, light_hit_kernel
 from .stages.shade_surface import SurfaceFeatures, surface_kernel
 from .tracers import tracer_kernels
 from .tracing import Tracing
@@ -46,7 +47,7 @@ class StageKernels:
         has = features
         surface = SurfaceFeatures(
             **narrow(features, tuple(SurfaceFeatures.__dataclass_fields__)), shadow_rays=has.shadow_rays,
-            light_programs=has.light_programs, path_history=has.path_history,
+            light_programs=has.light_programs, lamp_programs=bool(has.lamp_program), path_history=has.path_history,
             film_holes=has.film_transparent and ClosureKind.HOLDOUT in has.closures,
         )  # fmt: skip
         connect = ConnectFeatures(**narrow(features, tuple(ConnectFeatures.__dataclass_fields__)))
@@ -61,7 +62,7 @@ class StageKernels:
             connect=(connect_program_kernel(connect) if has.light_programs else connect_kernel) if has.shadow_rays else None,
             connect_transparent=transparent_shadow_kernel(surface, connect) if has.shadow_rays and has.transparency else None,
             light_hits=light_hit_kernel(
-                LightHitFeatures(has.lights, has.light_sphere, has.light_hits, has.mis, has.transparency, has.clamping)
+                LightHitFeatures(has.lights, has.light_sphere, has.light_hits, has.mis, has.lamp_program), has.transparency, has.clamping
             ) if has.light_hits else None,
             background=background_kernel(
                 BackgroundFeatures(

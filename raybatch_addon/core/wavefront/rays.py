@@ -73,11 +73,11 @@ class Paths:
     pdf: wp.array(dtype=float)  # solid-angle density of the extending ray; 0: specular or from the camera
     shadow_light: wp.array(dtype=wp.vec3)  # what the shadow ray adds to `radiance` if nothing is in its way
     # light of programs, which is multiplied in when the shadow ray is back
-    # WORLD_PROGRAM, SURFACE_PROGRAM, and above LIGHT_BOUNCE_SHIFT scattering events between camera and light; 0: `shadow_light` is all
+    # WORLD_PROGRAM, SURFACE_PROGRAM, LAMP_PROGRAM, and above LIGHT_BOUNCE_SHIFT scattering events between camera and light; 0: `shadow_light` is all
     light_program: wp.array(dtype=int)
-    light_instance: wp.array(dtype=int)
+    light_instance: wp.array(dtype=int)  # of lamps their number
     light_primitive: wp.array(dtype=int)
-    light_barycentric: wp.array(dtype=wp.vec2)
+    light_barycentric: wp.array(dtype=wp.vec2)  # of lamps how far they were when aimed at [m], and 0
     # transparency
     passed: wp.array(dtype=int)  # transparent surfaces passed by the extending ray, and (x 65536) by the shadow ray
     passed_t: wp.array(dtype=float)  # distance from the last scattering to the extending ray's origin [m]

@@ -18,6 +18,7 @@ class SceneData:
     materials: MaterialTable
     nodes: NodeData  # of the materials' programs; empty where there are none
     world_nodes: NodeData  # of the world's
+    lamp_nodes: NodeData  # of those of lights without mesh
     lights: LightTable
     world: wp.vec3  # radiance of the world [W/(m² sr)]
     world_visibility: int

@@ -11,7 +11,9 @@ from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, Lig
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
 from raybatch_addon.core.shading.light_table import LightTable, upload_lights
+from raybatch_addon.core.shading.light_hits import LightHitFeatures, make_light_hits
 from raybatch_addon.core.shading.lights import LightFeatures, make_lights
+from raybatch_addon.core.shading.nodes.op import NodeData
 from raybatch_addon.core.shading.sampling import bitangent_of, sample_cone, tangent_of, to_world
 from under_test import BLOCK_DIM, DEVICE
 
@@ -33,7 +35,7 @@ def scene_of(*lights: Light, **rest) -> Scene:
     return Scene(camera=camera, frame=Frame(8, 8), lights=lights, **rest)
 
 
-ALL = LightFeatures(lights=tuple(LightKind), light_sphere=True, light_hits=True, mesh_lights=True)
+ALL = LightFeatures(lights=tuple(LightKind), light_sphere=True, mesh_lights=True)
 
 
 @wp.struct
@@ -65,11 +67,11 @@ class Answers:
 
 @functools.cache
 def kernel_for(features: LightFeatures):
-    lights = make_lights(features)
-    sample, hit_pdf, intersect, miss = lights
+    sample, hit_pdf = make_lights(features)
+    intersect, miss = make_light_hits(LightHitFeatures(features.lights, features.light_sphere, light_hits=features == ALL))
 
     @wp.kernel(**KERNEL_OPTIONS)
-    def probe(table: LightTable, geometry: Geometry, query: Query, answers: Answers):
+    def probe(table: LightTable, nodes: NodeData, geometry: Geometry, query: Query, answers: Answers):
         i = wp.tid()
         r = wp.rand_init(query.seed, i)
         choice = float(wp.randi(r) & 16777215) / 16777216.0
@@ -81,17 +83,17 @@ def kernel_for(features: LightFeatures):
         answers.triangle[i] = wp.vec2i(s.instance, s.primitive)
         if s.pdf > 0.0 and s.instance >= 0:
             answers.again[i] = hit_pdf(table, geometry, s.instance, s.primitive, s.direction, s.distance)
-        met = intersect(table, query.position, s.direction, query.t_min, query.t_max, query.visibility, s.pdf)
-        answers.met[i] = met + miss(table, s.direction, query.visibility, s.pdf)
+        met = intersect(table, nodes, query.position, s.direction, query.t_min, query.t_max, query.visibility, s.pdf, 0)
+        answers.met[i] = met + miss(table, nodes, s.direction, query.visibility, s.pdf, 0)
 
         local = sample_cone(wp.vec2(wp.randf(r), wp.randf(r)), query.cone)
         d = to_world(local, tangent_of(query.cone_axis), bitangent_of(query.cone_axis), query.cone_axis)
         density = 1.0 / (wp.TAU * query.cone)
         answers.cone_direction[i] = d
-        met = intersect(table, query.position, d, query.t_min, query.t_max, query.visibility, 0.0)
-        answers.cone_met[i] = met + miss(table, d, query.visibility, 0.0)
-        met = intersect(table, query.position, d, query.t_min, query.t_max, query.visibility, density)
-        answers.cone_weighted[i] = met + miss(table, d, query.visibility, density)
+        met = intersect(table, nodes, query.position, d, query.t_min, query.t_max, query.visibility, 0.0, 0)
+        answers.cone_met[i] = met + miss(table, nodes, d, query.visibility, 0.0, 0)
+        met = intersect(table, nodes, query.position, d, query.t_min, query.t_max, query.visibility, density, 0)
+        answers.cone_weighted[i] = met + miss(table, nodes, d, query.visibility, density, 0)
 
     return probe
 
@@ -136,7 +138,7 @@ def probe(scene, position=(0, 0, 0), normal=UP, cone_axis=UP, cone=1.0, device=D
     query.position, query.normal, query.cone_axis = wp.vec3(*position), wp.vec3(*normal), wp.vec3(*cone_axis)
     query.cone, query.seed, query.visibility, query.t_min, query.t_max = cone, 7, visibility, t_min, t_max
     kernel = kernel_for(features)
-    wp.launch(kernel, count, [uploaded.table, geometry, query, answers], device=device, block_dim=BLOCK_DIM)
+    wp.launch(kernel, count, [uploaded.table, NodeData(), geometry, query, answers], device=device, block_dim=BLOCK_DIM)
     info = answers.info.numpy().astype(float)
     return Result(
         radiance=answers.radiance.numpy().astype(float), direction=answers.direction.numpy().astype(float), pdf=info[:, 0],

@@ -35,8 +35,10 @@ def generated(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Shad
 @op("uv", "ai>V", foldable=False)
 @wp.func
 def uv(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """The active UV map; 0 where there is none."""
+    """The active UV map; 0 where there is none. Of a lamp where the point is on its shape."""
     value = wp.vec3(0.0)
+    if point.instance >= 0 and point.primitive < 0:
+        value = wp.vec3(1.0 - point.barycentric[0] - point.barycentric[1], point.barycentric[0], 0.0)
     if point.instance >= 0:
         first = data.inputs.uv_first[point.instance]
         if first >= 0:

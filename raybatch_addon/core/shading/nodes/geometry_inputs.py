@@ -165,7 +165,7 @@ def _seen_length(v: wp.vec3, direction: wp.vec3) -> float:
 def wireframe(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """1 nearer to an edge of the triangle than half the size: in metres (word 1: 0), or in pixels (1)."""
     found = float(0.0)
-    if point.instance >= 0:
+    if point.instance >= 0 and point.primitive >= 0:
         half = 0.5 * number(data, stack, pc + 2)
         if data.code[pc + 1] != 0:
             axis = footprint_axis(point.geometric_normal)

@@ -55,7 +55,7 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
     left, right, bottom, top = scene.camera.window
     inputs.pixel_width = 0.5 * ((right - left) / scene.frame.width + (top - bottom) / scene.frame.height)
     if not _OBJECT_OPS.isdisjoint(ops):
-        inputs.to_object = wp.array(_inverses(instances.transform), dtype=mat34, device=device)
+        inputs.to_object = wp.array(inverses(instances.transform), dtype=mat34, device=device)
         inputs.to_world = wp.array(np.asarray(instances.transform, np.float32), dtype=mat34, device=device)
     if "object_info" in ops and instances.info is not None:
         inputs.info = wp.array(np.asarray(instances.info, np.float32), dtype=float, device=device)
@@ -105,7 +105,7 @@ def _upload_attributes(scene: Scene, inputs: InputData, device: wp.Device) -> No
     inputs.attribute_values = wp.array(np.concatenate(chunks) if chunks else np.zeros(0, np.float32), dtype=float, device=device)
 
 
-def _inverses(transform: np.ndarray) -> np.ndarray:
+def inverses(transform: np.ndarray) -> np.ndarray:
     """Inverses of transforms, float32, shape [n, 3, 4]; those of singular ones are 0."""
     matrix = np.asarray(transform, np.float64)
     result = np.zeros_like(matrix)

@@ -18,7 +18,7 @@ DEPTH_SHIFT, DEPTH_BITS = 3, 9
 
 @wp.struct
 class ShadingPoint:
-    """A point on a surface, or a direction into the world; in world space.
+    """A point on a surface or lamp, or a direction into the world; in world space.
 
     In the world there is no instance, `position` is where the ray began, `incoming` its direction backwards, and all normals are `incoming`.
     """
@@ -28,8 +28,8 @@ class ShadingPoint:
     normal: wp.vec3  # unit, interpolated, on the side of `incoming`
     geometric_normal: wp.vec3  # unit, of the triangle, on the side of `incoming`
     backfacing: int  # 1: the back of the surface is met
-    instance: int  # -1: none
-    primitive: int  # triangle of the instance's mesh
+    instance: int  # -1: none; of a lamp its number among the lights
+    primitive: int  # triangle of the instance's mesh; -1 of a lamp
     barycentric: wp.vec2  # weights of the triangle's second and third corner
     ray_length: float  # to the point where the ray began [m]
     ray_kind: int  # `Visibility` bit of the ray

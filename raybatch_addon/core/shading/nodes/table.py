@@ -13,7 +13,7 @@ from ...scene.geometry import Geometry
 from ...scene.program import Program, ProgramFeatures
 from ..albedo import upload_tables
 from ..textures import ImageTable
-from .inputs_data import upload_inputs
+from .inputs_data import InputData, upload_inputs
 from .op import INPUTS, NodeData, op_named
 from .run import END, FIRST_OP, LENGTH_SHIFT
 
@@ -45,9 +45,10 @@ def encode(programs: Sequence[Program | None], ops: Sequence[str]) -> tuple[np.n
 
 
 def upload_programs(
-    programs: Sequence[Program | None], features: ProgramFeatures, scene: Scene, geometry: Geometry, images: ImageTable, device: wp.Device
-) -> NodeData:
-    """`programs` and what they read of `scene`; all is empty where there are none."""
+    programs: Sequence[Program | None], features: ProgramFeatures, scene: Scene, geometry: Geometry, images: ImageTable, device: wp.Device,
+    inputs: InputData | None = None,
+) -> NodeData:  # fmt: skip
+    """`programs` and what they read of `scene`; all is empty where there are none. `inputs`: of objects that are no instances."""
     data = NodeData()
     if not features:
         return data
@@ -57,7 +58,7 @@ def upload_programs(
     data.program_first = wp.array(first, dtype=int, device=device)
     data.geometry = geometry
     data.images = images
-    data.inputs = upload_inputs(scene, features.ops, device)
+    data.inputs = upload_inputs(scene, features.ops, device) if inputs is None else inputs
     coat = not {"layer_coat", "layer_specular"}.isdisjoint(features.ops)
     data.albedo = upload_tables(
         device, reflection=coat, coat=coat, glass=False, sheen="layer_sheen" in features.ops, film="layer_film" in features.ops

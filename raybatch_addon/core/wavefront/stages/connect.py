@@ -7,7 +7,8 @@ import warp as wp
 
 from ...kernel import KERNEL_OPTIONS
 from ...scene.program import ProgramFeatures
-from ...shading.light_shapes import SURFACE_PROGRAM, WORLD_PROGRAM
+from ...shading.lamp_program import make_lamp_emission
+from ...shading.light_shapes import LAMP_PROGRAM, SURFACE_PROGRAM, WORLD_PROGRAM
 from ..scene_data import SceneData
 from ..rays import LIGHT_BOUNCE_SHIFT, Paths, Rays, Status
 from .emitted import make_surface_emission, make_world_emission
@@ -51,6 +52,7 @@ class ConnectFeatures:
 
     programs: ProgramFeatures
     world_program: ProgramFeatures
+    lamp_program: ProgramFeatures
     mesh_programs: bool
     world_light: bool
     instancing: bool
@@ -62,8 +64,10 @@ class ConnectFeatures:
 def make_arrived(features: ConnectFeatures) -> wp.Function:
     """Function (data, limits, paths, rays, path: int, slot: int) -> vec3: what an unhidden shadow ray brings to its path."""
     has_world, has_surfaces = features.world_light, features.mesh_programs
+    has_lamps = bool(features.lamp_program)
     has_history = "path_history" in features.programs.ops
     world_emission = make_world_emission(features.world_program) if has_world else None
+    lamp_emission = make_lamp_emission(features.lamp_program) if has_lamps else None
     surface_emission = None
     if has_surfaces:
         surface_emission = make_surface_emission(features.programs, features.instancing, features.smooth_normals)
@@ -89,6 +93,16 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
                     data, paths.light_instance[path], paths.light_primitive[path], paths.light_barycentric[path], -direction, rays.t_max[slot],
                     bounce, history,
                 )  # fmt: skip
+                light = wp.cw_mul(light, emitted)
+        if wp.static(has_lamps):
+            if kind == wp.static(LAMP_PROGRAM):
+                distance = paths.light_barycentric[path][0]
+                # a ray that nothing may stop has no length of its own; others have passed some of theirs
+                left = rays.t_max[slot]
+                if left <= 0.0:
+                    left = distance
+                position = rays.origin[slot] + left * direction
+                emitted = lamp_emission(data.lamp_nodes, data.lights, paths.light_instance[path], position, direction, distance, bounce)
                 light = wp.cw_mul(light, emitted)
         if wp.static(features.clamping):
             light = clamped(limits, light, bounce)

@@ -9,9 +9,9 @@ import warp as wp
 
 from ...film.tile import FilmTile
 from ...kernel import KERNEL_OPTIONS
-from ...scene.description import LightKind
 from ...scene.program import ProgramFeatures
-from ...shading.lights import LightFeatures, is_lit_in_part, light_weights, make_lights, world_light_pdf
+from ...shading.light_hits import LightHitFeatures, make_light_hits
+from ...shading.lights import is_lit_in_part, light_weights, world_light_pdf
 from ..scene_data import SceneData
 from ..rays import Paths, Rays, Status, bounce_of, visibility_of
 from .emitted import make_world_emission
@@ -21,18 +21,6 @@ from .limits import PathLimits, clamped
 ENDED = int(Status.ENDED)
 # What Blender writes as the depth of nothing [m]
 DEPTH_OF_NOTHING = 1e10
-
-
-@dataclass(frozen=True)
-class LightHitFeatures:
-    """What the light stage is specialised on."""
-
-    lights: tuple[LightKind, ...]
-    light_sphere: bool
-    light_hits: bool
-    mis: bool
-    transparency: bool
-    clamping: bool
 
 
 @dataclass(frozen=True)
@@ -49,11 +37,9 @@ class BackgroundFeatures:
 
 
 @functools.cache
-def light_hit_kernel(features: LightHitFeatures) -> wp.Kernel:
+def light_hit_kernel(features: LightHitFeatures, transparency: bool, clamping: bool) -> wp.Kernel:
     """Kernel (data, limits, paths, rays, slots, count): lights that rays met on their way."""
-    lights = make_lights(LightFeatures(features.lights, features.light_sphere, features.light_hits, mesh_lights=False, mis=features.mis))
-    intersect = lights.intersect
-    miss = lights.miss
+    intersect, miss = make_light_hits(features)
 
     @wp.kernel(**KERNEL_OPTIONS)
     def light_hits(
@@ -68,19 +54,20 @@ def light_hit_kernel(features: LightHitFeatures) -> wp.Kernel:
         visibility = visibility_of(status)
         pdf = paths.pdf[path]
         t_min = float(0.0)
-        if wp.static(features.transparency):
+        if wp.static(transparency):
             t_min = paths.passed_t[path]
         t_max = t_min + rays.t_max[path]
         if rays.hit_instance[path] >= 0:
             t_max = t_min + rays.hit_t[path]
         # densities are those at the last scattering, behind the transparent surfaces that were passed since
         origin = rays.origin[path] - t_min * direction
-        light = intersect(data.lights, origin, direction, t_min, t_max, visibility, pdf)
+        bounce = bounce_of(status)
+        light = intersect(data.lights, data.lamp_nodes, origin, direction, t_min, t_max, visibility, pdf, bounce + 1)
         if rays.hit_instance[path] < 0:
-            light = light + miss(data.lights, direction, visibility, pdf)
+            light = light + miss(data.lights, data.lamp_nodes, direction, visibility, pdf, bounce + 1)
         light = wp.cw_mul(paths.throughput[path], light)
-        if wp.static(features.clamping):
-            light = clamped(limits, light, bounce_of(status))
+        if wp.static(clamping):
+            light = clamped(limits, light, bounce)
         paths.radiance[path] = paths.radiance[path] + light
 
     return light_hits

@@ -12,6 +12,7 @@ from ...kernel import KERNEL_OPTIONS
 from ...scene.description import ClosureKind, LightKind, Visibility
 from ...scene.program import ProgramFeatures
 from ...shading.closures import DELTA, DIFFUSE, TRANSMISSION, TRANSPARENT, ClosureFeatures, ShadingFrame, make_bsdf
+from ...shading.light_shapes import LAMP_PROGRAM
 from ...shading.lights import LightFeatures, is_lit_in_part, light_weights, make_lights
 from ...shading.sampling import (
     BSDF,
@@ -52,6 +53,7 @@ class SurfaceFeatures:
     mesh_programs: bool
     world_light: bool
     light_programs: bool
+    lamp_programs: bool
     path_history: bool
     mis: bool
     shadow_rays: bool
@@ -117,8 +119,8 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     bsdf_holdout = bsdf.holdout
     lights = make_lights(
         LightFeatures(
-            features.lights, features.light_sphere, False, features.mesh_lights,
-            mesh_programs=features.mesh_programs, world_light=features.world_light,
+            features.lights, features.light_sphere, features.mesh_lights, features.mesh_programs, features.world_light,
+            features.lamp_programs,
         )
     )  # fmt: skip
     light_sample = lights.sample
@@ -174,7 +176,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                 contribution = clamped(limits, contribution, bounce_of(paths.status[path]) + 1)
         if not is_positive(contribution):
             return 0
-        if light.casts_shadow == 0:
+        if light.casts_shadow == 0 and light.program == 0:
             paths.radiance[path] = paths.radiance[path] + contribution
             return 0
         origin = spawn_origin(surface.position, surface.error, frame.geometric_normal, light.direction)
@@ -203,6 +205,11 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             paths.light_instance[path] = light.instance
             paths.light_primitive[path] = light.primitive
             paths.light_barycentric[path] = light.barycentric
+            if wp.static(features.lamp_programs):
+                if light.program == wp.static(LAMP_PROGRAM):
+                    paths.light_barycentric[path] = wp.vec2(distance, 0.0)
+                    if light.casts_shadow == 0:
+                        rays.t_max[slot] = 0.0  # nothing may be in its way
         return wp.static(SHADOW_NEW)
 
     @wp.kernel(**KERNEL_OPTIONS)

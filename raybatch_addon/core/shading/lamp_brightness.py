@@ -1,0 +1,99 @@
+"""How bright lamps are whose programs say so: estimated, to choose among emitters."""
+
+import functools
+
+import numpy as np
+import warp as wp
+
+from ..kernel import KERNEL_OPTIONS
+from ..scene.description import LightKind, Scene
+from ..scene.program import ProgramFeatures
+from .emitters import scene_radius
+from .lamp_program import make_lamp_emission
+from .light_table import LightRecord, LightTable
+from .nodes.op import NodeData
+from .sampling import bitangent_of, sample_cone, sample_sphere, tangent_of, to_world
+
+# Points of each lamp whose mean counts
+_POINTS = 96
+# How far away they are looked at from, in radii of the scene, in turn
+_REACHES = 3
+# A program that was found black may shine elsewhere: what it counts for then
+_UNSEEN = 0.01
+# The fractions that make points of two, and of four dimensions (Roberts 2018, "The Unreasonable Effectiveness of Quasirandom Sequences")
+_STEPS = wp.constant(wp.vec4(0.85667488, 0.73389185, 0.62870672, 0.53859725))
+
+_SPOT = wp.constant(int(LightKind.SPOT))
+_SUN = wp.constant(int(LightKind.SUN))
+_ELLIPSE = wp.constant(int(LightKind.ELLIPSE))
+# Half the angle of the cone around its axis in which area lights are looked at: as a Lambertian shines
+_LAMBERTIAN = wp.constant(0.7)  # 1 - cos
+
+
+@wp.func
+def _fraction(k: int, dimension: int) -> float:
+    x = (float(k) + 0.5) * _STEPS[dimension]
+    return x - wp.floor(x)
+
+
+@wp.func
+def outward(light: LightRecord, u: wp.vec2) -> wp.vec3:
+    """A direction in which a lamp shines."""
+    spread = float(0.0)  # 1 - cos of half the angle
+    if light.kind == _SPOT:
+        spread = 1.0 - light.cos_half
+    elif light.kind == _SUN:
+        spread = light.one_minus_cos
+    elif light.kind > _SUN:
+        if light.delta == 0:
+            spread = _LAMBERTIAN
+            if light.spread_scale > 0.0:
+                tangent = light.tan_half_spread
+                spread = wp.min(spread, 1.0 - 1.0 / wp.sqrt(1.0 + tangent * tangent))
+    else:
+        return sample_sphere(u)
+    return to_world(sample_cone(u, spread), tangent_of(light.axis), bitangent_of(light.axis), light.axis)
+
+
+@functools.cache
+def lamp_brightness_kernel(programs: ProgramFeatures) -> wp.Kernel:
+    """Kernel (nodes, table, radius, brightness): of points of lamps, [light_count, points]; `radius` is that of the scene [m]."""
+    lamp_emission = make_lamp_emission(programs)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def lamp_brightness(nodes: NodeData, table: LightTable, radius: float, brightness: wp.array2d(dtype=float)):
+        lamp, k = wp.tid()
+        light = table.lights[lamp]
+        if light.program == 0:
+            return
+        away = outward(light, wp.vec2(_fraction(k, 0), _fraction(k, 1)))
+        position = light.position + light.radius * away
+        if light.kind > _SUN:
+            x = 2.0 * _fraction(k, 2) - 1.0
+            y = 2.0 * _fraction(k, 3) - 1.0
+            if light.kind == _ELLIPSE:
+                y = y * wp.sqrt(1.0 - x * x)
+            position = light.position + x * light.half_x * light.axis_x + y * light.half_y * light.axis_y
+        distance = radius / float(1 << (k % wp.static(_REACHES)))
+        radiance = lamp_emission(nodes, table, lamp, position, -away, distance, 1)
+        brightness[lamp, k] = (radiance[0] + radiance[1] + radiance[2]) / 3.0
+
+    return lamp_brightness
+
+
+def brightness_of_lamps(scene: Scene, nodes: NodeData, features: ProgramFeatures, device: wp.Device, table: LightTable) -> np.ndarray:
+    """By what factor programs change the brightness of each light of `scene`, about; float64, shape [n], 1 of those without program.
+
+    0 of a program that never shines, and of no other.
+    """
+    count = len(scene.lights)
+    brightness = wp.zeros((count, _POINTS), dtype=float, device=device)
+    kernel = lamp_brightness_kernel(features)
+    wp.launch(kernel, (count, _POINTS), [nodes, table, scene_radius(scene), brightness], device=device)
+    mean = brightness.numpy().astype(np.float64).mean(1)
+    result = np.ones(count)
+    for i, light in enumerate(scene.lights):
+        if light.program is not None:
+            shines = any(step.op == "emission" for step in light.program.instructions)
+            result[i] = (mean[i] if mean[i] > 0 else _UNSEEN) if shines else 0.0
+    return result

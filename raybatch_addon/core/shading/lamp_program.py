@@ -1,0 +1,157 @@
+"""Programs of lights without mesh: the point of a lamp as they see it, and what they read of the lamp's object.
+
+A program multiplies the strength of its lamp. What it is told follows Cycles: a lamp is an object; the point lies on its shape, the normal
+points away from it, and `barycentric` holds coordinates on it that `Parametric` shows: across an area light, within the cone of a spot, around
+a point light by longitude and latitude, across a sun's disc. A sun is infinitely far, and its point is the direction that its light takes.
+"""
+
+import functools
+
+import numpy as np
+import warp as wp
+
+from ..scene.description import ClosureKind, Instances, LightKind, Scene
+from ..scene.geometry import Geometry, mat34, transform_vector
+from ..scene.program import ProgramFeatures
+from .light_table import LightRecord, LightTable
+from .materials import ClosureRecord
+from .nodes.finite import finite_or_zero
+from .nodes.inputs_data import InputData, inverses, upload_inputs
+from .nodes.op import NodeData
+from .nodes.point import ShadingPoint
+from .nodes.run import make_run
+from .nodes.table import upload_programs
+from .textures import ImageTable
+
+_POINT = wp.constant(int(LightKind.POINT))
+_SPOT = wp.constant(int(LightKind.SPOT))
+_SUN = wp.constant(int(LightKind.SUN))
+_EMISSION = int(ClosureKind.EMISSION)
+# How far the light of suns comes from, as programs are told [m]
+INFINITELY_FAR = float(np.finfo(np.float32).max)
+# A channel of what programs give, at most
+_RADIANCE_MOST = 1e30
+
+
+def lamp_transforms(scene: Scene) -> np.ndarray:
+    """Object to world of every light, float64, shape [n, 3, 4]."""
+    matrices = [light.transform if light.object_transform is None else light.object_transform for light in scene.lights]
+    return np.array(matrices, np.float64).reshape(-1, 3, 4)
+
+
+def upload_lamp_programs(scene: Scene, features: ProgramFeatures, geometry: Geometry, images: ImageTable, device: wp.Device) -> NodeData:
+    """The programs of all lights of `scene`, and what they read; all is empty where there are none."""
+    if not features:
+        return NodeData()
+    inputs = upload_inputs(_without_instances(scene), (), device)
+    _upload_lamp_inputs(inputs, scene, device)
+    return upload_programs([light.program for light in scene.lights], features, scene, geometry, images, device, inputs)
+
+
+def _without_instances(scene: Scene) -> Scene:
+    return Scene(scene.camera, scene.frame, instances=Instances.empty())
+
+
+def _upload_lamp_inputs(inputs: InputData, scene: Scene, device: wp.Device) -> None:
+    """What ops read of objects, by light. Generated coordinates are the object's, as there is no mesh; no UV map, no attributes."""
+    matrices = lamp_transforms(scene)
+    count = len(matrices)
+    inputs.to_world = wp.array(matrices.astype(np.float32), dtype=mat34, device=device)
+    inputs.to_object = wp.array(inverses(matrices), dtype=mat34, device=device)
+    info = np.array([light.info or (0.0,) * 6 for light in scene.lights], np.float32).reshape(-1, 6)
+    inputs.info = wp.array(info, dtype=float, device=device)
+    inputs.texture_scale = wp.full(count, wp.vec3(1.0), dtype=wp.vec3, device=device)
+    inputs.texture_offset = wp.zeros(count, dtype=wp.vec3, device=device)
+    inputs.uv_first = wp.full(count, -1, dtype=int, device=device)
+
+
+@wp.func
+def sphere_coordinates(v: wp.vec3) -> wp.vec2:
+    """Longitude and latitude of a direction, each 0..1; 0 where it has none."""
+    across = wp.sqrt(v[0] * v[0] + v[1] * v[1])
+    u = float(0.0)
+    if across > 0.0:
+        u = 0.5 - wp.atan2(v[0], v[1]) / wp.TAU
+    latitude = float(0.0)
+    if across > 0.0 or v[2] != 0.0:
+        latitude = 1.0 - wp.acos(wp.clamp(v[2] / wp.length(v), -1.0, 1.0)) / wp.PI
+    return wp.vec2(u, latitude)
+
+
+@wp.func
+def lamp_coordinates(light: LightRecord, to_object: mat34, position: wp.vec3, normal: wp.vec3, direction: wp.vec3) -> wp.vec2:
+    """Where a point is on its lamp, 0..1 across what is lit of it; the ray goes along `direction`."""
+    if light.kind == _POINT:
+        return sphere_coordinates(transform_vector(to_object, normal))
+    if light.kind == _SPOT:
+        local = transform_vector(to_object, -direction)
+        # half the cotangent of half the cone's angle: a picture fills the cone
+        half = 0.5 * light.cos_half / wp.sqrt(wp.max(1.0 - light.cos_half * light.cos_half, 1.0e-30))
+        return wp.vec2(finite_or_zero(0.5 - half * local[0] / local[2]), finite_or_zero(0.5 - half * local[1] / local[2]))
+    if light.kind == _SUN:
+        result = wp.vec2(0.5, 0.5)
+        if light.delta == 0:
+            local = transform_vector(to_object, direction)
+            scale = 0.5 / (wp.sqrt(0.5 * light.one_minus_cos) * wp.length(direction - light.axis))
+            result += scale * wp.vec2(local[0], local[1])
+        return result
+    offset = position - light.position
+    x = wp.clamp(0.5 * wp.dot(offset, light.axis_x) / light.half_x, -0.5, 0.5)
+    y = wp.clamp(0.5 * wp.dot(offset, light.axis_y) / light.half_y, -0.5, 0.5)
+    return wp.vec2(0.5 + x, 0.5 + y)
+
+
+@wp.func
+def lamp_point(
+    light: LightRecord, to_object: mat34, lamp: int, position: wp.vec3, direction: wp.vec3, distance: float, bounce: int
+) -> ShadingPoint:
+    """The point of light number `lamp` at `position` that a ray along `direction` (unit) has come `distance` to [m]."""
+    point = ShadingPoint()
+    point.position = position
+    point.incoming = -direction
+    point.normal = -direction
+    point.ray_length = distance
+    point.bounce = bounce
+    point.instance = lamp
+    point.primitive = -1
+    if light.kind == _SUN:
+        point.position = -direction
+        point.ray_length = wp.static(INFINITELY_FAR)
+    elif light.kind > _SUN:
+        point.normal = light.axis
+    elif light.sphere != 0:
+        point.normal = wp.normalize(position - light.position)
+    place = lamp_coordinates(light, to_object, point.position, point.normal, direction)
+    # as weights of a triangle's second and third corner: `Parametric` shows those of the first and second
+    point.barycentric = wp.vec2(place[1], 1.0 - place[0] - place[1])
+    if wp.dot(point.normal, point.incoming) < 0.0:
+        point.normal = -point.normal
+        point.backfacing = 1
+    point.geometric_normal = point.normal
+    return point
+
+
+@functools.cache
+def make_lamp_emission(programs: ProgramFeatures) -> wp.Function:
+    """Function (nodes, table, lamp: int, position, direction, distance: float, bounce: int) -> vec3: what a lamp's strength is multiplied by.
+
+    `position` is the point on the lamp that the ray along `direction` has come `distance` to; of suns neither counts.
+    """
+    run = make_run(programs)
+
+    @wp.func
+    def lamp_emission(
+        nodes: NodeData, table: LightTable, lamp: int, position: wp.vec3, direction: wp.vec3, distance: float, bounce: int
+    ) -> wp.vec3:
+        light = table.lights[lamp]
+        point = lamp_point(light, nodes.inputs.to_object[lamp], lamp, position, direction, distance, bounce)
+        stack = wp.zeros(wp.static(programs.register_count), dtype=float)
+        closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
+        count = run(nodes, stack, nodes.program_first[lamp], point, closures)
+        total = wp.vec3(0.0)
+        for c in range(count):
+            if closures[c].kind == wp.static(_EMISSION):
+                total += closures[c].weight
+        return wp.min(total, wp.vec3(wp.static(_RADIANCE_MOST)))
+
+    return lamp_emission
