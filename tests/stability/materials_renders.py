@@ -76,7 +76,8 @@ def mirrors(bench: Bench) -> Outcome:
     for kind, roughness in itertools.product((K.GLOSSY, K.METAL), (0.0, 1e-8, 1e-4, SMOOTH, LEAST_ROUGH)):
         scene = _seen(scenes.plane(size=2), _of(Closure(kind, WHITE, roughness)), 0.0, [lamp], eye=(0, -4, 3), half_width=1e-2)
         is_delta = roughness <= SMOOTH
-        add_mean(sweep, bench.render(scene, sample_count=16), 3.0, 16 * UNIT_ROUNDOFF if is_delta else 2e-3, f"{kind.name.lower()} {roughness:g}")
+        bound = 16 * UNIT_ROUNDOFF if is_delta else 2e-3
+        add_mean(sweep, bench.render(scene, sample_count=16), 3.0, bound, f"{kind.name.lower()} {roughness:g}")
     return sweep.outcome()
 
 
@@ -134,7 +135,8 @@ def grazing_planes(bench: Bench) -> Outcome:
     sweep = Sweep()
     for degrees, roughness in itertools.product((89.0, 89.9, 89.99, 89.9999), (0.0, LEAST_ROUGH, 0.2, 1.0)):
         t = math.radians(degrees)
-        scene = _seen(scenes.plane(size=1e4), _of(Closure(K.METAL, WHITE, roughness)), eye=(0, -4 * math.sin(t), 4 * math.cos(t)), half_width=1e-8)
+        metal = _of(Closure(K.METAL, WHITE, roughness))
+        scene = _seen(scenes.plane(size=1e4), metal, eye=(0, -4 * math.sin(t), 4 * math.cos(t)), half_width=1e-8)
         mean, error = mean_and_error(bench.render(scene, sample_count=32))
         loss = (2.5e-3 if mean < 1 else 1e-3) if roughness else 8 * UNIT_ROUNDOFF
         sweep.add(mean, 1.0, loss + SIGMAS * error, f"{degrees:g} degrees, roughness {roughness:g}")

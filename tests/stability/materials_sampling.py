@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 
@@ -27,7 +28,7 @@ def chi_squared(bench: Bench, closures, cosine: float, entering: int = 1) -> flo
     u = np.random.default_rng(1).random((_COUNT, 3), np.float32)
     direction, _, _, lobe = sample(bench, closures, wo, _COUNT, entering, u)
     direction = direction[(lobe != 0) & (lobe & DELTA == 0)]
-    ior = next((c.ior for c in closures if c.kind in (K.GLASS, K.REFRACTION)), 1.5)
+    ior = next((1.0 if c.kind == K.SHEET else c.ior for c in closures if c.kind in (K.GLASS, K.REFRACTION, K.SHEET)), 1.5)
     eta = ior if entering else 1 / ior
     behind = -wo / eta
     behind[2] = -np.sqrt(max(1 - behind[0] ** 2 - behind[1] ** 2, 0))
@@ -44,7 +45,10 @@ def chi_squared(bench: Bench, closures, cosine: float, entering: int = 1) -> flo
     return float(largest)
 
 
-CHI_ABOUT = "Pearson's chi-squared of 20,000 samples in 240 bins a side, as a standard normal deviate, against the density integrated over each bin by 8 x 8 Gauss-Legendre points"
+CHI_ABOUT = (
+    "Pearson's chi-squared of 20,000 samples in 240 bins a side, as a standard normal deviate, against the density integrated over each "
+    "bin by 8 x 8 Gauss-Legendre points"
+)
 CHI_BOUND = "A false alarm once in 1e9 comparisons at 6 deviations; far below 0 is as good as 0."
 
 
@@ -53,8 +57,8 @@ def add_deviate(sweep: Sweep, deviate: float, note: str) -> None:
 
 
 @case(
-    "chi-squared: closures that reflect", "materials", f"{CHI_ABOUT}: Lambert, coat over diffuse, glossy, metal, at three angles.", CHI_BOUND,
-    traces=False,
+    "chi-squared: closures that reflect", "materials", f"{CHI_ABOUT}: Lambert, coat over diffuse, glossy, metal, at three angles.",
+    CHI_BOUND, traces=False,
 )  # fmt: skip
 def chi_squared_reflection(bench: Bench) -> Outcome:
     """Closures, angles."""
@@ -75,8 +79,8 @@ def chi_squared_reflection(bench: Bench) -> Outcome:
 
 
 @case(
-    "chi-squared: glass from both sides", "materials", f"{CHI_ABOUT}: glass of indices 0.5 to 2.4 and roughness 0.2 to 1, entering and leaving.", CHI_BOUND,
-    traces=False,
+    "chi-squared: glass from both sides", "materials",
+    f"{CHI_ABOUT}: glass of indices 0.5 to 2.4 and roughness 0.2 to 1, entering and leaving.", CHI_BOUND, traces=False,
 )  # fmt: skip
 def chi_squared_glass(bench: Bench) -> Outcome:
     """Indices, roughnesses, sides, angles."""
@@ -101,6 +105,35 @@ def chi_squared_mixture(bench: Bench) -> Outcome:
         )
         for entering, cosine in itertools.product((1, 0), (0.95, 0.5, 0.12)):
             add_deviate(sweep, chi_squared(bench, closures, cosine, entering), f"powers {powers}, entering {entering}, cosine {cosine:g}")
+    return sweep.outcome()
+
+
+@case(
+    "chi-squared: all models", "materials",
+    f"{CHI_ABOUT}: isotropic and anisotropic facets of GGX, Beckmann and Ashikhmin-Shirley over their roughness, refraction from both "
+    "sides, films, rough diffuse, translucent, sheen, velvet, and closures with normals of their own, at three angles.",
+    CHI_BOUND, traces=False,
+)  # fmt: skip
+def chi_squared_models(bench: Bench) -> Outcome:
+    """Models, roughnesses, sides, angles."""
+    models: list[Closure] = []
+    for roughness, aspect in itertools.product((0.4, 0.7, 1.0), (1.0, 0.5, math.sqrt(10.0))):
+        turned = dict(aspect=aspect, tangent=(0.6, 0.8, 0.0))
+        models.append(Closure(K.GLOSSY, WHITE, roughness, **turned))
+        models.append(Closure(K.METAL, (0.9, 0.5, 0.1), roughness, distribution=1, multiscatter=False, **turned))
+        models.append(Closure(K.ASHIKHMIN_SHIRLEY, WHITE, roughness, **turned))
+    for kind, ior, d in itertools.product((K.REFRACTION, K.GLASS), (0.7, 1.5), (0, 1)):
+        models.append(Closure(kind, WHITE, 0.5, ior, distribution=d, multiscatter=False))
+    for thickness in (0.5, 300.0, 3e3):
+        models.append(Closure(K.GLASS, WHITE, 0.4, 1.5, film_thickness=thickness, film_ior=1.8))
+        models.append(Closure(K.CONDUCTOR, WHITE, 0.4, colour=(0.2, 1.0, 2.0), edge=(3.0, 1.0, 0.0), film_thickness=thickness))
+    models += [Closure(kind, WHITE, r) for kind, r in itertools.product((K.ROUGH_DIFFUSE, K.SHEEN, K.VELVET), (0.3, 0.6, 1.0))]
+    turned = (K.DIFFUSE, K.ROUGH_DIFFUSE, K.TRANSLUCENT, K.GLOSSY, K.GLASS, K.SHEEN)
+    models += [Closure(kind, WHITE, 0.5, normal=(0.36, 0.48, 0.8)) for kind in turned]
+    sweep = Sweep()
+    for closure, cosine in itertools.product(models, (0.95, 0.5, 0.15)):
+        for entering in (1, 0) if closure.kind in (K.REFRACTION, K.GLASS) else (1,):
+            add_deviate(sweep, chi_squared(bench, (closure,), cosine, entering), f"{closure}, cosine {cosine:g}, entering {entering}")
     return sweep.outcome()
 
 
@@ -141,7 +174,7 @@ def samples_agree(bench: Bench) -> Outcome:
 def reciprocity(bench: Bench) -> Outcome:
     """Closures, roughnesses, pairs."""
     rng = np.random.default_rng(3)
-    pairs = [(probe.toward(rng.uniform(0.02, 1), rng.uniform(0, 6)), probe.toward(rng.uniform(0.02, 1), rng.uniform(0, 6))) for _ in range(12)]
+    pairs = [tuple(probe.toward(rng.uniform(0.02, 1), rng.uniform(0, 6)) for _ in range(2)) for _ in range(12)]
     sweep = Sweep()
     for kind, roughness in itertools.product((K.DIFFUSE, K.GLOSSY, K.METAL, K.DIELECTRIC, K.GLASS), (0.1, 0.4, 1.0)):
         closures = (Closure(kind, (0.9, 0.6, 0.3), roughness, 1.5, multiscatter=False),)

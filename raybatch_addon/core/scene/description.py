@@ -47,6 +47,7 @@ class ClosureKind(IntEnum):
     SHEEN = 13  # a layer of fibres
     VELVET = 14  # Ashikhmin's; `roughness` is sigma
     HOLDOUT = 15  # cuts a hole into the picture: takes light, and for `weight` of it the film's alpha is 0
+    SHEET = 16  # facets that scatter on the other side as GLOSSY's on this one: a rough sheet without thickness
     # Abilities: not models, but needed by closures whose values ask for them (`Closure.needs`)
     BECKMANN = 32  # `distribution` 1
     ANISOTROPIC = 33  # `aspect` other than 1

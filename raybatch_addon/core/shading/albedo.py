@@ -154,8 +154,25 @@ def glass_albedo(tables: AlbedoTables, roughness: float, eta: float, cosine: flo
 
 @wp.func
 def coat_fresnel_average(tables: AlbedoTables, ior: float) -> float:
-    """Cosine-weighted mean over the hemisphere of the reflectance of a dielectric of `ior` >= 1."""
+    """Cosine-weighted mean over the hemisphere of the reflectance of a dielectric.
+
+    As much light crosses it from one side as from the other, of radiances that differ by the squared index.
+    """
+    if ior < 1.0:
+        return 1.0 - ior * ior * (1.0 - _read_1d(tables.fresnel_average, _index_coordinate(1.0 / ior)))
     return _read_1d(tables.fresnel_average, _index_coordinate(ior))
+
+
+@wp.func
+def covering_index(ior: float) -> float:
+    """The index >= 1 by which a dielectric layer of `ior` takes light from what is below.
+
+    That of a layer of an index below 1 is the inverse, as in Cycles: total reflection darkens nothing, so that such a surface gives
+    back more light than came. No such layer is above a denser base in the world.
+    """
+    if ior < 1.0:
+        return 1.0 / ior
+    return ior
 
 
 @wp.func

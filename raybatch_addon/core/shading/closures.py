@@ -40,6 +40,7 @@ _ASHIKHMIN_SHIRLEY = wp.constant(int(_K.ASHIKHMIN_SHIRLEY))
 _SHEEN = wp.constant(int(_K.SHEEN))
 _VELVET = wp.constant(int(_K.VELVET))
 _HOLDOUT = wp.constant(int(_K.HOLDOUT))
+_SHEET = wp.constant(int(_K.SHEET))
 _ONE_BELOW = wp.constant(1.0 - 2.0**-24)  # the largest float32 below 1
 
 
@@ -67,7 +68,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
     has_transparent, has_emission, has_holdout = has(_K.TRANSPARENT), has(_K.EMISSION), has(_K.HOLDOUT)
     has_translucent, has_sheen, has_velvet = has(_K.TRANSLUCENT), has(_K.SHEEN), has(_K.VELVET)
     has_facets, has_passing, has_phong = features.facets, has(*PASSING_KINDS), has(_K.ASHIKHMIN_SHIRLEY)
-    has_refraction = has(_K.REFRACTION)
+    has_refraction, has_sheet = has(_K.REFRACTION), has(_K.SHEET)
     bends = features.facets or features.coats
     own = features.own_normals
     has_own_normal, own_normal = make_normals(own)
@@ -113,8 +114,6 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         for c in range(first, end):
             if wp.static(bends and own):
                 cos_o = wp.dot(facet_normal(own_normal(closures, c, frame), frame, wo), wo)
-                if not cos_o > 0.0:
-                    return result
             candidate = view(closures, c, albedo, frame, wo, cos_o)
             if candidate.selection > 0.0:
                 total += candidate.selection
@@ -209,6 +208,10 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                     wi = wp.normalize(reflected(wo, h))
                     if is_specular(alpha):
                         bits = GLOSSY | DELTA
+                    if wp.static(has_sheet):
+                        if kind == _SHEET:
+                            wi = wp.normalize(wi - (2.0 * wp.dot(wi, n)) * n)
+                            bits = TRANSMISSION | (bits & DELTA)
                 if (bits & DELTA) != 0:
                     delta = wp.cw_mul(lobe.scale, f / share)
 

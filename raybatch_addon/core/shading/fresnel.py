@@ -101,13 +101,18 @@ def _conductor(n: float, k: float, cosine: float) -> float:
 def fresnel_conductor(index: wp.vec3, extinction: wp.vec3, cosine: float) -> wp.vec3:
     """Reflectance of unpolarised light at a conductor of complex index n + i k, by channel (Born and Wolf, section 14.4)."""
     return wp.vec3(
-        _conductor(index[0], extinction[0], cosine), _conductor(index[1], extinction[1], cosine), _conductor(index[2], extinction[2], cosine)
+        _conductor(index[0], extinction[0], cosine),
+        _conductor(index[1], extinction[1], cosine),
+        _conductor(index[2], extinction[2], cosine),
     )
 
 
 @wp.func
 def conductor_average(index: wp.vec3, extinction: wp.vec3) -> wp.vec3:
-    """Cosine-weighted mean of `fresnel_conductor` over the hemisphere, about: that of the F82 model of equal reflectances at 0 and 82 degrees."""
+    """Cosine-weighted mean of `fresnel_conductor` over the hemisphere, about.
+
+    That of the F82 model of equal reflectances at 0 and 82 degrees.
+    """
     f0 = fresnel_conductor(index, extinction, 1.0)
     schlick = f0 + wp.static(F82_TERM) * (wp.vec3(1.0) - f0)
     dip = wp.static(F82_SCALE) * (schlick - fresnel_conductor(index, extinction, wp.static(1.0 / 7.0)))

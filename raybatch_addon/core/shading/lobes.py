@@ -7,13 +7,14 @@ import warp as wp
 
 from ..scene.description import ClosureKind
 from .albedo import (
-    AlbedoTables, coat_albedo, coat_fresnel, coat_fresnel_average, energy_compensation, glass_compensation, reflection_albedo,
+    AlbedoTables, coat_albedo, coat_fresnel, coat_fresnel_average, covering_index, energy_compensation, glass_compensation,
+    reflection_albedo,
 )  # fmt: skip
 from .facets import make_facets
 from .film import FILM_LEAST, film_on_conductor, film_on_dielectric, film_on_f82
 from .fresnel import conductor_average, f82_average, fresnel_conductor, fresnel_dielectric, fresnel_f82, tinted_dielectric
-from .materials import MIRROR_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
-from .microfacet import is_refraction_specular, is_specular
+from .materials import MICROFACET_KINDS, REFLECTION_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
+from .microfacet import ggx_slope, is_refraction_specular, is_specular
 from .normals import make_normals
 from .sheen import sheen_lobe
 
@@ -28,6 +29,8 @@ _SHEEN = wp.constant(int(_K.SHEEN))
 _VELVET = wp.constant(int(_K.VELVET))
 # About the albedo of velvet, which is not known; how often it is sampled, no more
 _VELVET_ALBEDO = 0.3
+# Least cosine at which a coat is looked up: where a normal of its own is turned away
+_COSINE_LEAST = wp.constant(1.0e-6)
 
 
 class LobeFunctions(NamedTuple):
@@ -64,11 +67,11 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
     has = features.has
     # whose albedo is their weight, or about that
     is_plain = features.test((_K.DIFFUSE, _K.TRANSPARENT, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT, _K.REFRACTION, _K.ASHIKHMIN_SHIRLEY))
-    is_mirror = features.test(MIRROR_KINDS)
+    is_mirror, is_facets = features.test(REFLECTION_KINDS), features.test(MICROFACET_KINDS)
     has_layered, has_metal, has_dielectric, has_conductor = (
         has(kind) for kind in (_K.LAYERED_DIFFUSE, _K.METAL, _K.DIELECTRIC, _K.CONDUCTOR)
     )
-    has_mirror = has(*MIRROR_KINDS)
+    has_mirror = has(*REFLECTION_KINDS)
     has_glass, has_refraction, has_sheen, has_velvet = has(_K.GLASS), has(_K.REFRACTION), has(_K.SHEEN), has(_K.VELVET)
     has_film = has(_K.THIN_FILM)
     has_dielectrics = has_glass or has_refraction or has_dielectric
@@ -91,13 +94,13 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
     def coat_reflects(closures: wp.array(dtype=ClosureRecord), c: int, tables: AlbedoTables, cos_o: float) -> float:
         """Albedo of the coat above a LAYERED_DIFFUSE closure."""
         roughness = closures[c].roughness
-        ior = closures[c].ior
+        ior = covering_index(closures[c].ior)
         if is_specular(roughness * roughness):
             return fresnel_dielectric(cos_o, ior)
         if closures[c].multiscatter == 0:
             # what facets hide from each other is lost to the layer below too, as in Cycles
             return coat_fresnel(tables, roughness, ior, cos_o)
-        mean = wp.vec3(coat_fresnel_average(tables, ior))
+        mean = wp.vec3(coat_fresnel_average(tables, closures[c].ior))
         factor = energy_compensation(tables, roughness, cos_o, mean)[0]
         return coat_albedo(tables, roughness, ior, cos_o) * factor
 
@@ -164,9 +167,12 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
     def view_lobe(
         closures: wp.array(dtype=ClosureRecord), c: int, tables: AlbedoTables, frame: ShadingFrame, wo: wp.vec3, cos_o: float
     ) -> Lobe:
-        """Closure `c` seen at `cos_o` to the facets' normal."""
+        """Closure `c` seen at `cos_o` to the facets' normal; nothing of facets that are turned away."""
         lobe = Lobe()
         kind = closures[c].kind
+        if wp.static(features.own_normals):
+            if is_facets(kind) and not cos_o > 0.0:
+                return lobe
         weight = closures[c].weight
         albedo = wp.vec3(0.0)
         if is_plain(kind):
@@ -174,7 +180,7 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
             albedo = weight
         if wp.static(has_layered):
             if kind == _LAYERED_DIFFUSE:
-                lobe.scale = wp.max(1.0 - coat_reflects(closures, c, tables, cos_o), 0.0) * weight
+                lobe.scale = wp.max(1.0 - coat_reflects(closures, c, tables, wp.max(cos_o, _COSINE_LEAST)), 0.0) * weight
                 albedo = lobe.scale
         if wp.static(has_mirror):
             if is_mirror(kind):
@@ -195,7 +201,11 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
                         mean = tinted_dielectric(coat_fresnel_average(tables, ior), ior, closures[c].edge)
                         seen_white = fresnel_dielectric(cos_o, ior)
                         if not is_specular(roughness * roughness):
-                            seen_white = coat_fresnel(tables, roughness, ior, cos_o)
+                            if ior < 1.0:  # about, as there is no table: some facets always mirror totally
+                                seen_white = fresnel_dielectric(ggx_slope(roughness * roughness, cos_o), ior)
+                                seen_white = 0.5 * (seen_white + coat_fresnel_average(tables, ior))
+                            else:
+                                seen_white = coat_fresnel(tables, roughness, ior, cos_o)
                         seen = tinted_dielectric(seen_white, ior, closures[c].edge)
                 if wp.static(has_film):
                     if closures[c].film_thickness > wp.static(FILM_LEAST):

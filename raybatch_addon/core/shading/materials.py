@@ -28,7 +28,8 @@ DELTA = 16  # in a direction that no other strategy finds
 _K = ClosureKind
 MIRROR_KINDS = frozenset({_K.GLOSSY, _K.METAL, _K.DIELECTRIC, _K.CONDUCTOR})  # facets that reflect and let nothing through
 PASSING_KINDS = frozenset({_K.GLASS, _K.REFRACTION})  # facets that refract
-MICROFACET_KINDS = MIRROR_KINDS | PASSING_KINDS | {_K.ASHIKHMIN_SHIRLEY}
+REFLECTION_KINDS = MIRROR_KINDS | {_K.SHEET}  # facets whose albedo is that of reflection
+MICROFACET_KINDS = REFLECTION_KINDS | PASSING_KINDS | {_K.ASHIKHMIN_SHIRLEY}
 _COAT_KINDS = frozenset({_K.LAYERED_DIFFUSE, _K.DIELECTRIC})
 # Indices of refraction are kept in a range whose squares and their inverses are far from the ends of
 # float32; beyond it a dielectric reflects more than 99.6 % and is a mirror for all purposes.
@@ -95,7 +96,8 @@ class ClosureRecord:
     weight: wp.vec3  # linear RGB, >= 0
     roughness: float  # [0, 1]; alpha is its square
     ior: float  # inside over outside
-    colour: wp.vec3  # of a facet, without mix factors: GLOSSY, GLASS, ROUGH_DIFFUSE between facets; METAL at normal incidence; CONDUCTOR: index
+    # of a facet, without mix factors: GLOSSY, GLASS, ROUGH_DIFFUSE between facets; METAL at normal incidence; CONDUCTOR: index
+    colour: wp.vec3
     edge: wp.vec3  # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence; CONDUCTOR: extinction coefficient
     refraction: wp.vec3  # GLASS: colour of refracted light relative to `weight`
     multiscatter: int  # 1: what bounces more than once between facets is added
@@ -165,8 +167,7 @@ class BsdfSample:
 def upload_materials(materials: Sequence[Material], features: ClosureFeatures, device) -> MaterialTable:
     """The table of `materials` on `device`.
 
-    Roughness and the indices of refraction are brought into their ranges; a coat (DIELECTRIC,
-    LAYERED_DIFFUSE) with an index below 1 is taken as index 1, no coat. Raises `SceneError` for a
+    Roughness and the indices of refraction are brought into their ranges. Raises `SceneError` for a
     value that is not finite or a negative weight, `ValueError` for a kind that `features` lacks.
     """
     closures = [closure for material in materials for closure in material.closures]
@@ -183,7 +184,7 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     table.closures = wp.array(records, dtype=ClosureRecord, device=device)
     table.albedo = upload_tables(
         device,
-        reflection=features.coats or features.has(*MIRROR_KINDS),
+        reflection=features.coats or features.has(*REFLECTION_KINDS),
         coat=features.coats,
         glass=features.has(_K.GLASS),
         sheen=features.has(_K.SHEEN),
@@ -250,6 +251,4 @@ def _check(material: Material, closure: Closure, features: ClosureFeatures) -> N
 
 def _ior(closure: Closure) -> float:
     least, largest = IOR_RANGE
-    if closure.kind in _COAT_KINDS:
-        least = 1.0
     return min(max(closure.ior, least), largest)

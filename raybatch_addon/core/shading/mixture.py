@@ -17,7 +17,7 @@ from .ashikhmin_shirley import phong_density, phong_exponent
 from .diffuse import rough_diffuse
 from .facets import make_facets
 from .lobes import make_lobes, relative_index
-from .materials import MIRROR_KINDS, PASSING_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
+from .materials import MICROFACET_KINDS, MIRROR_KINDS, PASSING_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
 from .microfacet import is_refraction_specular, is_specular
 from .normals import bump_shadow, facet_normal, make_normals
 from .sampling import tangent_of
@@ -30,6 +30,7 @@ _TRANSLUCENT = wp.constant(int(_K.TRANSLUCENT))
 _ASHIKHMIN_SHIRLEY = wp.constant(int(_K.ASHIKHMIN_SHIRLEY))
 _SHEEN = wp.constant(int(_K.SHEEN))
 _VELVET = wp.constant(int(_K.VELVET))
+_SHEET = wp.constant(int(_K.SHEET))
 LAMBERTIAN = (_K.DIFFUSE, _K.LAYERED_DIFFUSE)
 SOFT = (_K.ROUGH_DIFFUSE, _K.TRANSLUCENT, _K.SHEEN, _K.VELVET)  # other diffuse closures
 
@@ -65,7 +66,8 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
     has_lambert, has_soft = has(*LAMBERTIAN), has(*SOFT)
     has_glass, has_mirror, has_passing = has(_K.GLASS), has(*MIRROR_KINDS), has(*PASSING_KINDS)
     has_rough_diffuse, has_translucent, has_sheen, has_velvet = (has(kind) for kind in SOFT)
-    has_phong, has_facets = has(_K.ASHIKHMIN_SHIRLEY), features.facets
+    has_phong, has_sheet, has_facets = has(_K.ASHIKHMIN_SHIRLEY), has(_K.SHEET), features.facets
+    is_facets = features.test(MICROFACET_KINDS)
     bends = features.facets or features.coats
     own = features.own_normals
     has_own_normal, own_normal = make_normals(own)
@@ -150,8 +152,6 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
             if wp.static(bends and own):
                 n = facet_normal(own_normal(closures, c, frame), frame, wo)
                 cos_o = wp.dot(n, wo)
-                if not cos_o > 0.0:
-                    return Mixture()
             lobe = view(closures, c, albedo, frame, wo, cos_o)
             mixture.selection += lobe.selection
             if wp.static(has_lambert):
@@ -177,6 +177,9 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
             if wp.static(has_facets):
                 cos_i = wp.dot(n, wi)
                 alpha = mean_alpha(closures, c)
+                if wp.static(own):
+                    if is_facets(kind) and not cos_o > 0.0:
+                        cos_i = 0.0  # turned away: nothing on either side
                 if cos_i > 0.0 and above > 0.0 and not is_specular(alpha):
                     if wp.static(has_mirror or has_glass):
                         if is_mirror(kind) or kind == _GLASS:
@@ -196,6 +199,13 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
                             bright = phong(closures, c, n, cos_o, wo, wi)
                             mixture.value += bright[0] * lobe.scale
                             mixture.density += lobe.selection * bright[1]
+                if wp.static(has_sheet):
+                    if kind == _SHEET and cos_i < 0.0 and above < 0.0 and not is_specular(alpha):
+                        facets = facets_of(closures, c, n, cos_o)
+                        behind = wi - (2.0 * cos_i) * n
+                        pdf = 0.25 * visible_density(facets, wo, wo + behind)
+                        mixture.value += (pdf * shadowing(facets, wo, behind, -cos_i)) * lobe.scale
+                        mixture.density += lobe.selection * pdf
                 if wp.static(has_passing):
                     if is_passing(kind) and cos_i < 0.0 and above < 0.0 and not is_specular(alpha):
                         eta = relative_index(closures[c].ior, frame.entering)

@@ -6,19 +6,19 @@ import warp as wp
 
 from .materials import ClosureRecord, ShadingFrame
 
-# Height above the triangle that a mirrored direction has at least: a share of wo's, and no more than this. As in Cycles, so that pictures agree
+# Height above the triangle that a mirrored direction has at least: a share of wo's, and no more than this. As in Cycles, so that pictures
+# agree
 _HEIGHT_SHARE = wp.constant(0.9)
 _HEIGHT_MOST = wp.constant(0.01)
 
 
 @wp.func
-def facet_normal(n: wp.vec3, frame: ShadingFrame, wo: wp.vec3) -> wp.vec3:
-    """Unit normal `n`, bent towards the triangle's where wo's mirror direction would be below the triangle, until it is just above.
+def mirroring_normal(n: wp.vec3, g: wp.vec3, wo: wp.vec3) -> wp.vec3:
+    """Unit normal `n`, bent towards the triangle's, `g`, where wo's mirror direction would be below the triangle, until it is just above.
 
-    In the plane of both normals, with the triangle's as the second axis, a normal (x, z) mirrors wo to the height 2 z (x wo_x + z wo_z) - wo_z.
-    With x = sqrt(1 - z^2) that is quadratic in z^2. A normal that stays may be turned away from wo.
+    In the plane of both normals, with the triangle's as the second axis, a normal (x, z) mirrors wo to the height
+    2 z (x wo_x + z wo_z) - wo_z. With x = sqrt(1 - z^2) that is quadratic in z^2. A normal that stays may be turned away from wo.
     """
-    g = frame.geometric_normal
     wo_z = wp.dot(wo, g)
     least = wp.min(_HEIGHT_SHARE * wo_z, _HEIGHT_MOST)
     n_z = wp.dot(n, g)
@@ -43,6 +43,12 @@ def facet_normal(n: wp.vec3, frame: ShadingFrame, wo: wp.vec3) -> wp.vec3:
 
 
 @wp.func
+def facet_normal(n: wp.vec3, frame: ShadingFrame, wo: wp.vec3) -> wp.vec3:
+    """`mirroring_normal` in a frame."""
+    return mirroring_normal(n, frame.geometric_normal, wo)
+
+
+@wp.func
 def bump_shadow(n: wp.vec3, frame: ShadingFrame, wi: wp.vec3) -> float:
     """What is left of diffuse light from `wi` where a normal `n` of its own tilts the facets of a surface.
 
@@ -52,7 +58,7 @@ def bump_shadow(n: wp.vec3, frame: ShadingFrame, wi: wp.vec3) -> float:
     cos_d = wp.dot(frame.normal, n)
     cos_i = wp.dot(frame.normal, wi)
     if cos_d * cos_i * wp.dot(n, wi) < 0.0:
-        return 0.0  # reflected for one of the normals, but not for the other: light would leak through the surface
+        return 0.0  # above one of the normals alone: light would leak through the surface
     cos_d = wp.abs(cos_d)
     cos_i = wp.abs(cos_i)
     if cos_d >= 1.0 or cos_i >= 1.0:
@@ -65,7 +71,7 @@ def bump_shadow(n: wp.vec3, frame: ShadingFrame, wi: wp.vec3) -> float:
 
 @functools.cache
 def make_normals(own: bool) -> tuple[wp.Function, wp.Function]:
-    """Functions (closures, c: int) -> bool: whether a closure has a normal of its own, and (closures, c: int, frame) -> vec3: its normal."""
+    """Functions (closures, c: int) -> bool: whether a closure has a normal of its own; (closures, c: int, frame) -> vec3: its normal."""
 
     @wp.func
     def has_own_normal(closures: wp.array(dtype=ClosureRecord), c: int) -> bool:

@@ -86,8 +86,8 @@ def glass(node: Node, weight: Value) -> None:
     """Facets that reflect and refract."""
     color = node.color("Color")
     node.closure(
-        "glass", node.times(weight, color), WHITE, color, WHITE, distribution(node), node.number("Roughness"), node.number("IOR"), node.own_normal(),
-        *thin_film(node),
+        "glass", node.times(weight, color), WHITE, color, WHITE, distribution(node), node.number("Roughness"), node.number("IOR"),
+        node.own_normal(), *thin_film(node),
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """The Principled BSDF: layers of closures, each of which takes its share from those below.
 
-From the top: transparency takes 1 - alpha of all; sheen and coat take what they reflect as seen from where the ray came; emission is seen through
-both; of the rest metal takes its share, of what is left glass takes its own, and a dielectric above a diffuse base has the remainder.
+From the top: transparency takes 1 - alpha of all; sheen and coat take what they reflect as seen from where the ray came; emission is seen
+through both; of the rest metal takes its share, of what is left glass takes its own, and a dielectric above a diffuse base has the remainder.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Layers:
 
 @shader(
     "ShaderNodeBsdfPrincipled", kinds=lambda node: _kinds(node),
-    note="subsurface scattering is rendered as diffuse reflection of the same colour; rough thin walls let light pass straight on",
+    note="subsurface scattering is rendered as diffuse reflection of the same colour",
 )  # fmt: skip
 def principled(node: Node, weight: Value) -> None:
     """All layers."""
@@ -119,8 +119,8 @@ def add_layers(node: Node, weight: Value, layers: Layers) -> None:
         weight = _add_sheen(node, weight, layers)
     if layers.coat is not None:
         coat = layers.coat
-        coat_weight, weight = node.op("layer_coat", weight, coat.weight, coat.roughness, coat.ior, coat.tint, coat.normal)
-        node.closure("dielectric", coat_weight, WHITE, Distribution.GGX, coat.roughness, coat.ior, 1.0, BLACK, coat.normal, _NONE, _ONE)
+        coat_weight, weight, ior = node.op("layer_coat", weight, coat.weight, coat.roughness, coat.ior, coat.tint, coat.normal)
+        node.closure("dielectric", coat_weight, WHITE, Distribution.GGX, coat.roughness, ior, 1.0, BLACK, coat.normal, _NONE, _ONE)
     node.closure("emission", node.times(layers.emission, weight))
     facets = (layers.distribution, layers.roughness)
     turned = (layers.aspect, layers.tangent, layers.normal, *layers.film)
@@ -167,9 +167,13 @@ def _add_thin_glass(node: Node, weight: Value, layers: Layers) -> None:
     """Adds a sheet of glass."""
     reflected, passed = weight, BLACK
     if weight.constant != BLACK.constant:
-        reflected, passed = node.op("layer_thin_glass", weight, layers.base, layers.tint, layers.ior, layers.normal)
+        sheet = (weight, layers.base, layers.tint, layers.ior, layers.normal)
+        if layers.filmed:
+            reflected, passed = node.op("layer_thin_glass_film", *sheet, *layers.film)
+        else:
+            reflected, passed = node.op("layer_thin_glass", *sheet)
     node.closure("glossy", reflected, layers.tint, Distribution.MULTI_GGX, layers.roughness, _ONE, BLACK, layers.normal)
-    node.closure("transparent", passed)
+    node.closure("sheet", passed, layers.roughness, layers.ior, layers.normal)
 
 
 def layered_closures(layers: Layers) -> tuple[Closure, ...]:
@@ -187,7 +191,7 @@ def _kinds(node: Node) -> set[ClosureKind]:
         (_K.THIN_FILM, _K.DIFFUSE): node.used("Thin Film Thickness"),
         (_K.ROUGH_DIFFUSE, _K.DIFFUSE): node.used("Diffuse Roughness"),
         (_K.DIFFUSE,): node.color("Specular Tint").constant != WHITE.constant,
-        (_K.GLOSSY,): _is_thin(node),
+        (_K.GLOSSY, _K.SHEET): _is_thin(node),
         (_K.TRANSLUCENT, _K.DIFFUSE): _is_thin(node) and node.used("Subsurface Weight"),
     }
     return {*KINDS, *(kind for kinds, there in extra.items() if there for kind in kinds)}
@@ -219,13 +223,7 @@ def _sheen(node: Node) -> Sheen | None:
 
 
 def _note_approximations(node: Node) -> None:
-    ior = node.number("IOR")
-    if ior.known and ior.number() < 1.0 and node.used("Specular IOR Level"):
-        node.warn("an IOR below 1 reflects nothing but where it is transmissive; this is an input")
     if node.used("Subsurface Weight") and not _is_thin(node):
         node.warn("Subsurface is rendered as diffuse reflection of the same colour; this is an input")
-    if _is_thin(node):
-        if node.used("Roughness") and node.used("Transmission Weight"):
-            node.warn("Thin Wall lets light pass straight on, however rough it is; this is an input")
-        if not node.number("Thin Wall").known:
-            node.warn("Thin Wall is taken as on everywhere; this is an input")
+    if _is_thin(node) and not node.number("Thin Wall").known:
+        node.warn("Thin Wall is taken as on everywhere; this is an input")

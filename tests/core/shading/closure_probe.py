@@ -156,6 +156,8 @@ ROUGH = {
     "refracting": (Closure(K.REFRACTION, WHITE, 0.4, 1.5),),
     "beckmann refracting": (Closure(K.REFRACTION, WHITE, 0.4, 1.33, distribution=1),),
     "conductor": (Closure(K.CONDUCTOR, WHITE, 0.4, colour=(0.2, 0.9, 1.1), edge=(3.9, 2.4, 2.2)),),
+    "sheet": (Closure(K.SHEET, WHITE, 0.5),),
+    "index below 1": (Closure(K.DIELECTRIC, WHITE, 0.3, 0.7), Closure(K.LAYERED_DIFFUSE, (0.4, 0.2, 0.1), 0.3, 0.7)),
     "ashikhmin-shirley": (Closure(K.ASHIKHMIN_SHIRLEY, WHITE, 0.5),),
     "ashikhmin-shirley 1": (Closure(K.ASHIKHMIN_SHIRLEY, WHITE, 1.0),),
     "anisotropic ashikhmin-shirley": (Closure(K.ASHIKHMIN_SHIRLEY, WHITE, 0.5, aspect=0.3, tangent=(1.0, 0.3, 0.1)),),

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from make_albedo_tables import IOR_LARGEST, fresnel, quantised, quantised_difference, raised, refined, reflected_and_total, slope, without_a_coat
 
-from raybatch_addon.core.shading.albedo import load_tables
+from raybatch_addon.core.shading.albedo import coat_fresnel_average, load_tables
+from raybatch_addon.core.shading.nodes.op import as_python
+from tests.core.shading.nodes.host_program import host_tables
 
 
 def _read(table, *place):
@@ -42,6 +44,13 @@ def test_tables_lose_little_and_make_next_to_nothing(places):
             if eta > 1:
                 mean = float(fresnel(slope(roughness**2, cosine), eta)) + _read(tables["coat"], x[i], roughness, u)
                 assert -1e-4 < mirror * min(max(mean, 0), 1) - reflected[i] < 0.005, note
+
+
+@pytest.mark.parametrize("ior", [0.01, 0.3, 0.8, 0.99, 1.0, 1.3, 100.0])
+def test_the_mean_reflectance_of_a_dielectric_of_any_index(ior):
+    mu = (np.arange(100_000) + 0.5) / 100_000  # total reflection has a kink
+    expected = (2 * mu * fresnel(mu, ior)).mean()
+    assert as_python(coat_fresnel_average)(host_tables(), ior) == pytest.approx(expected, abs=2e-3)
 
 
 @pytest.mark.parametrize("parts", [(4, 2, 4), (3, 1, 2)])

@@ -24,7 +24,7 @@ from under_test import BLOCK_DIM, DEVICE, SOURCE_SUFFIX
 
 def reflects_alone(name):
     """Whether no closure of ROUGH[name] lets light through."""
-    return not {closure.kind for closure in ROUGH[name]} & {K.GLASS, K.REFRACTION, K.TRANSLUCENT, K.TRANSPARENT}
+    return not {closure.kind for closure in ROUGH[name]} & {K.GLASS, K.REFRACTION, K.SHEET, K.TRANSLUCENT, K.TRANSPARENT}
 
 
 @pytest.mark.parametrize("entering", [1, 0])

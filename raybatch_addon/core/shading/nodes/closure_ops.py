@@ -74,34 +74,45 @@ def simple_closure(kind: int, weight: wp.vec3, normal: wp.vec3, closures: wp.arr
 
 @closure_op("emission", "v")
 @wp.func
-def emission(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+def emission(
+    data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int
+) -> int:
     """Emits its weight as radiance, on both sides [W/(m² sr)]."""
     return simple_closure(wp.static(int(ClosureKind.EMISSION)), vector(data, stack, pc + 1), wp.vec3(0.0), closures, count)
 
 
 @closure_op("transparent", "v")
 @wp.func
-def transparent(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+def transparent(
+    data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int
+) -> int:
     """Lets light pass straight on, times its weight."""
     return simple_closure(wp.static(int(ClosureKind.TRANSPARENT)), vector(data, stack, pc + 1), wp.vec3(0.0), closures, count)
 
 
 @closure_op("holdout", "v")
 @wp.func
-def holdout(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+def holdout(
+    data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int
+) -> int:
     """Cuts a hole into the picture."""
     return simple_closure(wp.static(int(ClosureKind.HOLDOUT)), vector(data, stack, pc + 1), wp.vec3(0.0), closures, count)
 
 
 @closure_op("diffuse", "vv")
 @wp.func
-def diffuse(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+def diffuse(
+    data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int
+) -> int:
     """Reflects by Lambert's law: weight, normal."""
     return simple_closure(wp.static(int(ClosureKind.DIFFUSE)), vector(data, stack, pc + 1), vector(data, stack, pc + 2), closures, count)
 
 
 @closure_op("translucent", "vv")
 @wp.func
-def translucent(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+def translucent(
+    data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int
+) -> int:
     """The same on the other side."""
-    return simple_closure(wp.static(int(ClosureKind.TRANSLUCENT)), vector(data, stack, pc + 1), vector(data, stack, pc + 2), closures, count)
+    kind = wp.static(int(ClosureKind.TRANSLUCENT))
+    return simple_closure(kind, vector(data, stack, pc + 1), vector(data, stack, pc + 2), closures, count)

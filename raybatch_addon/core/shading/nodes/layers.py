@@ -5,11 +5,12 @@ A layer takes from all channels what it reflects of the one of which it reflects
 
 import warp as wp
 
-from ..albedo import coat_fresnel, coat_fresnel_average, energy_compensation, reflection_albedo
+from ..albedo import coat_fresnel, coat_fresnel_average, covering_index, energy_compensation, reflection_albedo
 from ..film import FILM_LEAST, film_on_dielectric
 from ..fresnel import fresnel_dielectric, normal_reflectance, tinted_dielectric
 from ..materials import IOR_RANGE
 from ..microfacet import is_specular
+from ..normals import mirroring_normal
 from ..sheen import sheen_lobe
 from .closure_ops import is_black, unit_color, unit_number, usable_index, usable_normal, usable_weight
 from .closure_ops_facets import FILM_IOR_LEAST, Distribution, film_thickness
@@ -39,19 +40,29 @@ def _seen_at(normal: wp.vec3, point: ShadingPoint) -> float:
 
 
 @wp.func
+def _facets_seen_at(normal: wp.vec3, point: ShadingPoint) -> float:
+    """The same to the normal of facets, which is bent where it would mirror the viewer into the surface."""
+    n = normal
+    if is_black(n):
+        n = point.normal
+    return wp.clamp(wp.dot(mirroring_normal(n, point.geometric_normal, point.incoming), point.incoming), 0.0, 1.0)
+
+
+@wp.func
 def _reflected(data: NodeData, roughness: float, ior: float, cosine: float) -> float:
-    """Mean reflectance of the facets of a dielectric that are seen."""
+    """Mean reflectance of the facets of a dielectric of `ior` >= 1 that are seen."""
     if ior == 1.0:
         return 0.0
     if is_specular(roughness * roughness):
         return fresnel_dielectric(cosine, ior)
-    return coat_fresnel(data.albedo, roughness, ior, cosine)
+    return coat_fresnel(data.albedo, roughness, ior, wp.max(cosine, 1.0e-6))
 
 
 @op("layer_sheen", "vnvnvvn>VVV", foldable=False)
 @wp.func
 def layer_sheen(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """Fibres on top: weight, share, tint, roughness, the surface's normal, the coat's, the coat's share > weight of the fibres, of what is below, their normal."""
+    """Fibres on top: weight, share, tint, roughness, the surface's normal, the coat's, the coat's share > weight of the fibres, of what is
+    below, their normal."""
     weight = usable_weight(vector(data, stack, pc + 1))
     share = wp.max(number(data, stack, pc + 2), 0.0)
     fibres = usable_weight(share * wp.cw_mul(usable_weight(vector(data, stack, pc + 3)), weight))
@@ -71,10 +82,10 @@ def layer_sheen(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Sh
     put_vector(data, stack, pc + 10, normal)
 
 
-@op("layer_coat", "vnnnvv>VV", foldable=False)
+@op("layer_coat", "vnnnvv>VVN", foldable=False)
 @wp.func
 def layer_coat(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """A coat of varnish: weight, share, roughness, index, tint, normal > weight of the coat, of what is below.
+    """A coat of varnish: weight, share, roughness, index, tint, normal > weight of the coat, of what is below, the coat's index >= 1.
 
     The tint is that of light which crosses the coat once along its normal; on its way from the viewer it goes further.
     """
@@ -83,7 +94,7 @@ def layer_coat(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Sha
     roughness = unit_number(number(data, stack, pc + 3))
     ior = usable_index(number(data, stack, pc + 4), 1.0)
     tint = usable_weight(vector(data, stack, pc + 5))
-    cosine = _seen_at(usable_normal(vector(data, stack, pc + 6)), point)
+    cosine = _facets_seen_at(usable_normal(vector(data, stack, pc + 6)), point)
     coat = usable_weight(share * weight)
     below = below_layer(weight, _reflected(data, roughness, ior, cosine) * coat)
     inside = wp.sqrt(wp.max(1.0 - (1.0 - cosine * cosine) / (ior * ior), 1.0e-12))
@@ -96,6 +107,7 @@ def layer_coat(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Sha
             passed[i] = wp.max(1.0 + share * (through - 1.0), 0.0)
     put_vector(data, stack, pc + 7, coat)
     put_vector(data, stack, pc + 8, wp.cw_mul(below, passed))
+    put_number(data, stack, pc + 9, ior)
 
 
 @op("layer_specular", "vvinnv>V", foldable=False)
@@ -105,12 +117,13 @@ def layer_specular(data: NodeData, stack: wp.array(dtype=float), pc: int, point:
     weight = usable_weight(vector(data, stack, pc + 1))
     tint = usable_weight(vector(data, stack, pc + 2))
     roughness = unit_number(number(data, stack, pc + 4))
-    ior = usable_index(number(data, stack, pc + 5), 1.0)
-    cosine = _seen_at(usable_normal(vector(data, stack, pc + 6)), point)
-    if ior > 1.0:
-        layer = wp.cw_mul(weight, tinted_dielectric(_reflected(data, roughness, ior, cosine), ior, tint))
+    ior = usable_index(number(data, stack, pc + 5), wp.static(IOR_RANGE[0]))
+    cosine = _facets_seen_at(usable_normal(vector(data, stack, pc + 6)), point)
+    if ior != 1.0:
+        layer = wp.cw_mul(weight, tinted_dielectric(_reflected(data, roughness, covering_index(ior), cosine), ior, tint))
         if data.code[pc + 3] == wp.static(int(Distribution.MULTI_GGX)) and not is_specular(roughness * roughness):
             mean = tinted_dielectric(coat_fresnel_average(data.albedo, ior), ior, tint)
+            cosine = wp.max(cosine, 1.0e-6)
             factor = energy_compensation(data.albedo, roughness, cosine, wp.min(mean, wp.vec3(1.0)))
             layer = reflection_albedo(data.albedo, roughness, cosine) * wp.cw_mul(layer, factor)
         weight = below_layer(weight, layer)
@@ -120,47 +133,82 @@ def layer_specular(data: NodeData, stack: wp.array(dtype=float), pc: int, point:
 @op("layer_film", "vvnvnn>V", foldable=False)
 @wp.func
 def layer_film(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """What the closure `dielectric` with a film leaves: weight, tint, index, normal, film's thickness [nm] and index > weight of what is below.
+    """What `dielectric` with a film leaves: weight, tint, index, normal, film's thickness [nm] and index > weight of what is below.
 
     Roughness is left out: what a film on rough facets reflects is not known beforehand. A film that is none leaves what a smooth
     surface would.
     """
     weight = usable_weight(vector(data, stack, pc + 1))
     tint = usable_weight(vector(data, stack, pc + 2))
-    ior = usable_index(number(data, stack, pc + 3), 1.0)
-    cosine = _seen_at(usable_normal(vector(data, stack, pc + 4)), point)
+    ior = usable_index(number(data, stack, pc + 3), wp.static(IOR_RANGE[0]))
+    cosine = _facets_seen_at(usable_normal(vector(data, stack, pc + 4)), point)
     film = film_thickness(data, stack, pc + 5)
-    layer = tinted_dielectric(fresnel_dielectric(cosine, ior), ior, tint)
+    layer = tinted_dielectric(fresnel_dielectric(cosine, covering_index(ior)), ior, tint)
     if film > wp.static(FILM_LEAST):
         index = usable_index(number(data, stack, pc + 6), wp.static(FILM_IOR_LEAST))
         layer = film_on_dielectric(data.albedo.film, film, index, ior, tint, cosine)
     put_vector(data, stack, pc + 7, below_layer(weight, wp.cw_mul(weight, layer)))
 
 
-@op("layer_thin_glass", "vvvnv>VV", foldable=False)
 @wp.func
-def layer_thin_glass(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """A sheet of glass with both its surfaces: weight, colour of light that crosses it along its normal, tint of what a surface reflects at normal
-    incidence, index, normal > weights of what it reflects and of what passes, all bounces between the surfaces added up."""
-    weight = usable_weight(vector(data, stack, pc + 1))
-    color = unit_color(vector(data, stack, pc + 2))
-    ior = usable_index(number(data, stack, pc + 4), wp.static(IOR_RANGE[0]))
-    cosine = _seen_at(usable_normal(vector(data, stack, pc + 5)), point)
-    surface = tinted_dielectric(fresnel_dielectric(cosine, ior), ior, usable_weight(vector(data, stack, pc + 3)))
-    inside = wp.sqrt(wp.max(1.0 - (1.0 - cosine * cosine) / (ior * ior), 0.0))
+def _cosine_inside(cosine: float, ior: float) -> float:
+    """Behind a surface of `ior`, by Snell's law; 0 where all is reflected."""
+    return wp.sqrt(wp.max(1.0 - (1.0 - cosine * cosine) / (ior * ior), 0.0))
+
+
+@wp.func
+def _put_sheet(
+    data: NodeData, stack: wp.array(dtype=float), at: int, weight: wp.vec3, color: wp.vec3, inside: float, front: wp.vec3, back: wp.vec3
+):
+    """The weights of what a sheet reflects and of what passes, to the words from `at` on.
+
+    All bounces between surfaces that reflect `front` and `back` are added up; light crosses the sheet at the cosine `inside`.
+    """
     reflected = wp.vec3(0.0)
     passed = wp.vec3(0.0)
     for i in range(3):
-        r = wp.min(surface[i], 1.0)
+        r = wp.clamp(front[i], 0.0, 1.0)
+        r2 = wp.clamp(back[i], 0.0, 1.0)
         absorbed = float(0.0)
         if color[i] > 0.0 and inside > 0.0:
             absorbed = wp.pow(color[i], 1.0 / inside)
-        bounced = r * absorbed
-        if r < 1.0:
-            passed[i] = absorbed * (1.0 - r) * (1.0 - r) / (1.0 - bounced * bounced)
+        bounced = r2 * absorbed
+        if bounced < 1.0:
+            passed[i] = absorbed * (1.0 - r) * (1.0 - r2) / (1.0 - bounced * bounced)
         reflected[i] = r + passed[i] * bounced
-    put_vector(data, stack, pc + 6, wp.cw_mul(weight, reflected))
-    put_vector(data, stack, pc + 7, wp.cw_mul(weight, passed))
+    put_vector(data, stack, at, wp.cw_mul(weight, reflected))
+    put_vector(data, stack, at + 1, wp.cw_mul(weight, passed))
+
+
+@op("layer_thin_glass", "vvvnv>VV", foldable=False)
+@wp.func
+def layer_thin_glass(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """A sheet of glass with both its surfaces: weight, colour of light that crosses it along its normal, tint of what a surface reflects at
+    normal incidence, index, normal > weights of what it reflects and of what passes."""
+    ior = usable_index(number(data, stack, pc + 4), wp.static(IOR_RANGE[0]))
+    cosine = _facets_seen_at(usable_normal(vector(data, stack, pc + 5)), point)
+    surface = tinted_dielectric(fresnel_dielectric(cosine, ior), ior, usable_weight(vector(data, stack, pc + 3)))
+    weight = usable_weight(vector(data, stack, pc + 1))
+    _put_sheet(data, stack, pc + 6, weight, unit_color(vector(data, stack, pc + 2)), _cosine_inside(cosine, ior), surface, surface)
+
+
+@op("layer_thin_glass_film", "vvvnvnn>VV", foldable=False)
+@wp.func
+def layer_thin_glass_film(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """The same with a film on both surfaces: its thickness [nm] and index come last."""
+    tint = usable_weight(vector(data, stack, pc + 3))
+    ior = usable_index(number(data, stack, pc + 4), wp.static(IOR_RANGE[0]))
+    cosine = _facets_seen_at(usable_normal(vector(data, stack, pc + 5)), point)
+    inside = _cosine_inside(cosine, ior)
+    film = film_thickness(data, stack, pc + 6)
+    front = tinted_dielectric(fresnel_dielectric(cosine, ior), ior, tint)
+    back = front
+    if film > wp.static(FILM_LEAST):
+        index = usable_index(number(data, stack, pc + 7), wp.static(FILM_IOR_LEAST))
+        front = film_on_dielectric(data.albedo.film, film, index, ior, tint, cosine)
+        back = film_on_dielectric(data.albedo.film, film, index / ior, 1.0 / ior, tint, inside)
+    weight = usable_weight(vector(data, stack, pc + 1))
+    _put_sheet(data, stack, pc + 8, weight, unit_color(vector(data, stack, pc + 2)), inside, front, back)
 
 
 @op("specular_index", "nn>N")
@@ -191,7 +239,8 @@ def refraction_tint(data: NodeData, stack: wp.array(dtype=float), pc: int, point
 @op("forward_share", "nn>N")
 @wp.func
 def forward_share(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """Of diffuse light, the share that a thin wall lets through: of the first, which scatters within it, by the second, how far it scatters ahead."""
+    """Of diffuse light, the share that a thin wall lets through: of the first, which scatters within it, by the second, how far it scatters
+    ahead."""
     ahead = unit_number(0.5 + 0.5 * number(data, stack, pc + 2))
     put_number(data, stack, pc + 3, unit_number(number(data, stack, pc + 1)) * ahead)
 

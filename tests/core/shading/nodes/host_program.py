@@ -29,7 +29,8 @@ class _Table:
 
 
 @functools.cache
-def _tables() -> SimpleNamespace:
+def host_tables() -> SimpleNamespace:
+    """`AlbedoTables` that Python bodies can read."""
     return SimpleNamespace(**{name: _Table(values.astype(np.float64)) for name, values in load_tables().items()})
 
 
@@ -43,7 +44,7 @@ def closures_seen_at(program: Program, cosine: float, azimuth: float = 0.4) -> t
     closures, count = _Closures([None] * program.closure_count), 0
     for step in program.instructions:
         op = op_named(step.op)
-        data = SimpleNamespace(code=[0, *step.words], constants=constants, albedo=_tables())
+        data = SimpleNamespace(code=[0, *step.words], constants=constants, albedo=host_tables())
         if op.makes_closures:
             count = as_python(op.function)(data, stack, 0, point, closures, count)
         else:

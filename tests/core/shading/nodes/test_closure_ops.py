@@ -21,11 +21,11 @@ from under_test import DEVICE
 
 CLOSURES = (
     "emission", "transparent", "holdout", "diffuse", "translucent", "rough_diffuse", "sheen", "velvet", "glossy", "ashikhmin_shirley", "metal",
-    "conductor", "dielectric", "layered_diffuse", "glass", "refraction",
+    "conductor", "dielectric", "layered_diffuse", "glass", "refraction", "sheet",
 )  # fmt: skip
 LAYERS = (
-    "layer_sheen", "layer_coat", "layer_specular", "layer_film", "layer_thin_glass", "specular_index", "refraction_tint", "forward_share",
-    "glossy_aspect", "principled_aspect", "rotate_tangent",
+    "layer_sheen", "layer_coat", "layer_specular", "layer_film", "layer_thin_glass", "layer_thin_glass_film", "specular_index", "refraction_tint",
+    "forward_share", "glossy_aspect", "principled_aspect", "rotate_tangent",
 )  # fmt: skip
 OPS = (*CLOSURES, *LAYERS)
 ROOM = 4
@@ -164,7 +164,7 @@ def test_layers_take_no_more_than_there_is(cosine):
         weight, tint, u = rng.uniform(0, 1, 3).astype(np.float32), rng.uniform(0, 1, 3), rng.uniform(0, 1, 4)
         fibres, below, _ = run_layer("layer_sheen", weight, u[0], tint, u[1], zero, zero, 0.0, cosine=cosine)
         assert (below >= 0).all() and (below <= weight).all() and (fibres <= weight).all()
-        coat, below = run_layer("layer_coat", weight, u[0], u[1], 1 + u[2], (1, 1, 1), zero, cosine=cosine)
+        coat, below, _ = run_layer("layer_coat", weight, u[0], u[1], 1 + u[2], (1, 1, 1), zero, cosine=cosine)
         assert (below >= 0).all() and (below <= weight).all()
         below = run_layer("layer_specular", weight, tint, int(u[0] > 0.5), u[1], 1 + u[2], zero, cosine=cosine)[0]
         assert (below >= 0).all() and (below <= weight).all()
@@ -187,9 +187,31 @@ def test_a_coat_tints_by_the_way_through_it():
 
 @pytest.mark.parametrize("cosine", [1.0, 0.4, 0.01])
 def test_clear_thin_glass_loses_nothing(cosine):
-    reflected, passed = run_layer("layer_thin_glass", (1, 1, 1), (1, 1, 1), (1, 1, 1), 1.5, (0.0, 0.0, 0.0), cosine=cosine)
-    np.testing.assert_allclose(reflected + passed, 1, rtol=1e-5)
-    assert (passed > 0).all() and (reflected > 0).all()
+    sheet = ((1, 1, 1), (1, 1, 1), (1, 1, 1), 1.5, (0.0, 0.0, 0.0))
+    clear = run_layer("layer_thin_glass", *sheet, cosine=cosine)
+    np.testing.assert_array_equal(clear, run_layer("layer_thin_glass_film", *sheet, 0.0, 1.4, cosine=cosine))
+    for reflected, passed in (clear, run_layer("layer_thin_glass_film", *sheet, 400.0, 1.4, cosine=cosine)):
+        np.testing.assert_allclose(reflected + passed, 1, rtol=1e-5)
+        assert (passed > 0).all() and (reflected > 0).all()
+
+
+def test_layers_of_an_index_below_1_take_what_those_of_its_inverse_take():
+    for cosine in (1.0, 0.5, 0.1):
+        below = [run_layer("layer_specular", (1, 1, 1), (1, 1, 1), 0, 0.3, ior, (0.0, 0.0, 0.0), cosine=cosine)[0] for ior in (0.8, 1.25)]
+        np.testing.assert_allclose(*below, rtol=1e-6)
+    coat = run_layer("layer_coat", (1, 1, 1), 1.0, 0.3, 0.8, (1, 1, 1), (0.0, 0.0, 0.0), cosine=0.5)
+    np.testing.assert_array_equal(coat[1], (1, 1, 1))  # a coat has no index below 1
+    assert coat[2] == 1
+
+
+def test_rough_sheets_scatter_and_smooth_ones_are_transparent():
+    for roughness, ior, kind in ((0.0, 1.5, K.TRANSPARENT), (0.5, 1.5, K.SHEET), (0.5, 0.8, K.TRANSPARENT), (0.5, 1.0, K.TRANSPARENT)):
+        builder = ProgramBuilder()
+        builder.closure("sheet", (0.5, 0.5, 0.5), roughness, ior, (0.0, 0.0, 0.0))
+        (record,) = builder.constant_closures()
+        assert record.kind == kind
+        if kind == K.SHEET:  # alpha, as in Cycles' bsdf_thin_glass_transmission_roughness
+            assert record.roughness**2 == pytest.approx(roughness**2 * np.sqrt(3.4 * (ior - 1) * (ior - 0.5) ** 2 / ior**3), rel=1e-6)
 
 
 @pytest.mark.parametrize("ior", [1.5, 2.2, 1.0])
