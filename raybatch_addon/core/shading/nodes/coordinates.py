@@ -26,9 +26,19 @@ def object_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, po
 @wp.func
 def generated(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """The point in the texture space of its mesh, 0..1 across the mesh's box; word 1 is the shift."""
-    position = object_position(data, point, data.code[pc + 1])
-    if point.instance >= 0:
-        position = wp.cw_mul(position, data.inputs.texture_scale[point.instance]) + data.inputs.texture_offset[point.instance]
+    first = int(-1)
+    if point.instance >= 0 and point.primitive >= 0:
+        first = data.inputs.generated_first[point.instance]
+    position = wp.vec3(0.0)
+    if first >= 0:
+        corner = first + 3 * point.primitive
+        weight = shifted_barycentric(point, data.code[pc + 1])
+        a = data.inputs.generated[corner]
+        position = a + weight[0] * (data.inputs.generated[corner + 1] - a) + weight[1] * (data.inputs.generated[corner + 2] - a)
+    else:
+        position = object_position(data, point, data.code[pc + 1])
+        if point.instance >= 0:
+            position = wp.cw_mul(position, data.inputs.texture_scale[point.instance]) + data.inputs.texture_offset[point.instance]
     put_vector(data, stack, pc + 2, position)
 
 

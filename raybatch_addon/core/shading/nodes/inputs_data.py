@@ -7,7 +7,7 @@ from ...errors import SceneError
 from ...scene.description import CameraKind, Scene
 from ...scene.flatten import is_mirrored_where_baked
 from ...scene.geometry import mat34
-
+from .texture_space import generated_corners, texture_space_maps
 
 # Ops that go between the spaces of world and object, and that know a mesh's texture space
 _TEXTURE_SPACE_OPS = frozenset({"generated", "radial_tangent"})
@@ -32,6 +32,8 @@ class InputData:
     window: wp.vec4  # `Camera.window`
     texture_offset: wp.array(dtype=wp.vec3)  # generated coordinates are position in object space times scale, plus offset; of each instance
     texture_scale: wp.array(dtype=wp.vec3)
+    generated_first: wp.array(dtype=int)  # of each instance: first of its corners in the next, -1: the map above tells as well
+    generated: wp.array(dtype=wp.vec3)  # generated coordinates of triangle corners
     uv_first: wp.array(dtype=int)  # of each instance: first of its corners in `uvs`, -1: it has none
     uvs: wp.array(dtype=wp.vec2)  # of triangle corners
     attribute_row: wp.array(dtype=int)  # of each instance: its row in the next two
@@ -60,14 +62,15 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
     if "object_info" in ops and instances.info is not None:
         inputs.info = wp.array(np.asarray(instances.info, np.float32), dtype=float, device=device)
     if not _TEXTURE_SPACE_OPS.isdisjoint(ops):
-        spaces = np.array([mesh.texture_space or ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0)) for mesh in scene.meshes], np.float64).reshape(-1, 2, 3)
-        size = np.where(spaces[:, 1] != 0, spaces[:, 1], 1.0)
-        scale = 0.5 / size
-        offset = 0.5 - spaces[:, 0] * scale
+        scale, offset = texture_space_maps(scene)
         inputs.texture_scale = wp.array(scale[instances.mesh].astype(np.float32), dtype=wp.vec3, device=device)
         inputs.texture_offset = wp.array(offset[instances.mesh].astype(np.float32), dtype=wp.vec3, device=device)
+    if "generated" in ops:
+        first, corners = _corner_values(scene, generated_corners(scene), 3)
+        inputs.generated_first = wp.array(first, dtype=int, device=device)
+        inputs.generated = wp.array(corners, dtype=wp.vec3, device=device)
     if "uv" in ops:
-        first, uvs = _corner_values(scene)
+        first, uvs = _corner_values(scene, {i: mesh.corner_uvs for i, mesh in enumerate(scene.meshes) if mesh.corner_uvs is not None}, 2)
         inputs.uv_first = wp.array(first, dtype=int, device=device)
         inputs.uvs = wp.array(uvs, dtype=wp.vec2, device=device)
     if not _ATTRIBUTE_OPS.isdisjoint(ops):
@@ -116,22 +119,22 @@ def inverses(transform: np.ndarray) -> np.ndarray:
     return result.astype(np.float32)
 
 
-def _corner_values(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """First corner of each instance, int32, and UVs of all corners, float32, shape [n, 2]."""
+def _corner_values(scene: Scene, of_meshes: dict[int, np.ndarray], width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Values [triangle_count, 3, width] of meshes by index, joined: first corner of each instance, int32, and float32 [n, width]."""
     first = np.full(len(scene.instances), -1, np.int32)
     chunks: list[np.ndarray] = []
     places: dict[tuple[int, bool], int] = {}
     count = 0
     mirrored = is_mirrored_where_baked(scene)
     for i, mesh_index in enumerate(scene.instances.mesh.tolist()):
-        uvs = scene.meshes[mesh_index].corner_uvs
-        if uvs is None:
+        values = of_meshes.get(mesh_index)
+        if values is None:
             continue
         key = (mesh_index, bool(mirrored[i]))
         if key not in places:
             # corners in the order that the geometry has them
-            chunks.append((uvs[:, [0, 2, 1]] if key[1] else uvs).reshape(-1, 2))
+            chunks.append((values[:, [0, 2, 1]] if key[1] else values).reshape(-1, width))
             places[key] = count
             count += len(chunks[-1])
         first[i] = places[key]
-    return first, np.concatenate(chunks).astype(np.float32) if chunks else np.zeros((0, 2), np.float32)
+    return first, np.concatenate(chunks).astype(np.float32) if chunks else np.zeros((0, width), np.float32)

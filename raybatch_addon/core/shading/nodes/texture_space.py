@@ -1,0 +1,51 @@
+"""The space of generated texture coordinates: 0..1 across a box about a mesh.
+
+From a point in the world they are told only as exactly as the point itself. That is enough but on faces along which a coordinate does
+not change: a checker, say, whose squares end in that very plane would be speckled by the rounding. Such meshes have the coordinates of
+their corners kept, so that they stay as even as the mesh is.
+"""
+
+import numpy as np
+
+from ...scene.description import Mesh, Scene
+from ...scene.flatten import IDENTITY
+
+_UNIT_BOX = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+
+
+def texture_space_maps(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Scale and offset from object space to generated coordinates of each mesh, float64, shape [mesh_count, 3] each."""
+    boxes = np.array([mesh.texture_space or _UNIT_BOX for mesh in scene.meshes], np.float64).reshape(-1, 2, 3)
+    scale = 0.5 / np.where(boxes[:, 1] != 0, boxes[:, 1], 1.0)
+    return scale, 0.5 - boxes[:, 0] * scale
+
+
+def generated_corners(scene: Scene) -> dict[int, np.ndarray]:
+    """Generated coordinates of the corners of meshes by index, float32, shape [triangle_count, 3, 3].
+
+    Only of those with a face along which one is constant, that are not placed by the identity, and whose materials ask.
+    """
+    scale, offset = texture_space_maps(scene)
+    asking = np.array([_asks(material) for material in scene.materials], bool)
+    result: dict[int, np.ndarray] = {}
+    instances = scene.instances
+    for i, index in enumerate(instances.mesh.tolist()):
+        mesh = scene.meshes[index]
+        if index in result or len(mesh.triangles) == 0 or np.array_equal(instances.transform[i], IDENTITY):
+            continue
+        slots = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
+        first = int(instances.slot_first[i])
+        if asking[scene.slot_materials[first : first + slots]].any() and _has_even_faces(mesh):
+            vertices = (mesh.positions * scale[index] + offset[index]).astype(np.float32)
+            result[index] = vertices[mesh.triangles]
+    return result
+
+
+def _asks(material) -> bool:
+    return material.program is not None and any(step.op == "generated" for step in material.program.instructions)
+
+
+def _has_even_faces(mesh: Mesh) -> bool:
+    """Whether any triangle lies across an axis of object space."""
+    a, b, c = (mesh.positions[mesh.triangles[:, k]] for k in range(3))
+    return bool(((a == b) & (a == c)).any())
