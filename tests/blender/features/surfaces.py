@@ -263,3 +263,28 @@ def textured_room(scene: bpy.types.Scene) -> None:
         "ShaderNodeTexBrick", {"Vector": graph.value("ShaderNodeTexCoord", output="Generated"), "Scale": 2.0})}))  # fmt: skip
     lamp("AREA", (0, 0, 0.98), energy=40.0, shape="SQUARE", size=0.7, color=(1, 0.85, 0.6))
     look(scene, (0, -3.6, 0), (0, 0, 0), lens=42)
+
+
+@feature("Generated coordinates along faces", "Surface", "picture")
+def even_faces(scene: bpy.types.Scene) -> None:
+    """Checkers whose squares end in the very planes of turned boxes and sheets; and transparency by one."""
+    _sun(scene)
+    floor()
+
+    def surface(graph: Graph):
+        return graph.value("ShaderNodeBsdfDiffuse", {"Color": graph.value("ShaderNodeTexChecker", {"Scale": 4.0}, "Color")})
+
+    def sheet(graph: Graph):
+        color = graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.1, 0.5, 0.15)})
+        factor = graph.value("ShaderNodeTexChecker", {"Scale": 8.0}, "Fac")
+        return graph.value("ShaderNodeMixShader", {0: factor, 1: color, 2: graph.value("ShaderNodeBsdfTransparent")})
+
+    for i in range(2):
+        obj = box(f"Box {i}", (1.7 * i - 1.5, 0.3 * i, 0.8), (0.9, 0.9, 0.9), 0.0, (0.8, 0.8, 0.8))
+        obj.rotation_euler = (0.4 + i, 0.2, 0.5 - 0.7 * i)
+        obj.data.materials.clear()
+        material_graph(obj, surface)
+    obj = add_grid("Sheet", 3)
+    obj.location, obj.rotation_euler, obj.scale = (1.7, -0.8, 0.7), (1.3, 0.2, -0.4), (0.6, 0.6, 0.6)
+    material_graph(obj, sheet)
+    look(scene, (0, -5, 2.5), (0, 0, 0.6), lens=40)
