@@ -71,7 +71,7 @@ def every_feature(features: Any) -> Any:
     materials = ProgramFeatures(tuple(sorted(ops)), 64, 8)
     world = ProgramFeatures(tuple(sorted(name for name, op in ops.items() if not op.makes_closures or name in ("emission", "background"))), 64, 4)
     flags = {field.name: True for field in dataclasses.fields(features) if field.type == "bool"}
-    more = {"programs": materials, "world_program": world, "closures": tuple(sorted(ClosureKind)), "lights": tuple(sorted(LightKind))}
+    more = {"programs": materials, "world_program": world, "lamp_program": world, "closures": tuple(sorted(ClosureKind)), "lights": tuple(sorted(LightKind))}
     # a transparent film and clamping change the picture, and instancing the trees
     same = {name: getattr(features, name) for name in ("film_transparent", "clamping", "instancing", "depth_of_field")}
     return dataclasses.replace(features, **flags | more | same)
