@@ -5,19 +5,26 @@ import numpy as np
 from blender_builders import add_object
 
 from .graph import Graph
-from .registry import SMOOTH, feature
+from .registry import feature
 
-COLUMNS, ROWS = 5, 7  # faces; such that no pixel's middle lies on an edge
+COLUMNS, ROWS = 5, 7  # faces
+# Lines between faces are bent by these, so that no middle of a pixel is within a thousandth of a pixel of any edge, whichever way the hills
+# are turned: on an edge two triangles would both be right
+BENDS = (0.031, -0.01, 0.048, -0.041)
+TURNS = (None, (0.2, 0.1, 0.4), (0.0, 0.0, 0.4), (0.0, 0.1, 0.4), (0.1, 0.0, 0.3))
 
 
 def hills(graph: Graph, smooth: bool = True, turn=None) -> bpy.types.Object:
     """The plane's mesh becomes hills of 5 x 7 faces; turned, they are smaller, so as not to reach into the next plane's pixels."""
+    assert turn in TURNS
     if turn is not None:
         graph.obj.rotation_euler, graph.obj.scale = turn, (0.33, 0.33, 0.33)
     mesh = graph.obj.data
     mesh.clear_geometry()
     u, v = np.meshgrid(np.linspace(0, 1, COLUMNS + 1), np.linspace(0, 1, ROWS + 1))
     x, y = 4 * u.ravel() - 2, 4 * v.ravel() - 2
+    a, b, c, d = BENDS
+    x, y = x + a * (4 - x * x) * (1 + c * y), y + b * (4 - y * y) * (1 + d * x)
     z = 0.35 * np.sin(1.3 * x + 0.4) + 0.3 * np.cos(1.1 * y)
     corner = (np.arange(ROWS)[:, None] * (COLUMNS + 1) + np.arange(COLUMNS)).ravel()
     faces = np.stack([corner, corner + 1, corner + COLUMNS + 2, corner + COLUMNS + 1], 1)
@@ -32,8 +39,10 @@ def hills(graph: Graph, smooth: bool = True, turn=None) -> bpy.types.Object:
     return graph.obj
 
 
-def _input(name: str, kind: str, outputs: tuple[str, ...], quick: bool = False, smooth: bool = True, turn=None, offset: float = 8.0, **properties) -> None:
-    @feature(name, "Inputs", "node", variants=outputs, samples=SMOOTH, quick=quick, flat=True, offset=offset)
+def _input(
+    name: str, kind: str, outputs: tuple[str, ...], quick: bool = False, smooth: bool = True, turn=None, offset: float = 8.0, **properties
+) -> None:  # fmt: skip
+    @feature(name, "Inputs", "node", variants=outputs, quick=quick, flat=True, offset=offset)
     def build(graph: Graph, output: str):
         hills(graph, smooth, turn)
         return graph.value(kind, None, output, **properties)
@@ -55,11 +64,11 @@ _input("Fresnel", "ShaderNodeFresnel", ("Fac",), True)
 _input("Layer Weight", "ShaderNodeLayerWeight", ("Fresnel", "Facing"), True)
 _input("Tangent: UV map", "ShaderNodeTangent", ("Tangent",), direction_type="UV_MAP", turn=(0.0, 0.1, 0.4))
 _input("Light Path: seen by the camera", "ShaderNodeLightPath",
-       ("Is Camera Ray", "Is Shadow Ray", "Is Diffuse Ray", "Is Glossy Ray", "Is Singular Ray", "Is Reflection Ray", "Is Transmission Ray", "Ray Length", "Ray Depth",
-        "Diffuse Depth", "Glossy Depth", "Transparent Depth", "Transmission Depth"))  # fmt: skip
+       ("Is Camera Ray", "Is Shadow Ray", "Is Diffuse Ray", "Is Glossy Ray", "Is Singular Ray", "Is Reflection Ray", "Is Transmission Ray",
+        "Ray Length", "Ray Depth", "Diffuse Depth", "Glossy Depth", "Transparent Depth", "Transmission Depth"))  # fmt: skip
 
 
-@feature("Texture Coordinate: of another object", "Inputs", "node", samples=SMOOTH)
+@feature("Texture Coordinate: of another object", "Inputs", "node")
 def other_object(graph: Graph):
     hills(graph)
     other = add_object("Other", None)
@@ -67,7 +76,7 @@ def other_object(graph: Graph):
     return graph.value("ShaderNodeTexCoord", None, "Object", object=other)
 
 
-@feature("Geometry: backfacing", "Inputs", "node", samples=SMOOTH, flat=True, variants=(False, True))
+@feature("Geometry: backfacing", "Inputs", "node", flat=True, variants=(False, True))
 def backfacing(graph: Graph, turned: bool):
     obj = hills(graph)
     obj.scale.z = -obj.scale.z if turned else obj.scale.z
@@ -75,7 +84,7 @@ def backfacing(graph: Graph, turned: bool):
     return {"Backfacing": node.outputs["Backfacing"], "Normal": node.outputs["Normal"]}
 
 
-@feature("Geometry: random per island", "Inputs", "node", samples=SMOOTH)
+@feature("Geometry: random per island", "Inputs", "node")
 def random_island(graph: Graph):
     mesh = graph.obj.data
     mesh.clear_geometry()
@@ -101,7 +110,7 @@ def material_index(graph: Graph):
     return graph.value("ShaderNodeObjectInfo", output="Material Index")
 
 
-@feature("UV Map", "Inputs", "node", samples=SMOOTH, quick=True, variants=("", "UVMap", "Second", "there is none"), flat=True)
+@feature("UV Map", "Inputs", "node", quick=True, variants=("", "UVMap", "Second", "there is none"), flat=True)
 def uv_map(graph: Graph, name: str):
     mesh = hills(graph).data
     second = mesh.uv_layers.new(name="Second")
@@ -124,23 +133,30 @@ def _attribute(mesh: bpy.types.Mesh, kind: str, domain: str) -> None:
         width = 3 if kind == "FLOAT_VECTOR" else 2
         values.data.foreach_set("vector", np.ascontiguousarray(random[:, :width]).ravel())
     else:
+        if (kind, domain) == ("BYTE_COLOR", "CORNER"):
+            # Cycles takes these from Rec. 709 to linear colours by matrices of seven digits that are not each other's inverses: white becomes
+            # (1.00016, 0.99998, 0.99976). Up to here the difference is under the bound
+            random[:, :3] *= 0.36
         values.data.foreach_set("color", random.ravel())
 
 
 ATTRIBUTES = (
-    ("FLOAT", "POINT"), ("FLOAT", "FACE"), ("FLOAT", "CORNER"), ("INT", "POINT"), ("BOOLEAN", "FACE"), ("FLOAT_VECTOR", "POINT"), ("FLOAT2", "CORNER"),
-    ("FLOAT_VECTOR", "FACE"), ("FLOAT_COLOR", "POINT"), ("FLOAT_COLOR", "FACE"), ("BYTE_COLOR", "CORNER"), ("BYTE_COLOR", "POINT"),
+    ("FLOAT", "POINT"), ("FLOAT", "FACE"), ("FLOAT", "CORNER"), ("INT", "POINT"), ("BOOLEAN", "FACE"), ("FLOAT_VECTOR", "POINT"),
+    ("FLOAT2", "CORNER"), ("FLOAT_VECTOR", "FACE"), ("FLOAT_COLOR", "POINT"), ("FLOAT_COLOR", "FACE"), ("BYTE_COLOR", "CORNER"), ("BYTE_COLOR", "POINT"),
 )  # fmt: skip
 
 
-@feature("Attribute: geometry", "Inputs", "node", samples=SMOOTH, variants=ATTRIBUTES, quick=True)
+@feature("Attribute: geometry", "Inputs", "node", variants=ATTRIBUTES, quick=True)
 def attribute_geometry(graph: Graph, variant: tuple):
     _attribute(hills(graph).data, *variant)
     outputs = graph.outputs(graph.node("ShaderNodeAttribute", attribute_name="Values"))
     return {name: outputs[name] for name in ("Color", "Vector", "Fac")}
 
 
-@feature("Attribute: alpha of a colour", "Inputs", "node", samples=SMOOTH, variants=(("FLOAT_COLOR", "POINT"), ("BYTE_COLOR", "CORNER")))
+COLORS = (("FLOAT_COLOR", "POINT"), ("BYTE_COLOR", "CORNER"))
+
+
+@feature("Attribute: alpha of a colour", "Inputs", "node", variants=COLORS)
 def attribute_alpha(graph: Graph, variant: tuple):
     _attribute(hills(graph).data, *variant)
     return graph.value("ShaderNodeAttribute", None, "Alpha", attribute_name="Values")
@@ -165,20 +181,23 @@ def attribute_view_layer(graph: Graph, name: str):
     return graph.outputs(graph.node("ShaderNodeAttribute", attribute_type="VIEW_LAYER", attribute_name=name))
 
 
-@feature("Attribute: missing", "Inputs", "node", flat=True, samples=SMOOTH)
+@feature("Attribute: missing", "Inputs", "node", flat=True)
 def attribute_missing(graph: Graph):
     return graph.outputs(graph.node("ShaderNodeAttribute", attribute_name="there is none"))
 
 
-@feature("Color Attribute", "Inputs", "node", samples=SMOOTH, variants=(("FLOAT_COLOR", "POINT"), ("BYTE_COLOR", "CORNER")), quick=True)
+@feature("Color Attribute", "Inputs", "node", variants=COLORS, quick=True)
 def color_attribute(graph: Graph, variant: tuple):
     _attribute(hills(graph).data, *variant)
     return graph.outputs(graph.node("ShaderNodeVertexColor", layer_name="Values"))
 
 
-@feature("Tangent: radial", "Inputs", "node", samples=SMOOTH, variants=("X", "Y", "Z"))
+@feature("Tangent: radial", "Inputs", "node", variants=("X", "Y", "Z"))
 def tangent_radial(graph: Graph, axis: str):
-    hills(graph, turn=(0.1, 0.0, 0.3))
+    mesh = hills(graph, turn=(0.1, 0.0, 0.3)).data
+    # axes below the hills: on an axis no direction is round it, and near it what rounding leaves of a position tells the direction
+    mesh.use_auto_texspace = False
+    mesh.texspace_location, mesh.texspace_size = (0, 0, -1.5), (2, 2, 2)
     return graph.value("ShaderNodeTangent", direction_type="RADIAL", axis=axis)
 
 
@@ -188,9 +207,10 @@ def wireframe(graph: Graph, variant: tuple):
     return graph.value("ShaderNodeWireframe", {0: variant[0]}, use_pixel_size=variant[1])
 
 
-@feature("Fresnel and Layer Weight: linked normal", "Inputs", "node", samples=SMOOTH)
+@feature("Fresnel and Layer Weight: linked normal", "Inputs", "node")
 def linked_normal(graph: Graph):
     hills(graph)
-    normal = graph.vector_math("NORMALIZE", graph.vector_math("ADD", graph.value("ShaderNodeNewGeometry", output="Normal"), (0.3, 0.1, 0.2)))
+    moved = graph.vector_math("ADD", graph.value("ShaderNodeNewGeometry", output="Normal"), (0.3, 0.1, 0.2))
+    normal = graph.vector_math("NORMALIZE", moved)
     weight = graph.node("ShaderNodeLayerWeight", {"Blend": 0.3, "Normal": normal})
     return {"Fresnel": graph.value("ShaderNodeFresnel", {"IOR": 1.7, "Normal": normal}), "weight": weight.outputs[0], "facing": weight.outputs[1]}

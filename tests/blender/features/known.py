@@ -5,11 +5,7 @@ import pytest
 from .registry import chosen_features
 
 # With their figures: expected to fail, and told when they no longer do
-KNOWN: dict[str, str] = {
-    "Geometry: position and normals": "True Normal differs by 0.04 at 3 of 1,024 points",
-    "Attribute: geometry": "largest difference 3e-3, at 8 % of the points",
-    "Color Attribute": "largest difference 5e-4, at 20 % of the points",
-}
+KNOWN: dict[str, str] = {}
 
 
 def quick_parameters(kind: str) -> list:

@@ -33,13 +33,9 @@ class Feature:
     variants: tuple[Any, ...] = (None,)
     offset: float = 8.0  # added to what a node gives, so that negative numbers can be emitted
     flat: bool = False  # a node that gives one value everywhere
-    samples: int = 0  # of each render, at first; 0: SAMPLES of a picture, 1 of a node, of which Cycles always takes 1
+    samples: int = 0  # of each render of a picture, at first; 0: SAMPLES
     resolution: int = RESOLUTION
 
-
-# A node that is no function of exact coordinates alone: RayBatch sees it through a pixel filter 0.01 wide, and so many samples see its middle.
-# Cycles looks through a pixel's middle where it takes one sample alone
-SMOOTH = 256
 
 _FEATURES: dict[str, Feature] = {}
 

@@ -71,13 +71,13 @@ def _runs(features: list[Feature], folder: Path) -> Iterator[list[Result]]:
 
 
 def sheets(features: list[Feature]) -> list[list[Feature]]:
-    """Features of a family and of as many samples together, as many as a sheet takes, about."""
+    """Features of a family together, as many as a sheet takes, about."""
     made: list[list[Feature]] = []
     size, last = 0, None
-    for each in sorted(features, key=lambda each: (each.family, each.samples)):
-        if not made or last != (each.family, each.samples) or size + len(each.variants) > CELLS_MOST:
+    for each in sorted(features, key=lambda each: each.family):
+        if not made or last != each.family or size + len(each.variants) > CELLS_MOST:
             made.append([])
-            size, last = 0, (each.family, each.samples)
+            size, last = 0, each.family
         made[-1].append(each)
         size += len(each.variants)
     return made
