@@ -214,7 +214,8 @@ class _Collector:
         return placements
 
     def _add_light(self, placed, obj) -> None:
-        light = export_light(obj, placed.matrix_world.copy(), self.placements.warnings, self.placements.materials.collections, _random(placed))
+        placements = self.placements
+        light = export_light(obj, placed.matrix_world.copy(), placements.warnings, placements.materials.collections, _random(placed))
         if light is not None:
             self.placements.lights.append(light)
 

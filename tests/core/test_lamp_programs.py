@@ -35,6 +35,10 @@ def program(build=lambda builder: (1.0, 1.0, 1.0)) -> Program:
     return builder.finish()
 
 
+def computed(builder: ProgramBuilder, operation: MathOperation, a, b):
+    return builder.value("math", int(operation), 0, a, b, 0.0)
+
+
 def grey(builder: ProgramBuilder, number):
     return builder.value("combine_xyz", number, number, number)
 
@@ -50,7 +54,8 @@ def by_programs(scene: Scene, factor: float = 2.0) -> Scene:
 
 def every_lamp(**change) -> Scene:
     """Balls, glass and a veil under lights of all kinds and shapes, which rays meet."""
-    spot = Light("spot", LightKind.SPOT, scenes.translation(0.4, 0.2, 2), (3.0, 2.0, 1.0), radius=0.2, angle=1.2, blend=0.3, soft_falloff=False)
+    above = scenes.translation(0.4, 0.2, 2)
+    spot = Light("spot", LightKind.SPOT, above, (3.0, 2.0, 1.0), radius=0.2, angle=1.2, blend=0.3, soft_falloff=False)
     ellipse = Light("ellipse", LightKind.ELLIPSE, scenes.translation(-1, 0, 2.5), (2.0,) * 3, size=(0.5, 0.9), spread=2.0)
     hidden = dataclasses.replace(ellipse, name="hidden", transform=scenes.translation(0, 1, 2), visibility=int(Visibility.DIFFUSE))
     free = dataclasses.replace(spot, name="free", radius=0.0, casts_shadow=False)
@@ -87,9 +92,10 @@ def test_light_that_is_met_and_light_that_is_aimed_at_agree(session):
     def by_place(builder):
         return builder.value("parametric", 0)
 
+    lit = dict(emission=(4.0,) * 3, program=program(by_place))
     lamps = [
-        Light("ball", LightKind.POINT, scenes.translation(0, 0.5, 1.2), (4.0,) * 3, radius=0.5, soft_falloff=False, program=program(by_place)),
-        Light("panel", LightKind.RECTANGLE, scenes.translation(0, -0.5, 1.0), (3.0,) * 3, size=(1.0, 0.6), program=program(by_place)),
+        Light("ball", LightKind.POINT, scenes.translation(0, 0.5, 1.2), radius=0.5, soft_falloff=False, **lit),
+        Light("panel", LightKind.RECTANGLE, scenes.translation(0, -0.5, 1.0), size=(1.0, 0.6), **lit),
     ]
     view = scenes.camera(eye=(0, -2, 2), half_width=0.3)
     scene = scenes.scene([(scenes.plane(size=6), scenes.IDENTITY, scenes.diffuse())], view=view, frame=Frame(8, 8), lights=lamps)
@@ -106,7 +112,8 @@ def test_falloff_changes_how_light_fades(session, output, power):
 
     lamp = Light("lamp", LightKind.POINT, scenes.translation(0.3, 0.2, 0.8), (1.0, 2.0, 3.0), program=program(falloff))
     view = scenes.camera(eye=(0, 0, 5), half_width=0.2, up=(0, 1, 0))
-    scene = scenes.scene([(scenes.plane(size=6), scenes.IDENTITY, scenes.diffuse(1.0))], view=view, frame=Frame(16, 16, passes=("Combined", "Position")), lights=[lamp])
+    floor = (scenes.plane(size=6), scenes.IDENTITY, scenes.diffuse(1.0))
+    scene = scenes.scene([floor], view=view, frame=Frame(16, 16, passes=("Combined", "Position")), lights=[lamp])
     film = session.render(scene, RenderSettings(sample_count=1, bounce_max=0))
     place = film.passes["Position"].astype(float)
     offset = np.array([0.3, 0.2, 0.8]) - place
@@ -118,9 +125,10 @@ def test_falloff_changes_how_light_fades(session, output, power):
 def test_light_that_is_no_number_is_none(session):
     def too_much(builder):
         distance = builder.value("light_path")[6]
-        huge = builder.value("math", int(MathOperation.MULTIPLY), 0, builder.value("math", int(MathOperation.MULTIPLY), 0, distance, 1e30, 0.0), 1e30, 0.0)
-        none = builder.value("math", int(MathOperation.SUBTRACT), 0, huge, huge, 0.0)
-        return builder.value("combine_xyz", huge, none, builder.value("math", int(MathOperation.MULTIPLY), 0, distance, -1.0, 0.0))
+        large = computed(builder, MathOperation.MULTIPLY, distance, 1e30)
+        huge = computed(builder, MathOperation.MULTIPLY, large, large)
+        none = computed(builder, MathOperation.SUBTRACT, huge, huge)
+        return builder.value("combine_xyz", huge, none, computed(builder, MathOperation.MULTIPLY, distance, -1.0))
 
     scene = every_lamp()
     lights = tuple(dataclasses.replace(light, program=program(too_much)) for light in scene.lights)
@@ -152,11 +160,11 @@ def test_scenes_pay_for_programs_of_lamps_only_where_there_are_some():
 def test_brightness_of_lamps():
     def edge(builder):  # lit in a fiftieth of a lamp's directions
         x = builder.value("separate_xyz", builder.value("normals")[2])[0]
-        return grey(builder, builder.value("math", int(MathOperation.GREATER_THAN), 0, x, 0.96, 0.0))
+        return grey(builder, computed(builder, MathOperation.GREATER_THAN, x, 0.96))
 
     def somewhere(builder):
         x = builder.value("separate_xyz", builder.value("normals")[2])[0]
-        return grey(builder, builder.value("math", int(MathOperation.GREATER_THAN), 0, x, 0.999999, 0.0))
+        return grey(builder, computed(builder, MathOperation.GREATER_THAN, x, 0.999999))
 
     base = Light("lamp", LightKind.POINT, scenes.translation(0, 0, 1), (1.0,) * 3)
     programs = (None, program(lambda builder: (3.0, 3.0, 3.0)), program(edge), program(somewhere), program(lambda builder: (0.0, 0.0, 0.0)))

@@ -109,8 +109,9 @@ class _Reader:
     def _next(self, pattern: re.Pattern[str]) -> str:
         found = pattern.match(self._text, self._at)
         if found is None:
-            line = self._text.count("\n", 0, self._at) + 1
-            raise ProfileError(f"it has no number where one must be, in line {line}" if self._text[self._at :].strip() else "it is cut short")
+            if not self._text[self._at :].strip():
+                raise ProfileError("it is cut short")
+            raise ProfileError(f"it has no number where one must be, in line {self._text.count(chr(10), 0, self._at) + 1}")
         self._at = found.end()
         return found.group(1)
 

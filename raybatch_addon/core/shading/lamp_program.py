@@ -1,8 +1,9 @@
 """Programs of lights without mesh: the point of a lamp as they see it, and what they read of the lamp's object.
 
 A program multiplies the strength of its lamp. What it is told follows Cycles: a lamp is an object; the point lies on its shape, the normal
-points away from it, and `barycentric` holds coordinates on it that `Parametric` shows: across an area light, within the cone of a spot, around
-a point light by longitude and latitude, across a sun's disc. A sun is infinitely far, and its point is the direction that its light takes.
+points away from it, and `barycentric` holds coordinates on it that `Parametric` shows: across an area light, within the cone of a spot,
+around a point light by longitude and latitude, across a sun's disc. A sun is infinitely far, and its point is the direction that its light
+takes.
 """
 
 import functools
@@ -133,7 +134,7 @@ def lamp_point(
 
 @functools.cache
 def make_lamp_emission(programs: ProgramFeatures) -> wp.Function:
-    """Function (nodes, table, lamp: int, position, direction, distance: float, bounce: int) -> vec3: what a lamp's strength is multiplied by.
+    """Function (nodes, table, lamp: int, position, direction, distance: float, bounce: int) -> vec3: what multiplies a lamp's strength.
 
     `position` is the point on the lamp that the ray along `direction` has come `distance` to; of suns neither counts.
     """

@@ -104,7 +104,8 @@ def sphere_texture(scene: bpy.types.Scene) -> None:
         light.visible_camera = True
         graph, emission = lamp_graph(light)
         coordinates = graph.value("ShaderNodeTexCoord", output="Normal")
-        checks = graph.value("ShaderNodeTexChecker", {"Vector": coordinates, "Scale": 3.1, "Color1": (1, 0.3, 0.1), "Color2": (0.1, 0.4, 1)}, "Color")
+        colors = {"Color1": (1, 0.3, 0.1), "Color2": (0.1, 0.4, 1)}
+        checks = graph.value("ShaderNodeTexChecker", {"Vector": coordinates, "Scale": 3.1} | colors, "Color")
         graph.set(emission.inputs["Color"], checks)
 
 

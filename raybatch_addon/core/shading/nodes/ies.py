@@ -62,8 +62,10 @@ def along_row(constants: wp.array(dtype=float), row: int, count: int, i: int, x:
 
 
 @wp.func
-def profile_intensity(constants: wp.array(dtype=float), first: int, horizontal_count: int, vertical_count: int, direction: wp.vec3) -> float:
-    """What `LightProfile.table` at `first` says of light that leaves against `direction`: 0 beyond its angles, and where there is no direction.
+def profile_intensity(
+    constants: wp.array(dtype=float), first: int, horizontal_count: int, vertical_count: int, direction: wp.vec3
+) -> float:
+    """What `LightProfile.table` at `first` says of light that leaves against `direction`; 0 beyond its angles, and of no direction.
 
     Without horizontal angles there is no profile.
     """

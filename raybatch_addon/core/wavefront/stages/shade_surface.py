@@ -207,7 +207,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             paths.light_barycentric[path] = light.barycentric
             if wp.static(features.lamp_programs):
                 if light.program == wp.static(LAMP_PROGRAM):
-                    paths.light_barycentric[path] = wp.vec2(distance, 0.0)
+                    paths.light_barycentric[path] = wp.vec2(light.distance, 0.0)
                     if light.casts_shadow == 0:
                         rays.t_max[slot] = 0.0  # nothing may be in its way
         return wp.static(SHADOW_NEW)
