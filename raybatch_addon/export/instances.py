@@ -45,12 +45,6 @@ def _random(placed: bpy.types.DepsgraphObjectInstance) -> float:
     return (placed.random_id & _RANDOM_MOST if placed.is_instance else _random_id(placed.object.name)) / _RANDOM_MOST
 
 
-def _random(placed: bpy.types.DepsgraphObjectInstance) -> float:
-    """The random number of a placed object, 0..1."""
-    # Blender gives the 32 bits with a sign
-    return (placed.random_id & _RANDOM_MOST if placed.is_instance else _random_id(placed.object.name)) / _RANDOM_MOST
-
-
 class Cancelled(Exception):
     """The export was given up because its caller asked for it."""
 
@@ -155,11 +149,13 @@ class _Collector:
 
     def __init__(self, depsgraph: bpy.types.Depsgraph) -> None:
         self.view_layer = depsgraph.view_layer
+        # evaluated: with the nodes as drivers and keyframes have them now
+        self.material_override = depsgraph.view_layer_eval.material_override
         self.viewport = depsgraph.mode != "RENDER"
         self.placements = Placements()
         collections = self.placements.materials.collections
         collections.frame = depsgraph.scene.frame_current
-        collections.scene, collections.view_layer = depsgraph.scene, depsgraph.view_layer
+        collections.scene, collections.view_layer = depsgraph.scene_eval, depsgraph.view_layer_eval
         self._templates: dict[Any, _Template | None] = {}
         self._meshes: dict[Any, int | None] = {}
         self._attributes_seen: dict[Any, set[tuple[str, str]]] = {}  # by mesh
@@ -279,7 +275,7 @@ class _Collector:
         wanted = []
         for i in range(slot_count(data)):
             material = slots[i].material if i < len(slots) else data.materials[i] if i < len(data.materials) else None
-            material = self.view_layer.material_override or material
+            material = self.material_override or material
             wanted.append(self.placements.materials.index(material, obj.name))
         return wanted
 

@@ -30,7 +30,8 @@ def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool
     except Cancelled:
         return None
     collections = placements.materials.collections
-    world = export_world(_world(scene, depsgraph.view_layer), warnings, collections)
+    # evaluated: as drivers and keyframes have them now
+    world = export_world(_world(depsgraph.scene_eval, depsgraph.view_layer_eval), warnings, collections)
     instances = placements.instances()
     warnings += placements.warnings + collections.warnings + failed_drivers(depsgraph) + _unsupported(scene, depsgraph.view_layer)
     return Scene(

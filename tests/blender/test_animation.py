@@ -2,6 +2,7 @@
 
 import gc
 import os
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -81,6 +82,35 @@ def render(path):
     bpy.context.scene.render.filepath = str(path)
     assert bpy.ops.render.render(write_still=True) == {"FINISHED"}
     return picture_of(f"{path}.exr")
+
+
+# --- what changes from frame to frame
+
+
+def test_worlds_and_overriding_materials_follow_drivers_and_keyframes(lit, films):
+    lit.world = bpy.data.worlds.new("World")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # needed up to 4.5, always on from 5.0
+        lit.world.use_nodes = True
+    background = next(node for node in lit.world.node_tree.nodes if node.bl_idname == "ShaderNodeBackground")
+    background.inputs["Strength"].driver_add("default_value").driver.expression = "frame"
+    for number in (1, 3):
+        background.inputs["Color"].default_value = (0.25 * number, 0.5, 1, 1)
+        background.inputs["Color"].keyframe_insert("default_value", frame=number)
+    override = bpy.data.materials.new("Override")
+    tree, surface = node_tree(override)
+    emission = tree.nodes.new("ShaderNodeEmission")
+    emission.inputs["Color"].default_value = (1, 1, 1, 1)
+    emission.inputs["Strength"].driver_add("default_value").driver.expression = "10 * frame"
+    tree.links.new(emission.outputs[0], surface)
+    bpy.context.view_layer.material_override = override
+    lit.frame_start, lit.frame_end = 1, 3
+    bpy.ops.render.render(animation=True)
+    assert [number for _, number, _ in films] == [1, 2, 3]
+    for _, number, film in films:
+        picture = film.passes["Combined"]
+        assert picture[0, 0, :3] == pytest.approx((0.25 * number**2, 0.5 * number, number), rel=1e-5)
+        assert picture[12, 14, :3] == pytest.approx(10.0 * number, rel=1e-5)
 
 
 # --- rectangles
