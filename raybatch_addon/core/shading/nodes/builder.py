@@ -9,6 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +53,24 @@ def _single(x: float) -> float:
     return single if math.isfinite(single) else 0.0
 
 
+def _is_finite(x: float) -> bool:
+    """In float32."""
+    with np.errstate(over="ignore"):
+        return math.isfinite(np.float32(x))
+
+
+def _bits(values: Sequence[float]) -> bytes:
+    """What tells constants apart: 0 is not -0, as hashes and signs see it."""
+    return np.array(values, np.float32).tobytes()
+
+
+def _key(operand: Value | int) -> Any:
+    """What tells operands of an op apart."""
+    if not isinstance(operand, Value):
+        return operand
+    return _bits(operand.constant) if operand.known else id(operand)
+
+
 @dataclass
 class _Step:
     op: Op
@@ -66,7 +85,7 @@ class ProgramBuilder:
         self._steps: list[_Step] = []
         self._same: dict[tuple, tuple[Value, ...]] = {}  # by op and operands: what was computed already
         self._constants: list[float] = []
-        self._places: dict[tuple[float, ...], int] = {}
+        self._places: dict[bytes, int] = {}
 
     def value(self, name: str, *operands) -> Value | tuple[Value, ...]:
         """What the op `name` makes of `operands`: one for each letter of what it reads.
@@ -79,7 +98,7 @@ class ProgramBuilder:
             folded = self._run(op, inputs)
             if folded is not None:
                 return folded[0] if len(folded) == 1 else folded
-        key = (name, *(each.constant or id(each) if isinstance(each, Value) else each for each in inputs))
+        key = (name, *(_key(each) for each in inputs))
         if key not in self._same:
             outputs = [Value(3 if letter == "V" else 1) for letter in op.outputs]
             self._steps.append(_Step(op, inputs, outputs))
@@ -188,6 +207,9 @@ class ProgramBuilder:
             as_python(op.function)(data, stack, 0, None)
         except (ArithmeticError, AttributeError, TypeError, RuntimeError, ValueError):  # Python objects, or cannot do it; the device can
             return None
+        # on the device infinity stays what it is
+        if not all(_is_finite(number) for number in stack):
+            return None
         return tuple(
             Value.of(stack[at : at + 3] if letter == "V" else stack[at]) for at, letter in zip(outputs, op.outputs)
         )
@@ -209,10 +231,11 @@ class ProgramBuilder:
         return -1 - self._place(operand.constant) if operand.known else registers.place[id(operand)]
 
     def _place(self, values: tuple[float, ...]) -> int:
-        if values not in self._places:
-            self._places[values] = len(self._constants)
+        key = _bits(values)
+        if key not in self._places:
+            self._places[key] = len(self._constants)
             self._constants += values
-        return self._places[values]
+        return self._places[key]
 
 
 class _Closures(list):

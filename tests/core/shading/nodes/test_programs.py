@@ -13,6 +13,7 @@ from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.shading import nodes  # noqa: F401  (registers ops)
 from raybatch_addon.core.shading.emitters import find_emissive_triangles
 from raybatch_addon.core.shading.nodes.builder import ProgramBuilder, Value
+from raybatch_addon.core.shading.nodes.math import MathOperation
 from raybatch_addon.core.shading.nodes.table import encode
 
 SETTINGS = RenderSettings(sample_count=4, bounce_max=3)
@@ -104,3 +105,17 @@ def test_triangles_whose_program_is_known_to_emit_nothing_are_no_lights():
         scene = scenes.scene([(scenes.plane(), scenes.IDENTITY, material)])
         found = find_emissive_triangles(scene, lambda instance, primitive: np.ones((len(instance), 3), np.float32))
         assert len(found.primitive) == count
+
+
+def test_zeros_of_either_sign_are_two_constants():
+    """Hashes tell them apart."""
+    builder = ProgramBuilder()
+    plus, minus, again = (builder.value("white_noise", 1, (0.0, 0.0, 0.0), zero)[0] for zero in (0.0, -0.0, 0.0))
+    assert plus is again and plus is not minus
+
+
+def test_what_is_not_finite_is_left_to_the_device():
+    builder = ProgramBuilder()
+    power = builder.value("math", MathOperation.EXPONENT, 0, 100.0, 0.0, 0.0)
+    assert not power.known
+    assert builder.value("math", MathOperation.EXPONENT, 0, 1.0, 0.0, 0.0).constant == pytest.approx((np.e,))
