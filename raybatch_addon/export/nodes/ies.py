@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from ...core.shading.ies_profile import ProfileError, parse_profile
 from ...core.shading.nodes.builder import Value
+from ...core.shading.nodes.ies import WITHOUT_PROFILE
+from ...core.shading.nodes.math import MathOperation
 from ...core.shading.nodes.spaces import Space, VectorKind
 from .graph import node_label
 from .node import Node
@@ -11,7 +13,7 @@ from .registry import values
 
 # What is read of a file at most [bytes]
 _SIZE_MOST = 2**24
-_WITHOUT = "it gives 100 times its strength everywhere, as in Cycles"
+_WITHOUT = f"it gives {WITHOUT_PROFILE:g} times its strength everywhere, as in Cycles"
 
 
 @values("ShaderNodeTexIES", family="Textures")
@@ -19,13 +21,13 @@ def ies_texture(node: Node) -> Value:
     """Intensity in a direction; where nothing is linked, in that of the light that leaves, seen from the object."""
     settings = node.node
     direction = node.vector("Vector") if node.linked("Vector") else _outgoing(node)
-    table, counts = (0.0,), (0, 0)
+    strength = node.number("Strength")
     try:
         profile = parse_profile(_text(settings))
-        table, counts = profile.table, (len(profile.horizontal), len(profile.vertical))
     except (ProfileError, OSError) as error:
         node.graph.note(f"{node_label(settings)}: {_source(settings)} cannot be used ({_reason(error)}); {_WITHOUT}")
-    return node.op("ies", table, *counts, direction, node.number("Strength"))
+        return node.op("math", MathOperation.MULTIPLY, False, strength, WITHOUT_PROFILE, 0.0)
+    return node.op("ies", profile.table, len(profile.horizontal), len(profile.vertical), direction, strength)
 
 
 def _outgoing(node: Node) -> Value:
