@@ -17,6 +17,9 @@ DEFAULT_WORKING_SPACE = "Linear Rec.709"
 _SAME = 1e-4
 
 
+class CannotConvertNow(ValueError):
+    """Blender does not let its data be changed, as it does at times: what is asked for may go later."""
+
 
 class SpaceKind(Enum):
     """What becomes of the numbers of an image."""
@@ -38,7 +41,7 @@ def working_space() -> str:
 
 
 def space_kind(settings: bpy.types.ColorManagedInputColorspaceSettings) -> SpaceKind:
-    """The kind of an image's colour space."""
+    """The kind of an image's colour space; raises `CannotConvertNow` where it takes a conversion to tell, and nothing is learnt."""
     if settings.is_data:
         return SpaceKind.DATA
     name, working = settings.name, working_space()
@@ -52,14 +55,14 @@ def space_kind(settings: bpy.types.ColorManagedInputColorspaceSettings) -> Space
 def to_scene_linear(colors: np.ndarray, name: str) -> np.ndarray:
     """`colors` [height, width, 4] of the space `name` in the scene's linear space, float32; alpha is nothing but handed on.
 
-    Raises `ValueError` where colour management does not know `name`, or lets nothing be converted now.
+    Raises `ValueError` where colour management does not know `name`; `CannotConvertNow` where Blender lets nothing be converted now.
     """
     height, width = colors.shape[:2]
     file = _exr(colors)
     try:
         image = bpy.data.images.new("RayBatch conversion", 1, 1)
-    except (AttributeError, RuntimeError) as error:  # Blender does not let its data be changed at times
-        raise ValueError(f"colours cannot be converted now ({error})") from error
+    except (AttributeError, RuntimeError) as error:
+        raise CannotConvertNow(f"colours cannot be converted now ({error})") from error
     try:
         image.alpha_mode = "CHANNEL_PACKED"  # colours are left alone by alpha
         image.pack(data=file, data_len=len(file))
@@ -108,6 +111,8 @@ def _measured_kind(name: str) -> SpaceKind:
     colors = np.stack([*np.meshgrid(steps, steps, steps), np.ones((5, 5, 5))], -1).reshape(5, 25, 4)
     try:
         converted = to_scene_linear(colors, name)
+    except CannotConvertNow:
+        raise
     except ValueError:
         return SpaceKind.UNKNOWN
     if np.abs(converted - colors)[..., :3].max() < _SAME:

@@ -19,7 +19,7 @@ import bpy
 import numpy as np
 
 from ..core.scene.description import Image, ImageEncoding
-from .color_spaces import SpaceKind, space_kind, to_scene_linear, working_space
+from .color_spaces import CannotConvertNow, SpaceKind, space_kind, to_scene_linear, working_space
 from .image_files import frame_number, sequence_path, stored_pixels, tile_path
 
 KEPT_SECONDS = 600.0  # images that no export asked for so long are forgotten
@@ -56,14 +56,16 @@ def export_image(image: bpy.types.Image | None, user: Any, frame: int) -> tuple[
     kept = _kept.get(key)
     if kept is None or kept.signature != signature or image.is_dirty:
         try:
-            exported, notes = _exported(image, user, frame)
+            exported, notes = _exported(image, user, frame, space_kind(image.colorspace_settings))
+        except CannotConvertNow:  # perhaps the next time: it is not kept
+            return _exported(image, user, frame, SpaceKind.UNKNOWN)
         except MemoryError:
-            exported, notes = Image(image.name), [f"image “{image.name}” does not fit in memory: it is magenta; make it smaller"]
+            exported, notes = Image(image.name), (f"image “{image.name}” does not fit in memory: it is magenta; make it smaller",)
         if kept is not None and _same(kept.image, exported):
             exported = kept.image  # the device has it already
         for old in [each for each, what in _kept.items() if now - what.used > KEPT_SECONDS]:
             del _kept[old]
-        kept = _kept[key] = _Kept(signature, exported, tuple(notes), now)
+        kept = _kept[key] = _Kept(signature, exported, notes, now)
     kept.used = now
     return kept.image, kept.notes
 
@@ -122,10 +124,9 @@ def _same_pixels(a: np.ndarray | None, b: np.ndarray | None) -> bool:
 # --- pixels
 
 
-def _exported(image: bpy.types.Image, user: Any, frame: int) -> tuple[Image, list[str]]:
+def _exported(image: bpy.types.Image, user: Any, frame: int, kind: SpaceKind) -> tuple[Image, tuple[str, ...]]:
     notes: list[str] = []
     label = f"image “{image.name}”"
-    kind = space_kind(image.colorspace_settings)
     if kind is SpaceKind.UNKNOWN:
         notes.append(f"{label}: its colour space “{image.colorspace_settings.name}” cannot be converted; it is taken as linear")
         kind = SpaceKind.LINEAR
@@ -139,13 +140,13 @@ def _exported(image: bpy.types.Image, user: Any, frame: int) -> tuple[Image, lis
             if pixels is None:
                 notes.append(f"{label}, tile {tile.number}, has no pixels" + (f", or {path} cannot be read" if path else "") + ": it is magenta")
             tiles.append((tile.number, pixels))
-        return Image(image.name, None, encoding, tuple(tiles)), notes
+        return Image(image.name, None, encoding, tuple(tiles)), tuple(notes)
     path = sequence_path(image, frame_number(user, frame)) if image.source == "SEQUENCE" else None
     pixels, encoding = _picture(image, kind, path)
     if pixels is None:
         where = path or bpy.path.abspath(image.filepath, library=image.library)
         notes.append(f"{label} has no pixels" + (f", or {where} cannot be read" if where else "") + ": it is magenta")
-    return Image(image.name, pixels, encoding), notes
+    return Image(image.name, pixels, encoding), tuple(notes)
 
 
 def _picture(image: bpy.types.Image, kind: SpaceKind, path: str | None, tile: int = 0) -> tuple[np.ndarray | None, ImageEncoding]:

@@ -306,6 +306,23 @@ def test_a_color_space_that_nobody_knows_is_taken_as_linear_and_named(scene, mon
     assert np.array_equal(exported.pixels, OPAQUE) and "“ACEScg”" in notes[0] and "“Painted”" in notes[0]
 
 
+def test_colors_that_cannot_be_converted_now_are_another_time(scene, monkeypatch):
+    from raybatch_addon.export import color_spaces
+
+    real, image = color_spaces.to_scene_linear, datablock(OPAQUE, "ACEScg")
+
+    def not_now(colors, name):
+        raise color_spaces.CannotConvertNow
+
+    monkeypatch.setattr(color_spaces, "_known", {})
+    monkeypatch.setattr(color_spaces, "to_scene_linear", not_now)
+    exported, notes = export_image(image, None, 1)
+    assert np.array_equal(exported.pixels, OPAQUE) and "“ACEScg”" in notes[0]
+    monkeypatch.setattr(color_spaces, "to_scene_linear", real)
+    exported, notes = export_image(image, None, 1)
+    assert not np.array_equal(exported.pixels, OPAQUE) and notes == ()
+
+
 def test_an_image_that_does_not_fit_in_memory_is_named(scene, monkeypatch):
     from raybatch_addon.export import images
 
