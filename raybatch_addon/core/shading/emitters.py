@@ -119,12 +119,9 @@ def fixed_point_cdf(power: np.ndarray) -> np.ndarray:
     return (first + np.arange(count, dtype=np.uint64)).astype(np.uint32)
 
 
-def world_power(scene: Scene, light: np.ndarray) -> float:
-    """Estimated power that comes from a world whose texels have the brightness `light` [W]: as of a sun of its mean."""
-    height = light.shape[0]
-    edges = np.cos(np.arange(height + 1) * (np.pi / height))
-    mean = float((light.mean(1, dtype=np.float64) * (edges[:-1] - edges[1:])).sum() / 2)
-    return 4 * np.pi**2 * scene_radius(scene) ** 2 * mean
+def world_power(scene: Scene, brightness: float) -> float:
+    """Estimated power that comes from a world of the mean `brightness` [W]: as of a sun of as much."""
+    return 4 * np.pi**2 * scene_radius(scene) ** 2 * brightness
 
 
 def scene_radius(scene: Scene) -> float:

@@ -10,7 +10,7 @@ import warp as wp
 
 from ..scene.description import Light, LightKind, Scene
 from .emitters import emitter_powers, find_emissive_triangles, fixed_point_cdf, light_area, world_power
-from .world import WorldTable, build_world_table
+from .world import SampledWorld, WorldTable
 
 _FLOAT = np.finfo(np.float32)
 
@@ -92,21 +92,21 @@ def upload_lights(
     scene: Scene,
     device: wp.Device,
     emitted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
-    world: np.ndarray | None = None,
+    world: SampledWorld | None = None,
     lamps: Callable[[LightTable], np.ndarray] | None = None,
 ) -> UploadedLights:
     """The emitters of `scene` on `device`; raises `SceneError` for emission that is not finite.
 
     Args:
         emitted: tells the mean radiance of triangles (instances, primitives) whose material is a program, float32, shape [n, 3].
-        world: brightness of the texels of the world, where it is sampled; see `build_world_table`.
+        world: the world, where it is aimed at.
         lamps: tells by what factor programs change the brightness of each light, float64, shape [light_count], of a table in
             which only lights are yet.
     """
     triangles = find_emissive_triangles(scene, emitted)
     power = emitter_powers(scene, triangles)
     if world is not None:
-        power = np.append(power, world_power(scene, world))
+        power = np.append(power, world_power(scene, world.brightness))
     records = np.zeros(len(scene.lights), LightRecord.numpy_dtype())
     for i, light in enumerate(scene.lights):
         _fill_record(records[i, ...], light)
@@ -143,7 +143,7 @@ def upload_lights(
     if world is not None:
         table.world_emitter = len(power) - 1
         table.world_visibility = int(scene.world.visibility)
-        table.world = build_world_table(world, device)
+        table.world = world.table
     has_triangles = len(triangles) > 0
     table.instance_first = upload(triangles.instance_first if has_triangles else np.zeros(0, np.int32), int)
     visibility = scene.instances.visibility.astype(np.int32)

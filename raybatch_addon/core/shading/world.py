@@ -5,6 +5,8 @@ proportion to its light (Pharr, Jakob and Humphreys 2023, section 12.5.2), and a
 density is exact whatever the world does within a texel.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import warp as wp
 
@@ -32,6 +34,22 @@ class WorldDirection:
 
     direction: wp.vec3  # unit
     pdf: float  # [1/sr]
+
+
+@dataclass(frozen=True)
+class SampledWorld:
+    """A world that is aimed at."""
+
+    table: WorldTable
+    brightness: float  # mean over all directions
+
+
+def sampled_world(light: np.ndarray, device: wp.Device) -> SampledWorld:
+    """The world whose texels have the brightness `light`; see `build_world_table`."""
+    height = light.shape[0]
+    edges = np.cos(np.arange(height + 1) * (np.pi / height))
+    mean = float((light.mean(1, dtype=np.float64) * (edges[:-1] - edges[1:])).sum() / 2)
+    return SampledWorld(build_world_table(light, device), mean)
 
 
 def build_world_table(light: np.ndarray, device: wp.Device) -> WorldTable:

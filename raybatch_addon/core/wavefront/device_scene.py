@@ -24,6 +24,7 @@ from .geometry_cache import BuiltGeometry, GeometryCache, GeometryRequest, Paged
 from .scene_data import SceneData
 from .stages.emitted import emission_of_triangles, world_texels
 from .tracing import Tracing
+from .world_cache import WorldCache
 
 
 @dataclass
@@ -58,7 +59,7 @@ class DeviceScene:
             data.nodes = upload_programs(programs, features.programs, scene, data.geometry, images.table, device)
         data.world_nodes = upload_programs([scene.world.program], features.world_program, scene, data.geometry, images.table, device)
         data.lamp_nodes = upload_lamp_programs(scene, features.lamp_program, data.geometry, images.table, device)
-        lights = upload_lights(scene, device, *_program_light(data, scene, features, device))
+        lights = upload_lights(scene, device, *_program_light(data, scene, features, device, cache.world))
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)
         data.world_visibility = scene.world.visibility
@@ -88,13 +89,13 @@ class DeviceScene:
         return self.paged is not None and self.device.is_cuda
 
 
-def _program_light(data: SceneData, scene: Scene, features: SceneFeatures, device: wp.Device):
-    """What tells the emission of triangles by programs, brightness of the world's texels, and of lamps; None where there is none to be told."""
+def _program_light(data: SceneData, scene: Scene, features: SceneFeatures, device: wp.Device, worlds: WorldCache):
+    """What tells the emission of triangles by programs, the world, and what tells of lamps; None where there is none to be told."""
     emitted = world = lamps = None
     if features.mesh_programs:
         emitted = functools.partial(emission_of_triangles, data, features, device)
     if features.world_light:
-        world = world_texels(data, features, scene.world.sampling_size, device)
+        world = worlds.get(scene, device, lambda: world_texels(data, features, scene.world.sampling_size, device))
     if features.lamp_program:
         lamps = functools.partial(brightness_of_lamps, scene, data.lamp_nodes, features.lamp_program, device)
     return emitted, world, lamps

@@ -30,6 +30,7 @@ from ..scene.geometry import Geometry, update_geometry, upload_geometry
 from ..settings import RenderSettings
 from ..shading.image_upload import ImageCache, device_bytes_of
 from .plan import Method, TracingPlan, cut_rule
+from .world_cache import WorldCache
 
 
 # Of a device's free memory, what images may take: geometry, rays and the film need the rest
@@ -136,12 +137,14 @@ class GeometryCache:
 
     def __init__(self):
         self.images = ImageCache()
+        self.world = WorldCache()
         self._last: Kept | None = None
         self._lock = threading.Lock()  # the build of a cancelled render may still be going on
 
     def clear(self) -> None:
         """Forget it."""
         self.images.clear()
+        self.world.clear()
         self._last = None
 
     @property
