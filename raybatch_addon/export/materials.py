@@ -13,6 +13,7 @@ from .nodes.compile import compile_graph
 from .nodes.graph import find_source
 from .nodes.shaders_principled import KINDS as PRINCIPLED_KINDS
 from .nodes.shaders_principled import Layers, layered_closures
+from .world import has_nodes
 
 _DEFAULT_GREY = (0.8, 0.8, 0.8)  # Blender's surface without a material
 # Objects named in a message about their material
@@ -87,9 +88,3 @@ def _viewport_closures(material: bpy.types.Material) -> tuple[Closure, ...]:
     """Of a material without nodes."""
     color = tuple(float(c) for c in material.diffuse_color[:3])
     return layered_closures(Layers(Value.of(color), Value.of(material.metallic), Value.of(material.roughness)))
-
-
-def has_nodes(material: bpy.types.Material) -> bool:
-    """Whether `material` is described by its nodes. From Blender 5.0 on it is wherever it has a tree."""
-    return material.node_tree is not None and (bpy.app.version >= (5, 0) or material.use_nodes)
-

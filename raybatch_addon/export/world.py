@@ -53,7 +53,7 @@ def _sampling_size(world: bpy.types.World, collections: Collections) -> int:
 
 
 def has_nodes(owner) -> bool:
-    """Whether a light or world is described by its nodes. From Blender 5.0 on it is wherever it has a tree."""
+    """Whether a material, light or world is described by its nodes. From Blender 5.0 on it is wherever it has a tree."""
     return owner.node_tree is not None and (bpy.app.version >= (5, 0) or owner.use_nodes)
 
 

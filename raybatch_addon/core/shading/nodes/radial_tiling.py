@@ -8,13 +8,13 @@ side.
 
 import warp as wp
 
+from .finite import finite_or_zero
 from .math import greater, limited, safe_divide
 from .op import NodeData, number, op, put_number, put_vector, vector, wanted
 from .point import ShadingPoint
 
 TURN = 6.283185307179586  # [rad]
 HALF_TURN = 3.141592653589793  # [rad]
-LARGEST = 3.4e38  # what float32 holds, about
 
 
 @wp.struct
@@ -200,14 +200,6 @@ def tile_at(sides: float, roundness: float, length: float, around: float, angle:
 
 
 @wp.func
-def finite(x: float) -> float:
-    """`x`; 0 where it is no finite number: polygons of two sides have no corners."""
-    if x > -LARGEST and x < LARGEST:
-        return x
-    return 0.0
-
-
-@wp.func
 def radial_tiles(normalize: int, p: wp.vec3, sides: float, roundness: float) -> wp.vec4:
     """How far out, how far along, how far along the middle's end is at distance 1, angle of the segment's middle [rad].
 
@@ -234,7 +226,7 @@ def radial_tiles(normalize: int, p: wp.vec3, sides: float, roundness: float) -> 
         along = 0.5 * along + 0.5
     else:
         out = out - 1.0
-    return wp.vec4(finite(out), finite(along), finite(widest), before + tile.middle)
+    return wp.vec4(finite_or_zero(out), finite_or_zero(along), finite_or_zero(widest), before + tile.middle)  # polygons of two sides have no corners
 
 
 @wp.func
