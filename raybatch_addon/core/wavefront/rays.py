@@ -36,6 +36,7 @@ class Status(IntFlag):
     SHADOW_OUT = 16  # the shadow ray is in the tracer
     ENDED = 32  # the path ends when its shadow ray is back
     HIT = 64  # the extending ray came back with a hit
+    STRAIGHT = 128  # the path passed straight on where the shadow ray comes from
 
 
 # Above the status: the `Visibility` bit of the extending ray (5 bits), and the bounce (up to 2^18 - 1)
@@ -43,7 +44,6 @@ VISIBILITY_SHIFT = 8
 BOUNCE_SHIFT = 13
 # In `Paths.passed`, passes by the shadow ray are counted above those of the extending ray; both go on from what the path passed before
 SHADOW_PASS = 1 << 16
-LIGHT_BOUNCE_SHIFT = 8
 # Places in lists: two lists, and blocks' counts of paths (`queues.py`)
 LIST_BYTES_PER_PATH = 2 * 4 + 1
 
@@ -73,14 +73,14 @@ class Paths:
     pdf: wp.array(dtype=float)  # solid-angle density of the extending ray; 0: specular or from the camera
     shadow_light: wp.array(dtype=wp.vec3)  # what the shadow ray adds to `radiance` if nothing is in its way
     # light of programs, which is multiplied in when the shadow ray is back
-    # WORLD_PROGRAM, SURFACE_PROGRAM, LAMP_PROGRAM, and above LIGHT_BOUNCE_SHIFT scattering events between camera and light; 0: `shadow_light` is all
-    light_program: wp.array(dtype=int)
+    light_program: wp.array(dtype=int)  # WORLD_PROGRAM, SURFACE_PROGRAM, LAMP_PROGRAM; 0: `shadow_light` is all
     light_instance: wp.array(dtype=int)  # of lamps their number
     light_primitive: wp.array(dtype=int)
     light_barycentric: wp.array(dtype=wp.vec2)  # of lamps how far they were when aimed at [m], and 0
     # transparency
     passed: wp.array(dtype=int)  # transparent surfaces passed by the extending ray, and (x 65536) by the shadow ray
     passed_t: wp.array(dtype=float)  # distance from the last scattering to the extending ray's origin [m]
+    shadow_t: wp.array(dtype=float)  # the same of the shadow ray
     alpha: wp.array(dtype=float)  # coverage; transparent films
     # `history_after` of the extending ray, and of the shadow ray; where a program asks
     history: wp.array(dtype=int)
@@ -93,6 +93,26 @@ class Paths:
 def bounce_of(status: int) -> int:
     """Scattering events of a path so far."""
     return status >> wp.static(BOUNCE_SHIFT)
+
+
+@wp.func
+def bounce_to_light(status: int) -> int:
+    """Scattering events between the camera and the light that the path's shadow ray was aimed at."""
+    bounce = bounce_of(status)
+    if (status & wp.static(int(Status.STRAIGHT))) != 0:
+        bounce += 1
+    return bounce
+
+
+@wp.func
+def passed_before_light(paths: Paths, path: int) -> int:
+    """Transparent surfaces that the path had passed where its shadow ray began."""
+    passed = int(0)
+    if paths.passed.shape[0] > 0:
+        passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
+        if (paths.status[path] & wp.static(int(Status.STRAIGHT))) != 0:
+            passed -= 1
+    return passed
 
 
 @wp.func
@@ -160,6 +180,7 @@ def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) 
     paths.light_barycentric = zeros(wp.vec2, features.light_programs)
     paths.passed = zeros(int, features.transparency)
     paths.passed_t = zeros(float, features.transparency)
+    paths.shadow_t = zeros(float, features.transparency and features.shadow_rays)
     paths.alpha = zeros(float, features.film_transparent)
     paths.history = zeros(int, features.path_history)
     paths.shadow_history = zeros(int, features.path_history and features.shadow_rays)
@@ -185,7 +206,8 @@ def allocate_progress(count: int, words: int, instancing: bool, device: wp.Devic
 def bytes_per_path(features: SceneFeatures, reference: bool = False) -> int:
     """Device memory of one path alive: state, its ray slots, and its places in lists [bytes]. `reference`: Warp's own tree is traced."""
     path = 2 * 4 + 12 + 12 + 4
-    path += 12 * features.shadow_rays + 8 * features.transparency + 20 * features.light_programs
+    path += 12 * features.shadow_rays + 8 * features.transparency + 4 * (features.transparency and features.shadow_rays)
+    path += 20 * features.light_programs
     path += 4 * features.path_history * (1 + features.shadow_rays)
     path += 4 * features.film_transparent + 12 * ("Normal" in features.passes)
     return path + RayNeeds.of(features, reference).bytes_per_path + LIST_BYTES_PER_PATH

@@ -10,7 +10,7 @@ from ...scene.program import ProgramFeatures
 from ...shading.lamp_program import make_lamp_emission
 from ...shading.light_shapes import LAMP_PROGRAM, SURFACE_PROGRAM, WORLD_PROGRAM
 from ..scene_data import SceneData
-from ..rays import LIGHT_BOUNCE_SHIFT, Paths, Rays, Status
+from ..rays import Paths, Rays, Status, bounce_to_light, passed_before_light
 from .emitted import make_surface_emission, make_world_emission
 from .history import DEPTHS
 from .limits import PathLimits, clamped
@@ -75,23 +75,25 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
     @wp.func
     def arrived(data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, slot: int) -> wp.vec3:
         light = paths.shadow_light[path]
-        word = paths.light_program[path]
-        if word == 0:
+        kind = paths.light_program[path]
+        if kind == 0:
             return light
-        kind = word & wp.static((1 << LIGHT_BOUNCE_SHIFT) - 1)
-        bounce = word >> wp.static(LIGHT_BOUNCE_SHIFT)
+        bounce = bounce_to_light(paths.status[path])
         direction = rays.direction[slot]
         if wp.static(has_world):
             if kind == wp.static(WORLD_PROGRAM):
-                light = wp.cw_mul(light, world_emission(data, rays.origin[slot], direction, 0, bounce))
+                light = wp.cw_mul(light, world_emission(data, rays.origin[slot], direction, 0, bounce, passed_before_light(paths, path)))
         if wp.static(has_surfaces):
             if kind == wp.static(SURFACE_PROGRAM):
                 history = int(0)
                 if wp.static(has_history):
                     history = paths.shadow_history[path] & wp.static(DEPTHS)
+                distance = rays.t_max[slot]
+                if paths.shadow_t.shape[0] > 0:
+                    distance += paths.shadow_t[path]
                 emitted = surface_emission(
-                    data, paths.light_instance[path], paths.light_primitive[path], paths.light_barycentric[path], -direction, rays.t_max[slot],
-                    bounce, history,
+                    data, paths.light_instance[path], paths.light_primitive[path], paths.light_barycentric[path], -direction, distance,
+                    bounce, passed_before_light(paths, path), history,
                 )  # fmt: skip
                 light = wp.cw_mul(light, emitted)
         if wp.static(has_lamps):

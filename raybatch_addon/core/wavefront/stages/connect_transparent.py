@@ -11,7 +11,7 @@ from ...scene.description import Visibility
 from ...shading.closures import ClosureFeatures, make_bsdf
 from ...shading.materials import ClosureRecord
 from ...shading.surface import make_surface, spawn_origin
-from ..rays import SHADOW_PASS, Paths, Rays, Status, bounce_of
+from ..rays import SHADOW_PASS, Paths, Rays, Status, bounce_to_light
 from ..scene_data import SceneData
 from .connect import ConnectFeatures, make_arrived
 from .history import DEPTHS
@@ -54,15 +54,12 @@ def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeature
         else:
             surface = surface_point(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot])
             if wp.static(bool(programs)):
-                direction = rays.direction[slot]
-                normal = surface.normal
-                if wp.dot(normal, direction) > 0.0:
-                    normal = -normal
                 point = shading_point(
-                    surface, -direction, normal, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot], rays.hit_t[slot]
-                )
+                    surface, -rays.direction[slot], rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot],
+                    paths.shadow_t[path] + rays.hit_t[slot],
+                )  # fmt: skip
                 point.ray_kind = wp.static(int(Visibility.SHADOW))
-                point.bounce = bounce_of(status)
+                point.bounce = bounce_to_light(status)
                 if wp.static(features.path_history):
                     point.history = paths.shadow_history[path] & wp.static(DEPTHS)
                 point.passed = passed / wp.static(SHADOW_PASS)
@@ -77,7 +74,16 @@ def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeature
             if is_positive(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
                 direction = rays.direction[slot]
                 origin = spawn_origin(surface.position, surface.error, surface.geometric_normal, direction)
-                rays.t_max[slot] = rays.t_max[slot] - wp.dot(origin - rays.origin[slot], direction)
+                ray = origin - rays.origin[slot]
+                t_max = rays.t_max[slot]
+                if t_max < wp.inf:
+                    # to the same end: moved aside only, the ray could find the light that it was aimed at in its own way
+                    left = t_max * direction - ray
+                    t_max = wp.length(left)
+                    if t_max > 0.0:
+                        rays.direction[slot] = left / t_max
+                rays.t_max[slot] = t_max
+                paths.shadow_t[path] = paths.shadow_t[path] + wp.dot(ray, direction)
                 rays.origin[slot] = origin
                 paths.shadow_light[path] = light
                 paths.passed[path] = passed + wp.static(SHADOW_PASS)

@@ -38,11 +38,11 @@ def emission_of(closures: wp.array(dtype=ClosureRecord), count: int) -> wp.vec3:
 
 @functools.cache
 def make_world_emission(programs: ProgramFeatures) -> wp.Function:
-    """Function (data, origin, direction, ray_kind: int, bounce: int) -> vec3: the world's radiance."""
+    """Function (data, origin, direction, ray_kind: int, bounce: int, passed: int) -> vec3: the world's radiance."""
     run = make_run(programs)
 
     @wp.func
-    def world_emission(data: SceneData, origin: wp.vec3, direction: wp.vec3, ray_kind: int, bounce: int) -> wp.vec3:
+    def world_emission(data: SceneData, origin: wp.vec3, direction: wp.vec3, ray_kind: int, bounce: int, passed: int) -> wp.vec3:
         point = ShadingPoint()
         point.position = origin
         point.incoming = -direction
@@ -51,6 +51,7 @@ def make_world_emission(programs: ProgramFeatures) -> wp.Function:
         point.instance = -1
         point.ray_kind = ray_kind
         point.bounce = bounce
+        point.passed = passed
         stack = wp.zeros(wp.static(programs.register_count), dtype=float)
         closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
         return emission_of(closures, run(data.world_nodes, stack, data.world_nodes.program_first[0], point, closures))
@@ -60,23 +61,21 @@ def make_world_emission(programs: ProgramFeatures) -> wp.Function:
 
 @functools.cache
 def make_surface_emission(programs: ProgramFeatures, instancing: bool, smooth_normals: bool) -> wp.Function:
-    """Function (data, instance: int, primitive: int, barycentric: vec2, incoming: vec3, distance: float, bounce: int, history: int) -> vec3.
-
-    Radiance towards `incoming`; bounce and history as `ShadingPoint` has them.
+    """Function (data, instance: int, primitive: int, barycentric: vec2, incoming: vec3, distance: float, bounce: int, passed: int,
+    history: int) -> vec3: radiance towards `incoming`; bounce, passed and history as `ShadingPoint` has them.
     """
     surface_point = make_surface(instancing, smooth_normals).point
     surface_closures = make_surface_program(programs)
 
     @wp.func
     def surface_emission(
-        data: SceneData, instance: int, primitive: int, barycentric: wp.vec2, incoming: wp.vec3, distance: float, bounce: int, history: int
-    ) -> wp.vec3:
+        data: SceneData, instance: int, primitive: int, barycentric: wp.vec2, incoming: wp.vec3, distance: float, bounce: int, passed: int,
+        history: int,
+    ) -> wp.vec3:  # fmt: skip
         surface = surface_point(data.geometry, instance, primitive, barycentric)
-        normal = surface.normal
-        if wp.dot(normal, incoming) < 0.0:
-            normal = -normal
-        point = shading_point(surface, incoming, normal, instance, primitive, barycentric, distance)
+        point = shading_point(surface, incoming, instance, primitive, barycentric, distance)
         point.bounce = bounce
+        point.passed = passed
         point.history = history
         closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
         return emission_of(closures, surface_closures(data, surface.material, point, closures))
@@ -97,7 +96,7 @@ def world_texels_kernel(programs: ProgramFeatures) -> wp.Kernel:
         total = float(0.0)
         for k in range(points * points):
             u = wp.vec2(float(k % points) + 0.5, float(k / points) + 0.5) / float(points)
-            radiance = world_emission(data, wp.vec3(0.0), texel_direction(table, row, column, u), 0, 0)
+            radiance = world_emission(data, wp.vec3(0.0), texel_direction(table, row, column, u), 0, 1, 0)
             total += (radiance[0] + radiance[1] + radiance[2]) * wp.static(1.0 / 3.0)
         light[i] = wp.min(total / float(points * points), wp.static(1e30))
 
@@ -125,7 +124,7 @@ def triangle_emission_kernel(programs: ProgramFeatures, instancing: bool, smooth
                 place = wp.vec2(float(row) + 0.33, float(column) + 0.33) / float(rows)
                 normal = surface_point(data.geometry, instance[i], primitive[i], place).geometric_normal
                 for _ in range(sides):
-                    total += surface_emission(data, instance[i], primitive[i], place, normal, 1.0, 0, 0)
+                    total += surface_emission(data, instance[i], primitive[i], place, normal, 1.0, 1, 0, 0)
                     normal = -normal
                     points += 1
         radiance[i] = wp.min(total / float(points), wp.vec3(1e30))

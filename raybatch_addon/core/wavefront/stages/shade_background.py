@@ -13,7 +13,7 @@ from ...scene.program import ProgramFeatures
 from ...shading.light_hits import LightHitFeatures, make_light_hits
 from ...shading.lights import is_lit_in_part, light_weights, world_light_pdf
 from ..scene_data import SceneData
-from ..rays import Paths, Rays, Status, bounce_of, visibility_of
+from ..rays import SHADOW_PASS, Paths, Rays, Status, bounce_of, visibility_of
 from .emitted import make_world_emission
 from .generate import TileWork, pixel_sample
 from .limits import PathLimits, clamped
@@ -106,8 +106,11 @@ def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
         if wp.static(features.world):
             if shows_world and (data.world_visibility & visibility_of(status)) != 0:
                 if wp.static(has_program):
+                    passed = int(0)
+                    if paths.passed.shape[0] > 0:
+                        passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
                     direction = rays.direction[path]
-                    light = wp.cw_mul(throughput, world_emission(data, rays.origin[path], direction, visibility_of(status), bounce))
+                    light = wp.cw_mul(throughput, world_emission(data, rays.origin[path], direction, visibility_of(status), bounce, passed))
                     if wp.static(features.world_light):
                         pdf = paths.pdf[path]
                         if pdf > 0.0 and data.lights.world_emitter >= 0:

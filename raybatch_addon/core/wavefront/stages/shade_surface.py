@@ -29,7 +29,7 @@ from ...shading.sampling import (
 from ...shading.materials import SURFACE_NORMAL, ClosureRecord
 from ...shading.surface import SurfacePoint, make_surface, spawn_origin
 from ..scene_data import SceneData
-from ..rays import BOUNCE_SHIFT, LIGHT_BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
+from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
 from .generate import TileWork, pixel_sample
 from .history import history_after
 from .limits import PathLimits, clamped, is_positive
@@ -38,6 +38,7 @@ from .surface_program import make_surface_program, shading_point
 RAY_NEW = int(Status.RAY_NEW)
 SHADOW_NEW = int(Status.SHADOW_NEW)
 HIT = int(Status.HIT)
+STRAIGHT = int(Status.STRAIGHT)
 ENDED = int(Status.ENDED)
 
 
@@ -138,14 +139,15 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if is_positive(emission):
             weight = float(1.0)
             pdf = paths.pdf[path]
-            if pdf > 0.0 and is_lit_in_part(data.lights.instance_visibility[rays.hit_instance[path]]):
-                weight = 0.0  # found by light sampling alone
-            elif pdf > 0.0:
+            if pdf > 0.0:
                 light_pdf = light_hit_pdf(
                     data.lights, data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.direction[path],
                     seen_from + rays.hit_t[path],
                 )  # fmt: skip
                 weight = hit_weight(pdf, light_pdf)
+                # what is not aimed at is in no table
+                if light_pdf > 0.0 and is_lit_in_part(data.lights.instance_visibility[rays.hit_instance[path]]):
+                    weight = 0.0  # found by light sampling alone
             light = weight * wp.cw_mul(paths.throughput[path], emission)
             if wp.static(features.clamping):
                 light = clamped(limits, light, bounce_of(paths.status[path]))
@@ -196,12 +198,11 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if rays.visibility.shape[0] > 0:
             rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
         paths.shadow_light[path] = contribution
+        if wp.static(features.transparency):
+            paths.shadow_t[path] = 0.0
         if wp.static(features.light_programs):
             # the program says how bright the light is when the ray is back, if nothing hides it
             paths.light_program[path] = light.program
-            if light.program != 0:
-                # when the ray is back, the path's own count tells no more: it may have scattered, or passed straight on
-                paths.light_program[path] = light.program + ((bounce_of(paths.status[path]) + 1) << wp.static(LIGHT_BOUNCE_SHIFT))
             paths.light_instance[path] = light.instance
             paths.light_primitive[path] = light.primitive
             paths.light_barycentric[path] = light.barycentric
@@ -227,7 +228,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if i >= count[0]:
             return
         path = slots[i]
-        status = paths.status[path] & ~wp.static(HIT)
+        status = paths.status[path] & ~wp.static(HIT | STRAIGHT)
         bounce = bounce_of(status)
         where = pixel_sample(work, paths.item[path])
         sample = where.sample
@@ -242,7 +243,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         frame = shading_frame(surface, -direction)
         if wp.static(bool(programs)):
             point = shading_point(
-                surface, -direction, frame.normal, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], passed_t + hit_t
+                surface, -direction, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], passed_t + hit_t
             )
             point.ray_kind = visibility_of(status)
             point.bounce = bounce
@@ -313,6 +314,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                 goes_on = goes_on and passed < limits.transparent_bounce_max
                 paths.passed[path] = passed + 1 + passed * wp.static(SHADOW_PASS)
                 paths.passed_t[path] = passed_t + hit_t
+                status = status | wp.static(STRAIGHT)
             else:
                 paths.passed[path] = passed + passed * wp.static(SHADOW_PASS)
                 paths.passed_t[path] = 0.0

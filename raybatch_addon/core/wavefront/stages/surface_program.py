@@ -17,15 +17,16 @@ from ..scene_data import SceneData
 
 @wp.func
 def shading_point(
-    surface: SurfacePoint, incoming: wp.vec3, normal: wp.vec3, instance: int, primitive: int, barycentric: wp.vec2, ray_length: float
+    surface: SurfacePoint, incoming: wp.vec3, instance: int, primitive: int, barycentric: wp.vec2, ray_length: float
 ) -> ShadingPoint:
-    """The point of a hit; `normal` is the shading normal on the side of `incoming`."""
+    """The point of a hit. Both normals are turned by the side of the triangle that is met, whichever way the interpolated one leans."""
     point = ShadingPoint()
     point.position = surface.position
     point.incoming = incoming
-    point.normal = normal
+    point.normal = surface.normal
     point.geometric_normal = surface.geometric_normal
     if wp.dot(incoming, surface.geometric_normal) < 0.0:
+        point.normal = -surface.normal
         point.geometric_normal = -surface.geometric_normal
         point.backfacing = 1
     point.instance = instance
@@ -42,33 +43,19 @@ _ROUNDINGS = 256.0
 
 @wp.func
 def with_steps(data: NodeData, point: ShadingPoint) -> ShadingPoint:
-    """`point` with its steps aside: in the plane of its triangle, a share of the pixel's width where its ray met it."""
-    result = ShadingPoint()
-    result.position = point.position
-    result.incoming = point.incoming
-    result.normal = point.normal
-    result.geometric_normal = point.geometric_normal
-    result.backfacing = point.backfacing
-    result.instance = point.instance
-    result.primitive = point.primitive
-    result.barycentric = point.barycentric
-    result.ray_length = point.ray_length
-    result.ray_kind = point.ray_kind
-    result.bounce = point.bounce
-    result.passed = point.passed
-    result.history = point.history
+    """`point`, its steps filled in: in the plane of its triangle, a share of the pixel's width where its ray met it."""
     n = point.geometric_normal
     p = point.position
     largest = wp.max(wp.abs(p[0]), wp.max(wp.abs(p[1]), wp.abs(p[2])))
     length = wp.max(wp.static(BUMP_STEP) * pixel_footprint(data, point), wp.static(_ROUNDINGS * 2.0**-24) * largest)
     # the axes that Blender takes: where a height is curved over a step, they matter
     across = footprint_axis(n)
-    result.step_x = length * across
-    result.step_y = length * wp.cross(n, across)
+    point.step_x = length * across
+    point.step_y = length * wp.cross(n, across)
     a, b, c = triangle_vertices(data.geometry, point.instance, point.primitive)
-    result.step_x_barycentric = _in_triangle(b - a, c - a, result.step_x)
-    result.step_y_barycentric = _in_triangle(b - a, c - a, result.step_y)
-    return result
+    point.step_x_barycentric = _in_triangle(b - a, c - a, point.step_x)
+    point.step_y_barycentric = _in_triangle(b - a, c - a, point.step_y)
+    return point
 
 
 @wp.func
