@@ -165,12 +165,24 @@ def test_layers_that_depend_on_the_view_make_a_program():
 
 
 def test_what_is_approximated_is_named():
+    material, tree, surface = new_material()
+    node = add_node(tree, "ShaderNodeSubsurfaceScattering")
+    node.inputs["Color"].default_value = RED
+    tree.links.new(node.outputs[0], surface)
+    for method, approximated in (("RANDOM_WALK", False), ("RANDOM_WALK_SKIN", False), ("RANDOM_WALK_LEGACY", False), ("BURLEY", True)):
+        node.falloff = method
+        made, notes = export_material(material)
+        assert weights(made) == {K.SUBSURFACE: np.array(RED[:3])} and K.DIFFUSE in made.kinds
+        assert len(notes) == approximated
+    assert "random walk" in notes[0] and "Subsurface Scattering" in notes[0]
+
+
+def test_subsurface_takes_its_share_of_the_base():
     material, notes = of_one("ShaderNodeBsdfPrincipled", Subsurface_Weight=0.5)
-    assert K.LAYERED_DIFFUSE in {closure.kind for closure in material.closures}
-    (note,) = notes
-    assert "Subsurface" in note and "diffuse" in note and "Principled BSDF" in note
-    material, notes = of_one("ShaderNodeSubsurfaceScattering", Color=RED)
-    assert weights(material) == {K.DIFFUSE: np.array(RED[:3])} and "diffuse" in notes[0] and "Subsurface Scattering" in notes[0]
+    assert notes == [] and {K.SUBSURFACE, K.DIFFUSE} <= set(material.kinds)
+    assert "subsurface" in material.program.ops
+    plain = of_one("ShaderNodeBsdfPrincipled")[0]
+    assert K.SUBSURFACE not in plain.kinds
 
 
 @pytest.mark.parametrize("node, inputs", [("ShaderNodeEmission", {"Strength": -2}), ("ShaderNodeBsdfPrincipled", {"Emission_Strength": -2})])

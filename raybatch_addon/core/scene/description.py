@@ -48,6 +48,7 @@ class ClosureKind(IntEnum):
     VELVET = 14  # Ashikhmin's; `roughness` is sigma
     HOLDOUT = 15  # cuts a hole into the picture: takes light, and for `weight` of it the film's alpha is 0
     SHEET = 16  # facets that scatter on the other side as GLOSSY's on this one: a rough sheet without thickness
+    SUBSURFACE = 17  # light goes in and scatters below: a random walk through the medium (`shading/subsurface.py`)
     # Abilities: not models, but needed by closures whose values ask for them (`Closure.needs`)
     BECKMANN = 32  # `distribution` 1
     ANISOTROPIC = 33  # `aspect` other than 1
@@ -126,11 +127,15 @@ class Closure:
     tangent: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in world space; 0: facets are isotropic
     film_thickness: float = 0.0  # METAL, CONDUCTOR, DIELECTRIC, GLASS: of a film on the facets [nm]; below 0.1 there is none
     film_ior: float = 1.33  # of that film, relative to the outside
+    # SUBSURFACE: mean cosine of the phase function. `colour` is the medium's albedo, `edge` its extinction [1/m], `refraction` what a walk's
+    # throughput is multiplied by at once; `multiscatter`: half of the light goes in diffusely
+    mean_cosine: float = 0.0
 
     @property
     def needs(self) -> frozenset[ClosureKind]:
         """The kind, and the abilities that its values ask for."""
         abilities = {
+            ClosureKind.DIFFUSE: self.kind == ClosureKind.SUBSURFACE,  # where light comes out again
             ClosureKind.BECKMANN: self.distribution == 1,
             ClosureKind.ANISOTROPIC: self.aspect != 1 and any(self.tangent),
             ClosureKind.THIN_FILM: self.film_thickness > 0,

@@ -54,6 +54,11 @@ class SceneFeatures:
         return ClosureKind.TRANSPARENT in self.closures
 
     @property
+    def subsurface(self) -> bool:
+        """Light that scatters below surfaces."""
+        return ClosureKind.SUBSURFACE in self.closures
+
+    @property
     def shadow_rays(self) -> bool:
         """There is something to aim at, and it is asked for."""
         return self.nee != "OFF" and self.surfaces and (bool(self.lights) or self.mesh_lights or self.world_light)

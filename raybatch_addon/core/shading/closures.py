@@ -15,7 +15,7 @@ from .ashikhmin_shirley import phong_exponent, sample_phong
 from .facets import make_facets
 from .lobes import Lobe, make_lobes, relative_index
 from .materials import (
-    DELTA, DIFFUSE, GLOSSY, MICROFACET_KINDS, PASSING_KINDS, TRANSMISSION, TRANSPARENT,
+    DELTA, DIFFUSE, GLOSSY, MICROFACET_KINDS, PASSING_KINDS, SUBSURFACE, TRANSMISSION, TRANSPARENT,
     BsdfSample, BsdfValue, ClosureFeatures, ClosureRecord, MaterialTable, ShadingFrame, upload_materials,
 )  # fmt: skip
 from .microfacet import is_refraction_specular, is_specular, reflected, refracted
@@ -25,7 +25,7 @@ from .sampling import bitangent_of, sample_cosine_hemisphere, spherical_directio
 from .sheen import sample_sheen, sheen_lobe, sheen_tangent
 
 __all__ = [
-    "DELTA", "DIFFUSE", "GLOSSY", "TRANSMISSION", "TRANSPARENT",
+    "DELTA", "DIFFUSE", "GLOSSY", "SUBSURFACE", "TRANSMISSION", "TRANSPARENT",
     "Bsdf", "BsdfSample", "BsdfValue", "ClosureFeatures", "ClosureRecord", "MaterialTable", "ShadingFrame",
     "make_bsdf", "upload_materials",
 ]  # fmt: skip
@@ -41,6 +41,7 @@ _SHEEN = wp.constant(int(_K.SHEEN))
 _VELVET = wp.constant(int(_K.VELVET))
 _HOLDOUT = wp.constant(int(_K.HOLDOUT))
 _SHEET = wp.constant(int(_K.SHEET))
+_SUBSURFACE = wp.constant(int(_K.SUBSURFACE))
 _ONE_BELOW = wp.constant(1.0 - 2.0**-24)  # the largest float32 below 1
 
 
@@ -68,7 +69,8 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
     has_transparent, has_emission, has_holdout = has(_K.TRANSPARENT), has(_K.EMISSION), has(_K.HOLDOUT)
     has_translucent, has_sheen, has_velvet = has(_K.TRANSLUCENT), has(_K.SHEEN), has(_K.VELVET)
     has_facets, has_passing, has_phong = features.facets, has(*PASSING_KINDS), has(_K.ASHIKHMIN_SHIRLEY)
-    has_refraction, has_sheet = has(_K.REFRACTION), has(_K.SHEET)
+    has_refraction, has_sheet, has_subsurface = has(_K.REFRACTION), has(_K.SHEET), has(_K.SUBSURFACE)
+    has_evaluated_facets, is_evaluated_facets = has(*MICROFACET_KINDS - {_K.SUBSURFACE}), features.test(MICROFACET_KINDS - {_K.SUBSURFACE})
     bends = features.facets or features.coats
     own = features.own_normals
     has_own_normal, own_normal = make_normals(own)
@@ -169,6 +171,11 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
             if is_facets(kind):
                 alpha = mean_alpha(closures, chosen)
                 h = n
+                goes_in_diffusely = bool(False)
+                if wp.static(has_subsurface):
+                    if kind == _SUBSURFACE and closures[chosen].multiscatter == 1:
+                        goes_in_diffusely = u[0] < 0.5
+                        u = wp.vec2(wp.min(2.0 * wp.where(goes_in_diffusely, u[0], u[0] - 0.5), _ONE_BELOW), u[1])
                 if not is_specular(alpha):
                     facets = facets_of(closures, chosen, n, cos_o)
                     if kind != _ASHIKHMIN_SHIRLEY:
@@ -204,6 +211,12 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                                 # the facet lets it through where the surface as a whole would not: so nearly equal are the
                                 # indices that it is hardly bent
                                 wi = -wo
+                if wp.static(has_subsurface):
+                    if kind == _SUBSURFACE:
+                        bits = SUBSURFACE | DELTA
+                        wi = refracted(wo, h, closures[chosen].ior)
+                        if goes_in_diffusely:
+                            wi = -to_world(sample_cosine_hemisphere(u), tangent_of(n), bitangent_of(n), n)
                 if (bits & GLOSSY) != 0:
                     wi = wp.normalize(reflected(wo, h))
                     if is_specular(alpha):
@@ -222,7 +235,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         if wp.static(has_facets):
             if (bits & (GLOSSY | TRANSMISSION)) != 0 and (bits & DIFFUSE) == 0:
                 facet_side = wp.dot(wi, n)
-        if (bits & (TRANSMISSION | TRANSPARENT)) != 0:
+        if (bits & (TRANSMISSION | TRANSPARENT | SUBSURFACE)) != 0:
             side = -side
             facet_side = -facet_side
         if not (side > 0.0 and facet_side > 0.0):
@@ -232,6 +245,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
             result.direction = wi
             result.lobe = bits
             result.weight = (total / lobe.selection) * delta
+            result.closure = chosen
             return result
 
         mixture = mix(closures, first, end, albedo, frame, wo, wi)
@@ -282,8 +296,8 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
             kind = closures[c].kind
             if is_lambertian(kind) or is_soft(kind):
                 found = True
-            if wp.static(has_facets):
-                if is_facets(kind):
+            if wp.static(has_evaluated_facets):
+                if is_evaluated_facets(kind):
                     if not is_specular(mean_alpha(closures, c)):
                         found = True
         return found

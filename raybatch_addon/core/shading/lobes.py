@@ -66,7 +66,9 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
     """The functions for closures of `features.kinds`."""
     has = features.has
     # whose albedo is their weight, or about that
-    is_plain = features.test((_K.DIFFUSE, _K.TRANSPARENT, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT, _K.REFRACTION, _K.ASHIKHMIN_SHIRLEY))
+    is_plain = features.test(
+        (_K.DIFFUSE, _K.TRANSPARENT, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT, _K.REFRACTION, _K.ASHIKHMIN_SHIRLEY, _K.SUBSURFACE)
+    )
     is_mirror, is_facets = features.test(REFLECTION_KINDS), features.test(MICROFACET_KINDS)
     has_layered, has_metal, has_dielectric, has_conductor = (
         has(kind) for kind in (_K.LAYERED_DIFFUSE, _K.METAL, _K.DIELECTRIC, _K.CONDUCTOR)

@@ -24,12 +24,13 @@ GLOSSY = 2  # reflected by facets
 TRANSMISSION = 4  # refracted
 TRANSPARENT = 8  # passed straight on
 DELTA = 16  # in a direction that no other strategy finds
+SUBSURFACE = 32  # gone below the surface, where it scatters on
 
 _K = ClosureKind
 MIRROR_KINDS = frozenset({_K.GLOSSY, _K.METAL, _K.DIELECTRIC, _K.CONDUCTOR})  # facets that reflect and let nothing through
 PASSING_KINDS = frozenset({_K.GLASS, _K.REFRACTION})  # facets that refract
 REFLECTION_KINDS = MIRROR_KINDS | {_K.SHEET}  # facets whose albedo is that of reflection
-MICROFACET_KINDS = REFLECTION_KINDS | PASSING_KINDS | {_K.ASHIKHMIN_SHIRLEY}
+MICROFACET_KINDS = REFLECTION_KINDS | PASSING_KINDS | {_K.ASHIKHMIN_SHIRLEY, _K.SUBSURFACE}
 _COAT_KINDS = frozenset({_K.LAYERED_DIFFUSE, _K.DIELECTRIC})
 # Indices of refraction are kept in a range whose squares and their inverses are far from the ends of
 # float32; beyond it a dielectric reflects more than 99.6 % and is a mirror for all purposes.
@@ -107,6 +108,7 @@ class ClosureRecord:
     film_thickness: float  # THIN_FILM, of METAL, CONDUCTOR, DIELECTRIC and GLASS [nm]; 0: none
     film_ior: float  # relative to the outside
     normal: wp.vec3  # OWN_NORMAL: unit; 0: the frame's
+    mean_cosine: float  # SUBSURFACE: as `Closure` has its medium in `colour`, `edge` and `refraction`
 
 
 @wp.func
@@ -127,7 +129,7 @@ def new_closure(kind: int, weight: wp.vec3) -> ClosureRecord:
 
 @wp.struct
 class MaterialTable:
-    """Closures of all materials, one after the other."""
+    """Closures of all materials, one after the other; with SUBSURFACE, a white Lambertian one after them, of light that comes out."""
 
     closure_first: wp.array(dtype=int)  # material m has the closures [first[m], first[m + 1]); [material_count + 1]
     closures: wp.array(dtype=ClosureRecord)  # [closure_count]
@@ -161,7 +163,8 @@ class BsdfSample:
     direction: wp.vec3  # unit, away from the surface
     weight: wp.vec3  # BSDF |cosine| / density of all lobes together: a path's throughput is multiplied by it; 0: absorbed
     pdf: float  # as `BsdfValue.pdf` [1/sr]; 0 for delta lobes
-    lobe: int  # bits DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT, DELTA; 0: absorbed
+    lobe: int  # bits DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT, DELTA, SUBSURFACE; 0: absorbed
+    closure: int  # which one chose the direction, where it is SUBSURFACE
 
 
 def upload_materials(materials: Sequence[Material], features: ClosureFeatures, device) -> MaterialTable:
@@ -174,6 +177,8 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     for material in materials:
         for closure in material.closures:
             _check(material, closure, features)
+    if features.has(_K.SUBSURFACE):
+        closures.append(Closure(_K.DIFFUSE, (1.0, 1.0, 1.0)))
     first = np.cumsum([0] + [len(material.closures) for material in materials], dtype=np.int32)
     records = np.zeros(len(closures), ClosureRecord.numpy_dtype())
     for record, closure in zip(records, closures):
@@ -204,7 +209,7 @@ def constant_closure(record: ClosureRecord) -> Closure:
 
 _COLOURS = ("weight", "colour", "edge", "refraction")
 _DIRECTIONS = ("normal", "tangent")
-_NUMBERS = ("roughness", "ior", "aspect", "film_thickness", "film_ior")
+_NUMBERS = ("roughness", "ior", "aspect", "film_thickness", "film_ior", "mean_cosine")
 
 
 def _fill(record, closure: Closure) -> None:
@@ -216,6 +221,7 @@ def _fill(record, closure: Closure) -> None:
     record["roughness"] = min(max(closure.roughness, 0.0), 1.0)
     record["ior"] = _ior(closure)
     record["aspect"] = max(closure.aspect, _ASPECT_LEAST)
+    record["mean_cosine"] = closure.mean_cosine
     record["film_thickness"], record["film_ior"] = closure.film_thickness, max(closure.film_ior, _FILM_IOR_LEAST)
 
 
@@ -241,7 +247,7 @@ def _check(material: Material, closure: Closure, features: ClosureFeatures) -> N
         raise ValueError(f"material {material.name!r} has a closure that needs {', '.join(lacking)}, which its features lack")
     colours = (*closure.weight, *closure.edge, *closure.refraction, *(closure.colour or ()))
     numbers = (*colours, *closure.normal, *closure.tangent, closure.roughness, closure.ior, closure.share, closure.aspect)
-    numbers = (*numbers, closure.film_thickness, closure.film_ior)
+    numbers = (*numbers, closure.film_thickness, closure.film_ior, closure.mean_cosine)
     if not np.all(np.isfinite(np.asarray(numbers, np.float32))) or min(*colours, closure.share) < 0:
         raise SceneError(
             f"material {material.name!r}: the {kind.name.lower()} closure has a value that is negative, infinite or not "

@@ -5,11 +5,29 @@ import functools
 import warp as wp
 
 from .materials import ClosureRecord, ShadingFrame
+from .sampling import bitangent_of, tangent_of
+from .surface import SurfacePoint
 
 # Height above the triangle that a mirrored direction has at least: a share of wo's, and no more than this. As in Cycles, so that pictures
 # agree
 _HEIGHT_SHARE = wp.constant(0.9)
 _HEIGHT_MOST = wp.constant(0.01)
+
+
+@wp.func
+def shading_frame(surface: SurfacePoint, wo: wp.vec3) -> ShadingFrame:
+    """The frame on the side of `wo`."""
+    frame = ShadingFrame()
+    frame.geometric_normal = surface.geometric_normal
+    frame.normal = surface.normal
+    frame.entering = 1
+    if wp.dot(wo, surface.geometric_normal) < 0.0:
+        frame.geometric_normal = -frame.geometric_normal
+        frame.normal = -frame.normal
+        frame.entering = 0
+    frame.tangent = tangent_of(frame.normal)
+    frame.bitangent = bitangent_of(frame.normal)
+    return frame
 
 
 @wp.func

@@ -218,6 +218,9 @@ class TileIntegrator:
         with self._timer.stage("lists"):
             miss, surface = self._lists.back(paths.status, bound)
         with self._timer.stage("shade"):
+            if self._kernels.walk:
+                for back in (miss, surface):
+                    self._launch_over(self._kernels.walk, back, data, work, limits, paths, rays)
             if self._kernels.light_hits:
                 self._launch_over(self._kernels.light_hits, miss, data, limits, paths, rays)
             self._launch_over(self._kernels.background, miss, data, work, limits, paths, rays, film)

@@ -23,6 +23,7 @@ from .stages.connect_transparent import transparent_shadow_kernel
 from .stages.generate import GenerateFeatures, counted_kernel, generate_kernel
 from .stages.shade_background import BackgroundFeatures, background_kernel, light_hit_kernel
 from .stages.shade_surface import SurfaceFeatures, surface_kernel
+from .stages.walk import WalkFeatures, walk_kernel
 from .tracers import tracer_kernels
 from .tracing import Tracing
 
@@ -36,6 +37,7 @@ class StageKernels:
     connect: wp.Kernel | None
     connect_transparent: wp.Kernel | None
     light_hits: wp.Kernel | None
+    walk: wp.Kernel | None
     background: wp.Kernel
     surface: wp.Kernel | None
     accumulate: wp.Kernel
@@ -62,12 +64,14 @@ class StageKernels:
             connect=(connect_program_kernel(connect) if has.light_programs else connect_kernel) if has.shadow_rays else None,
             connect_transparent=transparent_shadow_kernel(surface, connect) if has.shadow_rays and has.transparency else None,
             light_hits=light_hit_kernel(
-                LightHitFeatures(has.lights, has.light_sphere, has.light_hits, has.mis, has.lamp_program), has.transparency, has.clamping
+                LightHitFeatures(has.lights, has.light_sphere, has.light_hits, has.mis, has.lamp_program), has.transparency, has.clamping,
+                has.subsurface,
             ) if has.light_hits else None,
+            walk=walk_kernel(WalkFeatures(has.instancing, has.smooth_normals, has.sample_sequence)) if has.subsurface else None,
             background=background_kernel(
                 BackgroundFeatures(
                     has.world, has.film_transparent, "Depth" in has.passes, has.clamping, has.world_program,
-                    has.world_light, has.mis,
+                    has.world_light, has.mis, has.subsurface,
                 )  # fmt: skip
             ),
             surface=surface_kernel(surface) if has.surfaces else None,

@@ -37,11 +37,12 @@ class Status(IntFlag):
     ENDED = 32  # the path ends when its shadow ray is back
     HIT = 64  # the extending ray came back with a hit
     STRAIGHT = 128  # the path passed straight on where the shadow ray comes from
+    INSIDE = 256  # the extending ray is a step of a random walk below a surface
 
 
-# Above the status: the `Visibility` bit of the extending ray (5 bits), and the bounce (up to 2^18 - 1)
-VISIBILITY_SHIFT = 8
-BOUNCE_SHIFT = 13
+# Above the status: the `Visibility` bit of the extending ray (5 bits), and the bounce (up to 2^17 - 1)
+VISIBILITY_SHIFT = 9
+BOUNCE_SHIFT = 14
 # In `Paths.passed`, passes by the shadow ray are counted above those of the extending ray; both go on from what the path passed before
 SHADOW_PASS = 1 << 16
 # Places in lists: two lists, and blocks' counts of paths (`queues.py`)
@@ -60,6 +61,23 @@ class Rays:
     hit_instance: wp.array(dtype=int)  # -1: nothing was hit. Of occlusion rays only this is set, and only its sign counts
     hit_primitive: wp.array(dtype=int)  # triangle of the instance's mesh. Has entries for closest hits alone, like `hit_uv`
     hit_uv: wp.array(dtype=wp.vec2)  # barycentric weights of the triangle's second and third corner
+
+
+@wp.struct
+class Walks:
+    """Random walks below surfaces, one entry a path; no entries where no closure asks for them. Set where a path goes in."""
+
+    step: wp.array(dtype=int)  # number of the step that the path's ray takes, from 1; 0: it has come out, where the ray met the surface
+    instance: wp.array(dtype=int)  # in which it walks
+    extinction: wp.array(dtype=wp.vec3)  # [1/m]
+    albedo: wp.array(dtype=wp.vec3)  # of a single scattering
+    g: wp.array(dtype=float)  # mean cosine of the phase function
+    entry: wp.array(dtype=wp.vec3)  # where it went in [m]
+    normal: wp.array(dtype=wp.vec3)  # unit, outwards there
+    thickness: wp.array(dtype=float)  # how deep the far side lies behind `entry` [m]; -1: not near
+    length: wp.array(dtype=float)  # of the step, where nothing is met before [m]
+    gone: wp.array(dtype=float)  # the part of it before the ray's origin: other objects lie inside [m]
+    phase: wp.array(dtype=float)  # the phase function in the step's direction [1/sr]
 
 
 @wp.struct
@@ -85,6 +103,7 @@ class Paths:
     # `history_after` of the extending ray, and of the shadow ray; where a program asks
     history: wp.array(dtype=int)
     shadow_history: wp.array(dtype=int)
+    walk: Walks
     # passes, filled at the first hit
     normal: wp.array(dtype=wp.vec3)
 
@@ -99,7 +118,7 @@ def bounce_of(status: int) -> int:
 def bounce_to_light(status: int) -> int:
     """Scattering events between the camera and the light that the path's shadow ray was aimed at."""
     bounce = bounce_of(status)
-    if (status & wp.static(int(Status.STRAIGHT))) != 0:
+    if (status & wp.static(int(Status.STRAIGHT | Status.INSIDE))) != 0:  # the count is still that of before the surface
         bounce += 1
     return bounce
 
@@ -184,6 +203,8 @@ def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) 
     paths.alpha = zeros(float, features.film_transparent)
     paths.history = zeros(int, features.path_history)
     paths.shadow_history = zeros(int, features.path_history and features.shadow_rays)
+    for name, array in Walks.vars.items():
+        setattr(paths.walk, name, zeros(array.type.dtype, features.subsurface))
     paths.normal = zeros(wp.vec3, "Normal" in features.passes)
     return paths
 
@@ -209,5 +230,6 @@ def bytes_per_path(features: SceneFeatures, reference: bool = False) -> int:
     path += 12 * features.shadow_rays + 8 * features.transparency + 4 * (features.transparency and features.shadow_rays)
     path += 20 * features.light_programs
     path += 4 * features.path_history * (1 + features.shadow_rays)
+    path += 76 * features.subsurface
     path += 4 * features.film_transparent + 12 * ("Normal" in features.passes)
     return path + RayNeeds.of(features, reference).bytes_per_path + LIST_BYTES_PER_PATH

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ...core.scene.description import ClosureKind
 from ...core.shading.nodes.builder import Value
+from ...core.shading.nodes.closure_ops_soft import SubsurfaceMethod
 from .node import Node
 from .registry import shader
 
@@ -20,11 +21,28 @@ def diffuse(node: Node, weight: Value) -> None:
         node.closure("diffuse", node.times(weight, color), node.own_normal())
 
 
-@shader("ShaderNodeSubsurfaceScattering", kinds=(_K.DIFFUSE,), note="rendered as diffuse reflection of the same colour")
+_METHODS = {"RANDOM_WALK": SubsurfaceMethod.RANDOM_WALK, "RANDOM_WALK_SKIN": SubsurfaceMethod.SKIN}
+
+
+def subsurface_method(node: Node, name: str) -> SubsurfaceMethod:
+    """What the node's method `name` is rendered as."""
+    if name == "BURLEY":
+        node.warn("Christensen-Burley's scattering below the surface is rendered as a random walk; this is the method")
+    return _METHODS.get(name, SubsurfaceMethod.LEGACY)
+
+
+@shader(
+    "ShaderNodeSubsurfaceScattering", kinds=(_K.SUBSURFACE, _K.DIFFUSE),
+    note="Christensen-Burley's is rendered as a random walk",
+)  # fmt: skip
 def subsurface(node: Node, weight: Value) -> None:
-    """Light that comes out where it went in."""
-    node.warn("scattering below the surface is rendered as diffuse reflection of the same colour; this is the shader")
-    node.closure("diffuse", node.times(weight, node.color("Color")), node.own_normal())
+    """Light that comes out elsewhere."""
+    radius = node.times(node.vector("Radius"), node.as_vector(node.number("Scale")))
+    roughness = node.op("roughness_of_alpha", node.number("Roughness"))
+    node.closure(
+        "subsurface", weight, node.color("Color"), radius, node.number("Anisotropy"), subsurface_method(node, node.node.falloff),
+        roughness, node.number("IOR"), node.own_normal(),
+    )  # fmt: skip
 
 
 @shader("ShaderNodeBsdfTranslucent", kinds=(_K.TRANSLUCENT,))

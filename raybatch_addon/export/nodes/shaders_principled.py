@@ -1,7 +1,8 @@
 """The Principled BSDF: layers of closures, each of which takes its share from those below.
 
 From the top: transparency takes 1 - alpha of all; sheen and coat take what they reflect as seen from where the ray came; emission is seen
-through both; of the rest metal takes its share, of what is left glass takes its own, and a dielectric above a diffuse base has the remainder.
+through both; of the rest metal takes its share, of what is left glass takes its own, and a dielectric above a base, diffuse or a medium, has
+the remainder.
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from ...core.scene.description import Closure, ClosureKind
 from ...core.shading.materials import constant_closure
 from ...core.shading.nodes.builder import Value
 from ...core.shading.nodes.closure_ops_facets import Distribution
+from ...core.shading.nodes.closure_ops_soft import SubsurfaceMethod
 from .node import BLACK, WHITE, Graph, Node
 from .registry import shader
+from .shaders_diffuse import subsurface_method
 from .shaders_facets import anisotropy, distribution, thin_film
 
 _K = ClosureKind
@@ -42,6 +45,17 @@ class Sheen:
 
 
 @dataclass(frozen=True)
+class Subsurface:
+    """A medium below the surface, in place of a share of the diffuse base."""
+
+    weight: Value
+    radius: Value  # by channel [m]
+    mean_cosine: Value
+    method: SubsurfaceMethod = SubsurfaceMethod.RANDOM_WALK
+    ior: Value | None = None  # where light goes in; None: that of the specular layer
+
+
+@dataclass(frozen=True)
 class Layers:
     """Inputs of the BSDF; layers that are None are not there."""
 
@@ -64,6 +78,7 @@ class Layers:
     sheen: Sheen | None = None
     thin: bool = False  # glass is a sheet with two surfaces
     behind: Value = _NONE  # share of diffuse light that leaves a thin wall on its other side
+    subsurface: Subsurface | None = None
 
     @property
     def tinted(self) -> bool:
@@ -78,7 +93,7 @@ class Layers:
 
 @shader(
     "ShaderNodeBsdfPrincipled", kinds=lambda node: _kinds(node),
-    note="subsurface scattering is rendered as diffuse reflection of the same colour",
+    note="Christensen-Burley's subsurface scattering is rendered as a random walk",
 )  # fmt: skip
 def principled(node: Node, weight: Value) -> None:
     """All layers."""
@@ -107,6 +122,7 @@ def principled(node: Node, weight: Value) -> None:
         sheen=_sheen(node),
         thin=_is_thin(node),
         behind=_behind(node),
+        subsurface=_subsurface(node),
     )
     add_layers(node, weight, layers)
 
@@ -134,7 +150,7 @@ def add_layers(node: Node, weight: Value, layers: Layers) -> None:
         node.closure("glass", glass, refraction, refraction, layers.tint, *facets, layers.ior, layers.normal, *layers.film)
     ior = node.op("specular_index", layers.ior, layers.level)
     node.closure("dielectric", weight, layers.tint, *facets, ior, *turned)
-    plain = layers.diffuse_roughness is None and layers.behind.constant == _NONE.constant
+    plain = layers.diffuse_roughness is None and layers.behind.constant == _NONE.constant and layers.subsurface is None
     if plain and not layers.tinted and not layers.filmed:
         node.closure("layered_diffuse", node.times(layers.base, weight), *facets, ior, layers.normal)
         return
@@ -144,6 +160,13 @@ def add_layers(node: Node, weight: Value, layers: Layers) -> None:
         below = node.op("layer_film", weight, layers.tint, ior, layers.normal, *layers.film)
     else:
         below = node.op("layer_specular", weight, layers.tint, *facets, ior, layers.normal)
+    if layers.subsurface is not None:
+        medium = layers.subsurface
+        below, inside = node.op("mix_weights", below, medium.weight)
+        node.closure(
+            "subsurface", inside, layers.base, medium.radius, medium.mean_cosine, medium.method, layers.roughness,
+            ior if medium.ior is None else medium.ior, layers.normal,
+        )  # fmt: skip
     weight = node.times(layers.base, below)
     if layers.behind.constant != _NONE.constant:
         weight, through = node.op("mix_weights", weight, layers.behind)
@@ -193,6 +216,7 @@ def _kinds(node: Node) -> set[ClosureKind]:
         (_K.DIFFUSE,): node.color("Specular Tint").constant != WHITE.constant,
         (_K.GLOSSY, _K.SHEET): _is_thin(node),
         (_K.TRANSLUCENT, _K.DIFFUSE): _is_thin(node) and node.used("Subsurface Weight"),
+        (_K.SUBSURFACE, _K.DIFFUSE): not _is_thin(node) and node.used("Subsurface Weight"),
     }
     return {*KINDS, *(kind for kinds, there in extra.items() if there for kind in kinds)}
 
@@ -222,8 +246,16 @@ def _sheen(node: Node) -> Sheen | None:
     return Sheen(node.number("Sheen Weight"), node.number("Sheen Roughness"), node.color("Sheen Tint"))
 
 
+def _subsurface(node: Node) -> Subsurface | None:
+    if not node.used("Subsurface Weight") or _is_thin(node):
+        return None
+    method = subsurface_method(node, node.node.subsurface_method)
+    return Subsurface(
+        node.number("Subsurface Weight"), node.times(node.vector("Subsurface Radius"), node.as_vector(node.number("Subsurface Scale"))),
+        node.number("Subsurface Anisotropy"), method, node.number("Subsurface IOR") if method == SubsurfaceMethod.SKIN else None,
+    )  # fmt: skip
+
+
 def _note_approximations(node: Node) -> None:
-    if node.used("Subsurface Weight") and not _is_thin(node):
-        node.warn("Subsurface is rendered as diffuse reflection of the same colour; this is an input")
     if _is_thin(node) and not node.number("Thin Wall").known:
         node.warn("Thin Wall is taken as on everywhere; this is an input")

@@ -44,6 +44,9 @@ shader("Metallic BSDF: physical conductor", "ShaderNodeBsdfMetallic", False, {"f
        Extinction=(3.61, 2.63, 2.29), Roughness=0.3)  # fmt: skip
 shader("Metallic BSDF: thin film", "ShaderNodeBsdfMetallic", False, {"fresnel_type": "F82"}, Base_Color=COLOR, Roughness=0.3, Thin_Film_Thickness=400.0,
        Thin_Film_IOR=1.5)  # fmt: skip
+for _name, _method in (("random walk", "RANDOM_WALK"), ("legacy", "RANDOM_WALK_LEGACY")):
+    shader(f"Subsurface Scattering: {_name}", "ShaderNodeSubsurfaceScattering", False, {"falloff": _method}, Color=COLOR, Scale=0.3,
+           Radius=(1.0, 0.5, 0.3), Roughness=0.7, IOR=1.4, Anisotropy=0.3)  # fmt: skip
 shader("Emission", "ShaderNodeEmission", Color=COLOR, Strength=1.5)
 
 

@@ -55,6 +55,11 @@ def _principled(name: str, inputs: dict, **properties) -> None:
 
 for _name, _inputs in SOCKETS.items():
     _principled(_name, _inputs)
+_SKIN = {
+    "Subsurface Weight": 0.7, "Subsurface Radius": (1.0, 0.4, 0.2), "Subsurface Scale": 0.15, "Subsurface Anisotropy": 0.6, "Subsurface IOR": 1.4,
+}  # fmt: skip
+_principled("subsurface of skin", _SKIN, subsurface_method="RANDOM_WALK_SKIN")
+_principled("anisotropic subsurface", _SKIN | {"Subsurface Weight": 1.0, "Roughness": 0.2}, subsurface_method="RANDOM_WALK")
 _principled("multiscatter GGX", {"Metallic": 1.0, "Roughness": 0.8}, distribution="MULTI_GGX")
 _principled("multiscatter GGX, transmission", {"Transmission Weight": 1.0, "Roughness": 0.6, "Base Color": ALBEDO}, distribution="MULTI_GGX")
 
@@ -75,6 +80,18 @@ def coat_normal(scene: bpy.types.Scene) -> None:
         wave = graph.value("ShaderNodeTexWave", {"Vector": graph.value("ShaderNodeTexCoord", output="Object"), "Scale": 2.0}, "Fac")
         bump = graph.value("ShaderNodeBump", {"Height": wave, "Distance": 0.1})
         return graph.value("ShaderNodeBsdfPrincipled", BASE | {"Coat Weight": 1.0, "Coat Roughness": 0.15, "Coat Normal": bump})
+
+    studio(scene, surface)
+
+
+@feature("Principled BSDF: subsurface of a bumped texture", "Shaders", "picture")
+def subsurface_bump(scene: bpy.types.Scene) -> None:
+    def surface(graph: Graph):
+        coordinates = graph.value("ShaderNodeTexCoord", output="Object")
+        noise = graph.node("ShaderNodeTexNoise", {"Vector": coordinates, "Scale": 3.0})
+        bump = graph.value("ShaderNodeBump", {"Height": noise.outputs["Fac"], "Distance": 0.2})
+        medium = {"Subsurface Weight": 0.8, "Subsurface Radius": (0.6, 0.5, 0.4), "Subsurface Scale": 0.1}
+        return graph.value("ShaderNodeBsdfPrincipled", medium | {"Base Color": noise.outputs["Color"], "Normal": bump})
 
     studio(scene, surface)
 

@@ -174,7 +174,7 @@ ROUGH = {
         Closure(K.DIFFUSE, (0.4, 0.5, 0.6), normal=(0.36, 0.48, 0.8)),
         Closure(K.GLOSSY, (0.3, 0.2, 0.1), 0.4, normal=(-0.6, 0.0, 0.8)),
     ),
-    "all": tuple(Closure(kind, (0.1, 0.2, 0.15), 0.4, 1.4) for kind in K if kind.is_model and kind != K.EMISSION),
+    "all": tuple(Closure(kind, (0.1, 0.2, 0.15), 0.4, 1.4) for kind in K if kind.is_model and kind not in (K.EMISSION, K.SUBSURFACE)),
 }
 
 

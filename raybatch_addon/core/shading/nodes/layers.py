@@ -236,6 +236,13 @@ def refraction_tint(data: NodeData, stack: wp.array(dtype=float), pc: int, point
     )
 
 
+@op("roughness_of_alpha", "n>N")
+@wp.func
+def roughness_of_alpha(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """The roughness of facets whose slopes are told as alpha, its square."""
+    put_number(data, stack, pc + 2, wp.sqrt(unit_number(number(data, stack, pc + 1))))
+
+
 @op("forward_share", "nn>N")
 @wp.func
 def forward_share(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):

@@ -18,7 +18,7 @@ from .emitted import make_world_emission
 from .generate import TileWork, pixel_sample
 from .limits import PathLimits, clamped
 
-ENDED = int(Status.ENDED)
+ENDED, INSIDE = int(Status.ENDED), int(Status.INSIDE)
 # What Blender writes as the depth of nothing [m]
 DEPTH_OF_NOTHING = 1e10
 
@@ -34,10 +34,11 @@ class BackgroundFeatures:
     world_program: ProgramFeatures = ProgramFeatures()
     world_light: bool = False
     mis: bool = True
+    subsurface: bool = False
 
 
 @functools.cache
-def light_hit_kernel(features: LightHitFeatures, transparency: bool, clamping: bool) -> wp.Kernel:
+def light_hit_kernel(features: LightHitFeatures, transparency: bool, clamping: bool, subsurface: bool = False) -> wp.Kernel:
     """Kernel (data, limits, paths, rays, slots, count): lights that rays met on their way."""
     intersect, miss = make_light_hits(features)
 
@@ -51,6 +52,9 @@ def light_hit_kernel(features: LightHitFeatures, transparency: bool, clamping: b
         path = slots[i]
         direction = rays.direction[path]
         status = paths.status[path]
+        if wp.static(subsurface):
+            if (status & wp.static(INSIDE)) != 0:
+                return
         visibility = visibility_of(status)
         pdf = paths.pdf[path]
         t_min = float(0.0)
@@ -96,6 +100,9 @@ def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
             return
         path = slots[i]
         status = paths.status[path]
+        if wp.static(features.subsurface):
+            if (status & wp.static(INSIDE)) != 0:
+                return  # a step of a walk that met nothing
         bounce = bounce_of(status)
         throughput = paths.throughput[path]
         shows_world = bool(True)

@@ -11,7 +11,7 @@ from ...film.tile import FilmTile
 from ...kernel import KERNEL_OPTIONS
 from ...scene.description import ClosureKind, LightKind, Visibility
 from ...scene.program import ProgramFeatures
-from ...shading.closures import DELTA, DIFFUSE, TRANSMISSION, TRANSPARENT, ClosureFeatures, ShadingFrame, make_bsdf
+from ...shading.closures import DELTA, DIFFUSE, SUBSURFACE, TRANSMISSION, TRANSPARENT, ClosureFeatures, ShadingFrame, make_bsdf
 from ...shading.light_shapes import LAMP_PROGRAM
 from ...shading.lights import LightFeatures, is_lit_in_part, light_weights, make_lights
 from ...shading.sampling import (
@@ -26,7 +26,8 @@ from ...shading.sampling import (
     pixel_key,
     tangent_of,
 )
-from ...shading.materials import SURFACE_NORMAL, ClosureRecord
+from ...shading.materials import SURFACE_NORMAL, ClosureRecord, new_closure
+from ...shading.normals import shading_frame
 from ...shading.surface import SurfacePoint, make_surface, spawn_origin
 from ..scene_data import SceneData
 from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
@@ -34,12 +35,14 @@ from .generate import TileWork, pixel_sample
 from .history import history_after
 from .limits import PathLimits, clamped, is_positive
 from .surface_program import make_surface_program, shading_point
+from .walk import STEPS_MOST, make_walk_begin, walk_dimension
 
 RAY_NEW = int(Status.RAY_NEW)
 SHADOW_NEW = int(Status.SHADOW_NEW)
 HIT = int(Status.HIT)
 STRAIGHT = int(Status.STRAIGHT)
 ENDED = int(Status.ENDED)
+INSIDE = int(Status.INSIDE)
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,11 @@ class SurfaceFeatures:
         return ClosureKind.TRANSPARENT in self.closures
 
     @property
+    def subsurface(self) -> bool:
+        """Light that scatters below surfaces."""
+        return ClosureKind.SUBSURFACE in self.closures
+
+    @property
     def emission(self) -> bool:
         """Surfaces that emit."""
         return ClosureKind.EMISSION in self.closures
@@ -88,22 +96,6 @@ def lit_value(value: wp.vec3, diffuse: wp.vec3, visibility: int, reflected: bool
     if (visibility & wp.static(int(Visibility.GLOSSY))) != 0:
         left += value - diffuse
     return left
-
-
-@wp.func
-def shading_frame(surface: SurfacePoint, wo: wp.vec3) -> ShadingFrame:
-    """The frame on the side of `wo`."""
-    frame = ShadingFrame()
-    frame.geometric_normal = surface.geometric_normal
-    frame.normal = surface.normal
-    frame.entering = 1
-    if wp.dot(wo, surface.geometric_normal) < 0.0:
-        frame.geometric_normal = -frame.geometric_normal
-        frame.normal = -frame.normal
-        frame.entering = 0
-    frame.tangent = tangent_of(frame.normal)
-    frame.bitangent = bitangent_of(frame.normal)
-    return frame
 
 
 @functools.cache
@@ -129,6 +121,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     sample_weight, hit_weight = light_weights(features.mis)
     programs = features.programs
     surface_closures = make_surface_program(programs)
+    begin_walk = make_walk_begin(features.sample_sequence)
 
     @wp.func
     def gather_emission(
@@ -156,13 +149,13 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     @wp.func
     def connect_light(
         data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, surface: SurfacePoint, frame: ShadingFrame,
-        closures: wp.array(dtype=ClosureRecord), first: int, end: int, u_choice: float, u: wp.vec2,
+        wo: wp.vec3, closures: wp.array(dtype=ClosureRecord), first: int, end: int, u_choice: float, u: wp.vec2,
     ) -> int:  # fmt: skip
         """Aim a shadow ray at a light; returns the status bit that submits it, or 0."""
         light = light_sample(data.lights, data.geometry, surface.position, u_choice, u)
         if light.pdf <= 0.0:
             return 0
-        bsdf = bsdf_evaluate(closures, first, end, data.materials.albedo, frame, -rays.direction[path], light.direction)
+        bsdf = bsdf_evaluate(closures, first, end, data.materials.albedo, frame, wo, light.direction)
         value = bsdf.value
         weight = 1.0 / light.pdf
         if is_lit_in_part(light.visibility):
@@ -233,6 +226,15 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         where = pixel_sample(work, paths.item[path])
         sample = where.sample
         direction = rays.direction[path]
+        wo = -direction
+        comes_out = bool(False)
+        if wp.static(features.subsurface):
+            if (status & wp.static(INSIDE)) != 0:
+                if paths.walk.step[path] != 0:
+                    return  # a step of a walk that ended before the surface, or met another object
+                status = status & wp.static(~INSIDE)
+                comes_out = True
+                wo = direction
         hit_t = rays.hit_t[path]
         passed = int(0)
         passed_t = float(0.0)
@@ -240,10 +242,10 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
             passed_t = paths.passed_t[path]
         surface = surface_point(data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path])
-        frame = shading_frame(surface, -direction)
+        frame = shading_frame(surface, wo)
         if wp.static(bool(programs)):
             point = shading_point(
-                surface, -direction, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], passed_t + hit_t
+                surface, wo, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], passed_t + hit_t
             )
             point.ray_kind = visibility_of(status)
             point.bounce = bounce
@@ -261,10 +263,25 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                     frame.bitangent = bitangent_of(frame.normal)
         else:
             closures = data.materials.closures
-            first = data.materials.closure_first[surface.material]
-            end = data.materials.closure_first[surface.material + 1]
+            first = int(data.materials.closure_first[surface.material])
+            end = int(data.materials.closure_first[surface.material + 1])
+        if wp.static(features.subsurface):
+            if comes_out:  # Lambert's law, about the medium's own normal
+                if wp.static(bool(programs)):
+                    normal = wp.vec3(0.0)
+                    for c in range(first, end):
+                        if closures[c].kind == wp.static(int(ClosureKind.SUBSURFACE)):
+                            normal = closures[c].normal
+                    white = new_closure(wp.static(int(ClosureKind.DIFFUSE)), wp.vec3(1.0))
+                    white.normal = normal
+                    first = 0
+                    end = 1
+                    closures[0] = white
+                else:
+                    end = closures.shape[0]
+                    first = end - 1
 
-        if bounce == 0 and passed == 0:
+        if bounce == 0 and passed == 0 and not comes_out:
             if wp.static("Normal" in features.passes):
                 paths.normal[path] = frame.normal
             if sample == wp.uint32(0):
@@ -293,16 +310,19 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         key = pixel_key(limits.seed, wp.uint32(where.y) * wp.uint32(work.frame_width) + wp.uint32(x))
         # every surface that a path meets has numbers of its own, also those that it passes
         dimension = wp.uint32(bounce + passed) * wp.uint32(DIMENSIONS_PER_BOUNCE)
+        if wp.static(features.subsurface):
+            if comes_out:
+                dimension = walk_dimension(bounce + passed, wp.static(STEPS_MOST + 1))
 
         if wp.static(features.shadow_rays):
             if x < limits.nee_end and not last:
                 status = status | connect_light(
-                    data, limits, paths, rays, path, surface, frame, closures, first, end,
+                    data, limits, paths, rays, path, surface, frame, wo, closures, first, end,
                     sample_1d(key, sample, dimension + wp.uint32(LIGHT_CHOICE)), sample_2d(key, sample, dimension + wp.uint32(LIGHT)),
                 )  # fmt: skip
 
         scattered = bsdf_sample(
-            closures, first, end, data.materials.albedo, frame, -direction,
+            closures, first, end, data.materials.albedo, frame, wo,
             sample_1d(key, sample, dimension + wp.uint32(LOBE)), sample_2d(key, sample, dimension + wp.uint32(BSDF)),
         )  # fmt: skip
         throughput = wp.cw_mul(paths.throughput[path], scattered.weight)
@@ -321,9 +341,9 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if wp.static(features.path_history):
             if wp.static(features.shadow_rays):
                 paths.shadow_history[path] = paths.history[path]
-            if (scattered.lobe & TRANSPARENT) == 0:
+            if (scattered.lobe & (TRANSPARENT | SUBSURFACE)) == 0:
                 paths.history[path] = history_after(paths.history[path], scattered.lobe)
-        if (scattered.lobe & TRANSPARENT) == 0:
+        if (scattered.lobe & (TRANSPARENT | SUBSURFACE)) == 0:
             pdf = scattered.pdf
             if (scattered.lobe & DELTA) != 0 or x >= limits.nee_end:
                 pdf = 0.0
@@ -345,11 +365,23 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                         goes_on = False
                     throughput = throughput / survival
 
+        far = float(wp.inf)
+        if wp.static(features.subsurface):
+            if (scattered.lobe & SUBSURFACE) != 0:
+                status = status | wp.static(INSIDE)
+                if goes_on:
+                    closure = closures[scattered.closure]
+                    far = begin_walk(
+                        paths, rays, path, closure, surface.position, frame.normal, throughput, key, sample, bounce + passed
+                    )
+                    throughput = paths.throughput[path]
+                    goes_on = far > 0.0
+
         if goes_on:
             paths.throughput[path] = throughput
             rays.origin[path] = spawn_origin(surface.position, surface.error, frame.geometric_normal, scattered.direction)
             rays.direction[path] = scattered.direction
-            t_max = float(wp.inf)
+            t_max = far
             if wp.static(features.transparency):
                 if (scattered.lobe & TRANSPARENT) != 0:
                     t_max = rays.t_max[path] - hit_t  # the camera's far plane stays where it is
