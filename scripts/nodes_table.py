@@ -1,12 +1,11 @@
 """Write the tables of shader nodes in docs/nodes.md: python scripts/nodes_table.py [--check]
 
-They are made from the registry of handlers (raybatch_addon/export/nodes), with the names that Blender's module bpy has for the nodes; nodes
-that Blender has and RayBatch does not are listed too. With --check nothing is written, and the exit code is 1 where the file is not up to date.
+They are made from the registry of handlers (raybatch_addon/export/nodes), with the names that Blender's module bpy has for the nodes. All nodes
+that Blender lets into a shader graph are listed: those that are followed rather than rendered, and those that RayBatch does not have, too. With --check nothing is written, and the exit code is 1 where the file is not up to date.
 """
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
 
@@ -21,16 +20,35 @@ from raybatch_addon.export.nodes.registry import Handled, shader_nodes, value_no
 
 MANUAL = ROOT / "docs/nodes.md"
 FIRST, LAST = "<!-- nodes: made by scripts/nodes_table.py -->", "<!-- end of nodes -->"
-# Nodes that are followed rather than rendered, those of other engines and of no engine
-_OUTPUTS = re.compile(r"ShaderNode(Output|Custom|Tree|Group|Script|EeveeSpecular|ShaderToRGB)")
+# Nodes that need no handler, and what becomes of them
+_GONE = "Blender has them gone before a graph is read"
+FOLLOWED = {
+    "The graph starts here": ("ShaderNodeOutputMaterial", "ShaderNodeOutputWorld", "ShaderNodeOutputLight"),
+    "Followed to what is linked to them": ("ShaderNodeGroup", "ShaderNodeCustomGroup", "NodeGroupInput", "NodeGroupOutput", "NodeReroute"),
+    "From Blender 5.0 on, " + _GONE: (
+        "GeometryNodeRepeatInput", "GeometryNodeRepeatOutput", "NodeClosureInput", "NodeClosureOutput", "NodeEvaluateClosure",
+        "NodeCombineBundle", "NodeSeparateBundle", "NodeJoinBundle", "GeometryNodeMenuSwitch", "FunctionNodeInputMenu", "NodeImplicitConversion",
+    ),
+    "Left out: passes of shaders, and lines": ("ShaderNodeOutputAOV", "ShaderNodeOutputLineStyle"),
+}  # fmt: skip
+_NOTHING = ("NodeFrame",)  # has no sockets
+_BASES = {"ShaderNode", "ShaderNodeTree", "ShaderNodeCustomGroup"}  # of classes, not kinds of nodes
 
 
 def blender_nodes() -> dict[str, str]:
-    """Names in Blender's menus of all shader nodes that this Blender has, by `bl_idname`."""
+    """Names in Blender's menus of all nodes that this Blender lets into shader graphs, by `bl_idname`."""
+    tree = bpy.data.node_groups.new("Shader nodes", "ShaderNodeTree")
     names = {}
     for name in dir(bpy.types):
-        if name.startswith("ShaderNode") and name != "ShaderNode" and not _OUTPUTS.match(name):
-            names[name] = getattr(bpy.types, name).bl_rna.name
+        kind = getattr(bpy.types, name)
+        if name in _BASES or name in _NOTHING or not isinstance(kind, type) or not issubclass(kind, bpy.types.Node):
+            continue
+        try:
+            names[name] = tree.nodes.new(name).bl_rna.name
+        except RuntimeError:  # it belongs into other graphs
+            if name.startswith("ShaderNode"):  # into graphs of materials, worlds or lights, but into no group
+                names[name] = kind.bl_rna.name
+    bpy.data.node_groups.remove(tree)
     return names
 
 
@@ -44,6 +62,11 @@ def tables() -> str:
         mine = sorted((names.get(name, name), name) for name, handled in known.items() if handled.family == family)
         lines += [f"| {label} | `{name}` | {known[name].note} |" for label, name in mine]
         lines.append("")
+    lines += ["### Followed", "", "| nodes | what becomes of them |", "|---|---|"]
+    names["ShaderNodeCustomGroup"] = "groups of add-ons"
+    for what, kinds in FOLLOWED.items():
+        lines.append(f"| {', '.join(names.pop(name, name) for name in kinds)} | {what} |")
+    lines.append("")
     missing = sorted(label for name, label in names.items() if name not in known)
     lines += ["### Not supported", "", "A warning names each of these, its material and its objects: " + ", ".join(missing) + "."]
     return "\n".join(lines)

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ...core.scene.description import Closure, ClosureKind
 from ...core.scene.program import Program
 from ...core.shading.materials import constant_closure
+from ...core.shading.nodes.op import op_named
 from .collections import Collections
+from .graph import note_broken
+from .inlined import Inlined, is_inlinable
 from .node import Graph, deep_recursion
 from .normals import bump_from_displacement
+
+# Closures that a point can have at most: Cycles' own limit
+CLOSURES_MOST = 64
 
 
 @dataclass(frozen=True)
@@ -29,14 +35,34 @@ def compile_graph(socket, owner: Any, collections: Collections, displaced: bool 
 
     With `displaced` the displacement of the same node bends the surface's normal.
     """
-    graph = Graph(owner, collections)
+    graph = Graph(owner, collections, keeps_values=is_inlinable(owner))
+    inlined = None
     with deep_recursion():
+        if socket is not None:
+            inlined = Inlined(owner, socket.node)
+        if inlined is not None and inlined.output is not None:
+            note_broken(socket.node, graph.note, graph.links)
+            socket = inlined.output.inputs[socket.identifier]
         if displaced:
             bump_from_displacement(graph, socket.node)
         if socket is not None:
             graph.surface(socket)
+    return _compiled(graph)
+
+
+def _compiled(graph: Graph) -> Compiled:
     kinds = tuple(sorted(graph.kinds))
     records = graph.builder.constant_closures()
     if records is not None:
-        return Compiled(tuple(constant_closure(record) for record in records), None, kinds, tuple(graph.notes))
-    return Compiled((), graph.builder.finish(), kinds, tuple(graph.notes), tuple(graph.varying))
+        _note_left_out(graph, len(records))
+        return Compiled(tuple(constant_closure(record) for record in records[:CLOSURES_MOST]), None, kinds, tuple(graph.notes))
+    program = graph.builder.finish()
+    _note_left_out(graph, sum(op_named(step.op).closures_most for step in program.instructions))
+    # kernels drop what their arrays cannot hold
+    program = replace(program, closure_count=min(program.closure_count, CLOSURES_MOST))
+    return Compiled((), program, kinds, tuple(graph.notes), tuple(graph.varying))
+
+
+def _note_left_out(graph: Graph, count: int) -> None:
+    if count > CLOSURES_MOST:
+        graph.note(f"its shaders make up to {count} closures, of which a point has {CLOSURES_MOST} at most, as in Cycles: the last are left out")

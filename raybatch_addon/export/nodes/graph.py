@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 # Groups within groups, and sockets on the way of one link: more of them is a cycle
 _GROUPS_MOST = 64
 _HOPS_MOST = 1000
+_GROUPS = ("GROUP", "CUSTOM GROUP")
+# Blender numbers the nodes that it copies into an inlined tree
+_NUMBERED = re.compile(r"^\d+_")
 
 
 @dataclass(frozen=True)
@@ -25,44 +29,87 @@ class Source:
         return self.socket.node
 
 
+class Links:
+    """Links by the socket that they lead to, each tree read once: Blender goes through all links of a tree to find those of one socket.
+
+    Good for as long as nobody edits the trees.
+    """
+
+    def __init__(self) -> None:
+        self._trees: dict[int, dict[int, list[Any]]] = {}
+
+    def of(self, socket) -> Sequence[Any]:
+        """The links that end in the input `socket`."""
+        tree = socket.id_data
+        key = tree.as_pointer()
+        if key not in self._trees:
+            links = self._trees[key] = {}
+            for link in tree.links:
+                links.setdefault(link.to_socket.as_pointer(), []).append(link)
+        return self._trees[key].get(socket.as_pointer(), ())
+
+
+def is_group(node) -> bool:
+    """Whether `node` stands for a node tree."""
+    return node.type in _GROUPS
+
+
+def is_inlined(tree) -> bool:
+    """Whether Blender made the node tree `tree` of another, without its groups and zones."""
+    return tree.is_runtime_data and not tree.is_evaluated and not tree.is_embedded_data
+
+
+def node_name(node) -> str:
+    """The name that the user knows a node by."""
+    return _NUMBERED.sub("", node.name) if is_inlined(node.id_data) else node.name
+
+
 def node_label(node) -> str:
     """How messages name a node."""
-    return f"node “{node.name}” ({node.bl_label})"
+    return f"node “{node_name(node)}” ({node.bl_label})"
 
 
-def find_source(socket, groups: tuple[Any, ...] = (), note: Callable[[str], None] = lambda text: None) -> tuple[Source | None, Any]:
+def find_source(
+    socket,
+    groups: tuple[Any, ...] = (),
+    note: Callable[[str], None] = lambda text: None,
+    links: Links | None = None,
+    keeps_values: bool = False,
+) -> tuple[Source | None, Any]:
     """What feeds the input `socket`: (source, None), or (None, input socket) whose own value counts.
 
-    `groups` are the group nodes around the socket. The input socket returned is `socket` itself, or that of
-    a group node around it; None where a muted node or an unfinished group passes nothing on. `note` is told of
-    groups and links that are broken.
+    `groups` are the group nodes around the socket. The input socket returned is `socket` itself, or that of a group node around it; None
+    where the value is 0. `note` is told of groups and links that are broken. With `keeps_values` (from Blender 5.0 on) an input keeps its
+    own value where what is linked to it leads, by reroutes and muted nodes, to nothing.
     """
-    start = socket.node
+    links = links or Links()
+    start = real = socket  # real: the last input on the way that has a value to give
     through: list[str] = []
     for _ in range(_HOPS_MOST):
-        links = [link for link in socket.links if not link.is_muted]
-        link = next((link for link in links if link.is_valid), None)
+        found = [link for link in links.of(socket) if not link.is_muted]
+        link = next((link for link in found if link.is_valid), None)
+        own = socket if socket is real else real if keeps_values else None
         if link is None:
-            if links:
+            # a link to or from a socket that the node's settings hide is no mistake
+            if any(link.from_socket.enabled and link.to_socket.enabled for link in found):
                 what = f"the link to input “{socket.name}” of {node_label(socket.node)}"
                 note(f"{what} is invalid to Blender, as part of a circle or between unlike sockets: it is ignored")
-            return None, socket
+            return None, own
         node, output = link.from_node, link.from_socket
         if node.mute:
             passed = next((inner.from_socket for inner in node.internal_links if inner.to_socket == output), None)
             if passed is None:
-                return None, None
+                return None, own
             socket = passed
             through.append(socket.type)
-        elif node.bl_idname == "NodeReroute":
+            continue
+        if node.bl_idname == "NodeReroute":
             socket = node.inputs[0]
-        elif node.bl_idname == "NodeGroupInput":
-            socket = _by_identifier(groups[-1].inputs, output.identifier)
+            continue
+        if node.bl_idname == "NodeGroupInput":
+            socket = _by_identifier(groups[-1].inputs, output.identifier) if groups else None
             groups = groups[:-1]
-            if socket is None:
-                return None, None
-            through.append(socket.type)
-        elif node.bl_idname == "ShaderNodeGroup":
+        elif is_group(node):
             inner = _group_output(node)
             if inner is None:
                 what = "has no node tree" if node.node_tree is None else "has no Group Output node"
@@ -70,16 +117,35 @@ def find_source(socket, groups: tuple[Any, ...] = (), note: Callable[[str], None
                 return None, None
             socket = _by_identifier(inner.inputs, output.identifier)
             groups = (*groups, node)
-            if socket is None:
-                return None, None
             if len(groups) > _GROUPS_MOST:
                 note(f"{node_label(groups[0])} holds groups within groups without end: nothing comes out of it")
                 return None, None
-            through.append(socket.type)
         else:
             return Source(output, groups, tuple(reversed(through))), None
+        if socket is None:
+            return None, None
+        real = socket
+        through.append(socket.type)
     note(f"{node_label(start)} is linked to reroutes or muted nodes that go round in a circle: the link is ignored")
     return None, None
+
+
+def note_broken(output, note: Callable[[str], None], links: Links | None = None) -> None:
+    """Tells `note` of the links and groups on the way to the node `output` that are broken."""
+    links = links or Links()
+    seen = set()
+    waiting = [(output, ())]
+    while waiting:
+        node, groups = waiting.pop()
+        key = (node.as_pointer(), *(group.as_pointer() for group in groups))
+        if key in seen:
+            continue
+        seen.add(key)
+        for socket in node.inputs:
+            if links.of(socket):
+                source, _ = find_source(socket, groups, note, links)
+                if source is not None:
+                    waiting.append((source.node, source.groups))
 
 
 def _group_output(group):

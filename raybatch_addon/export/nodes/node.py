@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -10,8 +11,9 @@ from typing import Any
 
 from ...core.scene.description import ClosureKind
 from ...core.shading.nodes.builder import Constant, ProgramBuilder, Value
+from ...core.shading.nodes.vector_math import VectorOperation
 from .collections import Collections
-from .graph import find_source, node_label
+from .graph import Links, Source, find_source, is_group, node_label
 from .registry import shader_nodes, value_nodes
 
 WHITE = Value.of((1.0, 1.0, 1.0))
@@ -33,12 +35,52 @@ class Graph:
     varying: list[str] = field(default_factory=list)  # nodes whose outputs are not constants, in the order of the way to them
     bumped: Value | None = None  # the surface's normal, where the displacement of the material bends it
     shift: int = 0  # bump mapping evaluates its height thrice: here, and a little aside along two axes
+    links: Links = field(default_factory=Links)
+    keeps_values: bool = False  # as `find_source` has it
     _known: dict[tuple, dict[str, Value]] = field(default_factory=dict)
     _open: set[tuple] = field(default_factory=set)  # nodes being evaluated: one met again is a cycle
+    _sources: dict[tuple, tuple[Source | None, Any]] = field(default_factory=dict)
+    _uses: Counter = field(default_factory=Counter)  # of shader nodes: links that lead from them to the output
+    _shaded: Counter = field(default_factory=Counter)  # the times that closures of shader nodes were added
+    _waiting: dict[tuple, tuple[Node, Value, int]] = field(default_factory=dict)  # shader nodes, weights and links so far
 
-    def surface(self, socket, weight: Value = WHITE, groups: tuple[Any, ...] = ()) -> None:
-        """Adds the closures that feed the shader input `socket`."""
-        source, _ = find_source(socket, groups, self.note)
+    def source(self, socket, groups: tuple[Any, ...] = ()) -> tuple[Source | None, Any]:
+        """What feeds the input `socket`, as `find_source` has it."""
+        key = (socket.as_pointer(), *(group.as_pointer() for group in groups))
+        if key not in self._sources:
+            self._sources[key] = find_source(socket, groups, self.note, self.links, self.keeps_values)
+        return self._sources[key]
+
+    def surface(self, socket) -> None:
+        """Adds the closures that feed the shader input `socket` of an output node.
+
+        A shader that is used more than once adds its closures once, of all its weights together.
+        """
+        self._count_uses(socket)
+        self.shade(socket, WHITE)
+        while self._waiting:  # those that a shader above did not ask for as often as it is linked to them
+            node, weight, _ = self._waiting.pop(next(iter(self._waiting)))
+            self._add_shader(node, weight)
+
+    def _count_uses(self, socket) -> None:
+        waiting = [(socket, ())]
+        while waiting:
+            source, _ = self.source(*waiting.pop())
+            if source is None or source.socket.type != "SHADER":
+                continue
+            node = Node(self, source.node, source.groups)
+            self._uses[node.key] += 1
+            if self._uses[node.key] == 1:
+                waiting += [(inner, node.groups) for inner in self._shader_inputs(node)]
+
+    def _shader_inputs(self, node: Node) -> list[Any]:
+        """Linked shader inputs that count: the first alone of a node that is not understood."""
+        inputs = [s for s in node.node.inputs if s.type == "SHADER" and self.source(s, node.groups)[0] is not None]
+        return inputs if node.node.bl_idname in shader_nodes else inputs[:1]
+
+    def shade(self, socket, weight: Value, groups: tuple[Any, ...] = ()) -> None:
+        """Adds what feeds the shader input `socket`, of that weight."""
+        source, _ = self.source(socket, groups)
         if source is None:
             return
         node = Node(self, source.node, source.groups)
@@ -46,8 +88,18 @@ class Graph:
             self.kinds.add(ClosureKind.EMISSION)
             node.closure("emission", node.times(weight, self.value(source)))
             return
+        _, earlier, count = self._waiting.pop(node.key, (node, None, 0))
+        if earlier is not None:
+            weight = node.op("vector_math", VectorOperation.ADD, earlier, weight, (0.0, 0.0, 0.0), 0.0)[0]
+        if count + 1 < self._uses[node.key]:
+            self._waiting[node.key] = (node, weight, count + 1)
+        else:
+            self._add_shader(node, weight)
+
+    def _add_shader(self, node: Node, weight: Value) -> None:
+        self._shaded[node.key] += 1
         with self._inside(node, "surface") as new:
-            if not new:
+            if not new or self._shaded[node.key] > self._uses[node.key]:
                 self.note(f"{node_label(node.node)} is linked to itself: the link is ignored")
                 return
             handled = shader_nodes.get(node.node.bl_idname)
@@ -76,10 +128,16 @@ class Graph:
                 except Exception as error:  # noqa: BLE001
                     self.note(f"{node_label(node.node)} cannot be read ({error_text(error)}); it gives 0")
                     self._known[key] = {"": Value.of(0.0)}
-                if not all(value.known for value in self._known[key].values()):
-                    self.varying.append(node_label(node.node))
+                label = node_label(node.node)
+                if label not in self.varying and not all(value.known for value in self._known[key].values()):
+                    self.varying.append(label)
         outputs = self._known[key]
         return outputs.get(source.socket.identifier) or outputs.get("") or Value.of(0.0)
+
+    def bend(self, normal: Value) -> None:
+        """Gives the surface another normal: what was computed of the one before is forgotten."""
+        self.bumped = normal
+        self._known.clear()
 
     def note(self, text: str) -> None:
         """Remembers what is not rendered as it is."""
@@ -97,10 +155,9 @@ class Graph:
         return {"": Value.of(result)}
 
     def _unknown_shader(self, node: Node, weight: Value) -> None:
-        inner = next((s for s in node.node.inputs if s.type == "SHADER" and find_source(s, node.groups)[0] is not None), None)
-        if inner is not None:
+        for inner in self._shader_inputs(node):
             self.note(f"{node_label(node.node)} is not supported; its first linked shader passes through")
-            self.surface(inner, weight, node.groups)
+            self.shade(inner, weight, node.groups)
             return
         self._viewport_colour(node, weight, "is not supported")
 
@@ -165,7 +222,12 @@ class Node:
     def linked(self, key: int | str) -> bool:
         """Whether a node feeds the input."""
         socket = self.socket(key)
-        return socket is not None and find_source(socket, self.groups)[0] is not None
+        if socket is None:
+            return False
+        source, own = self.graph.source(socket, self.groups)
+        # the value that a group is given counts as if it was linked
+        given = self.graph.keeps_values and own is not None and own != socket and is_group(own.node) and not own.hide_value
+        return source is not None or given
 
     def used(self, key: int | str) -> bool:
         """Whether the input is there and is linked or not 0."""
@@ -202,7 +264,7 @@ class Node:
 
     def shader(self, key: int | str, weight: Value) -> None:
         """Adds the closures that come in at a shader input, of that weight."""
-        self.graph.surface(self.socket(key), weight, self.groups)
+        self.graph.shade(self.socket(key), weight, self.groups)
 
     def constant(self, value: Constant) -> Value:
         """A constant."""
@@ -273,7 +335,7 @@ class Node:
         socket = self.socket(key)
         if socket is None:
             return self.as_vector(default) if width == 3 else Value.of(default)
-        source, own = find_source(socket, self.groups, self.graph.note)
+        source, own = self.graph.source(socket, self.groups)
         if source is None:
             value, kind = (Value.of(0.0), socket.type) if own is None else (own_value(own), own.type)
             through = ()

@@ -80,5 +80,5 @@ def bump_from_displacement(graph: Graph, output: Any) -> None:
     normal = node.op("normals")[0]
     dot = VectorOperation.DOT_PRODUCT
     heights = three_heights(graph, lambda: node.op("vector_math", dot, node.vector("Displacement"), normal, (0.0, 0.0, 0.0), 0.0)[1])
-    graph.bumped = node.op("bump", *heights, 1.0, 1.0, 1.0, normal)
+    graph.bend(node.op("bump", *heights, 1.0, 1.0, 1.0, normal))
     node.closure("surface_normal", graph.bumped)

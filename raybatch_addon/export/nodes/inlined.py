@@ -1,0 +1,31 @@
+"""Blender's own simplification of a shader graph: without groups, reroutes, muted nodes, zones, closures and bundles.
+
+From Blender 5.0 on it is what Cycles renders, so that what Blender makes of such nodes need not be done again here.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+
+class Inlined:
+    """The simplified tree of `owner`, a material, world or light, with the output node that stands for `output`.
+
+    Its nodes are there for as long as this is.
+    """
+
+    def __init__(self, owner: Any, output: Any) -> None:
+        self.output = None  # of the simplified tree; None where there is none
+        self._tree: Any = None  # owns the nodes
+        if not is_inlinable(owner) or output.id_data != owner.node_tree:
+            return
+        self._tree = owner.inline_shader_nodes()
+        found = self._tree.node_tree.nodes.get(output.name)
+        if found is not None and found.bl_idname == output.bl_idname:
+            self.output = found
+
+
+def is_inlinable(owner: Any) -> bool:
+    """Whether this Blender simplifies the graphs of `owner`."""
+    return hasattr(owner, "inline_shader_nodes")
