@@ -134,15 +134,16 @@ def _attribute(mesh: bpy.types.Mesh, kind: str, domain: str) -> None:
         values.data.foreach_set("vector", np.ascontiguousarray(random[:, :width]).ravel())
     else:
         if (kind, domain) == ("BYTE_COLOR", "CORNER"):
-            # Cycles takes these from Rec. 709 to linear colours by matrices of seven digits that are not each other's inverses: white becomes
-            # (1.00016, 0.99998, 0.99976). Up to here the difference is under the bound
+            # Cycles takes these from Rec. 709 to linear colours by matrices of seven digits that are not each other's inverses: white
+            # becomes (1.00016, 0.99998, 0.99976). Up to here the difference is under the bound
             random[:, :3] *= 0.36
         values.data.foreach_set("color", random.ravel())
 
 
 ATTRIBUTES = (
     ("FLOAT", "POINT"), ("FLOAT", "FACE"), ("FLOAT", "CORNER"), ("INT", "POINT"), ("BOOLEAN", "FACE"), ("FLOAT_VECTOR", "POINT"),
-    ("FLOAT2", "CORNER"), ("FLOAT_VECTOR", "FACE"), ("FLOAT_COLOR", "POINT"), ("FLOAT_COLOR", "FACE"), ("BYTE_COLOR", "CORNER"), ("BYTE_COLOR", "POINT"),
+    ("FLOAT2", "CORNER"), ("FLOAT_VECTOR", "FACE"), ("FLOAT_COLOR", "POINT"), ("FLOAT_COLOR", "FACE"), ("BYTE_COLOR", "CORNER"),
+    ("BYTE_COLOR", "POINT"),
 )  # fmt: skip
 
 
@@ -213,4 +214,5 @@ def linked_normal(graph: Graph):
     moved = graph.vector_math("ADD", graph.value("ShaderNodeNewGeometry", output="Normal"), (0.3, 0.1, 0.2))
     normal = graph.vector_math("NORMALIZE", moved)
     weight = graph.node("ShaderNodeLayerWeight", {"Blend": 0.3, "Normal": normal})
-    return {"Fresnel": graph.value("ShaderNodeFresnel", {"IOR": 1.7, "Normal": normal}), "weight": weight.outputs[0], "facing": weight.outputs[1]}
+    fresnel = graph.value("ShaderNodeFresnel", {"IOR": 1.7, "Normal": normal})
+    return {"Fresnel": fresnel, "weight": weight.outputs[0], "facing": weight.outputs[1]}

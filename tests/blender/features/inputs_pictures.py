@@ -47,8 +47,8 @@ def _light_path(output: str, scale: float = 1.0) -> None:
 
 for _output, _scale in (
     ("Is Camera Ray", 1.0), ("Is Diffuse Ray", 1.0), ("Is Glossy Ray", 1.0), ("Is Singular Ray", 1.0), ("Is Reflection Ray", 1.0),
-    ("Is Transmission Ray", 1.0), ("Ray Length", 0.1), ("Ray Depth", 0.3), ("Diffuse Depth", 0.4), ("Glossy Depth", 0.4), ("Transmission Depth", 0.3),
-    ("Transparent Depth", 0.5),
+    ("Is Transmission Ray", 1.0), ("Ray Length", 0.1), ("Ray Depth", 0.3), ("Diffuse Depth", 0.4), ("Glossy Depth", 0.4),
+    ("Transmission Depth", 0.3), ("Transparent Depth", 0.5),
 ):  # fmt: skip
     _light_path(_output, _scale)
 
@@ -76,7 +76,8 @@ def bevel(scene: bpy.types.Scene) -> None:
 @feature("Ambient Occlusion", "Inputs", "picture")
 def ambient_occlusion(scene: bpy.types.Scene) -> None:
     def surface(graph: Graph):
-        return graph.value("ShaderNodeEmission", {"Color": graph.value("ShaderNodeAmbientOcclusion", {"Color": (0.9, 0.6, 0.3), "Distance": 1.0})})
+        color = graph.value("ShaderNodeAmbientOcclusion", {"Color": (0.9, 0.6, 0.3), "Distance": 1.0})
+        return graph.value("ShaderNodeEmission", {"Color": color})
 
     studio(scene, surface)
 
@@ -122,9 +123,8 @@ def attribute_instancer(scene: bpy.types.Scene) -> None:
     look(scene, (0, -5, 2.5), (0, 0, 0.4), lens=40)
 
 
-@feature("Texture Coordinate: from an instancer", "Inputs", "picture")
-def from_instancer(scene: bpy.types.Scene) -> None:
-    """Each face of a mesh has a copy of a ball, coloured by where the mesh is there."""
+def _from_instancer(scene: bpy.types.Scene, places: str, output: str) -> None:
+    """Each face or vertex of a mesh has a copy of a ball, coloured by where the mesh is there."""
     add_world(scene, 0.8, (0.9, 0.9, 1.0))
     parent = diffuse(add_object("Parent", bpy.data.meshes.new("Parent")), (0.5, 0.5, 0.5))
     parent.data.from_pydata([(-1.2, 0, 0), (0, 0.6, 0.4), (1.2, 0, 0.2), (0, -0.8, -0.3)], [], [(0, 1, 2), (0, 2, 3)])
@@ -133,6 +133,23 @@ def from_instancer(scene: bpy.types.Scene) -> None:
         layer.uv = (0.15 * i, 1 - 0.12 * i)
     child = ball("Child", (0, 0, 0), 0.35, 16, 8)
     child.parent = parent
-    parent.instance_type = "FACES"
-    material_graph(child, lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": graph.value("ShaderNodeTexCoord", None, "UV", from_instancer=True)}))
+    parent.instance_type = places
+
+    def surface(graph: Graph):
+        place = graph.value("ShaderNodeTexCoord", None, output, from_instancer=True)
+        if output == "Generated":  # from -1/2 to 0 or so
+            place = graph.vector_math("MULTIPLY_ADD", place, (0.4, 0.4, 0.4), (0.6, 0.6, 0.6))
+        return graph.value("ShaderNodeBsdfDiffuse", {"Color": place})
+
+    material_graph(child, surface)
     look(scene, (0, -5, 2.5), (0, 0, 0), lens=40)
+
+
+@feature("Texture Coordinate: from an instancer", "Inputs", "picture")
+def from_instancer(scene: bpy.types.Scene) -> None:
+    _from_instancer(scene, "FACES", "UV")
+
+
+@feature("Texture Coordinate: generated, from an instancer", "Inputs", "picture")
+def generated_from_instancer(scene: bpy.types.Scene) -> None:
+    _from_instancer(scene, "VERTS", "Generated")

@@ -10,8 +10,8 @@ from typing import Any
 FAMILIES = ("Shaders", "Textures", "Inputs", "Utility", "World", "Surface")
 # Files of features beside this one
 MODULES = (
-    "shaders", "shaders_principled", "textures", "textures_image", "inputs", "inputs_pictures", "utility", "utility_mix", "utility_pictures", "worlds",
-    "surfaces", "lamps",
+    "shaders", "shaders_principled", "textures", "textures_image", "inputs", "inputs_pictures", "utility", "utility_mix",
+    "utility_pictures", "worlds", "surfaces", "lamps",
 )  # fmt: skip
 SAMPLES = 96  # of each of the two renders of a picture, at first
 RESOLUTION = 40  # pixels, of a picture's edge

@@ -26,7 +26,7 @@ from .registry import Feature
 EDGE = 32  # points of a plane's edge
 TOLERANCE = 1e-4  # absolute below 1, relative above
 CELLS_MOST = 160  # variants of a sheet, about
-# Radiance of the world behind the planes: pixels of which a sample missed its plane are told by it. Cycles loses rays at edges between triangles
+# Radiance of the world behind the planes: pixels whose ray missed its plane are told by it. Cycles loses rays at edges between triangles
 BEHIND = 1e6
 BEHIND_SEEN = 500.0
 MISSED_MOST = 0.03  # of the points of a cell, by one engine alone

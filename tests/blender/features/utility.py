@@ -37,9 +37,13 @@ def vector_math(graph: Graph, operation: str):
     return graph.outputs(node)
 
 
-@feature("Map Range", "Utility", "node", quick=True,
-         variants=tuple((kind, interpolation, clamp) for kind in ("FLOAT", "FLOAT_VECTOR") for interpolation in operations("ShaderNodeMapRange", "interpolation_type")
-                        for clamp in (True, False)))  # fmt: skip
+RANGES = tuple(
+    (kind, interpolation, clamp) for kind in ("FLOAT", "FLOAT_VECTOR")
+    for interpolation in operations("ShaderNodeMapRange", "interpolation_type") for clamp in (True, False)
+)  # fmt: skip
+
+
+@feature("Map Range", "Utility", "node", quick=True, variants=RANGES)
 def map_range(graph: Graph, variant: tuple):
     kind, interpolation, clamp = variant
     node = graph.node("ShaderNodeMapRange", data_type=kind, interpolation_type=interpolation, clamp=clamp)
@@ -47,7 +51,8 @@ def map_range(graph: Graph, variant: tuple):
         values = {"Value": graph.x, "From Min": -1.0, "From Max": 1.25, "To Min": 2.0, "To Max": graph.y, "Steps": 5.0}
     else:
         values = {
-            "Vector": graph.point, "From_Min_FLOAT3": (-1.0, -0.5, 1.0), "From_Max_FLOAT3": (1.0, 1.5, -0.7), "To_Min_FLOAT3": (2.0, 0.0, 0.0),
+            "Vector": graph.point, "From_Min_FLOAT3": (-1.0, -0.5, 1.0), "From_Max_FLOAT3": (1.0, 1.5, -0.7),
+            "To_Min_FLOAT3": (2.0, 0.0, 0.0),
             "To_Max_FLOAT3": (0.0, 1.0, 3.0), "Steps_FLOAT3": (5.0, 4.0, 3.0),
         }  # fmt: skip
     graph.fill(node, values)
@@ -88,7 +93,10 @@ def mapping_linked(graph: Graph, kind: str):
     return graph.value("ShaderNodeMapping", {"Vector": graph.point, "Rotation": graph.point, "Scale": scale}, vector_type=kind)
 
 
-@feature("Vector Rotate", "Utility", "node", variants=tuple((kind, invert) for kind in operations("ShaderNodeVectorRotate", "rotation_type") for invert in (False, True)))
+ROTATIONS = operations("ShaderNodeVectorRotate", "rotation_type")
+
+
+@feature("Vector Rotate", "Utility", "node", variants=tuple((kind, invert) for kind in ROTATIONS for invert in (False, True)))
 def vector_rotate(graph: Graph, variant: tuple):
     kind, invert = variant
     values = {"Vector": graph.point, "Center": (0.2, -0.1, 0.4), "Axis": (0.3, -1.0, 0.5), "Angle": graph.y, "Rotation": (0.3, 1.2, -0.8)}
@@ -98,8 +106,10 @@ def vector_rotate(graph: Graph, variant: tuple):
 SPACES = ("WORLD", "OBJECT", "CAMERA")
 
 
-@feature("Vector Transform", "Utility", "node",
-         variants=tuple((kind, a, b) for kind in ("POINT", "VECTOR", "NORMAL") for a in SPACES for b in SPACES if a != b), offset=128.0)  # fmt: skip
+TRANSFORMS = tuple((kind, a, b) for kind in ("POINT", "VECTOR", "NORMAL") for a in SPACES for b in SPACES if a != b)
+
+
+@feature("Vector Transform", "Utility", "node", variants=TRANSFORMS, offset=128.0)
 def vector_transform(graph: Graph, variant: tuple):
     kind, source, target = variant
     # a quarter of a turn: pixels' middles stay in the middle of the cells of `point`
@@ -116,12 +126,14 @@ def normal(graph: Graph):
 
 @feature("Blackbody", "Utility", "node", quick=True, offset=0.0)
 def blackbody(graph: Graph):
-    return graph.value("ShaderNodeBlackbody", {0: graph.math("MULTIPLY_ADD", graph.math("ADD", graph.x, graph.math("MULTIPLY", graph.y, 0.1)), 3500.0, 6600.0)})
+    place = graph.math("ADD", graph.x, graph.math("MULTIPLY", graph.y, 0.1))
+    return graph.value("ShaderNodeBlackbody", {0: graph.math("MULTIPLY_ADD", place, 3500.0, 6600.0)})
 
 
 @feature("Wavelength", "Utility", "node", quick=True)
 def wavelength(graph: Graph):
-    return graph.value("ShaderNodeWavelength", {0: graph.math("MULTIPLY_ADD", graph.math("ADD", graph.x, graph.math("MULTIPLY", graph.y, 0.1)), 120.0, 560.0)})
+    place = graph.math("ADD", graph.x, graph.math("MULTIPLY", graph.y, 0.1))
+    return graph.value("ShaderNodeWavelength", {0: graph.math("MULTIPLY_ADD", place, 120.0, 560.0)})
 
 
 @feature("RGB to BW", "Utility", "node", quick=True)

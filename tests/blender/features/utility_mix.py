@@ -23,7 +23,8 @@ def mix_color(graph: Graph, blend: str):
 def mix_color_clamped(graph: Graph, blend: str):
     first, second = _pair(graph)
     inputs = {"A_Color": first, "B_Color": second, "Factor_Float": graph.y}
-    return graph.value("ShaderNodeMix", inputs, "Result_Color", data_type="RGBA", blend_type=blend, clamp_result=True, clamp_factor=blend != "ADD")
+    clamps = {"clamp_result": True, "clamp_factor": blend != "ADD"}
+    return graph.value("ShaderNodeMix", inputs, "Result_Color", data_type="RGBA", blend_type=blend, **clamps)
 
 
 @feature("Mix: numbers", "Utility", "node", variants=(True, False), quick=True)
@@ -108,7 +109,8 @@ def vector_curves(graph: Graph, factor: float):
 
 @feature("Hue/Saturation/Value", "Utility", "node", variants=((0.5, 1.0, 1.0, 1.0), (0.2, 1.6, 0.7, 1.0), (0.9, 0.3, 1.5, 0.4)), quick=True)
 def hue_saturation(graph: Graph, values: tuple):
-    return graph.value("ShaderNodeHueSaturation", {"Hue": values[0], "Saturation": values[1], "Value": values[2], "Fac": values[3], "Color": graph.unit})
+    inputs = dict(zip(("Hue", "Saturation", "Value", "Fac"), values))
+    return graph.value("ShaderNodeHueSaturation", inputs | {"Color": graph.unit})
 
 
 @feature("Bright/Contrast", "Utility", "node", variants=((0.2, 0.5), (-0.4, -0.3)), quick=True)

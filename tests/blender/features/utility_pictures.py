@@ -41,7 +41,8 @@ def bump_image(scene: bpy.types.Scene) -> None:
 def bump_chain(scene: bpy.types.Scene) -> None:
     def surface(graph: Graph):
         coordinates = graph.value("ShaderNodeTexCoord", output="Object")
-        first = graph.value("ShaderNodeBump", {"Height": graph.value("ShaderNodeTexWave", {"Vector": coordinates, "Scale": 1.0}, "Fac"), "Distance": 0.2})
+        wave = graph.value("ShaderNodeTexWave", {"Vector": coordinates, "Scale": 1.0}, "Fac")
+        first = graph.value("ShaderNodeBump", {"Height": wave, "Distance": 0.2})
         noise = graph.value("ShaderNodeTexNoise", {"Vector": coordinates, "Scale": 4.0}, "Fac")
         second = graph.value("ShaderNodeBump", {"Height": noise, "Distance": 0.1, "Normal": first})
         return graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.6, 0.4), "Normal": second})
@@ -50,7 +51,9 @@ def bump_chain(scene: bpy.types.Scene) -> None:
 
 
 def _normal_map(space: str, strength: float = 1.0, **properties) -> None:
-    name = space.replace("_", " ").lower() + "".join(f", {value}" for value in properties.values()) + (f", strength {strength}" if strength != 1 else "")
+    name = space.replace("_", " ").lower() + "".join(f", {value}" for value in properties.values())
+    if strength != 1:
+        name += f", strength {strength}"
 
     @feature(f"Normal Map: {name}", "Utility", "picture")
     def build(scene: bpy.types.Scene) -> None:
@@ -121,7 +124,8 @@ def light_graph(scene: bpy.types.Scene) -> None:
     graph = Graph(tree)
     emission = next(node for node in tree.nodes if node.type == "EMISSION")
     geometry = graph.value("ShaderNodeNewGeometry", output="Parametric")
-    checker = graph.value("ShaderNodeTexChecker", {"Vector": geometry, "Scale": 2.0, "Color1": (1, 0.3, 0.1), "Color2": (0.1, 0.4, 1)}, "Color")
+    colors = {"Color1": (1, 0.3, 0.1), "Color2": (0.1, 0.4, 1)}
+    checker = graph.value("ShaderNodeTexChecker", {"Vector": geometry, "Scale": 2.0, **colors}, "Color")
     graph.set(emission.inputs["Color"], checker)
     look(scene, (0, -4, 3), (0, 0, 0.2))
 

@@ -20,7 +20,8 @@ def probe(normals: wp.array(dtype=wp.vec3), wo: wp.array(dtype=wp.vec3), out: wp
 
 def bent(normals, wo):
     out = wp.zeros(len(normals), dtype=wp.vec3, device=DEVICE)
-    wp.launch(probe, len(normals), [wp.array(normals, dtype=wp.vec3, device=DEVICE), wp.array(wo, dtype=wp.vec3, device=DEVICE), out], device=DEVICE)
+    inputs = [wp.array(each, dtype=wp.vec3, device=DEVICE) for each in (normals, wo)]
+    wp.launch(probe, len(normals), [*inputs, out], device=DEVICE)
     return out.numpy().astype(float)
 
 

@@ -153,7 +153,9 @@ def displacement(data: NodeData, stack: wp.array(dtype=float), pc: int, point: S
 
 @closure_op("surface_normal", "v", foldable=False)
 @wp.func
-def surface_normal(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int) -> int:
+def surface_normal(
+    data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord), count: int
+) -> int:
     """The normal that all closures of the surface are about; the first of a program, and no closure itself."""
     normal = usable_normal(vector(data, stack, pc + 1))
     if count >= closures.shape[0] or wp.dot(normal, normal) == 0.0:

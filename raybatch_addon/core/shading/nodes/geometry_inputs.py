@@ -107,7 +107,7 @@ def radial_tangent(data: NodeData, stack: wp.array(dtype=float), pc: int, point:
 @op("camera_coordinates", "i>VNNV", foldable=False)
 @wp.func
 def camera_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """Direction from the camera in its own axes (+Z ahead), depth along its axis, distance, and the point in those axes; word 1 is the shift."""
+    """Direction from the camera in its own axes (+Z ahead), depth along its axis, distance, point in those axes; word 1 is the shift."""
     place = shifted_position(point, data.code[pc + 1])
     if point.instance < 0:
         place = data.inputs.camera_position - point.incoming

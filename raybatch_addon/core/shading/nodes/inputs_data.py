@@ -11,7 +11,9 @@ from .texture_space import generated_corners, texture_space_maps
 
 # Ops that go between the spaces of world and object, and that know a mesh's texture space
 _TEXTURE_SPACE_OPS = frozenset({"generated", "radial_tangent"})
-_OBJECT_OPS = _TEXTURE_SPACE_OPS | {"object_coordinates", "object_normal", "object_location", "vector_transform", "normal_map", "uv_tangent", "displacement"}
+_OBJECT_OPS = _TEXTURE_SPACE_OPS | {
+    "object_coordinates", "object_normal", "object_location", "vector_transform", "normal_map", "uv_tangent", "displacement",
+}  # fmt: skip
 _ATTRIBUTE_OPS = frozenset({"attribute", "normal_map", "uv_tangent"})
 
 PER_CORNER = 8  # of `InputData.attribute_layout`: there are values for each corner, not for each triangle

@@ -20,7 +20,7 @@ DEPTH_SHIFT, DEPTH_BITS = 3, 9
 class ShadingPoint:
     """A point on a surface or lamp, or a direction into the world; in world space.
 
-    In the world there is no instance, `position` is where the ray began, `incoming` its direction backwards, and all normals are `incoming`.
+    In the world there is no instance, `position` is where the ray began, `incoming` its direction backwards, and so are all normals.
     """
 
     position: wp.vec3  # [m]

@@ -72,7 +72,7 @@ def _depth(history: int, place: int) -> float:
 @op("path_history", ">NNNNNN", foldable=False)
 @wp.func
 def path_history(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
-    """Whether the path scattered last diffusely, glossily, by a sharp mirror or lens; and how often diffusely, glossily, and through surfaces."""
+    """Whether the path scattered last diffusely, glossily, sharply; how often diffusely, glossily, and through surfaces."""
     h = point.history
     put_number(data, stack, pc + 1, _truth((h & wp.static(int(HistoryBits.DIFFUSE))) != 0))
     put_number(data, stack, pc + 2, _truth((h & wp.static(int(HistoryBits.GLOSSY))) != 0))

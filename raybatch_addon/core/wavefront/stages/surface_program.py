@@ -71,7 +71,7 @@ def _in_triangle(edge_1: wp.vec3, edge_2: wp.vec3, step: wp.vec3) -> wp.vec2:
 
 @functools.cache
 def make_surface_program(features: ProgramFeatures) -> wp.Function:
-    """Function (data, material: int, point, closures) -> int: fills `closures`, a local array of `closure_count` records; how many there are.
+    """Function (data, material: int, point, closures) -> int: fills `closures`, a local array of `closure_count` records; their number.
 
     Materials without program have their closures copied.
     """

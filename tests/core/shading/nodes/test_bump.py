@@ -56,7 +56,8 @@ def scene_of(*attributes: Attribute, mirrored: bool = False) -> Scene:
     matrix[0, 0, 0] = -1 if mirrored else 1
     none = np.zeros(1, np.int32)
     return Scene(
-        Camera(CameraKind.PERSPECTIVE, np.eye(4, dtype=np.float32)[:3], (-1, 1, -1, 1)), Frame(4, 4), (mesh,), Instances(none, matrix, none, none, none),
+        Camera(CameraKind.PERSPECTIVE, np.eye(4, dtype=np.float32)[:3], (-1, 1, -1, 1)), Frame(4, 4), (mesh,),
+        Instances(none, matrix, none, none, none),
         attributes=(("GEOMETRY", "first"), ("GEOMETRY", "second")),
     )  # fmt: skip
 
