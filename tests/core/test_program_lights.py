@@ -10,6 +10,7 @@ from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, M
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.shading import nodes  # noqa: F401  (registers ops)
 from raybatch_addon.core.shading.nodes.builder import ProgramBuilder
+from raybatch_addon.core.shading.nodes.math import MathOperation
 
 LIGHT_PATH = ("camera", "shadow", "diffuse", "glossy", "reflection", "transmission", "length", "depth", "passed")
 
@@ -46,6 +47,15 @@ def test_light_of_programs_over_one_scattering_is_direct(session):
     scene = under_a_world_of("depth", Closure(ClosureKind.DIFFUSE, (1.0,) * 3))
     assert mean(session, scene, sample_count=64, clamp_indirect=0.01) == pytest.approx(1, rel=0.02)
     assert mean(session, scene, sample_count=64, clamp_direct=0.01) < 0.021  # what is aimed at and what is met
+
+
+def test_rays_into_the_world_are_longer_than_any_other(session):
+    builder = ProgramBuilder()
+    length = builder.value("light_path")[LIGHT_PATH.index("length")]
+    far = builder.value("math", MathOperation.GREATER_THAN, 0, length, 1e30, 0.0)
+    builder.closure("emission", builder.value("combine_xyz", far, far, far))
+    scene = dataclasses.replace(under_a_world_of("length", Closure(ClosureKind.DIFFUSE, (1.0,) * 3)), world=World(program=builder.finish()))
+    assert mean(session, scene, sample_count=64) == pytest.approx(1, rel=0.01)
 
 
 def veil(height: float):

@@ -132,3 +132,14 @@ def with_material(scene: bpy.types.Scene) -> None:
         return graph.value("ShaderNodeBsdfDiffuse", {"Color": noise})
 
     material_graph(ball("Textured", (0, -1.3, 0.4), 0.4), surface)
+
+
+@feature("World: length of rays", "World", "picture")
+def world_by_length(scene: bpy.types.Scene) -> None:
+    """Rays into the world are longer than any other, and the world's graph may ask."""
+
+    def build(graph: Graph):
+        far = graph.math("GREATER_THAN", graph.value("ShaderNodeLightPath", output="Ray Length"), 1000.0)
+        return _background(graph, (0.6, 0.75, 1.0), far)
+
+    _stage(scene, build)

@@ -22,6 +22,8 @@ from .surface_program import make_surface_program, shading_point
 # Points of a texel of the world, along either axis, whose mean is its brightness; one where texels are as many as an image's
 _TEXEL_POINTS = 2
 _FINE_WIDTH = 4096
+# How long a ray into the world is, as Cycles has it: the largest float32
+_FARTHEST = float(np.finfo(np.float32).max)
 # Points of a triangle whose mean is its emission: rows of a grid
 _TRIANGLE_ROWS = 4
 
@@ -49,6 +51,7 @@ def make_world_emission(programs: ProgramFeatures) -> wp.Function:
         point.normal = -direction
         point.geometric_normal = -direction
         point.instance = -1
+        point.ray_length = wp.static(_FARTHEST)
         point.ray_kind = ray_kind
         point.bounce = bounce
         point.passed = passed
