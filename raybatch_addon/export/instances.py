@@ -113,6 +113,16 @@ class Placements:
         return values[usable]
 
 
+def _with_attributes(light: Light, values: tuple[tuple[int, tuple[float, ...]], ...], placements: Placements) -> Light:
+    """`light` with the values of its object's attributes, by their places among all."""
+    if not values:
+        return light
+    attributes = np.zeros((len(placements.materials.collections.object_attributes), 4), np.float32)
+    for place, value in values:
+        attributes[place] = value
+    return replace(light, attributes=attributes)
+
+
 def _named(names: list[str]) -> str:
     return ", ".join(f"“{name}”" for name in dict.fromkeys(names))
 
@@ -163,6 +173,7 @@ class _Collector:
         self._unsupported: dict[str, list[str]] = {}
         self._lacking: dict[str, list[str]] = {}  # objects by the attribute that they do not have, and their materials ask for
         self._visibilities: dict[int, int] = {}
+        self._light_values: list[tuple[tuple[int, tuple[float, ...]], ...]] = []  # by light: as `_Template.attributes`
 
     def add(self, placed: bpy.types.DepsgraphObjectInstance, cancelled: Callable[[], bool]) -> None:
         """Takes one item of the depsgraph's list."""
@@ -200,6 +211,7 @@ class _Collector:
     def finish(self) -> Placements:
         """All that was collected, with the warnings that needed the whole list."""
         placements = self.placements
+        placements.lights = [_with_attributes(light, values, placements) for light, values in zip(placements.lights, self._light_values)]
         for what, names in self._unsupported.items():
             placements.warnings.append(f"{what} not supported yet: {_named(names)}")
         for attribute, names in self._lacking.items():
@@ -210,10 +222,13 @@ class _Collector:
         return placements
 
     def _add_light(self, placed, obj) -> None:
-        placements = self.placements
-        light = export_light(obj, placed.matrix_world.copy(), placements.warnings, placements.materials.collections, _random(placed))
+        placements, collections = self.placements, self.placements.materials.collections
+        collections.asked.clear()
+        light = export_light(obj, placed.matrix_world.copy(), placements.warnings, collections, _random(placed))
         if light is not None:
-            self.placements.lights.append(light)
+            asked = sorted(each for each in collections.asked if each[0] in _OBJECT_KINDS - {OF_INSTANCER})
+            self._light_values.append(self._object_values(obj, placed.parent, asked))
+            placements.lights.append(light)
 
     def _template(self, placed, obj, data) -> _Template | None:
         visibility = self._visibility(obj)

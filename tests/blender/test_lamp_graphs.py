@@ -47,6 +47,20 @@ def test_a_graph_that_varies_is_a_program(scene):
     assert varying.info[:5] == pytest.approx((0.1, 0.2, 0.3, 0.4, 7)) and 0 <= varying.info[5] <= 1
 
 
+def test_attributes_of_a_lights_object_are_found(scene):
+    for number, name in enumerate(("weight", "color", "no such thing")):
+        light = lamp("POINT", (number, 0, 1), energy=4 * math.pi)
+        light["weight"], light.color = 0.25 + number, (0.1, 0.2, 0.3, 1.0)
+        graph, emission = lamp_graph(light)
+        node = graph.node("ShaderNodeAttribute", attribute_type="OBJECT", attribute_name=name)
+        graph.set(emission.inputs["Color"], node.outputs["Color"])
+    result = exported(scene)
+    weight, color, missing = result.lights
+    assert weight.attributes[0, :3] == pytest.approx([0.25] * 3) and color.attributes[1, :3] == pytest.approx([0.1, 0.2, 0.3])
+    assert missing.attributes is None
+    assert len(result.warnings) == 1 and "no such thing" in result.warnings[0] and "Point.002" in result.warnings[0]
+
+
 def test_a_photometric_file_is_part_of_the_program(scene, tmp_path):
     text = profile(asymmetric=True)
     ies_light(scene, mode="INTERNAL").ies = text

@@ -204,6 +204,7 @@ class Light:
     # `transform`), and a row as of `Instances.info`
     object_transform: np.ndarray | None = None
     info: tuple[float, ...] | None = None
+    attributes: np.ndarray | None = None  # as a row of `Instances.attributes`; float32, shape [k, 4]
 
 
 class ImageEncoding(IntEnum):

@@ -91,7 +91,8 @@ def _object_name(scene: Scene, instance: int) -> str:
 
 def _is_usable(light: Light, warnings: list[str]) -> bool:
     numbers = [*np.ravel(light.transform), *light.emission, *light.size, *light.spot_scale, light.radius, light.angle, light.spread, light.blend]
-    numbers += [*(() if light.object_transform is None else np.ravel(light.object_transform)), *(light.info or ())]
+    for asked in (light.object_transform, light.info, light.attributes):  # what its program may ask
+        numbers += [] if asked is None else np.ravel(asked).tolist()
     if np.all(np.isfinite(numbers)) and min(light.emission) >= 0:
         return True
     warnings.append(f"light “{light.name}” has a place, size or power that is not finite, or a negative power: it is not rendered")

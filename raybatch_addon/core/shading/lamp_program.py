@@ -54,7 +54,7 @@ def _without_instances(scene: Scene) -> Scene:
 
 
 def _upload_lamp_inputs(inputs: InputData, scene: Scene, device: wp.Device) -> None:
-    """What ops read of objects, by light. Generated coordinates are the object's, as there is no mesh; no UV map, no attributes."""
+    """What ops read of objects, by light. Generated coordinates are the object's, as there is no mesh; no UV map."""
     matrices = lamp_transforms(scene)
     count = len(matrices)
     inputs.to_world = wp.array(matrices.astype(np.float32), dtype=mat34, device=device)
@@ -64,6 +64,13 @@ def _upload_lamp_inputs(inputs: InputData, scene: Scene, device: wp.Device) -> N
     inputs.texture_scale = wp.full(count, wp.vec3(1.0), dtype=wp.vec3, device=device)
     inputs.texture_offset = wp.zeros(count, dtype=wp.vec3, device=device)
     inputs.uv_first = wp.full(count, -1, dtype=int, device=device)
+    width = max((len(light.attributes) for light in scene.lights if light.attributes is not None), default=0)
+    if width:
+        values = np.zeros((count, width, 4), np.float32)
+        for i, light in enumerate(scene.lights):
+            if light.attributes is not None:
+                values[i, : len(light.attributes)] = light.attributes
+        inputs.object_attributes = wp.array(values, dtype=wp.vec4, device=device)
 
 
 @wp.func

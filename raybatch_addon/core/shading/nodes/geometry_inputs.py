@@ -92,7 +92,9 @@ def surface_tangent(data: NodeData, point: ShadingPoint, direction: wp.vec3) -> 
 def radial_tangent(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Around the axis X, Y or Z (word 1: 0, 1, 2) through the middle of the texture space; word 2 is the shift."""
     generated = object_position(data, point, data.code[pc + 2])
-    if point.instance >= 0:
+    if point.instance >= 0 and point.primitive < 0:
+        generated = point.position  # of a lamp that in the world, as in Cycles
+    elif point.instance >= 0:
         generated = wp.cw_mul(generated, data.inputs.texture_scale[point.instance]) + data.inputs.texture_offset[point.instance]
     from_axis = generated - wp.vec3(0.5)
     axis = data.code[pc + 1]
