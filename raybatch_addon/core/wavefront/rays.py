@@ -94,11 +94,11 @@ class Paths:
     light_program: wp.array(dtype=int)  # WORLD_PROGRAM, SURFACE_PROGRAM, LAMP_PROGRAM; 0: `shadow_light` is all
     light_instance: wp.array(dtype=int)  # of lamps their number
     light_primitive: wp.array(dtype=int)
-    light_barycentric: wp.array(dtype=wp.vec2)  # of lamps how far they were when aimed at [m], and 0
+    light_barycentric: wp.array(dtype=wp.vec2)  # of lamps how far they were when aimed at [m], and how much of that `t_max` lacks
     # transparency
     passed: wp.array(dtype=int)  # transparent surfaces passed by the extending ray, and (x 65536) by the shadow ray
     passed_t: wp.array(dtype=float)  # distance from the last scattering to the extending ray's origin [m]
-    shadow_t: wp.array(dtype=float)  # the same of the shadow ray
+    shadow_t: wp.array(dtype=float)  # the same of the shadow ray, where there are programs, which may ask
     alpha: wp.array(dtype=float)  # coverage; transparent films
     # `history_after` of the extending ray, and of the shadow ray; where a program asks
     history: wp.array(dtype=int)
@@ -180,6 +180,10 @@ def allocate_rays(path_count: int, device: wp.Device, needs: RayNeeds = RayNeeds
     return rays
 
 
+def _shadow_lengths(features: SceneFeatures) -> bool:
+    return features.transparency and features.shadow_rays and bool(features.programs)
+
+
 def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) -> Paths:
     """`Paths` for `path_count` slots, all free."""
 
@@ -199,7 +203,7 @@ def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) 
     paths.light_barycentric = zeros(wp.vec2, features.light_programs)
     paths.passed = zeros(int, features.transparency)
     paths.passed_t = zeros(float, features.transparency)
-    paths.shadow_t = zeros(float, features.transparency and features.shadow_rays)
+    paths.shadow_t = zeros(float, _shadow_lengths(features))
     paths.alpha = zeros(float, features.film_transparent)
     paths.history = zeros(int, features.path_history)
     paths.shadow_history = zeros(int, features.path_history and features.shadow_rays)
@@ -227,8 +231,7 @@ def allocate_progress(count: int, words: int, instancing: bool, device: wp.Devic
 def bytes_per_path(features: SceneFeatures, reference: bool = False) -> int:
     """Device memory of one path alive: state, its ray slots, and its places in lists [bytes]. `reference`: Warp's own tree is traced."""
     path = 2 * 4 + 12 + 12 + 4
-    path += 12 * features.shadow_rays + 8 * features.transparency + 4 * (features.transparency and features.shadow_rays)
-    path += 20 * features.light_programs
+    path += 12 * features.shadow_rays + 8 * features.transparency + 4 * _shadow_lengths(features) + 20 * features.light_programs
     path += 4 * features.path_history * (1 + features.shadow_rays)
     path += 76 * features.subsurface
     path += 4 * features.film_transparent + 12 * ("Normal" in features.passes)

@@ -83,7 +83,8 @@ def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeature
                     if t_max > 0.0:
                         rays.direction[slot] = left / t_max
                 rays.t_max[slot] = t_max
-                paths.shadow_t[path] = paths.shadow_t[path] + wp.dot(ray, direction)
+                if wp.static(bool(programs)):
+                    paths.shadow_t[path] = paths.shadow_t[path] + wp.dot(ray, direction)
                 rays.origin[slot] = origin
                 paths.shadow_light[path] = light
                 paths.passed[path] = passed + wp.static(SHADOW_PASS)

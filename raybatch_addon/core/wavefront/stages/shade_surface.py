@@ -191,7 +191,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if rays.visibility.shape[0] > 0:
             rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
         paths.shadow_light[path] = contribution
-        if wp.static(features.transparency):
+        if wp.static(features.transparency and bool(programs)):
             paths.shadow_t[path] = 0.0
         if wp.static(features.light_programs):
             # the program says how bright the light is when the ray is back, if nothing hides it
@@ -202,8 +202,9 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             if wp.static(features.lamp_programs):
                 if light.program == wp.static(LAMP_PROGRAM):
                     paths.light_barycentric[path] = wp.vec2(light.distance, 0.0)
-                    if light.casts_shadow == 0:
-                        rays.t_max[slot] = 0.0  # nothing may be in its way
+                    if light.casts_shadow == 0:  # nothing may be in its way
+                        paths.light_barycentric[path] = wp.vec2(light.distance, light.distance)
+                        rays.t_max[slot] = 0.0
         return wp.static(SHADOW_NEW)
 
     @wp.kernel(**KERNEL_OPTIONS)
