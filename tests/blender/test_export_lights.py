@@ -40,8 +40,8 @@ def probe_kernel():
 
     @wp.kernel(**KERNEL_OPTIONS)
     def look(table: LightTable, nodes: NodeData, origin: wp.vec3, direction: wp.vec3, visibility: int, light: wp.array(dtype=wp.vec3)):
-        seen = intersect(table, nodes, origin, direction, 0.0, 1e30, visibility, 0.0, 0)
-        light[0] = seen + miss(table, nodes, direction, visibility, 0.0, 0)
+        seen = intersect(table, nodes, origin, direction, 0.0, 1e30, visibility, 0.0, 0, 0)
+        light[0] = seen + miss(table, nodes, direction, visibility, 0.0, 0, 0)
 
     return probe, look
 

@@ -75,7 +75,7 @@ def lamp_brightness_kernel(programs: ProgramFeatures) -> wp.Kernel:
                 y = y * wp.sqrt(1.0 - x * x)
             position = light.position + x * light.half_x * light.axis_x + y * light.half_y * light.axis_y
         distance = radius / float(1 << (k % wp.static(_REACHES)))
-        radiance = lamp_emission(nodes, table, lamp, position, -away, distance, 1)
+        radiance = lamp_emission(nodes, table, lamp, position, -away, distance, 1, 0)
         brightness[lamp, k] = (radiance[0] + radiance[1] + radiance[2]) / 3.0
 
     return lamp_brightness

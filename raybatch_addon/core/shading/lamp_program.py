@@ -111,7 +111,7 @@ def lamp_coordinates(light: LightRecord, to_object: mat34, position: wp.vec3, no
 
 @wp.func
 def lamp_point(
-    light: LightRecord, to_object: mat34, lamp: int, position: wp.vec3, direction: wp.vec3, distance: float, bounce: int
+    light: LightRecord, to_object: mat34, lamp: int, position: wp.vec3, direction: wp.vec3, distance: float
 ) -> ShadingPoint:
     """The point of light number `lamp` at `position` that a ray along `direction` (unit) has come `distance` to [m]."""
     point = ShadingPoint()
@@ -119,7 +119,6 @@ def lamp_point(
     point.incoming = -direction
     point.normal = -direction
     point.ray_length = distance
-    point.bounce = bounce
     point.instance = lamp
     point.primitive = -1
     if light.kind == _SUN:
@@ -141,18 +140,21 @@ def lamp_point(
 
 @functools.cache
 def make_lamp_emission(programs: ProgramFeatures) -> wp.Function:
-    """Function (nodes, table, lamp: int, position, direction, distance: float, bounce: int) -> vec3: what multiplies a lamp's strength.
+    """Function (nodes, table, lamp: int, position, direction, distance: float, bounce: int, passed: int) -> vec3.
 
-    `position` is the point on the lamp that the ray along `direction` has come `distance` to; of suns neither counts.
+    What multiplies a lamp's strength. `position` is the point on the lamp that the ray along `direction` has come `distance` to; of suns
+    neither counts. Bounce and passed as `ShadingPoint` has them.
     """
     run = make_run(programs)
 
     @wp.func
     def lamp_emission(
-        nodes: NodeData, table: LightTable, lamp: int, position: wp.vec3, direction: wp.vec3, distance: float, bounce: int
+        nodes: NodeData, table: LightTable, lamp: int, position: wp.vec3, direction: wp.vec3, distance: float, bounce: int, passed: int
     ) -> wp.vec3:
         light = table.lights[lamp]
-        point = lamp_point(light, nodes.inputs.to_object[lamp], lamp, position, direction, distance, bounce)
+        point = lamp_point(light, nodes.inputs.to_object[lamp], lamp, position, direction, distance)
+        point.bounce = bounce
+        point.passed = passed
         stack = wp.zeros(wp.static(programs.register_count), dtype=float)
         closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
         count = run(nodes, stack, nodes.program_first[lamp], point, closures)

@@ -39,15 +39,15 @@ class LightHitFeatures:
 
 
 class LightHits(NamedTuple):
-    """Functions (`wp.Function`) of one specialisation. `nodes` are the lamps' programs; `bounce` is what these are told of the path.
+    """Functions (`wp.Function`) of one specialisation. `nodes` are the lamps' programs; `bounce` and `passed` are what these are told of the path.
 
     `bsdf_pdf` is the density of the ray's direction where it scattered last (see `mis_weight`), `visibility` the kind of ray.
     """
 
-    # (table, nodes, origin, direction, t_min, t_max, visibility, bsdf_pdf, bounce) -> vec3: weighted radiance of all lights on a ray at
+    # (table, nodes, origin, direction, t_min, t_max, visibility, bsdf_pdf, bounce, passed) -> vec3: weighted radiance of all lights on a ray at
     # `t_min` <= t < `t_max` that rays of that kind see; suns are not among them. `origin` is where the ray scattered last
     intersect: wp.Function
-    # (table, nodes, direction, visibility, bsdf_pdf, bounce) -> vec3: the same of the suns, for a ray that leaves the scene
+    # (table, nodes, direction, visibility, bsdf_pdf, bounce, passed) -> vec3: the same of the suns, for a ray that leaves the scene
     miss: wp.Function
 
 
@@ -96,6 +96,7 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
         visibility: int,
         bsdf_pdf: float,
         bounce: int,
+        passed: int,
     ) -> wp.vec3:
         total = wp.vec3()
         if wp.static(met_in_space):
@@ -113,15 +114,16 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
                             radiance = wp.cw_mul(met.radiance, light.emission)
                             if wp.static(has_programs):
                                 if light.program != 0:
-                                    position = origin + met.distance * direction
-                                    radiance = wp.cw_mul(
-                                        radiance, lamp_emission(nodes, table, emitter, position, direction, met.distance, bounce)
-                                    )
+                                    place = origin + met.distance * direction
+                                    emitted = lamp_emission(nodes, table, emitter, place, direction, met.distance, bounce, passed)
+                                    radiance = wp.cw_mul(radiance, emitted)
                             total += weight * radiance
         return total
 
     @wp.func
-    def miss(table: LightTable, nodes: NodeData, direction: wp.vec3, visibility: int, bsdf_pdf: float, bounce: int) -> wp.vec3:
+    def miss(
+        table: LightTable, nodes: NodeData, direction: wp.vec3, visibility: int, bsdf_pdf: float, bounce: int, passed: int
+    ) -> wp.vec3:
         total = wp.vec3()
         if wp.static(met_suns):
             for i in range(table.sun_count):
@@ -134,9 +136,8 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
                         radiance = light.emission
                         if wp.static(has_programs):
                             if light.program != 0:
-                                radiance = wp.cw_mul(
-                                    radiance, lamp_emission(nodes, table, emitter, direction, direction, wp.inf, bounce)
-                                )
+                                emitted = lamp_emission(nodes, table, emitter, direction, direction, wp.inf, bounce, passed)
+                                radiance = wp.cw_mul(radiance, emitted)
                         total += hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter)) * radiance
         return total
 

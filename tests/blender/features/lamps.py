@@ -139,5 +139,5 @@ def veiled(scene: bpy.types.Scene) -> None:
         light = lamp("POINT", (x, 0, 1.8), energy=20.0, shadow_soft_size=0.1)
         light.data.use_shadow = shadow
         graph, emission = lamp_graph(light)
-        length = graph.value("ShaderNodeLightPath", output="Ray Length")
-        graph.set(emission.inputs["Strength"], length)
+        ray = graph.node("ShaderNodeLightPath")
+        graph.set(emission.inputs["Strength"], graph.math("ADD", ray.outputs["Ray Length"], ray.outputs["Transparent Depth"]))

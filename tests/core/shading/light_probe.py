@@ -83,17 +83,17 @@ def kernel_for(features: LightFeatures):
         answers.triangle[i] = wp.vec2i(s.instance, s.primitive)
         if s.pdf > 0.0 and s.instance >= 0:
             answers.again[i] = hit_pdf(table, geometry, s.instance, s.primitive, s.direction, s.distance)
-        met = intersect(table, nodes, query.position, s.direction, query.t_min, query.t_max, query.visibility, s.pdf, 0)
-        answers.met[i] = met + miss(table, nodes, s.direction, query.visibility, s.pdf, 0)
+        met = intersect(table, nodes, query.position, s.direction, query.t_min, query.t_max, query.visibility, s.pdf, 0, 0)
+        answers.met[i] = met + miss(table, nodes, s.direction, query.visibility, s.pdf, 0, 0)
 
         local = sample_cone(wp.vec2(wp.randf(r), wp.randf(r)), query.cone)
         d = to_world(local, tangent_of(query.cone_axis), bitangent_of(query.cone_axis), query.cone_axis)
         density = 1.0 / (wp.TAU * query.cone)
         answers.cone_direction[i] = d
-        met = intersect(table, nodes, query.position, d, query.t_min, query.t_max, query.visibility, 0.0, 0)
-        answers.cone_met[i] = met + miss(table, nodes, d, query.visibility, 0.0, 0)
-        met = intersect(table, nodes, query.position, d, query.t_min, query.t_max, query.visibility, density, 0)
-        answers.cone_weighted[i] = met + miss(table, nodes, d, query.visibility, density, 0)
+        met = intersect(table, nodes, query.position, d, query.t_min, query.t_max, query.visibility, 0.0, 0, 0)
+        answers.cone_met[i] = met + miss(table, nodes, d, query.visibility, 0.0, 0, 0)
+        met = intersect(table, nodes, query.position, d, query.t_min, query.t_max, query.visibility, density, 0, 0)
+        answers.cone_weighted[i] = met + miss(table, nodes, d, query.visibility, density, 0, 0)
 
     return probe
 

@@ -98,13 +98,13 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
                 light = wp.cw_mul(light, emitted)
         if wp.static(has_lamps):
             if kind == wp.static(LAMP_PROGRAM):
-                distance = paths.light_barycentric[path][0]
                 # a ray that nothing may stop has no length of its own; others have passed some of theirs
-                left = rays.t_max[slot]
-                if left <= 0.0:
-                    left = distance
-                position = rays.origin[slot] + left * direction
-                emitted = lamp_emission(data.lamp_nodes, data.lights, paths.light_instance[path], position, direction, distance, bounce)
+                distance = paths.light_barycentric[path]
+                position = rays.origin[slot] + (rays.t_max[slot] + distance[1]) * direction
+                emitted = lamp_emission(
+                    data.lamp_nodes, data.lights, paths.light_instance[path], position, direction, distance[0], bounce,
+                    passed_before_light(paths, path),
+                )  # fmt: skip
                 light = wp.cw_mul(light, emitted)
         if wp.static(features.clamping):
             light = clamped(limits, light, bounce)

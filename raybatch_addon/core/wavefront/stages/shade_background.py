@@ -66,9 +66,12 @@ def light_hit_kernel(features: LightHitFeatures, transparency: bool, clamping: b
         # densities are those at the last scattering, behind the transparent surfaces that were passed since
         origin = rays.origin[path] - t_min * direction
         bounce = bounce_of(status)
-        light = intersect(data.lights, data.lamp_nodes, origin, direction, t_min, t_max, visibility, pdf, bounce + 1)
+        passed = int(0)
+        if wp.static(transparency):
+            passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
+        light = intersect(data.lights, data.lamp_nodes, origin, direction, t_min, t_max, visibility, pdf, bounce + 1, passed)
         if rays.hit_instance[path] < 0:
-            light = light + miss(data.lights, data.lamp_nodes, direction, visibility, pdf, bounce + 1)
+            light = light + miss(data.lights, data.lamp_nodes, direction, visibility, pdf, bounce + 1, passed)
         light = wp.cw_mul(paths.throughput[path], light)
         if wp.static(clamping):
             light = clamped(limits, light, bounce)
