@@ -169,7 +169,10 @@ def test_what_is_approximated_is_named():
     node = add_node(tree, "ShaderNodeSubsurfaceScattering")
     node.inputs["Color"].default_value = RED
     tree.links.new(node.outputs[0], surface)
+    offered = {item.identifier for item in node.bl_rna.properties["falloff"].enum_items}
     for method, approximated in (("RANDOM_WALK", False), ("RANDOM_WALK_SKIN", False), ("RANDOM_WALK_LEGACY", False), ("BURLEY", True)):
+        if method not in offered:
+            continue
         node.falloff = method
         made, notes = export_material(material)
         assert weights(made) == {K.SUBSURFACE: np.array(RED[:3])} and K.DIFFUSE in made.kinds

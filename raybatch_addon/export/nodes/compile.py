@@ -10,10 +10,10 @@ from ...core.scene.program import Program
 from ...core.shading.materials import constant_closure
 from ...core.shading.nodes.op import op_named
 from .collections import Collections
-from .graph import note_broken
 from .inlined import Inlined, is_inlinable
 from .node import Graph, deep_recursion
 from .normals import bump_from_displacement
+from .survey import surveyed
 
 # Closures that a point can have at most: Cycles' own limit
 CLOSURES_MOST = 64
@@ -36,17 +36,16 @@ def compile_graph(socket, owner: Any, collections: Collections, displaced: bool 
     With `displaced` the displacement of the same node bends the surface's normal.
     """
     graph = Graph(owner, collections, keeps_values=is_inlinable(owner))
-    inlined = None
+    if socket is None:
+        return _compiled(graph)
+    graph.survey = surveyed(socket.node, graph.note, graph.links)
+    inlined = Inlined(owner, socket.node)  # its nodes are read while it is there
+    if inlined.output is not None:
+        socket = next(other for other in inlined.output.inputs if other.identifier == socket.identifier)
     with deep_recursion():
-        if socket is not None:
-            inlined = Inlined(owner, socket.node)
-        if inlined is not None and inlined.output is not None:
-            note_broken(socket.node, graph.note, graph.links)
-            socket = inlined.output.inputs[socket.identifier]
         if displaced:
             bump_from_displacement(graph, socket.node)
-        if socket is not None:
-            graph.surface(socket)
+        graph.surface(socket)
     return _compiled(graph)
 
 

@@ -130,24 +130,6 @@ def find_source(
     return None, None
 
 
-def note_broken(output, note: Callable[[str], None], links: Links | None = None) -> None:
-    """Tells `note` of the links and groups on the way to the node `output` that are broken."""
-    links = links or Links()
-    seen = set()
-    waiting = [(output, ())]
-    while waiting:
-        node, groups = waiting.pop()
-        key = (node.as_pointer(), *(group.as_pointer() for group in groups))
-        if key in seen:
-            continue
-        seen.add(key)
-        for socket in node.inputs:
-            if links.of(socket):
-                source, _ = find_source(socket, groups, note, links)
-                if source is not None:
-                    waiting.append((source.node, source.groups))
-
-
 def _group_output(group):
     if group.node_tree is None:
         return None

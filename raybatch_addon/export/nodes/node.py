@@ -13,8 +13,9 @@ from ...core.scene.description import ClosureKind
 from ...core.shading.nodes.builder import Constant, ProgramBuilder, Value
 from ...core.shading.nodes.vector_math import VectorOperation
 from .collections import Collections
-from .graph import Links, Source, find_source, is_group, node_label
+from .graph import Links, Source, find_source, is_group, node_label, node_name
 from .registry import shader_nodes, value_nodes
+from .survey import Survey
 
 WHITE = Value.of((1.0, 1.0, 1.0))
 BLACK = Value.of((0.0, 0.0, 0.0))
@@ -37,6 +38,7 @@ class Graph:
     shift: int = 0  # bump mapping evaluates its height thrice: here, and a little aside along two axes
     links: Links = field(default_factory=Links)
     keeps_values: bool = False  # as `find_source` has it
+    survey: Survey = field(default_factory=Survey)
     _known: dict[tuple, dict[str, Value]] = field(default_factory=dict)
     _open: set[tuple] = field(default_factory=set)  # nodes being evaluated: one met again is a cycle
     _sources: dict[tuple, tuple[Source | None, Any]] = field(default_factory=dict)
@@ -207,6 +209,11 @@ class Node:
         """Which of bump mapping's three evaluations this is."""
         return self.graph.shift
 
+    @property
+    def library(self):
+        """Blender's library whose file paths of the node are relative to; None: the file that is open."""
+        return self.graph.survey.libraries.get(node_name(self.node))
+
     def socket(self, key: int | str):
         """The input number, identifier or name `key`; None where this Blender has none."""
         inputs = self.node.inputs
@@ -230,8 +237,12 @@ class Node:
         return source is not None or given
 
     def used(self, key: int | str) -> bool:
-        """Whether the input is there and is linked or not 0."""
-        return self.has(key) and (self.linked(key) or any(self._input(key, 0.0, 1).constant or (1.0,)))
+        """Whether the input is there, and is linked, animated or not 0."""
+        socket = self.socket(key)
+        if socket is None:
+            return False
+        lively = (node_name(self.node), socket.identifier) in self.graph.survey.lively
+        return lively or self.linked(key) or any(self._input(key, 0.0, 1).constant or (1.0,))
 
     def wants(self, output: str) -> bool:
         """Whether anything is linked to the output called or identified as `output`."""
@@ -353,7 +364,8 @@ class Node:
             return self.as_vector(value)
         value = self.as_number(value, kind == "RGBA")
         if to in ("INT", "BOOLEAN") and kind not in ("INT", "BOOLEAN"):
-            return self.op("truncate", value) if to == "INT" else self.op("is_positive", value)
+            whole = to == "INT" or not self.graph.keeps_values  # up to 4.5 Cycles has no other kind
+            return self.op("truncate" if whole else "is_positive", value)
         return value
 
 
