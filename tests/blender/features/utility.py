@@ -153,8 +153,35 @@ def conversions(graph: Graph):
     }
 
 
-@feature("Node groups, reroutes and muted nodes", "Utility", "node", quick=True)
-def groups(graph: Graph):
+def _own_values(graph: Graph) -> dict[str, bpy.types.NodeSocket]:
+    """Inputs whose links lead to nothing, and what counts in their place."""
+
+    def shown(socket) -> bpy.types.NodeSocket:
+        return graph.math("MULTIPLY_ADD", graph.x, socket, 0.375)
+
+    group = bpy.data.node_groups.new("Of a constant", "ShaderNodeTree")
+    group.interface.new_socket("Vector", in_out="INPUT", socket_type="NodeSocketVector").default_value = (0.625, 0.0, 0.0)
+    group.interface.new_socket("Result", in_out="OUTPUT", socket_type="NodeSocketFloat")
+    ports, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+    group.links.new(Graph(group).value("ShaderNodeTexGradient", {0: ports.outputs[0]}, 1), end.inputs[0])
+    given = graph.node("ShaderNodeGroup", node_tree=group)
+    scaled = graph.node("ShaderNodeVectorMath", {0: graph.point, 1: (0.125, 0.25, 0.5)}, operation="MULTIPLY")
+    graph.set(scaled.inputs[1], graph.value("ShaderNodeBrightContrast", {0: (0.2, 0.4, 0.8), 1: 0.5}, mute=True))
+    return {
+        "group": shown(given.outputs[0]),
+        "muted group": shown(graph.node("ShaderNodeGroup", node_tree=group, mute=True).outputs[0]),
+        "reroute": shown(graph.node("NodeReroute").outputs[0]),
+        "muted texture": shown(graph.value("ShaderNodeTexNoise", mute=True)),
+        "muted value": shown(graph.value("ShaderNodeValue", mute=True)),
+        "muted node with a value": shown(graph.value("ShaderNodeMath", {0: 0.75}, mute=True)),
+        "muted colour": scaled.outputs[0],
+    }
+
+
+@feature("Node groups, reroutes and muted nodes", "Utility", "node", variants=("linked", "own values"), quick=True)
+def groups(graph: Graph, variant: str):
+    if variant == "own values":
+        return _own_values(graph)
     inner = bpy.data.node_groups.new("Inner", "ShaderNodeTree")
     outer = bpy.data.node_groups.new("Outer", "ShaderNodeTree")
     for tree in (inner, outer):
