@@ -167,6 +167,10 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
         direction = rays.direction[path]
         gone = paths.walk.gone[path]
         start = rays.origin[path] - gone * direction
+        if step == 1:
+            # where light goes in, not where the ray begins, which is so far below that it cannot meet the surface: to a medium that is dense
+            # beside the size of a triangle that would be a layer in front
+            start = paths.walk.entry[path]
         length = paths.walk.length[path]
         extinction = paths.walk.extinction[path]
         albedo = paths.walk.albedo[path]
