@@ -351,3 +351,27 @@ def test_the_normal_that_displacement_bends_is_the_surfaces_alone(plain):
     bent = program.instructions[places["bump"]].words[-1]
     shown_normal = [step for step in program.instructions[places["bump"] :] if step.op == "vector_math"]
     assert [step.words[1] for step in shown_normal] == [bent]
+
+
+@pytest.mark.parametrize("grouped", [False, True])
+def test_paths_in_linked_materials_start_at_their_own_file(plain, tmp_path, grouped):
+    material, tree, emission = plain
+
+    def fill(tree, end):
+        node = tree.nodes.new("ShaderNodeTexIES")
+        node.mode, node.filepath = "EXTERNAL", "//lamp.ies"
+        tree.links.new(node.outputs[0], end)
+
+    if grouped:
+        node = add_group(tree, lambda group, start, end: fill(group, end), ("Float", "Float"))
+        tree.links.new(node.outputs[0], emission.inputs["Strength"])
+    else:
+        fill(tree, emission.inputs["Strength"])
+    library = tmp_path / "library.blend"
+    (tmp_path / "lamp.ies").write_text("IESNA:LM-63-1995\nTILT=NONE\n1 1000 1 3 1 1 2 0 0 0\n1 1 1\n0 45 90\n0\n10 20 30\n")
+    bpy.data.libraries.write(str(library), {material})
+    with bpy.data.libraries.load(str(library), link=True) as (_, to):
+        to.materials = [material.name]
+    bpy.data.objects["Thing"].data.materials[0] = to.materials[0]
+    scene = exported()
+    assert scene.warnings == () and "ies" in scene.materials[0].program.ops

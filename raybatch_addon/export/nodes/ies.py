@@ -23,9 +23,9 @@ def ies_texture(node: Node) -> Value:
     direction = node.vector("Vector") if node.linked("Vector") else _outgoing(node)
     strength = node.number("Strength")
     try:
-        profile = parse_profile(_text(settings))
+        profile = parse_profile(_text(node))
     except (ProfileError, OSError) as error:
-        node.graph.note(f"{node_label(settings)}: {_source(settings)} cannot be used ({_reason(error)}); {_WITHOUT}")
+        node.graph.note(f"{node_label(settings)}: {_source(node)} cannot be used ({_reason(error)}); {_WITHOUT}")
         return node.op("math", MathOperation.MULTIPLY, False, strength, WITHOUT_PROFILE, 0.0)
     return node.op("ies", profile.table, len(profile.horizontal), len(profile.vertical), direction, strength)
 
@@ -34,28 +34,30 @@ def _outgoing(node: Node) -> Value:
     return node.op("vector_transform", VectorKind.NORMAL, Space.WORLD, Space.OBJECT, node.op("normals")[2])
 
 
-def _text(settings) -> str:
+def _text(node: Node) -> str:
     """The file, or the text block. Raises `OSError`, or `ProfileError` where none is named."""
+    settings = node.node
     if settings.mode == "INTERNAL":
         if settings.ies is None:
             raise ProfileError("none is chosen")
         return settings.ies.as_string()
     if not settings.filepath:
         raise ProfileError("none is chosen")
-    with open(_path(settings), "rb") as file:
+    with open(_path(node), "rb") as file:
         return file.read(_SIZE_MOST).decode("latin-1")
 
 
-def _path(settings) -> str:
+def _path(node: Node) -> str:
     import bpy  # without which graphs can be built
 
-    return bpy.path.abspath(settings.filepath, library=settings.id_data.library)
+    return bpy.path.abspath(node.node.filepath, library=node.library)
 
 
-def _source(settings) -> str:
+def _source(node: Node) -> str:
+    settings = node.node
     if settings.mode == "INTERNAL":
         return f"its text “{settings.ies.name}”" if settings.ies is not None else "its text"
-    return f"its file “{_path(settings)}”" if settings.filepath else "its file"
+    return f"its file “{_path(node)}”" if settings.filepath else "its file"
 
 
 def _reason(error: Exception) -> str:
