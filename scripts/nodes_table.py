@@ -1,7 +1,8 @@
 """Write the tables of shader nodes in docs/nodes.md: python scripts/nodes_table.py [--check]
 
-They are made from the registry of handlers (raybatch_addon/export/nodes), with the names that Blender's module bpy has for the nodes. All nodes
-that Blender lets into a shader graph are listed: those that are followed rather than rendered, and those that RayBatch does not have, too. With --check nothing is written, and the exit code is 1 where the file is not up to date.
+They are made from the registry of handlers (raybatch_addon/export/nodes), with the names that Blender's module bpy has for the nodes. All
+nodes that Blender lets into a shader graph are listed: those that are followed rather than rendered, and those that RayBatch does not have,
+too. With --check nothing is written, and the exit code is 1 where the file is not up to date.
 """
 
 from __future__ import annotations
@@ -21,13 +22,13 @@ from raybatch_addon.export.nodes.registry import Handled, shader_nodes, value_no
 MANUAL = ROOT / "docs/nodes.md"
 FIRST, LAST = "<!-- nodes: made by scripts/nodes_table.py -->", "<!-- end of nodes -->"
 # Nodes that need no handler, and what becomes of them
-_GONE = "Blender has them gone before a graph is read"
 FOLLOWED = {
     "The graph starts here": ("ShaderNodeOutputMaterial", "ShaderNodeOutputWorld", "ShaderNodeOutputLight"),
     "Followed to what is linked to them": ("ShaderNodeGroup", "ShaderNodeCustomGroup", "NodeGroupInput", "NodeGroupOutput", "NodeReroute"),
-    "From Blender 5.0 on, " + _GONE: (
+    "From Blender 5.0 on, Blender has them gone before a graph is read": (
         "GeometryNodeRepeatInput", "GeometryNodeRepeatOutput", "NodeClosureInput", "NodeClosureOutput", "NodeEvaluateClosure",
-        "NodeCombineBundle", "NodeSeparateBundle", "NodeJoinBundle", "GeometryNodeMenuSwitch", "FunctionNodeInputMenu", "NodeImplicitConversion",
+        "NodeCombineBundle", "NodeSeparateBundle", "NodeJoinBundle", "GeometryNodeMenuSwitch", "FunctionNodeInputMenu",
+        "NodeImplicitConversion",
     ),
     "Left out: passes of shaders, and lines": ("ShaderNodeOutputAOV", "ShaderNodeOutputLineStyle"),
 }  # fmt: skip

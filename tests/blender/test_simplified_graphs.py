@@ -212,7 +212,9 @@ def test_closures_bundles_and_menus(plain):
 
 
 @ZONES
-@pytest.mark.parametrize("kind, name, value, light", [("Int", "integer", 2, 2), ("Bool", "boolean", True, 1), ("Vector", "vector", (0.75, 0.75, 0.75), 0.75)])
+@pytest.mark.parametrize(
+    "kind, name, value, light", [("Int", "integer", 2, 2), ("Bool", "boolean", True, 1), ("Vector", "vector", (0.75,) * 3, 0.75)]
+)
 def test_inputs_of_all_kinds_of_trees(shine, kind, name, value, light):
     material, tree, emission = shine
     node = tree.nodes.new(f"FunctionNodeInput{kind}")

@@ -64,4 +64,6 @@ def _compiled(graph: Graph) -> Compiled:
 
 def _note_left_out(graph: Graph, count: int) -> None:
     if count > CLOSURES_MOST:
-        graph.note(f"its shaders make up to {count} closures, of which a point has {CLOSURES_MOST} at most, as in Cycles: the last are left out")
+        graph.note(
+            f"its shaders make up to {count} closures, of which a point has {CLOSURES_MOST} at most, as in Cycles: the last are left out"
+        )
