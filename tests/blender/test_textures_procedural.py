@@ -172,11 +172,11 @@ KINDS = ["Noise", "Wave", "Magic", "Gradient", "Checker", "Brick"]
 
 
 def ops_of(kind, inputs=None, mapping=None, **properties):
-    """Names of the ops of a graph that emits the colour of a node."""
+    """Names of the ops of a graph that emits the colour of a node, whose inputs `inputs(graph)` gives."""
     material = bpy.data.materials.new("Ops")
     tree, surface = node_tree(material)
     graph = Graph(tree)
-    node = graph.node(kind, inputs, **properties)
+    node = graph.node(kind, inputs and inputs(graph), **properties)
     for name, value in (mapping or {}).items():
         setattr(node.texture_mapping, name, value)
     graph.set(surface, graph.value("ShaderNodeEmission", {"Color": node.outputs["Color"]}))
@@ -199,6 +199,8 @@ def test_without_a_link_white_noise_looks_at_one_point(addon):
 
 @pytest.mark.parametrize("dimensions", ["1D", "2D", "3D", "4D"])
 def test_each_number_of_dimensions_has_its_op(addon, dimensions):
-    ops = ops_of("ShaderNodeTexNoise", noise_dimensions=dimensions)
+    # of a constant Blender would make a constant
+    varying = (lambda graph: {"W": graph.x}) if dimensions == "1D" else None
+    ops = ops_of("ShaderNodeTexNoise", varying, noise_dimensions=dimensions)
     assert {name for name in ops if name.startswith("noise")} == {f"noise_{dimensions.lower()}"}
     assert ("generated" in ops) == (dimensions != "1D")
