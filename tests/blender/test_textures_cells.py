@@ -118,12 +118,12 @@ def test_gabor(cycles, kind, place):
 
 
 def ops_of(kind, output, inputs=None, **properties):
-    """Names of the ops of a graph that emits an output of a node."""
+    """Names of the ops of a graph that emits an output of a node, whose inputs `inputs(graph)` gives."""
     material = bpy.data.materials.new("Ops")
     tree, surface = node_tree(material)
     graph = Graph(tree)
     node = graph.node(kind, None, **properties)
-    graph.fill(node, inputs or {})
+    graph.fill(node, inputs(graph) if inputs else {})
     graph.set(surface, graph.value("ShaderNodeEmission", {"Color": graph.outputs(node)[output]}))
     compiled = compile_graph(surface, material, Collections())
     assert not compiled.notes
@@ -134,7 +134,9 @@ def ops_of(kind, output, inputs=None, **properties):
 @pytest.mark.parametrize("dimensions", [1, 2, 3, 4])
 def test_each_feature_and_number_of_dimensions_has_its_op(addon, dimensions, feature):
     output = next(iter(outputs_in_use(feature, dimensions)))
-    ops = ops_of("ShaderNodeTexVoronoi", output, voronoi_dimensions=f"{dimensions}D", feature=feature.upper())
+    # of a constant Blender would make a constant
+    varying = (lambda graph: {"W": graph.x}) if dimensions == 1 else None
+    ops = ops_of("ShaderNodeTexVoronoi", output, varying, voronoi_dimensions=f"{dimensions}D", feature=feature.upper())
     assert {name for name in ops if name.startswith("voronoi")} == {op_name(dimensions, feature)}
     assert ("generated" in ops) == (dimensions > 1)
 
