@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.scene.description import Instances, Light, Mesh, Visibility
 from .attributes import mesh_attributes, object_value
-from .lights import export_light
+from .lights import LampGraphs, export_light
 from .materials import MaterialTable
 from .mesh_shape import hashed
 from .meshes import export_mesh, slot_count
@@ -166,6 +166,7 @@ class _Collector:
         collections = self.placements.materials.collections
         collections.frame = depsgraph.scene.frame_current
         collections.scene, collections.view_layer = depsgraph.scene_eval, depsgraph.view_layer_eval
+        self._lamp_graphs = LampGraphs(collections)
         self._templates: dict[Any, _Template | None] = {}
         self._meshes: dict[Any, int | None] = {}
         self._attributes_seen: dict[Any, set[tuple[str, str]]] = {}  # by mesh
@@ -222,11 +223,10 @@ class _Collector:
         return placements
 
     def _add_light(self, placed, obj) -> None:
-        placements, collections = self.placements, self.placements.materials.collections
-        collections.asked.clear()
-        light = export_light(obj, placed.matrix_world.copy(), placements.warnings, collections, _random(placed))
+        placements = self.placements
+        light = export_light(obj, placed.matrix_world.copy(), placements.warnings, self._lamp_graphs, _random(placed))
         if light is not None:
-            asked = sorted(each for each in collections.asked if each[0] in _OBJECT_KINDS - {OF_INSTANCER})
+            asked = sorted(each for each in self._lamp_graphs.of(obj.data).asked if each[0] in _OBJECT_KINDS - {OF_INSTANCER})
             self._light_values.append(self._object_values(obj, placed.parent, asked))
             placements.lights.append(light)
 

@@ -8,6 +8,9 @@ radius counts as 4), and a sun's strength is its radiance.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import bpy
 import numpy as np
 
@@ -22,13 +25,39 @@ _MAX_BOUNCES = 1024  # Cycles' default: no limit
 _SHEAR_MIN = 1e-4
 
 
+@dataclass(frozen=True)
+class LampGraph:
+    """What the nodes of a light datablock become, for all lamps that show it."""
+
+    factor: np.ndarray  # of its strength, the same everywhere: linear RGB
+    program: Program | None  # what else it is multiplied by
+    notes: tuple[str, ...] = ()  # what is left out or approximated
+    asked: frozenset[tuple[str, str]] = frozenset()  # kind and name of attributes
+
+
+class LampGraphs:
+    """Graphs of light datablocks, each compiled when a lamp asks for it first: a photometric file may be large, and its lamps many."""
+
+    def __init__(self, collections: Collections | None = None) -> None:
+        """`collections` gets the images and attributes that nodes refer to."""
+        self._collections = collections or Collections()
+        self._known: dict[Any, LampGraph] = {}
+
+    def of(self, light: bpy.types.Light) -> LampGraph:
+        """The graph of an evaluated light datablock."""
+        key = (light.as_pointer(), light.session_uid)
+        if key not in self._known:
+            self._known[key] = _lamp_graph(light, self._collections)
+        return self._known[key]
+
+
 def export_light(
-    obj: bpy.types.Object, matrix_world, warnings: list[str], collections: Collections | None = None, random: float = 0.0
+    obj: bpy.types.Object, matrix_world, warnings: list[str], graphs: LampGraphs | None = None, random: float = 0.0
 ) -> Light | None:
     """The light object `obj`, evaluated, placed by `matrix_world` (4 x 4).
 
-    `collections` gets the images that its nodes refer to; `random` is the object's random number, 0..1. Returns None, with a line in
-    `warnings`, for a light that cannot be rendered.
+    `graphs` are those of the lights so far; `random` is the object's random number, 0..1. Returns None, with a line in `warnings`, for
+    a light that cannot be rendered.
     """
     light = obj.data
     name = f"light “{obj.name}”"
@@ -45,11 +74,12 @@ def export_light(
     if values is None:
         warnings.append(f"{name}: its area is zero, so it gives no light; it is left out. Give it a size and a scale that are not 0")
         return None
-    factor, program = _nodes(light, name, warnings, collections or Collections())
-    strength = usable_emission(_strength(light) * factor * emission, name, warnings)
-    if program is not None:
+    graph = (graphs or LampGraphs()).of(light)
+    warnings += [f"{name}: {note}" for note in graph.notes]
+    strength = usable_emission(_strength(light) * graph.factor * emission, name, warnings)
+    if graph.program is not None:
         matrix = np.array(matrix_world, np.float32)[:3]
-        values |= dict(program=program, object_transform=matrix, info=(*obj.color, float(obj.pass_index), random))
+        values |= dict(program=graph.program, object_transform=matrix, info=(*obj.color, float(obj.pass_index), random))
     return Light(
         name=obj.name,
         transform=transform,
@@ -77,18 +107,19 @@ def _strength(light: bpy.types.Light) -> np.ndarray:
     return strength
 
 
-def _nodes(light: bpy.types.Light, name: str, warnings: list[str], collections: Collections) -> tuple[np.ndarray, Program | None]:
-    """What the light's nodes multiply its strength by: the same everywhere, linear RGB; or a program as well."""
+def _lamp_graph(light: bpy.types.Light, collections: Collections) -> LampGraph:
     if not has_nodes(light):
-        return np.ones(3), None
+        return LampGraph(np.ones(3), None)
     output = light.node_tree.get_output_node("CYCLES") or light.node_tree.get_output_node("ALL")
     if output is None:
-        return np.zeros(3), None
+        return LampGraph(np.zeros(3), None)
+    collections.asked.clear()
     compiled = compile_graph(output.inputs["Surface"], light, collections)
-    warnings += [f"{name}: {note}" for note in compiled.notes]
+    asked = frozenset(collections.asked)
     if compiled.program is not None:
-        return np.ones(3), compiled.program
-    return sum((np.array(c.weight) for c in compiled.closures if c.kind == ClosureKind.EMISSION), np.zeros(3)), None
+        return LampGraph(np.ones(3), compiled.program, compiled.notes, asked)
+    factor = sum((np.array(c.weight) for c in compiled.closures if c.kind == ClosureKind.EMISSION), np.zeros(3))
+    return LampGraph(factor, None, compiled.notes, asked)
 
 
 def _shape(light: bpy.types.Light, scale: np.ndarray) -> tuple[float, dict | None]:

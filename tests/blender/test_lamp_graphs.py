@@ -12,6 +12,8 @@ from blender.features.compare import by_cycles, by_raybatch, set_alike, set_boun
 from blender.features.images import image_of, pattern  # noqa: E402
 from blender.features.lamps import lamp_graph, profile  # noqa: E402
 
+from raybatch_addon.core.shading.nodes.table import encode  # noqa: E402
+from raybatch_addon.export.nodes import ies  # noqa: E402
 from raybatch_addon.export.scene import export_scene  # noqa: E402
 
 
@@ -73,6 +75,47 @@ def test_a_photometric_file_is_part_of_the_program(scene, tmp_path):
     result = exported(scene)
     assert not result.warnings
     np.testing.assert_array_equal(result.lights[0].program.constants, inside.program.constants)
+
+
+def test_lamps_of_one_light_share_its_program(scene, tmp_path, monkeypatch):
+    path = tmp_path / "Lamp.ies"
+    path.write_text(profile(asymmetric=True).as_string())
+    node = ies_light(scene, mode="EXTERNAL")
+    node.filepath = str(path)
+    graph, emission = lamp_graph(first := bpy.context.scene.objects["Spot"])
+    lamps = [first] + [bpy.data.objects.new("Spot", first.data) for _ in range(49)]
+    for number, light in enumerate(lamps):
+        light.location, light.pass_index, light["gain"] = (number % 10 - 4.5, number // 10 - 2, 1.5), number, 0.02 * (number + 1)
+        light.rotation_euler = (0.01 * number, 0, 0.1 * number)
+        if light is not first:
+            scene.collection.objects.link(light)
+    gain = graph.node("ShaderNodeAttribute", attribute_type="OBJECT", attribute_name="gain")
+    graph.set(emission.inputs["Color"], gain.outputs["Color"])
+    parsed, parse = [], ies.parse_profile
+    monkeypatch.setattr(ies, "parse_profile", lambda text: parsed.append(text) or parse(text))
+    result = exported(scene)
+    assert len(parsed) == 1 and len(result.lights) == 50 and not result.warnings
+    assert len({id(light.program) for light in result.lights}) == 1
+    # what belongs to objects stays theirs
+    assert sorted(light.info[4] for light in result.lights) == list(range(50)) and len({light.info[5] for light in result.lights}) == 50
+    for light in result.lights:
+        assert light.attributes[0, 0] == pytest.approx(0.02 * (light.info[4] + 1))
+        np.testing.assert_allclose(light.object_transform, np.array(lamps[int(light.info[4])].matrix_world)[:3], rtol=1e-6)
+    programs = [light.program for light in result.lights]
+    code, constants, place = encode([None, *programs, None], ops := tuple(sorted(ops_of(result.lights[0]))))
+    alone, its_constants, _ = encode(programs[:1], ops)
+    assert np.array_equal(code, alone) and np.array_equal(constants, its_constants) and place.tolist() == [-1, *[0] * 50, -1]
+
+    set_alike(scene, 12)
+    set_bounces(scene, 0)
+    floor()
+    look(scene, (0, -2, 9), (0, 0, 0))
+    shared, _ = by_raybatch(scene, 4, 1)
+    for light in lamps[1:]:
+        light.data = light.data.copy()
+    apart = exported(scene).lights
+    assert len({id(light.program) for light in apart}) == 50
+    assert shared.max() > 0 and np.array_equal(shared, by_raybatch(scene, 4, 1)[0])
 
 
 @pytest.mark.parametrize(

@@ -21,17 +21,22 @@ from .run import END, FIRST_OP, LENGTH_SHIFT
 def encode(programs: Sequence[Program | None], ops: Sequence[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Programs as one array of code, one of constants, and where each begins (-1 for None).
 
-    Ops are numbered by their place in `ops`. Raises `SceneError` for a program that is not valid: unknown ops or operands out of range.
+    A `Program` that is there often has its code and constants once: lamps may share it. Ops are numbered by their place in `ops`. Raises
+    `SceneError` for a program that is not valid: unknown ops or operands out of range.
     """
     numbers = {name: FIRST_OP + i for i, name in enumerate(ops)}
     code: list[int] = []
     constants: list[np.ndarray] = []
     first = np.full(len(programs), -1, np.int32)
+    known: dict[int, int] = {}  # by identity: to compare constants would take longer than to copy them
     constant_first = 0
     for index, program in enumerate(programs):
         if program is None:
             continue
-        first[index] = len(code)
+        if id(program) in known:
+            first[index] = known[id(program)]
+            continue
+        first[index] = known[id(program)] = len(code)
         for instruction in program.instructions:
             words = _checked(instruction, program, numbers, constant_first)
             code.append(numbers[instruction.op] | (len(words) + 1) << LENGTH_SHIFT)
