@@ -57,26 +57,33 @@ def outward(light: LightRecord, u: wp.vec2) -> wp.vec3:
 
 @functools.cache
 def lamp_brightness_kernel(programs: ProgramFeatures) -> wp.Kernel:
-    """Kernel (nodes, table, radius, brightness): of points of lamps, [light_count, points]; `radius` is that of the scene [m]."""
+    """Kernel (nodes, table, lamps, radius, points, brightness): the mean over `points` points of each of `lamps`.
+
+    `lamps` are numbers of lights with a program, and `brightness` is theirs, both of shape [n]; `radius` is that of the scene [m].
+    """
     lamp_emission = make_lamp_emission(programs)
 
     @wp.kernel(**KERNEL_OPTIONS)
-    def lamp_brightness(nodes: NodeData, table: LightTable, radius: float, brightness: wp.array2d(dtype=float)):
-        lamp, k = wp.tid()
+    def lamp_brightness(
+        nodes: NodeData, table: LightTable, lamps: wp.array(dtype=int), radius: float, points: int, brightness: wp.array(dtype=wp.float64)
+    ):
+        i = wp.tid()
+        lamp = lamps[i]
         light = table.lights[lamp]
-        if light.program == 0:
-            return
-        away = outward(light, wp.vec2(_fraction(k, 0), _fraction(k, 1)))
-        position = light.position + light.radius * away
-        if light.kind > _SUN:
-            x = 2.0 * _fraction(k, 2) - 1.0
-            y = 2.0 * _fraction(k, 3) - 1.0
-            if light.kind == _ELLIPSE:
-                y = y * wp.sqrt(1.0 - x * x)
-            position = light.position + x * light.half_x * light.axis_x + y * light.half_y * light.axis_y
-        distance = radius / float(1 << (k % wp.static(_REACHES)))
-        radiance = lamp_emission(nodes, table, lamp, position, -away, distance, 1, 0)
-        brightness[lamp, k] = (radiance[0] + radiance[1] + radiance[2]) / 3.0
+        total = wp.float64(0.0)
+        for k in range(points):  # a variable: unrolled, the loop would hold an interpreter for each point
+            away = outward(light, wp.vec2(_fraction(k, 0), _fraction(k, 1)))
+            position = light.position + light.radius * away
+            if light.kind > _SUN:
+                x = 2.0 * _fraction(k, 2) - 1.0
+                y = 2.0 * _fraction(k, 3) - 1.0
+                if light.kind == _ELLIPSE:
+                    y = y * wp.sqrt(1.0 - x * x)
+                position = light.position + x * light.half_x * light.axis_x + y * light.half_y * light.axis_y
+            distance = radius / float(1 << (k % wp.static(_REACHES)))
+            radiance = lamp_emission(nodes, table, lamp, position, -away, distance, 1, 0)
+            total += wp.float64((radiance[0] + radiance[1] + radiance[2]) / 3.0)
+        brightness[i] = total / wp.float64(points)
 
     return lamp_brightness
 
@@ -86,14 +93,14 @@ def brightness_of_lamps(scene: Scene, nodes: NodeData, features: ProgramFeatures
 
     0 of a program that never shines, and of no other.
     """
-    count = len(scene.lights)
-    brightness = wp.zeros((count, _POINTS), dtype=float, device=device)
-    kernel = lamp_brightness_kernel(features)
-    wp.launch(kernel, (count, _POINTS), [nodes, table, scene_radius(scene), brightness], device=device)
-    mean = brightness.numpy().astype(np.float64).mean(1)
-    result = np.ones(count)
-    for i, light in enumerate(scene.lights):
-        if light.program is not None:
-            shines = any(step.op == "emission" for step in light.program.instructions)
-            result[i] = (mean[i] if mean[i] > 0 else _UNSEEN) if shines else 0.0
+    result = np.ones(len(scene.lights))
+    lamps = np.array([i for i, light in enumerate(scene.lights) if light.program is not None], np.int32)
+    if not len(lamps):
+        return result
+    brightness = wp.zeros(len(lamps), dtype=wp.float64, device=device)
+    inputs = [nodes, table, wp.array(lamps, dtype=int, device=device), scene_radius(scene), _POINTS, brightness]
+    wp.launch(lamp_brightness_kernel(features), len(lamps), inputs, device=device)
+    for i, mean in zip(lamps, brightness.numpy()):
+        shines = any(step.op == "emission" for step in scene.lights[i].program.instructions)
+        result[i] = (mean if mean > 0 else _UNSEEN) if shines else 0.0
     return result
