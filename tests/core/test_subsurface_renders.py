@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 import scenes
+from watched_renders import stopping
 
 from raybatch_addon.core.scene.description import Closure, Frame, Material
 from raybatch_addon.core.scene.description import ClosureKind as K
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.wavefront.rounds import half_seed
 
 WHITE = (1.0, 1.0, 1.0)
 MEDIUM = Closure(K.SUBSURFACE, (0.8, 0.6, 0.4), 0.3, 1.4, colour=(0.98, 0.9, 0.7), edge=(3.0, 6.0, 9.0), refraction=(1.2, 1.5, 2.0), mean_cosine=0.4)
@@ -53,7 +55,32 @@ def test_any_schedule_gives_the_same_film(session, plain, change):
     np.testing.assert_array_equal(film(session, wax(), **change), plain)
 
 
-def test_walks_take_part_in_resuming_and_are_left_out_elsewhere(session, plain):
+@pytest.mark.parametrize("change", [{"batching": "OFF"}, {"batching": "ON", "treelet_size": 16, "sample_order": "PIXEL_FIRST"}])
+@pytest.mark.parametrize("after", [3, 40])
+def test_walks_take_part_in_resuming(session, plain, after, change):
+    settings = SETTINGS.replace(tile_size=9, ray_count=60, thread_count=1, **change)
+    with stopping(after):
+        stopped = session.render(wax(), settings)
+    assert not stopped.complete and stopped.counts.min() < SETTINGS.sample_count and (after < 40 or stopped.counts.max() > 0)
+    film = session.render(wax(), settings, resume=stopped)
+    assert film.complete and (film.counts == SETTINGS.sample_count).all() and film.statistics["invalid_samples"] == 0
+    np.testing.assert_array_equal(film.passes["Combined"], plain)
+
+
+def test_halves_with_walks_are_renders_with_seeds_of_their_own(session):
+    film = session.render(wax(), SETTINGS.replace(error_estimate="ON", tile_size=9))
+    parts = [session.render(wax(), SETTINGS.replace(sample_count=count, seed=half_seed(0, half))) for half, count in ((0, 2), (1, 1))]
+    np.testing.assert_array_equal(film.passes["Combined"], parts[0].merge(parts[1]).passes["Combined"])
+    for half, part in zip(film.halves, parts, strict=True):
+        np.testing.assert_array_equal(half.passes["Combined"], part.passes["Combined"])
+    with stopping(40):
+        stopped = session.render(wax(), SETTINGS.replace(error_estimate="ON", tile_size=9, ray_count=60))
+    assert not stopped.complete
+    again = session.render(wax(), SETTINGS.replace(error_estimate="ON", tile_size=9, ray_count=60), resume=stopped)
+    np.testing.assert_array_equal(again.passes["Combined"], film.passes["Combined"])
+
+
+def test_walks_are_left_out_elsewhere(plain):
     assert plain[..., :3].std() > 0.05
     features = derive_features(wax(), SETTINGS)
     assert features.subsurface and "closure subsurface" not in features.left_out()
