@@ -11,13 +11,13 @@ import functools
 import numpy as np
 import warp as wp
 
-from ..scene.description import ClosureKind, Instances, LightKind, Scene
+from ..scene.description import ClosureKind, LightKind, Scene
 from ..scene.geometry import Geometry, mat34, transform_vector
 from ..scene.program import ProgramFeatures
 from .light_table import LightRecord, LightTable
 from .materials import ClosureRecord
 from .nodes.finite import finite_or_zero
-from .nodes.inputs_data import InputData, inverses, upload_inputs
+from .nodes.inputs_data import InputData, inverses, upload_camera_inputs
 from .nodes.op import NodeData
 from .nodes.point import ShadingPoint
 from .nodes.run import make_run
@@ -44,13 +44,9 @@ def upload_lamp_programs(scene: Scene, features: ProgramFeatures, geometry: Geom
     """The programs of all lights of `scene`, and what they read; all is empty where there are none."""
     if not features:
         return NodeData()
-    inputs = upload_inputs(_without_instances(scene), (), device)
+    inputs = upload_camera_inputs(scene, device)
     _upload_lamp_inputs(inputs, scene, device)
     return upload_programs([light.program for light in scene.lights], features, scene, geometry, images, device, inputs)
-
-
-def _without_instances(scene: Scene) -> Scene:
-    return Scene(scene.camera, scene.frame, instances=Instances.empty())
 
 
 def _upload_lamp_inputs(inputs: InputData, scene: Scene, device: wp.Device) -> None:

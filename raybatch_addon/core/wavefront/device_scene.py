@@ -19,6 +19,7 @@ from ..shading.image_upload import UploadedImages
 from ..shading.lamp_brightness import brightness_of_lamps
 from ..shading.lamp_program import upload_lamp_programs
 from ..shading.light_table import UploadedLights, upload_lights
+from ..shading.nodes.inputs_data import upload_camera_inputs
 from ..shading.nodes.table import upload_programs
 from .geometry_cache import BuiltGeometry, GeometryCache, GeometryRequest, PagedTree
 from .scene_data import SceneData
@@ -57,7 +58,9 @@ class DeviceScene:
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
             programs = [material.program for material in scene.materials]
             data.nodes = upload_programs(programs, features.programs, scene, data.geometry, images.table, device)
-        data.world_nodes = upload_programs([scene.world.program], features.world_program, scene, data.geometry, images.table, device)
+        data.world_nodes = upload_programs(
+            [scene.world.program], features.world_program, scene, data.geometry, images.table, device, upload_camera_inputs(scene, device)
+        )
         data.lamp_nodes = upload_lamp_programs(scene, features.lamp_program, data.geometry, images.table, device)
         lights = upload_lights(scene, device, *_program_light(data, scene, features, device, cache.world))
         data.lights = lights.table
@@ -94,7 +97,9 @@ def _program_light(data: SceneData, scene: Scene, features: SceneFeatures, devic
     emitted = world = lamps = None
     if features.mesh_programs:
         emitted = functools.partial(emission_of_triangles, data, features, device)
-    if features.world_light:
+    if not features.world_light:
+        worlds.clear()
+    else:
         world = worlds.get(scene, device, lambda: world_texels(data, features, scene.world.sampling_size, device))
     if features.lamp_program:
         lamps = functools.partial(brightness_of_lamps, scene, data.lamp_nodes, features.lamp_program, device)

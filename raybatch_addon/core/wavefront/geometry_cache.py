@@ -160,13 +160,13 @@ class GeometryCache:
         """
         if not device.is_cuda:
             return None
-        return int(IMAGE_SHARE * (free_memory(device) + self.device_bytes + self.images.device_bytes))
+        return int(IMAGE_SHARE * (free_memory(device) + self.device_bytes + self.images.device_bytes + self.world.device_bytes))
 
     def free_for_geometry(self, images: Sequence[Image], device: wp.Device) -> int:
         """Memory that the geometry of a frame with `images` may have on `device` [bytes]."""
         budget = self.image_budget(device)
         images_need = 0 if budget is None else min(device_bytes_of(images), budget) - self.images.device_bytes
-        return free_memory(device) + self.device_bytes - images_need
+        return free_memory(device) + self.device_bytes + self.world.device_bytes - images_need
 
     def get(self, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept:
         """Geometry and tree of `scene`; those of the last call cannot be used any more.

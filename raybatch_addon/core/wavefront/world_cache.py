@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ _CAMERA_OPS = frozenset({"camera_coordinates", "window_coordinates", "vector_tra
 @dataclass(frozen=True)
 class _Kept:
     key: tuple
-    images: tuple[Image, ...]  # compared by identity: the exporter hands out the same one while it is the same
+    pictures: tuple[weakref.ref | None, ...]  # arrays of pixels, compared by identity: they are the same while an image is
     world: SampledWorld
 
 
@@ -29,22 +30,38 @@ class WorldCache:
     def __init__(self) -> None:
         self._last: _Kept | None = None
 
+    @property
+    def device_bytes(self) -> int:
+        """Memory that it takes on the device [bytes]."""
+        if self._last is None:
+            return 0
+        table = self._last.world.table
+        return 4 * (table.row_first.size + table.texel_first.size)
+
     def clear(self) -> None:
         """Forget it."""
         self._last = None
 
     def get(self, scene: Scene, device: wp.Device, texels: Callable[[], np.ndarray]) -> SampledWorld:
         """The world of `scene`; `texels()` tells how bright they are, where this is not the world of the last call."""
-        key, images = _key(scene, device), _images(scene)
+        images = _images(scene)
+        pictures = [pixels for image in images for pixels in _pictures(image)]
+        key = (*_key(scene, device), tuple((image.encoding, tuple(number for number, _ in image.tiles or ())) for image in images))
         last = self._last
-        same = last is not None and last.key == key and len(last.images) == len(images) and all(map(_is, last.images, images))
+        same = last is not None and last.key == key and len(last.pictures) == len(pictures) and all(map(_is, last.pictures, pictures))
         if not same:
-            last = self._last = _Kept(key, images, sampled_world(texels(), device))
+            self._last = last = None  # before there are two of them
+            references = tuple(None if pixels is None else weakref.ref(pixels) for pixels in pictures)
+            self._last = last = _Kept(key, references, sampled_world(texels(), device))
         return last.world
 
 
-def _is(a: Image, b: Image) -> bool:
-    return a is b
+def _is(kept: weakref.ref | None, pixels: np.ndarray | None) -> bool:
+    return pixels is None if kept is None else kept() is pixels and pixels is not None
+
+
+def _pictures(image: Image) -> list[np.ndarray | None]:
+    return [image.pixels] if image.tiles is None else [pixels for _, pixels in image.tiles]
 
 
 def _key(scene: Scene, device: wp.Device) -> tuple:

@@ -43,7 +43,7 @@ def _of_view_layer(node: Node, name: str) -> dict[str, Value]:
 
     value = None if collections.scene is None else view_layer_value(collections.scene, collections.view_layer, name)
     if value is None:
-        node.warn(f"attribute “{name}” is 0, because the view layer, the scene and its world have none of that name; this is the type")
+        node.warn(f"attribute “{name}” is 0, as the view layer, the scene and its world have none of that name; this is the type View Layer")
         value = (0.0, 0.0, 0.0, 0.0)
     return _outputs(node.constant(value[:3]), node.constant(sum(value[:3]) / 3), node.constant(value[3]))
 

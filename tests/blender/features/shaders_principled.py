@@ -37,6 +37,9 @@ SOCKETS = {
     "thin film of metal": {"Thin Film Thickness": 350.0, "Thin Film IOR": 1.6, "Metallic": 1.0, "Roughness": 0.25},
     "thin film of glass": {"Thin Film Thickness": 400.0, "Thin Film IOR": 1.6, "Transmission Weight": 1.0, "Roughness": 0.15, "Base Color": ALBEDO},
     "thin wall": {"Thin Wall": True, "Transmission Weight": 1.0, "Roughness": 0.2},
+    "thin film of a thin wall": {
+        "Thin Wall": True, "Transmission Weight": 1.0, "Roughness": 0.2, "Thin Film Thickness": 400.0, "Thin Film IOR": 1.6,
+    },
     "subsurface": {"Subsurface Weight": 1.0, "Subsurface Radius": (1.0, 0.4, 0.2), "Subsurface Scale": 0.2},
     "everything": {
         "Metallic": 0.3, "Roughness": 0.35, "IOR": 1.6, "Alpha": 0.9, "Diffuse Roughness": 0.3, "Specular IOR Level": 0.7, "Specular Tint": (0.9, 0.8, 1.0),

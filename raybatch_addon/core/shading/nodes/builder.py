@@ -132,7 +132,7 @@ class ProgramBuilder:
         closures = _Closures([None] * sum(step.op.closures_most for step in steps))
         count = 0
         for step in steps:
-            data, words = self._host_words(step.inputs)
+            data, words = self._host_words(step.op, step.inputs)
             count = as_python(step.op.function)(SimpleNamespace(code=[0, *words], constants=data), [], 0, None, closures, count)
         return list(closures[:count])
 
@@ -196,7 +196,7 @@ class ProgramBuilder:
 
     def _run(self, op: Op, inputs: list[Value | int]) -> tuple[Value, ...] | None:
         """Outputs of `op`, run on the host; None where it cannot be."""
-        constants, words = self._host_words(inputs)
+        constants, words = self._host_words(op, inputs)
         offset, outputs = 0, []
         for letter in op.outputs:
             outputs.append(offset)
@@ -214,9 +214,11 @@ class ProgramBuilder:
             Value.of(stack[at : at + 3] if letter == "V" else stack[at]) for at, letter in zip(outputs, op.outputs)
         )
 
-    def _host_words(self, inputs: list[Value | int]) -> tuple[list[float], list[int]]:
+    def _host_words(self, op: Op, inputs: list[Value | int]) -> tuple[list[float], list[int]]:
         """Constants and words with which `inputs`, all known, can be read on the host."""
-        constants, words = list(self._constants), []
+        # tables are read from the front; where there is none, they need not be copied
+        constants = list(self._constants) if "t" in op.inputs else []
+        words = []
         for each in inputs:
             if isinstance(each, Value):
                 words.append(-1 - len(constants))

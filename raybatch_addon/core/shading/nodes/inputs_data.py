@@ -4,7 +4,7 @@ import numpy as np
 import warp as wp
 
 from ...errors import SceneError
-from ...scene.description import CameraKind, Scene
+from ...scene.description import CameraKind, Instances, Scene
 from ...scene.flatten import is_mirrored_where_baked
 from ...scene.geometry import mat34
 from .texture_space import generated_corners, texture_space_maps
@@ -80,6 +80,11 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
     if "object_attribute" in ops and instances.attributes is not None:
         inputs.object_attributes = wp.array(np.asarray(instances.attributes, np.float32), dtype=wp.vec4, device=device)
     return inputs
+
+
+def upload_camera_inputs(scene: Scene, device: wp.Device) -> InputData:
+    """The same where there are no instances, as in the world: of the camera alone."""
+    return upload_inputs(Scene(scene.camera, scene.frame, instances=Instances.empty()), (), device)
 
 
 def _upload_attributes(scene: Scene, inputs: InputData, device: wp.Device) -> None:

@@ -65,9 +65,8 @@ def upload_programs(
     data.images = images
     data.inputs = upload_inputs(scene, features.ops, device) if inputs is None else inputs
     coat = not {"layer_coat", "layer_specular"}.isdisjoint(features.ops)
-    data.albedo = upload_tables(
-        device, reflection=coat, coat=coat, glass=False, sheen="layer_sheen" in features.ops, film="layer_film" in features.ops
-    )
+    film = not {"layer_film", "layer_thin_glass_film"}.isdisjoint(features.ops)
+    data.albedo = upload_tables(device, reflection=coat, coat=coat, glass=False, sheen="layer_sheen" in features.ops, film=film)
     return data
 
 

@@ -25,17 +25,24 @@ def generated_corners(scene: Scene) -> dict[int, np.ndarray]:
 
     Only of those with a face along which one is constant, that are not placed by the identity, and whose materials ask.
     """
-    scale, offset = texture_space_maps(scene)
-    asking = np.array([_asks(material) for material in scene.materials], bool)
-    result: dict[int, np.ndarray] = {}
     instances = scene.instances
-    for i, index in enumerate(instances.mesh.tolist()):
+    asking = np.array([_asks(material) for material in scene.materials], bool)
+    if not asking.any() or len(instances) == 0:
+        return {}
+    scale, offset = texture_space_maps(scene)
+    moved = np.flatnonzero((np.asarray(instances.transform) != IDENTITY).any((1, 2)))
+    by_mesh = moved[np.argsort(instances.mesh[moved], kind="stable")]
+    meshes, starts = np.unique(instances.mesh[by_mesh], return_index=True)
+    # how many materials that ask come before each slot
+    before = np.concatenate([[0], np.cumsum(asking[scene.slot_materials])])
+    result: dict[int, np.ndarray] = {}
+    for index, placed in zip(meshes.tolist(), np.split(by_mesh, starts[1:])):
         mesh = scene.meshes[index]
-        if index in result or len(mesh.triangles) == 0 or np.array_equal(instances.transform[i], IDENTITY):
+        if len(mesh.triangles) == 0:
             continue
         slots = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
-        first = int(instances.slot_first[i])
-        if asking[scene.slot_materials[first : first + slots]].any() and _has_even_faces(mesh):
+        first = instances.slot_first[placed]
+        if (before[first + slots] > before[first]).any() and _has_even_faces(mesh):
             vertices = (mesh.positions * scale[index] + offset[index]).astype(np.float32)
             result[index] = vertices[mesh.triangles]
     return result

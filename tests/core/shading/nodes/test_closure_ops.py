@@ -4,10 +4,12 @@ import functools
 
 import numpy as np
 import pytest
+import scenes
 import warp as wp
 
 from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import ClosureKind as K
+from raybatch_addon.core.scene.geometry import Geometry
 from raybatch_addon.core.scene.program import ProgramFeatures
 from raybatch_addon.core.shading import nodes  # noqa: F401  (registers ops)
 from raybatch_addon.core.shading.albedo import upload_tables
@@ -16,7 +18,8 @@ from raybatch_addon.core.shading.nodes.builder import ProgramBuilder
 from raybatch_addon.core.shading.nodes.op import NodeData, op_named
 from raybatch_addon.core.shading.nodes.point import ShadingPoint
 from raybatch_addon.core.shading.nodes.run import make_run
-from raybatch_addon.core.shading.nodes.table import encode
+from raybatch_addon.core.shading.nodes.table import encode, upload_programs
+from raybatch_addon.core.shading.textures import ImageTable
 from under_test import DEVICE
 
 CLOSURES = (
@@ -231,3 +234,13 @@ def test_anisotropy_has_the_aspects_of_blender():
     assert run_layer("glossy_aspect", 0.6)[0] == pytest.approx(0.4)
     assert run_layer("glossy_aspect", -0.5)[0] == pytest.approx(2)
     assert run_layer("principled_aspect", 1.0)[0] == pytest.approx(1 / np.sqrt(0.1))
+
+
+def test_tables_that_ops_read_are_uploaded_for_each_of_them():
+    """Whatever other ops the scene has."""
+    scene = scenes.scene()
+    for name, table in {
+        "layer_thin_glass_film": "film", "layer_film": "film", "layer_sheen": "sheen", "layer_coat": "coat", "layer_specular": "reflection",
+    }.items():  # fmt: skip
+        data = upload_programs([None], ProgramFeatures((name,), 32, 1), scene, Geometry(), ImageTable(), wp.get_device(DEVICE))
+        assert getattr(data.albedo, table).size > 0, name
