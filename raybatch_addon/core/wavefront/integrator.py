@@ -78,7 +78,7 @@ class TileIntegrator:
         needs = RayNeeds.of(features, tracing.method is Method.REFERENCE)
         self._rays = allocate_rays(count, device, dataclasses.replace(needs, shadow_rays=scene.shadow_rays))
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
-        self._lists = PathLists(count, device)
+        self._lists = PathLists(count, device, walks=features.subsurface)
         self._film_tiles = FilmTiles(self._layout, frame.passes, device, self._lists.counts.at(Length.SPILL))
         self._free: wp.array | None = None
         self._bounced = self._shadow = NO_SLOTS

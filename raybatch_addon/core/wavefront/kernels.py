@@ -15,7 +15,7 @@ from ..settings import RenderSettings
 from ..shading.light_hits import LightHitFeatures
 from .hit_order import hit_key_kernel
 from .plan import Method
-from .queues import QUEUE_KERNELS
+from .queues import queue_kernels
 from .ray_order import order_kernels
 from .stages.accumulate import accumulate_kernel
 from .stages.connect import ConnectFeatures, connect_kernel, connect_program_kernel, settle_kernel
@@ -82,7 +82,7 @@ class StageKernels:
     def all(self) -> list[wp.Kernel]:
         """Everything that shading launches."""
         stages = [getattr(self, name) for name in self.__dataclass_fields__]
-        return [kernel for kernel in stages if kernel is not None] + [*QUEUE_KERNELS, add_spill_kernel]
+        return [kernel for kernel in stages if kernel is not None] + [*queue_kernels(walks=self.walk is not None), add_spill_kernel]
 
 
 def tracing_kernels(features: SceneFeatures, settings: RenderSettings, tracing: Tracing, device: wp.Device) -> list[wp.Kernel]:

@@ -35,7 +35,7 @@ class Length(IntEnum):
     FREE = 1  # slots that were free before
     BOUNCE_1 = 2  # new extending rays of paths that have scattered once (or not yet, and only passed what is transparent)
     BOUNCE_2 = 3  # twice
-    BOUNCE_LATER = 4  # more often
+    BOUNCE_LATER = 4  # more often, or of walks below surfaces: these scatter all around
     SHADOW = 5  # new shadow rays
     BOUNCE = 6  # all new extending rays
     MISS = 7  # paths that left the scene
@@ -104,7 +104,7 @@ _RULES = {
     const unsigned int free = with_free ? 2u : 0u, second = by_bounce ? 8u : 4u, later = by_bounce ? 16u : 4u;
     auto lists_of = [&](int word) -> unsigned int {{
         const int bounce = word >> {BOUNCE_SHIFT};
-        const unsigned int extending = bounce <= 1 ? 4u : bounce == 2 ? second : later;
+        const unsigned int extending = word & INSIDE ? later : bounce <= 1 ? 4u : bounce == 2 ? second : later;
         const unsigned int rays = (word & {_RAY_NEW} ? extending : 0u) | (word & {_SHADOW_NEW} ? 32u : 0u);
         const unsigned int alive = (word & {_ENDED | _WAITING}) == {_ENDED} ? 1u : rays;
         return word & {_ALIVE} ? alive : free;
@@ -200,15 +200,16 @@ _SCATTERED = {
 
 
 @functools.cache
-def list_kernels(lists: ListSet) -> tuple[wp.Kernel, wp.Kernel]:
+def list_kernels(lists: ListSet, walks: bool) -> tuple[wp.Kernel, wp.Kernel]:
     """Kernels (status, block_size, by_bounce, with_free, counts) and (status, block_size, by_bounce, with_free, offsets, slots, lengths).
 
     The first counts each block's paths of every list, the second writes the lists to `slots`, flips the status of rays that are listed, and
     tells `lengths`. `counts` and `offsets`, its exclusive scan, have shape [lists * blocks + 1]; where there is one block the CPU's
     second kernel counts for itself, and reads no `offsets`. A block is `block_size` paths; on CUDA 32 threads take one, on the CPU one
-    thread.
+    thread. `walks`: rays may be steps of walks below surfaces.
     """
-    before = _BLOCK + _RULES[lists] + _OVER_CHUNKS
+    # a scene without walks does not look for them
+    before = f"    constexpr int INSIDE = {int(Status.INSIDE) if walks else 0};\n" + _BLOCK + _RULES[lists] + _OVER_CHUNKS
     scatter_text = before + _SCATTER.replace("    if (block_number == 0", _SCATTERED[lists] + "    if (block_number == 0", 1)
 
     @wp.func_native(before + _COUNT)
@@ -234,7 +235,9 @@ def list_kernels(lists: ListSet) -> tuple[wp.Kernel, wp.Kernel]:
     return count_paths, scatter_paths
 
 
-QUEUE_KERNELS = (*list_kernels(ListSet.TURN), *list_kernels(ListSet.BACK))
+def queue_kernels(walks: bool) -> list[wp.Kernel]:
+    """Everything that `PathLists` launches."""
+    return [*list_kernels(ListSet.TURN, walks), *list_kernels(ListSet.BACK, False)]
 
 
 class Counts:
@@ -274,9 +277,9 @@ class TurnLists:
 class PathLists:
     """Makes and holds the lists of one worker."""
 
-    def __init__(self, path_count: int, device: wp.Device, block_size: int = 0):
-        """For `path_count` paths. `block_size`: paths of a block (0: as the device asks for)."""
-        self._device, self._path_count = device, path_count
+    def __init__(self, path_count: int, device: wp.Device, block_size: int = 0, walks: bool = False):
+        """For `path_count` paths. `block_size`: paths of a block (0: as the device asks for); `walks`: some may walk below surfaces."""
+        self._device, self._path_count, self._walks = device, path_count, walks
         self._launches = RepeatedLaunches(device)
         self._block_size = block_size or (CUDA_BLOCK if device.is_cuda else path_count)
         self._blocks = -(-path_count // self._block_size)
@@ -323,7 +326,7 @@ class PathLists:
         return SlotList(self._slots[place : place + length], self.counts.at(which), length) if length else NO_SLOTS
 
     def _make(self, lists: ListSet, status: wp.array, by_bounce: bool = False, with_free: bool = False) -> None:
-        count_paths, scatter_paths = list_kernels(lists)
+        count_paths, scatter_paths = list_kernels(lists, self._walks and lists is ListSet.TURN)
         counts, offsets = self._work[lists]
         rule = (status, self._block_size, int(by_bounce), int(with_free))
         threads = self._blocks * (32 if self._device.is_cuda else 1)

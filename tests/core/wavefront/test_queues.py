@@ -19,8 +19,8 @@ def statuses(seed: int, paths: int = PATHS) -> np.ndarray:
     return (rng.integers(0, 128, paths) | (1 << rng.integers(0, 5, paths)) << VISIBILITY_SHIFT | bounce << BOUNCE_SHIFT).astype(np.int32)
 
 
-def lists_of(paths: int, block_size: int) -> PathLists:
-    return PathLists(paths, wp.get_device(DEVICE), block_size)
+def lists_of(paths: int, block_size: int, walks: bool = False) -> PathLists:
+    return PathLists(paths, wp.get_device(DEVICE), block_size, walks)
 
 
 def slots_of(listed) -> list[int]:
@@ -69,6 +69,22 @@ def test_the_lists_of_a_turn(block_size, by_bounce, with_free, statuses_of):
     assert [slots_of(part) for part in turn.bounced_parts] == (classes if by_bounce else [])
     flips = np.where(new, int(Status.RAY_NEW | Status.RAY_OUT), 0) | np.where(shadow, int(Status.SHADOW_NEW | Status.SHADOW_OUT), 0)
     assert np.array_equal(status.numpy(), before ^ flips), "listed rays count as under way"
+
+
+@pytest.mark.parametrize("by_bounce", [False, True])
+@pytest.mark.parametrize("block_size", BLOCKS)
+def test_steps_of_walks_are_listed_as_later_bounces(block_size, by_bounce):
+    before = statuses(200 + block_size)
+    inside = np.random.default_rng(block_size).random(PATHS) < 0.5
+    before[inside] |= int(Status.INSIDE)
+    status, lists = wp.array(before, device=DEVICE), lists_of(PATHS, block_size, walks=True)
+    lists.end_turn(status, PATHS, by_bounce, True)
+    turn = lists.next_turn(lists.counts.fetch(), by_bounce, True)
+    new, bounce = has(before, Status.ALIVE) & has(before, Status.RAY_NEW), before >> BOUNCE_SHIFT
+    chosen = (~inside & (bounce <= 1), ~inside & (bounce == 2), inside | (bounce > 2))
+    classes = [np.flatnonzero(new & each).tolist() for each in chosen]
+    assert all(classes) and slots_of(turn.bounced) == (sum(classes, []) if by_bounce else np.flatnonzero(new).tolist())
+    assert [slots_of(part) for part in turn.bounced_parts] == (classes if by_bounce else [])
 
 
 @pytest.mark.parametrize("statuses_of", [statuses, few_alive])
