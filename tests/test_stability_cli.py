@@ -84,7 +84,7 @@ def test_cases_are_listed_without_being_run():
 
 
 def test_what_cannot_be_is_one_line(tmp_path):
-    assert "no case is called 'nothing'" in error_line(stability("--only", "nothing"))
+    assert "no case is called 'no such case'" in error_line(stability("--only", "no such case"))
     assert "cannot be written" in error_line(stability(*FEW, "--json", tmp_path))
     folder = tmp_path / "new"
     assert "device" in error_line(stability("--only", "sums of", "--device", "cuda:99", "--html", folder / "page.html"))
