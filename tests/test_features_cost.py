@@ -1,6 +1,9 @@
 """A scene pays for nothing that it does not have: what its kernels hold, and what its statistics list as left out."""
 
-from features_cost import functions_of, plain_scene
+from dataclasses import replace
+
+import pytest
+from features_cost import every_feature, functions_of, plain_scene
 
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings import RenderSettings
@@ -17,3 +20,12 @@ def test_modules_of_a_plain_scene_hold_no_code_of_other_features():
     assert "shading.camera.camera_ray" in held
     assert [name for name in sorted(held) if name.startswith(NOT_NEEDED)] == []
     assert set(LEFT_OUT) <= set(features.left_out())
+
+
+@pytest.mark.parametrize("instancing", [False, True])
+def test_kernels_can_have_all_features_at_once(instancing):
+    """Source is made of them, and not compiled: that takes minutes."""
+    every = every_feature(derive_features(plain_scene(), RenderSettings()))
+    every = replace(every, film_transparent=True, clamping=True, depth_of_field=True, instancing=instancing)
+    held = set().union(*functions_of(every, "cpu").values())
+    assert {"shading.nodes.noise.signed_noise_3d", "wavefront.stages.connect.arrived"} & held

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scenes
 
-from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Material, Visibility, World
+from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Light, LightKind, Material, Visibility, World
 from raybatch_addon.core.settings import RenderSettings
 from raybatch_addon.core.shading import nodes  # noqa: F401  (registers ops)
 from raybatch_addon.core.shading.nodes.builder import ProgramBuilder
@@ -56,6 +56,23 @@ def test_rays_into_the_world_are_longer_than_any_other(session):
     builder.closure("emission", builder.value("combine_xyz", far, far, far))
     scene = dataclasses.replace(under_a_world_of("length", Closure(ClosureKind.DIFFUSE, (1.0,) * 3)), world=World(program=builder.finish()))
     assert mean(session, scene, sample_count=64) == pytest.approx(1, rel=0.01)
+
+
+def test_worlds_meshes_and_lamps_may_all_have_programs(session):
+    """Together they light as much as one after the other."""
+    above = np.array([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 2]], np.float32)
+    floor = (scenes.plane(size=50.0), scenes.IDENTITY, scenes.diffuse(1.0))
+    glow = Material("glow", (), (ClosureKind.EMISSION,), emission_of("depth"))
+    lamp = Light("lamp", LightKind.POINT, scenes.translation(0.5, 0.2, 1.0), (2.0,) * 3, program=emission_of("depth"))
+    world = World(program=emission_of("depth"))
+    view = scenes.camera(eye=(0.0, -1.0, 0.5), half_width=0.1)
+
+    def light(mesh: bool, lamps: bool, sky: bool) -> float:
+        panel = (scenes.plane("panel", 0.5), above, glow if mesh else scenes.material())
+        made = scenes.scene([floor, panel], view=view, frame=Frame(16, 16), lights=[lamp] if lamps else ())
+        return mean(session, dataclasses.replace(made, world=world if sky else World()), sample_count=4096)
+
+    assert light(True, True, True) == pytest.approx(light(True, False, False) + light(False, True, False) + light(False, False, True), rel=0.005)
 
 
 def veil(height: float):

@@ -99,13 +99,13 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
         if wp.static(has_lamps):
             if kind == wp.static(LAMP_PROGRAM):
                 # a ray that nothing may stop has no length of its own; others have passed some of theirs
-                distance = paths.light_barycentric[path]
-                position = rays.origin[slot] + (rays.t_max[slot] + distance[1]) * direction
-                emitted = lamp_emission(
-                    data.lamp_nodes, data.lights, paths.light_instance[path], position, direction, distance[0], bounce,
+                aimed = paths.light_barycentric[path]
+                position = rays.origin[slot] + (rays.t_max[slot] + aimed[1]) * direction
+                shone = lamp_emission(
+                    data.lamp_nodes, data.lights, paths.light_instance[path], position, direction, aimed[0], bounce,
                     passed_before_light(paths, path),
                 )  # fmt: skip
-                light = wp.cw_mul(light, emitted)
+                light = wp.cw_mul(light, shone)
         if wp.static(features.clamping):
             light = clamped(limits, light, bounce)
         return light
