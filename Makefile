@@ -1,5 +1,9 @@
 # make render   render the demo scene into out/demo.png (statistics beside it, in out/demo.json)
-# make test     run the whole test suite
+# make test     check the sources, then run the whole test suite
+# make check    check the sources and run the fast tests: less than two minutes
+# make format   format and mend the sources
+# make test-all run everything there is on the CPU, for hours, and note it in docs/testing.md; run again, it goes on
+# make test-gpu run what needs no Blender on a CUDA device; PART=1/2 and PART=2/2 run one half each
 # make package  build the Blender extension's zips into dist/
 # make clean    remove what was rendered, built and cached here, but for the environment
 #
@@ -7,15 +11,22 @@
 # VENV=...      the folder of the environment (default .venv)
 # TEST_JOBS=... processes that run tests side by side (default: as many as there are cores, 4 at most)
 # TESTS=...     what to run instead of every test, as pytest takes it
+# PART=I/N      of make test-gpu: which share
 PYTHON ?=
 VENV ?= .venv
 TESTS ?=
 TEST_JOBS ?= auto
+PART ?= 1/1
 
 venv_python := $(VENV)/bin/python
 export PYTHON VENV
 
-.PHONY: help environment render test package clean
+sources := raybatch_addon scripts tests
+native_headers = $(shell find raybatch_addon/core/native -name '*.h' 2>/dev/null)
+# files, the longest first, go to processes as these get ready
+pytest := $(venv_python) -m pytest -n $(TEST_JOBS) --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+
+.PHONY: help environment render lint format check test test-all test-gpu package clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -37,8 +48,27 @@ out/demo.environment: environment
 	@mkdir -p out
 	@cmp -s $(VENV)/raybatch-environment $@ || cp $(VENV)/raybatch-environment $@
 
-test: environment
-	$(venv_python) -m pytest -n $(TEST_JOBS) --maxprocesses 4 --dist loadfile $(TESTS)
+lint: environment
+	$(venv_python) -m ruff check $(sources)
+	$(venv_python) -m ruff format --check $(sources)
+	$(if $(native_headers),$(VENV)/bin/clang-format --dry-run --Werror $(native_headers))
+
+format: environment
+	$(venv_python) -m ruff check --fix $(sources)
+	$(venv_python) -m ruff format $(sources)
+	$(if $(native_headers),$(VENV)/bin/clang-format -i $(native_headers))
+
+check: lint
+	$(pytest) --fast
+
+test: lint
+	$(pytest) $(TESTS)
+
+test-all: environment
+	$(venv_python) scripts/testing/everything.py
+
+test-gpu:
+	$(if $(wildcard $(venv_python)),$(venv_python),python3) scripts/testing/gpu.py --part $(PART) --out out/testing/gpu-$(subst /,-of-,$(PART)).json
 
 package: environment
 	$(venv_python) scripts/package.py

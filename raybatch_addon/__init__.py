@@ -1,9 +1,8 @@
-"""RayBatch: a path tracer that batches rays, for Blender.
-
-`import raybatch_addon.core` works where there is no Blender; `register()` brings in Blender's side.
-"""
+"""RayBatch: a path tracer that batches rays, for Blender."""
 
 # SPDX-License-Identifier: GPL-3.0-or-later
+
+# `import raybatch_addon.core` works where there is no Blender; `register()` brings in Blender's side.
 
 
 def register() -> None:
@@ -28,15 +27,16 @@ def unregister() -> None:
 
     import bpy
 
-    from . import engine, reports, ui
+    from . import engine, ui
+    from .blender import reports
 
     atexit.unregister(_unregister_at_exit)
     bpy.utils.unregister_class(engine.RayBatchRenderEngine)
     ui.unregister()
-    sessions = sys.modules.get(f"{__name__}.sessions")  # there if something was rendered
+    sessions = sys.modules.get(f"{__name__}.blender.sessions")  # there if something was rendered
     if sessions is not None:
         sessions.close_all()
-    images = sys.modules.get(f"{__name__}.export.images")
+    images = sys.modules.get(f"{__name__}.export.images.images")
     if images is not None:
         images.forget_images()
     reports.clear()

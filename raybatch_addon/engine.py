@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .result import register_passes
+from .blender.result import register_passes
 
 
 class RayBatchRenderEngine(bpy.types.RenderEngine):
@@ -24,6 +24,6 @@ class RayBatchRenderEngine(bpy.types.RenderEngine):
         register_passes(self, scene, renderlayer)
 
     def render(self, depsgraph):
-        from .frame import render_view_layer  # brings in Warp, which opening Blender should not wait for
+        from .blender.frame import render_view_layer  # brings in Warp, which opening Blender should not wait for
 
         render_view_layer(self, depsgraph)

@@ -1,19 +1,23 @@
 #!/usr/bin/env python3
-"""Measure RayBatch: whole renders, what recording them costs, and traversal alone. `benchmark.py COMMAND --help` says how."""
+"""Measure RayBatch: whole renders, what recording them costs, and traversal alone. `benchmark.py COMMAND --help` says
+how.
+"""
 
 from __future__ import annotations
 
 import argparse
+import functools
 import sys
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from raybatch_addon.core.errors import RayBatchError
-from raybatch_addon.core.presets import PRESETS
-from rendering.output import OutputFolders, leave, own_standard_output, write_json
-from rendering.request import RESOLUTION_DEFAULT, UsageError, parse_settings
+from lib.command import UsageError, run_command
+from lib.output import OutputFolders, leave, write_report
+from rendering.request import RESOLUTION_DEFAULT, parse_settings
+
+from raybatch_addon.core.settings.presets import PRESETS
 
 RENDER = """\
 Measure whole renders of SCENE: a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do not).
@@ -26,24 +30,26 @@ Cycles renders the same file on the same device, with the same samples, bounces 
 sampling, denoising, clamping or any other bias. Its time is that of the whole render call.
 
 --equal-error: both engines are unbiased, so their error is noise. Each renders the picture twice more, with other
-seeds and the samples of the timed runs. relMSE is half the squared difference of the two, divided by the pixel's squared
-brightness (+ 0.01), and averaged over pixels and channels. Error and time are taken as inversely proportional: what is
-compared is time x relMSE, and its inverse is told as efficiency. Set-up counts as time, so take samples enough that it
-does not matter; a few very bright samples can rule the figure, so take samples enough for that too.
+seeds and the samples of the timed runs. relMSE is half the squared difference of the two, divided by the pixel's
+squared brightness (+ 0.01), and averaged over pixels and channels. Error and time are taken as inversely proportional:
+what is compared is time x relMSE, and its inverse is told as efficiency. Set-up counts as time, so take samples enough
+that it does not matter; a few very bright samples can rule the figure, so take samples enough for that too.
 
---against memory: the same with --budgets of geometry on the device, beside all of it there (geometry_budget 0, batching OFF).
-A budget is in bytes, or a share of what tree and triangles take in memory. Renders take turns; speed is that of a
-render relative to the one in memory in the same turn, trees apart. --set and --preset hold for all of them. All films are
-compared bit for bit; where one differs the report says so, and the exit code is 1. Stages are timed in renders of their own,
-with counters (--no-counters leaves them out).
+--against memory: the same with --budgets of geometry on the device, beside all of it there (geometry_budget 0, batching
+OFF). A budget is in bytes, or a share of what tree and triangles take in memory. Renders take turns; speed is that of a
+render relative to the one in memory in the same turn, trees apart. --set and --preset hold for all of them. All films
+are compared bit for bit; where one differs the report says so, and the exit code is 1. Stages are timed in renders of
+their own, with counters (--no-counters leaves them out).
 """
 RECORDING = """\
-Measure what it costs to record a render of SCENE, a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do not).
+Measure what it costs to record a render of SCENE, a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do
+not).
 
-It is rendered plain; recorded (a picture at 1, 2, 4, ... samples of every pixel, for which the render is cut into rounds); and
-with error_estimate ON, in one round and recorded. Renders take turns. Times are of the processor, all threads together (on
-CUDA: of rendering). The cost is the median over turns of what comes on top of the plain render's, beside the two values
-between which half of the turns lie. Films are compared: where recording changes one the exit code is 1.
+It is rendered plain; recorded (a picture at 1, 2, 4, ... samples of every pixel, for which the render is cut into
+rounds); and with error_estimate ON, in one round and recorded. Renders take turns. Times are of the processor, all
+threads together (on CUDA: of rendering). The cost is the median over turns of what comes on top of the plain render's,
+beside the two values between which half of the turns lie. Films are compared: where recording changes one the exit code
+is 1.
 """
 TRAVERSAL = """\
 Measure how fast tracers find hits, all on the same rays of real paths.
@@ -56,17 +62,19 @@ scatters light all becomes white.
 
 rays     primary; bounceN: rays that go on from the Nth hit of a path; shadowN: its shadow rays (any hit)
 orders   natural (the integrator's), shuffled, sorted (by octant and Morton code, before the clock starts)
-tracers  off: RayBatch's own tree without queues; off-plain: the same tree, one ray after another a thread, without refill on
-         CUDA; off-sorted: as off, and sorts its rays first; reference: Warp's tree; embree and embree-robust: Intel's
-         Embree through the package embreex, on the CPU. Default: all of these that can be measured here.
+tracers  off: RayBatch's own tree without queues; off-plain: the same tree, one ray after another a thread,
+         without refill on CUDA; off-sorted: as off, and sorts its rays first; reference: Warp's tree; embree and
+         embree-robust: Intel's Embree through the package embreex, on the CPU. Default: all of these that can be
+         measured here.
          on: rays wait at treelets, or with --budget for pages of geometry; auto: what RayBatch chooses. Controls beyond
-         memory: zero-copy (CUDA): off, its tree in pinned memory of the host, whole (zero-copy) and with only the triangles
-         there (zero-copy-triangles); ray-order (CPU): the pages of on, brought in as rays need them in their order
+         memory: zero-copy (CUDA): off, its tree in pinned memory of the host, whole (zero-copy) and with only the
+         triangles there (zero-copy-triangles); ray-order (CPU): the pages of on, brought in as rays need them in their
+         order
 
 Hits are compared before anything is timed; where tracers disagree, every triangle is asked in float64, and answers
-beyond the error bound of float32 are told as faults. Then tracers take turns, run by run. One CPU thread is timed by its
-own clock, several by the wall's, CUDA devices by their events; tracers whose rays wait for pages by the wall's. Mrays/s are
-medians and include the time of sorting, queues and copies.
+beyond the error bound of float32 are told as faults. Then tracers take turns, run by run. One CPU thread is timed by
+its own clock, several by the wall's, CUDA devices by their events; tracers whose rays wait for pages by the wall's.
+Mrays/s are medians and include the time of sorting, queues and copies.
 """
 
 
@@ -77,19 +85,51 @@ def argument_parser() -> argparse.ArgumentParser:
 
     def command(name: str, description: str) -> argparse.ArgumentParser:
         added = commands.add_parser(
-            name, help=description.splitlines()[0], description=description, allow_abbrev=False,
+            name,
+            help=description.splitlines()[0],
+            description=description,
+            allow_abbrev=False,
             formatter_class=argparse.RawDescriptionHelpFormatter,
-        )  # fmt: skip
+        )
         added.add_argument("--device", default="AUTO", help="AUTO, cpu or cuda:N")
-        added.add_argument("--preset", metavar="NAME", help=f"set the whole schedule: {', '.join(PRESETS)}. --set then changes single settings of it")
-        added.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="change a render setting (may be repeated); render.py --help lists them")
-        added.add_argument("--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there")
-        added.add_argument("--verbose", action="store_true", help="pass on what Blender and Warp print, to standard error")
+        added.add_argument(
+            "--preset",
+            metavar="NAME",
+            help=f"set the whole schedule: {', '.join(PRESETS)}. --set then changes single settings of it",
+        )
+        added.add_argument(
+            "--set",
+            action="append",
+            default=[],
+            metavar="NAME=VALUE",
+            help="change a render setting (may be repeated); render.py --help lists them",
+        )
+        added.add_argument(
+            "--json",
+            nargs="?",
+            const="-",
+            metavar="FILE",
+            help="write the report as JSON; without FILE to standard output, and nothing else there",
+        )
+        added.add_argument(
+            "--verbose", action="store_true", help="pass on what Blender and Warp print, to standard error"
+        )
         return added
 
     def geometry_options(added: argparse.ArgumentParser) -> None:
-        added.add_argument("--grid", type=int, default=1, metavar="N", help="repeat the mesh N x N times as triangles of their own, seen from above")
-        added.add_argument("--camera", metavar="EX,EY,EZ,TX,TY,TZ,FOV", help="of geometry: eye, target and field of view [degrees] (write --camera=-1,... for a negative first number); default: shows all of it")
+        added.add_argument(
+            "--grid",
+            type=int,
+            default=1,
+            metavar="N",
+            help="repeat the mesh N x N times as triangles of their own, seen from above",
+        )
+        added.add_argument(
+            "--camera",
+            metavar="EX,EY,EZ,TX,TY,TZ,FOV",
+            help="of geometry: eye, target and field of view [degrees] (write --camera=-1,... for a negative first "
+            "number); default: shows all of it",
+        )
         added.add_argument("--up", choices=("y", "z"), help="of geometry: the axis that points up (default: z)")
 
     def whole_renders(name: str, description: str, samples: int, runs: int) -> argparse.ArgumentParser:
@@ -98,15 +138,31 @@ def argument_parser() -> argparse.ArgumentParser:
         geometry_options(added)
         added.add_argument("--samples", type=int, default=samples, help="per pixel (default: %(default)s)")
         added.add_argument("--bounces", type=int, default=7, help="default: 7")
-        added.add_argument("--size", metavar="WxH", help=f"pixels; default: the file's; of geometry: {'x'.join(map(str, RESOLUTION_DEFAULT))}")
+        added.add_argument(
+            "--size",
+            metavar="WxH",
+            help=f"pixels; default: the file's; of geometry: {'x'.join(map(str, RESOLUTION_DEFAULT))}",
+        )
         added.add_argument("--threads", type=int, default=0, help="of the CPU, for every engine; default: every core")
         added.add_argument("--runs", type=int, default=runs, help="timed runs (default: %(default)s)")
         return added
 
     render = whole_renders("render", RENDER, samples=16, runs=3)
-    render.add_argument("--against", choices=("cycles", "memory"), help="measure that engine, or all geometry in memory, beside RayBatch")
-    render.add_argument("--budgets", metavar="BUDGET[,BUDGET]", help="with --against memory: geometry on the device at most, such as 1.5G,700M or 10%%,5%%")
-    render.add_argument("--no-counters", action="store_true", help="with --against memory: leave out the time of stages, which costs a compilation and a render of each")
+    render.add_argument(
+        "--against",
+        choices=("cycles", "memory"),
+        help="measure that engine, or all geometry in memory, beside RayBatch",
+    )
+    render.add_argument(
+        "--budgets",
+        metavar="BUDGET[,BUDGET]",
+        help="with --against memory: geometry on the device at most, such as 1.5G,700M or 10%%,5%%",
+    )
+    render.add_argument(
+        "--no-counters",
+        action="store_true",
+        help="with --against memory: leave out the time of stages, which costs a compilation and a render of each",
+    )
     render.add_argument("--equal-error", action="store_true", help="compare at equal error too; see above")
     render.add_argument("--picture", type=Path, metavar="FILE", help="save the picture as .png or .exr")
 
@@ -117,13 +173,35 @@ def argument_parser() -> argparse.ArgumentParser:
     geometry_options(traversal)
     traversal.add_argument("--threads", default="1", metavar="T[,T]", help="threads of the CPU (default: 1)")
     traversal.add_argument("--tracers", default="", metavar="NAME[,NAME]")
-    traversal.add_argument("--rays", default="primary,bounce1,bounce4,shadow1", metavar="KIND[,KIND]", help="default: %(default)s")
-    traversal.add_argument("--orders", default="natural,shuffled,sorted", metavar="ORDER[,ORDER]", help="default: %(default)s")
-    traversal.add_argument("--no-counters", action="store_true", help="leave out node steps and triangle tests, which cost a compilation and a run")
+    traversal.add_argument(
+        "--rays", default="primary,bounce1,bounce4,shadow1", metavar="KIND[,KIND]", help="default: %(default)s"
+    )
+    traversal.add_argument(
+        "--orders", default="natural,shuffled,sorted", metavar="ORDER[,ORDER]", help="default: %(default)s"
+    )
+    traversal.add_argument(
+        "--no-counters",
+        action="store_true",
+        help="leave out node steps and triangle tests, which cost a compilation and a run",
+    )
     traversal.add_argument("--runs", type=int, default=5, help="timed runs (default: 5)")
-    traversal.add_argument("--budget", metavar="BYTES", default="0", help="geometry on the device at most, such as 1.5G, for on, auto and ray-order (default: all of it)")
-    traversal.add_argument("--nodes", choices=("resident", "paged"), help="with --budget: whether all nodes stay on the device (default: where they fit well)")
-    traversal.add_argument("--ray-count", type=int, metavar="N", help="rays of each kind (default: 1,000,000 on the CPU, 4,000,000 on CUDA)")
+    traversal.add_argument(
+        "--budget",
+        metavar="BYTES",
+        default="0",
+        help="geometry on the device at most, such as 1.5G, for on, auto and ray-order (default: all of it)",
+    )
+    traversal.add_argument(
+        "--nodes",
+        choices=("resident", "paged"),
+        help="with --budget: whether all nodes stay on the device (default: where they fit well)",
+    )
+    traversal.add_argument(
+        "--ray-count",
+        type=int,
+        metavar="N",
+        help="rays of each kind (default: 1,000,000 on the CPU, 4,000,000 on CUDA)",
+    )
     return parser
 
 
@@ -147,17 +225,37 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
             resolution = parse_settings([f"resolution={options.size}"])[1]
         if options.command == "recording":
             if not options.samples > 1:
-                raise UsageError(f"--samples {options.samples} is not valid: it must be 2 or more, for a sample in either half")
+                raise UsageError(
+                    f"--samples {options.samples} is not valid: it must be 2 or more, for a sample in either half"
+                )
             report = measure_recording(
                 RenderRequest(
-                    scene, options.device, options.samples, options.bounces, options.threads, options.runs, resolution, settings=changes
+                    scene,
+                    options.device,
+                    options.samples,
+                    options.bounces,
+                    options.threads,
+                    options.runs,
+                    resolution,
+                    settings=changes,
                 )
             )
             return report, recording_text(report)
         request = RenderRequest(
-            scene, options.device, options.samples, options.bounces, options.threads, options.runs, resolution, options.against,
-            options.budgets, not options.no_counters, options.equal_error, options.picture, changes,
-        )  # fmt: skip
+            scene,
+            options.device,
+            options.samples,
+            options.bounces,
+            options.threads,
+            options.runs,
+            resolution,
+            options.against,
+            options.budgets,
+            not options.no_counters,
+            options.equal_error,
+            options.picture,
+            changes,
+        )
         report = measure_render(request)
         return report, memory_text(report) if options.against == "memory" else render_text(report)
 
@@ -165,16 +263,26 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     from benchmarking.rays import parse_ray_types
     from benchmarking.traversal import TraversalRequest, measure_traversal
 
-    from raybatch_addon.core.settings import parse_setting
+    from raybatch_addon.core.settings.settings import parse_setting
 
     if resolution:
-        raise UsageError("--set resolution has no use here: the frame has about as many pixels as there are rays (--ray-count)")
+        raise UsageError(
+            "--set resolution has no use here: the frame has about as many pixels as there are rays (--ray-count)"
+        )
     request = TraversalRequest(
-        scene, options.device,
-        [name.strip() for name in options.tracers.split(",") if name.strip()], parse_ray_types(options.rays),
-        parse_orders(options.orders), parse_threads(options.threads), options.runs, options.ray_count,
-        not options.no_counters, {None: None, "resident": True, "paged": False}[options.nodes], parse_setting("geometry_budget", options.budget), changes,
-    )  # fmt: skip
+        scene,
+        options.device,
+        [name.strip() for name in options.tracers.split(",") if name.strip()],
+        parse_ray_types(options.rays),
+        parse_orders(options.orders),
+        parse_threads(options.threads),
+        options.runs,
+        options.ray_count,
+        not options.no_counters,
+        {None: None, "resident": True, "paged": False}[options.nodes],
+        parse_setting("geometry_budget", options.budget),
+        changes,
+    )
     report = measure_traversal(request)
     return report, traversal_text(report)
 
@@ -187,32 +295,23 @@ def parse_threads(text: str) -> list[int]:
     return list(dict.fromkeys(map(int, parts)))
 
 
+def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO[str]) -> int:
+    """The exit code; raises `RayBatchError`."""
+    for target in (options.json if options.json != "-" else None, getattr(options, "picture", None)):
+        if target:
+            folders.prepare(Path(target).absolute())
+    report, text = measured(options)
+    write_report(options.json, report, text, standard_output)
+    if not report.get("films", {"equal": True})["equal"]:  # told in the report, which is of use
+        print(f"benchmark.py: error: films differ: {'; '.join(report['films']['differences'])}", file=sys.stderr)
+        return 1
+    return 0
+
+
 def main(arguments: list[str] | None = None) -> int:
     """The exit code."""
     options = argument_parser().parse_args(arguments)
-    folders = OutputFolders()
-    with own_standard_output(options.verbose) as standard_output:
-        try:
-            for target in (options.json if options.json != "-" else None, getattr(options, "picture", None)):
-                if target:
-                    folders.prepare(Path(target).absolute())
-            report, text = measured(options)
-            if options.json:
-                write_json(options.json, [report], standard_output)
-            if options.json != "-":
-                standard_output.write(text + "\n")
-            if not report.get("films", {"equal": True})["equal"]:  # told in the report, which is of use
-                print(f"benchmark.py: error: films differ: {'; '.join(report['films']['differences'])}", file=sys.stderr)
-                return 1
-        except RayBatchError as error:
-            folders.take_back()
-            print(f"benchmark.py: error: {' '.join(str(error).split())}", file=sys.stderr)
-            return 1
-        except KeyboardInterrupt:
-            folders.take_back()
-            print("benchmark.py: stopped", file=sys.stderr)
-            return 130
-    return 0
+    return run_command("benchmark.py", options.verbose, functools.partial(run, options))
 
 
 if __name__ == "__main__":

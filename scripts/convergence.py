@@ -1,26 +1,30 @@
 #!/usr/bin/env python3
-"""Show how the error of a render falls with its time, for settings beside each other. `convergence.py --help` says how."""
+"""Show how the error of a render falls with its time, for settings beside each other. `convergence.py --help` says
+how.
+"""
 
 from __future__ import annotations
 
 import argparse
+import functools
 import shlex
 import sys
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from raybatch_addon.core.errors import RayBatchError
-from rendering.output import OutputFolders, leave, own_standard_output, write_json, write_whole
+from lib.command import run_command
+from lib.output import OutputFolders, leave, write_report, write_whole
 from rendering.request import RESOLUTION_DEFAULT, parse_settings
 
 DESCRIPTION = """\
-Render SCENE, a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do not), several times with different seeds, and report
-how the error falls with time: curves, their slope, the time to a target error, and efficiency.
+Render SCENE, a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do not), several times with different
+seeds, and report how the error falls with time: curves, their slope, the time to a target error, and efficiency.
 
---compare nee=ON,OFF    renders with each value, in turns; every combination where several settings are compared. What is
-                        listed first is what the others are compared with. preset=AUTO,UNBATCHED compares presets.
+--compare nee=ON,OFF    renders with each value, in turns; every combination where several settings are compared.
+                        What is listed first is what the others are compared with. preset=AUTO,UNBATCHED
+                        compares presets.
 --against cycles        lets Cycles compete: renders at 1, 2, 4, ... samples, on the same device, without bias
 --reference WHAT        what errors are measured against
     F.npz               a reference that --save-reference wrote, or a film of render.py --film
@@ -31,15 +35,18 @@ how the error falls with time: curves, their slope, the time to a target error, 
 References that were made are kept for the next time, with their own noise, in the user's cache folder (or the folder
 that the environment variable RAYBATCH_REFERENCES names).
 
-Time is that of rendering alone, without trees and compilation; the report has the whole, too. docs/convergence.md says how
-to read it all.
+Time is that of rendering alone, without trees and compilation; the report has the whole, too. docs/convergence.md says
+how to read it all.
 """
 
 
 def argument_parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(
-        prog="convergence.py", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+        prog="convergence.py",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     add = parser.add_argument
     add("scene", type=Path, metavar="SCENE")
@@ -49,22 +56,49 @@ def argument_parser() -> argparse.ArgumentParser:
     add("--samples", type=int, metavar="N", help="per pixel of each run (default: 64, or what --seconds allows)")
     add("--seconds", type=float, metavar="S", help="of rendering of each run")
     add("--runs", type=int, default=3, metavar="N", help="of each setting, with different seeds (default: 3)")
-    add("--target", type=float, metavar="RELMSE", help="error whose time is told (default: that of the first setting at its end)")
-    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting for all (may be repeated); render.py --help lists them")
+    add(
+        "--target",
+        type=float,
+        metavar="RELMSE",
+        help="error whose time is told (default: that of the first setting at its end)",
+    )
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="change a setting for all (may be repeated); render.py --help lists them",
+    )
     add("--preset", metavar="NAME", help="set the whole schedule for all")
     add("--device", default=None, help="AUTO, cpu or cuda:N")
-    add("--size", metavar="WxH", help=f"pixels; default: the file's; of geometry: {'x'.join(map(str, RESOLUTION_DEFAULT))}")
     add(
-        "--camera", metavar="EX,EY,EZ,TX,TY,TZ,FOV",
+        "--size",
+        metavar="WxH",
+        help=f"pixels; default: the file's; of geometry: {'x'.join(map(str, RESOLUTION_DEFAULT))}",
+    )
+    add(
+        "--camera",
+        metavar="EX,EY,EZ,TX,TY,TZ,FOV",
         help="of geometry: eye, target and field of view [degrees] (write --camera=-1,... for a negative first number)",
-    )  # fmt: skip
+    )
     add("--up", choices=("y", "z"), help="of geometry: the axis that points up (default: z)")
     add("--grid", type=int, default=1, metavar="N", help="of geometry: repeat it N x N times")
-    add("--reference-samples", type=int, metavar="N", help="of a reference that is made (default: 16 times those of a run)")
+    add(
+        "--reference-samples",
+        type=int,
+        metavar="N",
+        help="of a reference that is made (default: 16 times those of a run)",
+    )
     add("--new-reference", action="store_true", help="make the reference again though it is kept")
     add("--save-reference", type=Path, metavar="F.npz", help="write the reference that was made")
     add("--no-flip", action="store_true", help="leave FLIP out, which takes a while for large pictures")
-    add("--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there")
+    add(
+        "--json",
+        nargs="?",
+        const="-",
+        metavar="FILE",
+        help="write the report as JSON; without FILE to standard output, and nothing else there",
+    )
     add("--plot", type=Path, metavar="FILE", help="write the curves as .svg, .png or .pdf")
     add("--html", type=Path, metavar="FILE", help="write a page that stands alone: curves, figures, pictures, machine")
     add("--verbose", action="store_true", help="pass on what Blender and Warp print, to standard error")
@@ -82,14 +116,27 @@ def request_from(options: argparse.Namespace):
     device = options.device or settings.pop("device", "AUTO")
     settings.pop("device", None)
     return ConvergenceRequest(
-        SceneRequest(options.scene, options.grid, options.camera, options.up), device, resolution, options.samples, options.seconds, options.runs,
-        options.target, options.reference, options.against == "cycles", options.reference_samples, options.new_reference, options.save_reference,
-        not options.no_flip, tuple(options.compare), settings, options.preset,
-    )  # fmt: skip
+        SceneRequest(options.scene, options.grid, options.camera, options.up),
+        device,
+        resolution,
+        options.samples,
+        options.seconds,
+        options.runs,
+        options.target,
+        options.reference,
+        options.against == "cycles",
+        options.reference_samples,
+        options.new_reference,
+        options.save_reference,
+        not options.no_flip,
+        tuple(options.compare),
+        settings,
+        options.preset,
+    )
 
 
-def report(options: argparse.Namespace, folders: OutputFolders, standard_output: Any, command: str) -> None:
-    """Measure, and write everything at the end; raises `RayBatchError`."""
+def run(options: argparse.Namespace, command: str, folders: OutputFolders, standard_output: IO[str]) -> int:
+    """Measure, and write everything at the end; the exit code. Raises `RayBatchError`."""
     from converging.plots import require_plots, write_plot
 
     request = request_from(options)
@@ -115,30 +162,16 @@ def report(options: argparse.Namespace, folders: OutputFolders, standard_output:
         write_plot(options.plot.absolute(), summary)
     if options.html:
         write_whole(options.html.absolute(), lambda temporary: temporary.write_text(page, encoding="utf-8"))
-    if options.json:
-        asked = {"command": command, "seconds": request.seconds, "runs": request.runs, "flip": study.flip_told}
-        write_json(options.json, [json_report(summary, asked)], standard_output)
-    if options.json != "-":
-        standard_output.write(text_report(summary) + "\n")
+    asked = {"command": command, "seconds": request.seconds, "runs": request.runs, "flip": study.flip_computed}
+    write_report(options.json, json_report(summary, asked), text_report(summary), standard_output)
+    return 0
 
 
 def main(arguments: list[str] | None = None) -> int:
     """The exit code."""
     options = argument_parser().parse_args(arguments)
     command = shlex.join(["convergence.py", *(sys.argv[1:] if arguments is None else arguments)])
-    folders = OutputFolders()
-    with own_standard_output(options.verbose) as standard_output:
-        try:
-            report(options, folders, standard_output, command)
-        except RayBatchError as error:
-            print(f"convergence.py: error: {' '.join(str(error).split())}", file=sys.stderr)
-            return 1
-        except KeyboardInterrupt:
-            print("convergence.py: stopped", file=sys.stderr)
-            return 130
-        finally:
-            folders.take_back()  # those in which nothing was written
-    return 0
+    return run_command("convergence.py", options.verbose, functools.partial(run, options, command))
 
 
 if __name__ == "__main__":

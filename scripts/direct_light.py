@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
-"""Tell the direct light of single pixels in float64, with every triangle asked for every ray: who is right where two engines differ.
+"""Tell the direct light of single pixels in float64, with every triangle asked for every ray: who is right where two
+engines differ.
 
 python scripts/direct_light.py SCENE.scene.npz --size 160x160 --pixel X,Y [--pixel X,Y ...] [--samples N]
 
-SCENE is a scene that render.py --save-scene wrote: matt surfaces under suns and a world of one colour. A surface gets light on the side of its
-triangle that is seen, from where the ray meets no triangle. Two figures are told: with the cosine to the interpolated normal everywhere, and
-with that to the triangle's own normal where the interpolated one is turned away from the viewer. Pixels count from the bottom left.
+SCENE is a scene that render.py --save-scene wrote: matt surfaces under suns and a world of one colour. A surface gets
+light on the side of its triangle that is seen, from where the ray meets no triangle. Two figures are told: with the
+cosine to the interpolated normal everywhere, and with that to the triangle's own normal where the interpolated one is
+turned away from the viewer. Pixels count from the bottom left.
 """
 
 from __future__ import annotations
@@ -20,14 +22,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from raybatch_addon.core.errors import RayBatchError
+from lib.command import UsageError, exit_code
+from rendering.request import parse_settings
+from rendering.standalone import resized
+
 from raybatch_addon.core.scene.archive import load_scene
 from raybatch_addon.core.scene.description import CameraKind, ClosureKind, LightKind, Scene
 from raybatch_addon.core.scene.flatten import flatten
-from rendering.request import UsageError, parse_settings
-from rendering.standalone import resized
 
-CLOSE = 1e-9  # of the distance from the camera: a nearer triangle is the one that a ray leaves; float64 is a million times better
+# of the distance from the camera: a nearer triangle is the one that a ray leaves; float64 is a million times better
+CLOSE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -49,11 +53,19 @@ class Triangles:
         places = flat.positions.astype(np.float64)[flat.triangles]
         edges = places[:, 1:] - places[:, :1]
         face = np.cross(edges[:, 0], edges[:, 1])
-        normals = np.repeat(face[:, None], 3, 1) if not len(flat.corner_normals) else flat.corner_normals.reshape(-1, 3, 3).astype(np.float64)
-        return Triangles(places[:, 0], edges, normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-300))
+        normals = (
+            np.repeat(face[:, None], 3, 1)
+            if not len(flat.corner_normals)
+            else flat.corner_normals.reshape(-1, 3, 3).astype(np.float64)
+        )
+        return Triangles(
+            places[:, 0], edges, normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-300)
+        )
 
     def meet(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distances of all triangles along a ray (infinite: not met), and weights of their second and third corners (Moeller, Trumbore 1997)."""
+        """Distances of all triangles along a ray (infinite: not met), and weights of their second and third corners
+        (Moeller, Trumbore 1997).
+        """
         across = np.cross(direction, self.edges[:, 1])
         with np.errstate(divide="ignore", invalid="ignore"):
             inverse = 1 / (self.edges[:, 0] * across).sum(1)
@@ -65,17 +77,28 @@ class Triangles:
             return np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0), t, np.inf), u, v
 
 
-def pixel_light(scene: Scene, triangles: Triangles, pixel: tuple[int, int], samples: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Radiance, mean of channels, of `samples` rays through a pixel (box filter), with either normal as in this file's text."""
+def pixel_light(
+    scene: Scene, triangles: Triangles, pixel: tuple[int, int], samples: int, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Radiance, mean of channels, of `samples` rays through a pixel (box filter), with either normal as in this file's
+    text.
+    """
     random = np.random.default_rng(seed)
     camera, frame = scene.camera, scene.frame
     matrix, (left, right, bottom, top) = np.asarray(camera.transform, np.float64), camera.window
-    eye, albedo = matrix[:, 3], [float(np.mean([np.mean(c.weight) for c in m.closures] or [0.0])) for m in scene.materials]
+    eye, albedo = (
+        matrix[:, 3],
+        [float(np.mean([np.mean(c.weight) for c in m.closures] or [0.0])) for m in scene.materials],
+    )
     world, slots = float(np.mean(scene.world.radiance)), flatten(scene).triangle_slot
     found = np.zeros((2, samples))
     for i in range(samples):
         x, y = np.asarray(pixel) + random.random(2)
-        direction = matrix[:, :3] @ (left + (right - left) * x / frame.width, bottom + (top - bottom) * y / frame.height, -1.0)
+        direction = matrix[:, :3] @ (
+            left + (right - left) * x / frame.width,
+            bottom + (top - bottom) * y / frame.height,
+            -1.0,
+        )
         t, u, v = triangles.meet(eye, direction)
         hit = int(t.argmin())
         if not math.isfinite(t[hit]):
@@ -96,8 +119,11 @@ def pixel_light(scene: Scene, triangles: Triangles, pixel: tuple[int, int], samp
             away = triangles.meet(place, towards)[0]
             return not (np.isfinite(away) & (away >= near)).any()
 
-        suns = [(towards, float(np.mean(light.emission)) / math.pi * arrives(towards))
-                for light in scene.lights for towards in [_within_sun(light, random)]]  # fmt: skip
+        suns = [
+            (towards, float(np.mean(light.emission)) / math.pi * arrives(towards))
+            for light in scene.lights
+            for towards in [_within_sun(light, random)]
+        ]
         numbers = random.random(2)
         for row, shaded in enumerate((normal, normal if normal @ direction < 0 else face)):
             light = sum(irradiance * max(0.0, float(towards @ shaded)) for towards, irradiance in suns)
@@ -115,13 +141,21 @@ def _within_sun(light, random: np.random.Generator) -> np.ndarray:
     """A direction to the sun's disk."""
     height = 1 - random.random() * (1 - math.cos(light.angle / 2))
     turn, radius = 2 * math.pi * random.random(), math.sqrt(max(0.0, 1 - height * height))
-    return _frame(np.asarray(light.transform, np.float64)[:, 2]) @ (radius * math.cos(turn), radius * math.sin(turn), height)
+    return _frame(np.asarray(light.transform, np.float64)[:, 2]) @ (
+        radius * math.cos(turn),
+        radius * math.sin(turn),
+        height,
+    )
 
 
 def _cosine(normal: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """A direction whose density is the cosine over pi, for two numbers from 0 to 1."""
     square, turn = numbers[0], 2 * math.pi * numbers[1]
-    return _frame(normal) @ (math.sqrt(square) * math.cos(turn), math.sqrt(square) * math.sin(turn), math.sqrt(1 - square))
+    return _frame(normal) @ (
+        math.sqrt(square) * math.cos(turn),
+        math.sqrt(square) * math.sin(turn),
+        math.sqrt(1 - square),
+    )
 
 
 def parse_pixel(text: str, scene: Scene) -> tuple[int, int]:
@@ -134,27 +168,40 @@ def parse_pixel(text: str, scene: Scene) -> tuple[int, int]:
     raise UsageError(f"--pixel {text} is not X,Y within {scene.frame.width} x {scene.frame.height} pixels")
 
 
-def main() -> int:
-    """The exit code."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False)
+def argument_parser() -> argparse.ArgumentParser:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+    )
     parser.add_argument("scene", type=Path)
     parser.add_argument("--size", required=True, metavar="WxH")
     parser.add_argument("--pixel", action="append", required=True, metavar="X,Y")
     parser.add_argument("--samples", type=int, default=40)
+    return parser
+
+
+def run(given: argparse.Namespace) -> int:
+    """The exit code; raises `RayBatchError`."""
+    scene = resized(load_scene(given.scene)[0], *parse_settings([f"resolution={given.size}"])[1])
+    triangles = Triangles.of(scene)
+    for text in given.pixel:
+        found = pixel_light(scene, triangles, parse_pixel(text, scene), given.samples)
+        light = [f"{each.mean():.3f} ± {each.std(ddof=1) / math.sqrt(given.samples):.3f}" for each in found]
+        print(
+            f"pixel {text}: {light[0]} with interpolated normals, {light[1]} with the triangle's own where that is "
+            "turned away",
+            flush=True,
+        )
+    return 0
+
+
+def main() -> int:
+    """The exit code."""
+    parser = argument_parser()
     given = parser.parse_args()
     if given.samples < 2:
         parser.error(f"--samples {given.samples} tells no error: give 2 or more")
-    try:
-        scene = resized(load_scene(given.scene)[0], *parse_settings([f"resolution={given.size}"])[1])
-        triangles = Triangles.of(scene)
-        for text in given.pixel:
-            found = pixel_light(scene, triangles, parse_pixel(text, scene), given.samples)
-            told = [f"{light.mean():.3f} ± {light.std(ddof=1) / math.sqrt(given.samples):.3f}" for light in found]
-            print(f"pixel {text}: {told[0]} with interpolated normals, {told[1]} with the triangle's own where that is turned away", flush=True)
-    except RayBatchError as error:
-        print(f"direct_light.py: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return 1
-    return 0
+    return exit_code("direct_light.py", lambda: run(given))
 
 
 if __name__ == "__main__":

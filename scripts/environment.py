@@ -1,6 +1,7 @@
 """Make the project's virtual environment: python scripts/environment.py FOLDER (called by environment.sh).
 
-Run by the Python that the environment is for. A stamp in the folder holds what was installed; while it matches, nothing is done.
+Run by the Python that the environment is for. A stamp in the folder holds what was installed; while it matches, nothing
+is done.
 """
 
 import hashlib
@@ -25,7 +26,7 @@ def main() -> int:
     base = Path(getattr(sys, "_base_executable", sys.executable)).resolve()
     wanted = requirements(Path(__file__).resolve().parents[1] / "pyproject.toml")
     # An environment holds absolute paths, so one that was moved is made again.
-    identity = json.dumps([wanted, "%d.%d" % sys.version_info[:2], str(folder)])
+    identity = json.dumps([wanted, "{}.{}".format(*sys.version_info), str(folder)])
     stamp = folder / "raybatch-environment"
     expected = hashlib.sha256(identity.encode()).hexdigest()
     if stamp.is_file() and stamp.read_text(encoding="ascii").strip() == expected:
@@ -33,12 +34,18 @@ def main() -> int:
 
     if Path(sys.prefix).resolve() == folder.resolve():  # it cannot clear itself: let the Python it came from do it
         return subprocess.call([str(base), __file__, str(folder)])
-    print(f"RayBatch: making {folder.name} with Python {sys.version.split()[0]} ({base}); this takes a few minutes once", file=sys.stderr)
+    print(
+        f"RayBatch: making {folder.name} with Python {sys.version.split()[0]} ({base}); this takes a few minutes once",
+        file=sys.stderr,
+    )
     venv.EnvBuilder(clear=True, with_pip=True, symlinks=sys.platform != "win32").create(folder)
     python = folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")
     pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-input", *wanted]
     if code := subprocess.call(pip, stdin=subprocess.DEVNULL, stdout=sys.stderr):
-        print("RayBatch: the dependencies could not be installed (see above); run the command again when that is mended", file=sys.stderr)
+        print(
+            "RayBatch: the dependencies could not be installed (see above); run the command again when that is mended",
+            file=sys.stderr,
+        )
         return code
     stamp.write_text(expected + "\n", encoding="ascii")
     return 0

@@ -5,28 +5,28 @@ instances and a Suzanne; glass, metal, rough and emissive materials; an area lig
 """
 
 import math
-import os
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import bpy
+from lib.output import leave
 from mathutils import Vector
 
 import raybatch_addon
-from rendering.output import leave
+from raybatch_addon.core.files import whole_file
 
 RESOLUTION = (960, 540)
 SAMPLE_COUNT = 32
 
 
-def principled(name, colour, roughness, metallic=0.0, ior=1.5):
+def principled(name, color, roughness, metallic=0.0, ior=1.5):
     """A material of one Principled BSDF."""
     material = bpy.data.materials.new(name)
     material.use_nodes = True
     inputs = material.node_tree.nodes["Principled BSDF"].inputs
-    inputs["Base Color"].default_value = (*colour, 1.0)
+    inputs["Base Color"].default_value = (*color, 1.0)
     inputs["Roughness"].default_value = roughness
     inputs["Metallic"].default_value = metallic
     inputs["IOR"].default_value = ior
@@ -69,10 +69,16 @@ def materials():
             ("ShaderNodeBsdfGlossy", {"Color": (0.9, 0.85, 0.8, 1), "Roughness": 0.35}),
             mix=0.12,
         ),
-        "glass": node_material("Clear glass", ("ShaderNodeBsdfGlass", {"Color": (0.97, 0.99, 1, 1), "IOR": 1.5, "Roughness": 0.0})),
-        "amber": node_material("Frosted amber", ("ShaderNodeBsdfGlass", {"Color": (1, 0.62, 0.28, 1), "IOR": 1.45, "Roughness": 0.12})),
+        "glass": node_material(
+            "Clear glass", ("ShaderNodeBsdfGlass", {"Color": (0.97, 0.99, 1, 1), "IOR": 1.5, "Roughness": 0.0})
+        ),
+        "amber": node_material(
+            "Frosted amber", ("ShaderNodeBsdfGlass", {"Color": (1, 0.62, 0.28, 1), "IOR": 1.45, "Roughness": 0.12})
+        ),
         "neon": node_material("Neon", ("ShaderNodeEmission", {"Color": (1.0, 0.2, 0.05, 1), "Strength": 5.0})),
-        "neon_blue": node_material("Blue lamp", ("ShaderNodeEmission", {"Color": (0.06, 0.3, 1.0, 1), "Strength": 7.0})),
+        "neon_blue": node_material(
+            "Blue lamp", ("ShaderNodeEmission", {"Color": (0.06, 0.3, 1.0, 1), "Strength": 7.0})
+        ),
     }
 
 
@@ -118,14 +124,20 @@ def add_centre(mats):
     for radius, depth, z, material in ((1.15, 0.22, 0.11, "stone"), (0.92, 0.16, 0.30, "teal")):
         bpy.ops.mesh.primitive_cylinder_add(vertices=96, radius=radius, depth=depth, location=(0, 0, z))
         bevelled(finish("Pedestal", mats[material]), 0.03)
-    bpy.ops.mesh.primitive_monkey_add(size=1.75, location=(0, -0.1, 1.22), rotation=(math.radians(-9), 0, math.radians(16)))
+    bpy.ops.mesh.primitive_monkey_add(
+        size=1.75, location=(0, -0.1, 1.22), rotation=(math.radians(-9), 0, math.radians(16))
+    )
     suzanne = finish("Suzanne", mats["gold"])
     subdivision = suzanne.modifiers.new("Subdivision", "SUBSURF")
     subdivision.levels = subdivision.render_levels = 2
     bpy.ops.mesh.primitive_torus_add(
-        major_segments=160, minor_segments=24, major_radius=1.36, minor_radius=0.05,
-        location=(0, 0.9, 1.5), rotation=(math.radians(90), 0, 0),
-    )  # fmt: skip
+        major_segments=160,
+        minor_segments=24,
+        major_radius=1.36,
+        minor_radius=0.05,
+        location=(0, 0.9, 1.5),
+        rotation=(math.radians(90), 0, 0),
+    )
     finish("Ring of light", mats["neon"])
 
 
@@ -145,7 +157,9 @@ def add_sides(mats):
 
     bpy.ops.mesh.primitive_uv_sphere_add(segments=96, ring_count=48, radius=0.72, location=(-2.0, -0.45, 0.72))
     finish("Glass ball", mats["glass"])
-    bpy.ops.mesh.primitive_cylinder_add(vertices=6, radius=0.42, depth=1.9, location=(-2.95, 0.95, 0.95), rotation=(0, 0, 0.3))
+    bpy.ops.mesh.primitive_cylinder_add(
+        vertices=6, radius=0.42, depth=1.9, location=(-2.95, 0.95, 0.95), rotation=(0, 0, 0.3)
+    )
     bevelled(finish("Amber column", mats["amber"], smooth=False), 0.05)
     bpy.ops.mesh.primitive_uv_sphere_add(segments=64, ring_count=32, radius=0.36, location=(1.35, -1.15, 0.36))
     finish("Steel ball", mats["steel"])
@@ -180,14 +194,16 @@ def add_pebbles(mats):
 
 
 def add_light_and_camera():
-    """A soft box from the upper left, a warm fill from the front, a dusky world, and a camera with a little depth of field."""
+    """A soft box from the upper left, a warm fill from the front, a dusky world, and a camera with a little depth of
+    field.
+    """
     scene = bpy.context.scene
-    for name, place, size, energy, colour in (
+    for name, place, size, energy, color in (
         ("Soft box", (-4.2, -3.6, 5.2), (3.2, 2.2), 400.0, (1.0, 0.93, 0.84)),
         ("Fill", (2.6, -8.5, 3.4), (5.0, 3.2), 190.0, (1.0, 0.80, 0.66)),
     ):
         data = bpy.data.lights.new(name, "AREA")
-        data.shape, data.energy, data.color = "RECTANGLE", energy, colour
+        data.shape, data.energy, data.color = "RECTANGLE", energy, color
         data.size, data.size_y = size
         light = bpy.data.objects.new(name, data)
         light.location = place
@@ -229,12 +245,8 @@ def make_demo(path: Path) -> None:
     scene.raybatch.sample_count = SAMPLE_COUNT
     scene.raybatch.clamp_indirect = 4.0  # takes the sparks out of the glass's caustics
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f"{path.stem}.{os.getpid()}.blend")
-    try:
+    with whole_file(path) as temporary:
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), check_existing=False, compress=True)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
 """Make a .blend of bare geometry, so that other engines can render it too. Needs bpy.
 
-python scripts/mesh_to_blend.py MESH.npz OUT.blend --camera ex,ey,ez,tx,ty,tz,fov [--up y]    under a sun and a constant world
-python scripts/mesh_to_blend.py MESH.npz OUT.blend --stage [--up y]    on a floor, under one area light, seen from the front
+python scripts/mesh_to_blend.py MESH.npz OUT.blend --camera ex,ey,ez,tx,ty,tz,fov [--up y]    under a sun and a constant
+world python scripts/mesh_to_blend.py MESH.npz OUT.blend --stage [--up y]    on a floor, under one area light, seen from
+the front
 
-MESH.npz holds `v` float32 [n, 3], `f` int32 [m, 3] and perhaps `m` [m], a material id a triangle (as `scripts/render.py` takes
-it). Everything is diffuse and white.
+MESH.npz holds `v` float32 [n, 3], `f` int32 [m, 3] and perhaps `m` [m], a material id a triangle (as
+`scripts/render.py` takes it). Everything is diffuse and white.
 """
 
 import argparse
@@ -18,7 +19,9 @@ from mathutils import Matrix, Vector
 
 
 def mesh_object(path: Path, up: str, drop: list[int], flat: bool) -> bpy.types.Object:
-    """The geometry of `path` as an object, turned so that Blender's z is up, without the materials `drop`; normals are interpolated, but for `flat`."""
+    """The geometry of `path` as an object, turned so that Blender's z is up, without the materials `drop`; normals are
+    interpolated, but for `flat`.
+    """
     with np.load(path) as arrays:
         v, f = arrays["v"].astype(np.float32), arrays["f"].astype(np.int32)
         if drop:
@@ -98,7 +101,9 @@ def main() -> None:
     how.add_argument("--stage", action="store_true", help="on a floor, under an area light, seen from the front")
     parser.add_argument("--up", choices=("y", "z"), default="z", help="the axis of the file that points up")
     parser.add_argument("--drop", type=int, action="append", default=[], help="leave out triangles of this material id")
-    parser.add_argument("--flat", action="store_true", help="shade every triangle with its own normal; else normals are interpolated")
+    parser.add_argument(
+        "--flat", action="store_true", help="shade every triangle with its own normal; else normals are interpolated"
+    )
     parser.add_argument("--sun", type=float, default=4.0, help="irradiance of the sun [W/m²]")
     parser.add_argument("--world", type=float, default=0.5, help="radiance of the world")
     given = parser.parse_args()

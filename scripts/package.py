@@ -20,7 +20,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 MANIFEST = "blender_manifest.toml"
-STATISTICS = "raybatch_addon/core/report/statistics.py"
+STATISTICS = "raybatch_addon/core/measure/statistics.py"
 # the name of pip's platform, by Blender's. Warp's wheels are the same for every Python 3.
 PIP_PLATFORMS = {"linux-x64": "manylinux_2_28_x86_64", "windows-x64": "win_amd64", "macos-arm64": "macosx_11_0_arm64"}
 
@@ -34,26 +34,31 @@ class DownloadError(PackageError):
 
 
 def project_version() -> str:
-    """The version that the manifest, pyproject.toml and the statistics agree on; raises `PackageError` when they do not."""
+    """The version that the manifest and the statistics agree on; raises `PackageError` when they do not."""
     statistics = (ROOT / STATISTICS).read_text(encoding="utf-8")
-    said = re.search(r'^VERSION = "(.+)"$', statistics, re.MULTILINE)
+    said = re.search(r'^VERSION = "([^"]+)"', statistics, re.MULTILINE)
     versions = {
         MANIFEST: tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8"))["version"],
-        "pyproject.toml": _project()["version"],
         STATISTICS: said[1] if said else "nothing",
     }
     if len(set(versions.values())) > 1:
-        raise PackageError("the versions differ: " + "; ".join(f"{name} says {version}" for name, version in versions.items()))
+        raise PackageError(
+            "the versions differ: " + "; ".join(f"{name} says {version}" for name, version in versions.items())
+        )
     return versions[MANIFEST]
 
 
 def warp_requirement() -> tuple[str, str]:
-    """What to ask pip for, and the version in it: the one that is installed here, in the tested range of pyproject.toml."""
+    """What to ask pip for, and the version in it: the one that is installed here, in the tested range of
+    pyproject.toml.
+    """
     tested = next(line for line in _project()["dependencies"] if line.startswith("warp-lang"))
     try:
         version = importlib.metadata.version("warp-lang")
     except importlib.metadata.PackageNotFoundError:
-        raise PackageError("Warp is not installed here: run this with the environment that `make environment` makes") from None
+        raise PackageError(
+            "Warp is not installed here: run this with the environment that `make environment` makes"
+        ) from None
     return f"{tested},=={version}", version
 
 
@@ -62,18 +67,40 @@ def _project() -> dict:
 
 
 def fetch_wheel(platform: str, folder: Path) -> Path:
-    """The Warp wheel of `platform`, in `folder`; downloaded unless the version that is installed here is there already."""
+    """The Warp wheel of `platform`, in `folder`; downloaded unless the version that is installed here is there
+    already.
+    """
     requirement, version = warp_requirement()
     folder = folder / platform
     for wheel in folder.glob(f"warp_lang-{version}-py3-none-*.whl"):
         return wheel
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix="download-") as temporary:  # what is half there is never taken for a wheel
+    with tempfile.TemporaryDirectory(
+        dir=folder, prefix="download-"
+    ) as temporary:  # what is half there is never taken for a wheel
         command = [
-            sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary=:all:", "--no-input", "--disable-pip-version-check",
-            "--platform", PIP_PLATFORMS[platform], "--implementation", "py", "--abi", "none", "--dest", temporary, requirement,
-        ]  # fmt: skip
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+            sys.executable,
+            "-m",
+            "pip",
+            "download",
+            "--quiet",
+            "--no-deps",
+            "--only-binary=:all:",
+            "--no-input",
+            "--disable-pip-version-check",
+            "--platform",
+            PIP_PLATFORMS[platform],
+            "--implementation",
+            "py",
+            "--abi",
+            "none",
+            "--dest",
+            temporary,
+            requirement,
+        ]
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        )
         wheels = list(Path(temporary).glob("warp_lang-*.whl"))
         if done.returncode or len(wheels) != 1:
             lines = [line for line in done.stderr.splitlines() if line.startswith("ERROR")] or ["pip found none"]
@@ -85,7 +112,9 @@ def builder() -> Path:
     """Blender's own extension builder, a script that comes with bpy."""
     spec = importlib.util.find_spec("bpy")
     if spec is None or spec.origin is None:
-        raise PackageError("Blender's module bpy is not installed here: run this with the environment that `make environment` makes")
+        raise PackageError(
+            "Blender's module bpy is not installed here: run this with the environment that `make environment` makes"
+        )
     found = list(Path(spec.origin).parent.glob("*/scripts/addons_core/bl_pkg/cli/blender_ext.py"))
     if not found:
         raise PackageError("bpy has no extension builder (addons_core/bl_pkg/cli/blender_ext.py)")
@@ -93,7 +122,9 @@ def builder() -> Path:
 
 
 def stage(folder: Path, platform: str, wheel: Path) -> None:
-    """Lay out the extension in `folder`: the add-on's files, the manifest with its wheel and platform, and the licence."""
+    """Lay out the extension in `folder`: the add-on's files, the manifest with its wheel and platform, and the
+    licence.
+    """
     shutil.copytree(ROOT / "raybatch_addon", folder, ignore=shutil.ignore_patterns("__pycache__", "*.pyc"))
     shutil.copy(ROOT / "LICENSE", folder)
     (folder / "wheels").mkdir()
@@ -120,19 +151,33 @@ def build(platform: str, out: Path, wheels: Path) -> Path:
         source = Path(temporary) / "raybatch"
         stage(source, platform, wheel)
         half = Path(temporary) / target.name
-        for command in (["build", "--source-dir", str(source), "--output-filepath", str(half)], ["validate", str(half)]):
-            done = subprocess.run([sys.executable, str(builder()), *command], stdin=subprocess.DEVNULL, capture_output=True, text=True)
+        for command in (
+            ["build", "--source-dir", str(source), "--output-filepath", str(half)],
+            ["validate", str(half)],
+        ):
+            done = subprocess.run(
+                [sys.executable, str(builder()), *command], stdin=subprocess.DEVNULL, capture_output=True, text=True
+            )
             if done.returncode:
-                raise PackageError(f"Blender's extension builder refused {platform}: {' '.join((done.stdout + done.stderr).split())}")
+                raise PackageError(
+                    f"Blender's extension builder refused {platform}: {' '.join((done.stdout + done.stderr).split())}"
+                )
         shutil.move(half, target)  # may be another file system
     return target
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("platforms", nargs="*", metavar="PLATFORM", help=f"which to build: {', '.join(PIP_PLATFORMS)} (default: all)")
+    parser.add_argument(
+        "platforms", nargs="*", metavar="PLATFORM", help=f"which to build: {', '.join(PIP_PLATFORMS)} (default: all)"
+    )
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the zips (default: dist)")
-    parser.add_argument("--wheels", type=Path, default=ROOT / "build" / "wheels", help="folder where wheels are kept (default: build/wheels)")
+    parser.add_argument(
+        "--wheels",
+        type=Path,
+        default=ROOT / "build" / "wheels",
+        help="folder where wheels are kept (default: build/wheels)",
+    )
     options = parser.parse_args()
     if unknown := set(options.platforms) - set(PIP_PLATFORMS):
         parser.error(f"unknown platform {', '.join(sorted(unknown))}; choose from {', '.join(PIP_PLATFORMS)}")

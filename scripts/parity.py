@@ -4,40 +4,72 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import os
 import sys
 import time
 from pathlib import Path
+from typing import IO
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT)]
+sys.path.insert(0, str(ROOT))
+
+from lib.command import run_command
+from lib.output import OutputFolders, leave, write_json, write_whole
 
 from raybatch_addon.core.errors import RayBatchError
-from rendering.output import OutputFolders, leave, own_standard_output, write_json, write_whole
 
 DESCRIPTION = """\
 Render each feature of tests/blender/features with Cycles and with RayBatch, on the CPU, and compare.
 
-A node alone is compared number by number at 1,024 points; a picture by the mean of each channel and by relMSE without the noise.
-Without --only and --quick the table of all features is written, docs/parity.md with its thumbnails; with --only and --out docs the
-rows of those features alone are written anew. The exit code is 0 whether
-features are within bounds or not, and 1 if something else went wrong; --strict makes it 1 also when a feature is out of bounds.
+A node alone is compared number by number at 1,024 points; a picture by the mean of each channel and by relMSE without
+the noise. Without --only and --quick the table of all features is written, docs/parity.md with its sheets of pictures;
+with --only and --out docs the rows of those features alone are written anew. The exit code is 0 whether features are
+within bounds or not, and 1 if something else went wrong; --strict makes it 1 also when a feature is out of
+bounds.
 """
 
 
 def argument_parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(
-        prog="parity.py", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+        prog="parity.py",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     add = parser.add_argument
-    add("--only", action="append", default=[], metavar="NAME[,NAME]", help="features of this name, of this family, or with this part in their names")
+    add(
+        "--only",
+        action="append",
+        default=[],
+        metavar="NAME[,NAME]",
+        help="features of this name, of this family, or with this part in their names",
+    )
     add("--quick", action="store_true", help="only the features that are compared with every change")
-    add("--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there")
-    add("--out", type=Path, metavar="DIR", help="write parity.md and its folder parity/ there (default: docs/, when all features are compared); the rows of\n"
-        "features that are not compared this time stay as they are there")
+    add(
+        "--json",
+        nargs="?",
+        const="-",
+        metavar="FILE",
+        help="write the report as JSON; without FILE to standard output, and nothing else there",
+    )
+    add(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="write parity.md and its folder parity/ there (default: docs/, when all features are compared); the rows "
+        "of\n"
+        "features that are not compared this time stay as they are there",
+    )
     add("--list", action="store_true", help="name the features, and compare none")
-    add("--jobs", type=int, default=os.cpu_count() or 1, metavar="N", help="processes side by side (default: one a core)")
+    add(
+        "--jobs",
+        type=int,
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="processes side by side (default: one a core)",
+    )
     add("--strict", action="store_true", help="exit with 1 if a feature is out of bounds")
     add("--verbose", action="store_true", help="pass on what Blender and Warp print, to standard error")
     add("--worker", type=Path, help=argparse.SUPPRESS)  # one process of many: where its results go
@@ -50,9 +82,10 @@ def work(options: argparse.Namespace) -> int:
     import raybatch_addon
 
     raybatch_addon.register()
-    from blender.features.registry import all_features
-    from blender.features.runner import run
     from parity_report.workers import write_results
+
+    from tests.blender.features.registry import all_features
+    from tests.blender.features.runner import run
 
     results = []
 
@@ -64,19 +97,22 @@ def work(options: argparse.Namespace) -> int:
     return 0
 
 
-def run(options: argparse.Namespace, folders: OutputFolders, standard_output) -> int:
+def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO[str]) -> int:
     """The exit code."""
     if options.worker:
         return work(options)
-    from blender.features.registry import chosen_features
     from parity_report.page import counts, json_report
     from parity_report.workers import run_groups
-    from raybatch_addon.core.report.statistics import versions
+
+    from raybatch_addon.core.measure.statistics import versions
+    from tests.blender.features.registry import chosen_features
 
     features = chosen_features([name for names in options.only for name in names.split(",")], options.quick)
     if options.list:
         for each in features:
-            print(f"{each.family:10} {each.kind:8} {each.name}{'  (quick)' if each.quick else ''}", file=standard_output)
+            print(
+                f"{each.family:10} {each.kind:8} {each.name}{'  (quick)' if each.quick else ''}", file=standard_output
+            )
         return 0
     if options.json and options.json != "-":
         folders.prepare(Path(options.json).absolute())
@@ -104,12 +140,13 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output) ->
 
 def _write_page(out: Path, results: list, known: dict[str, str], standard_output) -> None:
     """`results` and the rows of other features that are in `out` already, as a page with its pictures and as JSON."""
-    from parity_report.page import earlier_results, json_report, page, together, write_thumbnails
+    from parity_report.page import earlier_results, json_report, page, together
+    from parity_report.sheets import write_sheets
 
     (out / "parity").mkdir(parents=True, exist_ok=True)
     stored = out / "parity" / "results.json"
     rows = together(earlier_results(stored), results)
-    text = page(rows, write_thumbnails(rows, out / "parity"), known)
+    text = page(rows, write_sheets(rows, out / "parity"), known)
     write_whole(out / "parity.md", lambda temporary: temporary.write_text(text, encoding="utf-8"))
     write_json(str(stored), [json_report(rows, known, sum(row.seconds for row in rows))], standard_output)
 
@@ -117,18 +154,9 @@ def _write_page(out: Path, results: list, known: dict[str, str], standard_output
 def main(arguments: list[str] | None = None) -> int:
     """The exit code."""
     options = argument_parser().parse_args(arguments)
-    folders = OutputFolders()
-    with own_standard_output(options.verbose) as standard_output:
-        try:
-            return run(options, folders, standard_output)
-        except (RayBatchError, LookupError) as error:
-            print(f"parity.py: error: {' '.join(str(error.args[0] if error.args else error).split())}", file=sys.stderr)
-            return 1
-        except KeyboardInterrupt:
-            print("parity.py: stopped", file=sys.stderr)
-            return 130
-        finally:
-            folders.take_back()
+    return run_command(
+        "parity.py", options.verbose, functools.partial(run, options), errors=(RayBatchError, LookupError)
+    )
 
 
 if __name__ == "__main__":

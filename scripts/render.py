@@ -4,16 +4,29 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import sys
 from pathlib import Path
+from typing import IO
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from raybatch_addon.core.errors import RayBatchError
-from raybatch_addon.core.presets import PRESETS
-from raybatch_addon.core.settings import SETTINGS
-from rendering.output import OutputFolders, leave, own_standard_output
-from rendering.request import ARCHIVE, NPZ, PASS_NAMES, Request, UsageError, kind_of, parse_frames, parse_heat_map, parse_pass, parse_settings
+from lib.command import UsageError, run_command
+from lib.output import OutputFolders, leave
+from rendering.request import (
+    ARCHIVE,
+    NPZ,
+    PASS_NAMES,
+    Request,
+    kind_of,
+    parse_frames,
+    parse_heat_map,
+    parse_pass,
+    parse_settings,
+)
+
+from raybatch_addon.core.settings.presets import PRESETS
+from raybatch_addon.core.settings.settings import SETTINGS
 
 DESCRIPTION = """\
 Render a scene file with RayBatch.
@@ -35,43 +48,103 @@ Any other name is taken as Blender's own -o does: the frame's number (#### if th
 the file's output format are added, and // at the start is the .blend's folder. Folders are made as needed.
 Without Blender (.npz, .scene.npz): .png, in sRGB without a view transform, or .exr, linear with every pass.
 """
-SETTINGS_HELP = "\n".join([
-    "settings of --set (docs/tuning.md has more; bytes may end in K, M, G, T, of 1000, or in Ki, Mi, Gi, Ti, of 1024):",
-    *(f"  {info.name} ({info.range_text()}): {info.description}" for info in SETTINGS.values()),
-    "presets:",
-    *(f"  {name}: {preset.description}" for name, preset in PRESETS.items()),
-])  # fmt: skip
+SETTINGS_HELP = "\n".join(
+    [
+        "settings of --set (docs/tuning.md has more; bytes may end in K, M, G, T, of 1000, or in Ki, Mi, Gi, Ti, of "
+        "1024):",
+        *(f"  {info.name} ({info.range_text()}): {info.description}" for info in SETTINGS.values()),
+        "presets:",
+        *(f"  {name}: {preset.description}" for name, preset in PRESETS.items()),
+    ]
+)
 
 
 def argument_parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(
-        prog="render.py", description=DESCRIPTION, formatter_class=argparse.RawTextHelpFormatter, allow_abbrev=False,
+        prog="render.py",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawTextHelpFormatter,
+        allow_abbrev=False,
         epilog=SETTINGS_HELP,
-    )  # fmt: skip
+    )
     add = parser.add_argument
     add("file", nargs="?", type=Path, metavar="FILE", help="what to render")
     add("-o", "--out", metavar="OUT", help=OUT_HELP)
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--frame", type=int, metavar="N", help="the frame to render (default: the file's current one)")
     which.add_argument("--frames", metavar="A..B", help="the frames to render, both ends included")
-    add("--view-layer", action="append", default=[], metavar="NAME", help="render this view layer only (may be repeated)")
-    add("--preset", metavar="NAME", help=f"set the whole schedule (all that changes only how long a render takes, but for the device): {', '.join(PRESETS)}.\n"
-        "--set then changes single settings of it")  # fmt: skip
-    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting (may be repeated); see below. resolution=160x120 sets the picture's size")
+    add(
+        "--view-layer",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="render this view layer only (may be repeated)",
+    )
+    add(
+        "--preset",
+        metavar="NAME",
+        help=f"set the whole schedule (all that changes only how long a render takes, but for the device): "
+        f"{', '.join(PRESETS)}.\n"
+        "--set then changes single settings of it",
+    )
+    add(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="change a setting (may be repeated); see below. resolution=160x120 sets the picture's size",
+    )
     add("--device", metavar="DEVICE", help="AUTO, cpu or cuda:N; the same as --set device=DEVICE")
-    add("--json", metavar="FILE", help="write statistics; - is standard output. An object, or a list when several frames or view layers are rendered")
-    add("--passes", metavar="NAMES", help=f"passes to render beside those of the file, with commas between: {', '.join(PASS_NAMES[1:])}.\n"
-        "The last five show what a pixel costs, as the mean over its samples, and make the render slower")  # fmt: skip
-    add("--heat-map", action="append", default=[], metavar="PASS=FILE.png", help="write a picture of a pass that has one value a pixel, black where it is 0 and bright where it is largest\n"
-        "(may be repeated; of the first view layer; frames are numbered as with -o)")  # fmt: skip
-    add("--film", metavar="FILE.npz", help="write the linear passes: name -> float32 [height, width, channels], bottom row first.\n"
-        "Passes of the second view layer on are called LAYER/PASS; frames are numbered as with -o")  # fmt: skip
-    add("--camera", metavar="EX,EY,EZ,TX,TY,TZ,FOV", help="for geometry: eye, target and field of view of the longer side [degrees],\nin the file's own coordinates (write --camera=-1,... when the first number is negative)")
-    add("--up", choices=("y", "z"), help="for geometry: the axis that points up (default: z for .npz and .ply, y for .obj; glTF is y)")
-    add("--save-scene", metavar="FILE.scene.npz", help="write the scene and its settings, to render elsewhere; alone, nothing is rendered")
-    add("--prewarm", action="store_true", help="compile the kernels of ordinary scenes ahead, and stop; takes no FILE.\n"
-        "The cache is that of the installed Blender extension, if there is one")  # fmt: skip
+    add(
+        "--json",
+        metavar="FILE",
+        help="write statistics; - is standard output. An object, or a list when several frames or view layers are "
+        "rendered",
+    )
+    add(
+        "--passes",
+        metavar="NAMES",
+        help=f"passes to render beside those of the file, with commas between: {', '.join(PASS_NAMES[1:])}.\n"
+        "The last five show what a pixel costs, as the mean over its samples, and make the render slower",
+    )
+    add(
+        "--heat-map",
+        action="append",
+        default=[],
+        metavar="PASS=FILE.png",
+        help="write a picture of a pass that has one value a pixel, black where it is 0 and bright where it is "
+        "largest\n"
+        "(may be repeated; of the first view layer; frames are numbered as with -o)",
+    )
+    add(
+        "--film",
+        metavar="FILE.npz",
+        help="write the linear passes: name -> float32 [height, width, channels], bottom row first.\n"
+        "Passes of the second view layer on are called LAYER/PASS; frames are numbered as with -o",
+    )
+    add(
+        "--camera",
+        metavar="EX,EY,EZ,TX,TY,TZ,FOV",
+        help="for geometry: eye, target and field of view of the longer side [degrees],\nin the file's own coordinates "
+        "(write --camera=-1,... when the first number is negative)",
+    )
+    add(
+        "--up",
+        choices=("y", "z"),
+        help="for geometry: the axis that points up (default: z for .npz and .ply, y for .obj; glTF is y)",
+    )
+    add(
+        "--save-scene",
+        metavar="FILE.scene.npz",
+        help="write the scene and its settings, to render elsewhere; alone, nothing is rendered",
+    )
+    add(
+        "--prewarm",
+        action="store_true",
+        help="compile the kernels of ordinary scenes ahead, and stop; takes no FILE.\n"
+        "The cache is that of the installed Blender extension, if there is one",
+    )
     add("--verbose", action="store_true", help="pass on what Blender and Warp print, to standard error")
     return parser
 
@@ -81,31 +154,47 @@ def request_from(options: argparse.Namespace) -> Request:
     if options.file is None:
         raise UsageError("name the FILE to render (or --prewarm); --help says more")
     if not (options.out or options.film or options.json or options.save_scene or options.heat_map):
-        raise UsageError("nothing would be written: give at least one of -o, --film, --heat-map, --json and --save-scene")
+        raise UsageError(
+            "nothing would be written: give at least one of -o, --film, --heat-map, --json and --save-scene"
+        )
     assignments = options.set + ([f"device={options.device}"] if options.device else [])
     settings, resolution = parse_settings(assignments, options.preset)
     for name, option, ending in ((options.film, "--film", ".npz"), (options.save_scene, "--save-scene", ".scene.npz")):
         if name and not name.lower().endswith(ending):
             raise UsageError(f"{option} {name}: name it with the ending {ending}, by which it is known later")
     heat_maps = tuple(parse_heat_map(text) for text in options.heat_map)
-    asked = {parse_pass(name) for name in (options.passes or "").split(",") if name.strip()} | {name for name, _ in heat_maps}
+    asked = {parse_pass(name) for name in (options.passes or "").split(",") if name.strip()} | {
+        name for name, _ in heat_maps
+    }
     frames = (options.frame,) if options.frame is not None else parse_frames(options.frames) if options.frames else None
     return Request(
-        source=options.file, kind=kind_of(options.file), out=options.out, frames=frames, view_layers=tuple(options.view_layer),
-        settings=settings, resolution=resolution, passes=tuple(name for name in PASS_NAMES if name in asked), film=options.film,
-        heat_maps=heat_maps, json=options.json, save_scene=options.save_scene,
-        camera=options.camera, up=options.up,
-    )  # fmt: skip
+        source=options.file,
+        kind=kind_of(options.file),
+        out=options.out,
+        frames=frames,
+        view_layers=tuple(options.view_layer),
+        settings=settings,
+        resolution=resolution,
+        passes=tuple(name for name in PASS_NAMES if name in asked),
+        film=options.film,
+        heat_maps=heat_maps,
+        json=options.json,
+        save_scene=options.save_scene,
+        camera=options.camera,
+        up=options.up,
+    )
 
 
 def prewarm(device: str | None) -> None:
     """Compile ahead what ordinary scenes need."""
+    from raybatch_addon.blender.kernel_cache import kernel_cache_folder
     from raybatch_addon.core.session import Session
-    from raybatch_addon.kernel_cache import kernel_cache_folder
 
     folder = kernel_cache_folder()
     session = Session(device or "AUTO", cache_folder=folder)
-    names = session.prewarm(on_progress=lambda done, total: print(f"compiled {done} of {total} modules", file=sys.stderr))
+    names = session.prewarm(
+        on_progress=lambda done, total: print(f"compiled {done} of {total} modules", file=sys.stderr)
+    )
     session.close()
     print(f"{len(names)} modules are ready in {folder}", file=sys.stderr)
 
@@ -127,33 +216,30 @@ def render(request: Request, folders: OutputFolders, standard_output) -> None:
     try:
         import bpy  # noqa: F401
     except ImportError:
-        raise UsageError(f"{request.source} needs Blender's Python module bpy, which cannot be imported here; .npz and .scene.npz do without") from None
+        raise UsageError(
+            f"{request.source} needs Blender's Python module bpy, which cannot be imported here; .npz and .scene.npz "
+            "do without"
+        ) from None
     from rendering.blender import BlenderRender
 
     BlenderRender(request, folders, ProgressBar(), standard_output).run()
 
 
+def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO[str]) -> int:
+    """The exit code; raises `RayBatchError`."""
+    if options.prewarm:
+        if options.file is not None:
+            raise UsageError("--prewarm takes no FILE: it compiles what ordinary scenes need")
+        prewarm(options.device)
+    else:
+        render(request_from(options), folders, standard_output)
+    return 0
+
+
 def main(arguments: list[str] | None = None) -> int:
     """The exit code."""
     options = argument_parser().parse_args(arguments)
-    folders = OutputFolders()
-    with own_standard_output(options.verbose) as standard_output:
-        try:
-            if options.prewarm:
-                if options.file is not None:
-                    raise UsageError("--prewarm takes no FILE: it compiles what ordinary scenes need")
-                prewarm(options.device)
-            else:
-                render(request_from(options), folders, standard_output)
-        except RayBatchError as error:
-            folders.take_back()
-            print(f"render.py: error: {' '.join(str(error).split())}", file=sys.stderr)
-            return 1
-        except KeyboardInterrupt:
-            folders.take_back()
-            print("render.py: stopped", file=sys.stderr)
-            return 130
-    return 0
+    return run_command("render.py", options.verbose, functools.partial(run, options))
 
 
 if __name__ == "__main__":

@@ -4,25 +4,31 @@
 from __future__ import annotations
 
 import argparse
+import functools
+import json
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import IO
 
 ROOT = Path(__file__).resolve().parents[1]
-# before this folder, in which this file is called as the package of cases is
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT)]
+sys.path.insert(0, str(ROOT))
+
+from lib.command import run_command
+from lib.output import OutputFolders, leave, write_json, write_whole
 
 from raybatch_addon.core.errors import RayBatchError
-from rendering.output import OutputFolders, leave, own_standard_output, write_json, write_whole
 
 DESCRIPTION = """\
-Run the cases of tests/stability: stiff and extreme scenes, each with an expected value and a bound on the error that is derived beside it.
+Run the cases of tests/stability: stiff and extreme scenes, each with an expected value and a bound on the error that is
+derived beside it.
 
-Each is run for the control (tracer off: every ray visits the whole tree at once) and with rays that wait at treelets (tracer on), where
-the tracer can matter. A case passes when its error is within the tolerance and no sample was invalid. The exit code is 1 if one fails.
+Each is run for the control (tracer off: every ray visits the whole tree at once) and with rays that wait at treelets
+(tracer on), where the tracer can matter. A case passes when its error is within the tolerance and no sample was
+invalid. The exit code is 1 if one fails.
 
-The environment variable RAYBATCH_SCENES names a folder of larger scenes (.npz); cases that read one are skipped without it.
+The environment variable RAYBATCH_SCENES names a folder of larger scenes (.npz); cases that read one are skipped
+without it.
 """
 LEAK_RAYS_MOST = 2_000_000_000  # rays are numbered by 31 bits
 
@@ -41,48 +47,94 @@ def ray_count(text: str) -> int:
 def argument_parser() -> argparse.ArgumentParser:
     """The command line."""
     parser = argparse.ArgumentParser(
-        prog="stability.py", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter, allow_abbrev=False
+        prog="stability.py",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
-    parser.add_argument("--quick", action="store_true", help="only the cases that are checked with every change, about a third")
     parser.add_argument(
-        "--only", action="append", default=[], metavar="NAME[,NAME]", help="cases with this name, of this family, or with this part in their names"
+        "--quick", action="store_true", help="only the cases that are checked with every change, about a third"
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        default=[],
+        metavar="NAME[,NAME]",
+        help="cases with this name, of this family, or with this part in their names",
     )
     parser.add_argument("--tracer", choices=("off", "on"), help="only this one")
     parser.add_argument("--device", default="AUTO", help="AUTO, cpu or cuda:N")
     parser.add_argument(
-        "--leak-rays", type=ray_count, default=0, metavar="N",
+        "--leak-rays",
+        type=ray_count,
+        default=0,
+        metavar="N",
         help="how many rays each case of the family leaks traces with each tracer, such as 1e8 on a GPU; "
         "else 1e8 in all on a GPU, and on a CPU as many as fit in seconds",
-    )  # fmt: skip
+    )
     parser.add_argument(
-        "--json", nargs="?", const="-", metavar="FILE", help="write the report as JSON; without FILE to standard output, and nothing else there"
+        "--json",
+        nargs="?",
+        const="-",
+        metavar="FILE",
+        help="write the report as JSON; without FILE to standard output, and nothing else there",
     )
     parser.add_argument("--html", metavar="FILE", help="write a page that stands alone")
     parser.add_argument("--list", action="store_true", help="name the cases, and run none")
-    parser.add_argument("--table", action="store_true", help="write the table of all cases in docs/stability.md, and run none")
+    parser.add_argument(
+        "--table",
+        nargs="*",
+        metavar="REPORT",
+        help="write the tables of all cases in docs/stability.md, and run none; errors of each REPORT, a file by "
+        "--json, are kept beside it",
+    )
     parser.add_argument("--kernel-cache", metavar="FOLDER", help="where compiled kernels are kept")
     parser.add_argument("--verbose", action="store_true", help="pass on what Warp prints, to standard error")
     return parser
 
 
-def run(options: argparse.Namespace, folders: OutputFolders, standard_output: Any) -> int:
+def write_tables(reports: list[Path]) -> None:
+    """Keep the errors of `reports`, and write the tables of all cases in the manual."""
+    from stability_report import manual
+
+    from tests.stability.cases import all_cases
+
+    results = manual.read_results(ROOT)
+    for path in reports:
+        try:
+            results = manual.merged(results, manual.results_of(json.loads(path.read_text(encoding="utf-8"))))
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise RayBatchError(f"{path} is no report that stability.py --json wrote ({error})") from None
+    page = manual.manual(ROOT)
+    new = {page: manual.with_table(page.read_text(encoding="utf-8"), all_cases(), results)}
+    if reports:
+        new[manual.results_file(ROOT)] = manual.results_text(results)
+    for path, text in new.items():
+        path.parent.mkdir(exist_ok=True)
+        write_whole(path, lambda temporary, text=text: temporary.write_text(text, encoding="utf-8"))
+
+
+def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO[str]) -> int:
     """The exit code."""
     # here, so that --help is quick and what modules print when they are loaded stays away from standard output
     from benchmarking.progress import Steps
-    from raybatch_addon.core.device import device_description, find_device, start_warp
-    from raybatch_addon.core.report.statistics import versions
-    from stability.cases import Result, all_cases, chosen_cases, run_cases
     from stability_report.page import html_page
-    from stability_report.report import json_report, manual, text_report, verdict, with_table
+    from stability_report.report import json_report, text_report, verdict
 
-    if options.table:
-        path = manual(ROOT)
-        new = with_table(path.read_text(encoding="utf-8"), all_cases())
-        write_whole(path, lambda temporary: temporary.write_text(new, encoding="utf-8"))
+    from raybatch_addon.core.device.devices import device_description, find_device, start_warp
+    from raybatch_addon.core.measure.statistics import versions
+    from tests.stability.cases import Result, chosen_cases, run_cases
+    from tests.support.running.kernel_builds import build_once
+
+    if options.table is not None:
+        write_tables([Path(name) for name in options.table])
         return 0
     cases = chosen_cases([name for names in options.only for name in names.split(",")], options.quick)
     if options.leak_rays and all(each.family != "leaks" for each in cases):
-        raise RayBatchError("--leak-rays is for the family leaks, of which no case was chosen: add it to --only, or leave --leak-rays out")
+        raise RayBatchError(
+            "--leak-rays is for the family leaks, of which no case was chosen: add it to --only, or leave --leak-rays "
+            "out"
+        )
     if options.list:
         for each in cases:
             tracers = ", ".join(each.tracers) if each.traces else "once"
@@ -92,6 +144,7 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: An
         if target and target != "-":
             folders.prepare(Path(target).absolute())
     start_warp(options.kernel_cache)
+    build_once()
     device = device_description(find_device(options.device))
     tracers = (options.tracer, "-") if options.tracer else ("off", "on", "-")
     steps = Steps(sum(tracer in tracers for each in cases for tracer in each.tracers))
@@ -103,7 +156,11 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: An
                 results.append(event)
                 steps.end()
                 if event.failed:
-                    print(f"{event.case.name} ({event.tracer}): {verdict(event)} {event.note}", file=sys.stderr, flush=True)
+                    print(
+                        f"{event.case.name} ({event.tracer}): {verdict(event)} {event.note}",
+                        file=sys.stderr,
+                        flush=True,
+                    )
             else:
                 steps.begin(f"{event[0].name} ({event[1]})")
     finally:
@@ -122,18 +179,7 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: An
 def main(arguments: list[str] | None = None) -> int:
     """The exit code."""
     options = argument_parser().parse_args(arguments)
-    folders = OutputFolders()
-    with own_standard_output(options.verbose) as standard_output:
-        try:
-            return run(options, folders, standard_output)
-        except RayBatchError as error:
-            print(f"stability.py: error: {' '.join(str(error).split())}", file=sys.stderr)
-            return 1
-        except KeyboardInterrupt:
-            print("stability.py: stopped", file=sys.stderr)
-            return 130
-        finally:
-            folders.take_back()  # those in which nothing was written
+    return run_command("stability.py", options.verbose, functools.partial(run, options))
 
 
 if __name__ == "__main__":

@@ -1,15 +1,45 @@
-"""What all tests share: the device they run on."""
+"""What all tests share: the device they run on, compiled kernels, and their order."""
 
 import os
 from pathlib import Path
 
 import pytest
-from under_test import DEVICE
+
+from tests.support.running.file_seconds import file_seconds
+from tests.support.running.kernel_builds import build_once
+from tests.support.under_test import DEVICE
+
+pytest_plugins = ["tests.support.running.run_seconds"]
+FAST_SECONDS = 6.0  # a file of tests that takes less is among the fast ones
+ALSO_FAST = ("test_architecture.py",)  # takes longer, but fails for what is easily mended
 
 # Compiled kernels stay in the clone, for this run's subprocesses and the next run alike
 _KERNELS = Path(__file__).resolve().parents[1] / ".cache" / "kernels"
 os.environ.setdefault("WARP_CACHE_PATH", str(_KERNELS))
 os.environ.setdefault("RAYBATCH_KERNEL_CACHE", str(_KERNELS))
+
+
+def pytest_addoption(parser):
+    parser.addoption("--fast", action="store_true", help="only the files of tests that take a few seconds")
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Long files are left out where the fast ones are asked for."""
+    is_tests = collection_path.name.startswith("test_") and collection_path.suffix == ".py"
+    long = is_tests and file_seconds(collection_path) >= FAST_SECONDS and collection_path.name not in ALSO_FAST
+    return True if long and config.option.fast else None
+
+
+def pytest_collection_modifyitems(config, items):
+    """Side by side, the longest files come first, so that all processes end at about the same time."""
+    if config.getoption("dist", "no") != "no" or hasattr(config, "workerinput"):
+        items.sort(key=lambda item: -file_seconds(item.path))  # stable: files stay whole
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kernels_built_once():
+    """Processes that run tests side by side wait for each other's kernels."""
+    build_once()
 
 
 @pytest.fixture(scope="session")

@@ -1,8 +1,10 @@
 """The laws of the source itself: who may import whom, how large a file and a kernel may be."""
 
 import ast
+import re
 import subprocess
 import sys
+from collections import Counter, defaultdict
 from pathlib import Path
 
 import pytest
@@ -11,40 +13,47 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "raybatch_addon"
 FILES = sorted(PACKAGE.rglob("*.py"))
 CORE_FILES = sorted((PACKAGE / "core").rglob("*.py"))
+FOLDERS = sorted({path.parent for path in FILES})
+SCRIPTS = sorted((ROOT / "scripts").rglob("*.py"))
+CODE = [*FILES, *SCRIPTS, *sorted((ROOT / "tests").rglob("*.py"))]
 
 # A file imports only from its own room and from those above it.
 ROOMS = (
     "core/errors.py",
-    "core/kernel.py",
-    "core/launches.py",
-    "core/setting_info.py",
-    "core/settings.py",
-    "core/presets.py",
-    "core/device.py",
+    "core/files.py",
+    "core/native",
+    "core/settings",
+    "core/device",
+    "core/rays.py",
     "core/scene",
     "core/sky",
     "core/bvh",
     "core/shading",
+    "core/programs",
+    "core/shading/lights",
     "core/film",
-    "core/report",
+    "core/measure",
+    "core/observers.py",
+    "core/convergence",
     "core/wavefront",
     "core/session.py",
     "core/__init__.py",
-    "plotting",
-    "convergence.py",
-    "convergence_plot.py",
+    "convergence",
     "export",
-    "reports.py",
-    "kernel_cache.py",
-    "sessions.py",
-    "result.py",
+    "blender/__init__.py",
+    "blender/reports.py",
+    "blender/kernel_cache.py",
+    "blender/sessions.py",
+    "blender/result.py",
     "ui",
-    "frame.py",
+    "blender/frame.py",
     "engine.py",
     "__init__.py",
 )
 LINES_MAX = 400
+FOLDER_FILES_MAX = 16  # of code in one folder, beside `__init__.py`
 KERNEL_PARAMETERS_MAX = 8
+NATIVE_PARAMETERS_MAX = 8
 
 
 def name_of(path: Path) -> str:
@@ -53,9 +62,9 @@ def name_of(path: Path) -> str:
 
 def room_of(path: Path) -> int:
     name = name_of(path)
-    for index, room in enumerate(ROOMS):
-        if name == room or name.startswith(f"{room}/"):
-            return index
+    found = [room for room in ROOMS if name == room or name.startswith(f"{room}/")]
+    if found:
+        return ROOMS.index(max(found, key=len))
     raise AssertionError(f"{name} belongs to no room: give it a place in ROOMS (and in the architecture page)")
 
 
@@ -74,7 +83,16 @@ def import_targets(path: Path) -> set[Path]:
             base = base.parent
         base = base.joinpath(*(node.module or "").split("."))
         for name in (alias.name for alias in node.names):
-            found = [p for p in (base / f"{name}.py", base / name / "__init__.py", base.with_suffix(".py"), base / "__init__.py") if p.is_file()]
+            found = [
+                p
+                for p in (
+                    base / f"{name}.py",
+                    base / name / "__init__.py",
+                    base.with_suffix(".py"),
+                    base / "__init__.py",
+                )
+                if p.is_file()
+            ]
             assert found, f"{name_of(path)} imports {name} from {base}, which is not there"
             targets.add(found[0])
     return targets - {path}
@@ -114,7 +132,7 @@ def test_only_export_reads_blenders_scene_and_only_result_writes_its_pixels():
         room = ROOMS[room_of(path)]
         if room != "export":
             assert ".foreach_get(" not in text and "object_instances" not in text, name_of(path)
-        if room != "result.py":
+        if room != "blender/result.py":
             assert "begin_result" not in text and ".foreach_set(" not in text, name_of(path)
 
 
@@ -129,7 +147,7 @@ for module in pkgutil.walk_packages(core.__path__, core.__name__ + "."):
 import numpy as np
 from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, Scene, World
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.settings.settings import RenderSettings
 camera = Camera(CameraKind.PERSPECTIVE, np.eye(3, 4, dtype=np.float32), (-1, 1, -1, 1))
 film = Session("cpu", RenderSettings(sample_count=1)).render(Scene(camera, Frame(4, 4), world=World((1.0, 0.5, 0.25))))
 assert np.allclose(film.passes["Combined"][..., :3], (1, 0.5, 0.25))
@@ -138,9 +156,49 @@ assert np.allclose(film.passes["Combined"][..., :3], (1, 0.5, 0.25))
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("path", FILES, ids=name_of)
+@pytest.mark.parametrize("path", CODE, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_files_are_short(path):
-    assert len(path.read_text(encoding="utf-8").splitlines()) < LINES_MAX
+    line_count = len(path.read_text(encoding="utf-8").splitlines())
+    assert line_count < LINES_MAX, f"{path} has {line_count} lines"
+
+
+def test_folders_hold_few_files():
+    counts = Counter(path.parent for path in CODE if path.name != "__init__.py")
+    counts.update(path.parent for path in PACKAGE.rglob("*.h"))
+    full = {folder.relative_to(ROOT).as_posix(): count for folder, count in counts.items() if count > FOLDER_FILES_MAX}
+    assert not full, f"more than {FOLDER_FILES_MAX} files: make folders of one idea each in {full}"
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=name_of)
+def test_every_folder_says_in_one_sentence_what_it_is(folder):
+    about = " ".join((ast.get_docstring(parsed(folder / "__init__.py")) or "").split())
+    assert re.fullmatch(r"(?:(?![.!?]\s+[A-Z`]).)*\.", about), f"{name_of(folder)}/__init__.py says: {about!r}"
+
+
+def public_definitions(path: Path) -> list[str]:
+    """Names of the top-level functions and classes of `path`; without handlers of Blender's nodes, which are called
+    what their node is called, and the two functions by which Blender adds and removes an add-on's parts.
+    """
+    names = []
+    for node in parsed(path).body:
+        if not isinstance(node, (ast.FunctionDef, ast.ClassDef)) or node.name.startswith("_"):
+            continue
+        handles_node = any(
+            isinstance(each, ast.Call) and ast.unparse(each.func) in ("shader", "values")
+            for each in node.decorator_list
+        )
+        if not handles_node and node.name not in ("register", "unregister"):
+            names.append(node.name)
+    return names
+
+
+def test_nothing_is_defined_twice_under_one_public_name():
+    places = defaultdict(list)
+    for path in FILES:
+        for name in public_definitions(path):
+            places[name].append(name_of(path))
+    twice = {name: files for name, files in places.items() if len(files) > 1}
+    assert not twice, twice
 
 
 @pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
@@ -153,6 +211,13 @@ def test_kernels_are_declared_with_the_cores_options_and_have_few_parameters(pat
                 continue
             assert ast.unparse(decorator) == "wp.kernel(**KERNEL_OPTIONS)", f"{name_of(path)}: {node.name}"
             assert len(node.args.args) <= KERNEL_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
+
+
+@pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
+def test_native_functions_have_few_parameters(path):
+    for node in ast.walk(parsed(path)):
+        if isinstance(node, ast.FunctionDef) and any("func_native" in ast.unparse(d) for d in node.decorator_list):
+            assert len(node.args.args) <= NATIVE_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)
@@ -168,5 +233,5 @@ def test_files_and_public_definitions_say_what_they_are(path):
 def test_a_room_that_reaches_down_would_be_found():
     """The walk itself sees imports in functions and of modules by name."""
     assert PACKAGE / "engine.py" in import_targets(PACKAGE / "__init__.py")
-    assert PACKAGE / "frame.py" in import_targets(PACKAGE / "engine.py")
-    assert PACKAGE / "core" / "settings.py" in import_targets(PACKAGE / "core" / "session.py")
+    assert PACKAGE / "blender" / "frame.py" in import_targets(PACKAGE / "engine.py")
+    assert PACKAGE / "core" / "settings" / "settings.py" in import_targets(PACKAGE / "core" / "session.py")

@@ -1,5 +1,7 @@
 """Errors that a user can mend. Their messages name the thing at fault and what to do about it."""
 
+from collections.abc import Callable
+
 
 class RayBatchError(Exception):
     """Base of every error that is shown to the user as one clear line, without a traceback."""
@@ -15,6 +17,16 @@ class SceneError(RayBatchError, ValueError):
 
 class DeviceError(RayBatchError, RuntimeError):
     """A device that does not exist, or that failed."""
+
+
+class BuildCancelledError(Exception):
+    """The end of a build whose render was cancelled. Nobody waits for it, so that no user sees it."""
+
+
+def check_cancelled(cancelled: Callable[[], bool]) -> None:
+    """Raise `BuildCancelledError` if `cancelled` says so."""
+    if cancelled():
+        raise BuildCancelledError
 
 
 class OutOfMemoryError(RayBatchError, MemoryError):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -13,65 +13,35 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from .bvh.build import build_kernels, layout_for
+from .bvh.build.scene_tree import build_kernels, layout_for
 from .bvh.memory import GeometrySize
-from .device import find_device, free_memory, kernel_cache_folder, load_kernels, start_warp, worker_count
+from .device.devices import find_device, free_memory, load_kernels, start_warp, warp_cache_folder, worker_count
 from .errors import RayBatchError
 from .film import Film
 from .film.tile import FinishedTile, add_integers_kernel
-from .report.batching import batching_statistics
-from .report.hardware import hardware_counters
-from .report.statistics import render_statistics
+from .measure.batching import batching_statistics
+from .measure.hardware import hardware_counters
+from .measure.statistics import render_statistics
+from .observers import Progress, RenderObserver, Tile, call_all
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features, ordinary_features
 from .scene.validate import checked_scene
-from .settings import RenderSettings
-from .wavefront.device_scene import DeviceScene
-from .wavefront.geometry_cache import GeometryCache, GeometryRequest
-from .wavefront.integrator import TileIntegrator, TileState
+from .settings.settings import RenderSettings
+from .wavefront.integrator import TileIntegrator
 from .wavefront.kernels import StageKernels, tracing_kernels
-from .wavefront.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
-from .wavefront.rendering import POLL_SECONDS, RenderEvents, Rendering, SnapshotWatcher, snapshot_watchers
-from .wavefront.resume import ResumeState, estimator_settings, film_to_fill
-from .wavefront.rounds import RoundPolicy
-from .wavefront.scheduler import tile_edge, tiles
-from .wavefront.summary import batching_totals, ray_totals, workers_summary
-from .wavefront.tracing import Tracing
-from .wavefront.workers import make_workers
+from .wavefront.plan.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
+from .wavefront.plan.tracing import Tracing
+from .wavefront.render.rendering import POLL_SECONDS, RenderEvents, Rendering, SnapshotWatcher, snapshot_watchers
+from .wavefront.render.resume import ResumeState, film_to_fill
+from .wavefront.render.rounds import RoundPolicy
+from .wavefront.render.summary import batching_totals, ray_totals, workers_summary
+from .wavefront.render.workers import make_workers
+from .wavefront.scene.device_scene import DeviceScene
+from .wavefront.scene.scene_cache import GeometryRequest, SceneCache
+from .wavefront.scheduler import round_tile_edge, tile_edge
 
 
-# Tiles of each CPU worker, about, where a render is cut in rounds
-CUT_TILES_A_WORKER = 2
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a render stands."""
-
-    stage: str  # "build", "compile" or "render"
-    fraction: float  # of the stage, 0..1
-    samples_done: float  # mean samples per pixel
-    samples_total: int
-    rays_per_second: float
-    seconds_elapsed: float
-    seconds_left: float | None  # None: not known yet
-    memory_bytes: int
-    message: str
-    seconds_rendering: float = 0.0  # of `seconds_elapsed`, those in which rays are traced: what `rays_per_second` is of
-
-
-@dataclass(frozen=True)
-class Tile:
-    """A finished part of the picture."""
-
-    x: int  # of the bottom left pixel in the frame
-    y: int
-    width: int
-    height: int
-    passes: dict[str, np.ndarray]  # linear float32, shape [height, width, channels], bottom row first
-
-
-@dataclass
+@dataclass(kw_only=True)
 class _Job:
     """What one call of `render` was asked for."""
 
@@ -85,12 +55,13 @@ class _Job:
     cancelled: Callable[[], bool]
     watchers: list[SnapshotWatcher]
     started: float
-    seconds: dict[str, float]
     warnings: list[str]
-    hardware: dict[str, Any] = field(default_factory=dict)  # what the processor counted
-    chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open, once the scene was there
-    path_bytes: int = 0  # of a path alive, all that grows with their number
-    rendering: Rendering | None = None  # once rays are traced
+    # filled while the render runs
+    seconds: dict[str, float] = field(default_factory=dict)  # by stage
+    hardware: dict[str, Any] = field(default_factory=dict)  # counts of the processor
+    chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open until the scene was read
+    path_bytes: int = 0  # device memory of one path alive, with all that grows with their number
+    rendering: Rendering | None = None  # from the first ray on
 
     @property
     def marks(self) -> list[int]:
@@ -102,31 +73,37 @@ class Session:
     """A device with its caches. One render at a time; make one session a device and keep it."""
 
     def __init__(
-        self, device: str | None = None, settings: RenderSettings | None = None, cache_folder: str | Path | None = None,
+        self,
+        device: str | None = None,
+        settings: RenderSettings | None = None,
+        cache_folder: str | Path | None = None,
         page_folder: str | Path | None = None,
-    ):  # fmt: skip
+    ):
         """Open `device` (AUTO, cpu or cuda:N; default: that of `settings`); raises `DeviceError`.
 
-        Compiled kernels are cached in `cache_folder` (default: Warp's own folder in the user's cache). Geometry that does not fit in memory
-        goes to files in `page_folder` (default: a folder beside the compiled kernels), where the setting `geometry_store` is DISK.
+        Compiled kernels are cached in `cache_folder` (default: Warp's own folder in the user's cache), and geometry
+        beyond memory in `page_folder` (default: a folder beside them), where the setting `geometry_store` is DISK.
         """
         self.settings = settings or RenderSettings()
         start_warp(cache_folder)
-        self._page_folder = Path(page_folder) if page_folder else kernel_cache_folder() / "pages"
+        self._page_folder = Path(page_folder) if page_folder else warp_cache_folder() / "pages"
         self.device = find_device(device or self.settings.device)
         self.layout = layout_for(self.device)  # of trees
-        self._geometry = GeometryCache()
+        self._cache = SceneCache()
         self._building: Future | None = None  # the last build
 
     def close(self) -> None:
         """Give back what is cached."""
-        self._geometry.clear()
+        self._cache.clear()
 
-    def prewarm(self, features: Sequence[SceneFeatures] | None = None, on_progress: Callable[[int, int], None] | None = None) -> list[str]:
+    def prewarm(
+        self, features: Sequence[SceneFeatures] | None = None, on_progress: Callable[[int, int], None] | None = None
+    ) -> list[str]:
         """Compile ahead for `features` (default: those of ordinary scenes); returns the names of the modules."""
         method = {"REFERENCE": Method.REFERENCE, "ON": Method.BATCHED}.get(self.settings.batching, Method.UNBATCHED)
-        kernels = [k for f in features or ordinary_features() for k in self._kernels(f, self.settings, TracingPlan(method))]
-        kernels += build_kernels(self.device)
+        plan, kernels = TracingPlan(method), build_kernels(self.device)
+        for each in features or ordinary_features():
+            kernels += self._kernels(each, self.settings, plan)
         return load_kernels(kernels, self.device, on_progress or (lambda done, total: None))
 
     def _kernels(self, features: SceneFeatures, settings: RenderSettings, plan: TracingPlan) -> list[wp.Kernel]:
@@ -141,7 +118,7 @@ class Session:
         on_tile: Callable[[Tile], None] | None = None,
         on_progress: Callable[[Progress], None] | None = None,
         cancelled: Callable[[], bool] | None = None,
-        observers: Sequence[Any] = (),
+        observers: Sequence[RenderObserver] = (),
         sample_first: int = 0,
         resume: Film | None = None,
     ) -> Film:
@@ -150,18 +127,19 @@ class Session:
         Args:
             scene: what to render.
             settings: default: the session's.
-            on_tile, on_progress: called on this thread with each finished `Tile`, and several times a second with `Progress`.
+            on_tile, on_progress: called on this thread with each finished `Tile`, and several times a second with
+                `Progress`.
             cancelled: asked several times a second, on this thread; True ends the render soon, with what is done.
-            observers: objects whose methods `on_tile(tile)` and `on_progress(progress)`, where they exist, are called too. Those with a
-                method `on_snapshot` are asked for `snapshot_samples(sample_count)`, the sample counts at which they want a `Snapshot`, and
-                get one at each that the render comes by, and at its end.
-            sample_first: index of the first sample of every pixel; films of adjoining ranges merge to one (`Film.merge`).
+            observers: receive tiles and progress too, and a `Snapshot` at each sample count that they ask for and the
+                render comes by, and at its end.
+            sample_first: index of the first sample of every pixel; films of adjoining ranges merge to one
+                (`Film.merge`).
             resume: the film of a cancelled render of the same scene and settings: goes on from there.
 
         Raises:
             RayBatchError: what the user can mend; the message says how.
         """
-        job = self._job(scene, settings, on_tile, on_progress, cancelled, observers, sample_first)
+        job = self._job(scene, settings or self.settings, sample_first, on_tile, on_progress, cancelled, observers)
         film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume, self.device)
         state = film.resume_state
         if state is None:
@@ -170,15 +148,15 @@ class Session:
             state.policy = state.policy.resumed(job.settings, job.marks)
             if state.policy.is_cut and not state.shorten_round() and job.settings.time_limit:
                 job.warnings.append(
-                    f"time_limit ends no round that was begun: samples come PIXEL_FIRST, so each pixel gets all {state.end:,} of the one "
+                    f"time_limit ends no round that was begun: samples come PIXEL_FIRST, so each pixel gets all "
+                    f"{state.end:,} of the one "
                     "that was under way; render with sample_order FRAME_FIRST from the start"
                 )
         film.resume_state = None
         job.settings = job.settings.replace(sample_order=state.sample_order)  # items are numbered by it
-        prepared = self._prepare(job)
+        device_scene, modules = self._prepare(job)
         integrators: list[TileIntegrator] = []
-        if prepared is not None:
-            device_scene, modules = prepared
+        if device_scene is not None:
             job.warnings += device_scene.images.warnings
             if device_scene.paged and "page_file_warning" in device_scene.paged.statistics:
                 job.warnings.append(device_scene.paged.statistics["page_file_warning"])
@@ -196,70 +174,87 @@ class Session:
         film.complete = state.policy.stopped_by is not None
         if not film.complete and state.drained:
             film.resume_state = state
-        device_scene, modules = prepared or (None, [])
         film.statistics = self._statistics(job, film, state, integrators, modules, device_scene)
         return film
 
     # --- before
 
-    def _job(self, scene, settings, on_tile, on_progress, cancelled, observers, sample_first) -> _Job:
-        settings = settings or self.settings
+    def _job(
+        self,
+        scene: Scene,
+        settings: RenderSettings,
+        sample_first: int,
+        on_tile: Callable[[Tile], None] | None,
+        on_progress: Callable[[Progress], None] | None,
+        cancelled: Callable[[], bool] | None,
+        observers: Sequence[RenderObserver],
+    ) -> _Job:
         checked = checked_scene(scene)
         warnings = list(checked.warnings)
         if sample_first < 0 or sample_first + settings.sample_count > 2**32:
-            raise RayBatchError(f"samples {sample_first} to {sample_first + settings.sample_count} are out of range: use 0 to 2^32")
-
-        def to_all(name: str, own: Callable | None) -> Callable:
-            calls = [c for c in [own, *(getattr(observer, name, None) for observer in observers)] if c is not None]
-
-            def call(value) -> None:
-                for each in calls:
-                    each(value)
-
-            return call
+            raise RayBatchError(
+                f"samples {sample_first} to {sample_first + settings.sample_count} are out of range: use 0 to 2^32"
+            )
 
         size = GeometrySize.of(checked)
-        free = self._geometry.free_for_geometry(checked.images, self.device)
+        free = self._cache.free_for_geometry(checked.images, self.device)
         memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
         plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory)
         return _Job(
-            checked, settings, derive_features(checked, settings), plan, sample_first,
-            to_all("on_tile", on_tile), to_all("on_progress", on_progress), cancelled or (lambda: False),
-            snapshot_watchers(observers, settings.sample_count), time.perf_counter(), {}, warnings,
-        )  # fmt: skip
+            scene=checked,
+            settings=settings,
+            features=derive_features(checked, settings),
+            plan=plan,
+            sample_first=sample_first,
+            on_tile=call_all(on_tile, [observer.on_tile for observer in observers]),
+            on_progress=call_all(on_progress, [observer.on_progress for observer in observers]),
+            cancelled=cancelled or (lambda: False),
+            watchers=snapshot_watchers(observers, settings.sample_count),
+            started=time.perf_counter(),
+            warnings=warnings,
+        )
 
     def _all_tiles(self, job: _Job) -> ResumeState:
-        frame = job.scene.frame
-        x0, y0, x1, y1 = frame.region
-        workers = worker_count(self.device, job.settings.thread_count)
-        policy = RoundPolicy.of(job.settings, job.marks)
-        # tiles come at the pace of rounds then, and the first of these have few samples
-        settings = job.settings.replace(sample_count=1) if policy.is_cut else job.settings
-        edge = tile_edge(settings, self.device.is_cuda, x1 - x0, y1 - y0, workers if job.plan.method is Method.PAGED else 0)
-        if policy.is_cut and not (self.device.is_cuda or job.settings.tile_size):
-            # each tile comes to its end in each round, which takes as long however few paths it has
-            edge = max(edge, math.ceil(math.sqrt((x1 - x0) * (y1 - y0) / (CUT_TILES_A_WORKER * workers))))
-        if not job.settings.tile_size:
+        """The state of a render that begins."""
+        settings, policy = job.settings, RoundPolicy.of(job.settings, job.marks)
+        x0, y0, x1, y1 = job.scene.frame.region
+        workers, paged = worker_count(self.device, settings.thread_count), job.plan.method is Method.PAGED
+        choose_edge = round_tile_edge if policy.is_cut else tile_edge
+        edge = choose_edge(settings, self.device.is_cuda, x1 - x0, y1 - y0, workers, paged)
+        if not settings.tile_size:
             job.chosen["tile_size"] = Choice(edge, "by device, frame and samples")
-        halves = range(job.settings.half_count)
-        states = [tuple(TileState(tile, half=half) for half in halves) for tile in tiles(frame.region, edge)]
-        return ResumeState(states, job.sample_first, job.settings.sample_order, estimator_settings(job.settings), policy)
+        return ResumeState.begin(settings, job.scene.frame, edge, job.sample_first, policy)
 
-    def _prepare(self, job: _Job) -> tuple[DeviceScene, list[str]] | None:
-        """Build the tree and compile the kernels, side by side; None when cancelled meanwhile."""
-        kernels = self._kernels(job.features, job.settings, job.plan) + [add_integers_kernel] * (job.settings.half_count - 1)
-        done_modules = [0, max(1, len(kernels))]
+    def _prepare(self, job: _Job) -> tuple[DeviceScene | None, list[str]]:
+        """Build the tree and compile the kernels, side by side: the scene on the device, and the names of the modules.
+        No scene and no names when cancelled meanwhile.
+        """
+        kernels = self._kernels(job.features, job.settings, job.plan)
+        kernels += [add_integers_kernel] * (job.settings.half_count - 1)
+        loaded, load_total = 0, max(1, len(kernels))
+        given_up = threading.Event()  # nobody waits for the build any more
+
+        def note_loaded(done: int, total: int) -> None:
+            nonlocal loaded, load_total
+            loaded, load_total = done, total
 
         def compile_kernels() -> list[str]:
             start = time.perf_counter()
-            names = load_kernels(kernels, self.device, lambda done, total: done_modules.__setitem__(slice(None), [done, total]))
+            names = load_kernels(kernels, self.device, note_loaded)
             job.seconds["compile"] = time.perf_counter() - start
             return names
 
         def build() -> DeviceScene:
             start = time.perf_counter()
-            request = GeometryRequest(job.settings, job.plan, self.layout, job.features.instancing, self._page_folder)
-            built = DeviceScene.build(job.scene, job.features, request, self.device, self._geometry)
+            request = GeometryRequest(
+                settings=job.settings,
+                plan=job.plan,
+                layout=self.layout,
+                instancing=job.features.instancing,
+                page_folder=self._page_folder,
+                cancelled=given_up.is_set,
+            )
+            built = DeviceScene.build(job.scene, job.features, request, self.device, self._cache)
             wp.synchronize_device(self.device)
             job.seconds["build"] = time.perf_counter() - start
             return built
@@ -277,14 +272,15 @@ class Session:
             self._building = built
             while not (modules.done() and built.done()):
                 if job.cancelled():
-                    return None
+                    return None, []
                 compiling = built.done() and not modules.done()
                 stage = "compile" if compiling else "build"
-                message = f"Compiling kernels ({done_modules[0]} of {done_modules[1]})" if compiling else "Building the tree"
-                job.on_progress(self._progress(job, stage, done_modules[0] / done_modules[1], 0.0, 0.0, None, message))
+                message = f"Compiling kernels ({loaded} of {load_total})" if compiling else "Building the tree"
+                job.on_progress(self._progress(job, stage, loaded / load_total, message))
                 time.sleep(POLL_SECONDS / 5)
             return built.result(), modules.result()
         finally:
+            given_up.set()
             pool.shutdown(wait=False)  # a cancelled render does not wait for the compiler
 
     def _workers(self, job: _Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
@@ -308,36 +304,80 @@ class Session:
 
         def on_progress(fraction: float, samples: float, seconds: float) -> None:
             rays = sum(i.rays.total for i in integrators)
-            left = seconds / fraction - seconds if fraction > 0.001 else None
-            job.on_progress(self._progress(job, "render", fraction, samples, rays / seconds if seconds else 0.0, left, "Rendering", seconds))
+            progress = self._progress(
+                job,
+                "render",
+                fraction,
+                "Rendering",
+                samples_done=samples,
+                rays_per_second=rays / seconds if seconds else 0.0,
+                seconds_left=seconds / fraction - seconds if fraction > 0.001 else None,
+                seconds_rendering=seconds,
+            )
+            job.on_progress(progress)
 
         start = time.perf_counter()
-        job.rendering = Rendering(integrators, state, film, RenderEvents(on_tile, on_progress, job.cancelled, job.watchers), job.started)
+        events = RenderEvents(on_tile=on_tile, on_progress=on_progress, cancelled=job.cancelled, watchers=job.watchers)
+        job.rendering = Rendering(integrators, state, film, events, job.started)
         job.rendering.run()
         job.seconds["render"] = time.perf_counter() - start
 
-    def _progress(self, job, stage, fraction, samples, rays_per_second, seconds_left, message, seconds=0.0) -> Progress:
+    def _progress(
+        self,
+        job: _Job,
+        stage: str,
+        fraction: float,
+        message: str,
+        *,
+        samples_done: float = 0.0,
+        rays_per_second: float = 0.0,
+        seconds_left: float | None = None,
+        seconds_rendering: float = 0.0,
+    ) -> Progress:
         memory = 0
         if self.device.is_cuda and wp.is_mempool_enabled(self.device):
             memory = int(wp.get_mempool_used_mem_current(self.device))
-        elapsed = time.perf_counter() - job.started
-        return Progress(stage, fraction, samples, job.settings.sample_count, rays_per_second, elapsed, seconds_left, memory, message, seconds)
+        return Progress(
+            stage=stage,
+            fraction=fraction,
+            samples_done=samples_done,
+            samples_total=job.settings.sample_count,
+            rays_per_second=rays_per_second,
+            seconds_elapsed=time.perf_counter() - job.started,
+            seconds_left=seconds_left,
+            memory_bytes=memory,
+            message=message,
+            seconds_rendering=seconds_rendering,
+        )
 
     # --- after
 
     def _statistics(
-        self, job: _Job, film: Film, state: ResumeState, integrators: list[TileIntegrator], modules: list[str], device_scene: DeviceScene | None
+        self,
+        job: _Job,
+        film: Film,
+        state: ResumeState,
+        integrators: list[TileIntegrator],
+        modules: list[str],
+        device_scene: DeviceScene | None,
     ) -> dict[str, Any]:
         job.seconds["total"] = time.perf_counter() - job.started
         job.warnings += job.rendering.warnings if job.rendering else []
         invalid = sum(integrator.invalid_samples for integrator in integrators)
         if invalid:
-            job.warnings.append(f"{invalid:,} samples were not finite and count as black; this is a fault, please report the scene")
+            job.warnings.append(
+                f"{invalid:,} samples were not finite and count as black; this is a fault, please report the scene"
+            )
         return render_statistics(
             device=self.device,
             settings=job.settings,
             features=job.features,
-            frame={"width": film.width, "height": film.height, "region": list(film.region), "passes": list(film.pass_names)},
+            frame={
+                "width": film.width,
+                "height": film.height,
+                "region": list(film.region),
+                "passes": list(film.pass_names),
+            },
             seconds={"build": 0.0, "compile": 0.0, "render": 0.0, **job.seconds},
             rays=ray_totals(integrators),
             samples=film.sample_total,

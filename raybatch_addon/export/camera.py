@@ -12,26 +12,36 @@ from ..core.scene.description import Camera, CameraKind
 _FSTOP_MIN = 1e-5
 
 
-def export_camera(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, width: int, height: int, warnings: list[str]) -> Camera:
+def export_camera(
+    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, width: int, height: int, warnings: list[str]
+) -> Camera:
     """The active camera of `scene` for a full frame of `width` x `height` pixels.
 
-    Raises `SceneError` for no camera, an object that is none, a matrix that is singular or not finite, and clipping
-    that leaves nothing.
+    Raises `SceneError` if there is no camera, if the object is no camera, for a matrix that is singular or not finite,
+    and for clipping that leaves nothing.
     """
     if scene.camera is None:
-        raise SceneError(f"scene “{scene.name}” has no camera; add one (Add > Camera) and make it the scene's active camera")
+        raise SceneError(
+            f"scene “{scene.name}” has no camera; add one (Add > Camera) and make it the scene's active camera"
+        )
     obj = scene.camera.evaluated_get(depsgraph)
     if obj.type != "CAMERA":
         kind = obj.type.lower()
-        raise SceneError(f"the active camera “{obj.name}” of scene “{scene.name}” is a {kind}; make a camera the active one")
+        raise SceneError(
+            f"the active camera “{obj.name}” of scene “{scene.name}” is a {kind}; make a camera the active one"
+        )
     camera = obj.data
     name = f"camera “{obj.name}”"
     transform = _transform(obj, name)
     kind = CameraKind.ORTHOGRAPHIC if camera.type == "ORTHO" else CameraKind.PERSPECTIVE
     if camera.type not in ("PERSP", "ORTHO"):
-        warnings.append(f"{name}: {_type_label(camera)} cameras are not supported; it is rendered as a perspective camera")
+        warnings.append(
+            f"{name}: {_type_label(camera)} cameras are not supported; it is rendered as a perspective camera"
+        )
     if camera.clip_end <= camera.clip_start:
-        raise SceneError(f"{name}: its clip end ({camera.clip_end:g}) is not beyond its clip start ({camera.clip_start:g}); raise it")
+        raise SceneError(
+            f"{name}: its clip end ({camera.clip_end:g}) is not beyond its clip start ({camera.clip_start:g}); raise it"
+        )
     return Camera(
         kind=kind,
         transform=transform,
@@ -43,7 +53,7 @@ def export_camera(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, width:
 
 
 def _transform(obj: bpy.types.Object, name: str) -> np.ndarray:
-    """Camera to world without scale, as Blender views through it: shape [3, 4]."""
+    """Camera to world without scale, as Blender views through the camera: shape [3, 4]."""
     matrix = np.array(obj.matrix_world, float)
     if not np.isfinite(matrix).all():
         raise SceneError(f"{name}: its matrix is not finite; reset its location, rotation and scale")
@@ -56,7 +66,7 @@ def _transform(obj: bpy.types.Object, name: str) -> np.ndarray:
 
 
 def _window(camera: bpy.types.Camera, kind: CameraKind, render: bpy.types.RenderSettings, width: int, height: int):
-    """Left, right, bottom, top edges of the frame one metre ahead, or of an orthographic camera's view [m]."""
+    """Left, right, bottom, top edges of the frame [m]: one metre ahead, or of an orthographic camera's view."""
     span = np.array([width * render.pixel_aspect_x, height * render.pixel_aspect_y])
     fit = camera.sensor_fit
     along = {"HORIZONTAL": 0, "VERTICAL": 1}.get(fit, int(span[1] > span[0]))
@@ -78,9 +88,12 @@ def _depth_of_field(obj, kind: CameraKind, transform: np.ndarray, depsgraph, nam
         return {}
     distance = _focus_distance(camera, transform, depsgraph)
     if not np.isfinite(distance) or distance <= 0:
-        warnings.append(f"{name}: its focus distance is {distance:g}, where nothing can be sharp; depth of field is left out")
+        warnings.append(
+            f"{name}: its focus distance is {distance:g}, where nothing can be sharp; depth of field is left out"
+        )
         return {}
-    # a focal length in millimetres over twice the f-number; an orthographic camera counts as one of one metre
+    # a focal length in millimetres over twice the f-number; an orthographic camera counts as a focal length of one
+    # metre
     focal_length = 1.0 if kind == CameraKind.ORTHOGRAPHIC else camera.lens * 1e-3
     return dict(
         lens_radius=focal_length / (2 * max(camera.dof.aperture_fstop, _FSTOP_MIN)),
@@ -92,7 +105,7 @@ def _depth_of_field(obj, kind: CameraKind, transform: np.ndarray, depsgraph, nam
 
 
 def _focus_distance(camera: bpy.types.Camera, transform: np.ndarray, depsgraph) -> float:
-    """Along the view axis [m], to the focus object or its bone where there is one."""
+    """Distance of the sharp plane along the view axis [m], to the focus object or its bone where there is one."""
     target = camera.dof.focus_object
     if target is None:
         return float(camera.dof.focus_distance)

@@ -1,4 +1,4 @@
-"""Drivers that Blender cannot evaluate: what they drive keeps a value of no meaning, which the user is told."""
+"""Drivers that Blender cannot evaluate: they leave meaningless values in properties, and the user is warned."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import bpy
 
 
 def failed_drivers(depsgraph: bpy.types.Depsgraph) -> list[str]:
-    """One line a driver, of any datablock of the depsgraph or its nodes, whose expression or variables fail."""
+    """One line for each driver, of any datablock of the depsgraph or its nodes, whose expression or variables fail."""
     lines = []
     for datablock in depsgraph.ids:
-        if datablock.is_embedded_data:  # told with what it is embedded in
+        if datablock.is_embedded_data:  # reported with the datablock that embeds it
             continue
         label = f"{datablock.bl_rna.name.lower()} “{datablock.name}”"
         for path in _failed(datablock):
             lines.append(
-                f"{label}: the driver of “{path}” cannot be evaluated, so that its value is the last one, or that without driver; "
-                "mend its expression and variables in the Drivers Editor"
+                f"{label}: the driver of “{path}” cannot be evaluated, so that its value is the last one, or that "
+                "without driver; mend its expression and variables in the Drivers Editor"
             )
     return lines
 
@@ -27,6 +27,6 @@ def _failed(datablock: bpy.types.ID) -> Iterator[str]:
     for owner in (datablock, getattr(datablock, "node_tree", None)):
         data = getattr(owner, "animation_data", None)  # collections and images, among others, have none
         for curve in data.drivers if data else ():
-            # what is muted is not evaluated, and fails nobody
+            # muted drivers are not evaluated, and cannot fail
             if not curve.mute and not curve.driver.is_valid:
                 yield curve.data_path

@@ -19,7 +19,7 @@ from .nodes.collections import Collections
 from .nodes.compile import compile_graph
 from .world import has_nodes, usable_emission
 
-_MAX_BOUNCES = 1024  # Cycles' default: no limit
+_MAX_BOUNCES = 1024  # Cycles' default, which means no limit
 
 # Columns of a matrix that was composed from rotation and scale in float32 are this close to perpendicular
 _SHEAR_MIN = 1e-4
@@ -27,16 +27,19 @@ _SHEAR_MIN = 1e-4
 
 @dataclass(frozen=True)
 class LampGraph:
-    """What the nodes of a light datablock become, for all lamps that show it."""
+    """The nodes of a light datablock, compiled for all lamps that show it."""
 
-    factor: np.ndarray  # of its strength, the same everywhere: linear RGB
-    program: Program | None  # what else it is multiplied by
-    notes: tuple[str, ...] = ()  # what is left out or approximated
+    factor: np.ndarray  # factor of the strength, the same everywhere: linear RGB
+    program: Program | None  # another factor of the strength
+    notes: tuple[str, ...] = ()  # parts that are left out or approximated
     asked: frozenset[tuple[str, str]] = frozenset()  # kind and name of attributes
 
 
 class LampGraphs:
-    """Graphs of light datablocks, each compiled when a lamp asks for it first: a photometric file may be large, and its lamps many."""
+    """Graphs of light datablocks, each compiled when a lamp first asks for it.
+
+    A photometric file may be large, and many lamps may share it.
+    """
 
     def __init__(self, collections: Collections | None = None) -> None:
         """`collections` gets the images and attributes that nodes refer to."""
@@ -54,10 +57,10 @@ class LampGraphs:
 def export_light(
     obj: bpy.types.Object, matrix_world, warnings: list[str], graphs: LampGraphs | None = None, random: float = 0.0
 ) -> Light | None:
-    """The light object `obj`, evaluated, placed by `matrix_world` (4 x 4).
+    """The light object `obj`, evaluated, with the matrix `matrix_world` (4 x 4).
 
-    `graphs` are those of the lights so far; `random` is the object's random number, 0..1. Returns None, with a line in `warnings`, for
-    a light that cannot be rendered.
+    `graphs` holds the graphs compiled so far; `random` is the object's random number, 0..1. Returns None, with a line
+    in `warnings`, for a light that cannot be rendered.
     """
     light = obj.data
     name = f"light “{obj.name}”"
@@ -66,13 +69,17 @@ def export_light(
         return None
     transform, scale = placed
     if light.type == "AREA" and getattr(getattr(light, "cycles", None), "is_portal", False):
-        warnings.append(f"{name}: it is a portal, which only guides the sampling of Cycles and gives no light; it is left out")
+        warnings.append(
+            f"{name}: it is a portal, which only guides the sampling of Cycles and gives no light; it is left out"
+        )
         return None
     _warn_of_limits(obj, name, warnings)
 
     emission, values = _shape(light, scale)
     if values is None:
-        warnings.append(f"{name}: its area is zero, so it gives no light; it is left out. Give it a size and a scale that are not 0")
+        warnings.append(
+            f"{name}: its area is zero, so it gives no light; it is left out. Give it a size and a scale that are not 0"
+        )
         return None
     graph = (graphs or LampGraphs()).of(light)
     warnings += [f"{name}: {note}" for note in graph.notes]
@@ -100,7 +107,7 @@ def object_visibility(obj: bpy.types.Object) -> int:
 
 
 def _strength(light: bpy.types.Light) -> np.ndarray:
-    """Power or strength by colour, without nodes [W, or W/m² of a sun]."""
+    """Power or strength by channel, without nodes [W, or W/m² for a sun]."""
     strength = np.array(light.color[:3], float) * light.energy * 2.0 ** getattr(light, "exposure", 0.0)
     if getattr(light, "use_temperature", False):
         strength = strength * np.array(light.temperature_color[:3], float)
@@ -123,14 +130,16 @@ def _lamp_graph(light: bpy.types.Light, collections: Collections) -> LampGraph:
 
 
 def _shape(light: bpy.types.Light, scale: np.ndarray) -> tuple[float, dict | None]:
-    """What turns strength to `Light.emission`, and the fields of the light's kind; no fields for a light of zero area."""
+    """Factor from strength to `Light.emission`, and the fields of the light's kind; None for a light of zero area."""
     normalize = getattr(light, "normalize", True)
     if light.type in ("POINT", "SPOT"):
         radius = float(light.shadow_soft_size)
         values = dict(kind=LightKind.POINT, radius=radius, soft_falloff=bool(light.use_soft_falloff))
         if light.type == "SPOT":
             width = (float(scale[0] / scale[2]), float(scale[1] / scale[2]))
-            values.update(kind=LightKind.SPOT, angle=float(light.spot_size), blend=float(light.spot_blend), spot_scale=width)
+            values.update(
+                kind=LightKind.SPOT, angle=float(light.spot_size), blend=float(light.spot_blend), spot_scale=width
+            )
         area = 4 * np.pi * radius**2 if radius > 0 else 4.0
         return (1 if normalize else area) / (4 * np.pi), values
     if light.type == "SUN":
@@ -148,7 +157,7 @@ def _shape(light: bpy.types.Light, scale: np.ndarray) -> tuple[float, dict | Non
 
 
 def _placement(obj: bpy.types.Object, matrix: np.ndarray, warnings: list[str]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Orthonormal light to world, shape [3, 4], and the scale along its axes, shape [3]; None if there is no such thing."""
+    """Orthonormal light to world, shape [3, 4], and the scale along its axes, shape [3]; None for a useless matrix."""
     name = f"light “{obj.name}”"
     if not np.isfinite(matrix).all():
         warnings.append(f"{name}: its matrix is not finite; it is left out. Reset its location, rotation and scale")
@@ -159,12 +168,16 @@ def _placement(obj: bpy.types.Object, matrix: np.ndarray, warnings: list[str]) -
         return np.column_stack([np.eye(3), position]).astype(np.float32), np.ones(3)
     needed = scale if obj.data.type == "SPOT" else scale[2:]
     if (needed == 0).any():
-        warnings.append(f"{name}: its scale is 0, so that it has no direction; it is left out. Give it a scale that is not 0")
+        warnings.append(
+            f"{name}: its scale is 0, so that it has no direction; it is left out. Give it a scale that is not 0"
+        )
         return None
     unit = columns / np.where(scale > 0, scale, 1)
     z = unit[:, 2]
     if obj.data.type != "SUN" and max(abs(unit[:, i] @ unit[:, j]) for i, j in ((0, 1), (0, 2), (1, 2))) > _SHEAR_MIN:
-        warnings.append(f"{name}: it is sheared, which is not supported; it keeps its direction and sizes at right angles")
+        warnings.append(
+            f"{name}: it is sheared, which is not supported; it keeps its direction and sizes at right angles"
+        )
     x = unit[:, 0] - (unit[:, 0] @ z) * z
     if np.linalg.norm(x) < _SHEAR_MIN:
         x = np.cross(unit[:, 1], z)
@@ -177,6 +190,8 @@ def _placement(obj: bpy.types.Object, matrix: np.ndarray, warnings: list[str]) -
 def _warn_of_limits(obj: bpy.types.Object, name: str, warnings: list[str]) -> None:
     linking = getattr(obj, "light_linking", None)
     if linking and (linking.receiver_collection or linking.blocker_collection):
-        warnings.append(f"{name}: light linking is not supported; it lights every object, and every object casts its shadow")
+        warnings.append(
+            f"{name}: light linking is not supported; it lights every object, and every object casts its shadow"
+        )
     if getattr(getattr(obj.data, "cycles", None), "max_bounces", _MAX_BOUNCES) < _MAX_BOUNCES:
         warnings.append(f"{name}: its limit of bounces is not supported; it shines at every bounce")

@@ -6,29 +6,30 @@ from typing import Any
 
 import bpy
 
+from ..core.programs.builder import Value
 from ..core.scene.description import Closure, ClosureKind, Material
-from ..core.shading.nodes.builder import Value
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph
 from .nodes.graph import find_source
-from .nodes.shaders_principled import KINDS as PRINCIPLED_KINDS
-from .nodes.shaders_principled import Layers, layered_closures
+from .nodes.shaders.principled import KINDS as PRINCIPLED_KINDS
+from .nodes.shaders.principled import Layers, layered_closures
 from .world import has_nodes
 
 _DEFAULT_GREY = (0.8, 0.8, 0.8)  # Blender's surface without a material
-# Objects named in a message about their material
+# Most objects that a message about their material names
 _NAMED_USERS = 3
 
 
-class MaterialTable:
+class ExportedMaterials:
     """The materials of one scene, each exported once, in the order of their first use."""
 
     def __init__(self, collections: Collections | None = None) -> None:
         self.collections = collections or Collections()
         self.materials: list[Material] = []
-        self.asked: list[frozenset[tuple[str, str]]] = []  # by material: kind and name of the attributes that it asks for
+        # for each material: kind and name of the attributes that it reads
+        self.asked: list[frozenset[tuple[str, str]]] = []
         self._index: dict[Any, int] = {}
-        self._notes: dict[int, list[str]] = {}  # by material: what was left out
+        self._notes: dict[int, list[str]] = {}  # for each material: messages about parts that were left out
         self._users: dict[int, list[str]] = {}
 
     def index(self, material: bpy.types.Material | None, user: str) -> int:
@@ -50,7 +51,7 @@ class MaterialTable:
         return index
 
     def warnings(self) -> list[str]:
-        """One line a material that is not rendered as it is: its name, its nodes, its objects."""
+        """One line for each material that is not rendered as it is: its name, its nodes, its objects."""
         lines = []
         for index, notes in self._notes.items():
             users = self._users[index]
@@ -60,10 +61,13 @@ class MaterialTable:
         return lines
 
 
-def export_material(material: bpy.types.Material | None, collections: Collections | None = None) -> tuple[Material, list[str]]:
-    """`material`, and in words what of it is not rendered as it is.
+def export_material(
+    material: bpy.types.Material | None, collections: Collections | None = None
+) -> tuple[Material, list[str]]:
+    """`material`, and messages about its parts that are not rendered as they are.
 
-    What a graph has that is not understood is replaced; `collections` gets what programs refer to by index.
+    Parts of a graph that are not understood are replaced; `collections` gets the images and attributes that programs
+    refer to by index.
     """
     collections = collections or Collections()
     if material is None:
@@ -79,12 +83,14 @@ def export_material(material: bpy.types.Material | None, collections: Collection
     if "Displacement" in linked and material.displacement_method != "BUMP":
         notes.append("displacement is rendered as bump: the surface stays where it is")
     if "Volume" in linked and "Surface" not in linked:  # a volume alone has no surface
-        return Material(material.name, (Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0)),), (ClosureKind.TRANSPARENT,)), notes
+        return Material(
+            material.name, (Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0)),), (ClosureKind.TRANSPARENT,)
+        ), notes
     compiled = compile_graph(output.inputs["Surface"], material, collections, "Displacement" in linked)
     return Material(material.name, compiled.closures, compiled.kinds, compiled.program), [*compiled.notes, *notes]
 
 
 def _viewport_closures(material: bpy.types.Material) -> tuple[Closure, ...]:
-    """Of a material without nodes."""
+    """Closures of a material without nodes."""
     color = tuple(float(c) for c in material.diffuse_color[:3])
     return layered_closures(Layers(Value.of(color), Value.of(material.metallic), Value.of(material.roughness)))

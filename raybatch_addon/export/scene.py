@@ -10,16 +10,16 @@ import numpy as np
 from ..core.scene.description import Frame, Scene
 from .camera import export_camera
 from .drivers import failed_drivers
-from .instances import Cancelled, collect_placements
+from .meshes.instances import Cancelled, collect_placements
 from .passes import PASS_PROPERTIES, wanted_passes
 from .world import export_world
 
 
 def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool] | None = None) -> Scene | None:
-    """What the active camera of the depsgraph's scene sees of its view layer.
+    """The view layer of the depsgraph's scene, as its active camera sees it.
 
-    Returns None when `cancelled()` said so meanwhile; it is asked at least once a mesh.
-    Raises `SceneError` for a scene that cannot be rendered: without a camera, or with one that cannot be used.
+    Returns None if `cancelled()`, which is called at least once for each mesh, returned True. Raises `SceneError` for a
+    scene that cannot be rendered: without a camera, or with one that cannot be used.
     """
     scene = depsgraph.scene
     frame = export_frame(scene, depsgraph.view_layer)
@@ -30,10 +30,15 @@ def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool
     except Cancelled:
         return None
     collections = placements.materials.collections
-    # evaluated: as drivers and keyframes have them now
+    # evaluated: with the current values of drivers and keyframes
     world = export_world(_world(depsgraph.scene_eval, depsgraph.view_layer_eval), warnings, collections)
     instances = placements.instances()
-    warnings += placements.warnings + collections.warnings + failed_drivers(depsgraph) + _unsupported(scene, depsgraph.view_layer)
+    warnings += (
+        placements.warnings
+        + collections.warnings
+        + failed_drivers(depsgraph)
+        + _unsupported(scene, depsgraph.view_layer)
+    )
     return Scene(
         camera=camera,
         frame=frame,
@@ -58,7 +63,7 @@ def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Fra
     width, height = max(1, width), max(1, height)
     border = None
     if render.use_border:
-        # in float32 and cut off, as Blender sizes its own buffer
+        # float32 and truncated, as Blender sizes its own buffer
         border = (
             int(np.float32(render.border_min_x) * np.float32(width)),
             int(np.float32(render.border_min_y) * np.float32(height)),
@@ -71,19 +76,23 @@ def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Fra
 
 
 def _world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bpy.types.World | None:
-    """The world that lights the view layer, if it is to be seen at all."""
+    """The world that lights the view layer, unless it is hidden."""
     return (getattr(view_layer, "world_override", None) or scene.world) if view_layer.use_sky else None
 
 
 def _unsupported(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list[str]:
-    """What the scene and the view layer ask for that is not rendered."""
+    """Settings of the scene and the view layer that are not rendered, by name."""
     lines = []
     if scene.render.use_motion_blur and getattr(view_layer, "use_motion_blur", True):
         lines.append(f"scene “{scene.name}”: motion blur is not supported yet; the frame is rendered sharp")
     if scene.render.use_multiview:
         lines.append(f"scene “{scene.name}”: stereoscopy is not supported yet; every view shows the same picture")
     known = {"use_pass_combined", "use_pass_cryptomatte_accurate", *PASS_PROPERTIES}  # accuracy is no pass of its own
-    asked = [p for p in view_layer.bl_rna.properties.keys() if p.startswith("use_pass_") and p not in known and getattr(view_layer, p) is True]
+    asked = [
+        p
+        for p in view_layer.bl_rna.properties.keys()
+        if p.startswith("use_pass_") and p not in known and getattr(view_layer, p) is True
+    ]
     if asked:
         names = ", ".join(view_layer.bl_rna.properties[p].name for p in asked)
         lines.append(f"view layer “{view_layer.name}”: these passes are not supported yet and stay empty: {names}")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..core.settings import BYTES, SETTINGS, RenderSettings
+from ..core.settings.settings import BYTES, SETTINGS, RenderSettings
 
 
 def settings_from(scene: bpy.types.Scene) -> RenderSettings:
-    """The settings at `scene.raybatch`; the defaults where the add-on is not registered. Raises `SettingsError`."""
+    """The settings at `scene.raybatch`, or the defaults if the add-on is not registered. Raises `SettingsError`."""
     properties = getattr(scene, "raybatch", None)
     if properties is None:
         return RenderSettings()
@@ -17,10 +17,14 @@ def settings_from(scene: bpy.types.Scene) -> RenderSettings:
 
 
 def assign_setting(properties: bpy.types.PropertyGroup, name: str, value) -> None:
-    """Give the setting `name` of `scene.raybatch` a value that `RenderSettings` takes. Numbers of bytes are kept as text."""
+    """Give the setting `name` of `scene.raybatch` a value that `RenderSettings` takes.
+
+    Numbers of bytes are kept as text.
+    """
     setattr(properties, name, str(value) if SETTINGS[name].unit == BYTES else value)
 
 
 def _exact(value):
-    # Blender keeps float32: the shortest decimal that means the same is what was typed, and lies within the range
+    # Blender keeps float32: the shortest decimal of the same float32 is the number that was typed, and lies within the
+    # range
     return float(str(np.float32(value))) if isinstance(value, float) else value

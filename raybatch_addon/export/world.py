@@ -10,16 +10,17 @@ from .nodes.collections import Collections
 from .nodes.compile import compile_graph
 from .nodes.graph import find_source
 
-# Texels around a world that is not constant, by whose brightness it is sampled: Cycles' number where no image says more
+# Texels around a world that varies, by whose brightness it is sampled: Cycles' number unless an image asks for more
 _SAMPLING_SIZE = 1024
 _SAMPLING_SIZE_MOST = 8192
-_SUN_SIZE_MOST = 2048  # for the sake of suns alone; a larger table takes seconds to fill
+_SUN_SIZE_MOST = 2048  # most texels for the sake of suns alone; a larger table takes seconds to fill
 
 
 def export_world(world: bpy.types.World | None, warnings: list[str], collections: Collections | None = None) -> World:
-    """`world` as it lights the scene, black where there is none.
+    """`world` as it lights the scene, black if there is none.
 
-    `collections` gets the images and attributes that its nodes refer to, `warnings` a line for everything that was replaced.
+    `collections` gets the images and attributes that its nodes refer to, `warnings` a line for everything that was
+    replaced.
     """
     collections = collections or Collections()
     if world is None:
@@ -45,7 +46,7 @@ def _sampling_size(world: bpy.types.World, collections: Collections) -> int:
     method = getattr(own, "sampling_method", "AUTOMATIC")
     if method == "NONE":
         return 0
-    # The table is all that aims at the sun of a sky, whatever its size is meant to be for the rest
+    # the table alone aims at the sun of a sky, whatever table size the rest asks for
     least = min(collections.sun_width, _SUN_SIZE_MOST)
     if method == "MANUAL":
         return min(max(int(own.sample_map_resolution), 4, least), _SAMPLING_SIZE_MOST)
@@ -53,12 +54,12 @@ def _sampling_size(world: bpy.types.World, collections: Collections) -> int:
 
 
 def has_nodes(owner) -> bool:
-    """Whether a material, light or world is described by its nodes. From Blender 5.0 on it is wherever it has a tree."""
+    """Whether a material, light or world is described by its nodes; from Blender 5.0 on, whether it has a tree."""
     return owner.node_tree is not None and (bpy.app.version >= (5, 0) or owner.use_nodes)
 
 
 def usable_emission(emission: np.ndarray, name: str, warnings: list[str]) -> tuple[float, float, float]:
-    """`emission` without what cannot be rendered; each repair is warned of."""
+    """`emission` with unusable values replaced; each repair adds a line to `warnings`."""
     if not np.isfinite(emission).all():
         warnings.append(f"{name}: its strength is not a finite number; it is taken as 0")
         emission = np.where(np.isfinite(emission), emission, 0)

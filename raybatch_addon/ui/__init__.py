@@ -1,4 +1,4 @@
-"""Settings and panels in Blender."""
+"""The settings and panels of RayBatch in Blender."""
 
 from __future__ import annotations
 

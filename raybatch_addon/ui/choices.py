@@ -1,4 +1,4 @@
-"""What RayBatch chose in the last render, for settings that let it: shown beside them, and kept by a click."""
+"""Choices of the last render, for settings that let RayBatch choose: shown beside them, and kept by a click."""
 
 from __future__ import annotations
 
@@ -6,14 +6,16 @@ from typing import Any
 
 import bpy
 
-from .. import reports
+from ..blender import reports
 from ..core.errors import SettingsError
-from ..core.settings import BYTES, SettingInfo, parse_setting
+from ..core.settings.settings import BYTES, SettingInfo, parse_setting
 from ..export.settings import assign_setting
 
 
 def last_statistics(context) -> dict[str, Any] | None:
-    """Statistics of the context's view layer, or of the first one there is, if the last render was of the context's scene."""
+    """Statistics of the context's view layer, or of the first one there is, if the last render was of the context's
+    scene.
+    """
     report = reports.last()
     if report is None or report.scene != context.scene.name or not report.statistics:
         return None
@@ -21,7 +23,9 @@ def last_statistics(context) -> dict[str, Any] | None:
 
 
 def last_choice(context, info: SettingInfo) -> dict[str, Any] | None:
-    """`{"value": ..., "why": ...}` of the last render; None where the setting leaves no choice now, or nothing is known."""
+    """`{"value": ..., "why": ...}` of the last render; None where the setting leaves no choice now, or nothing is
+    known.
+    """
     value = getattr(context.scene.raybatch, info.name)
     if not info.is_auto(_number(value) if info.unit == BYTES else value):
         return None
@@ -39,7 +43,13 @@ def value_text(info: SettingInfo, value: Any) -> str:
         if identifier == value:
             return label
     if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return f"{value / 1e6:,.3g} MB" if info.unit == BYTES and value < 1e8 else f"{value / 1e6:,.0f} MB" if info.unit == BYTES else f"{value:,}"
+        return (
+            f"{value / 1e6:,.3g} MB"
+            if info.unit == BYTES and value < 1e8
+            else f"{value / 1e6:,.0f} MB"
+            if info.unit == BYTES
+            else f"{value:,}"
+        )
     return str(value)
 
 

@@ -1,4 +1,6 @@
-"""Panels outside of the render tab, for what Blender's own panels do not show: passes, filter, ray visibility, light."""
+"""Panels outside of the render tab, for what Blender's own panels do not show: passes, filter, ray visibility,
+light.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
 
 
 class RAYBATCH_VIEWLAYER_PT_filter(EnginePanel, bpy.types.Panel):
-    """What of the scene the view layer shows."""
+    """Parts of the scene that the view layer shows."""
 
     bl_label = "Filter"
     bl_context = "view_layer"
@@ -67,7 +69,7 @@ class RAYBATCH_OBJECT_PT_ray_visibility(EnginePanel, bpy.types.Panel):
 
 
 class RAYBATCH_LIGHT_PT_settings(EnginePanel, bpy.types.Panel):
-    """What Blender's own light panel leaves out."""
+    """Settings of a light that Blender's own panel leaves out."""
 
     bl_label = "RayBatch"
     bl_context = "data"

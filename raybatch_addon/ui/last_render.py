@@ -1,4 +1,4 @@
-"""What the last render said: errors, warnings, how long it took and what its rays cost."""
+"""Panel of the last render: errors, warnings, how long it took and what its rays cost."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from typing import Any
 
 import bpy
 
-from .. import reports
-from ..convergence import error_line
+from ..blender import reports
+from ..convergence.run_texts import error_line
 from .panel import EnginePanel, draw_lines
 
 
@@ -36,14 +36,24 @@ class RAYBATCH_RENDER_PT_last_render(EnginePanel, bpy.types.Panel):
 
 
 def report_lines(report: reports.RenderReport) -> list[str]:
-    """Of each view layer: device, seconds, rays a second, samples and error, its tree, what was counted, samples that had to be repaired."""
+    """Of each view layer: device, seconds, rays a second, samples and error, its tree, what was counted, samples that
+    had to be repaired.
+    """
     lines = []
     for name, statistics in report.statistics.items():
         seconds = statistics["seconds"]
         rays = statistics["rays"]["total"] / seconds["render"] / 1e6 if seconds.get("render") else 0.0
-        parts = [f"{name}: {seconds['total']:.2f} s on {statistics['device']['alias']}", f"{rays:.2f} Mrays/s", error_line(statistics)]
+        parts = [
+            f"{name}: {seconds['total']:.2f} s on {statistics['device']['alias']}",
+            f"{rays:.2f} Mrays/s",
+            error_line(statistics),
+        ]
         lines.append(", ".join(part for part in parts if part))
-        lines += _tree_lines(statistics.get("tree")) + _batching_lines(statistics.get("batching")) + _counter_lines(statistics.get("counters"))
+        lines += (
+            _tree_lines(statistics.get("tree"))
+            + _batching_lines(statistics.get("batching"))
+            + _counter_lines(statistics.get("counters"))
+        )
         if statistics["invalid_samples"]:
             lines.append(f"{name}: {statistics['invalid_samples']:,} samples were not finite and count as black")
     return lines
@@ -57,19 +67,29 @@ def _tree_lines(tree: dict[str, Any] | None) -> list[str]:
     if len(done) == 1 and tree["trees"] == 1:
         done = [done[0].removeprefix("1 ")]
     work = f"{', '.join(done)} in {tree['seconds']:.2f} s" if done else "kept"
-    return [f"Tree: {_short(tree['triangles'])} triangles, {_short(tree['nodes'])} nodes, {tree['bytes'] / 1e6:.1f} MB, {work}"]
+    return [
+        f"Tree: {_short(tree['triangles'])} triangles, {_short(tree['nodes'])} nodes, {tree['bytes'] / 1e6:.1f} MB, "
+        f"{work}"
+    ]
 
 
 def _batching_lines(batching: dict[str, Any] | None) -> list[str]:
     """How often rays waited, and what was copied for them; nothing where nothing batched."""
     if batching is None:
         return []
-    lines = [f"Batched: {batching['treelet_visits_per_ray']:.1f} treelets, {batching['rays_queued_per_ray']:.1f} times queued a ray"]
+    lines = [
+        f"Batched: {batching['treelet_visits_per_ray']:.1f} treelets, {batching['rays_queued_per_ray']:.1f} times "
+        "queued a ray"
+    ]
     if batching["blocks_short"]:
-        lines.append(f"The {_short(batching['block_count'])} blocks of queues ran out {_short(batching['blocks_short'])} times")
+        lines.append(
+            f"The {_short(batching['block_count'])} blocks of queues ran out {_short(batching['blocks_short'])} times"
+        )
     if batching["pages_loaded"]:
         copied = f"{_short(batching['pages_loaded'])} pages, {batching['bytes_copied'] / 1e9:.2f} GB"
-        lines.append(f"Geometry on the device {batching['resident_peak'] / 1e6:,.0f} MB at most; brought there: {copied}")
+        lines.append(
+            f"Geometry on the device {batching['resident_peak'] / 1e6:,.0f} MB at most; brought there: {copied}"
+        )
     return lines
 
 

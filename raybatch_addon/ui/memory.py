@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ..core.errors import SettingsError
-from ..core.settings import RenderSettings
+from ..core.settings.settings import RenderSettings
 from ..export.passes import wanted_passes
 from ..export.settings import settings_from
 from .choices import last_statistics
 
 if TYPE_CHECKING:
     from ..core.bvh.memory import GeometrySize  # brings in Warp, which registering the add-on should not wait for
-    from ..core.report.memory_estimate import MemoryEstimate
+    from ..core.measure.memory import MemoryEstimate
 
 
 def estimate_lines(context) -> list[str]:
@@ -43,18 +43,25 @@ def _is_cuda(settings: RenderSettings, statistics: dict[str, Any] | None) -> boo
 
 def _estimate(context, settings: RenderSettings, statistics: dict[str, Any] | None, is_cuda: bool) -> MemoryEstimate:
     from ..core.bvh.node import Layout
-    from ..core.report.memory_estimate import estimate_memory
+    from ..core.measure.memory import estimate_memory
     from ..core.wavefront.rays import bytes_per_path
     from ..core.wavefront.scheduler import paths_a_worker
 
-    schedule = statistics["schedule"] if statistics and statistics["device"]["alias"].startswith("cuda") == is_cuda else {}
+    schedule = (
+        statistics["schedule"] if statistics and statistics["device"]["alias"].startswith("cuda") == is_cuda else {}
+    )
     workers = 1 if is_cuda else settings.thread_count or schedule.get("workers") or os.cpu_count() or 1
     path_count = settings.ray_count or schedule.get("ray_count") or workers * paths_a_worker(settings, workers, is_cuda)
     path_bytes = schedule.get("bytes_per_path") or bytes_per_path(_features(context))
     tree = statistics.get("tree") if schedule else None
     size = geometry_size(context.scene, tree["triangles"] if tree else None)
     return estimate_memory(
-        size, Layout.QUANTISED if is_cuda else Layout.BOXES, path_bytes, path_count, settings.geometry_budget, tree["bytes"] if tree else None
+        size,
+        Layout.QUANTISED if is_cuda else Layout.BOXES,
+        path_bytes,
+        path_count,
+        settings.geometry_budget,
+        tree["bytes"] if tree else None,
     )
 
 
@@ -64,13 +71,18 @@ def _features(context):
     from ..core.scene.features import SceneFeatures
 
     return SceneFeatures(
-        surfaces=True, lights=(LightKind.SUN,), closures=(ClosureKind.TRANSPARENT,),
-        film_transparent=context.scene.render.film_transparent, passes=wanted_passes(context.view_layer),
-    )  # fmt: skip
+        surfaces=True,
+        lights=(LightKind.SUN,),
+        closures=(ClosureKind.TRANSPARENT,),
+        film_transparent=context.scene.render.film_transparent,
+        passes=wanted_passes(context.view_layer),
+    )
 
 
 def geometry_size(scene: bpy.types.Scene, triangles: int | None) -> GeometrySize:
-    """What the scene's meshes hold before modifiers, each counted once; `triangles` as far as the last render knew better."""
+    """What the scene's meshes hold before modifiers, each counted once; `triangles` as far as the last render knew
+    better.
+    """
     from ..core.bvh.memory import GeometrySize
 
     meshes = {obj.data for obj in scene.objects if obj.type == "MESH" and not obj.hide_render}
@@ -78,16 +90,19 @@ def geometry_size(scene: bpy.types.Scene, triangles: int | None) -> GeometrySize
     counted, vertices = sum(counts), sum(len(mesh.vertices) for mesh in meshes)
     if triangles is None or triangles == counted:
         return GeometrySize(counted, vertices, max([0, *counts]), smooth=True)
-    return GeometrySize(triangles, triangles // 2 + 1, triangles, smooth=True)  # a closed mesh has half as many vertices
+    # a closed mesh has half as many vertices
+    return GeometrySize(triangles, triangles // 2 + 1, triangles, smooth=True)
 
 
 def _lines(estimate: MemoryEstimate) -> list[str]:
-    from ..core.report.memory_estimate import size_text
+    from ..core.measure.memory import size_text
 
     lines = [
         f"Rays: {estimate.path_count:,} x {estimate.path_bytes} bytes, {size_text(estimate.rays)}",
         f"Geometry: {size_text(estimate.geometry)}, trees: {size_text(estimate.tree)}",
     ]
     if estimate.behind:
-        lines.append(f"Of the trees {size_text(estimate.resident)} on the device, {size_text(estimate.behind)} behind it")
+        lines.append(
+            f"Of the trees {size_text(estimate.resident)} on the device, {size_text(estimate.behind)} behind it"
+        )
     return [*lines, f"On the device about {size_text(estimate.device)}"]

@@ -1,4 +1,4 @@
-"""What every panel of the engine shares."""
+"""Base of every panel of the engine, and text broken into its lines."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..core.presets import PRESETS, preset_settings
+from ..core.settings.presets import PRESETS, preset_settings
 from ..export.settings import assign_setting
 from .panel import ENGINE
 
@@ -16,7 +16,9 @@ class RAYBATCH_OT_schedule_preset(bpy.types.Operator):
     bl_label = "RayBatch Preset"
     bl_options = {"REGISTER", "UNDO"}
 
-    preset: bpy.props.EnumProperty(name="Preset", items=[(name, preset.label, preset.description) for name, preset in PRESETS.items()])
+    preset: bpy.props.EnumProperty(
+        name="Preset", items=[(name, preset.label, preset.description) for name, preset in PRESETS.items()]
+    )
 
     @classmethod
     def poll(cls, context):
@@ -52,6 +54,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Remove them."""
+    """Remove the presets."""
     for cls in reversed(_classes):
         bpy.utils.unregister_class(cls)

@@ -1,4 +1,6 @@
-"""The settings at `scene.raybatch`, made from the core's definitions, and the passes of RayBatch's own at `view_layer.raybatch`."""
+"""The settings at `scene.raybatch`, made from the core's definitions, and the passes of RayBatch's own at
+`view_layer.raybatch`.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +10,15 @@ import bpy
 import numpy as np
 
 from ..core.errors import SettingsError
-from ..core.settings import BYTES, SETTINGS, SettingInfo, parse_setting
+from ..core.settings.settings import BYTES, SETTINGS, SettingInfo, parse_setting
 from ..export.settings import assign_setting
 
 
 def device_names() -> list[tuple[str, str]]:
-    """What may be chosen as device, and what it is; starts Warp."""
+    """Devices that may be chosen, and what each is; starts Warp."""
     import warp as wp
 
-    from ..core.device import start_warp
+    from ..core.device.devices import start_warp
 
     start_warp()
     choices = [("AUTO", "the first CUDA device, else the CPU"), ("cpu", "the processor")]
@@ -40,14 +42,19 @@ def _property(info: SettingInfo):
         return bpy.props.StringProperty(**about)
     if info.unit == BYTES:
         # Blender's integers have 32 bits. The number is kept as text, exactly; `megabytes_name` shows it
-        about.update(default=str(info.default), description=f"{about['description']}; 1.5G is 1,500,000,000, and 512Mi is 536,870,912")
+        about.update(
+            default=str(info.default),
+            description=f"{about['description']}; 1.5G is 1,500,000,000, and 512Mi is 536,870,912",
+        )
         return bpy.props.StringProperty(**about)
     if info.kind is int:
         return bpy.props.IntProperty(min=int(info.minimum), max=int(info.maximum), **about)
     if info.unit == "s":
         return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, unit="TIME_ABSOLUTE", step=100, **about)
     # of a relative error the last of three digits would often be the first
-    return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, precision=6 if info.unit == "relMSE" else 3, **about)
+    return bpy.props.FloatProperty(
+        min=info.minimum, max=info.maximum, precision=6 if info.unit == "relMSE" else 3, **about
+    )
 
 
 def _description(info: SettingInfo) -> str:
@@ -75,9 +82,16 @@ def _megabytes(info: SettingInfo):
         assign_setting(properties, info.name, min(max(number, int(info.minimum)), int(info.maximum)))
 
     return bpy.props.FloatProperty(
-        name=info.label, description=f"{info.description} [MB, of 1,000,000 bytes]", min=info.minimum / 1e6, max=info.maximum / 1e6,
-        precision=3, step=100, options=set(), get=get, set=put,
-    )  # fmt: skip
+        name=info.label,
+        description=f"{info.description} [MB, of 1,000,000 bytes]",
+        min=info.minimum / 1e6,
+        max=info.maximum / 1e6,
+        precision=3,
+        step=100,
+        options=set(),
+        get=get,
+        set=put,
+    )
 
 
 def _annotations() -> dict:
@@ -88,10 +102,7 @@ def _annotations() -> dict:
 RayBatchSettings = type(
     "RayBatchSettings",
     (bpy.types.PropertyGroup,),
-    {
-        "__doc__": "RayBatch's settings of a scene.",
-        "__annotations__": _annotations(),
-    },
+    {"__doc__": "RayBatch's settings of a scene.", "__annotations__": _annotations()},
 )
 
 
@@ -104,7 +115,9 @@ def _update_passes(_self, context) -> None:
 def _cost_pass(name: str, description: str):
     """Blender's property for a pass that shows cost."""
     description += ": mean over the samples of a pixel. Counters are on for it, and the render takes longer"
-    return bpy.props.BoolProperty(name=name, description=description, default=False, options=set(), update=_update_passes)
+    return bpy.props.BoolProperty(
+        name=name, description=description, default=False, options=set(), update=_update_passes
+    )
 
 
 class RayBatchViewLayer(bpy.types.PropertyGroup):
@@ -113,12 +126,19 @@ class RayBatchViewLayer(bpy.types.PropertyGroup):
     use_pass_rays: _cost_pass("Rays", "Rays that a path takes, shadow rays included")
     use_pass_node_steps: _cost_pass("Node Steps", "Nodes of the tree that the rays of a path visit")
     use_pass_triangle_tests: _cost_pass("Triangle Tests", "Triangles that the rays of a path are tested with")
-    use_pass_treelet_visits: _cost_pass("Treelet Visits", "Treelets that the rays of a path visit; 0 unless the render batches")
-    use_pass_times_queued: _cost_pass("Times Queued", "How often the rays of a path wait in a queue; 0 unless the render batches")
+    use_pass_treelet_visits: _cost_pass(
+        "Treelet Visits", "Treelets that the rays of a path visit; 0 unless the render batches"
+    )
+    use_pass_times_queued: _cost_pass(
+        "Times Queued", "How often the rays of a path wait in a queue; 0 unless the render batches"
+    )
 
 
 # what they are found at
-_groups = ((bpy.types.Scene, RayBatchSettings, "Settings of RayBatch"), (bpy.types.ViewLayer, RayBatchViewLayer, "Passes of RayBatch's own"))
+_groups = (
+    (bpy.types.Scene, RayBatchSettings, "Settings of RayBatch"),
+    (bpy.types.ViewLayer, RayBatchViewLayer, "Passes of RayBatch's own"),
+)
 
 
 def register() -> None:
@@ -129,7 +149,7 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Remove them."""
+    """Remove both."""
     for owner, group, _ in reversed(_groups):
         del owner.raybatch
         bpy.utils.unregister_class(group)

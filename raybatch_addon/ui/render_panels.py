@@ -5,8 +5,8 @@ from __future__ import annotations
 import bpy
 
 from ..core.errors import SettingsError
-from ..core.setting_info import GroupInfo
-from ..core.settings import BYTES, GROUPS, SETTINGS, SettingInfo
+from ..core.settings.info import GroupInfo
+from ..core.settings.settings import BYTES, GROUPS, SETTINGS, SettingInfo, parse_setting
 from ..export.settings import settings_from
 from .choices import draw_choice
 from .memory import estimate_lines
@@ -35,6 +35,8 @@ def _draw(self, context):
             row.active = not _is_implied(context.scene.raybatch, info.name)
             row.prop(context.scene.raybatch, shown_name(info))
             draw_choice(row, context, info)
+            if info.unit == BYTES:
+                _draw_text_complaint(column, context, info)
     for name in _BUILTIN.get(self.group, ()):
         column.prop(context.scene.render, name)
     if self.group == _SCHEDULE:
@@ -48,8 +50,18 @@ def _is_implied(settings, name: str) -> bool:
     return name == "error_estimate" and settings.error_target > 0
 
 
+def _draw_text_complaint(layout, context, info: SettingInfo) -> None:
+    """Draw in red why the text that a number of bytes is kept as means none: the number beside it is 0 then."""
+    try:
+        parse_setting(info.name, getattr(context.scene.raybatch, info.name))
+    except SettingsError as error:
+        box = layout.box()
+        box.alert = True
+        draw_lines(box, context, [str(error)], "ERROR")
+
+
 def _draw_complaint(layout, context) -> None:
-    """Settings that do not go together are told before a render is tried."""
+    """Draw why settings do not go together, before a render is tried."""
     try:
         settings_from(context.scene)
     except SettingsError as error:

@@ -1,14 +1,14 @@
 """Whose hit is right, where tracers disagree: every triangle is asked, in float64.
 
 Tracers work in float32, so what they must find is known up to an error: a ray that passes an edge nearer than the bound
-below may hit the triangle or miss it. For each ray this file finds the farthest distance at which a closest hit may still be
-(the nearest triangle that is hit for certain), and the nearest at which one can be (the nearest triangle that is not missed for
-certain). An answer outside of these is a fault.
+below may hit the triangle or miss it. For each ray this file finds the farthest distance at which a closest hit may
+still be (the nearest triangle that is hit for certain), and the nearest at which one can be (the nearest triangle that
+is not missed for certain). An answer outside of these is a fault.
 
-The bound is that of the project's own triangle test, in roundings of the largest coordinate of the triangle's corners, taken
-from the ray's origin: 32 of where edges are, 25 a coordinate of where the plane is. Where there are instances, rays are carried
-to them first: 32 roundings of the largest coordinate of the ray's origin and of the geometry, both taken from the middle of the
-geometry's box, come on top.
+The bound is that of the project's own triangle test, in roundings of the largest coordinate of the triangle's corners,
+taken from the ray's origin: 32 of where edges are, 25 a coordinate of where the plane is. Where there are instances,
+rays are carried to them first: 32 roundings of the largest coordinate of the ray's origin and of the geometry, both
+taken from the middle of the geometry's box, come on top.
 """
 
 from __future__ import annotations
@@ -18,19 +18,18 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from benchmarking.rays import CapturedRays
+from benchmarking.tracers.interface import Hits
 from raybatch_addon.core.bvh.margin import TRIANGLE_TEST  # surfaces move the origins of rays that leave them by no less
-from raybatch_addon.core.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Visibility
 from raybatch_addon.core.scene.flatten import FlatGeometry
-
-from .rays import CapturedRays
-from .tracers import Hits
 
 ROUNDINGS = 32
 UNIT_ROUNDOFF = 2.0**-24  # of float32
 RELATIVE_BOUND = ROUNDINGS * UNIT_ROUNDOFF * 3**0.5  # of a length, from that of a coordinate
-# A ray that passes through a triangle and no nearer to its edges than the bound meets its plane at more than 16 roundings [rad]; what float64
-# tells of flatter ones is noise
+# A ray that passes through a triangle and no nearer to its edges than the bound meets its plane at more than 16
+# roundings [rad]; what float64 tells of flatter ones is noise
 FLATTEST = 2.0**-23
 CHUNK = 1 << 14  # triangles of one thread
 PAIRS_MAX = {"cpu": 500_000_000, "cuda": 200_000_000_000}  # rays times triangles of one judgement
@@ -55,7 +54,9 @@ class Certainty:
 
 @wp.func
 def edge_closest(p: wp.vec3d, e: wp.vec3d, d: wp.vec3d) -> wp.vec2d:
-    """Distance of the edge from `p` to `p + e` to the line through the origin along the unit vector `d`, and how far along `d`."""
+    """Distance of the edge from `p` to `p + e` to the line through the origin along the unit vector `d`, and how far
+    along `d`.
+    """
     across = p - d * wp.dot(p, d)
     along = e - d * wp.dot(e, d)
     length = wp.dot(along, along)
@@ -67,7 +68,9 @@ def edge_closest(p: wp.vec3d, e: wp.vec3d, d: wp.vec3d) -> wp.vec2d:
 
 @wp.func
 def certainty(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d, t_max: wp.float64, carried: wp.float64) -> Certainty:
-    """Of the triangle a, b, c, taken relative to the origin of a ray along the unit vector `d`, which was carried there with the error `carried`."""
+    """Of the triangle a, b, c, taken relative to the origin of a ray along the unit vector `d`, which was carried there
+    with the error `carried`.
+    """
     result = Certainty()
     reach = wp.max(wp.max(wp.abs(a)), wp.max(wp.max(wp.abs(b)), wp.max(wp.abs(c))))
     bound = carried + wp.float64(RELATIVE_BOUND) * reach
@@ -80,7 +83,9 @@ def certainty(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d, t_max: wp.floa
     u = wp.dot(d, wp.cross(pb, pc))
     v = wp.dot(d, wp.cross(pc, pa))
     w = wp.dot(d, wp.cross(pa, pb))
-    inside = wp.abs(facing) > wp.float64(FLATTEST) * wp.length(normal) and (wp.min(wp.min(u, v), w) >= wp.float64(0.0) or wp.max(wp.max(u, v), w) <= wp.float64(0.0))
+    inside = wp.abs(facing) > wp.float64(FLATTEST) * wp.length(normal) and (
+        wp.min(wp.min(u, v), w) >= wp.float64(0.0) or wp.max(wp.max(u, v), w) <= wp.float64(0.0)
+    )
     nearest = edge_closest(a, b - a, d)
     second = edge_closest(b, c - b, d)
     third = edge_closest(c, a - c, d)
@@ -136,9 +141,13 @@ def judge_kernel(
         if visibility.shape[0] == 0 or (visibility[i] & rays.visibility[ray]) != 0:
             corners = triangles[i]
             found = certainty(
-                wp.vec3d(positions[corners[0]]) - origin, wp.vec3d(positions[corners[1]]) - origin,
-                wp.vec3d(positions[corners[2]]) - origin, rays.direction[ray], rays.t_max[ray], rays.carried[ray],
-            )  # fmt: skip
+                wp.vec3d(positions[corners[0]]) - origin,
+                wp.vec3d(positions[corners[1]]) - origin,
+                wp.vec3d(positions[corners[2]]) - origin,
+                rays.direction[ray],
+                rays.t_max[ray],
+                rays.carried[ray],
+            )
             before = wp.min(before, found.hit_before)
             after = wp.min(after, found.hit_after)
     hit_before[ray, part] = before

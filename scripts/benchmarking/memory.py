@@ -8,22 +8,30 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from rendering.request import UsageError
+from lib.command import UsageError
 
+from benchmarking.progress import Steps
+from benchmarking.timing import summary
+from benchmarking.whole_render import OpenedScene, RenderRequest, scene_report, timed_render
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.film.layout import COST_PASSES
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import RenderSettings, parse_setting
-
-from .progress import Steps
-from .timing import summary
-from .whole_render import OpenedScene, RenderRequest, scene_report, timed_render
+from raybatch_addon.core.settings.settings import RenderSettings, parse_setting
 
 MEMORY = "memory"  # the render with all geometry there, by name
 # What a render in pages tells of itself
-_PAGING = ("bytes_copied", "pages_loaded", "pages_evicted", "resident_peak", "rays_queued", "rays_queued_per_ray", "treelet_visits_per_ray", "steps")
+_PAGING = (
+    "bytes_copied",
+    "pages_loaded",
+    "pages_evicted",
+    "resident_peak",
+    "rays_queued",
+    "rays_queued_per_ray",
+    "treelet_visits_per_ray",
+    "steps",
+)
 
 
 @dataclass(frozen=True)
@@ -45,7 +53,10 @@ def parse_budgets(text: str) -> list[GeometryBudget]:
 
 
 def _parse_budget(text: str) -> GeometryBudget:
-    complaint = UsageError(f"--budgets {text!r} is not valid: give bytes above 0, such as 1.5G or 512Mi, or a share of the geometry, such as 10%")
+    complaint = UsageError(
+        f"--budgets {text!r} is not valid: give bytes above 0, such as 1.5G or 512Mi, or a share of the geometry, such "
+        "as 10%"
+    )
     try:
         if not text.endswith("%"):
             found = GeometryBudget(text, parse_setting("geometry_budget", text))
@@ -77,7 +88,9 @@ class _Variant:
             "cold": {"seconds": round(self.cold["seconds"]["total"], 3), "stages": self.cold["seconds"]},
             "whole": summary(self.seconds),
             **parts,
-            "rays_per_second": round(told["rays"]["total"] / parts["render"]["seconds"]) if parts["render"]["seconds"] else 0,
+            "rays_per_second": round(told["rays"]["total"] / parts["render"]["seconds"])
+            if parts["render"]["seconds"]
+            else 0,
             "schedule": told["schedule"],
             "auto": told["auto"],
             "tree": told["tree"],
@@ -109,7 +122,11 @@ class _FilmsCompared:
 
     def report(self) -> dict[str, Any]:
         """What was found."""
-        return {"compared": self._count, "equal": not self._differences, "differences": list(dict.fromkeys(self._differences))}
+        return {
+            "compared": self._count,
+            "equal": not self._differences,
+            "differences": list(dict.fromkeys(self._differences)),
+        }
 
 
 def differing_pixels(a: np.ndarray, b: np.ndarray) -> int:
@@ -119,22 +136,33 @@ def differing_pixels(a: np.ndarray, b: np.ndarray) -> int:
 
 
 def check_settings(changes: dict[str, Any], settings: RenderSettings) -> None:
-    """Raise `UsageError` where `changes`, those of the command line, or the `settings` that came of them leave nothing to compare."""
+    """Raise `UsageError` where `changes`, those of the command line, or the `settings` that came of them leave nothing
+    to compare.
+    """
     if changes.get("geometry_budget"):
         raise UsageError("geometry_budget is what --budgets is for: leave it out of --set")
     if changes.get("counters") == "ON":
-        raise UsageError("counters would make the timed runs slower, and are told from runs of their own: leave them out of --set")
+        raise UsageError(
+            "counters would make the timed runs slower, and are told from runs of their own: leave them out of --set"
+        )
     if settings.batching in ("OFF", "REFERENCE"):
-        raise UsageError(f"batching is {settings.batching}, and within --budgets rays must wait: --set batching=AUTO or ON (the render in memory is OFF anyway)")
+        raise UsageError(
+            f"batching is {settings.batching}, and within --budgets rays must wait: --set batching=AUTO or ON (the "
+            "render in memory is OFF anyway)"
+        )
 
 
 def measure_against_memory(
-    session: Session, opened: OpenedScene, settings: RenderSettings, request: RenderRequest, budgets: list[GeometryBudget]
+    session: Session,
+    opened: OpenedScene,
+    settings: RenderSettings,
+    request: RenderRequest,
+    budgets: list[GeometryBudget],
 ) -> tuple[dict[str, Any], Film]:
     """The report of `benchmark.py render --against memory`, and the film in memory; raises `RayBatchError`.
 
-    Films that differ are told in the report, under `films`. Every timed render builds its tree anew; one in pages opens the
-    file of an earlier one where geometry lies on disk.
+    Films that differ are told in the report, under `films`. Every timed render builds its tree anew; one in pages opens
+    the file of an earlier one where geometry lies on disk.
     """
     check_settings(request.settings, settings)
     # passes that show cost differ between schedules, and are counted
@@ -153,7 +181,9 @@ def measure_against_memory(
         variants = [whole]
         for budget in budgets:
             limited = plain.replace(geometry_budget=budget.of(geometry_bytes))
-            variants.append(_begun(session, scene, budget.text, limited, films, request.counters, steps, geometry_bytes)[0])
+            variants.append(
+                _begun(session, scene, budget.text, limited, films, request.counters, steps, geometry_bytes)[0]
+            )
         for run in range(request.runs):
             steps.begin(f"run {run + 1} of {request.runs}")
             for variant in variants:
@@ -175,9 +205,17 @@ def measure_against_memory(
 
 
 def _begun(
-    session: Session, scene: Scene, name: str, settings: RenderSettings, films: _FilmsCompared, counters: bool, steps: Steps, geometry_bytes: int = 0
+    session: Session,
+    scene: Scene,
+    name: str,
+    settings: RenderSettings,
+    films: _FilmsCompared,
+    counters: bool,
+    steps: Steps,
+    geometry_bytes: int = 0,
 ) -> tuple[_Variant, Film]:
-    """A variant after its first render, with compilation, and one with counters, which takes over the tree; and the first's film.
+    """A variant after its first render, with compilation, and one with counters, which takes over the tree; and the
+    first's film.
 
     `geometry_bytes`: what a budget is a part of; 0: there is none. Raises `UsageError` for one that holds everything.
     """
@@ -187,7 +225,9 @@ def _begun(
     variant = _Variant(name, settings, film.statistics)
     films.take(name, film)
     if geometry_bytes and "pages" not in film.statistics["tree"]:
-        raise UsageError(f"--budgets {name} holds all of the geometry ({geometry_bytes:,} bytes), so no ray would wait: give less")
+        raise UsageError(
+            f"--budgets {name} holds all of the geometry ({geometry_bytes:,} bytes), so no ray would wait: give less"
+        )
     if counters:
         steps.begin(f"{name}: counters")
         counted = session.render(scene, settings.replace(counters="ON"))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from rendering.request import UsageError
+from lib.command import UsageError
 
-from .rays import CapturedRays
+from benchmarking.rays import CapturedRays
 
 ORDERS = ("natural", "shuffled", "sorted")
 MORTON_BITS = 9  # a coordinate: with the three bits of the octant, 30 bits in all

@@ -17,14 +17,20 @@ class Steps:
                 from tqdm import tqdm
             except ImportError:
                 return
-            self._bar = tqdm(total=total, file=sys.stderr, leave=False, dynamic_ncols=True, bar_format="{desc} |{bar}| {n}/{total}")
+            self._bar = tqdm(
+                total=total, file=sys.stderr, leave=False, dynamic_ncols=True, bar_format="{desc} |{bar}| {n}/{total}"
+            )
 
     def begin(self, text: str) -> None:
         """The next step begins: it is about `text`."""
         if self._bar is not None:
             self._bar.set_description_str(text, refresh=True)
         else:
-            print(f"[{self._done + 1}/{self._total}, {time.perf_counter() - self._began:.0f} s] {text}", file=sys.stderr, flush=True)
+            print(
+                f"[{self._done + 1}/{self._total}, {time.perf_counter() - self._began:.0f} s] {text}",
+                file=sys.stderr,
+                flush=True,
+            )
 
     def end(self) -> None:
         """The step is done."""

@@ -1,4 +1,6 @@
-"""Rays of real paths: a render is watched, and the rays that it hands to its tracer are copied in the order in which it does."""
+"""Rays of real paths: a render is watched, and the rays that it hands to its tracer are copied in the order in which it
+does.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +12,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import warp as wp
-from rendering.request import UsageError
+from lib.command import UsageError
 
+from benchmarking.scenes import BenchmarkScene
+from raybatch_addon.blender.kernel_cache import kernel_cache_folder
+from raybatch_addon.core.rays import RayKind, RayList, Rays
 from raybatch_addon.core.scene.description import Visibility
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.core.wavefront import workers
+from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
-from raybatch_addon.core.wavefront.rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Paths, RayKind, Rays
-from raybatch_addon.core.wavefront.tracer import SlotList, Tracer
-from raybatch_addon.kernel_cache import kernel_cache_folder
-
-from .scenes import BenchmarkScene
+from raybatch_addon.core.wavefront.rays import BOUNCE_SHIFT, VISIBILITY_SHIFT, Paths
+from raybatch_addon.core.wavefront.render import workers
+from raybatch_addon.core.wavefront.tracers.interface import Tracer
 
 CAMERA_RAYS_MAX = 32  # camera rays that are spent at most, for each ray of a kind that is wanted
 TILE_MAX = 65_536  # one tile for the whole frame, so that rays come from all of it
@@ -33,7 +35,8 @@ class RayType:
 
     name: str
     shadow: bool
-    bounce: int  # scattering events of the path before an extending ray; of a shadow ray, the number of the hit it starts at
+    # scattering events of the path before an extending ray; of a shadow ray, the number of the hit it starts at
+    bounce: int
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,9 @@ class CapturedRays:
 
     def taken(self, order: np.ndarray) -> CapturedRays:
         """The rays `order`, indices, in that order."""
-        parts = (np.ascontiguousarray(part[order]) for part in (self.origin, self.direction, self.t_max, self.visibility))
+        parts = (
+            np.ascontiguousarray(part[order]) for part in (self.origin, self.direction, self.t_max, self.visibility)
+        )
         return CapturedRays(self.type, *parts)
 
 
@@ -61,7 +66,10 @@ def parse_ray_types(text: str) -> list[RayType]:
     for name in text.split(","):
         match = re.fullmatch(r"primary|(bounce|shadow)([1-9]\d?)", name.strip())
         if not match:
-            raise UsageError(f"--rays {name.strip()!r} is not known: choose of primary, bounce1, bounce2 ... and shadow1, shadow2 ...")
+            raise UsageError(
+                f"--rays {name.strip()!r} is not known: choose of primary, bounce1, bounce2 ... and shadow1, shadow2 "
+                "..."
+            )
         ray_type = RayType(match[0], match[1] == "shadow", int(match[2] or 0))
         if ray_type not in types:
             types.append(ray_type)
@@ -82,7 +90,7 @@ class RayCollector:
         """Whether all types are complete."""
         return all(self._counts.get(each.name, 0) >= self.ray_count for each in self.types)
 
-    def take(self, kind: RayKind, submitted: SlotList, paths: Paths, rays: Rays) -> None:
+    def take(self, kind: RayKind, submitted: RayList, paths: Paths, rays: Rays) -> None:
         """Copy what is wanted of rays that are handed to a tracer."""
         slots = submitted.slots.numpy()[: int(submitted.count.numpy()[0])]
         shadow = kind != RayKind.CLOSEST
@@ -90,7 +98,9 @@ class RayCollector:
         status = paths.status.numpy()
         bounce = status[path] >> BOUNCE_SHIFT
         if shadow:
-            bounce = np.maximum(bounce, 1)  # a path that passed straight through its first surface has not scattered yet
+            bounce = np.maximum(
+                bounce, 1
+            )  # a path that passed straight through its first surface has not scattered yet
         else:
             self.camera_rays += int(np.count_nonzero(bounce == 0))
         for wanted in self.types:
@@ -102,7 +112,11 @@ class RayCollector:
                 indices = wp.array(chosen, dtype=int, device=rays.origin.device)
                 columns = [_gathered(column, indices) for column in (rays.origin, rays.direction, rays.t_max)]
                 # the tracer's own array is there only if it reads it
-                seen = np.full(len(chosen), int(Visibility.SHADOW)) if shadow else status[chosen] >> VISIBILITY_SHIFT & int(Visibility.ALL)
+                seen = (
+                    np.full(len(chosen), int(Visibility.SHADOW))
+                    if shadow
+                    else status[chosen] >> VISIBILITY_SHIFT & int(Visibility.ALL)
+                )
                 self._parts.setdefault(wanted.name, []).append((*columns, seen.astype(np.int32)))
                 self._counts[wanted.name] = self._counts.get(wanted.name, 0) + len(chosen)
 
@@ -111,8 +125,15 @@ class RayCollector:
         found = []
         for wanted in self.types:
             if wanted.name not in self._parts:
-                raise UsageError(f"the paths of this scene have no rays {wanted.name} (in {self.camera_rays:,} camera rays); leave them out of --rays")
-            found.append(CapturedRays(wanted, *(np.concatenate(column) for column in zip(*self._parts[wanted.name], strict=True))))
+                raise UsageError(
+                    f"the paths of this scene have no rays {wanted.name} (in {self.camera_rays:,} camera rays); leave "
+                    "them out of --rays"
+                )
+            found.append(
+                CapturedRays(
+                    wanted, *(np.concatenate(column) for column in zip(*self._parts[wanted.name], strict=True))
+                )
+            )
         return found
 
 
@@ -127,8 +148,8 @@ class ObservedTracer:
     def __init__(self, tracer: Tracer, paths: Paths, rays: Rays, collector: RayCollector):
         self._tracer, self._paths, self._rays, self._collector = tracer, paths, rays, collector
 
-    def submit(self, kind: RayKind, rays: SlotList) -> None:
-        """As `Tracer.submit`."""
+    def submit(self, kind: RayKind, rays: RayList) -> None:
+        """See `Tracer.submit`."""
         if rays.bound and not self._collector.enough():
             self._collector.take(kind, rays, self._paths, self._rays)
         self._tracer.submit(kind, rays)
@@ -167,7 +188,12 @@ def capture_rays(
     # paths go no farther than is asked for, and without roulette, so that late bounces are less rare
     bounces = max(0, *(each.bounce - 1 for each in types))
     settings = settings.replace(
-        sample_count=samples, tile_size=TILE_MAX, thread_count=1, sample_order="FRAME_FIRST", bounce_max=bounces, roulette_bounce=bounces + 1
+        sample_count=samples,
+        tile_size=TILE_MAX,
+        thread_count=1,
+        sample_order="FRAME_FIRST",
+        bounce_max=bounces,
+        roulette_bounce=bounces + 1,
     )
     session = Session(device, settings, kernel_cache_folder())
     try:
@@ -178,5 +204,8 @@ def capture_rays(
     captured = collector.captured()
     for rays in captured:
         if len(rays) < ray_count:
-            print(f"benchmark.py: {rays.type.name}: {len(rays):,} rays of the {ray_count:,} that were asked for", file=sys.stderr)
+            print(
+                f"benchmark.py: {rays.type.name}: {len(rays):,} rays of the {ray_count:,} that were asked for",
+                file=sys.stderr,
+            )
     return captured

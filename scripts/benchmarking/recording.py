@@ -10,17 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from raybatch_addon.core.device import find_device
+from benchmarking.progress import Steps
+from benchmarking.timing import summary
+from benchmarking.whole_render import RenderRequest, open_scene, scene_report
+from raybatch_addon.blender.kernel_cache import kernel_cache_folder
+from raybatch_addon.core.convergence.points import ConvergenceRecorder
+from raybatch_addon.core.device.devices import find_device
 from raybatch_addon.core.film import Film
-from raybatch_addon.core.report.convergence import ConvergenceRecorder
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.kernel_cache import kernel_cache_folder
-
-from .progress import Steps
-from .timing import summary
-from .whole_render import RenderRequest, open_scene, scene_report
+from raybatch_addon.core.settings.settings import RenderSettings
 
 
 @dataclass(frozen=True)
@@ -34,18 +33,24 @@ class Way:
 
 # The first is what the others are compared with
 WAYS = (
-    Way("plain", "OFF", False), Way("recorded", "OFF", True), Way("error estimate", "ON", False), Way("error estimate, recorded", "ON", True),
-)  # fmt: skip
+    Way("plain", "OFF", False),
+    Way("recorded", "OFF", True),
+    Way("error estimate", "ON", False),
+    Way("error estimate, recorded", "ON", True),
+)
 
 
 def measure_recording(request: RenderRequest) -> dict[str, Any]:
     """The report of `benchmark.py recording`; raises `RayBatchError`.
 
-    Times are seconds of processor time of a whole render on the CPU, all threads together, which others on the machine disturb less than
-    the wall's; on CUDA seconds of rendering. Ways take turns, and each begins a turn as often as any other.
+    Times are seconds of processor time of a whole render on the CPU, all threads together, which others on the machine
+    disturb less than the wall's; on CUDA seconds of rendering. Ways take turns, and each begins a turn as often as any
+    other.
     """
     opened = open_scene(request)
-    settings = opened.settings.replace(sample_count=request.samples, bounce_max=request.bounces, thread_count=request.threads)
+    settings = opened.settings.replace(
+        sample_count=request.samples, bounce_max=request.bounces, thread_count=request.threads
+    )
     settings = settings.replace(**request.settings).replace(error_target=0.0, time_limit=0.0)
     session = Session(find_device(request.device).alias, settings, kernel_cache_folder())
     seconds: dict[Way, list[float]] = {way: [] for way in WAYS}
@@ -70,16 +75,21 @@ def measure_recording(request: RenderRequest) -> dict[str, Any]:
         session.close()
     plain = films[WAYS[0]].statistics
     return {
-        **scene_report(opened, plain), "invalid_samples": invalid, "clock": "processor" if session.device.is_cpu else "rendering",
-        "ways": [_way_report(way, seconds[WAYS[0]], seconds[way], rounds[way]) for way in WAYS], "films": _compared(films),
-    }  # fmt: skip
+        **scene_report(opened, plain),
+        "invalid_samples": invalid,
+        "clock": "processor" if session.device.is_cpu else "rendering",
+        "ways": [_way_report(way, seconds[WAYS[0]], seconds[way], rounds[way]) for way in WAYS],
+        "films": _compared(films),
+    }
 
 
 def _render(session: Session, scene: Scene, settings: RenderSettings, way: Way) -> tuple[float, Film, int]:
     """Seconds, the film, and how many rounds there were."""
     recorder = ConvergenceRecorder()
     began = time.process_time()
-    film = session.render(scene, settings.replace(error_estimate=way.error_estimate), observers=[recorder] if way.records else [])
+    film = session.render(
+        scene, settings.replace(error_estimate=way.error_estimate), observers=[recorder] if way.records else []
+    )
     took = time.process_time() - began
     if session.device.is_cuda:
         took = film.statistics["seconds"]["render"]
@@ -87,14 +97,22 @@ def _render(session: Session, scene: Scene, settings: RenderSettings, way: Way) 
 
 
 def _way_report(way: Way, plain: Sequence[float], seconds: Sequence[float], rounds: int) -> dict[str, Any]:
-    """`cost` is the share of the plain render's time that comes on top: the median over turns, and between which two half of them lie."""
+    """`cost` is the share of the plain render's time that comes on top: the median over turns, and between which two
+    half of them lie.
+    """
     costs = [mine / other - 1 for mine, other in zip(seconds, plain, strict=True)]
     least, middle, most = (float(each) for each in np.quantile(costs, (0.25, 0.5, 0.75)))
     added = statistics.median(mine - other for mine, other in zip(seconds, plain, strict=True))
     return {
-        "way": way.name, "error_estimate": way.error_estimate, "recorded": way.records, "rounds": rounds, **summary(seconds),
-        "cost": round(middle, 5), "cost_half": [round(least, 5), round(most, 5)], "seconds_added": round(added, 5),
-    }  # fmt: skip
+        "way": way.name,
+        "error_estimate": way.error_estimate,
+        "recorded": way.records,
+        "rounds": rounds,
+        **summary(seconds),
+        "cost": round(middle, 5),
+        "cost_half": [round(least, 5), round(most, 5)],
+        "seconds_added": round(added, 5),
+    }
 
 
 def _compared(films: dict[Way, Film]) -> dict[str, Any]:

@@ -1,4 +1,6 @@
-"""Whole renders, beside Cycles when asked: at equal samples, and at equal error. What is in memory alone is compared in `memory.py`."""
+"""Whole renders, beside Cycles when asked: at equal samples, and at equal error. What is in memory alone is compared in
+`memory.py`.
+"""
 
 from __future__ import annotations
 
@@ -6,22 +8,30 @@ import statistics
 from typing import Any
 
 import numpy as np
+from lib.command import UsageError
 from rendering.pictures import picture_path, write_picture
-from rendering.request import BLEND, UsageError, kind_of
+from rendering.request import BLEND, kind_of
 
-from raybatch_addon.core.device import find_device
+from benchmarking.memory import measure_against_memory, parse_budgets
+from benchmarking.progress import Steps
+from benchmarking.timing import summary
+from benchmarking.whole_render import OpenedScene, RenderRequest, TimedRender, open_scene, scene_report, timed_render
+from raybatch_addon.blender.kernel_cache import kernel_cache_folder
+from raybatch_addon.core.convergence.errors import RELMSE_OFFSET
+from raybatch_addon.core.device.devices import find_device
 from raybatch_addon.core.film import Film
-from raybatch_addon.core.report.convergence_error import RELMSE_OFFSET
 from raybatch_addon.core.session import Session
-from raybatch_addon.kernel_cache import kernel_cache_folder
-
-from .memory import measure_against_memory, parse_budgets
-from .progress import Steps
-from .timing import summary
-from .whole_render import OpenedScene, RenderRequest, TimedRender, open_scene, scene_report, timed_render
+from raybatch_addon.core.settings.settings import RenderSettings
 
 ERROR_SEEDS = (1, 2)
 
+
+def measured_settings(settings: RenderSettings, request: RenderRequest) -> RenderSettings:
+    """The scene's `settings` as `request` changes them; what it sets by name comes last."""
+    settings = settings.replace(sample_count=request.samples, bounce_max=request.bounces, thread_count=request.threads)
+    if request.equal_error:  # an unbiased peer is met without what a file may clamp
+        settings = settings.replace(clamp_direct=0.0, clamp_indirect=0.0)
+    return settings.replace(**request.settings)
 
 
 def measure_render(request: RenderRequest) -> dict[str, Any]:
@@ -30,10 +40,7 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
     budgets = parse_budgets(request.budgets) if request.budgets else []
     picture = picture_path(request.picture.absolute()) if request.picture else None
     opened = open_scene(request)
-    settings = opened.settings.replace(sample_count=request.samples, bounce_max=request.bounces, thread_count=request.threads)
-    if request.equal_error:  # an unbiased peer is met without what a file may clamp
-        settings = settings.replace(clamp_direct=0.0, clamp_indirect=0.0)
-    settings = settings.replace(**request.settings)
+    settings = measured_settings(opened.settings, request)
     device = find_device(request.device)
     session = Session(device.alias, settings, kernel_cache_folder())
     if request.against == "memory":
@@ -46,7 +53,7 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
         return report
     cycles = None
     if request.against == "cycles":
-        from .cycles import CyclesPeer
+        from lib.cycles_peer import CyclesPeer
 
         cycles = CyclesPeer(opened.blender_scene, device, settings, settings.thread_count)
     steps = Steps(1 + request.runs + request.equal_error)
@@ -64,12 +71,17 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
         report = _report(opened, cold, runs)
         if cycles:
             ratios = [run.seconds / other for run, other in zip(runs, cycles_runs, strict=True)]
-            report |= {"cycles": summary(cycles_runs) | {"device": cycles.device}, "raybatch_over_cycles": round(statistics.median(ratios), 3)}
+            report |= {
+                "cycles": summary(cycles_runs) | {"device": cycles.device},
+                "raybatch_over_cycles": round(statistics.median(ratios), 3),
+            }
         if request.equal_error:
             steps.begin("renders with other seeds, for the error")
             ours = [_combined(session.render(opened.scene, settings.replace(seed=seed))) for seed in ERROR_SEEDS]
             theirs = [cycles.picture(seed) for seed in ERROR_SEEDS]
-            report["equal_error"] = equal_error(report["raybatch"]["seconds"], ours, report["cycles"]["seconds"], theirs)
+            report["equal_error"] = equal_error(
+                report["raybatch"]["seconds"], ours, report["cycles"]["seconds"], theirs
+            )
             steps.end()
         if picture:
             write_picture(picture, cold.film)
@@ -87,7 +99,10 @@ def _check_combination(request: RenderRequest) -> None:
         raise UsageError(f"--against cycles needs a .blend, not {request.scene.path.name}")
     if request.against == "memory":
         if not request.budgets:
-            raise UsageError("--against memory compares budgets of geometry with all of it in memory: give --budgets, such as 10% or 1.5G,0.7G")
+            raise UsageError(
+                "--against memory compares budgets of geometry with all of it in memory: give --budgets, such as 10% "
+                "or 1.5G,0.7G"
+            )
         return
     for given, option in ((request.budgets, "--budgets"), (not request.counters, "--no-counters")):
         if given:
@@ -107,13 +122,15 @@ def _combined(film: Film) -> np.ndarray:
     return film.passes["Combined"][..., :3].astype(np.float64)
 
 
-def equal_error(our_seconds: float, ours: list[np.ndarray], their_seconds: float, theirs: list[np.ndarray]) -> dict[str, Any]:
+def equal_error(
+    our_seconds: float, ours: list[np.ndarray], their_seconds: float, theirs: list[np.ndarray]
+) -> dict[str, Any]:
     """Compare two unbiased engines by the time that each needs for the same error.
 
     `ours` and `theirs` are two independent pictures each, float64 [height, width, 3], which took `our_seconds` and
-    `their_seconds` apiece. The noise of a picture is half the mean squared difference of the two, each pixel's divided by its
-    squared brightness (relMSE); the brightness is that of all four, so that both engines are divided by the same.
-    Time and error are taken as inversely proportional, so time x relMSE is what is compared.
+    `their_seconds` apiece. The noise of a picture is half the mean squared difference of the two, each pixel's divided
+    by its squared brightness (relMSE); the brightness is that of all four, so that both engines are divided by the
+    same. Time and error are taken as inversely proportional, so time x relMSE is what is compared.
     """
     square = (sum([*ours, *theirs]) / (len(ours) + len(theirs))) ** 2 + RELMSE_OFFSET
     errors = [float((((a - b) ** 2 / 2) / square).mean()) for a, b in (ours, theirs)]

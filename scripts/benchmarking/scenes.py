@@ -8,16 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rendering.request import ARCHIVE, NPZ, UsageError, kind_of
+from lib.command import UsageError
+from lib.geometry_files import UP_AXES, View, load_geometry, look_at, parse_view, sun
+from rendering.request import ARCHIVE, NPZ, kind_of
 from rendering.standalone import resized
 
 from raybatch_addon.core.scene.archive import load_scene
 from raybatch_addon.core.scene.description import Camera, Closure, ClosureKind, Frame, Material, Mesh, Scene
 from raybatch_addon.core.scene.features import SCATTERING, derive_features
 from raybatch_addon.core.scene.flatten import FlatGeometry, flatten
-from raybatch_addon.core.scene.geometry_files import UP_AXES, View, load_geometry, look_at, parse_view, sun
 from raybatch_addon.core.scene.validate import checked_scene
-from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.settings.settings import RenderSettings
 
 GRID_SPACING = 1.02  # of the mesh's extent
 GRID_FOV = 2 * math.atan(0.5)  # at a distance of the grid's width it shows that width
@@ -59,7 +60,10 @@ class BenchmarkScene:
         flat, corners = self.flat, []
         baked = flat.positions
         if len(flat.shared):  # shared meshes are not in their places
-            parts = [flat.triangles[group.triangle_first : group.triangle_first + group.triangle_count] for group in flat.merged]
+            parts = [
+                flat.triangles[group.triangle_first : group.triangle_first + group.triangle_count]
+                for group in flat.merged
+            ]
             baked = flat.positions[np.concatenate([*parts, np.zeros((0, 3), np.int32)])].reshape(-1, 3)
         if len(baked):
             corners += [baked.min(0), baked.max(0)]
@@ -83,7 +87,10 @@ def load_benchmark_scene(request: SceneRequest, pixel_count: int) -> BenchmarkSc
         scene = _of_pixels(scene, pixel_count)
         settings = settings.replace(device="AUTO", thread_count=0)
     else:
-        raise UsageError(f"{request.path} cannot be measured: give geometry (.npz), or a scene that render.py --save-scene wrote (.scene.npz)")
+        raise UsageError(
+            f"{request.path} cannot be measured: give geometry (.npz), or a scene that render.py --save-scene wrote "
+            "(.scene.npz)"
+        )
     scene = checked_scene(with_paths(scene, settings, request.up or "z"))
     features = derive_features(scene, settings)
     if not features.surfaces:
@@ -115,7 +122,9 @@ def refuse_geometry_options(request: SceneRequest) -> None:
 
 
 def geometry_scene(request: SceneRequest, width: int, height: int) -> Scene:
-    """The geometry of `request` in its light, repeated where that is asked for, in a frame of `width` x `height` pixels; raises `RayBatchError`."""
+    """The geometry of `request` in its light, repeated where that is asked for, in a frame of `width` x `height`
+    pixels; raises `RayBatchError`.
+    """
     if request.grid < 1:
         raise UsageError(f"--grid {request.grid} is not valid: it must be 1 or more")
     up = request.up or "z"

@@ -10,7 +10,10 @@ def table(heads: list[str], rows: list[list[str]]) -> str:
     widths = [max(map(len, column)) for column in zip(heads, *rows, strict=True)]
     lines = []
     for row in [heads, ["-" * width for width in widths], *rows]:
-        cells = [cell.ljust(width) if place < 2 else cell.rjust(width) for place, (cell, width) in enumerate(zip(row, widths, strict=True))]
+        cells = [
+            cell.ljust(width) if place < 2 else cell.rjust(width)
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
         lines.append("  ".join(cells).rstrip())
     return "\n".join(lines)
 
@@ -20,7 +23,11 @@ def traversal_text(report: dict[str, Any]) -> str:
     names = list(report["trees"])
     lines = [f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}"]
     for name, tree in report["trees"].items():
-        size = "" if tree["bvh_bytes"] is None else f", {tree['bvh_bytes'] / max(1, report['triangles']):.0f} bytes a triangle"
+        size = (
+            ""
+            if tree["bvh_bytes"] is None
+            else f", {tree['bvh_bytes'] / max(1, report['triangles']):.0f} bytes a triangle"
+        )
         lines.append(f"tree of {name}: built in {tree['build_s']:.2f} s{size}")
     cases: dict[tuple, dict[str, dict[str, Any]]] = {}
     for result in report["results"]:
@@ -43,7 +50,10 @@ def traversal_text(report: dict[str, Any]) -> str:
     for (rays, order, _), by_name in cases.items():
         for name, result in by_name.items():
             if order == report["results"][0]["order"] and (result["disagreements"] or result["faults"]):
-                lines.append(f"hits of {name}, {rays}: {result['disagreements']:,} differ from another's, {result['judged']:,} judged, {result['faults']:,} faults")
+                lines.append(
+                    f"hits of {name}, {rays}: {result['disagreements']:,} differ from another's, {result['judged']:,} "
+                    f"judged, {result['faults']:,} faults"
+                )
     return "\n".join(dict.fromkeys(lines))
 
 
@@ -53,8 +63,8 @@ def render_text(report: dict[str, Any]) -> str:
     rate = report["rays"]["total"] / ours["render"]["seconds"] / 1e6 if ours["render"]["seconds"] else 0.0
     lines = [
         f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}",
-        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, {report['bounces']} bounces, "
-        f"{report['rays']['total']:,} rays",
+        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, "
+        f"{report['bounces']} bounces, {report['rays']['total']:,} rays",
         f"first render, with compilation  {report['cold']['seconds']:9.3f} s",
         f"whole render                    {_time(ours)}",
         f"  tree                          {_time(ours['build'])}",
@@ -65,7 +75,10 @@ def render_text(report: dict[str, Any]) -> str:
         lines.append(f"RayBatch over Cycles, at equal samples: {report['raybatch_over_cycles']:.2f} of its time")
     if "equal_error" in report:
         equal = report["equal_error"]
-        lines.append(f"relMSE of RayBatch {equal['relmse']['raybatch']:.3g}, of Cycles {equal['relmse']['cycles']:.3g}; brightness {equal['mean_ratio']:.4f} of Cycles'")
+        lines.append(
+            f"relMSE of RayBatch {equal['relmse']['raybatch']:.3g}, of Cycles {equal['relmse']['cycles']:.3g}; "
+            f"brightness {equal['mean_ratio']:.4f} of Cycles'"
+        )
         lines.append(
             f"RayBatch over Cycles, at equal error: {equal['raybatch_over_cycles']:.2f} of its time "
             f"({equal['raybatch_seconds_to_cycles_error']:.2f} s to the error of Cycles)"
@@ -87,11 +100,13 @@ def recording_text(report: dict[str, Any]) -> str:
         rows.append([each["way"], str(each["rounds"]), f"{each['seconds']:.3f} s", *cost])
     lines = [
         f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}",
-        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, {report['bounces']} bounces, "
-        f"{report['ways'][0]['runs']} turns, {report['clock']} time",
+        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, "
+        f"{report['bounces']} bounces, {report['ways'][0]['runs']} turns, {report['clock']} time",
         "",
         table(["render", "rounds", "median", "added", "cost", "half of the turns"], rows),
-        "recording changes no bit of the films" if films["equal"] else "FILMS DIFFER: " + "; ".join(films["differences"]),
+        "recording changes no bit of the films"
+        if films["equal"]
+        else "FILMS DIFFER: " + "; ".join(films["differences"]),
     ]
     if report["invalid_samples"]:
         lines.append(f"{report['invalid_samples']:,} samples were not finite")
@@ -102,18 +117,39 @@ def memory_text(report: dict[str, Any]) -> str:
     """The report of `benchmark.py render --against memory`."""
     frame, memory = report["frame"], report["memory"]
     lines = [
-        f"{report['scene']}, {report['triangles']:,} triangles, {report['geometry_bytes'] / 1e6:,.1f} MB of tree, on {report['device']['name']}",
-        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, {report['bounces']} bounces, "
-        f"{report['rays']['total']:,} rays",
+        f"{report['scene']}, {report['triangles']:,} triangles, {report['geometry_bytes'] / 1e6:,.1f} MB of tree, on "
+        f"{report['device']['name']}",
+        f"{frame['width']} x {frame['height']} pixels, {report['samples_per_pixel']} samples a pixel, "
+        f"{report['bounces']} bounces, {report['rays']['total']:,} rays",
         "",
     ]
     rows = [["memory", f"{report['geometry_bytes'] / 1e6:,.1f}", *_times(memory), "1", "", "", "", ""]]
     for each in report["budgets"]:
-        rows.append([
-            each["budget"], f"{each['geometry_budget'] / 1e6:,.1f}", *_times(each), f"{each['speed']:.3f}", f"{each['bytes_copied'] / 1e6:,.1f}",
-            f"{each['pages_loaded']:,}", f"{each['rays_queued_per_ray']:.2f}", f"{each['steps']:,}",
-        ])  # fmt: skip
-    heads = ["geometry", "MB", "paths alive", "tree", "render", "Mrays/s", "speed", "MB copied", "pages", "queued a ray", "steps"]
+        rows.append(
+            [
+                each["budget"],
+                f"{each['geometry_budget'] / 1e6:,.1f}",
+                *_times(each),
+                f"{each['speed']:.3f}",
+                f"{each['bytes_copied'] / 1e6:,.1f}",
+                f"{each['pages_loaded']:,}",
+                f"{each['rays_queued_per_ray']:.2f}",
+                f"{each['steps']:,}",
+            ]
+        )
+    heads = [
+        "geometry",
+        "MB",
+        "paths alive",
+        "tree",
+        "render",
+        "Mrays/s",
+        "speed",
+        "MB copied",
+        "pages",
+        "queued a ray",
+        "steps",
+    ]
     lines += [table(heads, rows), "medians, ± half the spread; speed: of the render in memory, trees apart", ""]
     for name, each in [("memory", memory), *((each["budget"], each) for each in report["budgets"])]:
         if each["stages"]:
@@ -121,14 +157,23 @@ def memory_text(report: dict[str, Any]) -> str:
             lines.append(f"stages of {name}, with counters: {stages}")
         lines += [f"{name}: {warning}" for warning in each["warnings"]]
     films = report["films"]
-    lines.append(f"{films['compared']} films are equal bit for bit" if films["equal"] else "FILMS DIFFER: " + "; ".join(films["differences"]))
+    lines.append(
+        f"{films['compared']} films are equal bit for bit"
+        if films["equal"]
+        else "FILMS DIFFER: " + "; ".join(films["differences"])
+    )
     if report["invalid_samples"]:
         lines.append(f"{report['invalid_samples']:,} samples were not finite")
     return "\n".join(lines)
 
 
 def _times(part: dict[str, Any]) -> list[str]:
-    return [f"{part['schedule']['ray_count']:,}", _time(part["build"]).strip(), _time(part["render"]).strip(), f"{part['rays_per_second'] / 1e6:.2f}"]
+    return [
+        f"{part['schedule']['ray_count']:,}",
+        _time(part["build"]).strip(),
+        _time(part["render"]).strip(),
+        f"{part['rays_per_second'] / 1e6:.2f}",
+    ]
 
 
 def _time(part: dict[str, Any]) -> str:

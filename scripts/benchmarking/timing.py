@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -23,7 +24,8 @@ def summary(seconds: Sequence[float]) -> dict[str, Any]:
 
 
 def seconds_of(tasks: Sequence[Callable[[], object]], device: wp.Device) -> float:
-    """Seconds that `tasks` take: on a CUDA device, one task by the device's own clock; on the CPU, each on a thread of its own.
+    """Seconds that `tasks` take: on a CUDA device, one task by the device's own clock; on the CPU, each on a thread of
+    its own.
 
     One CPU thread is timed by its own clock, which stands still while others have its core; several by the wall's.
     """
@@ -51,4 +53,4 @@ def seconds_of(tasks: Sequence[Callable[[], object]], device: wp.Device) -> floa
 def slices(count: int, parts: int) -> list[slice]:
     """0 to `count` in up to `parts` parts of about the same size, none of them empty."""
     edges = [count * part // parts for part in range(parts + 1)]
-    return [slice(first, end) for first, end in zip(edges, edges[1:]) if end > first]
+    return [slice(first, end) for first, end in itertools.pairwise(edges) if end > first]

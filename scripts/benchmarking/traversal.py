@@ -8,23 +8,22 @@ from pathlib import Path
 from typing import Any
 
 import warp as wp
-from rendering.request import UsageError
+from lib.command import UsageError
 
-from raybatch_addon.core.device import device_description, find_device
-from raybatch_addon.core.report.statistics import versions
-from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.kernel_cache import kernel_cache_folder
-
-from .batching_tracers import Budget, WaitingTracer, ZeroCopyTracer
-from .embree import PACKAGE, EmbreeTracer, embree_version
-from .judge import Judge, Verdict
-from .orders import ordered
-from .progress import Steps
-from .rays import CapturedRays, RayType, capture_rays
-from .scenes import SceneRequest, load_benchmark_scene
-from .stage_tracers import SceneTrees, StageTracer
-from .timing import spread
-from .tracers import MeasuredTracer, Timing, Tree
+from benchmarking.judge import Judge, Verdict
+from benchmarking.orders import ordered
+from benchmarking.progress import Steps
+from benchmarking.rays import CapturedRays, RayType, capture_rays
+from benchmarking.scenes import SceneRequest, load_benchmark_scene
+from benchmarking.timing import spread
+from benchmarking.tracers.batching import Budget, WaitingTracer, ZeroCopyTracer
+from benchmarking.tracers.embree import PACKAGE, EmbreeTracer, embree_version
+from benchmarking.tracers.interface import MeasuredTracer, Timing, Tree
+from benchmarking.tracers.stages import SceneTrees, StageTracer
+from raybatch_addon.blender.kernel_cache import kernel_cache_folder
+from raybatch_addon.core.device.devices import device_description, find_device
+from raybatch_addon.core.measure.statistics import versions
+from raybatch_addon.core.settings.settings import RenderSettings
 
 EMBREE = ("embree", "embree-robust")
 WAITING = ("on", "auto", "zero-copy", "zero-copy-triangles", "ray-order")
@@ -48,22 +47,34 @@ class TraversalRequest:
     counters: bool = True  # tell node steps and triangle tests where the tracer can
     nodes_resident: bool | None = None  # whether all nodes stay on the device; None: where they fit well
     budget: int = 0  # bytes of geometry on the device, for tracers that let rays wait; 0: all of it
-    settings: dict[str, Any] = field(default_factory=dict)  # of the render that the rays are taken from, and of the tree
+    settings: dict[str, Any] = field(
+        default_factory=dict
+    )  # of the render that the rays are taken from, and of the tree
 
 
-def chosen_tracers(names: list[str], device: wp.Device, settings: RenderSettings, counts: bool, budget: Budget) -> list[MeasuredTracer]:
+def chosen_tracers(
+    names: list[str], device: wp.Device, settings: RenderSettings, counts: bool, budget: Budget
+) -> list[MeasuredTracer]:
     """The tracers called `names`, or all that can be measured on `device`; raises `UsageError`."""
     for name in names:
         if name not in TRACERS + WAITING:
             raise UsageError(f"--tracers {name!r} is not known: choose of {', '.join(TRACERS + WAITING)}")
         if name.startswith("zero-copy") and not device.is_cuda:
-            raise UsageError(f"{name} reads the host's memory through the bus of a CUDA device: leave it out of --tracers, or measure with --device cuda")
+            raise UsageError(
+                f"{name} reads the host's memory through the bus of a CUDA device: leave it out of --tracers, or "
+                "measure with --device cuda"
+            )
         if name == "ray-order" and (device.is_cuda or not budget.bytes):
-            raise UsageError("ray-order pages geometry on the CPU: measure with --device cpu, and give --budget BYTES below what the tree needs")
+            raise UsageError(
+                "ray-order pages geometry on the CPU: measure with --device cpu, and give --budget BYTES below what "
+                "the tree needs"
+            )
         if name in EMBREE and device.is_cuda:
             raise UsageError(f"{name} runs on the CPU alone: leave it out of --tracers, or measure with --device cpu")
         if name in EMBREE and embree_version() is None:
-            raise UsageError(f"{name} needs the Python package {PACKAGE}, which is not installed: pip install 'raybatch[benchmark]'")
+            raise UsageError(
+                f"{name} needs the Python package {PACKAGE}, which is not installed: pip install 'raybatch[benchmark]'"
+            )
     if not names:
         names = [name for name in TRACERS if name not in EMBREE or (embree_version() and not device.is_cuda)]
     trees = SceneTrees(device, settings)
@@ -95,13 +106,21 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
     device = find_device(request.device)
     if device.is_cuda and request.threads != [1]:
         raise UsageError("--threads is for the CPU: one thread drives a CUDA device")
-    tracers = chosen_tracers(request.tracers, device, RenderSettings().replace(**request.settings), request.counters, Budget(request.budget, page_folder(), request.nodes_resident))
+    tracers = chosen_tracers(
+        request.tracers,
+        device,
+        RenderSettings().replace(**request.settings),
+        request.counters,
+        Budget(request.budget, page_folder(), request.nodes_resident),
+    )
     ray_count = request.ray_count or RAY_COUNT["cuda" if device.is_cuda else "cpu"]
     scene = load_benchmark_scene(request.scene, ray_count)
     steps = Steps(1 + len(tracers) + len(request.ray_types) * (1 + len(request.orders) * len(request.threads)))
     try:
         steps.begin(f"taking rays from a render of {scene.name}")
-        captured = capture_rays(scene, scene.settings.replace(**request.settings), request.ray_types, ray_count, device.alias)
+        captured = capture_rays(
+            scene, scene.settings.replace(**request.settings), request.ray_types, ray_count, device.alias
+        )
         steps.end()
         trees: dict[str, Tree] = {}
         for tracer in tracers:
@@ -120,8 +139,18 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
                     steps.begin(f"timing {rays.type.name}, {order}")
                     timings = timed_in_turns(tracers, in_order, threads, request.runs)
                     for tracer in tracers:
-                        case = {"tracer": tracer.name, "rays": rays.type.name, "order": order, "threads": None if device.is_cuda else threads}
-                        results.append(case | figures(timings[tracer.name], len(rays)) | tracer.work() | described(verdicts[tracer.name]))
+                        case = {
+                            "tracer": tracer.name,
+                            "rays": rays.type.name,
+                            "order": order,
+                            "threads": None if device.is_cuda else threads,
+                        }
+                        results.append(
+                            case
+                            | figures(timings[tracer.name], len(rays))
+                            | tracer.work()
+                            | described(verdicts[tracer.name])
+                        )
                     steps.end()
     finally:
         steps.close()
@@ -133,7 +162,9 @@ def measure_traversal(request: TraversalRequest) -> dict[str, Any]:
         "triangles": scene.triangle_count,
         "build_s": round(own.build_seconds, 4),
         "bvh_bytes": own.bytes,
-        "trees": {name: {"build_s": round(tree.build_seconds, 4), "bvh_bytes": tree.bytes} for name, tree in trees.items()},
+        "trees": {
+            name: {"build_s": round(tree.build_seconds, 4), "bvh_bytes": tree.bytes} for name, tree in trees.items()
+        },
         "results": results,
     }
 
@@ -154,7 +185,9 @@ def check_hits(tracers: list[MeasuredTracer], rays: CapturedRays, judge: Judge) 
     return verdicts
 
 
-def timed_in_turns(tracers: list[MeasuredTracer], rays: CapturedRays, threads: int, runs: int) -> dict[str, list[Timing]]:
+def timed_in_turns(
+    tracers: list[MeasuredTracer], rays: CapturedRays, threads: int, runs: int
+) -> dict[str, list[Timing]]:
     """`runs` timings of each tracer; they take turns, so that what disturbs the machine meets all of them."""
     timings: dict[str, list[Timing]] = {tracer.name: [] for tracer in tracers}
     for tracer in tracers:

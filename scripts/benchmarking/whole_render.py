@@ -7,16 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rendering.request import ARCHIVE, BLEND, NPZ, RESOLUTION_DEFAULT, UsageError, kind_of
+from lib.command import UsageError
+from rendering.request import ARCHIVE, BLEND, NPZ, RESOLUTION_DEFAULT, kind_of
 from rendering.standalone import resized
 
+from benchmarking.scenes import SceneRequest, geometry_scene, refuse_geometry_options
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import load_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import RenderSettings
-
-from .scenes import SceneRequest, geometry_scene, refuse_geometry_options
+from raybatch_addon.core.settings.settings import RenderSettings
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,23 @@ def open_scene(request: RenderRequest) -> OpenedScene:
     if not path.is_file():
         raise UsageError(f"there is no file {path}")
     if kind == NPZ:
-        return OpenedScene(request.scene.name, geometry_scene(request.scene, *(request.size or RESOLUTION_DEFAULT)), RenderSettings())
+        return OpenedScene(
+            request.scene.name, geometry_scene(request.scene, *(request.size or RESOLUTION_DEFAULT)), RenderSettings()
+        )
     refuse_geometry_options(request.scene)
     if kind == BLEND:
         return _open_blend(request)
     if kind != ARCHIVE:
-        raise UsageError(f"{path} cannot be measured: give a .blend, geometry (.npz), or a scene that render.py --save-scene wrote (.scene.npz)")
+        raise UsageError(
+            f"{path} cannot be measured: give a .blend, geometry (.npz), or a scene that render.py --save-scene wrote "
+            "(.scene.npz)"
+        )
     scene, settings = load_scene(path)
-    return OpenedScene(path.name, resized(scene, *request.size) if request.size else scene, settings.replace(device="AUTO", thread_count=0))
+    return OpenedScene(
+        path.name,
+        resized(scene, *request.size) if request.size else scene,
+        settings.replace(device="AUTO", thread_count=0),
+    )
 
 
 def _open_blend(request: RenderRequest) -> OpenedScene:
@@ -71,7 +80,9 @@ def _open_blend(request: RenderRequest) -> OpenedScene:
     try:
         import bpy
     except ImportError:
-        raise UsageError(f"{path} needs Blender's Python module bpy, which cannot be imported here; .npz and .scene.npz do without") from None
+        raise UsageError(
+            f"{path} needs Blender's Python module bpy, which cannot be imported here; .npz and .scene.npz do without"
+        ) from None
     import raybatch_addon
     from raybatch_addon.export.scene import export_scene
     from raybatch_addon.export.settings import settings_from

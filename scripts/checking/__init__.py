@@ -1,1 +1,1 @@
-"""The parts of check_tracing.py."""
+"""The parts of check_tracing.py and check_schedules.py."""

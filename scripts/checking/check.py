@@ -14,19 +14,34 @@ from benchmarking.judge import faults
 from benchmarking.progress import Steps
 from benchmarking.scenes import BenchmarkScene, SceneRequest, load_benchmark_scene
 
-from raybatch_addon.core.device import device_description, find_device
-from raybatch_addon.core.report.statistics import versions
+from checking.comparing import (
+    disagree_kernel,
+    hits_beside,
+    limits_kernel,
+    told_ray,
+    unequal_any_kernel,
+    unequal_kernel,
+    where_found,
+)
+from checking.judging import BlockJudge, false_hits_kernel
+from checking.leaks import check_leaks
+from checking.placing import with_instances
+from checking.rays import KINDS, PATTERN, kinds_of, make_rays_kernel, make_source
+from checking.trees import (
+    TREES_DEFAULT,
+    TreeTracer,
+    build_tracer,
+    parse_trees,
+    reference_tracer,
+    slot_lists,
+    thread_count_of,
+    whole_tracer,
+)
+from raybatch_addon.core.device.devices import device_description, find_device
+from raybatch_addon.core.measure.statistics import versions
+from raybatch_addon.core.rays import Rays
 from raybatch_addon.core.scene.geometry import upload_geometry
-from raybatch_addon.core.wavefront.rays import Rays, allocate_rays
-
-from .comparing import disagree_kernel, hits_beside, limits_kernel, told_ray, unequal_any_kernel, unequal_kernel, where_found
-from .judging import BlockJudge, false_hits_kernel
-from .leaks import check_leaks
-from .placing import with_instances
-from .rays import KINDS, PATTERN, kinds_of, make_rays_kernel, make_source
-from .trees import (
-    TREES_DEFAULT, TreeTracer, build_tracer, parse_trees, reference_tracer, slot_lists, thread_count_of, whole_tracer,
-)  # fmt: skip
+from raybatch_addon.core.wavefront.rays import allocate_rays
 
 CHUNK = {"cpu": 1 << 20, "cuda": 1 << 22}  # rays at a time
 WHOLE_TESTS = {"cpu": 10**10, "cuda": 4 * 10**11}  # triangles that are tested for rays that leave out none
@@ -124,7 +139,13 @@ class SceneCheck:
         limited.t_max = wp.empty(count, dtype=float, device=self.device)
         wp.launch(limits_kernel, count, [rays, 1, limited.t_max], device=self.device)
         self.main.trace(limited, lists)
-        self.count("rays that end behind their hits", where_found(unequal_kernel, [rays, limited], count, self.device), rays, first, count)
+        self.count(
+            "rays that end behind their hits",
+            where_found(unequal_kernel, [rays, limited], count, self.device),
+            rays,
+            first,
+            count,
+        )
         wp.launch(limits_kernel, count, [rays, 0, limited.t_max], device=self.device)
         for name, any_hit in (("closest", False), ("any hit", True)):
             self.main.trace(limited, lists, any_hit)
@@ -142,7 +163,11 @@ class SceneCheck:
         before, after = self.judge.certainties(rays, slots)
 
         def wrong(found: Rays) -> np.ndarray:
-            return slots[faults(found.hit_instance.numpy()[slots] >= 0, found.hit_t.numpy()[slots].astype(np.float64), before, after)]
+            return slots[
+                faults(
+                    found.hit_instance.numpy()[slots] >= 0, found.hit_t.numpy()[slots].astype(np.float64), before, after
+                )
+            ]
 
         own, theirs = wrong(rays), wrong(other)
         self.count("judged in float64", own, rays, first, len(slots))
@@ -159,7 +184,9 @@ class SceneCheck:
         check.rays += checked
         check.failures += len(failed)
         for slot in failed[: max(0, EXAMPLES - len(check.examples))].tolist():
-            check.examples.append({"number": first + slot, "kind": KINDS[kinds_of(first + slot, 1)[0]], **told_ray(rays, slot)})
+            check.examples.append(
+                {"number": first + slot, "kind": KINDS[kinds_of(first + slot, 1)[0]], **told_ray(rays, slot)}
+            )
 
 
 def check_tracing(request: CheckRequest) -> dict[str, Any]:

@@ -8,16 +8,23 @@ import numpy as np
 import warp as wp
 from benchmarking.judge import UNIT_ROUNDOFF
 
-from raybatch_addon.core.kernel import KERNEL_OPTIONS
-from raybatch_addon.core.wavefront.rays import Rays
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.rays import Rays
 
-ROUNDINGS_EQUAL = wp.constant(8.0 * UNIT_ROUNDOFF)  # distances that differ by no more, relative to the coordinates, are the same to two tracers
+ROUNDINGS_EQUAL = wp.constant(
+    8.0 * UNIT_ROUNDOFF
+)  # distances that differ by no more, relative to the coordinates, are the same to two tracers
 
 
 def hits_beside(rays: Rays) -> Rays:
     """The same rays with room for other hits."""
     beside, count, device = Rays(), rays.t_max.shape[0], rays.t_max.device
-    beside.origin, beside.direction, beside.t_max, beside.visibility = rays.origin, rays.direction, rays.t_max, rays.visibility
+    beside.origin, beside.direction, beside.t_max, beside.visibility = (
+        rays.origin,
+        rays.direction,
+        rays.t_max,
+        rays.visibility,
+    )
     beside.hit_t = wp.zeros(count, dtype=float, device=device)
     beside.hit_instance, beside.hit_primitive = (wp.full(count, -7, dtype=int, device=device) for _ in range(2))
     beside.hit_uv = wp.zeros(count, dtype=wp.vec2, device=device)
@@ -84,5 +91,11 @@ def where_found(kernel: wp.Kernel, inputs: list, count: int, device: wp.Device) 
 
 def told_ray(rays: Rays, slot: int) -> dict[str, Any]:
     """One ray and its hit, to the bit."""
-    values = {name: getattr(rays, name)[slot : slot + 1].numpy()[0] for name in ("origin", "direction", "t_max", "visibility", "hit_t", "hit_instance", "hit_primitive")}
-    return {name: [float(x).hex() for x in np.ravel(value)] if value.dtype == np.float32 else int(value) for name, value in values.items()}
+    values = {
+        name: getattr(rays, name)[slot : slot + 1].numpy()[0]
+        for name in ("origin", "direction", "t_max", "visibility", "hit_t", "hit_instance", "hit_primitive")
+    }
+    return {
+        name: [float(x).hex() for x in np.ravel(value)] if value.dtype == np.float32 else int(value)
+        for name, value in values.items()
+    }

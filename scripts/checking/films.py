@@ -11,16 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from checking.schedules import DrawnSizes, Draws, drawn_schedule, part_to_render
 from raybatch_addon.core.errors import OutOfMemoryError, SettingsError
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.film.sums import WIDE_DIGITS, normalised
 from raybatch_addon.core.scene.description import Frame, Scene
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import SETTINGS, RenderSettings
-from raybatch_addon.core.wavefront import batching
-from raybatch_addon.core.wavefront.plan import TREE_BYTES_MOST
-
-from .schedules import Draws, DrawnSizes, drawn_schedule, part_to_render
+from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings
+from raybatch_addon.core.wavefront.plan.plan import TREE_BYTES_MOST
+from raybatch_addon.core.wavefront.tracers.buckets import tracer as batching
 
 # What the engine says when a budget is too small; the number is taken at its word
 _ENOUGH = re.compile(r"(?:about |; )([\d,]+) (?:bytes )?are enough|needs ([\d,]+) at least")
@@ -59,10 +58,16 @@ class FilmComparer:
         x0, y0, x1, y1 = frame.region
         triangles = sum(len(scene.meshes[i].triangles) for i in scene.instances.mesh)
         placed = sum(len(mesh.triangles) for mesh in scene.meshes)
-        self.sizes = DrawnSizes(triangles, TREE_BYTES_MOST[session.layout] * max(placed, 1), (x1 - x0) * (y1 - y0) * estimator.sample_count)
+        self.sizes = DrawnSizes(
+            triangles, TREE_BYTES_MOST[session.layout] * max(placed, 1), (x1 - x0) * (y1 - y0) * estimator.sample_count
+        )
 
-    def compare_drawn(self, draws: Draws, fixed: dict[str, Any] | None = None, keep_errors: bool = False) -> ComparedFilm:
-        """Render under a schedule that is drawn, but for what is `fixed`. With `keep_errors` what is raised counts as a difference."""
+    def compare_drawn(
+        self, draws: Draws, fixed: dict[str, Any] | None = None, keep_errors: bool = False
+    ) -> ComparedFilm:
+        """Render under a schedule that is drawn, but for what is `fixed`. With `keep_errors` what is raised counts as a
+        difference.
+        """
         drawn = self._legal(draws, fixed or {})
         frame = part_to_render(draws, self._scene.frame, self._estimator.replace(**drawn), self._turns)
         few = draws.pick((None, 0))
@@ -88,9 +93,12 @@ class FilmComparer:
         except Exception as error:
             return ComparedFilm(schedule, frame.region, [f"{type(error).__name__}: {error}"], rays_few=rays_few)
 
-    def compare(self, schedule: dict[str, Any], frame: Frame | None = None, rays_few: int | None = None) -> ComparedFilm:
-        """Render under `schedule`. A budget that is too small is raised to what the message says. `rays_few`: with fewer rays in every
-        bucket they go on unbatched; None: as it is outside of checks, where that is most of a small film."""
+    def compare(
+        self, schedule: dict[str, Any], frame: Frame | None = None, rays_few: int | None = None
+    ) -> ComparedFilm:
+        """Render under `schedule`. A budget that is too small is raised to what the message says. `rays_few`: with
+        fewer rays in every bucket they go on unbatched; None: as it is outside of checks, where that is most of a small
+        film."""
         schedule, frame, raised = dict(schedule), frame or self._scene.frame, 0
         scene = dataclasses.replace(self._scene, frame=frame)
         while True:
@@ -108,7 +116,9 @@ class FilmComparer:
         return ComparedFilm(schedule, frame.region, self.faults(film), raised, film.statistics, rays_few)
 
     def simplest(self, found: ComparedFilm) -> dict[str, Any]:
-        """The settings of `found` that differ from the defaults, and cannot be left at them without that all is well."""
+        """The settings of `found` that differ from the defaults, and cannot be left at them without that all is
+        well.
+        """
         kept = {name: value for name, value in found.settings.items() if value != SETTINGS[name].default}
         x0, y0, x1, y1 = found.region
         frame = dataclasses.replace(self._scene.frame, border=(x0, y0, x1, y1))
@@ -120,7 +130,9 @@ class FilmComparer:
         return kept
 
     def faults(self, film: Film) -> list[str]:
-        """What is not as it should be in `film`, of the whole frame or a part of it; an empty list where all is well."""
+        """What is not as it should be in `film`, of the whole frame or a part of it; an empty list where all is
+        well.
+        """
         statistics, faults = film.statistics, []
         x0, y0, x1, y1 = film.region
         left, bottom = self.plain.region[:2]
@@ -162,7 +174,9 @@ def _same_bits(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def _by_pixel(film: Film) -> np.ndarray:
-    """All digits of the exact sums, the wide ones (0 where there are none) behind those of the window; shape [digits, height, width, channels]."""
+    """All digits of the exact sums, the wide ones (0 where there are none) behind those of the window; shape [digits,
+    height, width, channels].
+    """
     sums, shape = film.sums, (*film.shape, film.layout.count)
     wide = sums.wide if len(sums.wide) else np.zeros((WIDE_DIGITS, sums.window.shape[1]), np.int64)
     return np.concatenate([normalised(each).reshape(len(each), *shape) for each in (sums.window, wide)])

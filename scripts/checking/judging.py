@@ -1,7 +1,8 @@
-"""What may be found, in float64: the judge of `benchmarking/judge.py` for many rays, and hits against the triangles that they name.
+"""What may be found, in float64: the judge of `benchmarking/judge.py` for many rays, and hits against the triangles
+that they name.
 
-Every triangle is asked, but triangles whose common box a ray misses by more than the bound are passed together: plain loops over
-boxes, no tree of the project's.
+Every triangle is asked, but triangles whose common box a ray misses by more than the bound are passed together: plain
+loops over boxes, no tree of the project's.
 """
 
 from __future__ import annotations
@@ -13,11 +14,10 @@ from benchmarking.orders import sort_keys
 from benchmarking.scenes import BenchmarkScene
 from benchmarking.timing import slices
 
-from raybatch_addon.core.kernel import KERNEL_OPTIONS
+from checking.trees import on_threads, thread_count_of
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.rays import Rays
 from raybatch_addon.core.scene.geometry import Geometry
-from raybatch_addon.core.wavefront.rays import Rays
-
-from .trees import on_threads, thread_count_of
 
 BLOCK = 32  # triangles in a box, and boxes in a larger one
 WEIGHTS_BOUND = wp.constant(wp.float64(2.0**-20))  # of barycentric weights beyond 0 and 1
@@ -56,7 +56,11 @@ def may_meet(low: wp.vec3, high: wp.vec3, o: wp.vec3d, d: wp.vec3d, carried: wp.
 
 @wp.kernel(**KERNEL_OPTIONS)
 def judge_blocks_kernel(
-    blocks: Blocks, rays: JudgedRays, first: int, hit_before: wp.array(dtype=wp.float64), hit_after: wp.array(dtype=wp.float64)
+    blocks: Blocks,
+    rays: JudgedRays,
+    first: int,
+    hit_before: wp.array(dtype=wp.float64),
+    hit_after: wp.array(dtype=wp.float64),
 ):
     """As `judge_kernel`, for ray `first` + thread."""
     ray = first + wp.tid()
@@ -71,9 +75,13 @@ def judge_blocks_kernel(
                         if blocks.visibility.shape[0] == 0 or (blocks.visibility[i] & rays.visibility[ray]) != 0:
                             corners = blocks.triangles[i]
                             found = certainty(
-                                wp.vec3d(blocks.positions[corners[0]]) - o, wp.vec3d(blocks.positions[corners[1]]) - o,
-                                wp.vec3d(blocks.positions[corners[2]]) - o, d, rays.t_max[ray], carried,
-                            )  # fmt: skip
+                                wp.vec3d(blocks.positions[corners[0]]) - o,
+                                wp.vec3d(blocks.positions[corners[1]]) - o,
+                                wp.vec3d(blocks.positions[corners[2]]) - o,
+                                d,
+                                rays.t_max[ray],
+                                carried,
+                            )
                             before = wp.min(before, found.hit_before)
                             after = wp.min(after, found.hit_after)
     hit_before[ray] = before
@@ -90,12 +98,14 @@ class CarryBound:
 
 @wp.func
 def carried_error(bound: CarryBound, origin: wp.vec3) -> wp.float64:
-    """Of a ray from there [m]."""
+    """Bound of a ray from there [m]."""
     return wp.float64(bound.factor) * (wp.float64(bound.reach) + wp.float64(wp.max(wp.abs(origin))))
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def take_rays_kernel(rays: Rays, slots: wp.array(dtype=int), bound: CarryBound, judged: JudgedRays, length: wp.array(dtype=wp.float64)):
+def take_rays_kernel(
+    rays: Rays, slots: wp.array(dtype=int), bound: CarryBound, judged: JudgedRays, length: wp.array(dtype=wp.float64)
+):
     """Ray `slots[i]` for the judge."""
     i = wp.tid()
     slot = slots[i]
@@ -122,7 +132,12 @@ def false_hits_kernel(geometry: Geometry, rays: Rays, bound: CarryBound, wrong: 
     triangle = geometry.mesh_triangle_first[mesh] + primitive
     t, uv = wp.float64(rays.hit_t[i]), rays.hit_uv[i]
     v, w = wp.float64(uv[0]), wp.float64(uv[1])
-    sound = rays.hit_t[i] > 0.0 and rays.hit_t[i] < rays.t_max[i] and wp.min(v, w) >= -WEIGHTS_BOUND and v + w <= wp.float64(1.0) + WEIGHTS_BOUND
+    sound = (
+        rays.hit_t[i] > 0.0
+        and rays.hit_t[i] < rays.t_max[i]
+        and wp.min(v, w) >= -WEIGHTS_BOUND
+        and v + w <= wp.float64(1.0) + WEIGHTS_BOUND
+    )
     if primitive < 0 or triangle >= geometry.mesh_triangle_first[mesh + 1]:
         sound = False
     if sound:
@@ -135,7 +150,13 @@ def false_hits_kernel(geometry: Geometry, rays: Rays, bound: CarryBound, wrong: 
             p = wp.vec3d(geometry.positions[corners[k]])
             placed = wp.vec3d()
             for row in range(3):
-                placed[row] = wp.float64(m[row, 0]) * p[0] + wp.float64(m[row, 1]) * p[1] + wp.float64(m[row, 2]) * p[2] + wp.float64(m[row, 3]) - o[row]
+                placed[row] = (
+                    wp.float64(m[row, 0]) * p[0]
+                    + wp.float64(m[row, 1]) * p[1]
+                    + wp.float64(m[row, 2]) * p[2]
+                    + wp.float64(m[row, 3])
+                    - o[row]
+                )
             reach = wp.max(reach, wp.max(wp.abs(placed)))
             weight = wp.float64(1.0) - v - w
             if k == 1:
@@ -163,15 +184,21 @@ class BlockJudge:
         group_low, group_high = grouped(low, high)
         self._device, self._blocks = device, Blocks()
         for name, host, dtype in (
-            ("positions", positions, wp.vec3), ("triangles", triangles, wp.vec3i), ("low", low, wp.vec3), ("high", high, wp.vec3),
-            ("group_low", group_low, wp.vec3), ("group_high", group_high, wp.vec3),
+            ("positions", positions, wp.vec3),
+            ("triangles", triangles, wp.vec3i),
+            ("low", low, wp.vec3),
+            ("high", high, wp.vec3),
+            ("group_low", group_low, wp.vec3),
+            ("group_high", group_high, wp.vec3),
             ("visibility", visibility[order] if len(visibility) else visibility, int),
-        ):  # fmt: skip
+        ):
             setattr(self._blocks, name, wp.array(host, dtype=dtype, device=device))
         self.bound = carry_bound(scene)
 
     def certainties(self, rays: Rays, slots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The farthest and the nearest right answer for each ray of `slots`, float64, shape [n] each (`judge.Certainty`)."""
+        """The farthest and the nearest right answer for each ray of `slots`, float64, shape [n] each
+        (`judge.Certainty`).
+        """
         count, judged = len(slots), JudgedRays()
         with wp.ScopedDevice(self._device):
             judged.origin, judged.direction = wp.empty(count, dtype=wp.vec3d), wp.empty(count, dtype=wp.vec3d)
@@ -181,7 +208,12 @@ class BlockJudge:
             before, after = (wp.empty(count, dtype=wp.float64) for _ in range(2))
 
         def judge(part: slice) -> None:
-            wp.launch(judge_blocks_kernel, part.stop - part.start, [self._blocks, judged, part.start, before, after], device=self._device)
+            wp.launch(
+                judge_blocks_kernel,
+                part.stop - part.start,
+                [self._blocks, judged, part.start, before, after],
+                device=self._device,
+            )
 
         judge_blocks_kernel.module.load(self._device)
         on_threads([lambda part=part: judge(part) for part in slices(count, thread_count_of(self._device))])
@@ -195,7 +227,9 @@ def grouped(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def carry_bound(scene: BenchmarkScene) -> CarryBound:
-    """The bound that `build.py` gives for rays that are carried to object space, and as much again for what is lost there."""
+    """The bound that `scene_tree.py` gives for rays that are carried to object space, and as much again for what is
+    lost there.
+    """
     bound, flat = CarryBound(), scene.flat
     if not len(flat.shared):
         return bound

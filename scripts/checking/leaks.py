@@ -10,16 +10,16 @@ import warp as wp
 from benchmarking.judge import RELATIVE_BOUND, placed_triangles
 from benchmarking.scenes import BenchmarkScene
 
-from raybatch_addon.core.kernel import KERNEL_OPTIONS
+from checking.comparing import told_ray
+from checking.placing import with_instances
+from checking.rays import PLACE_GROWN, RaySource, make_source, random_direction, with_component
+from checking.trees import TreeTracer, build_tracer, reference_tracer, slot_lists, thread_count_of
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.rays import Rays
 from raybatch_addon.core.scene.description import Instances, Mesh, Visibility
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import upload_geometry
-from raybatch_addon.core.wavefront.rays import Rays, allocate_rays
-
-from .comparing import told_ray
-from .placing import with_instances
-from .rays import PLACE_GROWN, RaySource, make_source, random_direction, with_component
-from .trees import TreeTracer, build_tracer, reference_tracer, slot_lists, thread_count_of
+from raybatch_addon.core.wavefront.rays import allocate_rays
 
 CANDIDATES = 256  # places that are looked at
 CLEARANCE = 64  # an inner place is so many times the bound away from the surface
@@ -65,9 +65,15 @@ def nearest_on_triangle(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d) -> wp.vec3d:
 
 @wp.kernel(**KERNEL_OPTIONS)
 def enclosure_kernel(
-    source: RaySource, places: wp.array(dtype=wp.vec3), chunk: int, winding: wp.array2d(dtype=wp.float64), distance: wp.array2d(dtype=wp.float64)
+    source: RaySource,
+    places: wp.array(dtype=wp.vec3),
+    chunk: int,
+    winding: wp.array2d(dtype=wp.float64),
+    distance: wp.array2d(dtype=wp.float64),
 ):
-    """How often the mesh winds around each place (Van Oosterom and Strackee 1983), and its least distance [m]; by parts of the mesh."""
+    """How often the mesh winds around each place (Van Oosterom and Strackee 1983), and its least distance [m]; by parts
+    of the mesh.
+    """
     place, part = wp.tid()
     o = wp.vec3d(places[place])
     angle = wp.float64(0.0)
@@ -137,18 +143,27 @@ def bumpy_ball(seed: int, size: float = 1.0, rings: int = 160) -> Mesh:
     segments = 2 * rings
     polar = np.pi * np.arange(1, rings)[:, None] / rings
     around = 2 * np.pi * np.arange(segments) / segments
-    ring = np.stack(np.broadcast_arrays(np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)), -1)
+    ring = np.stack(
+        np.broadcast_arrays(np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), np.cos(polar)), -1
+    )
     ring = ring * generator.uniform(0.6, 1.4, ring.shape[:2])[..., None]
     # every fifth vertex all but meets its neighbour: slivers of an aspect of 1e5 and more
     pairs = np.arange(0, segments - 1, 5)
-    ring[:, pairs] += (ring[:, pairs + 1] - ring[:, pairs]) * (1 - 10.0 ** generator.uniform(-6, -3, (rings - 1, len(pairs), 1)))
+    ring[:, pairs] += (ring[:, pairs + 1] - ring[:, pairs]) * (
+        1 - 10.0 ** generator.uniform(-6, -3, (rings - 1, len(pairs), 1))
+    )
     vertices = np.concatenate([ring.reshape(-1, 3), [[0, 0, 1.0], [0, 0, -1.0]]]) + OFFSET
     north, south = len(vertices) - 2, len(vertices) - 1
     here = np.arange((rings - 1) * segments).reshape(rings - 1, segments)
     beside = np.roll(here, -1, axis=1)
     sides = [(here[:-1], here[1:], beside[1:]), (here[:-1], beside[1:], beside[:-1])]
-    triangles = [np.stack(np.broadcast_arrays(*corners), -1).reshape(-1, 3) for corners in (*sides, (north, here[0], beside[0]), (south, beside[-1], here[-1]))]
-    return Mesh(f"bumpy ball of {size:g} m", (size * vertices).astype(np.float32), np.concatenate(triangles).astype(np.int32))
+    triangles = [
+        np.stack(np.broadcast_arrays(*corners), -1).reshape(-1, 3)
+        for corners in (*sides, (north, here[0], beside[0]), (south, beside[-1], here[-1]))
+    ]
+    return Mesh(
+        f"bumpy ball of {size:g} m", (size * vertices).astype(np.float32), np.concatenate(triangles).astype(np.int32)
+    )
 
 
 def inner_places(source: RaySource, seed: int, device: wp.Device) -> InnerPlaces:
@@ -160,7 +175,12 @@ def inner_places(source: RaySource, seed: int, device: wp.Device) -> InnerPlaces
     chunk = 1 << 14
     parts = -(-len(source.triangles) // chunk)
     winding, distance = (wp.empty((CANDIDATES, parts), dtype=wp.float64, device=device) for _ in range(2))
-    wp.launch(enclosure_kernel, (CANDIDATES, parts), [source, wp.array(places, dtype=wp.vec3, device=device), chunk, winding, distance], device=device)
+    wp.launch(
+        enclosure_kernel,
+        (CANDIDATES, parts),
+        [source, wp.array(places, dtype=wp.vec3, device=device), chunk, winding, distance],
+        device=device,
+    )
     turns, nearest = winding.numpy().sum(1), distance.numpy().min(1)
     scale = np.abs(places - centre).max(1) + source.extent + np.abs(places).max(1)
     good = (np.abs(turns) > 0.5) & (nearest > CLEARANCE * RELATIVE_BOUND * scale)
@@ -213,7 +233,9 @@ class LeakTest:
 
 
 def closed_scenes(scene: BenchmarkScene, seed: int) -> list[BenchmarkScene]:
-    """Generated closed meshes of the sizes BALL_SIZES (with instances where `scene` has some), and `scene` itself if it is one closed mesh."""
+    """Generated closed meshes of the sizes BALL_SIZES (with instances where `scene` has some), and `scene` itself if it
+    is one closed mesh.
+    """
     one = np.zeros(1, np.int32)
     placed = Instances(one, np.eye(3, 4, dtype=np.float32)[None], one, np.array([int(Visibility.ALL)], np.int32), one)
     made = []
@@ -225,7 +247,15 @@ def closed_scenes(scene: BenchmarkScene, seed: int) -> list[BenchmarkScene]:
     return made + [scene] * is_closed(scene.flat.positions, scene.flat.triangles)
 
 
-def check_leaks(scene: BenchmarkScene, trees: list[TreeTracer], reference: TreeTracer, count: int, chunk: int, seed: int, device: wp.Device) -> dict[str, Any]:
+def check_leaks(
+    scene: BenchmarkScene,
+    trees: list[TreeTracer],
+    reference: TreeTracer,
+    count: int,
+    chunk: int,
+    seed: int,
+    device: wp.Device,
+) -> dict[str, Any]:
     """Trace `count` rays from inside closed meshes with `trees` of `scene`, or such as these."""
     told = []
     closed = closed_scenes(scene, seed)
@@ -243,8 +273,17 @@ def check_leaks(scene: BenchmarkScene, trees: list[TreeTracer], reference: TreeT
         escaped = test.of_reference(peer, min(chunk, REFERENCE_RAYS))
         told.append(
             {
-                "mesh": test.name, "triangles": test.triangles, "rays": test.rays, "escapes": test.escapes, "example": test.example,
-                "reference_rays": min(chunk, REFERENCE_RAYS), "reference_escapes": escaped,
-            }  # fmt: skip
+                "mesh": test.name,
+                "triangles": test.triangles,
+                "rays": test.rays,
+                "escapes": test.escapes,
+                "example": test.example,
+                "reference_rays": min(chunk, REFERENCE_RAYS),
+                "reference_escapes": escaped,
+            }
         )
-    return {"rays": sum(each["rays"] for each in told), "escapes": sum(each["escapes"] for each in told), "meshes": told}
+    return {
+        "rays": sum(each["rays"] for each in told),
+        "escapes": sum(each["escapes"] for each in told),
+        "meshes": told,
+    }

@@ -17,7 +17,8 @@ SPREAD = 2.0  # instances lie in a box so many times as large as the mesh
 
 
 def with_instances(scene: BenchmarkScene, count: int, seed: int, seen_by_all: bool = False) -> BenchmarkScene:
-    """`scene` with its first mesh once where it was and `count` times more: turned, stretched, sheared, mirrored, of many sizes.
+    """`scene` with its first mesh once where it was and `count` times more: turned, stretched, sheared, mirrored, of
+    many sizes.
 
     Two are in the same place, so that equal distances happen; some are not seen by all rays, unless `seen_by_all`.
     """
@@ -44,4 +45,6 @@ def with_instances(scene: BenchmarkScene, count: int, seed: int, seen_by_all: bo
     instances = Instances(index, transform, none, visibility, none)
     placed = dataclasses.replace(scene.scene, meshes=(mesh, mesh), instances=instances)
     features = derive_features(placed, scene.settings)
-    return BenchmarkScene(f"{scene.name} with {count} instances", placed, scene.settings, flatten(placed), features.instancing)
+    return BenchmarkScene(
+        f"{scene.name} with {count} instances", placed, scene.settings, flatten(placed), features.instancing
+    )

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from raybatch_addon.core.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.rays import Rays
 from raybatch_addon.core.scene.description import Visibility
-from raybatch_addon.core.wavefront.rays import Rays
 
 # What ray i of a run is, by `i % len(PATTERN)`: an index into KINDS
 KINDS = (
@@ -24,7 +24,9 @@ KINDS = (
 )
 # From afar the bound on errors is as large as parts of the scene, and rays visit as much: these are few
 PATTERN = (0, 1, 2, 3, 4, 5, 6, 0, 8, 9, 0, 0) * 7 + (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 0, 0)
-(AT_CORNERS, AT_EDGES, ALONG_EDGES, IN_PLANES, AXIS_PARALLEL, FROM_SURFACES, FROM_AFAR, TINY_COMPONENTS, ANY_LENGTH) = map(wp.constant, range(1, 10))
+(AT_CORNERS, AT_EDGES, ALONG_EDGES, IN_PLANES, AXIS_PARALLEL, FROM_SURFACES, FROM_AFAR, TINY_COMPONENTS, ANY_LENGTH) = (
+    map(wp.constant, range(1, 10))
+)
 VISIBILITY_BITS = wp.constant(int(Visibility.ALL).bit_count())
 PLACE_GROWN = 1.5  # origins lie in the box, made so much larger
 
@@ -106,7 +108,9 @@ def make_rays_kernel(source: RaySource, pattern: wp.array(dtype=int), first: int
         target = a + x * (b - a) + y * (c - a)
     any_direction = random_direction(state)
     state += wp.uint32(7919)
-    o = source.centre + wp.vec3(h[0] * (2.0 * wp.randf(state) - 1.0), h[1] * (2.0 * wp.randf(state) - 1.0), h[2] * (2.0 * wp.randf(state) - 1.0))
+    o = source.centre + wp.vec3(
+        h[0] * (2.0 * wp.randf(state) - 1.0), h[1] * (2.0 * wp.randf(state) - 1.0), h[2] * (2.0 * wp.randf(state) - 1.0)
+    )
     p, q, r = wp.randf(state), wp.randf(state), wp.randf(state)
     choice = wp.randi(state, 0, 6)
     sign = 1.0

@@ -13,19 +13,18 @@ from pathlib import Path
 from typing import Any
 
 from benchmarking.tables import table
-from rendering.request import UsageError
+from lib.command import UsageError
 from rendering.standalone import resized
 
-from raybatch_addon.core.bvh.page_file import delete_old_files
-from raybatch_addon.core.device import device_description
-from raybatch_addon.core.report.statistics import versions
+from checking.films import FilmComparer
+from checking.schedules import NOT_DRAWN, SeededDraws
+from raybatch_addon.core.bvh.pages.file import delete_old_files
+from raybatch_addon.core.device.devices import device_description
+from raybatch_addon.core.measure.statistics import versions
 from raybatch_addon.core.scene.archive import load_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import SETTINGS, RenderSettings, parse_setting
-
-from .films import FilmComparer
-from .schedules import NOT_DRAWN, SeededDraws
+from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings, parse_setting
 
 PROGRESS_SECONDS = 5.0  # between lines where standard error is no terminal
 PAGE_FILES_MOST = 1 << 30  # that are kept at a time [bytes]
@@ -72,20 +71,34 @@ def check_schedules(request: ScheduleRequest) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="raybatch-pages-") as pages:
         session = Session(request.device, cache_folder=request.kernel_cache, page_folder=pages)
         try:
-            reports = [_check(session, Path(pages), path, *scene, fixed, request, line) for path, scene in zip(request.scenes, scenes)]
+            reports = [
+                _check(session, Path(pages), path, *scene, fixed, request, line)
+                for path, scene in zip(request.scenes, scenes)
+            ]
         finally:
             session.close()
     return {
-        "device": device_description(session.device), "versions": versions(), "seed": request.seed, "fixed": fixed,
-        "scenes": reports, "compared": sum(each["compared"] for each in reports),
-        "faults": sum(len(each["faults"]) for each in reports), "seconds": round(time.perf_counter() - began, 3),
-    }  # fmt: skip
+        "device": device_description(session.device),
+        "versions": versions(),
+        "seed": request.seed,
+        "fixed": fixed,
+        "scenes": reports,
+        "compared": sum(each["compared"] for each in reports),
+        "faults": sum(len(each["faults"]) for each in reports),
+        "seconds": round(time.perf_counter() - began, 3),
+    }
 
 
 def _check(
-    session: Session, pages: Path, path: Path, scene: Scene, estimator: RenderSettings, fixed: dict[str, Any], request: ScheduleRequest,
+    session: Session,
+    pages: Path,
+    path: Path,
+    scene: Scene,
+    estimator: RenderSettings,
+    fixed: dict[str, Any],
+    request: ScheduleRequest,
     line: ProgressLine,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     start = time.perf_counter()
     line.show(f"{path.name}: the plain film", always=True)
     comparer = FilmComparer(session, scene, estimator, request.turns)
@@ -100,20 +113,37 @@ def _check(
         methods[found.method] += 1
         rays += found.statistics.get("rays", {}).get("total", 0)
         if found.differs:
-            fault = {"number": number, "differs": found.differs, "region": list(found.region), "rays_few": found.rays_few, "settings": found.settings}
+            fault = {
+                "number": number,
+                "differs": found.differs,
+                "region": list(found.region),
+                "rays_few": found.rays_few,
+                "settings": found.settings,
+            }
             if not faults:
                 fault["simplest"] = comparer.simplest(found)
-                line.show(f"{path.name}: schedule {number}: {'; '.join(found.differs)}\n{json.dumps(fault, indent=2)}", always=True)
+                line.show(
+                    f"{path.name}: schedule {number}: {'; '.join(found.differs)}\n{json.dumps(fault, indent=2)}",
+                    always=True,
+                )
             faults.append(fault)
             if len(faults) == FAULTS_MOST:
                 line.show(f"{path.name}: {FAULTS_MOST} faults, the other schedules are left out", always=True)
                 break
         delete_old_files(pages, None, PAGE_FILES_MOST)
     return {
-        "scene": path.name, "triangles": comparer.sizes.triangles, "frame": [scene.frame.width, scene.frame.height],
-        "samples": estimator.sample_count, "bounce_max": estimator.bounce_max, "compared": compared, "methods": dict(methods),
-        "budgets_raised": raised, "rays": rays, "faults": faults, "seconds": round(time.perf_counter() - start, 3),
-    }  # fmt: skip
+        "scene": path.name,
+        "triangles": comparer.sizes.triangles,
+        "frame": [scene.frame.width, scene.frame.height],
+        "samples": estimator.sample_count,
+        "bounce_max": estimator.bounce_max,
+        "compared": compared,
+        "methods": dict(methods),
+        "budgets_raised": raised,
+        "rays": rays,
+        "faults": faults,
+        "seconds": round(time.perf_counter() - start, 3),
+    }
 
 
 def _scene(path: Path, request: ScheduleRequest) -> tuple[Scene, RenderSettings]:
@@ -129,7 +159,9 @@ def _scene(path: Path, request: ScheduleRequest) -> tuple[Scene, RenderSettings]
     longer = max(width, height)
     scene = resized(scene, max(1, round(width * request.size / longer)), max(1, round(height * request.size / longer)))
     passes = dict.fromkeys((*scene.frame.passes, "Combined", "Depth", "Normal", "Position"))
-    return dataclasses.replace(scene, frame=dataclasses.replace(scene.frame, passes=tuple(passes))), RenderSettings(**estimator)
+    return dataclasses.replace(scene, frame=dataclasses.replace(scene.frame, passes=tuple(passes))), RenderSettings(
+        **estimator
+    )
 
 
 def _fixed(texts: tuple[str, ...]) -> dict[str, Any]:
@@ -144,14 +176,35 @@ def _fixed(texts: tuple[str, ...]) -> dict[str, Any]:
 
 def _figures(scene: dict[str, Any]) -> list[int]:
     methods = [scene["methods"].get(method, 0) for method in ("unbatched", "batched", "paged")]
-    return [scene["triangles"], scene["compared"], *methods, scene["budgets_raised"], scene["rays"], len(scene["faults"])]
+    return [
+        scene["triangles"],
+        scene["compared"],
+        *methods,
+        scene["budgets_raised"],
+        scene["rays"],
+        len(scene["faults"]),
+    ]
 
 
 def report_text(report: dict[str, Any]) -> str:
     """The report as a person reads it."""
     rows = [
-        [each["scene"], "", *(f"{number:,}" for number in _figures(each)), f"{each['seconds']:.0f}"] for each in report["scenes"]
-    ]  # fmt: skip
-    head = ["scene", "", "triangles", "schedules", "unbatched", "batched", "paged", "budget raised", "rays", "faults", "seconds"]
-    return f"{report['device']['name']}: {report['compared']:,} schedules, {report['faults']:,} faults\n" + table(head, rows)
-
+        [each["scene"], "", *(f"{number:,}" for number in _figures(each)), f"{each['seconds']:.0f}"]
+        for each in report["scenes"]
+    ]
+    head = [
+        "scene",
+        "",
+        "triangles",
+        "schedules",
+        "unbatched",
+        "batched",
+        "paged",
+        "budget raised",
+        "rays",
+        "faults",
+        "seconds",
+    ]
+    return f"{report['device']['name']}: {report['compared']:,} schedules, {report['faults']:,} faults\n" + table(
+        head, rows
+    )

@@ -10,8 +10,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from raybatch_addon.core.scene.description import Frame
-from raybatch_addon.core.setting_info import SettingInfo
-from raybatch_addon.core.settings import SETTINGS, RenderSettings
+from raybatch_addon.core.settings.info import SettingInfo
+from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings
 
 # The device is where all of them are compared; REFERENCE meets other hits, those of Warp's tree
 NOT_DRAWN = {"device"}
@@ -39,11 +39,11 @@ class SeededDraws:
         self._generator = np.random.default_rng(seed)
 
     def pick(self, values: Sequence[Any]) -> Any:
-        """As `Draws`."""
+        """See `Draws`."""
         return values[int(self._generator.integers(len(values)))]
 
     def whole(self, low: int, high: int) -> int:
-        """As `Draws`."""
+        """See `Draws`."""
         return int(self._generator.integers(low, high, endpoint=True))
 
 
@@ -58,12 +58,18 @@ class DrawnSizes:
 
 def drawn_schedule(draws: Draws, sizes: DrawnSizes) -> dict[str, Any]:
     """A value for each schedule setting but `NOT_DRAWN`."""
-    drawn: dict[str, Any] = {name: draws.pick(_choices(info)) for name, info in SETTINGS.items() if info.effect == "schedule" and info.choices}
+    drawn: dict[str, Any] = {
+        name: draws.pick(_choices(info))
+        for name, info in SETTINGS.items()
+        if info.effect == "schedule" and info.choices
+    }
     # most of what may go wrong is where rays wait
     drawn["batching"] = draws.pick(("ON", "ON", "ON", "ON", "AUTO", "OFF"))
     drawn["geometry_budget"] = 0
     if drawn["batching"] != "OFF" and draws.pick((True, False)):
-        drawn["geometry_budget"] = _any_size(draws, max(sizes.tree_bytes // 64, 4096), sizes.tree_bytes + (sizes.tree_bytes >> 2) + 4096)
+        drawn["geometry_budget"] = _any_size(
+            draws, max(sizes.tree_bytes // 64, 4096), sizes.tree_bytes + (sizes.tree_bytes >> 2) + 4096
+        )
     drawn["thread_count"] = draws.whole(0, THREADS_MOST)
     drawn["tile_size"] = _zero_or_any(draws, max(2, int(sizes.paths**0.5)))
     drawn["ray_count"] = _zero_or_any(draws, 2 * sizes.paths)
@@ -82,8 +88,8 @@ def drawn_schedule(draws: Draws, sizes: DrawnSizes) -> dict[str, Any]:
 
 
 def part_to_render(draws: Draws, frame: Frame, settings: RenderSettings, turns: int) -> Frame:
-    """`frame` with a border, if need be, so that its paths come to their end in about `turns` times the bounces of one: with few rays
-    alive, or tiny tiles, a whole frame takes too long."""
+    """`frame` with a border, if need be, so that its paths come to their end in about `turns` times the bounces of one:
+    with few rays alive, or tiny tiles, a whole frame takes too long."""
     x0, y0, x1, y1 = frame.region
     width, height = x1 - x0, y1 - y0
     while width * height > 1 and _turns(width, height, settings) > turns:
@@ -107,7 +113,7 @@ def _choices(info: SettingInfo) -> list[str]:
 
 
 def _any_size(draws: Draws, low: int, high: int) -> int:
-    """As likely small as large."""
+    """A number that is as likely small as large."""
     bits = draws.whole(low.bit_length(), high.bit_length())
     return min(max(draws.whole(1 << bits >> 1, (1 << bits) - 1), low), high)
 

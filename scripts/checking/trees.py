@@ -1,5 +1,5 @@
-"""Trees of one scene that must all give the same hits: built in other ways, of triangles in other orders, of other layouts, and one that
-leaves out no triangle."""
+"""Trees of one scene that must all give the same hits: built in other ways, of triangles in other orders, of other
+layouts, and one that leaves out no triangle."""
 
 from __future__ import annotations
 
@@ -14,21 +14,28 @@ from typing import Any
 import numpy as np
 import warp as wp
 from benchmarking.scenes import BenchmarkScene
-from benchmarking.stage_tracers import slot_list
 from benchmarking.timing import slices
-from rendering.request import UsageError
+from benchmarking.tracers.stages import slot_list
+from lib.command import UsageError
 
-from raybatch_addon.core.bvh.build import BuiltTree, build_scene_tree, layout_for, refit_scene_tree
-from raybatch_addon.core.bvh.mesh_tree import mesh_parts
-from raybatch_addon.core.bvh.node import BOXES_GROUP, BOXES_NODE, EMPTY_CHILD, QUANTISED_NODE, QUANTISED_TRIANGLE, Layout
-from raybatch_addon.core.bvh.reference import build_reference
+from raybatch_addon.core.bvh.build.mesh_tree import mesh_parts
+from raybatch_addon.core.bvh.build.scene_tree import BuiltTree, build_scene_tree, layout_for, refit_scene_tree
+from raybatch_addon.core.bvh.node import (
+    BOXES_GROUP,
+    BOXES_NODE,
+    EMPTY_CHILD,
+    QUANTISED_NODE,
+    QUANTISED_TRIANGLE,
+    Layout,
+)
+from raybatch_addon.core.bvh.traverse.options import TraceOptions
+from raybatch_addon.core.bvh.traverse.reference import build_reference
 from raybatch_addon.core.bvh.tree import Tree
-from raybatch_addon.core.device import load_kernels
+from raybatch_addon.core.device.devices import load_kernels
+from raybatch_addon.core.rays import RayList, Rays
 from raybatch_addon.core.scene.flatten import FlatGeometry
 from raybatch_addon.core.scene.geometry import Geometry
-from raybatch_addon.core.wavefront.rays import Rays
-from raybatch_addon.core.wavefront.stages.trace import TraceFeatures, Traversal, trace_stage
-from raybatch_addon.core.wavefront.tracer import SlotList
+from raybatch_addon.core.wavefront.tracers.unbatched import trace_stage
 
 TREES = {
     "sah": "built by the host, in the device's own layout",
@@ -41,7 +48,10 @@ TREES = {
     "device-shuffled": "the same over triangles in another order",
     "device-refitted": "the same for a mesh that is bent, and refitted",
 }
-TREES_DEFAULT = {"cpu": "sah,splits,shuffled,refitted,quantised,device", "cuda": "device,device-shuffled,device-refitted"}
+TREES_DEFAULT = {
+    "cpu": "sah,splits,shuffled,refitted,quantised,device",
+    "cuda": "device,device-shuffled,device-refitted",
+}
 BENT = 0.02  # of the scene's extent: how far vertices move before a refit
 FAR = 2.0**24  # boxes that are to be met by every ray reach so many times as far as the scene
 
@@ -61,7 +71,7 @@ class TreeTracer:
 
     name: str
     tree: Any  # what kernels take
-    traversal: Traversal
+    layout: Layout | None  # None: Warp's tree
     instancing: bool
     keep: Any = field(repr=False, default=None)
     _stages: dict[bool, list] = field(default_factory=dict, repr=False)
@@ -70,13 +80,25 @@ class TreeTracer:
         """Compile the kernels; they will run on so many threads."""
         for any_hit in (False, True):
             # a stage has state of its own
-            self._stages[any_hit] = [trace_stage(TraceFeatures(self.traversal, any_hit, self.instancing, False)) for _ in range(threads)]
-        load_kernels([kernel for stages in self._stages.values() for kernel in stages[0].kernels], device, lambda done, total: None)
+            self._stages[any_hit] = [
+                trace_stage(self.layout, TraceOptions(any_hit=any_hit, instancing=self.instancing))
+                for _ in range(threads)
+            ]
+        load_kernels(
+            [kernel for stages in self._stages.values() for kernel in stages[0].kernels],
+            device,
+            lambda done, total: None,
+        )
 
-    def trace(self, rays: Rays, lists: list[SlotList], any_hit: bool = False) -> None:
+    def trace(self, rays: Rays, lists: list[RayList], any_hit: bool = False) -> None:
         """Trace the rays of all `lists`, each on a thread of its own."""
         stages = self._stages[any_hit]
-        on_threads([lambda stage=stage, listed=listed: stage.launch(self.tree, rays, listed, None) for stage, listed in zip(stages, lists)])
+        on_threads(
+            [
+                lambda stage=stage, listed=listed: stage.launch(self.tree, rays, listed, None)
+                for stage, listed in zip(stages, lists)
+            ]
+        )
 
 
 def on_threads(tasks: list[Callable[[], Any]]) -> list[Any]:
@@ -92,14 +114,18 @@ def thread_count_of(device: wp.Device) -> int:
     return 1 if device.is_cuda else os.cpu_count() or 1
 
 
-def slot_lists(count: int, parts: int, device: wp.Device, order: np.ndarray | None = None) -> list[SlotList]:
+def slot_lists(count: int, parts: int, device: wp.Device, order: np.ndarray | None = None) -> list[RayList]:
     """Slots 0 to `count` - 1, or these in another order, in `parts` lists."""
     if order is None:
         return [slot_list(part, device) for part in slices(count, parts)]
     lists = []
     for part in slices(count, parts):
         slots = order[part].astype(np.int32)
-        lists.append(SlotList(wp.array(slots, dtype=int, device=device), wp.array([len(slots)], dtype=int, device=device), len(slots)))
+        lists.append(
+            RayList(
+                wp.array(slots, dtype=int, device=device), wp.array([len(slots)], dtype=int, device=device), len(slots)
+            )
+        )
     return lists
 
 
@@ -115,12 +141,22 @@ def build_tracer(name: str, scene: BenchmarkScene, geometry: Geometry, device: w
     if name.endswith("refitted"):
         flat = dataclasses.replace(flat, positions=bent(flat.positions))
         there = trees_geometry(flat, device)
-    built = build_scene_tree(flat, there, visibility, scene.instancing, device, layout, name.endswith("splits"), False, name.startswith("device"))
+    built = build_scene_tree(
+        flat,
+        there,
+        visibility,
+        scene.instancing,
+        device,
+        layout,
+        name.endswith("splits"),
+        False,
+        name.startswith("device"),
+    )
     if name.endswith("refitted"):
         refit_scene_tree(built, scene.flat, geometry, visibility, range(len(built.meshes)), device)
     if order is not None:
         rename_faces(built, scene, order)
-    return TreeTracer(name, built.tree, Traversal.of("OFF", layout), scene.instancing, (built, there, geometry))
+    return TreeTracer(name, built.tree, layout, scene.instancing, (built, there, geometry))
 
 
 def trees_geometry(flat: FlatGeometry, device: wp.Device) -> Geometry:
@@ -142,29 +178,33 @@ def bent(positions: np.ndarray) -> np.ndarray:
 def reference_tracer(scene: BenchmarkScene, device: wp.Device) -> TreeTracer:
     """Warp's tree."""
     built = build_reference(scene.flat, scene.scene.instances.visibility, scene.instancing, device)
-    return TreeTracer("reference", built.tree, Traversal.REFERENCE, scene.instancing, built)
+    return TreeTracer("reference", built.tree, None, scene.instancing, built)
 
 
 def whole_tracer(tracer: TreeTracer, scene: BenchmarkScene, device: wp.Device) -> TreeTracer:
     """`tracer` with boxes that every ray meets: it tests every triangle that the ray may see."""
-    layout = Layout.BOXES if tracer.traversal is Traversal.BOXES else Layout.QUANTISED
+    layout = tracer.layout
     tree = copied(tracer.tree)
     words = tracer.tree.nodes.numpy().copy()
     words = words[: len(words) - len(words) % (layout.node_words // 4)]  # there may be room behind the nodes
     if layout is Layout.BOXES:
         nodes = words.reshape(-1).view(BOXES_NODE)
         there = nodes["child"] != EMPTY_CHILD
-        nodes["planes"] = np.where(there[:, None, None, :], np.array([-1e30, 1e30], np.float32)[:, None], nodes["planes"])
+        nodes["planes"] = np.where(
+            there[:, None, None, :], np.array([-1e30, 1e30], np.float32)[:, None], nodes["planes"]
+        )
     else:
         nodes = words.reshape(-1).view(QUANTISED_NODE)
         # lengths of both spaces
-        reach = max(float(np.abs(scene.flat.positions).max()), *(abs(value) for corner in scene.box() for value in corner))
+        reach = max(
+            float(np.abs(scene.flat.positions).max()), *(abs(value) for corner in scene.box() for value in corner)
+        )
         exponent = min(100, math.ceil(math.log2(reach * FAR)))
         nodes["origin"] = -(2.0**exponent)
         nodes["exponent"] = exponent - 7 + 127
         nodes["low"], nodes["high"] = 0, 255
     tree.nodes = aligned_vectors(words, device)
-    return TreeTracer(f"every triangle ({tracer.name})", tree, tracer.traversal, tracer.instancing, tracer)
+    return TreeTracer(f"every triangle ({tracer.name})", tree, tracer.layout, tracer.instancing, tracer)
 
 
 def copied(tree: Tree) -> Tree:

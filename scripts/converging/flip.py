@@ -1,4 +1,6 @@
-"""FLIP, the error as an eye sees it that flickers between two pictures, by the package flip-evaluator where it is installed."""
+"""FLIP, the error as an eye sees it that flickers between two pictures, by the package flip-evaluator where it is
+installed.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,12 @@ MISSING = "FLIP is left out: the package flip-evaluator is not installed (pip in
 
 
 def flip_function() -> Callable[[np.ndarray, np.ndarray], float | None] | None:
-    """The mean HDR-FLIP of a picture against a reference, both linear float32 [height, width, 3], top row first; None: not installed.
+    """The mean HDR-FLIP of a picture against a reference, both linear float32 [height, width, 3], top row first; None:
+    not installed.
 
-    Exposures follow from the reference alone (Andersson et al. 2021, "Visualizing errors in rendered high dynamic range images"), at the
-    package's 67 pixels a degree. Against a reference without light there is none: the function gives None then.
+    Exposures follow from the reference alone (Andersson et al. 2021, "Visualizing errors in rendered high dynamic range
+    images"), at the package's 67 pixels a degree. Against a reference without light there is none: the function gives
+    None then.
     """
     try:
         import flip_evaluator

@@ -9,12 +9,11 @@ import math
 import platform
 
 import numpy as np
-from rendering.pictures import HEAT_COLOURS, display_pixels, heat_pixels, save_png
+from rendering.pictures import HEAT_COLORS, display_pixels, heat_pixels, save_png
 
-from raybatch_addon.core.report.convergence_error import relative_to, squared_error
-
-from .plots import COLOURS, svg_plots
-from .summary import HEADS, Summary, reference_text, rows, slopes_said, target_line
+from converging.plots import COLORS, svg_plots
+from converging.summary import HEADS, Summary, reference_text, rows, slopes_said, target_line
+from raybatch_addon.core.convergence.errors import relative_to, squared_error
 
 THUMBNAIL_MOST = 480  # pixels of the longer side
 SCALE_PERCENTILE = 99.0  # of all errors: brightest in difference pictures
@@ -39,30 +38,47 @@ def html_page(summary: Summary, command: str) -> str:
     study = summary.study
     frame = study.opened.scene.frame
     device = study.device
-    machine = [("device", f"{device['name']} ({device['alias']}), {device['memory'] / 2**30:.1f} GiB, {device['cores']} cores of the host")]
+    machine = [
+        (
+            "device",
+            f"{device['name']} ({device['alias']}), {device['memory'] / 2**30:.1f} GiB, {device['cores']} cores of the "
+            "host",
+        )
+    ]
     if study.cycles_device:
         machine.append(("device of Cycles", study.cycles_device))
-    machine += [("host", f"{platform.machine()}, {platform.processor() or 'processor not told'}"), *study.versions.items(), ("command", command)]
+    machine += [
+        ("host", f"{platform.machine()}, {platform.processor() or 'processor not told'}"),
+        *study.versions.items(),
+        ("command", command),
+    ]
     about = "; ".join([device["name"], *reference_text(summary), target_line(summary)])
-    said = "".join(f"<li{' class=bad' * flattens}><b>{_text(label)}</b>: {_text(says)}</li>" for label, says, flattens in slopes_said(summary))
+    said = "".join(
+        f"<li{' class=bad' * flattens}><b>{_text(label)}</b>: {_text(says)}</li>"
+        for label, says, flattens in slopes_said(summary)
+    )
     notes = "".join(f"<li>{_text(note)}</li>" for note in [*summary.notes, *study.warnings])
     return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
+        'content="width=device-width">'
         f"<title>Error against time: {_text(study.opened.name)}</title><style>{_STYLE}</style></head><body>\n"
         f"<h1>Error against run time: {_text(study.opened.name)}</h1>\n"
         f"<p>{frame.width} x {frame.height} pixels, on {_text(about)}.</p>\n"
         + (f'<ul class="notes">{notes}</ul>\n' if notes else "")
         + f'<div class="row">{"".join(svg_plots(summary))}</div>\n'
-        '<p class="soft">Lines are medians of all runs, bands reach from the least to the most, thin lines are single runs. '
+        '<p class="soft">Lines are medians of all runs, bands reach from the least to the most, thin lines are single '
+        "runs. "
         "Both axes are logarithmic. Time is that of rendering alone, without trees and compilation.</p>\n"
         f'<h2>Figures</h2>\n<div class="wide">{_table(summary)}</div>\n'
-        '<p class="soft">Medians of runs. Slope: of RMSE against samples. To target: seconds of rendering, extrapolated where it has a ~. '
-        "Sooner: at the target, than the first setting. Efficiency: 1 / (RMSE² × seconds), relative to the first, with the least and the most of runs.</p>\n"
+        '<p class="soft">Medians of runs. Slope: of RMSE against samples. To target: seconds of rendering, '
+        "extrapolated where it has a ~. "
+        "Sooner: at the target, than the first setting. Efficiency: 1 / (RMSE² × seconds), relative to the first, with "
+        "the least and the most of runs.</p>\n"
         + (f"<h2>Slopes</h2>\n<ul>{said}</ul>\n" if said else "")
         + _pictures(summary)
         + "<h2>Machine and versions</h2>\n<table>"
         + "".join(f"<tr><td>{_text(name)}</td><td>{_text(str(value))}</td></tr>" for name, value in machine)
-        + f"</table>\n<p class=\"soft\">Measured in {study.seconds:.0f} s.</p>\n</body></html>\n"
+        + f'</table>\n<p class="soft">Measured in {study.seconds:.0f} s.</p>\n</body></html>\n'
     )
 
 
@@ -73,11 +89,16 @@ def _text(text: str) -> str:
 def _table(summary: Summary) -> str:
     lines = []
     for place, (outcome, cells) in enumerate(zip(summary.outcomes, rows(summary), strict=True)):
-        key = f'<i class="key" style="background: {COLOURS[place % len(COLOURS)]}"></i>'
+        key = f'<i class="key" style="background: {COLORS[place % len(COLORS)]}"></i>'
         bad = outcome.slope is not None and outcome.slope.flattens
-        lines.append(f"<tr><td>{key}{_text(cells[0])}</td>" + "".join(
-            f"<td{' class=bad' if bad and head == 'slope' else ''}>{_text(cell)}</td>" for head, cell in zip(HEADS[1:], cells[1:], strict=True)
-        ) + "</tr>")  # fmt: skip
+        lines.append(
+            f"<tr><td>{key}{_text(cells[0])}</td>"
+            + "".join(
+                f"<td{' class=bad' if bad and head == 'slope' else ''}>{_text(cell)}</td>"
+                for head, cell in zip(HEADS[1:], cells[1:], strict=True)
+            )
+            + "</tr>"
+        )
     return f"<table><tr>{''.join(f'<th>{_text(head)}</th>' for head in HEADS)}</tr>{''.join(lines)}</table>"
 
 
@@ -91,23 +112,34 @@ def _pictures(summary: Summary) -> str:
     for used in study.used:
         if used.reference is not None:
             figures.append(_figure(_display(used.reference.picture), f"Reference: {used.reference.name}"))
-    shown = [(outcome.variant.label, run) for outcome in summary.outcomes for run in outcome.runs if run.picture is not None and run.points]
+    shown = [
+        (outcome.variant.label, run)
+        for outcome in summary.outcomes
+        for run in outcome.runs
+        if run.picture is not None and run.points
+    ]
     for label, run in shown:
         reference = study.references[label].reference
         if reference is not None:
             errors[label] = _relative_error(run.picture, reference.picture)
-    largest = float(np.percentile(np.concatenate([error.ravel() for error in errors.values()]), SCALE_PERCENTILE)) if errors else 0.0
+    largest = (
+        float(np.percentile(np.concatenate([error.ravel() for error in errors.values()]), SCALE_PERCENTILE))
+        if errors
+        else 0.0
+    )
     for label, run in shown:
         last = run.points[-1]
         about = f"{label}, seed {run.seed}: {last.samples:,} samples, {last.seconds:.3g} s, relMSE {last.relmse:.3g}"
         figures.append(_figure(_display(run.picture), about))
         if label in errors:
             figures.append(_figure(_heat(errors[label], largest), f"{label}: difference from the reference"))
-    steps = ", ".join(f"rgb({r},{g},{b})" for r, g, b in HEAT_COLOURS)
+    steps = ", ".join(f"rgb({r},{g},{b})" for r, g, b in HEAT_COLORS)
     scale = (
-        f'<p>Differences: root of the squared error over the squared reference (+ 0.01), mean of channels; 0 '
-        f'<span class="scale" style="background: linear-gradient(90deg, {steps})"></span> {largest:.3g} and more.</p>\n' if errors else ""
-    )  # fmt: skip
+        f"<p>Differences: root of the squared error over the squared reference (+ 0.01), mean of channels; 0 "
+        f'<span class="scale" style="background: linear-gradient(90deg, {steps})"></span> {largest:.3g} and more.</p>\n'
+        if errors
+        else ""
+    )
     return f'<h2>Pictures</h2>\n{scale}<div class="row">{"".join(figures)}</div>\n'
 
 
@@ -118,7 +150,10 @@ def _relative_error(picture: np.ndarray, reference: np.ndarray) -> np.ndarray:
 
 def _figure(pixels: np.ndarray, caption: str) -> str:
     encoded = base64.b64encode(png(pixels)).decode()
-    return f'<figure><img alt="{_text(caption)}" src="data:image/png;base64,{encoded}"><figcaption>{_text(caption)}</figcaption></figure>'
+    return (
+        f'<figure><img alt="{_text(caption)}" '
+        f'src="data:image/png;base64,{encoded}"><figcaption>{_text(caption)}</figcaption></figure>'
+    )
 
 
 def _display(picture: np.ndarray) -> np.ndarray:

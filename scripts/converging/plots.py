@@ -1,4 +1,6 @@
-"""Curves of error, log-log: as a file, or as pieces of SVG that take the colours of the page they stand in. Needs matplotlib."""
+"""Curves of error, log-log: as a file, or as pieces of SVG that take the colours of the page they stand in. Needs
+matplotlib.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +12,17 @@ import statistics
 from dataclasses import dataclass
 from pathlib import Path
 
-from rendering.output import write_whole
-from rendering.request import UsageError
+from lib.command import UsageError
+from lib.output import write_whole
 
-from raybatch_addon.core.report.convergence import ErrorPoint
-
-from .study import Run
-from .summary import Outcome, Summary
+from converging.study import Run
+from converging.summary import Outcome, Summary
+from raybatch_addon.core.convergence.points import ErrorPoint
 
 FORMATS = (".svg", ".png", ".pdf")
-# Okabe and Ito's colours, which those who see no red or green can tell apart, in an order that is read on white and on black
-COLOURS = ("#0b84d0", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8f7ee7", "#999999")
+# Okabe and Ito's colours, which those who see no red or green can tell apart, in an order that is read on white and on
+# black
+COLORS = ("#0b84d0", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#8f7ee7", "#999999")
 MARKERS = "osD^vP*X"
 INK = "#010203"  # stands for the colour of the page's text, until it is replaced
 SIZE = (5.6, 4.2)  # of a panel [inches]
@@ -44,7 +46,10 @@ FLIP = Panel("flip", "seconds", "FLIP", "seconds of rendering")
 def require_plots(path: Path | None) -> None:
     """Raise `UsageError` where no plot can be drawn, or not as the file `path`."""
     if importlib.util.find_spec("matplotlib") is None:
-        raise UsageError("--plot and --html draw with matplotlib, which is not installed (pip install matplotlib); --json does without")
+        raise UsageError(
+            "--plot and --html draw with matplotlib, which is not installed (pip install matplotlib); --json does "
+            "without"
+        )
     if path is not None and path.suffix.lower() not in FORMATS:
         raise UsageError(f"--plot {path}: name it with one of the endings {', '.join(FORMATS)}")
 
@@ -62,7 +67,9 @@ def write_plot(path: Path, summary: Summary) -> None:
     wanted = panels(summary)
     pyplot = _pyplot()
     with pyplot.rc_context({"svg.hashsalt": "raybatch"}):
-        figure, axes = pyplot.subplots(1, len(wanted), figsize=(SIZE[0] * len(wanted), SIZE[1]), squeeze=False, layout="constrained")
+        figure, axes = pyplot.subplots(
+            1, len(wanted), figsize=(SIZE[0] * len(wanted), SIZE[1]), squeeze=False, layout="constrained"
+        )
         for place, panel in zip(axes[0], wanted, strict=True):
             draw(place, panel, summary, "black")
         study = summary.study
@@ -73,15 +80,24 @@ def write_plot(path: Path, summary: Summary) -> None:
 
 
 def svg_plots(summary: Summary) -> list[str]:
-    """Each panel as SVG to stand within a page: lines of text and axes have `currentColor`, what is behind them shows through."""
+    """Each panel as SVG to stand within a page: lines of text and axes have `currentColor`, what is behind them shows
+    through.
+    """
     pyplot = _pyplot()
     found = []
     for number, panel in enumerate(panels(summary)):
-        with pyplot.rc_context({"svg.fonttype": "none", "svg.hashsalt": f"raybatch{number}", "font.family": "sans-serif"}):
+        with pyplot.rc_context(
+            {"svg.fonttype": "none", "svg.hashsalt": f"raybatch{number}", "font.family": "sans-serif"}
+        ):
             figure, axes = pyplot.subplots(figsize=SIZE, layout="constrained")
             draw(axes, panel, summary, INK)
             made = io.StringIO()
-            figure.savefig(made, format="svg", transparent=True, metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+            figure.savefig(
+                made,
+                format="svg",
+                transparent=True,
+                metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
+            )
             pyplot.close(figure)
         found.append(_inlined(made.getvalue(), f"{panel.y_label} against {panel.x_label}"))
     return found
@@ -109,21 +125,37 @@ def _pyplot():
 
 def draw(axes, panel: Panel, summary: Summary, ink: str) -> None:
     """Curves of all variants on `axes`; text and lines that are no curves have the colour `ink`."""
-    from .ticks import plain_ticks
+    from converging.ticks import plain_ticks
 
     axes.set_xscale("log")
     axes.set_yscale("log")
     for place, outcome in enumerate(summary.outcomes):
-        _draw_curve(axes, panel, outcome, COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)])
+        _draw_curve(axes, panel, outcome, COLORS[place % len(COLORS)], MARKERS[place % len(MARKERS)])
     if panel is ERROR and summary.target:
         axes.axhline(summary.target, color=ink, linewidth=0.9, linestyle=(0, (6, 3)))
-        axes.annotate("target", (0.36, summary.target), xycoords=("axes fraction", "data"), ha="left", va="bottom", fontsize=8, color=ink)
+        axes.annotate(
+            "target",
+            (0.36, summary.target),
+            xycoords=("axes fraction", "data"),
+            ha="left",
+            va="bottom",
+            fontsize=8,
+            color=ink,
+        )
     floors = {used.floor[panel.y == "relmse"] for used in summary.study.used if panel.y != "flip"} - {None, 0.0}
     drawn = axes.get_ylim()
     for floor in floors:
         if floor > drawn[0] / 3:  # far below the curves it says nothing, and would press them together
             axes.axhline(floor, color=ink, linewidth=0.9, linestyle=":")
-            axes.annotate("noise of the reference", (0.005, floor), xycoords=("axes fraction", "data"), ha="left", va="bottom", fontsize=8, color=ink)
+            axes.annotate(
+                "noise of the reference",
+                (0.005, floor),
+                xycoords=("axes fraction", "data"),
+                ha="left",
+                va="bottom",
+                fontsize=8,
+                color=ink,
+            )
     if panel is SAMPLES:
         _draw_guide(axes, summary, ink)
     axes.set_xlabel(panel.x_label, color=ink)
@@ -139,15 +171,21 @@ def draw(axes, panel: Panel, summary: Summary, ink: str) -> None:
         axes.legend(fontsize=8, frameon=False, labelcolor=ink)
 
 
-def _draw_curve(axes, panel: Panel, outcome: Outcome, colour: str, marker: str) -> None:
+def _draw_curve(axes, panel: Panel, outcome: Outcome, color: str, marker: str) -> None:
     """The median of all runs, a band from the least to the most, and each run in thin lines."""
     for run in outcome.runs:
         shown = [point for point in run.points if positive(point, panel.y) and positive(point, panel.x)]
-        axes.plot([getattr(p, panel.x) for p in shown], [getattr(p, panel.y) for p in shown], color=colour, alpha=0.35, linewidth=0.7)
+        axes.plot(
+            [getattr(p, panel.x) for p in shown],
+            [getattr(p, panel.y) for p in shown],
+            color=color,
+            alpha=0.35,
+            linewidth=0.7,
+        )
     at, low, middle, high = medians(outcome.runs, panel)
     if at:
-        axes.fill_between(at, low, high, color=colour, alpha=0.2, linewidth=0)
-        axes.plot(at, middle, color=colour, marker=marker, markersize=3.5, linewidth=1.5, label=outcome.variant.label)
+        axes.fill_between(at, low, high, color=color, alpha=0.2, linewidth=0)
+        axes.plot(at, middle, color=color, marker=marker, markersize=3.5, linewidth=1.5, label=outcome.variant.label)
 
 
 def medians(runs: list[Run], panel: Panel) -> tuple[list[float], list[float], list[float], list[float]]:
@@ -161,7 +199,14 @@ def medians(runs: list[Run], panel: Panel) -> tuple[list[float], list[float], li
     for _, points in sorted(by_samples.items()):
         if len(points) == len(runs):
             values = [getattr(point, panel.y) for point in points]
-            rows.append((statistics.median(getattr(point, panel.x) for point in points), min(values), statistics.median(values), max(values)))
+            rows.append(
+                (
+                    statistics.median(getattr(point, panel.x) for point in points),
+                    min(values),
+                    statistics.median(values),
+                    max(values),
+                )
+            )
     return tuple(map(list, zip(*rows))) if rows else ([], [], [], [])
 
 
@@ -169,8 +214,15 @@ def _draw_guide(axes, summary: Summary, ink: str) -> None:
     """Slope -0.5 from the first variant's first point on."""
     at, _, middle, _ = medians(summary.outcomes[0].runs, SAMPLES)
     if len(at) > 1:
-        axes.plot([at[0], at[-1]], [middle[0], middle[0] * (at[0] / at[-1]) ** 0.5], color=ink, alpha=0.55, linewidth=0.9, linestyle="-.",
-                  label="independent samples: slope -0.5")  # fmt: skip
+        axes.plot(
+            [at[0], at[-1]],
+            [middle[0], middle[0] * (at[0] / at[-1]) ** 0.5],
+            color=ink,
+            alpha=0.55,
+            linewidth=0.9,
+            linestyle="-.",
+            label="independent samples: slope -0.5",
+        )
 
 
 def positive(point: ErrorPoint, name: str) -> bool:

@@ -1,4 +1,6 @@
-"""What errors are measured against: a file, Cycles, or this engine with another seed and many more samples; what was made is kept."""
+"""What errors are measured against: a file, Cycles, or this engine with another seed and many more samples; what was
+made is kept.
+"""
 
 from __future__ import annotations
 
@@ -15,21 +17,28 @@ from pathlib import Path
 
 import numpy as np
 from benchmarking.whole_render import OpenedScene
-from rendering.request import UsageError
+from lib.command import UsageError
 
 import raybatch_addon.core
+from converging.request import CYCLES, RAYBATCH, REFERENCE_FACTOR, ConvergenceRequest, Variant
+from raybatch_addon.blender.kernel_cache import user_cache_folder
+from raybatch_addon.core.convergence.points import (
+    PICTURE_SETTINGS,
+    Reference,
+    load_reference,
+    noise_floor,
+    relmse,
+    rmse,
+    save_reference,
+    scene_hash,
+)
 from raybatch_addon.core.errors import RayBatchError
-from raybatch_addon.core.report.convergence import (
-    PICTURE_SETTINGS, Reference, load_reference, noise_floor, relmse, rmse, save_reference, scene_hash
-)  # fmt: skip
-from raybatch_addon.core.report.snapshot import Snapshot
-from raybatch_addon.core.report.statistics import versions
+from raybatch_addon.core.measure.snapshot import Snapshot
+from raybatch_addon.core.measure.statistics import versions
+from raybatch_addon.core.observers import RenderObserver
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import SETTINGS, RenderSettings
-from raybatch_addon.core.wavefront.rounds import half_seed
-from raybatch_addon.kernel_cache import user_cache_folder
-
-from .request import CYCLES, RAYBATCH, REFERENCE_FACTOR, ConvergenceRequest, Variant
+from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings
+from raybatch_addon.core.wavefront.stages.limits import half_seed
 
 VARIABLE = "RAYBATCH_REFERENCES"  # environment variable with another folder for references that were made
 SEED = 1_812_433_253  # of references; runs have small ones
@@ -56,7 +65,7 @@ class UsedReference:
         return tuple(None if np.isnan(value) else value for value in noise_floor(self.reference))
 
 
-class LastHalves:
+class LastHalves(RenderObserver):
     """An observer that keeps the two halves of a render at its end."""
 
     def __init__(self) -> None:
@@ -72,9 +81,17 @@ class LastHalves:
 
 
 class References:
-    """Gives each variant what its picture is to be measured against. Pictures with different bounces or filters have different ones."""
+    """Gives each variant what its picture is to be measured against. Pictures with different bounces or filters have
+    different ones.
+    """
 
-    def __init__(self, request: ConvergenceRequest, opened: OpenedScene, session: Session, on_make: Callable[[str], None] = lambda _: None):
+    def __init__(
+        self,
+        request: ConvergenceRequest,
+        opened: OpenedScene,
+        session: Session,
+        on_make: Callable[[str], None] = lambda _: None,
+    ):
         """`on_make` is told before one is rendered."""
         self._request, self._opened, self._session, self._on_make = request, opened, session, on_make
         self._found: dict[tuple, UsedReference] = {}
@@ -86,7 +103,9 @@ class References:
         return list({id(each): each for each in self._found.values()}.values())
 
     def of(self, variant: Variant, samples: int) -> UsedReference:
-        """The reference for renders of `variant` with about `samples` samples; one that is made has more. Raises `RayBatchError`."""
+        """The reference for renders of `variant` with about `samples` samples; one that is made has more. Raises
+        `RayBatchError`.
+        """
         key = self._key(variant)
         if key not in self._found:
             self._found[key] = self._get(key[0], variant.settings, samples)
@@ -94,28 +113,37 @@ class References:
         return self._found[key]
 
     def apart(self) -> dict[str, float] | None:
-        """How far the limits of two engines are apart, with the noise that either reference adds; None where there is one."""
+        """How far the limits of two engines are apart, with the noise that either reference adds; None where there is
+        one.
+        """
         by_kind = {each.kind: each for each in self.used if each.reference is not None}
         if len(by_kind) < 2 or len(self.used) > 2:
             return None
         ours, theirs = by_kind["raybatch"], by_kind["cycles"]
         a, b = ours.reference.picture, theirs.reference.picture
         return {
-            "rmse": rmse(b, a), "relmse": relmse(b, a), "mean_ratio": float(a.mean() / b.mean()) if b.mean() else None,
-            "noise_rmse": float(np.hypot(ours.floor[0], theirs.floor[0])), "noise_relmse": ours.floor[1] + theirs.floor[1],
-        }  # fmt: skip
+            "rmse": rmse(b, a),
+            "relmse": relmse(b, a),
+            "mean_ratio": float(a.mean() / b.mean()) if b.mean() else None,
+            "noise_rmse": float(np.hypot(ours.floor[0], theirs.floor[0])),
+            "noise_relmse": ours.floor[1] + theirs.floor[1],
+        }
 
     def require_one(self, variants: Iterable[Variant]) -> None:
         """Raise `UsageError` where the reference is to be written, and `variants` have more than one."""
         if self._request.save_reference and len({self._key(variant) for variant in variants}) > 1:
-            raise UsageError("--save-reference holds one picture, and this comparison has several references: leave it out")
+            raise UsageError(
+                "--save-reference holds one picture, and this comparison has several references: leave it out"
+            )
 
     # --- where it is from
 
     def _key(self, variant: Variant) -> tuple:
         """Who makes the reference of `variant`, and what it shows: equal for those that have one together."""
         wanted = self._request.reference_from
-        return {"own": variant.engine, "cycles": CYCLES, "raybatch": RAYBATCH}.get(wanted, wanted), *picture_key(variant.settings)
+        return {"own": variant.engine, "cycles": CYCLES, "raybatch": RAYBATCH}.get(wanted, wanted), *picture_key(
+            variant.settings
+        )
 
     def _get(self, engine: str, settings: RenderSettings, samples: int) -> UsedReference:
         request = self._request
@@ -131,7 +159,11 @@ class References:
         settings = reference_settings(settings, request.reference_samples or REFERENCE_FACTOR * samples)
         path = reference_folder() / f"{self._name(engine, settings)}.npz"
         # when time decides how many samples a run has, they are never quite the same
-        enough = settings.sample_count if request.reference_samples or request.seconds is None else settings.sample_count // 2
+        enough = (
+            settings.sample_count
+            if request.reference_samples or request.seconds is None
+            else settings.sample_count // 2
+        )
         if not request.new_reference and (cached := self._cached(path, size, settings, enough)):
             return UsedReference(engine.lower(), cached, settings.replace(sample_count=cached.samples), path, True)
         self._on_make(f"reference by {engine}, {settings.sample_count:,} samples")
@@ -157,8 +189,14 @@ class References:
         return found if found.samples >= samples else None
 
     def _name(self, engine: str, settings: RenderSettings) -> str:
-        """Of a kept reference: all that decides the picture, and how it was estimated, but for its samples."""
-        estimator = {name: getattr(settings, name) for name, info in SETTINGS.items() if info.effect == "estimator" and name != "sample_count"}
+        """Name of a kept reference's file: all that decides the picture, and how it was estimated, except its
+        samples.
+        """
+        estimator = {
+            name: getattr(settings, name)
+            for name, info in SETTINGS.items()
+            if info.effect == "estimator" and name != "sample_count"
+        }
         maker = core_digest() if engine == RAYBATCH else versions().get("blender", "")
         text = json.dumps([self._hash, engine, maker, estimator], sort_keys=True)
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
@@ -170,7 +208,7 @@ class References:
         return Reference.of_halves(*halves.snapshot.halves, "RayBatch with another seed", settings.sample_count)
 
     def _from_cycles(self, settings: RenderSettings, size: tuple[int, int]) -> Reference:
-        from .cycles import open_peer, require_size
+        from converging.cycles import open_peer, require_size
 
         half = settings.replace(sample_count=settings.sample_count // 2)
         peer = open_peer(self._opened, self._session.device, half)
@@ -197,7 +235,9 @@ def picture_key(settings: RenderSettings) -> tuple:
 
 def reference_settings(settings: RenderSettings, samples: int) -> RenderSettings:
     """Those of an unbiased reference for renders with `settings`, in two halves, with a seed that runs do not have."""
-    estimating = [name for name, info in SETTINGS.items() if info.effect == "estimator" and name not in PICTURE_SETTINGS]
+    estimating = [
+        name for name, info in SETTINGS.items() if info.effect == "estimator" and name not in PICTURE_SETTINGS
+    ]
     plain = {name: SETTINGS[name].default for name in (*estimating, "counters", "debug_checks")}
     plain |= {"sample_count": samples + samples % 2, "seed": SEED, "error_estimate": "ON"}
     return settings.replace(**plain)
@@ -209,13 +249,17 @@ def reference_folder() -> Path:
     return Path(override).expanduser().absolute() if override else user_cache_folder() / "raybatch" / "references"
 
 
+# Folders of the core that measure renders and do not change them
+_REPORTS = ("measure", "convergence")
+
+
 @functools.cache
 def core_digest() -> str:
-    """Of all files of the core but its reports: a reference by another state of it is another reference."""
+    """Digest of all files of the core but its reports: a reference by another state of it is another reference."""
     folder = Path(raybatch_addon.core.__file__).parent
     digest = hashlib.blake2b(digest_size=16)
-    for path in sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".npz")):
-        if path.is_relative_to(folder / "report"):
+    for path in sorted(path for path in folder.rglob("*") if path.suffix in (".py", ".h", ".npz")):
+        if any(path.is_relative_to(folder / name) for name in _REPORTS):
             continue
         digest.update(str(path.relative_to(folder).as_posix()).encode() + path.read_bytes())
     return digest.hexdigest()

@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from benchmarking.scenes import SceneRequest
-from rendering.request import ARCHIVE, BLEND, NPZ, UsageError, kind_of
+from lib.command import UsageError
+from rendering.request import ARCHIVE, BLEND, NPZ, kind_of
 
-from raybatch_addon.core.presets import preset_settings
-from raybatch_addon.core.settings import RenderSettings, parse_setting, setting_info
+from raybatch_addon.core.settings.presets import preset_settings
+from raybatch_addon.core.settings.settings import RenderSettings, parse_setting, setting_info
 
 SAMPLES_DEFAULT = 64
 # Under --seconds a render ends by its time, or at this many samples of every pixel
@@ -23,10 +24,17 @@ PRESET = "preset"  # may be compared as if it were a setting
 # Settings that are neither for --compare nor for --set, and what says it instead
 ELSEWHERE = {"time_limit": "--seconds", "error_target": "--target", "error_estimate": "--reference halves"}
 # and those that are for --set alone
-NOT_COMPARED = {**ELSEWHERE, "device": "--device", "sample_count": "--samples", "seed": "--runs", "resolution": "--size"}
+NOT_COMPARED = {
+    **ELSEWHERE,
+    "device": "--device",
+    "sample_count": "--samples",
+    "seed": "--runs",
+    "resolution": "--size",
+}
 CLAMPS = ("clamp_direct", "clamp_indirect")
 RAYBATCH, CYCLES = "RayBatch", "Cycles"  # engines
-# What --reference may say beside a file's name: an engine whose picture is made, each engine's own picture, or none at all
+# What --reference may say beside a file's name: an engine whose picture is made, each engine's own picture, or none at
+# all
 REFERENCES = ("raybatch", "cycles", "own", "halves")
 
 
@@ -65,7 +73,11 @@ class ConvergenceRequest:
         for name, value in (("seconds", self.seconds), ("target", self.target)):
             if value is not None and not (math.isfinite(value) and value > 0):
                 raise UsageError(f"--{name} {value:g} is not valid: it must be above 0")
-        for name, value, least in (("runs", self.runs, 1), ("samples", self.samples, 1), ("reference-samples", self.reference_samples, 2)):
+        for name, value, least in (
+            ("runs", self.runs, 1),
+            ("samples", self.samples, 1),
+            ("reference-samples", self.reference_samples, 2),
+        ):
             if value is not None and value < least:
                 raise UsageError(f"--{name} {value} is not valid: it must be {least} or more")
         if self.samples is not None and self.samples > SAMPLES_MOST * 16:
@@ -79,20 +91,31 @@ class ConvergenceRequest:
         if self.preset is not None:
             preset_settings(self.preset)  # raises where there is none
         if kind_of(self.scene.path, (BLEND, ARCHIVE, NPZ)) != BLEND:
-            for option, wanted in (("--against cycles", self.cycles), ("--reference cycles", self.reference_from == "cycles")):
+            for option, wanted in (
+                ("--against cycles", self.cycles),
+                ("--reference cycles", self.reference_from == "cycles"),
+            ):
                 if wanted:
                     raise UsageError(f"{option} needs a .blend, not {self.scene.path.name}")
 
     def _check_reference(self) -> None:
         if self.reference_from == "file" and not Path(self.reference).is_file():
-            raise UsageError(f"there is no file {self.reference}; --reference is a file, or one of {', '.join(REFERENCES)}")
+            raise UsageError(
+                f"there is no file {self.reference}; --reference is a file, or one of {', '.join(REFERENCES)}"
+            )
         for option, given in (
-            ("--reference-samples", self.reference_samples), ("--new-reference", self.new_reference), ("--save-reference", self.save_reference),
-        ):  # fmt: skip
+            ("--reference-samples", self.reference_samples),
+            ("--new-reference", self.new_reference),
+            ("--save-reference", self.save_reference),
+        ):
             if given and not self.makes_reference:
-                raise UsageError(f"{option} is for a reference that is made: leave it or --reference {self.reference} out")
+                raise UsageError(
+                    f"{option} is for a reference that is made: leave it or --reference {self.reference} out"
+                )
         if self.reference_from == "halves" and self.cycles:
-            raise UsageError("--reference halves tells the error of RayBatch alone: choose another for --against cycles")
+            raise UsageError(
+                "--reference halves tells the error of RayBatch alone: choose another for --against cycles"
+            )
         if self.save_reference and not self.save_reference.name.lower().endswith(".npz"):
             raise UsageError(f"--save-reference {self.save_reference}: name it with the ending .npz")
 
@@ -110,15 +133,19 @@ class ConvergenceRequest:
 
 
 def run_settings(request: ConvergenceRequest, opened: RenderSettings) -> RenderSettings:
-    """What every run has: the settings of the file as changed by the request, with its samples or its time; raises `RayBatchError`.
+    """What every run has: the settings of the file as changed by the request, with its samples or its time; raises
+    `RayBatchError`.
 
     Beside Cycles light is clamped only where the request says so, whatever the file does.
     """
     changes = {
         "sample_count": SAMPLES_DEFAULT if request.seconds is None else SAMPLES_MOST,
-        **(preset_settings(request.preset) if request.preset else {}), **request.settings,
-        "time_limit": request.seconds or 0.0, "error_target": 0.0, "error_estimate": "OFF",
-    }  # fmt: skip
+        **(preset_settings(request.preset) if request.preset else {}),
+        **request.settings,
+        "time_limit": request.seconds or 0.0,
+        "error_target": 0.0,
+        "error_estimate": "OFF",
+    }
     if request.cycles:  # it is without bias, and comparable with what is without bias too
         changes = dict.fromkeys(CLAMPS, 0.0) | changes
     if request.samples is not None:
@@ -131,7 +158,9 @@ def run_settings(request: ConvergenceRequest, opened: RenderSettings) -> RenderS
 
 
 def parse_comparison(texts: Sequence[str], already: dict[str, Any]) -> list[tuple[str, list[Any]]]:
-    """Names and values of `SETTING=A,B,C` texts; `already` are settings that have one value for all. Raises `RayBatchError`."""
+    """Names and values of `SETTING=A,B,C` texts; `already` are settings that have one value for all. Raises
+    `RayBatchError`.
+    """
     found: list[tuple[str, list[Any]]] = []
     for text in texts:
         name, _, listed = text.partition("=")
@@ -157,7 +186,9 @@ def _preset(name: str) -> str:
     return name.upper()
 
 
-def variants(comparison: list[tuple[str, list[Any]]], settings: RenderSettings, kept: Iterable[str] = ()) -> list[Variant]:
+def variants(
+    comparison: list[tuple[str, list[Any]]], settings: RenderSettings, kept: Iterable[str] = ()
+) -> list[Variant]:
     """Every combination of the values compared, on top of `settings`, of which no preset changes those that are `kept`.
 
     Raises `SettingsError` for values that do not go together.
@@ -168,7 +199,9 @@ def variants(comparison: list[tuple[str, list[Any]]], settings: RenderSettings, 
         chosen = dict(zip(names, values, strict=True))
         preset = preset_settings(chosen[PRESET]) if PRESET in chosen else {}
         changes = {n: v for n, v in preset.items() if n not in kept} | {n: v for n, v in chosen.items() if n != PRESET}
-        label = ", ".join(f"{n}={v:.12g}" if isinstance(v, float) else f"{n}={v}" for n, v in chosen.items()) or RAYBATCH
+        label = (
+            ", ".join(f"{n}={v:.12g}" if isinstance(v, float) else f"{n}={v}" for n, v in chosen.items()) or RAYBATCH
+        )
         found.append(Variant(label, chosen, settings.replace(**changes)))
     return found
 

@@ -12,18 +12,26 @@ from typing import Any
 import numpy as np
 from benchmarking.progress import Steps
 from benchmarking.whole_render import OpenedScene, RenderRequest, open_scene
-from rendering.output import tell_warnings
+from lib.output import tell_warnings
 
-from raybatch_addon.core.device import device_description, find_device
-from raybatch_addon.core.report.convergence import ConvergenceRecorder, ErrorPoint, error_point
-from raybatch_addon.core.report.snapshot import Snapshot
-from raybatch_addon.core.report.statistics import versions
+from converging.flip import MISSING, flip_function
+from converging.reference import TAKEN_SEEDS, References, UsedReference, picture_alone
+from converging.request import (
+    CYCLES,
+    PRESET,
+    ConvergenceRequest,
+    Variant,
+    parse_comparison,
+    run_seeds,
+    run_settings,
+    variants,
+)
+from raybatch_addon.blender.kernel_cache import kernel_cache_folder
+from raybatch_addon.core.convergence.points import ConvergenceRecorder, ErrorPoint, error_point
+from raybatch_addon.core.device.devices import device_description, find_device
+from raybatch_addon.core.measure.snapshot import Snapshot
+from raybatch_addon.core.measure.statistics import versions
 from raybatch_addon.core.session import Session
-from raybatch_addon.kernel_cache import kernel_cache_folder
-
-from .flip import MISSING, flip_function
-from .reference import TAKEN_SEEDS, References, UsedReference, picture_alone
-from .request import CYCLES, PRESET, ConvergenceRequest, Variant, parse_comparison, run_seeds, run_settings, variants
 
 WARM_UP_SAMPLES = 4  # of a first render, unless time ends the runs
 WARM_UP_SHARE, WARM_UP_SECONDS = 0.25, 2.0  # then it takes this share of a run's time, and no longer than this
@@ -36,7 +44,8 @@ class Run:
     variant: Variant
     seed: int
     points: list[ErrorPoint]
-    picture: np.ndarray | None  # at the end, linear RGB, float32, shape [height, width, 3], bottom row first; None: nobody looks at it
+    # at the end, linear RGB, float32, shape [height, width, 3], bottom row first; None: nobody looks at it
+    picture: np.ndarray | None
 
 
 @dataclass
@@ -51,9 +60,11 @@ class Study:
     used: list[UsedReference] = field(default_factory=list)  # each once
     apart: dict[str, float] | None = None  # limits of two engines
     cycles_device: str | None = None  # as Cycles calls it, where it competes
-    first_seconds: dict[str, float] = field(default_factory=dict)  # of a first render with few samples, with compilation, by label
+    first_seconds: dict[str, float] = field(
+        default_factory=dict
+    )  # of a first render with few samples, with compilation, by label
     versions: dict[str, str] = field(default_factory=dict)
-    flip_told: bool = False  # whether FLIP was computed
+    flip_computed: bool = False  # whether FLIP was computed
     warnings: list[str] = field(default_factory=list)
     seconds: float = 0.0  # that all took
 
@@ -70,7 +81,9 @@ def opened_scene(request: ConvergenceRequest) -> OpenedScene:
 def measured(request: ConvergenceRequest) -> Study:
     """Everything that was asked for; raises `RayBatchError`."""
     start = time.perf_counter()
-    comparison = parse_comparison(request.compare, request.settings | ({PRESET: request.preset} if request.preset else {}))
+    comparison = parse_comparison(
+        request.compare, request.settings | ({PRESET: request.preset} if request.preset else {})
+    )
     opened = opened_scene(request)
     settings = run_settings(request, opened.settings)
     competing = variants(comparison, settings, request.settings)
@@ -81,7 +94,7 @@ def measured(request: ConvergenceRequest) -> Study:
     flip = flip_function() if request.flip and request.reference_from != "halves" else None
     if request.flip and flip is None and request.reference_from != "halves":
         print(f"convergence.py: {MISSING}", file=sys.stderr)
-    study.flip_told = flip is not None
+    study.flip_computed = flip is not None
     session = Session(device.alias, settings, kernel_cache_folder())
     steps = Steps(2 * len(competing) + request.runs * len(competing))
     try:
@@ -95,7 +108,9 @@ def measured(request: ConvergenceRequest) -> Study:
 
 
 class _Runner:
-    def __init__(self, request: ConvergenceRequest, study: Study, session: Session, steps: Steps, flip: Callable | None):
+    def __init__(
+        self, request: ConvergenceRequest, study: Study, session: Session, steps: Steps, flip: Callable | None
+    ):
         self._request, self._study, self._session, self._steps, self._flip = request, study, session, steps, flip
 
     def run(self) -> None:
@@ -111,7 +126,9 @@ class _Runner:
             self._steps.begin(f"first render of {variant.label}, with compilation")
             rate = self._warm_up(variant)
             most = variant.settings.sample_count
-            samples = max(samples, most if request.seconds is None else min(most, int(request.seconds / max(rate, 1e-9))))
+            samples = max(
+                samples, most if request.seconds is None else min(most, int(request.seconds / max(rate, 1e-9)))
+            )
             self._steps.end()
         for variant in study.variants:
             self._steps.begin(f"reference for {variant.label}")
@@ -132,7 +149,7 @@ class _Runner:
     def _warm_up(self, variant: Variant) -> float:
         """Do once what is done once; returns seconds that a sample of every pixel takes, roughly."""
         if variant.engine == CYCLES:
-            from .cycles import open_peer, require_size
+            from converging.cycles import open_peer, require_size
 
             peer = open_peer(self._study.opened, self._session.device, variant.settings)
             seconds, picture = peer.timed_picture(0, 1)
@@ -169,7 +186,7 @@ class _Runner:
 
     def _snapshots(self, variant: Variant, seed: int) -> list[Snapshot]:
         if variant.engine == CYCLES:
-            from .cycles import cycles_snapshots, open_peer
+            from converging.cycles import cycles_snapshots, open_peer
 
             # again: a reference with other bounces or another filter may have been made of the same scene meanwhile
             peer = open_peer(self._study.opened, self._session.device, variant.settings)
@@ -177,4 +194,3 @@ class _Runner:
         recorder = ConvergenceRecorder()
         self._session.render(self._study.opened.scene, variant.settings.replace(seed=seed), observers=[recorder])
         return recorder.snapshots
-

@@ -10,11 +10,18 @@ from typing import Any
 
 from benchmarking.tables import table
 
-from raybatch_addon.core.report.convergence import PICTURE_SETTINGS, ErrorPoint, Slope, efficiency, fit_slope, slope_data, time_to
-
-from .reference import UsedReference
-from .request import CLAMPS, CYCLES, RAYBATCH, Variant
-from .study import Run, Study
+from converging.reference import UsedReference
+from converging.request import CLAMPS, CYCLES, RAYBATCH, Variant
+from converging.study import Run, Study
+from raybatch_addon.core.convergence.points import (
+    PICTURE_SETTINGS,
+    ErrorPoint,
+    Slope,
+    efficiency,
+    fit_slope,
+    slope_data,
+    time_to,
+)
 
 # Share of the last squared error above which a reference's noise is told
 FLOOR_TOLD = 0.1
@@ -106,36 +113,66 @@ def _outcome(study: Study, variant: Variant, target: float | None, first: Outcom
     theirs = first.target_seconds if first else seconds
     sooner = theirs.median / seconds.median if theirs and seconds and seconds.median else None
     return Outcome(
-        variant, runs, slope, fit_slope(points, "seconds"), Ranged.of(list(own.values())), relative,
-        statistics.median(of_relmse) if of_relmse else None, seconds, 2 * sum(beyond for _, beyond in reached) > len(reached), sooner,
-    )  # fmt: skip
+        variant,
+        runs,
+        slope,
+        fit_slope(points, "seconds"),
+        Ranged.of(list(own.values())),
+        relative,
+        statistics.median(of_relmse) if of_relmse else None,
+        seconds,
+        2 * sum(beyond for _, beyond in reached) > len(reached),
+        sooner,
+    )
 
 
 def _notes(study: Study, outcomes: list[Outcome]) -> list[str]:
     notes = []
     for each in outcomes:
-        clamps = [f"{name}={value:g}" for name in CLAMPS if (value := getattr(each.variant.settings, name)) and each.variant.engine == RAYBATCH]
+        clamps = [
+            f"{name}={value:g}"
+            for name in CLAMPS
+            if (value := getattr(each.variant.settings, name)) and each.variant.engine == RAYBATCH
+        ]
         if clamps:
-            notes.append(f"{each.variant.label}: {', '.join(clamps)} takes light away, which is a bias (0: no clamping)")
+            notes.append(
+                f"{each.variant.label}: {', '.join(clamps)} takes light away, which is a bias (0: no clamping)"
+            )
         if each.variant.engine == CYCLES and any(point.seconds == point.seconds_total for point in each.last):
-            notes.append(f"{each.variant.label}: its renders are too short to tell what of them is set-up: that is in their seconds")
+            notes.append(
+                f"{each.variant.label}: its renders are too short to tell what of them is set-up: that is in their "
+                "seconds"
+            )
         if invalid := max((point.invalid_samples for point in each.last), default=0):
             notes.append(f"{each.variant.label}: {invalid:,} samples of a run were not finite")
-        shares = [point.floor_relmse / point.relmse for point in each.last if point.floor_relmse and point.relmse and not point.from_halves]
+        shares = [
+            point.floor_relmse / point.relmse
+            for point in each.last
+            if point.floor_relmse and point.relmse and not point.from_halves
+        ]
         if shares and statistics.median(shares) > FLOOR_TOLD:
             share = f"{100 * min(1.0, statistics.median(shares)):.0f} %"
-            notes.append(f"{each.variant.label}: {share} of its last relMSE is noise of the reference; --reference-samples makes a better one")
+            notes.append(
+                f"{each.variant.label}: {share} of its last relMSE is noise of the reference; --reference-samples "
+                "makes a better one"
+            )
     for used in study.used:
         if used.kind == "halves":
             notes.append("errors are estimated from two halves of each render: a bias is not in them")
         elif used.floor[0] is None:
-            notes.append(f"how far {used.reference.name} is off itself is not known: a curve that flattens may have come to its noise")
+            notes.append(
+                f"how far {used.reference.name} is off itself is not known: a curve that flattens may have come to its "
+                "noise"
+            )
     if study.apart:
         apart = study.apart
-        brightness = "" if apart["mean_ratio"] is None else f"; RayBatch has {apart['mean_ratio']:.4f} of Cycles' brightness"
+        brightness = (
+            "" if apart["mean_ratio"] is None else f"; RayBatch has {apart['mean_ratio']:.4f} of Cycles' brightness"
+        )
         notes.append(
-            f"each engine is measured against its own reference; these two are apart by RMSE {apart['rmse']:.3g} (their noise makes "
-            f"{apart['noise_rmse']:.3g}) and relMSE {apart['relmse']:.3g} ({apart['noise_relmse']:.3g}){brightness}"
+            f"each engine is measured against its own reference; these two are apart by RMSE {apart['rmse']:.3g} "
+            f"(their noise makes {apart['noise_rmse']:.3g}) and relMSE {apart['relmse']:.3g} "
+            f"({apart['noise_relmse']:.3g}){brightness}"
         )
     return notes
 
@@ -195,17 +232,26 @@ def _reference(used: UsedReference) -> dict[str, Any]:
 def _run(run: Run) -> dict[str, Any]:
     slope = slope_data(fit_slope(run.points))
     return {
-        "engine": run.variant.engine, "label": run.variant.label, "settings": run.variant.values, "seed": run.seed,
+        "engine": run.variant.engine,
+        "label": run.variant.label,
+        "settings": run.variant.values,
+        "seed": run.seed,
         "points": [shortened(point.data()) for point in run.points],
         **shortened({name: slope[name] for name in ("slope", "slope_spread")}),
-    }  # fmt: skip
+    }
 
 
 def _summary(each: Outcome, study: Study) -> dict[str, Any]:
     return {
-        "engine": each.variant.engine, "label": each.variant.label, "settings": each.variant.values, "runs": len(each.runs),
-        **shortened(slope_data(each.slope)), "slope_seconds": short(each.slope_seconds.slope) if each.slope_seconds else None,
-        "seconds_to_target": {**each.target_seconds.json(), "extrapolated": each.target_extrapolated} if each.target_seconds else None,
+        "engine": each.variant.engine,
+        "label": each.variant.label,
+        "settings": each.variant.values,
+        "runs": len(each.runs),
+        **shortened(slope_data(each.slope)),
+        "slope_seconds": short(each.slope_seconds.slope) if each.slope_seconds else None,
+        "seconds_to_target": {**each.target_seconds.json(), "extrapolated": each.target_extrapolated}
+        if each.target_seconds
+        else None,
         "speed_up_to_target": short(each.speed_up),
         "efficiency": each.efficiency.json() if each.efficiency else None,
         "efficiency_relative": each.efficiency_relative.json() if each.efficiency_relative else None,
@@ -213,7 +259,7 @@ def _summary(each: Outcome, study: Study) -> dict[str, Any]:
         "end": shortened(each.end),
         "invalid_samples": max((point.invalid_samples for point in each.last), default=0),
         "first_seconds": short(study.first_seconds.get(each.variant.label)),
-    }  # fmt: skip
+    }
 
 
 def _median(values: list[float | None]) -> float | None:
@@ -223,7 +269,20 @@ def _median(values: list[float | None]) -> float | None:
 
 # --- words
 
-HEADS = ["setting", "", "samples", "seconds", "RMSE", "relMSE", "FLIP", "slope", "to target", "sooner", "efficiency", "spread"]
+HEADS = [
+    "setting",
+    "",
+    "samples",
+    "seconds",
+    "RMSE",
+    "relMSE",
+    "FLIP",
+    "slope",
+    "to target",
+    "sooner",
+    "efficiency",
+    "spread",
+]
 
 
 def rows(summary: Summary) -> list[list[str]]:
@@ -231,16 +290,26 @@ def rows(summary: Summary) -> list[list[str]]:
     found = []
     for each in summary.outcomes:
         end, count = each.end, len(each.runs)
-        found.append([
-            each.variant.label, f"{count} run{'s' * (count != 1)}", f"{end['samples'] or 0:,.0f}", _text(end["seconds"], "{:.3f}"),
-            _text(end["rmse"], "{:.3g}"), _text(end["relmse"], "{:.3g}"), _text(end["flip"], "{:.3g}"), slope_text(each.slope), target_text(each),
-            _text(each.speed_up, "x {:.2f}"), *relative_text(each.efficiency_relative, is_first=each is summary.outcomes[0]),
-        ])  # fmt: skip
+        found.append(
+            [
+                each.variant.label,
+                f"{count} run{'s' * (count != 1)}",
+                f"{end['samples'] or 0:,.0f}",
+                _text(end["seconds"], "{:.3f}"),
+                _text(end["rmse"], "{:.3g}"),
+                _text(end["relmse"], "{:.3g}"),
+                _text(end["flip"], "{:.3g}"),
+                slope_text(each.slope),
+                target_text(each),
+                _text(each.speed_up, "x {:.2f}"),
+                *relative_text(each.efficiency_relative, is_first=each is summary.outcomes[0]),
+            ]
+        )
     return found
 
 
 def slopes_said(summary: Summary) -> list[tuple[str, str, bool]]:
-    """Of each variant that has a slope: its label, what the slope says, and whether the curve flattens."""
+    """Lines of the variants that have a slope: label, what the slope says, and whether the curve flattens."""
     return [(each.variant.label, each.slope.says, each.slope.flattens) for each in summary.outcomes if each.slope]
 
 
@@ -278,8 +347,14 @@ def reference_text(summary: Summary) -> list[str]:
             lines.append("error: estimated from two halves of each render, without a reference")
             continue
         told = f"{used.reference.samples:,} samples, " if used.reference.samples else ""
-        floor = "of unknown noise" if used.floor[0] is None else f"whose own noise is RMSE {used.floor[0]:.3g}, relMSE {used.floor[1]:.3g}"
-        kept = f" ({'kept from before' if used.from_cache else 'made now'})" if used.kind in ("raybatch", "cycles") else ""
+        floor = (
+            "of unknown noise"
+            if used.floor[0] is None
+            else f"whose own noise is RMSE {used.floor[0]:.3g}, relMSE {used.floor[1]:.3g}"
+        )
+        kept = (
+            f" ({'kept from before' if used.from_cache else 'made now'})" if used.kind in ("raybatch", "cycles") else ""
+        )
         lines.append(f"reference: {used.reference.name}, {told}{floor}{kept}")
     return lines
 
@@ -288,16 +363,24 @@ def target_line(summary: Summary) -> str:
     """What the target is."""
     if summary.target is None:
         return "no target: the error that the first setting has at its end is 0, or not known"
-    return f"target: relMSE {summary.target:.3g}" + ("" if summary.target_given else ", which the first setting has at its end")
+    return f"target: relMSE {summary.target:.3g}" + (
+        "" if summary.target_given else ", which the first setting has at its end"
+    )
 
 
 def text_report(summary: Summary) -> str:
     """The report as a person reads it."""
     study = summary.study
     frame = study.opened.scene.frame
-    lines = [f"{study.opened.name}, {frame.width} x {frame.height} pixels, on {study.device['name']}", *reference_text(summary)]
+    lines = [
+        f"{study.opened.name}, {frame.width} x {frame.height} pixels, on {study.device['name']}",
+        *reference_text(summary),
+    ]
     lines += [target_line(summary), "", table(HEADS, rows(summary))]
-    lines += ["medians of runs; seconds: of rendering alone; slope: of RMSE against samples; sooner: at the target, than the first setting;"]
+    lines += [
+        "medians of runs; seconds: of rendering alone; slope: of RMSE against samples; sooner: at the target, than the "
+        "first setting;"
+    ]
     lines += ["efficiency: 1 / (RMSE^2 x seconds), relative to the first; ~: extrapolated", ""]
     lines += [f"{label}: {'BIAS, ' * flattens}{says}" for label, says, flattens in slopes_said(summary)]
     lines += [f"note: {note}" for note in summary.notes]

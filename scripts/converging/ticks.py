@@ -11,7 +11,9 @@ CHOICES = ((1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8), (1, 1.5, 2, 3, 5, 7), (1, 2, 3,
 
 
 def plain_ticks(axis, room: float) -> None:
-    """Give an axis such as `place.xaxis` plain numbers, `room` of its length apart or more; call it when all is drawn."""
+    """Give an axis such as `place.xaxis` plain numbers, `room` of its length apart or more; call it when all is
+    drawn.
+    """
     low, high = sorted(axis.get_view_interval())
     axis.set_major_locator(FixedLocator(ticks(low, high, room)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: tick_text(value)))

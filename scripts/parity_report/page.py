@@ -1,124 +1,86 @@
-"""docs/parity.md: a table of features with figures and thumbnails, and the same as JSON."""
+"""docs/parity.md: tables of features with figures and sheets of pictures, and the same as JSON."""
 
 from __future__ import annotations
 
 import json
-import re
+import textwrap
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from parity_report.sheets import GAIN, slug
 
-THUMBNAIL = 64  # pixels of the edge of each of the three pictures
-GAIN = 10  # differences are shown this many times as large
+MEAN_NOISE, REL_NOISE = "mean's noise", "relMSE's noise"
+WIDTH = 120  # columns of the page
 
 _HEAD = """\
 # Parity with Cycles
 
-`scripts/parity.py` makes this page. Each feature of Blender's materials, textures and worlds is built as a small scene and rendered by
-Cycles and by RayBatch on the CPU.
+`scripts/parity.py` makes this page. Each feature of Blender's materials, textures and worlds is built as a small scene
+and rendered by Cycles and by RayBatch on the CPU. Its *difference* is that of its kind:
 
-- A **node** alone is emitted by planes of 32 x 32 points, with coordinates that are the same bits for both. Its figure is the largest difference,
-  absolute below 1 and relative above, over all points, outputs and variants; the bound is {node:g}.
-- A **picture** is rendered twice by each engine, with different seeds and Cycles made unbiased. *Mean*: the largest relative difference of a
-  channel's mean (bound {mean:.0%}), with its standard error, and the largest difference in standard errors (σ). *relMSE*: the mean of squared relative
-  differences, less what the noise of both makes of it (bound {rel_mse:g}), with its standard error. Samples double until both can be told from their bounds.
+- A **node** alone is emitted by planes of 32 x 32 points, with coordinates that are the same bits for both. Its
+  difference is the largest one, absolute below 1 and relative above, over all points, outputs and variants; the bound
+  is {node:g}.
+- A **picture** is rendered twice by each engine, with different seeds and Cycles made unbiased. Its difference is the
+  largest relative one of a channel's mean (bound {mean:.0%}), with its standard error; σ is the largest one in standard
+  errors. *relMSE* is the mean of squared relative differences, less what the noise of both makes of it (bound
+  {rel_mse:g}), with its standard error. *spp* are the samples of a pixel: they double until both can be told from their
+  bounds.
 
-Pictures: Cycles, RayBatch, and the absolute difference {gain} times as bright. A feature that is approximated or not supported stays in the table with its
-figures.
+A feature that is approximated or not supported stays in its table, with its figures. # is the number of its pictures on
+the sheet below the table: Cycles, RayBatch, and the absolute difference {gain} times as bright.
 """
 
 
-def _slug(name: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
-
-
-def _to_screen(pixels: np.ndarray) -> np.ndarray:
-    """Linear to sRGB bytes."""
-    value = np.clip(np.nan_to_num(pixels, posinf=1.0, neginf=0.0), 0.0, 1.0)
-    return (np.where(value <= 0.0031308, 12.92 * value, 1.055 * np.power(np.maximum(value, 1e-9), 1 / 2.4) - 0.055) * 255 + 0.5).astype(np.uint8)
-
-
-def _enlarged(pixels: np.ndarray) -> np.ndarray:
-    """Top row first, about `THUMBNAIL` pixels high."""
-    factor = max(1, round(THUMBNAIL / pixels.shape[0]))
-    return np.repeat(np.repeat(pixels[::-1], factor, 0), factor, 1)
-
-
-def thumbnail(result: Any) -> np.ndarray:
-    """Cycles, RayBatch and difference side by side, uint8 [height, width, 3]."""
-    both = result.theirs, result.ours
-    low, high = 0.0, 1.0
-    if result.feature.kind == "node":
-        values = result.theirs[np.isfinite(result.theirs)]
-        low, high = min(0.0, float(np.percentile(values, 1))), max(1.0, float(np.percentile(values, 99)))
-    else:
-        high = max(float(np.percentile(result.theirs, 97)), 1e-6)
-    shown = [(each - low) / (high - low) for each in both] + [GAIN * np.abs(both[0] - both[1]) / (high - low)]
-    gap = np.full((_enlarged(result.theirs).shape[0], 2, 3), 255, np.uint8)
-    parts = [_to_screen(_enlarged(each)) for each in shown]
-    return np.concatenate([parts[0], gap, parts[1], gap, parts[2]], 1)
-
-
-def write_thumbnails(results: list, folder: Path) -> dict[str, str]:
-    """One PNG a feature in `folder`; returns file names by feature, those that were there before included."""
-    from PIL import Image
-
-    folder.mkdir(parents=True, exist_ok=True)
-    names = {}
-    for result in results:
-        name = f"{_slug(result.feature.name)}.png"
-        if result.ours is not None and result.theirs is not None:
-            Image.fromarray(thumbnail(result)).quantize(128).save(folder / name, optimize=True)
-        if (folder / name).exists():
-            names[result.feature.name] = name
-    for file in folder.glob("*.png"):
-        if file.name not in names.values():
-            file.unlink()  # of a feature that is there no more
-    return names
-
-
 def earlier_results(file: Path) -> list:
-    """Results in a report by `json_report`, of features that are still there; without pictures. None without the file."""
-    from blender.features.registry import all_features
-    from blender.features.runner import Result
+    """Results in a report by `json_report`, of features that are still there; without pictures. None without the
+    file.
+    """
+    from tests.blender.features.registry import all_features
+    from tests.blender.features.runner import Result
 
     if not file.exists():
         return []
     by_name = {each.name: each for each in all_features()}
     rows = json.loads(file.read_text(encoding="utf-8"))["features"]
     return [
-        Result(by_name[row["name"]], row["status"], row["figures"], row["note"], seconds=row["seconds"]) for row in rows if row["name"] in by_name
+        Result(by_name[row["name"]], row["status"], row["figures"], row["note"], seconds=row["seconds"])
+        for row in rows
+        if row["name"] in by_name
     ]
 
 
 def together(earlier: list, new: list) -> list:
     """`new`, and those of `earlier` that it has not, in the order of the registry."""
-    from blender.features.registry import all_features
+    from tests.blender.features.registry import all_features
 
     results = {result.feature.name: result for result in [*earlier, *new]}
     return [results[each.name] for each in all_features() if each.name in results]
 
 
-def _figures(result: Any) -> str:
+def _figures(result: Any) -> tuple[str, str, str, str]:
+    """Difference, σ, relMSE and samples, as the table has them."""
     figures = result.figures
     if not figures:
-        return ""
+        return "", "", "", ""
     if result.feature.kind == "node":
         beyond = figures.get("points beyond the bound, %")
-        return f"{figures['error']:.1e}" + (f"; {beyond:.3g} % of points beyond" if beyond else "")
+        return f"{figures['error']:.1e}" + (f"; {beyond:.3g} % of points beyond" if beyond else ""), "", "", ""
     return (
-        f"mean {figures['mean']:.2%} ± {figures[MEAN_NOISE]:.2%} ({figures['deviations']:.1f} σ); "
-        f"relMSE {figures['relMSE']:.1e} ± {figures[REL_NOISE]:.0e}; {figures['samples']:.0f} spp"
+        f"{figures['mean']:.2%} ± {figures[MEAN_NOISE]:.2%}",
+        f"{figures['deviations']:.1f}",
+        f"{figures['relMSE']:.1e} ± {figures[REL_NOISE]:.0e}",
+        f"{figures['samples']:.0f}",
     )
 
 
-MEAN_NOISE, REL_NOISE = "mean's noise", "relMSE's noise"
+def _row(cells: tuple[str, ...]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
 def counts(results: list) -> dict[str, tuple[int, int]]:
     """By family, and of all: (within bounds, features)."""
-    from blender.features.registry import FAMILIES
+    from tests.blender.features.registry import FAMILIES
 
     made = {}
     for family in FAMILIES:
@@ -129,10 +91,27 @@ def counts(results: list) -> dict[str, tuple[int, int]]:
     return made
 
 
-def page(results: list, pictures: dict[str, str], versions: dict[str, str]) -> str:
-    """The Markdown text; `pictures` are file names in the folder parity/ beside it."""
-    from blender.features.registry import FAMILIES, all_features
-    from blender.features.runner import MEAN_TOLERANCE, REL_MSE_TOLERANCE, TOLERANCE
+def _family(name: str, results: list, numbers: dict[str, int]) -> list[str]:
+    """The section of a family: its table, notes, and its sheet of pictures."""
+    lines = ["", f"## {name}", "", _row(("#", "feature", "", "difference", "σ", "relMSE", "spp"))]
+    lines.append("|---|---|---|---|---|---|---|")
+    for result in results:
+        number = numbers.get(result.feature.name)
+        lines.append(_row((str(number or ""), result.feature.name, result.status, *_figures(result))))
+    if noted := [result for result in results if result.note]:
+        lines += ["", "Notes of RayBatch:", ""]
+        for result in noted:
+            text = f"- **{result.feature.name}**: {result.note}"
+            lines += textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    if any(result.feature.name in numbers for result in results):
+        lines += ["", f"![{name}: Cycles, RayBatch and their difference, by number](parity/{slug(name)}.png)"]
+    return lines
+
+
+def page(results: list, numbers: dict[str, int], versions: dict[str, str]) -> str:
+    """The Markdown text; `numbers` are those of the features' pictures on the sheets in the folder parity/ beside it."""
+    from tests.blender.features.registry import FAMILIES, all_features
+    from tests.blender.features.runner import MEAN_TOLERANCE, REL_MSE_TOLERANCE, TOLERANCE
 
     lines = [_HEAD.format(node=TOLERANCE, mean=MEAN_TOLERANCE, rel_mse=REL_MSE_TOLERANCE, gain=GAIN)]
     lines += [", ".join(f"{name} {version}" for name, version in versions.items()) + ".", ""]
@@ -141,14 +120,8 @@ def page(results: list, pictures: dict[str, str], versions: dict[str, str]) -> s
     lines += ["| family | within bounds | of | share |", "|---|---|---|---|"]
     lines += [f"| {name} | {ok} | {total} | {ok / total:.0%} |" for name, (ok, total) in counts(results).items()]
     for family in FAMILIES:
-        some = [result for result in results if result.feature.family == family]
-        if not some:
-            continue
-        lines += ["", f"## {family}", "", "| feature | | figures | Cycles, RayBatch, difference | notes |", "|---|---|---|---|---|"]
-        for result in some:
-            picture = f"![{result.feature.name}](parity/{pictures[result.feature.name]})" if result.feature.name in pictures else ""
-            note = result.note.replace("|", "\\|")
-            lines.append(f"| {result.feature.name} | {result.status} | {_figures(result)} | {picture} | {note} |")
+        if some := [result for result in results if result.feature.family == family]:
+            lines += _family(family, some, numbers)
     return "\n".join(lines) + "\n"
 
 
@@ -160,9 +133,15 @@ def json_report(results: list, versions: dict[str, str], seconds: float) -> dict
         "counts": {name: {"ok": ok, "total": total} for name, (ok, total) in counts(results).items()},
         "features": [
             {
-                "name": result.feature.name, "family": result.feature.family, "kind": result.feature.kind, "quick": result.feature.quick,
-                "status": result.status, "figures": result.figures, "note": result.note, "seconds": round(result.seconds, 2),
+                "name": result.feature.name,
+                "family": result.feature.family,
+                "kind": result.feature.kind,
+                "quick": result.feature.quick,
+                "status": result.status,
+                "figures": result.figures,
+                "note": result.note,
+                "seconds": round(result.seconds, 2),
             }
             for result in results
         ],
-    }  # fmt: skip
+    }

@@ -1,4 +1,6 @@
-"""Features run in processes of their own: what ends one of these with Blender in it is told, and costs no other feature."""
+"""Features run in processes of their own: what ends one of these with Blender in it is told, and costs no other
+feature.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,7 @@ PICTURES_TOGETHER = 6
 
 def groups_of(features: list) -> list[list]:
     """Nodes that share a sheet together, and pictures by a few."""
-    from blender.features.runner import sheets
+    from tests.blender.features.runner import sheets
 
     made = sheets([each for each in features if each.kind == "node"])
     pictures = [each for each in features if each.kind == "picture"]
@@ -28,7 +30,7 @@ def groups_of(features: list) -> list[list]:
 
 def run_groups(features: list, script: Path, jobs: int, done: Callable) -> list:
     """Results of `features`, in their order; `done` is called with each as it comes, one at a time."""
-    from blender.features.runner import FAILED, Result
+    from tests.blender.features.runner import FAILED, Result
 
     results: dict[str, Result] = {}
     telling = threading.Lock()
@@ -61,9 +63,17 @@ def run_groups(features: list, script: Path, jobs: int, done: Callable) -> list:
 
 def _run_process(script: Path, names: list[str], file: Path) -> str:
     """Why there may be no result; empty when all went well."""
-    command = [sys.executable, str(script), "--worker", str(file), *(part for name in names for part in ("--exactly", name))]
+    command = [
+        sys.executable,
+        str(script),
+        "--worker",
+        str(file),
+        *(part for name in names for part in ("--exactly", name)),
+    ]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=GROUP_SECONDS, env=dict(os.environ))
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=GROUP_SECONDS, env=dict(os.environ)
+        )
     except subprocess.TimeoutExpired:
         return f"no result after {GROUP_SECONDS} s"
     if done.returncode:
@@ -93,12 +103,14 @@ def write_results(results: list, file: Path) -> None:
 
 def read_results(file: Path, by_name: dict) -> Iterator:
     """What `write_results` wrote."""
-    from blender.features.runner import Result
+    from tests.blender.features.runner import Result
 
     with np.load(file) as arrays:
         for i in range(sum(name.endswith(" name") for name in arrays.files)):
             name, status, note = map(str, arrays[f"{i} name"])
             *values, seconds = arrays[f"{i} values"].tolist()
             figures = dict(zip(map(str, arrays[f"{i} keys"]), values))
-            pictures = {key: arrays[f"{i} {key}"].astype(float) for key in ("ours", "theirs") if f"{i} {key}" in arrays.files}
+            pictures = {
+                key: arrays[f"{i} {key}"].astype(float) for key in ("ours", "theirs") if f"{i} {key}" in arrays.files
+            }
             yield Result(by_name[name], status, figures, note, seconds=seconds, **pictures)

@@ -9,28 +9,46 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from lib.command import UsageError
+from lib.output import (
+    OutputError,
+    OutputFolders,
+    described,
+    numbered,
+    tell_saved,
+    tell_warnings,
+    write_film,
+    write_json,
+)
 
 import raybatch_addon
-from raybatch_addon import reports
+from raybatch_addon.blender import reports
 from raybatch_addon.core.errors import RayBatchError, SceneError
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
-from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.export.passes import COST_PASS_PROPERTIES, PASS_PROPERTIES
 from raybatch_addon.export.settings import assign_setting, settings_from
-
-from .imported import import_geometry
-from .output import OutputError, OutputFolders, described, numbered, tell_saved, tell_warnings, write_film, write_json
-from .pictures import write_heat_map
-from .progress import ProgressBar
-from .request import BLEND, Request, UsageError
+from rendering.imported import import_geometry
+from rendering.pictures import write_heat_map
+from rendering.progress import ProgressBar
+from rendering.request import BLEND, Request
 
 # Blender's formats by the extension that chooses them; the first one listed is taken
 FORMATS = {
-    ".png": ("PNG",), ".jpg": ("JPEG",), ".jpeg": ("JPEG",), ".exr": ("OPEN_EXR", "OPEN_EXR_MULTILAYER"), ".tif": ("TIFF",),
-    ".tiff": ("TIFF",), ".bmp": ("BMP",), ".tga": ("TARGA", "TARGA_RAW"), ".hdr": ("HDR",), ".webp": ("WEBP",), ".jp2": ("JPEG2000",),
-}  # fmt: skip
+    ".png": ("PNG",),
+    ".jpg": ("JPEG",),
+    ".jpeg": ("JPEG",),
+    ".exr": ("OPEN_EXR", "OPEN_EXR_MULTILAYER"),
+    ".tif": ("TIFF",),
+    ".tiff": ("TIFF",),
+    ".bmp": ("BMP",),
+    ".tga": ("TARGA", "TARGA_RAW"),
+    ".hdr": ("HDR",),
+    ".webp": ("WEBP",),
+    ".jp2": ("JPEG2000",),
+}
 
 
 class _SceneSaved(RayBatchError):
@@ -59,7 +77,9 @@ class BlenderRender:
             _ask_for_passes(scene, request.passes)
             frames = request.frames or (scene.frame_current,)
             if request.save_scene and (len(frames) > 1 or sum(layer.use for layer in scene.view_layers) > 1):
-                raise UsageError("--save-scene holds one picture: choose one frame with --frame and one layer with --view-layer")
+                raise UsageError(
+                    "--save-scene holds one picture: choose one frame with --frame and one layer with --view-layer"
+                )
             if request.out and scene.render.is_movie_format and not _picture_format(request.out):
                 self._render_movie(scene, frames)
             else:
@@ -72,7 +92,7 @@ class BlenderRender:
     # --- what the engine tells
 
     def _listen(self) -> None:
-        from raybatch_addon import frame
+        from raybatch_addon.blender import frame
 
         frame.progress_listeners.append(self._bar.show)
         frame.scene_listeners.append(self._on_scene)
@@ -164,7 +184,9 @@ class _Workshop:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def deliver(self, place: Path | None) -> None:
-        """Move what Blender wrote to its place: a single file to `place`, several (stereo) under the names they have."""
+        """Move what Blender wrote to its place: a single file to `place`, several (stereo) under the names they
+        have.
+        """
         made = sorted(self.folder.iterdir())
         if not made:
             raise OutputError(f"Blender wrote no picture to {place or self._where}; is the disk full?")
@@ -187,7 +209,9 @@ def _open(request: Request) -> None:
             raise SceneError(f"{request.source} cannot be opened: {_one_line(error)}") from None
     else:
         if request.frames is not None or request.view_layers:
-            raise UsageError(f"{request.source} holds one picture; --frame, --frames and --view-layer are for .blend files")
+            raise UsageError(
+                f"{request.source} holds one picture; --frame, --frames and --view-layer are for .blend files"
+            )
         import_geometry(request)
     bpy.context.scene.render.engine = "RAYBATCH"
 

@@ -6,14 +6,21 @@ import math
 
 import bpy
 import numpy as np
+from lib.command import UsageError
+from lib.geometry_files import (
+    SKY_RADIANCE,
+    SUN_ANGLE,
+    SUN_IRRADIANCE,
+    View,
+    framing_view,
+    parse_view,
+    sun_axes,
+    view_axes,
+)
 from mathutils import Matrix
 
 from raybatch_addon.core.errors import SceneError
-from raybatch_addon.core.scene.geometry_files import (
-    SKY_RADIANCE, SUN_ANGLE, SUN_IRRADIANCE, View, framing_view, parse_view, sun_axes, view_axes,
-)  # fmt: skip
-
-from .request import RESOLUTION_DEFAULT, Request, UsageError
+from rendering.request import RESOLUTION_DEFAULT, Request
 
 UP_DEFAULT = {".obj": "y", ".ply": "z", ".gltf": "y", ".glb": "y"}
 

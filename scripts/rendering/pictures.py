@@ -1,4 +1,6 @@
-"""Pictures that Blender does not write: PNG (display colours) and OpenEXR (linear, every pass) where there is none, heat maps."""
+"""Pictures that Blender does not write: PNG (display colours) and OpenEXR (linear, every pass) where there is none,
+heat maps.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +8,31 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
+from lib.output import OutputError, tell_saved, write_whole
 
 from raybatch_addon.core.film import Film
 
-from .output import OutputError, tell_saved, write_whole
-
 FORMATS = (".png", ".exr")
-# Colours of heat maps at equal steps from nothing to the largest value, sRGB: brightness grows evenly, for those who see no red or green too
-HEAT_COLOURS = np.array([(0, 0, 4), (40, 11, 84), (101, 21, 110), (159, 42, 99), (212, 72, 66), (245, 125, 21), (250, 193, 39), (252, 255, 164)])
+# Colours of heat maps at equal steps from nothing to the largest value, sRGB: brightness grows evenly, for those who
+# see no red or green too
+HEAT_COLORS = np.array(
+    [
+        (0, 0, 4),
+        (40, 11, 84),
+        (101, 21, 110),
+        (159, 42, 99),
+        (212, 72, 66),
+        (245, 125, 21),
+        (250, 193, 39),
+        (252, 255, 164),
+    ]
+)
 
 
 def picture_path(out: Path) -> Path:
-    """`out` with the extension of a format that can be written (.png if it has none); raises `OutputError` for another."""
+    """`out` with the extension of a format that can be written (.png if it has none); raises `OutputError` for
+    another.
+    """
     if out.suffix == "":
         return out.with_name(out.name + ".png")
     if out.suffix.lower() not in FORMATS:
@@ -38,14 +53,16 @@ def display_pixels(combined: np.ndarray) -> np.ndarray:
     that of IEC 61966-2-1; what is brighter than white is cut off.
     """
     alpha = np.clip(combined[..., 3:], 0, 1)
-    colour = np.divide(combined[..., :3], alpha, out=np.zeros_like(combined[..., :3]), where=alpha > 0)
-    colour = np.clip(colour, 0, 1)
-    curve = np.where(colour <= 0.0031308, 12.92 * colour, 1.055 * colour ** (1 / 2.4) - 0.055)
+    color = np.divide(combined[..., :3], alpha, out=np.zeros_like(combined[..., :3]), where=alpha > 0)
+    color = np.clip(color, 0, 1)
+    curve = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
     return np.rint(np.concatenate([curve, alpha], axis=-1)[::-1] * 255).astype(np.uint8)
 
 
 def write_heat_map(path: Path, film: Film, name: str) -> None:
-    """Write the pass `name`, of one channel, to the PNG `path`, from black for 0 to bright for its largest finite value; tells which that is."""
+    """Write the pass `name`, of one channel, to the PNG `path`, from black for 0 to bright for its largest finite
+    value; tells which that is.
+    """
     pixels, largest = heat_pixels(film.passes[name][..., 0])
     write_whole(path, lambda temporary: save_png(temporary, pixels))
     tell_saved(path, f"{name}, 0 to {largest:.4g}")
@@ -58,8 +75,8 @@ def heat_pixels(values: np.ndarray) -> tuple[np.ndarray, float]:
     """
     finite = values[np.isfinite(values)]
     largest = float(finite.max()) if finite.size and finite.max() > 0 else 1.0
-    place = np.clip(values[::-1] / np.float32(largest), 0, 1) * (len(HEAT_COLOURS) - 1)
-    channels = [np.interp(place, np.arange(len(HEAT_COLOURS)), HEAT_COLOURS[:, k]) for k in range(3)]
+    place = np.clip(values[::-1] / np.float32(largest), 0, 1) * (len(HEAT_COLORS) - 1)
+    channels = [np.interp(place, np.arange(len(HEAT_COLORS)), HEAT_COLORS[:, k]) for k in range(3)]
     return np.rint(np.stack(channels, -1)).astype(np.uint8), largest
 
 

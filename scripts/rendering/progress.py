@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 
-from raybatch_addon.core.session import Progress
+from raybatch_addon.core.observers import Progress
 
 PLAIN_SECONDS = 5.0  # between lines where standard error is no terminal
 
@@ -30,7 +30,13 @@ class ProgressBar:
         if self._bar is None:
             from tqdm import tqdm  # not needed where there is no terminal
 
-            self._bar = tqdm(total=1.0, file=sys.stderr, leave=False, dynamic_ncols=True, bar_format="{desc} |{bar}| {percentage:3.0f} %")
+            self._bar = tqdm(
+                total=1.0,
+                file=sys.stderr,
+                leave=False,
+                dynamic_ncols=True,
+                bar_format="{desc} |{bar}| {percentage:3.0f} %",
+            )
         self._bar.n = progress.fraction
         self._bar.set_description_str(f"{self.label}{text}", refresh=True)
 

@@ -7,21 +7,26 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from raybatch_addon.core.errors import RayBatchError, SettingsError
-from raybatch_addon.core.presets import preset_settings
+from lib.command import UsageError
+
+from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.scene.validate import PASS_NAMES
-from raybatch_addon.core.settings import parse_setting
+from raybatch_addon.core.settings.presets import preset_settings
+from raybatch_addon.core.settings.settings import parse_setting
 
 BLEND, BLENDER_GEOMETRY, ARCHIVE, NPZ = "blend", "geometry through Blender", "saved scene", "NumPy geometry"
-KINDS = ((".blend", BLEND), (".obj", BLENDER_GEOMETRY), (".ply", BLENDER_GEOMETRY), (".gltf", BLENDER_GEOMETRY),
-         (".glb", BLENDER_GEOMETRY), (".scene.npz", ARCHIVE), (".npz", NPZ))  # fmt: skip
+KINDS = (
+    (".blend", BLEND),
+    (".obj", BLENDER_GEOMETRY),
+    (".ply", BLENDER_GEOMETRY),
+    (".gltf", BLENDER_GEOMETRY),
+    (".glb", BLENDER_GEOMETRY),
+    (".scene.npz", ARCHIVE),
+    (".npz", NPZ),
+)
 RESOLUTION_DEFAULT = (960, 540)  # of geometry, which has none of its own [pixels]
 RESOLUTION_MAX = 65_536  # Blender's own limit
 VECTOR_PASSES = ("Combined", "Position", "Normal")
-
-
-class UsageError(RayBatchError):
-    """Arguments that do not go together."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,10 @@ def kind_of(source: Path, taken: Sequence[str] = tuple(dict(KINDS).values())) ->
     for suffix, kind in KINDS:
         if source.name.lower().endswith(suffix) and kind in taken:
             return kind
-    raise UsageError(f"{source}: what kind of file is this? It must end in {', '.join(suffix for suffix, kind in KINDS if kind in taken)}")
+    raise UsageError(
+        f"{source}: what kind of file is this? It must end in "
+        f"{', '.join(suffix for suffix, kind in KINDS if kind in taken)}"
+    )
 
 
 def parse_frames(text: str) -> tuple[int, ...]:
@@ -89,7 +97,9 @@ def parse_heat_map(text: str) -> tuple[str, str]:
 
 
 def parse_settings(assignments: list[str], preset: str | None = None) -> tuple[dict[str, Any], tuple[int, int] | None]:
-    """Settings by name, and the resolution if one is given, from `name=value` texts, on top of a preset; raises `SettingsError`."""
+    """Settings by name, and the resolution if one is given, from `name=value` texts, on top of a preset; raises
+    `SettingsError`.
+    """
     values: dict[str, Any] = preset_settings(preset) if preset else {}
     resolution = None
     for assignment in assignments:
@@ -110,4 +120,6 @@ def _parse_resolution(text: str) -> tuple[int, int]:
         width, height = int(parts[0]), int(parts[1])
         if 1 <= width <= RESOLUTION_MAX and 1 <= height <= RESOLUTION_MAX:
             return width, height
-    raise SettingsError(f"resolution = {text!r} is not valid: write WIDTHxHEIGHT in pixels, each 1 to {RESOLUTION_MAX}, such as 160x120")
+    raise SettingsError(
+        f"resolution = {text!r} is not valid: write WIDTHxHEIGHT in pixels, each 1 to {RESOLUTION_MAX}, such as 160x120"
+    )

@@ -5,17 +5,18 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+from lib.command import UsageError
+from lib.geometry_files import load_geometry, parse_view
+from lib.output import OutputFolders, described, tell_saved, tell_warnings, write_film, write_json
+
+from raybatch_addon.blender.kernel_cache import kernel_cache_folder
 from raybatch_addon.core.scene.archive import load_scene, save_scene
 from raybatch_addon.core.scene.description import Camera, Scene
-from raybatch_addon.core.scene.geometry_files import load_geometry, parse_view
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.kernel_cache import kernel_cache_folder
-
-from .output import OutputFolders, described, tell_saved, tell_warnings, write_film, write_json
-from .pictures import picture_path, write_heat_map, write_picture
-from .progress import ProgressBar
-from .request import ARCHIVE, RESOLUTION_DEFAULT, Request, UsageError
+from raybatch_addon.core.settings.settings import RenderSettings
+from rendering.pictures import picture_path, write_heat_map, write_picture
+from rendering.progress import ProgressBar
+from rendering.request import ARCHIVE, RESOLUTION_DEFAULT, Request
 
 
 def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar, standard_output) -> None:
@@ -69,7 +70,9 @@ def _scene_and_settings(request: Request) -> tuple[Scene, RenderSettings]:
 
 
 def resized(scene: Scene, width: int, height: int) -> Scene:
-    """`scene` at another resolution: the longer side shows what it showed, the shorter one more or less of it; a border scales along."""
+    """`scene` at another resolution: the longer side shows what it showed, the shorter one more or less of it; a border
+    scales along.
+    """
     frame, camera = scene.frame, scene.camera
     border = None
     if frame.border is not None:
@@ -78,7 +81,9 @@ def resized(scene: Scene, width: int, height: int) -> Scene:
         left, bottom = min(round(x0 * across), width - 1), min(round(y0 * down), height - 1)
         border = (left, bottom, max(left + 1, round(x1 * across)), max(bottom + 1, round(y1 * down)))
     frame = dataclasses.replace(frame, width=width, height=height, border=border)
-    return dataclasses.replace(scene, frame=frame, camera=_refitted(camera, scene.frame.width, scene.frame.height, width, height))
+    return dataclasses.replace(
+        scene, frame=frame, camera=_refitted(camera, scene.frame.width, scene.frame.height, width, height)
+    )
 
 
 def _refitted(camera: Camera, old_width: int, old_height: int, width: int, height: int) -> Camera:

@@ -6,9 +6,8 @@ import html
 import math
 from typing import Any
 
-from stability.cases import Result
-
-from .report import number, used, verdict
+from stability_report.report import number, used, verdict
+from tests.stability.cases import Result
 
 _STYLE = """
 :root { color-scheme: light dark; --good: #2a7f3a; --bad: #c22; --line: #8884; --soft: #8882 }
@@ -26,7 +25,7 @@ details > p { margin: .2rem 0 .2rem 1rem; font-size: .92em; font-weight: 400; co
 
 
 def _share(result: Result) -> float:
-    """Of the tolerance that the error took, 0..1."""
+    """Share of the tolerance that the error took, 0..1."""
     outcome = result.outcome
     if outcome is None or outcome.measured == outcome.expected:
         return 0.0 if result.passed else 1.0
@@ -44,8 +43,19 @@ def _row(result: Result) -> str:
         f"<details><summary>{html.escape(case.name)}{' · quick' if case.quick else ''}</summary><p>{html.escape(case.about)}</p>"
         f"<p>Bound: {html.escape(case.bound)}</p>{note}</details>"
     )
-    bar = f'<span class="bar"><i style="width:{100 * _share(result):.1f}%"></i></span> {used(result)}' if outcome else ""
-    cells = [about, result.tracer, verdict(result), *numbers, bar, f"{result.invalid_samples:,}", f"{result.samples:,}", f"{result.seconds:.1f}"]
+    bar = (
+        f'<span class="bar"><i style="width:{100 * _share(result):.1f}%"></i></span> {used(result)}' if outcome else ""
+    )
+    cells = [
+        about,
+        result.tracer,
+        verdict(result),
+        *numbers,
+        bar,
+        f"{result.invalid_samples:,}",
+        f"{result.samples:,}",
+        f"{result.seconds:.1f}",
+    ]
     return f'<tr class="{verdict(result).lower()}">' + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
 
 
@@ -54,7 +64,18 @@ def html_page(results: list[Result], device: dict[str, Any], versions: dict[str,
     families: dict[str, list[Result]] = {}
     for result in results:
         families.setdefault(result.case.family, []).append(result)
-    heads = ("case", "tracer", "", "measured", "expected", "tolerance", "of the tolerance", "invalid", "samples", "seconds")
+    heads = (
+        "case",
+        "tracer",
+        "",
+        "measured",
+        "expected",
+        "tolerance",
+        "of the tolerance",
+        "invalid",
+        "samples",
+        "seconds",
+    )
     head = "".join(f"<th>{name}</th>" for name in heads)
     tables = "".join(
         f"<h2>{html.escape(family)}</h2><table><thead><tr>{head}</tr></thead><tbody>{''.join(map(_row, rows))}</tbody></table>"
@@ -66,11 +87,15 @@ def html_page(results: list[Result], device: dict[str, Any], versions: dict[str,
     machine = " · ".join([where, *(f"{name} {version}" for name, version in versions.items())])
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-        f"<title>Stability of RayBatch</title><style>{_STYLE}</style></head><body><h1>Stability on stiff and extreme cases</h1>"
+        f"<title>Stability of RayBatch</title><style>{_STYLE}</style></head><body><h1>Stability on stiff and extreme "
+        "cases</h1>"
         f"<p>{html.escape(machine)}</p>"
         f'<p class="counts"><b>{passed}</b> passed · <b class="{"bad" if failed else ""}">{failed}</b> failed · '
-        f"<b>{len(results) - passed - failed}</b> skipped · {invalid:,} of {samples:,} samples invalid · {seconds:.0f} s</p>"
-        "<p>Tracer <em>off</em> is the control, in which each ray visits the whole tree at once; with <em>on</em> rays wait at small treelets; "
-        "<em>-</em> is run once, with none or with several of its own. A case opens to what it does, and why its tolerance is what it is.</p>"
+        f"<b>{len(results) - passed - failed}</b> skipped · {invalid:,} of {samples:,} samples invalid · {seconds:.0f} "
+        "s</p>"
+        "<p>Tracer <em>off</em> is the control, in which each ray visits the whole tree at once; with <em>on</em> rays "
+        "wait at small treelets; "
+        "<em>-</em> is run once, with none or with several of its own. A case opens to what it does, and why its "
+        "tolerance is what it is.</p>"
         f"{tables}</body></html>\n"
     )

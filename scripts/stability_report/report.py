@@ -1,20 +1,13 @@
-"""Results of the suite: as JSON, as a table for the terminal, and the table of all cases in the manual."""
+"""Results of the suite: as JSON, and as a table for the terminal."""
 
 from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
-from marked_text import with_part
-from stability.case import Case
-from stability.cases import Result
+from tests.stability.cases import Result
 
-from raybatch_addon.core.errors import RayBatchError
-
-MARKS = ("<!-- cases: made by scripts/stability.py --table -->", "<!-- end of cases -->")
 _SLOW = 10.0  # seconds of a case for one tracer, beyond which it is named
 _NOTE_WIDTH = 100
 
@@ -24,7 +17,9 @@ def json_number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def json_report(device: dict[str, Any], versions: dict[str, str], results: list[Result], seconds: float) -> dict[str, Any]:
+def json_report(
+    device: dict[str, Any], versions: dict[str, str], results: list[Result], seconds: float
+) -> dict[str, Any]:
     """All that was measured; `device` and `versions` are what ran."""
     cases = []
     for result in results:
@@ -33,20 +28,33 @@ def json_report(device: dict[str, Any], versions: dict[str, str], results: list[
         outcome = result.outcome
         cases.append(
             {
-                "name": result.case.name, "tracer": result.tracer, "passed": result.passed,
+                "name": result.case.name,
+                "tracer": result.tracer,
+                "passed": result.passed,
                 "measured": json_number(outcome.measured) if outcome else None,
                 "expected": json_number(outcome.expected) if outcome else None,
                 "tolerance": json_number(outcome.tolerance) if outcome else None,
-                "invalid_samples": result.invalid_samples, "samples": result.samples, "seconds": round(result.seconds, 3),
-                "family": result.case.family, "about": result.case.about, "bound": result.case.bound, "note": result.note,
+                "invalid_samples": result.invalid_samples,
+                "samples": result.samples,
+                "seconds": round(result.seconds, 3),
+                "seconds_compiling": round(result.compiling, 3),  # of processors: several may compile at once
+                "family": result.case.family,
+                "about": result.case.about,
+                "bound": result.case.bound,
+                "note": result.note,
             }
-        )  # fmt: skip
+        )
     skipped = [{"name": r.case.name, "tracer": r.tracer, "reason": r.skipped} for r in results if r.skipped is not None]
     return {
-        "device": device["name"], "cases": cases, "skipped": skipped,
-        "passed": sum(r.passed for r in results), "failed": sum(r.failed for r in results),
-        "seconds": round(seconds, 3), "machine": device, "versions": versions,
-    }  # fmt: skip
+        "device": device["name"],
+        "cases": cases,
+        "skipped": skipped,
+        "passed": sum(r.passed for r in results),
+        "failed": sum(r.failed for r in results),
+        "seconds": round(seconds, 3),
+        "machine": device,
+        "versions": versions,
+    }
 
 
 def number(value: float) -> str:
@@ -58,7 +66,11 @@ def used(result: Result) -> str:
     """How much of the tolerance the error took."""
     if result.outcome is None:
         return ""
-    error = 0.0 if result.outcome.measured == result.outcome.expected else abs(result.outcome.measured - result.outcome.expected)
+    error = (
+        0.0
+        if result.outcome.measured == result.outcome.expected
+        else abs(result.outcome.measured - result.outcome.expected)
+    )
     if result.outcome.tolerance == 0 or not math.isfinite(error):
         return "exact" if error == 0 else "wrong"
     return f"{100 * error / result.outcome.tolerance:.3g} %"
@@ -91,47 +103,28 @@ def text_report(results: list[Result], device: dict[str, Any], seconds: float) -
         if result.failed:
             lines += ["", f"FAILED: {result.case.name} ({result.tracer}): {result.case.about}"]
             lines += textwrap.wrap(result.note, _NOTE_WIDTH, initial_indent="  ", subsequent_indent="  ")
-            lines += textwrap.wrap(f"bound: {result.case.bound}", _NOTE_WIDTH, initial_indent="  ", subsequent_indent="  ")
+            lines += textwrap.wrap(
+                f"bound: {result.case.bound}", _NOTE_WIDTH, initial_indent="  ", subsequent_indent="  "
+            )
             if result.invalid_samples:
                 lines.append(f"  {result.invalid_samples:,} of {result.samples:,} samples were invalid")
     for name, reason in sorted({(r.case.name, r.skipped) for r in results if r.skipped is not None}):
         lines += ["", f"skipped: {name}: {reason}"]
     slow = [f"{r.case.name} ({r.tracer}) {r.seconds:.0f} s" for r in results if r.seconds > _SLOW]
     if slow:
-        lines += ["", *textwrap.wrap(f"slow, compilation included: {', '.join(slow)}", _NOTE_WIDTH, subsequent_indent="  ")]
+        lines += [
+            "",
+            *textwrap.wrap(f"slow, compilation included: {', '.join(slow)}", _NOTE_WIDTH, subsequent_indent="  "),
+        ]
     passed, failed = sum(r.passed for r in results), sum(r.failed for r in results)
     skipped = len(results) - passed - failed
-    lines += ["", "used: share of the tolerance that the error took; tracer -: run once, with none or with several of its own"]
-    lines += ["", f"{passed} passed, {failed} failed, {skipped} skipped; {len({r.case.name for r in results})} cases, {seconds:.0f} s"]
+    lines += [
+        "",
+        "used: share of the tolerance that the error took; tracer -: run once, with none or with several of its own",
+    ]
+    lines += [
+        "",
+        f"{passed} passed, {failed} failed, {skipped} skipped; {len({r.case.name for r in results})} cases, "
+        f"{seconds:.0f} s",
+    ]
     return "\n".join(lines)
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
-
-
-def cases_table(cases: Iterable[Case]) -> str:
-    """A Markdown table for each family."""
-    lines: list[str] = []
-    family = None
-    for each in cases:
-        if each.family != family:
-            family = each.family
-            lines += ["", f"### {family.capitalize()}", ""]
-            lines += ["| case | tracers | quick | what is done, and what is expected | why the tolerance |", "|---|---|---|---|---|"]
-        tracers = ", ".join(each.tracers) if each.traces else "any"
-        lines.append(f"| {_cell(each.name)} | {tracers} | {'yes' if each.quick else ''} | {_cell(each.about)} | {_cell(each.bound)} |")
-    return "\n".join(lines).strip()
-
-
-def with_table(text: str, cases: Iterable[Case]) -> str:
-    """The manual `text` with the table as it is now; raises `RayBatchError` where a mark is missing."""
-    try:
-        return with_part(text, *MARKS, cases_table(cases), "the manual")
-    except ValueError as error:
-        raise RayBatchError(str(error)) from None
-
-
-def manual(root: Path) -> Path:
-    """The manual in the repository at `root`."""
-    return root / "docs/stability.md"

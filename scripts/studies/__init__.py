@@ -1,1 +1,1 @@
-"""The parts of study.py."""
+"""The studies of docs/studies, a file or a folder for each, run by study.py."""

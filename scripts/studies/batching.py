@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from raybatch_addon.core.settings import RenderSettings
-
-from . import scenes
-from .bench import Bench, with_frame
-from .pages import device_title, films_line, machine, number, table
-from .rows import differing_films, first_rows, medians
-from .study import Case, Options, Report, Row, Study
+from raybatch_addon.core.settings.settings import RenderSettings
+from studies import scenes
+from studies.bench import Bench, with_frame
+from studies.pages import device_title, films_line, machine, number, table
+from studies.rows import differing_films, first_rows, medians
+from studies.study import Case, Options, Report, Row, Study
 
 MODES = ("OFF", "ON", "AUTO")
 BOUNCES = (0, 1, 2, 4, 8, 16)
 ROOMS = ("sponza", "san_miguel")
-GRIDS = {(True, True): (1, 2, 4), (True, False): (1, 2, 4, 8), (False, True): (1, 2, 3), (False, False): (1, 2, 4)}  # by (cuda, quick)
+GRIDS = {
+    (True, True): (1, 2, 4),
+    (True, False): (1, 2, 4, 8),
+    (False, True): (1, 2, 3),
+    (False, False): (1, 2, 4),
+}  # by (cuda, quick)
 GRID_BOUNCES = 4
 
 
@@ -42,9 +46,13 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
     if what["axis"] == "bounces":
         scene = bench.scene(what["scene"], lambda: scenes.under_the_sky(what["scene"], options, 64))
     else:
-        scene = bench.scene((what["scene"], what["grid"]), lambda: scenes.grid(what["scene"], options, what["grid"], 64))
+        scene = bench.scene(
+            (what["scene"], what["grid"]), lambda: scenes.grid(what["scene"], options, what["grid"], 64)
+        )
     # no Russian roulette: every path is as long as it is asked for, but for those that leave the scene
-    settings = RenderSettings(sample_count=samples, bounce_max=what["bounces"], roulette_bounce=100_000, batching=what["batching"])
+    settings = RenderSettings(
+        sample_count=samples, bounce_max=what["bounces"], roulette_bounce=100_000, batching=what["batching"]
+    )
     # spatial splits would make the largest trees take most of the study's time to build
     settings = settings.replace(spatial_splits="OFF" if what["axis"] == "size" else "AUTO")
     row = bench.timed(with_frame(scene, edge, edge), settings, (what["scene"], what.get("grid"), what["batching"]))
@@ -57,7 +65,11 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
 def fragment(reports: dict[str, Report]) -> str:
     """Rates by bounces and by size, and the films compared."""
     parts = [f"- {machine(report)}" for report in reports.values()]
-    wrong = [each for report in reports.values() for each in differing_films(report["rows"], ("scene", "grid", "bounces", "edge", "samples"))]
+    wrong = [
+        each
+        for report in reports.values()
+        for each in differing_films(report["rows"], ("scene", "grid", "bounces", "edge", "samples"))
+    ]
     parts += [f"- {films_line(wrong, sum(len(report['rows']) for report in reports.values()))}", ""]
     parts += ["![Batching by bounces and size](batching.svg)", "", "Millions of rays a second:", ""]
     rows = []
@@ -69,35 +81,59 @@ def fragment(reports: dict[str, Report]) -> str:
             peers = [key[: -len("OFF")] + mode for mode in MODES]
             rates = [first[peer]["rays"] / seconds[peer] / 1e6 if peer in seconds else None for peer in peers]
             on = first.get(peers[1], {})
-            rows.append([
-                device_title(report), row["scene"], f"{row.get('triangles', 0):,}", row["bounces"], *map(number, rates),
-                number(rates[1] / rates[0] if rates[0] and rates[1] else None), first.get(peers[2], {}).get("method"),
-                number(on.get("treelet_visits_per_ray")),
-            ])  # fmt: skip
-    heads = ["device", "scene", "triangles", "bounces", "off", "on", "auto", "on over off", "auto chose", "treelets visited by a ray (on)"]
+            rows.append(
+                [
+                    device_title(report),
+                    row["scene"],
+                    f"{row.get('triangles', 0):,}",
+                    row["bounces"],
+                    *map(number, rates),
+                    number(rates[1] / rates[0] if rates[0] and rates[1] else None),
+                    first.get(peers[2], {}).get("method"),
+                    number(on.get("treelet_visits_per_ray")),
+                ]
+            )
+    heads = [
+        "device",
+        "scene",
+        "triangles",
+        "bounces",
+        "off",
+        "on",
+        "auto",
+        "on over off",
+        "auto chose",
+        "treelets visited by a ray (on)",
+    ]
     return "\n".join([*parts, table(heads, rows)])
 
 
 def draw(reports: dict[str, Report], folder: Path) -> None:
     """The rate of batching over that of the control, by bounces and by triangles."""
-    from .plots import COLOURS, legend, panels, save
+    from studies.plots import COLORS, legend, panels, save
 
     figure, axes = panels(2)
-    colours = iter(COLOURS)
+    colors = iter(COLORS)
     for report in reports.values():
         seconds, first = medians(report["rows"]), first_rows(report["rows"])
         for axis, name, x in ((axes[0], "bounces", "bounces"), (axes[1], "size", "triangles")):
             for scene in dict.fromkeys(row["scene"] for row in report["rows"] if row["axis"] == name):
-                colour = next(colours)
+                color = next(colors)
                 for mode, style in (("ON", "o-"), ("AUTO", "s:")):
                     points = []
                     for key, row in first.items():
                         off = key[: -len(mode)] + "OFF"
-                        if row["axis"] == name and row["scene"] == scene and row["batching"] == mode and off in seconds and key in seconds:
+                        if (
+                            row["axis"] == name
+                            and row["scene"] == scene
+                            and row["batching"] == mode
+                            and off in seconds
+                            and key in seconds
+                        ):
                             points.append((row[x] + (name == "bounces"), seconds[off] / seconds[key]))
                     if points:
                         label = f"{device_title(report)}, {scene}, {mode.lower()}"
-                        axis.plot(*zip(*sorted(points), strict=True), style, color=colour, markersize=4, label=label)
+                        axis.plot(*zip(*sorted(points), strict=True), style, color=color, markersize=4, label=label)
     for axis, label in zip(axes, ("bounces", "triangles"), strict=True):
         axis.axhline(1, color="black", linewidth=0.8)
         axis.set(xlabel=label, ylim=(0, None))
@@ -106,7 +142,14 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
     axes[0].set_xticks([bounces + 1 for bounces in told], told)
     axes[0].minorticks_off()
     axes[1].set_xscale("log")
-    sizes = sorted({row["triangles"] for report in reports.values() for row in report["rows"] if row["axis"] == "size" and "triangles" in row})
+    sizes = sorted(
+        {
+            row["triangles"]
+            for report in reports.values()
+            for row in report["rows"]
+            if row["axis"] == "size" and "triangles" in row
+        }
+    )
     axes[1].set_xticks(sizes, [f"{size / 1e6:.2g}M" for size in sizes])
     axes[1].minorticks_off()
     axes[0].set_ylabel("speed over unbatched (1 = as fast)")

@@ -1,4 +1,6 @@
-"""Measures renders for studies: one session, scenes and references that are kept, and a row of figures for each render."""
+"""Measures renders for studies: one session, scenes and references that are kept, and a row of figures for each
+render.
+"""
 
 from __future__ import annotations
 
@@ -12,26 +14,41 @@ import numpy as np
 from converging.reference import core_digest
 from rendering.standalone import resized
 
+from raybatch_addon.blender.kernel_cache import kernel_cache_folder
+from raybatch_addon.core.convergence.fit import known
+from raybatch_addon.core.convergence.points import (
+    ConvergenceRecorder,
+    Reference,
+    efficiency,
+    fit_slope,
+    load_reference,
+    noise_floor,
+    save_reference,
+    scene_hash,
+)
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.film import Film
-from raybatch_addon.core.report.convergence import (
-    ConvergenceRecorder, Reference, efficiency, fit_slope, load_reference, noise_floor, save_reference, scene_hash,
-)  # fmt: skip
-from raybatch_addon.core.report.convergence_fit import known
+from raybatch_addon.core.observers import Progress, RenderObserver
 from raybatch_addon.core.scene.description import Scene
-from raybatch_addon.core.session import Progress, Session
-from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.kernel_cache import kernel_cache_folder
-
-from .study import Options, Row
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings.settings import RenderSettings
+from studies.study import Options, Row
 
 WARM_EDGE = 32  # pixels of the render before the first that is timed
 REFERENCE_SEED = 1_000_003
 # What a render with queues tells of itself
-_BATCHING = ("steps", "rays_queued_per_ray", "treelet_visits_per_ray", "bytes_copied", "pages_loaded", "resident_peak", "blocks_short")
+_BATCHING = (
+    "steps",
+    "rays_queued_per_ray",
+    "treelet_visits_per_ray",
+    "bytes_copied",
+    "pages_loaded",
+    "resident_peak",
+    "blocks_short",
+)
 
 
-class TimeCap:
+class TimeCap(RenderObserver):
     """An observer that ends a render after some seconds of rendering, build and compilation not counted."""
 
     def __init__(self, seconds: float | None):
@@ -44,7 +61,9 @@ class TimeCap:
 
     def cancelled(self) -> bool:
         """Whether time is up."""
-        return self._seconds is not None and self._began is not None and time.perf_counter() - self._began > self._seconds
+        return (
+            self._seconds is not None and self._began is not None and time.perf_counter() - self._began > self._seconds
+        )
 
 
 class Bench:
@@ -71,9 +90,11 @@ class Bench:
         return self._scenes[key]
 
     def timed(self, scene: Scene, settings: RenderSettings, warm: Any = None, cap: float | None = None) -> Row:
-        """Figures of one render. A small one comes first, untimed, where there was none of `warm` yet: kernels are loaded then.
+        """Figures of one render. A small one comes first, untimed, where there was none of `warm` yet: kernels are
+        loaded then.
 
-        A render that takes more than `cap` seconds is ended, and told by how far it came: `complete` is false, `share` what was done.
+        A render that takes more than `cap` seconds is ended, and told by how far it came: `complete` is false, `share`
+        what was done.
         """
         self._warm_up(scene, settings, warm)
         watch = TimeCap(cap)
@@ -87,16 +108,25 @@ class Bench:
         film = self.session.render(scene, settings, observers=[recorder])
         points = recorder.points(reference)
         slope = fit_slope(points)
-        told = [{"seconds": p.seconds, "samples": p.samples, "rmse": p.rmse, "relmse": p.relmse, "spread": p.rmse_spread} for p in points]
+        told = [
+            {"seconds": p.seconds, "samples": p.samples, "rmse": p.rmse, "relmse": p.relmse, "spread": p.rmse_spread}
+            for p in points
+        ]
         return {
             **row_of(film, settings),
             "points": told,
             "sequence": settings.sample_sequence,
-            "slope": slope and {"slope": slope.slope, "spread": known(slope.spread), "flattens": slope.flattens, "last": slope.last_slope,
-                                "says": slope.says},
+            "slope": slope
+            and {
+                "slope": slope.slope,
+                "spread": known(slope.spread),
+                "flattens": slope.flattens,
+                "last": slope.last_slope,
+                "says": slope.says,
+            },
             "efficiency": efficiency(points, "relmse"),
             "floor": dict(zip(("rmse", "relmse"), noise_floor(reference), strict=True)),
-        }  # fmt: skip
+        }
 
     def _warm_up(self, scene: Scene, settings: RenderSettings, warm: Any) -> None:
         if warm is not None and warm not in self._warm:
@@ -104,12 +134,16 @@ class Bench:
             self._warm.add(warm)
 
     def reference(self, key: Any, scene: Scene, settings: RenderSettings, samples: int) -> Reference:
-        """What the picture should be: by this engine as it is, with another seed, in halves that tell its own error; kept in a file."""
+        """What the picture should be: by this engine as it is, with another seed, in halves that tell its own error;
+        kept in a file.
+        """
         settings = settings.replace(seed=REFERENCE_SEED, sample_count=samples, error_estimate="ON")
         if key in self._references:
             return self._references[key]
         frame = scene.frame
-        made = f"{scene_hash(scene)[:16]}-{core_digest()[:8]}-{frame.width}x{frame.height}-{settings.bounce_max}-{samples}"
+        made = (
+            f"{scene_hash(scene)[:16]}-{core_digest()[:8]}-{frame.width}x{frame.height}-{settings.bounce_max}-{samples}"
+        )
         path = self.options.cache / f"reference-{made}.npz"
         if path.is_file():
             reference = load_reference(path, (frame.width, frame.height), scene_hash(scene), settings)
@@ -157,12 +191,14 @@ def chosen(told: dict[str, Any]) -> str:
 
 
 def digest(film: Film) -> str:
-    """Of the bits of the picture."""
+    """Digest of the bits of the picture."""
     return hashlib.blake2b(np.ascontiguousarray(film.passes["Combined"]).tobytes(), digest_size=8).hexdigest()
 
 
 def whole_seconds(row: Row) -> float | None:
-    """Seconds of the whole render; of one that was ended estimated from the share that was done; None: too little was."""
+    """Seconds of the whole render; of one that was ended estimated from the share that was done; None: too little
+    was.
+    """
     if row.get("seconds") is None:
         return None
     return row["seconds"] if row["complete"] else row["seconds"] / row["share"] if row["share"] > 1e-3 else None

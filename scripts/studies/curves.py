@@ -8,10 +8,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
-from raybatch_addon.core.report.convergence import fit_slope, time_to
-
-from .pages import device_title, number, table
-from .study import Report, Row
+from raybatch_addon.core.convergence.points import fit_slope, time_to
+from studies.pages import device_title, number, table
+from studies.study import Report, Row
 
 
 def variants(report: Report, scene: str) -> list[str]:
@@ -30,19 +29,25 @@ def runs(report: Report, scene: str, variant: str) -> list[Row]:
 
 
 def points_of(row: Row) -> list[SimpleNamespace]:
-    """As `ErrorPoint`s, as far as fits need them."""
+    """`ErrorPoint`s of rows, as far as fits need them."""
     floor = row["floor"]
     return [
         SimpleNamespace(
-            seconds=p["seconds"], samples=p["samples"], rmse=p["rmse"], relmse=p["relmse"], rmse_spread=p["spread"], floor_rmse=floor["rmse"],
-            floor_relmse=floor["relmse"], from_halves=False,
+            seconds=p["seconds"],
+            samples=p["samples"],
+            rmse=p["rmse"],
+            relmse=p["relmse"],
+            rmse_spread=p["spread"],
+            floor_rmse=floor["rmse"],
+            floor_relmse=floor["relmse"],
+            from_halves=False,
         )
         for p in row["points"]
-    ]  # fmt: skip
+    ]
 
 
 def median(values: Sequence[float | None]) -> float | None:
-    """Of those that are there; None where no half of them is."""
+    """Median of those that are there; None where no half of them is."""
     there = [value for value in values if value is not None]
     return statistics.median(there) if 2 * len(there) > len(values) else None
 
@@ -59,14 +64,22 @@ def mean_curve(rows: Sequence[Row]) -> list[SimpleNamespace]:
 
 
 def seconds_to(rows: Sequence[Row], target: float) -> tuple[float, bool] | None:
-    """Seconds to a relMSE in the mean over runs, and whether that lies beyond what was rendered; None: never, as it looks."""
+    """Seconds to a relMSE in the mean over runs, and whether that lies beyond what was rendered; None: never, as it
+    looks.
+    """
     # what lies beyond follows from theory where it can: few runs do not tell the slope of an error that is rarely found
-    slope = -0.5 if rows[0].get("sequence") == "INDEPENDENT" else fit_slope([point for row in rows for point in points_of(row)])
+    slope = (
+        -0.5
+        if rows[0].get("sequence") == "INDEPENDENT"
+        else fit_slope([point for row in rows for point in points_of(row)])
+    )
     return time_to(mean_curve(rows), target, slope)
 
 
 def curves_table(reports: dict[str, Report], name: str) -> str:
-    """Slopes, and the time to the same error (~: extrapolated), by scene and variant; `name` heads the variants' column."""
+    """Slopes, and the time to the same error (~: extrapolated), by scene and variant; `name` heads the variants'
+    column.
+    """
     rows = []
     for report in reports.values():
         for scene in scenes_of(report):
@@ -84,12 +97,37 @@ def curves_table(reports: dict[str, Report], name: str) -> str:
                 last = mine[0]["points"][-1]
                 flat = sum(bool(row["slope"] and row["slope"]["flattens"]) for row in mine)
                 rate = statistics.median(row["points"][-1]["samples"] / row["points"][-1]["seconds"] for row in mine)
-                slope = f"{statistics.median(slopes):.2f}{spread}" + (f" ({flat} of {len(mine)} flatten)" if flat else "") if slopes else ""
-                rows.append([
-                    device_title(report), scene, variant, last["samples"], number(mean_curve(mine)[-1].relmse), slope, number(rate), number(target),
-                    number(seconds, 3, beyond) if seconds is not None else "not to be told", number(base / seconds) if base and seconds else "",
-                ])  # fmt: skip
-    heads = ["device", "scene", name, "samples", "relMSE then", "slope of RMSE", "samples/s", "relMSE asked for", "seconds to it", "efficiency"]
+                slope = (
+                    f"{statistics.median(slopes):.2f}{spread}" + (f" ({flat} of {len(mine)} flatten)" if flat else "")
+                    if slopes
+                    else ""
+                )
+                rows.append(
+                    [
+                        device_title(report),
+                        scene,
+                        variant,
+                        last["samples"],
+                        number(mean_curve(mine)[-1].relmse),
+                        slope,
+                        number(rate),
+                        number(target),
+                        number(seconds, 3, beyond) if seconds is not None else "not to be told",
+                        number(base / seconds) if base and seconds else "",
+                    ]
+                )
+    heads = [
+        "device",
+        "scene",
+        name,
+        "samples",
+        "relMSE then",
+        "slope of RMSE",
+        "samples/s",
+        "relMSE asked for",
+        "seconds to it",
+        "efficiency",
+    ]
     return table(heads, rows)
 
 
@@ -97,19 +135,35 @@ def draw_curves(reports: dict[str, Report], folder: Path, file: str, against: Se
     """A panel a scene and device: RMSE of every run, log-log, each variant in one colour."""
     from converging.ticks import plain_ticks
 
-    from .plots import COLOURS, legend, panels, save
+    from studies.plots import COLORS, legend, panels, save
 
-    wanted = [(report, scene, x) for x in against for report in reports.values() for scene in scenes_of(report) if variants(report, scene)]
+    wanted = [
+        (report, scene, x)
+        for x in against
+        for report in reports.values()
+        for scene in scenes_of(report)
+        if variants(report, scene)
+    ]
     figure, axes = panels(len(wanted))
     names = list(dict.fromkeys(name for report, scene, _ in wanted for name in variants(report, scene)))
     for axis, (report, scene, x) in zip(axes, wanted, strict=True):
         for variant in variants(report, scene):
-            colour = COLOURS[names.index(variant)]
+            color = COLORS[names.index(variant)]
             for index, row in enumerate(runs(report, scene, variant)):
                 points = [(p[x], p["rmse"]) for p in row["points"] if p[x] > 0]
                 label = variant if index == 0 else None
-                axis.plot(*zip(*points, strict=True), "o-", color=colour, markersize=2.5, linewidth=0.9, alpha=0.8, label=label)
-        _guide(axis, [(p[x], p["rmse"]) for row in runs(report, scene, variants(report, scene)[0]) for p in row["points"] if p[x] > 0])
+                axis.plot(
+                    *zip(*points, strict=True), "o-", color=color, markersize=2.5, linewidth=0.9, alpha=0.8, label=label
+                )
+        _guide(
+            axis,
+            [
+                (p[x], p["rmse"])
+                for row in runs(report, scene, variants(report, scene)[0])
+                for p in row["points"]
+                if p[x] > 0
+            ],
+        )
         floor = median([row["floor"]["rmse"] for row in report["rows"] if row["scene"] == scene and row.get("floor")])
         if floor:
             axis.axhline(floor, color="black", linewidth=0.6, linestyle=":", label="noise of the reference")
@@ -127,7 +181,14 @@ def _guide(axis, points: Sequence[tuple[float, float]]) -> None:
         return
     low, high = min(x for x, _ in points), max(x for x, _ in points)
     top = 1.6 * max(y for _, y in points)
-    axis.plot([low, high], [top, top * math.sqrt(low / high)], color="#999999", linewidth=0.8, linestyle="--", label="slope -0.5")
+    axis.plot(
+        [low, high],
+        [top, top * math.sqrt(low / high)],
+        color="#999999",
+        linewidth=0.8,
+        linestyle="--",
+        label="slope -0.5",
+    )
 
 
 def cases_of(make: Callable, scenes: Sequence[str], names: Sequence[str]) -> list:

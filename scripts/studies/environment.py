@@ -1,4 +1,6 @@
-"""Sampling of environments: a sky with a small, bright sun, aimed at by tables of several sizes, and by chance alone."""
+"""Sampling of environments: a sky with a small, bright sun, aimed at by tables of several sizes, and by chance
+alone.
+"""
 
 from __future__ import annotations
 
@@ -7,19 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
+from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
+from raybatch_addon.core.programs.builder import ProgramBuilder
+from raybatch_addon.core.programs.ops.textures.environment import EnvironmentProjection
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Image, Material, Scene, World
-from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.core.shading import nodes  # noqa: F401  (registers ops)
-from raybatch_addon.core.shading.nodes.builder import ProgramBuilder
-from raybatch_addon.core.shading.nodes.environment import EnvironmentProjection
-from raybatch_addon.core.shading.textures import Interpolation
-
-from . import scenes
-from .bench import Bench, with_frame
-from .curves import cases_of, curves_table, draw_curves
-from .light_sampling import sizes
-from .pages import machine
-from .study import Case, Options, Report, Row, Study
+from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.shading.images.textures import Interpolation
+from studies import scenes
+from studies.bench import Bench, with_frame
+from studies.curves import cases_of, curves_table, draw_curves
+from studies.light_sampling import sizes
+from studies.pages import machine
+from studies.study import Case, Options, Report, Row, Study
 
 # Texels around the world of the table that is sampled; 0: none
 VARIANTS = {"4096 texels": 4096, "512 texels": 512, "64 texels": 64, "not sampled": 0}
@@ -39,7 +40,14 @@ def sky(kind: str) -> np.ndarray:
     height = WIDTH // 2
     up = (np.arange(height) + 0.5) / height * np.pi - np.pi / 2
     around = (np.arange(WIDTH) + 0.5) / WIDTH * 2 * np.pi - np.pi
-    direction = np.stack([np.cos(up)[:, None] * np.cos(around), np.cos(up)[:, None] * np.sin(around), np.repeat(np.sin(up)[:, None], WIDTH, 1)], -1)
+    direction = np.stack(
+        [
+            np.cos(up)[:, None] * np.cos(around),
+            np.cos(up)[:, None] * np.sin(around),
+            np.repeat(np.sin(up)[:, None], WIDTH, 1),
+        ],
+        -1,
+    )
     height_part = np.clip(direction[..., 2], 0, 1)[..., None]
     picture = np.where(direction[..., 2:] > 0, np.array([0.5, 0.6, 0.8]) * (0.4 + 0.6 * height_part), 0.1)
     if kind == "sun":
@@ -62,7 +70,12 @@ def scene_named(kind: str) -> Scene:
     plates = scenes.plates(64, 64)
     shown, images = world(kind, WIDTH)
     dull = tuple(
-        Material(m.name, tuple(c for c in m.closures if c.kind != ClosureKind.EMISSION) or (Closure(ClosureKind.DIFFUSE, (0.5,) * 3),), m.kinds)
+        Material(
+            m.name,
+            tuple(c for c in m.closures if c.kind != ClosureKind.EMISSION)
+            or (Closure(ClosureKind.DIFFUSE, (0.5,) * 3),),
+            m.kinds,
+        )
         for m in plates.materials
     )
     return dataclasses.replace(plates, lights=(), materials=dull, world=shown, images=images)
@@ -73,7 +86,9 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
     name, variant = case.what["scene"], case.what["variant"]
     edge, samples, many = sizes(bench.options)
     scene = with_frame(bench.scene(name, lambda: scene_named(name)), edge, edge)
-    settings = RenderSettings(sample_count=samples, bounce_max=2, pixel_filter="BOX", sample_sequence="INDEPENDENT", seed=turn + 1)
+    settings = RenderSettings(
+        sample_count=samples, bounce_max=2, pixel_filter="BOX", sample_sequence="INDEPENDENT", seed=turn + 1
+    )
     reference = bench.reference(name, scene, settings.replace(sample_sequence="SOBOL"), many)
     tried = dataclasses.replace(scene, world=dataclasses.replace(scene.world, sampling_size=VARIANTS[variant]))
     return {"edge": edge, **bench.curve(tried, settings, reference, (name, variant))}
@@ -90,4 +105,6 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
     draw_curves(reports, folder, "environment")
 
 
-STUDY = Study("environment", "sampling of an image of a sky, with a sun and without", cases, measure, fragment, draw, turns=(2, 3))
+STUDY = Study(
+    "environment", "sampling of an image of a sky, with a sun and without", cases, measure, fragment, draw, turns=(2, 3)
+)

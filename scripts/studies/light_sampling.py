@@ -1,17 +1,18 @@
-"""Ways to find light: light sampling and BSDF sampling together (multiple importance sampling), and either strategy alone."""
+"""Ways to find light: light sampling and BSDF sampling together (multiple importance sampling), and either strategy
+alone.
+"""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from raybatch_addon.core.scene.description import Scene
-from raybatch_addon.core.settings import RenderSettings
-
-from . import scenes
-from .bench import Bench, with_frame
-from .curves import cases_of, curves_table, draw_curves
-from .pages import machine
-from .study import Case, Options, Report, Row, Study
+from raybatch_addon.core.settings.settings import RenderSettings
+from studies import scenes
+from studies.bench import Bench, with_frame
+from studies.curves import cases_of, curves_table, draw_curves
+from studies.pages import machine
+from studies.study import Case, Options, Report, Row, Study
 
 VARIANTS = {
     "both (MIS)": {"nee": "ON", "mis": "ON"},
@@ -46,14 +47,30 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
     name = case.what["scene"]
     edge, samples, many = sizes(bench.options)
     scene = with_frame(bench.scene(name, lambda: scene_named(name, bench.options)), edge, edge)
-    settings = RenderSettings(sample_count=samples, bounce_max=BOUNCES.get(name, 4), pixel_filter="BOX", sample_sequence="INDEPENDENT", seed=turn + 1)
+    settings = RenderSettings(
+        sample_count=samples,
+        bounce_max=BOUNCES.get(name, 4),
+        pixel_filter="BOX",
+        sample_sequence="INDEPENDENT",
+        seed=turn + 1,
+    )
     reference = bench.reference(name, scene, settings.replace(sample_sequence="SOBOL"), many)
-    return {"edge": edge, **bench.curve(scene, settings.replace(**VARIANTS[case.what["variant"]]), reference, (name, case.what["variant"]))}
+    return {
+        "edge": edge,
+        **bench.curve(
+            scene, settings.replace(**VARIANTS[case.what["variant"]]), reference, (name, case.what["variant"])
+        ),
+    }
 
 
 def fragment(reports: dict[str, Report]) -> str:
     """Time to the same error."""
-    lines = [*(f"- {machine(report)}" for report in reports.values()), "", "![Error against time](light-sampling.svg)", ""]
+    lines = [
+        *(f"- {machine(report)}" for report in reports.values()),
+        "",
+        "![Error against time](light-sampling.svg)",
+        "",
+    ]
     return "\n".join([*lines, curves_table(reports, "light is found by")])
 
 

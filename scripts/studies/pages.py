@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rendering.output import write_whole
-from rendering.request import UsageError
+from lib.command import UsageError
+from lib.output import write_whole
 
-from .study import Report
+from studies.study import Report
 
 
 def table(heads: Sequence[Any], rows: Sequence[Sequence[Any]]) -> str:
@@ -36,14 +36,18 @@ def marks_of(name: str) -> tuple[str, str]:
 
 
 def put_fragment(page: Path, name: str, title: str, fragment: str) -> None:
-    """Replace what stands between the marks of `page`; a page that is not there is begun. Raises `UsageError` for a page without marks."""
+    """Replace what stands between the marks of `page`; a page that is not there is begun. Raises `UsageError` for a
+    page without marks.
+    """
     first, last = marks_of(name)
     block = f"{first}\n\n{fragment.strip()}\n\n{last}"
     if page.exists():
         text = page.read_text(encoding="utf-8")
         pattern = re.compile(f"{re.escape(first)}.*?{re.escape(last)}", re.DOTALL)
         if len(pattern.findall(text)) != 1:
-            raise UsageError(f"{page} has not one place between the lines {first} and {last}: put them where the tables shall stand")
+            raise UsageError(
+                f"{page} has not one place between the lines {first} and {last}: put them where the tables shall stand"
+            )
         text = pattern.sub(lambda found: block, text)
     else:
         text = f"# {title}\n\n{block}\n"
@@ -78,4 +82,7 @@ def films_line(wrong: Sequence[str], count: int) -> str:
     """What the comparison of films bit by bit came to."""
     if wrong:
         return f"**Films differ**, which must not be: {', '.join(wrong[:8])}."
-    return f"All {count:,} films that were rendered to their end are equal bit for bit, as they must be, within each scene and size."
+    return (
+        f"All {count:,} films that were rendered to their end are equal bit for bit, as they must be, within each "
+        "scene and size."
+    )

@@ -7,11 +7,11 @@ from pathlib import Path
 import matplotlib
 
 matplotlib.use("svg")
-from matplotlib import pyplot  # noqa: E402
+from matplotlib import pyplot
 
 # Colours that people who confuse colours tell apart (Okabe and Ito 2008)
 BLUE, ORANGE, GREEN, RED, SKY, PINK, GREY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#777777"
-COLOURS = (BLUE, RED, GREEN, ORANGE, PINK, SKY, GREY)
+COLORS = (BLUE, RED, GREEN, ORANGE, PINK, SKY, GREY)
 
 
 def panels(count: int, width: float = 0.0, columns: int = 4) -> tuple[pyplot.Figure, list[pyplot.Axes]]:
@@ -20,7 +20,9 @@ def panels(count: int, width: float = 0.0, columns: int = 4) -> tuple[pyplot.Fig
     rows = -(-count // columns)
     columns = -(-count // rows)  # as many in each row
     width = width or (6.5 if count == 1 else 4.6 if columns < 4 else 3.4)
-    figure, axes = pyplot.subplots(rows, columns, figsize=(width * columns, 0.6 + 3.1 * rows), squeeze=False, constrained_layout=True)
+    figure, axes = pyplot.subplots(
+        rows, columns, figsize=(width * columns, 0.6 + 3.1 * rows), squeeze=False, constrained_layout=True
+    )
     axes = axes.ravel()
     for axis in axes[count:]:
         axis.set_visible(False)

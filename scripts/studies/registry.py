@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import difflib
 
-from rendering.request import UsageError
+from lib.command import UsageError
 
-from . import batching, budgets, cycles, environment, light_sampling, sequences, thesis
-from .study import Study
+from studies import batching, budgets, cycles, environment, light_sampling, sequences, thesis
+from studies.study import Study
 
-STUDIES: dict[str, Study] = {each.name: each for each in (
-    thesis.STUDY, batching.STUDY, light_sampling.STUDY, environment.STUDY, sequences.STUDY, budgets.STUDY, cycles.STUDY,
-)}  # fmt: skip
+STUDIES: dict[str, Study] = {
+    each.name: each
+    for each in (
+        thesis.STUDY,
+        batching.STUDY,
+        light_sampling.STUDY,
+        environment.STUDY,
+        sequences.STUDY,
+        budgets.STUDY,
+        cycles.STUDY,
+    )
+}
 
 
 def study_named(name: str) -> Study:

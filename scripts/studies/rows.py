@@ -1,4 +1,6 @@
-"""Rows of a study: one JSON object a line, written as soon as it is measured, so that a study cut short goes on where it was."""
+"""Rows of a study: one JSON object a line, written as soon as it is measured, so that a study cut short goes on where
+it was.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +10,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rendering.output import write_whole
-from rendering.request import UsageError
+from lib.command import UsageError
+from lib.output import write_whole
 
-from .study import Report, Row
+from studies.study import Report, Row
 
 
 def alike(header: dict[str, Any]) -> dict[str, Any]:
-    """What of a header must be equal for rows to go together: figures of two devices or versions are no medians of one."""
+    """What of a header must be equal for rows to go together: figures of two devices or versions are no medians of
+    one.
+    """
     device, versions = header.get("device") or {}, header.get("versions") or {}
     own = {name: header.get(name) for name in ("study", "device_kind", "quick")}
     return own | {"device": device.get("name"), "raybatch": versions.get("raybatch"), "warp": versions.get("warp")}
@@ -25,7 +29,9 @@ class RowFile:
     """A file of rows under a header, which says what they are of."""
 
     def __init__(self, path: Path, header: dict[str, Any]):
-        """Goes on with the file, if there is one, else begins it with the first row; raises `UsageError` where it holds something else."""
+        """Goes on with the file, if there is one, else begins it with the first row; raises `UsageError` where it holds
+        something else.
+        """
         self.path, self.rows, self._header = path, [], header
         if path.exists():
             found, self.rows = read_rows(path)
@@ -33,8 +39,8 @@ class RowFile:
             for name, value in alike(found).items():
                 if value != wanted[name]:
                     raise UsageError(
-                        f"{path} holds rows with {name} = {value!r}, and this is {wanted[name]!r}: choose another --out, or "
-                        "give --fresh to measure all of it again"
+                        f"{path} holds rows with {name} = {value!r}, and this is {wanted[name]!r}: choose another "
+                        "--out, or give --fresh to measure all of it again"
                     )
 
     def has(self, key: str, turn: int) -> bool:
@@ -61,7 +67,9 @@ def read_rows(path: Path) -> tuple[dict[str, Any], list[Row]]:
     lines = text.splitlines()
     if lines and not text.endswith("\n"):
         path_lines = lines[:-1]
-        write_whole(path, lambda temporary: temporary.write_text("".join(f"{line}\n" for line in path_lines), encoding="utf-8"))
+        write_whole(
+            path, lambda temporary: temporary.write_text("".join(f"{line}\n" for line in path_lines), encoding="utf-8")
+        )
         lines = path_lines
     try:
         header, *rows = [json.loads(line) for line in lines]
@@ -71,7 +79,9 @@ def read_rows(path: Path) -> tuple[dict[str, Any], list[Row]]:
 
 
 def gathered(files: Sequence[Path]) -> Report:
-    """One report of files by parts of one study on one device: the header's entries, and `rows`; raises `UsageError`."""
+    """One report of files by parts of one study on one device: the header's entries, and `rows`; raises
+    `UsageError`.
+    """
     report: Report = {}
     seen: set[tuple[str, int]] = set()
     for path in files:
@@ -81,7 +91,9 @@ def gathered(files: Sequence[Path]) -> Report:
         first = alike(report)
         for name, value in alike(header).items():
             if value != first[name]:
-                raise UsageError(f"{path} and {files[0]} do not go together: their {name} is {value!r} and {first[name]!r}")
+                raise UsageError(
+                    f"{path} and {files[0]} do not go together: their {name} is {value!r} and {first[name]!r}"
+                )
         for row in rows:
             if (row["case"], row["turn"]) not in seen:
                 seen.add((row["case"], row["turn"]))
@@ -92,7 +104,7 @@ def gathered(files: Sequence[Path]) -> Report:
 
 
 def write_report(path: Path, report: Report) -> None:
-    """As JSON, a row a line."""
+    """Write rows as JSON, a row a line."""
     head = {name: value for name, value in report.items() if name != "rows"}
     rows = ",\n".join(json.dumps(row, allow_nan=False) for row in report["rows"])
     text = json.dumps(head, indent=1)[:-2] + ',\n "rows": [\n' + rows + "\n]}\n"
@@ -108,7 +120,9 @@ def read_report(path: Path) -> Report:
             return report
     except (OSError, ValueError, KeyError, TypeError):
         pass
-    raise UsageError(f"{path} holds no figures of a study: is it damaged? Measure again, or give its rows with --gather") from None
+    raise UsageError(
+        f"{path} holds no figures of a study: is it damaged? Measure again, or give its rows with --gather"
+    ) from None
 
 
 def medians(rows: Sequence[Row], figure: str = "seconds") -> dict[str, float]:
@@ -129,7 +143,9 @@ def first_rows(rows: Sequence[Row]) -> dict[str, Row]:
 
 
 def differing_films(rows: Sequence[Row], by: Sequence[str]) -> list[str]:
-    """Keys of cases whose film differs from that of the first case with the same values of `by`; films cut short do not count."""
+    """Keys of cases whose film differs from that of the first case with the same values of `by`; films cut short do not
+    count.
+    """
     first: dict[tuple, str] = {}
     wrong: list[str] = []
     for row in rows:

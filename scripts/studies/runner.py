@@ -8,18 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from benchmarking.progress import Steps
-from rendering.request import UsageError
+from lib.command import UsageError
 
-from raybatch_addon.core.device import device_description, find_device, start_warp
+from raybatch_addon.blender.kernel_cache import kernel_cache_folder
+from raybatch_addon.core.device.devices import device_description, find_device, start_warp
 from raybatch_addon.core.errors import RayBatchError
-from raybatch_addon.core.report.statistics import versions
-from raybatch_addon.kernel_cache import kernel_cache_folder
-
-from .bench import Bench, refused
-from .pages import put_fragment
-from .rows import RowFile, gathered, read_report, write_report
-from .scenes import FILES, find
-from .study import Case, Options, Report, Study, groups_of
+from raybatch_addon.core.measure.statistics import versions
+from studies.bench import Bench, refused
+from studies.pages import put_fragment
+from studies.rows import RowFile, gathered, read_report, write_report
+from studies.scenes import FILES, find
+from studies.study import Case, Options, Report, Study, groups_of
 
 DATA = "data"  # folder beside the pages
 
@@ -35,11 +34,17 @@ def kind_of(device: dict[str, Any]) -> str:
     return "cuda" if device["alias"].startswith("cuda") else "cpu"
 
 
-def measure(study: Study, cases: Sequence[Case], turns: int, file: RowFile, options: Options, seconds: float | None = None) -> bool:
+def measure(
+    study: Study, cases: Sequence[Case], turns: int, file: RowFile, options: Options, seconds: float | None = None
+) -> bool:
     """Measure what `file` does not have yet; returns whether all is there. Begins nothing after so many `seconds`."""
     left = [
-        (turn, case) for group in groups_of(cases).values() for turn in range(turns) for case in group if not file.has(case.key, turn)
-    ]  # fmt: skip
+        (turn, case)
+        for group in groups_of(cases).values()
+        for turn in range(turns)
+        for case in group
+        if not file.has(case.key, turn)
+    ]
     if not left:
         return True
     for name in dict.fromkeys(str(case.what.get("scene", "")).split(":")[0] for _, case in left):
@@ -68,7 +73,13 @@ def measure(study: Study, cases: Sequence[Case], turns: int, file: RowFile, opti
 
 def header_of(study: Study, options: Options, device: dict[str, Any]) -> dict[str, Any]:
     """What a file of rows begins with."""
-    return {"study": study.name, "device_kind": kind_of(device), "quick": options.quick, "device": device, "versions": versions()}
+    return {
+        "study": study.name,
+        "device_kind": kind_of(device),
+        "quick": options.quick,
+        "device": device,
+        "versions": versions(),
+    }
 
 
 def rows_path(out: Path, study: Study, kind: str, part: tuple[int, int] | None) -> Path:
@@ -95,7 +106,9 @@ def reports_of(study: Study, out: Path) -> dict[str, Report]:
         if path.is_file():
             found[kind] = read_report(path)
     if not found:
-        raise UsageError(f"{out / DATA} has no figures of the study {study.name}: measure it first, or give its rows with --gather")
+        raise UsageError(
+            f"{out / DATA} has no figures of the study {study.name}: measure it first, or give its rows with --gather"
+        )
     return found
 
 

@@ -1,4 +1,6 @@
-"""The scenes of studies: archives that lie outside the project, with the lights and cameras of the studies, and what is made here."""
+"""The scenes of studies: archives that lie outside the project, with the lights and cameras of the studies, and what is
+made here.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +12,25 @@ from pathlib import Path
 
 import numpy as np
 from benchmarking.scenes import SceneRequest, geometry_scene
-from rendering.request import UsageError
+from lib.command import UsageError
+from lib.geometry_files import View, load_geometry, look_at
 
 from raybatch_addon.core.scene.description import (
-    Camera, CameraKind, Closure, ClosureKind, Frame, Instances, Light, LightKind, Material, Mesh, Scene, Visibility, World,
-)  # fmt: skip
-from raybatch_addon.core.scene.geometry_files import View, load_geometry, look_at
-
-from .study import Options
+    Camera,
+    CameraKind,
+    Closure,
+    ClosureKind,
+    Frame,
+    Instances,
+    Light,
+    LightKind,
+    Material,
+    Mesh,
+    Scene,
+    Visibility,
+    World,
+)
+from studies.study import Options
 
 VARIABLE = "RAYBATCH_SCENES"
 # Files by which a scene is found, and the axis of theirs that points up
@@ -50,7 +63,10 @@ def find(name: str, options: Options) -> Path:
             if (folder / each).is_file():
                 return folder / each
     where = ", ".join(map(str, options.scenes)) or "no folder was given"
-    raise UsageError(f"the scene {name} ({' or '.join(names)}) was not found ({where}): give its folder with --scenes, or in {VARIABLE}")
+    raise UsageError(
+        f"the scene {name} ({' or '.join(names)}) was not found ({where}): give its folder with --scenes, or in "
+        f"{VARIABLE}"
+    )
 
 
 def view_of(name: str) -> View | None:
@@ -63,7 +79,9 @@ def view_of(name: str) -> View | None:
 
 def under_the_sky(name: str, options: Options, edge: int) -> Scene:
     """A scene under the default sun and sky."""
-    return _without_banner(name, load_geometry(find(name, options), width=edge, height=edge, view=view_of(name), up=FILES[name][1]))
+    return _without_banner(
+        name, load_geometry(find(name, options), width=edge, height=edge, view=view_of(name), up=FILES[name][1])
+    )
 
 
 def grid(name: str, options: Options, count: int, edge: int) -> Scene:
@@ -72,7 +90,8 @@ def grid(name: str, options: Options, count: int, edge: int) -> Scene:
 
 
 def under_a_plane(name: str, options: Options, edge: int) -> Scene:
-    """A white mesh lit by two glowing triangles alone, as the thesis lit its scenes: above the dragon, in the open roof of Sponza.
+    """A white mesh lit by two glowing triangles alone, as the thesis lit its scenes: above the dragon, in the open roof
+    of Sponza.
 
     The thesis does not tell where its plane and cameras stood.
     """
@@ -82,7 +101,12 @@ def under_a_plane(name: str, options: Options, edge: int) -> Scene:
     used = mesh.positions[np.unique(mesh.triangles)].astype(np.float64)
     low, high = used.min(0), used.max(0)
     if name == "sponza":
-        corners = [(-7.0, high[1] - 1.0, -1.6), (7.0, high[1] - 1.0, -1.6), (7.0, high[1] - 1.0, 1.6), (-7.0, high[1] - 1.0, 1.6)]
+        corners = [
+            (-7.0, high[1] - 1.0, -1.6),
+            (7.0, high[1] - 1.0, -1.6),
+            (7.0, high[1] - 1.0, 1.6),
+            (-7.0, high[1] - 1.0, 1.6),
+        ]
         radiance, camera = 4.0, scene.camera
     else:
         middle, extent = (low + high) / 2, float((high - low).max())
@@ -96,18 +120,29 @@ def under_a_plane(name: str, options: Options, edge: int) -> Scene:
 
 
 def plates(width: int, height: int) -> Scene:
-    """Four shiny plates of growing roughness that mirror four spheres of growing size and equal power (after Veach 1997, figure 9.2).
+    """Four shiny plates of growing roughness that mirror four spheres of growing size and equal power (after Veach
+    1997, figure 9.2).
 
     The camera does not see the spheres: the few pixels at their edges would make most of the error.
     """
     eye, lights_y, lights_z = np.array([0.0, -6.0, 3.0]), 2.0, 2.6
     radii = (0.03, 0.1, 0.3, 0.9)
     lights = tuple(
-        Light(f"Ball {i}", LightKind.POINT, _at(-2.6 + 1.6 * i, lights_y, lights_z), (1.2,) * 3, radius=r, soft_falloff=False, visibility=HIDDEN)
+        Light(
+            f"Ball {i}",
+            LightKind.POINT,
+            _at(-2.6 + 1.6 * i, lights_y, lights_z),
+            (1.2,) * 3,
+            radius=r,
+            soft_falloff=False,
+            visibility=HIDDEN,
+        )
         for i, r in enumerate(radii)
     )
-    things = [(quad("Floor", [(-8, -6, -1.2), (8, -6, -1.2), (8, 5, -1.2), (-8, 5, -1.2)]), diffuse(0.4)),
-              (quad("Wall", [(-8, 5, -1.2), (8, 5, -1.2), (8, 5, 6), (-8, 5, 6)]), diffuse(0.4))]  # fmt: skip
+    things = [
+        (quad("Floor", [(-8, -6, -1.2), (8, -6, -1.2), (8, 5, -1.2), (-8, 5, -1.2)]), diffuse(0.4)),
+        (quad("Wall", [(-8, 5, -1.2), (8, 5, -1.2), (8, 5, 6), (-8, 5, 6)]), diffuse(0.4)),
+    ]
     for i, roughness in enumerate((0.08, 0.2, 0.35, 0.5)):
         middle = np.array([0.0, -2.6 + 1.05 * i, -0.9 + 0.32 * i])
         to_eye, to_light = eye - middle, np.array([0.0, lights_y, lights_z]) - middle
@@ -116,7 +151,9 @@ def plates(width: int, height: int) -> Scene:
         side = np.array([1.0, 0.0, 0.0])
         along = np.cross(normal, side)
         corners = [middle + 2.6 * sx * side + 0.38 * sy * along for sx, sy in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        shiny = Material(f"Plate {i}", (Closure(ClosureKind.GLOSSY, (0.6, 0.65, 0.7), roughness=roughness),), (ClosureKind.GLOSSY,))
+        shiny = Material(
+            f"Plate {i}", (Closure(ClosureKind.GLOSSY, (0.6, 0.65, 0.7), roughness=roughness),), (ClosureKind.GLOSSY,)
+        )
         things.append((quad(f"Plate {i}", corners), shiny))
     view = View(tuple(eye), (0.0, 0.0, 0.7), math.radians(50))
     return scene_of(things, look_at(view, "z", width, height), width, height, lights)
@@ -134,7 +171,7 @@ def room(width: int, height: int) -> Scene:
         (quad("Right", [(2, -3, 0), (2, -3, 2.5), (2, 3, 2.5), (2, 3, 0)]), diffuse((0.2, 0.3, 0.7))),
         (quad("Shade", [(-0.6, 0.4, 1.6), (0.6, 0.4, 1.6), (0.6, 1.6, 1.6), (-0.6, 1.6, 1.6)]), w),
         (quad("Lamp", [(-0.25, 0.75, 1.75), (0.25, 0.75, 1.75), (0.25, 1.25, 1.75), (-0.25, 1.25, 1.75)]), glow(30.0)),
-    ]  # fmt: skip
+    ]
     view = View((0.0, -2.8, 1.3), (0.0, 1.0, 1.1), math.radians(65))
     return scene_of(things, look_at(view, "z", width, height), width, height)
 
@@ -142,7 +179,9 @@ def room(width: int, height: int) -> Scene:
 # --- parts
 
 
-def scene_of(things: Sequence[tuple[Mesh, Material]], camera: Camera, width: int, height: int, lights: tuple[Light, ...] = ()) -> Scene:
+def scene_of(
+    things: Sequence[tuple[Mesh, Material]], camera: Camera, width: int, height: int, lights: tuple[Light, ...] = ()
+) -> Scene:
     """A scene of meshes in their places, each with one material, without world."""
     count = len(things)
     ids = np.arange(count, dtype=np.int32)
@@ -150,9 +189,16 @@ def scene_of(things: Sequence[tuple[Mesh, Material]], camera: Camera, width: int
     instances = Instances(ids, transform, ids, np.full(count, int(Visibility.ALL), np.int32), ids)
     assert camera.kind == CameraKind.PERSPECTIVE
     return Scene(
-        camera=camera, frame=Frame(width, height), meshes=tuple(mesh for mesh, _ in things), instances=instances, slot_materials=ids,
-        materials=tuple(material for _, material in things), lights=lights, world=World(), object_names=tuple(mesh.name for mesh, _ in things),
-    )  # fmt: skip
+        camera=camera,
+        frame=Frame(width, height),
+        meshes=tuple(mesh for mesh, _ in things),
+        instances=instances,
+        slot_materials=ids,
+        materials=tuple(material for _, material in things),
+        lights=lights,
+        world=World(),
+        object_names=tuple(mesh.name for mesh, _ in things),
+    )
 
 
 def quad(name: str, corners: Sequence[Sequence[float]]) -> Mesh:
@@ -160,9 +206,9 @@ def quad(name: str, corners: Sequence[Sequence[float]]) -> Mesh:
     return Mesh(name, np.asarray(corners, np.float32), np.array([[0, 1, 2], [0, 2, 3]], np.int32))
 
 
-def diffuse(colour: float | tuple[float, float, float]) -> Material:
+def diffuse(color: float | tuple[float, float, float]) -> Material:
     """Lambert."""
-    weight = (colour,) * 3 if np.isscalar(colour) else tuple(colour)
+    weight = (color,) * 3 if np.isscalar(color) else tuple(color)
     return Material("Diffuse", (Closure(ClosureKind.DIFFUSE, weight),), (ClosureKind.DIFFUSE,))
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from raybatch_addon.core.settings import SETTINGS, RenderSettings
-
-from .bench import Bench, with_frame
-from .curves import cases_of, curves_table, draw_curves
-from .light_sampling import scene_named, sizes
-from .pages import machine
-from .study import Case, Options, Report, Row, Study
+from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings
+from studies.bench import Bench, with_frame
+from studies.curves import cases_of, curves_table, draw_curves
+from studies.light_sampling import scene_named, sizes
+from studies.pages import machine
+from studies.study import Case, Options, Report, Row, Study
 
 SCENES = ("plates", "room", "dragon: direct light", "dragon", "sponza")
 BOUNCES = {"plates": 0, "dragon: direct light": 0}  # else 4
@@ -36,7 +35,12 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
 
 def fragment(reports: dict[str, Report]) -> str:
     """Slopes, and time to the same error."""
-    lines = [*(f"- {machine(report)}" for report in reports.values()), "", "![Error against samples](sequences-samples.svg)", ""]
+    lines = [
+        *(f"- {machine(report)}" for report in reports.values()),
+        "",
+        "![Error against samples](sequences-samples.svg)",
+        "",
+    ]
     lines += ["![Error against time](sequences-seconds.svg)", ""]
     return "\n".join([*lines, curves_table(reports, "sequence")])
 
@@ -47,4 +51,12 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
         draw_curves(reports, folder, f"sequences-{x}", (x,))
 
 
-STUDY = Study("sequences", "sample sequences: error against samples and time, with fitted slopes", cases, measure, fragment, draw, turns=(2, 4))
+STUDY = Study(
+    "sequences",
+    "sample sequences: error against samples and time, with fitted slopes",
+    cases,
+    measure,
+    fragment,
+    draw,
+    turns=(2, 4),
+)

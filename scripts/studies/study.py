@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .bench import Bench
+    from studies.bench import Bench
 
 Row = dict[str, Any]
 Report = dict[str, Any]  # of one device: see `rows.gathered`

@@ -1,4 +1,4 @@
-"""Blender's tests: skipped as a whole where bpy cannot be imported."""
+"""Fixtures of Blender's tests, which are skipped as a whole where bpy cannot be imported."""
 
 import importlib.util
 import sys
@@ -10,7 +10,7 @@ collect_ignore_glob = [] if HAS_BPY else ["test_*.py"]
 
 
 def pytest_report_header():
-    """Says so when Blender's tests are left out."""
+    """A line in the report when Blender's tests are left out."""
     return [] if HAS_BPY else ["Blender's tests are left out: bpy cannot be imported"]
 
 
@@ -27,11 +27,11 @@ def addon():
 @pytest.fixture
 def scene(addon):
     """An empty scene with factory settings, RayBatch as its engine, and nothing in it but a camera."""
-    from blender.features.compare import empty_scene
+    from tests.blender.features.compare import empty_scene
 
     scene = empty_scene()
     scene.render.resolution_x, scene.render.resolution_y = 32, 24
     scene.raybatch.sample_count = 2
     yield scene
-    reports = sys.modules["raybatch_addon.reports"]
+    reports = sys.modules["raybatch_addon.blender.reports"]
     reports.clear()

@@ -1,4 +1,4 @@
-"""Frames, layers and rectangles of real renders: what Blender is shown, what is kept between frames, what memory that takes."""
+"""Frames, layers and rectangles of real renders: displayed results, data kept between frames, and its memory."""
 
 import gc
 import os
@@ -10,22 +10,22 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_builders import add_grid, add_mesh, add_object, add_triangle, material_of, node_tree  # noqa: E402
-from blender_watch import watch_engines  # noqa: E402
 from bpy_extras.object_utils import world_to_camera_view  # noqa: E402
 
-from raybatch_addon import frame, reports, sessions  # noqa: E402
+from raybatch_addon.blender import frame, reports, sessions  # noqa: E402
 from raybatch_addon.core import session as core_session  # noqa: E402
+from tests.support.blender_builders import add_grid, add_mesh, add_object, add_triangle, material_of, node_tree  # noqa: E402
+from tests.support.blender_watch import watch_engines  # noqa: E402
 
 STATM = Path("/proc/self/statm")
-# What the resident memory may grow by between frames 50 and 200 [bytes]: the allocator's own unrest is 4 MiB, and
-# a mesh or tree kept from every frame takes several times this.
+# Bound of the growth of resident memory between frames 50 and 200 [bytes]: the allocator's own variation is 4 MiB, and
+# a mesh or tree kept from every frame takes several times this
 MEMORY_TOLERANCE = 12 * 2**20
 
 
 @pytest.fixture
 def lit(scene):
-    """A white square that glows, a bit beside the middle; black behind."""
+    """A glowing white square, slightly off the middle; black behind."""
     glow(add_mesh("Square", [(-1.2, -0.7, 0), (0.8, -0.7, 0), (0.8, 1.1, 0), (-1.2, 1.1, 0)], [(0, 1, 2, 3)]))
     image = scene.render.image_settings
     image.file_format, image.color_mode, image.color_depth, image.exr_codec = "OPEN_EXR", "RGBA", "32", "ZIP"
@@ -67,7 +67,7 @@ def glow(obj):
 
 
 def picture_of(path):
-    """The pixels of a file: float32 [height, width, 4], bottom row first."""
+    """Pixels of a file: float32 [height, width, 4], bottom row first."""
     image = bpy.data.images.load(str(path))
     image.colorspace_settings.name, image.alpha_mode = "Non-Color", "CHANNEL_PACKED"
     pixels = np.empty(len(image.pixels), np.float32)
@@ -84,7 +84,7 @@ def render(path):
     return picture_of(f"{path}.exr")
 
 
-# --- what changes from frame to frame
+# --- changes from frame to frame
 
 
 def test_worlds_and_overriding_materials_follow_drivers_and_keyframes(lit, films):
@@ -119,7 +119,7 @@ def test_worlds_and_overriding_materials_follow_drivers_and_keyframes(lit, films
 def assert_covered_once(rectangles, width, height):
     covered = np.zeros((height, width), int)
     for x, y, w, h in rectangles:
-        assert 0 <= x and 0 <= y and x + w <= width and y + h <= height
+        assert x >= 0 and y >= 0 and x + w <= width and y + h <= height
         covered[y : y + h, x : x + w] += 1
     assert (covered == 1).all()
     assert len(set(rectangles)) >= 4
@@ -137,7 +137,7 @@ def test_finished_tiles_cover_the_frame_once(lit, rectangles, tile_size, size):
 @pytest.mark.parametrize("tile_size", [0, 5])
 @pytest.mark.parametrize("crop", [False, True])
 def test_finished_tiles_cover_the_border_once(lit, rectangles, films, tmp_path, crop, tile_size):
-    """Counted from the border's corner, as Blender wants them, cropped or not."""
+    """Rectangles are counted from the border's corner, as Blender wants them, cropped or not."""
     lit.raybatch.tile_size = tile_size
     settings = lit.render
     settings.use_border, settings.use_crop_to_border = True, crop
@@ -164,7 +164,7 @@ def test_a_percentage_is_the_same_picture_as_that_resolution(lit, tmp_path):
 @pytest.mark.parametrize("aspect", [(1, 1), (2, 1), (1, 1.6)])
 @pytest.mark.parametrize("projection", ["PERSP", "ORTHO"])
 def test_pixels_that_are_not_square(lit, films, aspect, projection):
-    """The square covers as many pixels as Blender's own projection gives it, and lies where that puts it."""
+    """The square covers as many pixels as in Blender's own projection, at the same position."""
     lit.render.pixel_aspect_x, lit.render.pixel_aspect_y = aspect
     lit.camera.data.type = projection
     lit.camera.data.ortho_scale = 8
@@ -181,7 +181,7 @@ def test_pixels_that_are_not_square(lit, films, aspect, projection):
 
 
 def test_a_transparent_film_is_the_opaque_one_without_its_world(lit, tmp_path):
-    """Colour is premultiplied: what alpha leaves is filled by the world."""
+    """Colour is premultiplied: the world fills the rest of alpha."""
     lit.world = bpy.data.worlds.new("World")
     if bpy.app.version < (5, 0):
         lit.world.use_nodes = True
@@ -207,7 +207,7 @@ def animate(scene, frames, folder):
 
 
 def test_frames_of_two_view_layers(lit, films, tmp_path):
-    """Every layer of every frame, each with what it shows, and the time of its frame."""
+    """Every layer of every frame shows its own objects, at the time of its frame."""
     extra = bpy.data.collections.new("Extra")
     lit.collection.children.link(extra)
     second = glow(add_triangle("Second"))
@@ -220,7 +220,9 @@ def test_frames_of_two_view_layers(lit, films, tmp_path):
         square.location.x = x
         square.keyframe_insert("location", frame=number)
     animate(lit, 3, tmp_path)
-    assert [(layer, number) for layer, number, _ in films] == [(n, f) for f in (1, 2, 3) for n in ("ViewLayer", "Without")]
+    assert [(layer, number) for layer, number, _ in films] == [
+        (n, f) for f in (1, 2, 3) for n in ("ViewLayer", "Without")
+    ]
     light = np.array([film.passes["Combined"][..., 0].sum() for _, _, film in films]).reshape(3, 2)
     assert light[0, 0] > light[0, 1] > light[1, 1] == light[2, 1] == 0
     assert light[1, 0] == light[2, 0] == pytest.approx(light[0, 0] - light[0, 1], rel=1e-6)
@@ -228,12 +230,12 @@ def test_frames_of_two_view_layers(lit, films, tmp_path):
 
 
 def tree_work(film):
-    """Mesh trees that were built and refitted for a film."""
+    """Mesh trees that were built, and refitted, for a film."""
     return film.statistics["tree"]["built"], film.statistics["tree"]["refitted"]
 
 
 def test_frames_share_the_session_and_what_it_keeps(lit, films, monkeypatch, tmp_path):
-    """One `Session` for all frames, though Blender makes an engine for each; geometry that stands still is built once."""
+    """One `Session` for all frames, though Blender makes an engine for each; static geometry is built once."""
     sessions.close_all()
     made, used = [], []
     opened, rendered = core_session.Session.__init__, core_session.Session.render
@@ -263,7 +265,10 @@ def test_frames_share_the_session_and_what_it_keeps(lit, films, monkeypatch, tmp
 
 
 def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path):
-    """A mesh that waves, instances that move: their trees are refitted, and every frame is that of a session that knew no other."""
+    """A mesh that waves, and instances that move.
+
+    Their trees are refitted, and every frame equals that of a session that saw no other frame.
+    """
     grid = glow(add_grid("Waves", 12))
     grid.location.z = -0.5
     wave = grid.modifiers.new("Wave", "WAVE")
@@ -279,7 +284,8 @@ def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path
     animate(lit, 5, tmp_path)
     followed = [film for _, _, film in films]
     work = [tree_work(film) for film in followed]
-    # the instances' own tree stands still; a tree with split triangles is built once without them, to follow from then on
+    # the instances' own tree does not change; a tree with split triangles is built once without them, to be refitted
+    # from then on
     assert work[0] == (2, 0) and work[1] in ((1, 0), (0, 1)) and work[2:] == 3 * [(0, 1)]
     assert len({film.passes["Combined"].tobytes() for film in followed}) == 5
     for number, film in enumerate(followed, 1):
@@ -290,9 +296,9 @@ def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path
         assert film.passes["Combined"].tobytes() == films[-1][2].passes["Combined"].tobytes()
 
 
-@pytest.mark.skipif(not STATM.exists(), reason="the system does not tell the resident memory of a process")
+@pytest.mark.skipif(not STATM.exists(), reason="the system does not report the resident memory of a process")
 def test_memory_is_flat_over_two_hundred_frames(lit, tmp_path):
-    """Of a mesh that changes in every frame, so that everything made for it has to go again."""
+    """A mesh changes in every frame, so that all data made for it must be freed."""
     lit.render.resolution_x = lit.render.resolution_y = 16
     lit.raybatch.sample_count = 1
     grid = add_grid("Waves", 50)  # a frame's geometry and tree take about a megabyte

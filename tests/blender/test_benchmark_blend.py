@@ -1,13 +1,14 @@
-"""scripts/benchmark.py on a .blend, beside Cycles."""
+"""scripts/benchmark.py on a .blend, with Cycles as peer."""
 
 import json
 
 import pytest
-from command_line import run_script
+
+from tests.support.command_line import run_script
 
 bpy = pytest.importorskip("bpy")
 
-from blender_builders import add_grid, add_object, material_of, node_tree  # noqa: E402
+from tests.support.blender_builders import add_grid, add_object, material_of, node_tree  # noqa: E402
 
 
 @pytest.fixture
@@ -25,12 +26,29 @@ def blend(scene, tmp_path):
 
 
 def test_both_engines_render_the_same_picture_with_about_the_same_noise(blend):
-    options = ("--device", "cpu", "--samples", "16", "--bounces", "2", "--runs", "1", "--threads", "1", "--against", "cycles", "--equal-error", "--json")
+    options = (
+        "--device",
+        "cpu",
+        "--samples",
+        "16",
+        "--bounces",
+        "2",
+        "--runs",
+        "1",
+        "--threads",
+        "1",
+        "--against",
+        "cycles",
+        "--equal-error",
+        "--json",
+    )
     done = run_script("benchmark.py", "render", blend, *options)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert report["export_s"] > 0 and report["triangles"] == 32
-    assert report["cycles"]["device"] == "CPU" and report["cycles"]["seconds"] > 0 and report["raybatch_over_cycles"] > 0
+    assert (
+        report["cycles"]["device"] == "CPU" and report["cycles"]["seconds"] > 0 and report["raybatch_over_cycles"] > 0
+    )
     assert report["settings"]["clamp_direct"] == report["settings"]["clamp_indirect"] == 0
     equal = report["equal_error"]
     assert equal["mean_ratio"] == pytest.approx(1, abs=0.05)

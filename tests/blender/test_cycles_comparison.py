@@ -5,9 +5,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender.features.build import ball, box, diffuse, floor, lamp, look, principled, quad, shaded  # noqa: E402
-from blender.features.compare import add_world, both_reopened, figures_of, set_alike  # noqa: E402
-from blender_builders import add_object  # noqa: E402
+from tests.blender.features.build import ball, box, diffuse, floor, lamp, look, principled, quad, shaded  # noqa: E402
+from tests.blender.features.compare import add_world, both_reopened, figures_of, set_alike  # noqa: E402
+from tests.support.blender_builders import add_object  # noqa: E402
 
 MEAN_TOLERANCE = 0.01
 REL_MSE = 2e-3
@@ -15,7 +15,7 @@ REL_MSE = 2e-3
 
 @pytest.fixture
 def stage(scene):
-    """The empty scene with everything set alike for both engines."""
+    """The empty scene with the same settings for both engines."""
     set_alike(scene)
     return scene
 
@@ -24,7 +24,9 @@ def assert_alike(ours, theirs, request):
     found = figures_of(ours, theirs)
     assert ours.warnings == []
     assert found.theirs.min() > 0.02, "a picture in which there is something to see"
-    figures = f"{request.node.name}: means {found.ours} and {found.theirs} (ratio {found.ratios}), relMSE {found.rel_mse:.3g}"
+    figures = (
+        f"{request.node.name}: means {found.ours} and {found.theirs} (ratio {found.ratios}), relMSE {found.rel_mse:.3g}"
+    )
     print(figures)
     assert found.mean_error < MEAN_TOLERANCE, figures
     assert found.rel_mse < REL_MSE, figures
@@ -56,7 +58,7 @@ def test_a_cornell_box(stage, tmp_path, request):
 
 
 def test_few_bounces_are_the_same_bounces(stage, tmp_path, request):
-    """A limit that bites: what a bounce is and where the last one ends."""
+    """A limit that has an effect: what counts as a bounce, and where the last one ends."""
     cornell_box(stage)
     stage.cycles.max_bounces = stage.raybatch.bounce_max = 1
     assert_alike(*both_reopened(tmp_path, 64), request)
@@ -71,7 +73,7 @@ def test_a_cornell_box_of_plastic_metal_and_glass(stage, tmp_path, request):
 
 
 COLOR = (0.8, 0.5, 0.2)
-# Rough glass scatters once here: what Cycles adds for more loses up to 1 % of the light in a white furnace
+# rough glass scatters once here: Cycles' addition for more bounces loses up to 1 % of the light in a white furnace
 SHADERS = [
     ("ShaderNodeBsdfAnisotropic", dict(Roughness=0.3)),
     ("ShaderNodeBsdfGlass", dict(Roughness=0.0, IOR=1.5)),
@@ -146,7 +148,11 @@ def test_depth_of_field(stage, tmp_path, request):
     add_world(stage, 0.3)
     floor()
     for i, y in enumerate((-2.5, 0, 3)):
-        shaded(ball(f"Ball {i}", (0.8 * i - 0.8, y, 0.5), 0.5), "ShaderNodeEmission", Color=((1, 0.2, 0.1, 1), (0.2, 1, 0.1, 1), (0.1, 0.2, 1, 1))[i])
+        shaded(
+            ball(f"Ball {i}", (0.8 * i - 0.8, y, 0.5), 0.5),
+            "ShaderNodeEmission",
+            Color=((1, 0.2, 0.1, 1), (0.2, 1, 0.1, 1), (0.1, 0.2, 1, 1))[i],
+        )
     look(stage, (0, -6, 1.5), (0, 0, 0.5))
     dof = stage.camera.data.dof
     dof.use_dof, dof.focus_distance, dof.aperture_fstop, dof.aperture_blades = True, 6.1, 0.1, 5

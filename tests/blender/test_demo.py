@@ -1,14 +1,15 @@
-"""The demo scene: made by script, and rendered whole."""
+"""The demo scene, made by its script and rendered whole."""
 
 import json
 
 import numpy as np
 import pytest
-from command_line import run_python, run_script
+
+from tests.support.command_line import run_python, run_script
 
 pytest.importorskip("bpy")
 
-# Prints what the file sys.argv[1] is made of
+# prints the contents of the file sys.argv[1]
 LIST_CONTENTS = """
 import json, sys
 import bpy
@@ -41,11 +42,15 @@ def demo(tmp_path_factory):
 
 def test_it_shows_what_the_engine_can_do(demo):
     done = run_python(LIST_CONTENTS, demo)
-    contents = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("contents")).partition(" ")[2])
+    contents = json.loads(
+        next(line for line in done.stdout.splitlines() if line.startswith("contents")).partition(" ")[2]
+    )
     assert contents["engine"] == "RAYBATCH"
     assert {"BEVEL", "SUBSURF", "ARRAY"} <= set(contents["modifiers"])
     assert contents["instances"] >= 10
-    assert {"ShaderNodeBsdfPrincipled", "ShaderNodeBsdfGlass", "ShaderNodeEmission", "ShaderNodeMixShader"} <= set(contents["nodes"])
+    assert {"ShaderNodeBsdfPrincipled", "ShaderNodeBsdfGlass", "ShaderNodeEmission", "ShaderNodeMixShader"} <= set(
+        contents["nodes"]
+    )
     assert contents["lights"] == ["AREA"]
     assert "Suzanne" in contents["names"]
     assert contents["depth_of_field"] and contents["size"] == [960, 540]
@@ -53,15 +58,35 @@ def test_it_shows_what_the_engine_can_do(demo):
 
 def test_it_renders_whole_and_without_a_warning(demo, tmp_path):
     film, statistics = tmp_path / "film.npz", tmp_path / "film.json"
-    done = run_script("render.py", demo, "--film", film, "--json", statistics, "--device", "cpu", "--set", "resolution=96x54", "--set", "sample_count=4")
+    done = run_script(
+        "render.py",
+        demo,
+        "--film",
+        film,
+        "--json",
+        statistics,
+        "--device",
+        "cpu",
+        "--set",
+        "resolution=96x54",
+        "--set",
+        "sample_count=4",
+    )
     assert done.returncode == 0, done.stderr
     report = json.loads(statistics.read_text())
     assert report["warnings"] == []
     assert report["invalid_samples"] == 0
-    assert not {"closure glass", "closure metal", "depth of field", "light rectangle", "mesh lights", "instancing"} & set(report["left_out"])
+    assert not {
+        "closure glass",
+        "closure metal",
+        "depth of field",
+        "light rectangle",
+        "mesh lights",
+        "instancing",
+    } & set(report["left_out"])
     with np.load(film) as passes:
-        colour = passes["Combined"][..., :3]
-    assert np.isfinite(colour).all() and (colour >= 0).all()
-    assert 0.05 < colour.mean() < 2
-    ring = colour[49:51, 40:55].reshape(-1, 3)  # the ring of light crosses the top: far brighter in red than in blue
+        color = passes["Combined"][..., :3]
+    assert np.isfinite(color).all() and (color >= 0).all()
+    assert 0.05 < color.mean() < 2
+    ring = color[49:51, 40:55].reshape(-1, 3)  # the ring of light crosses the top: far brighter in red than in blue
     assert ring[:, 0].max() > 2 * ring[:, 2].max() and ring[:, 0].max() > 1

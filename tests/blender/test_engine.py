@@ -9,16 +9,15 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_builders import add_object, add_triangle, material_of, node_tree  # noqa: E402
-from blender_watch import watch_engines  # noqa: E402
-
-from raybatch_addon import frame, reports, sessions  # noqa: E402
+from raybatch_addon.blender import frame, reports, sessions  # noqa: E402
+from raybatch_addon.blender.result import PASSES as result_passes  # noqa: E402
+from raybatch_addon.blender.result import ResultWriter, register_passes  # noqa: E402
 from raybatch_addon.core.errors import SceneError  # noqa: E402
 from raybatch_addon.core.film import PASSES as film_passes  # noqa: E402
 from raybatch_addon.core.film.layout import COST_PASSES  # noqa: E402
 from raybatch_addon.export.passes import COST_PASS_PROPERTIES, PASS_PROPERTIES  # noqa: E402
-from raybatch_addon.result import PASSES as result_passes  # noqa: E402
-from raybatch_addon.result import ResultWriter, register_passes  # noqa: E402
+from tests.support.blender_builders import add_object, add_triangle, material_of, node_tree  # noqa: E402
+from tests.support.blender_watch import watch_engines  # noqa: E402
 
 
 @pytest.fixture
@@ -56,7 +55,7 @@ def films(lit):
 
 @pytest.fixture
 def watch(monkeypatch):
-    """watch(name=function, ...): replaces methods of every engine; the functions get the engine first."""
+    """watch(name=function, ...): replace methods of every engine; the functions get the engine first."""
     return lambda **methods: watch_engines(monkeypatch, **methods)
 
 
@@ -74,7 +73,7 @@ def rectangles(watch):
 
 
 def render(path):
-    """Render to `path`, and the pixels of the file: float32 [height, width, 4], bottom row first."""
+    """Render to `path`, and return the pixels of the file: float32 [height, width, 4], bottom row first."""
     scene = bpy.context.scene
     scene.render.filepath = str(path)
     assert bpy.ops.render.render(write_still=True) == {"FINISHED"}
@@ -151,7 +150,13 @@ def test_every_pass_that_is_asked_for_is_written(lit, films, watch, tmp_path):
     render(tmp_path / "passes")
     seen = {name: np.concatenate(parts) for name, parts in seen.items()}
     own = {"Rays": 1, "Node Steps": 1, "Triangle Tests": 1}
-    assert {name: values.shape[1] for name, values in seen.items()} == {"Combined": 4, "Depth": 1, "Position": 3, "Normal": 3, **own}
+    assert {name: values.shape[1] for name, values in seen.items()} == {
+        "Combined": 4,
+        "Depth": 1,
+        "Position": 3,
+        "Normal": 3,
+        **own,
+    }
     film = films[0][1]
     for name in seen:  # tiles come in any order
         assert np.array_equal(np.sort(seen[name], axis=None), np.sort(film.passes[name], axis=None)), name
@@ -165,13 +170,15 @@ def test_every_pass_that_is_asked_for_is_written(lit, films, watch, tmp_path):
 
 
 def test_cost_is_counted_for_those_who_ask_alone(films, tmp_path):
-    """Toggles are each view layer's own, and registering follows them; nothing else in the file changes."""
+    """Toggles are each view layer's own, and the registered passes follow them; nothing else in the file changes."""
     scene = bpy.context.scene
     second = scene.view_layers.new("Costly")
     second.raybatch.use_pass_node_steps = True
     registered = {}
     for layer in scene.view_layers:
-        engine = types.SimpleNamespace(register_pass=lambda _scene, layer, *about: registered.setdefault(layer.name, []).append(about))
+        engine = types.SimpleNamespace(
+            register_pass=lambda _scene, layer, *about: registered.setdefault(layer.name, []).append(about)
+        )
         register_passes(engine, scene, layer)
     assert registered["ViewLayer"] == [("Combined", 4, "RGBA", "COLOR")]
     assert registered["Costly"] == [("Combined", 4, "RGBA", "COLOR"), ("Node Steps", 1, "X", "VALUE")]
@@ -275,7 +282,10 @@ def test_a_failed_render_saves_nothing_and_says_why(lit, monkeypatch, tmp_path, 
         monkeypatch.setattr("raybatch_addon.core.session.Session.render", failing(error))
     else:
         # within an open result
-        monkeypatch.setattr("raybatch_addon.result.np", types.SimpleNamespace(ascontiguousarray=failing(error), float32=np.float32))
+        monkeypatch.setattr(
+            "raybatch_addon.blender.result.np",
+            types.SimpleNamespace(ascontiguousarray=failing(error), float32=np.float32),
+        )
     set_format(lit, file_format)
     lit.frame_start, lit.frame_end = 1, 2
     lit.render.filepath = str(tmp_path / "frame")
@@ -296,8 +306,14 @@ def test_a_tile_that_cannot_be_written_is_closed_as_cancelled(lit, watch, monkey
         closed.append(options)
         return engine.end_result(result, **options)
 
-    watch(begin_result=lambda engine, *args, **options: (opened.append(args), engine.begin_result(*args, **options))[1], end_result=end)
-    monkeypatch.setattr("raybatch_addon.result.np", types.SimpleNamespace(ascontiguousarray=failing(ValueError("no")), float32=np.float32))
+    watch(
+        begin_result=lambda engine, *args, **options: (opened.append(args), engine.begin_result(*args, **options))[1],
+        end_result=end,
+    )
+    monkeypatch.setattr(
+        "raybatch_addon.blender.result.np",
+        types.SimpleNamespace(ascontiguousarray=failing(ValueError("no")), float32=np.float32),
+    )
     with pytest.raises(RuntimeError):
         bpy.ops.render.render()
     assert len(opened) == 1
@@ -316,7 +332,9 @@ def test_a_render_after_a_failed_one_works(lit, monkeypatch, films, tmp_path):
 def test_after_an_error_the_other_view_layers_are_left_alone(lit, monkeypatch):
     lit.view_layers.new("Second")
     called = []
-    monkeypatch.setattr(frame, "export_scene", lambda *_args, **_options: called.append(1) or failing(SceneError("no"))())
+    monkeypatch.setattr(
+        frame, "export_scene", lambda *_args, **_options: called.append(1) or failing(SceneError("no"))()
+    )
     with pytest.raises(RuntimeError):
         bpy.ops.render.render()
     assert len(called) == 1
@@ -352,7 +370,10 @@ def test_statistics_count_the_export(lit, films):
 def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch, watch):
     monkeypatch.setattr(frame, "STATUS_SECONDS", 0.0)
     lines, fractions = [], []
-    watch(update_stats=lambda engine, stats, info: lines.append(info), update_progress=lambda engine, value: fractions.append(value))
+    watch(
+        update_stats=lambda engine, stats, info: lines.append(info),
+        update_progress=lambda engine, value: fractions.append(value),
+    )
     lit.raybatch.sample_count = 64
     bpy.ops.render.render()
     assert lines[0] == "Reading the scene"
@@ -363,6 +384,9 @@ def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch, watch
 def test_the_engine_in_a_fresh_process_starts_warp_only_when_it_renders():
     import subprocess
 
-    code = "import sys, bpy, raybatch_addon; raybatch_addon.register(); bpy.context.scene.render.engine = 'RAYBATCH'; assert 'warp' not in sys.modules; print('fine')"
+    code = (
+        "import sys, bpy, raybatch_addon; raybatch_addon.register(); bpy.context.scene.render.engine = 'RAYBATCH'; "
+        "assert 'warp' not in sys.modules; print('fine')"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=os.getcwd())
     assert "fine" in done.stdout, done.stderr

@@ -1,4 +1,4 @@
-"""Images in whole renders: what is read again from frame to frame, what is wrong with them, what is left behind."""
+"""Images in whole renders: re-reading between frames, defects, and datablocks left behind."""
 
 import numpy as np
 import pytest
@@ -6,10 +6,9 @@ import pytest
 bpy = pytest.importorskip("bpy")
 OpenEXR = pytest.importorskip("OpenEXR")
 
-from blender_builders import add_mesh, exported, material_of, node_tree  # noqa: E402
-
-from raybatch_addon import frame, reports  # noqa: E402
-from raybatch_addon.export.images import forget_images  # noqa: E402
+from raybatch_addon.blender import frame, reports  # noqa: E402
+from raybatch_addon.export.images.images import forget_images  # noqa: E402
+from tests.support.blender_builders import add_mesh, exported, material_of, node_tree  # noqa: E402
 
 
 @pytest.fixture
@@ -19,11 +18,11 @@ def texture(scene):
     scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 2.0
     scene.render.resolution_x = scene.render.resolution_y = 8
     scene.raybatch.sample_count = 1
-    scene.raybatch.pixel_filter = "BOX"  # no ray passes the square
+    scene.raybatch.pixel_filter = "BOX"  # no ray misses the square
     square = add_mesh("Square", [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], [(0, 1, 2, 3)])
     layer = square.data.uv_layers.new(name="UVMap")
-    for corner, place in zip(layer.data, ((0, 0), (1, 0), (1, 1), (0, 1))):
-        corner.uv = place
+    for corner, uv in zip(layer.data, ((0, 0), (1, 0), (1, 1), (0, 1))):
+        corner.uv = uv
     tree, surface = node_tree(material_of(square))
     node, emission = tree.nodes.new("ShaderNodeTexImage"), tree.nodes.new("ShaderNodeEmission")
     node.interpolation = "Closest"
@@ -34,7 +33,9 @@ def texture(scene):
 
 
 def write_exr(path, pixels):
-    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGBA": np.ascontiguousarray(pixels[::-1], np.float32)}).write(str(path))
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"RGBA": np.ascontiguousarray(pixels[::-1], np.float32)}).write(
+        str(path)
+    )
     return str(path)
 
 
@@ -74,7 +75,7 @@ def test_bad_images_are_named_and_give_sane_pixels(texture, tmp_path):
     assert np.count_nonzero(np.all(pixels == 0, -1)) == 2 * 4 and np.count_nonzero(np.all(pixels == 0.5, -1)) == 14 * 4
     assert sum("“Bad.exr”" in line and "2 texels" in line for line in warnings) == 1
 
-    texture.image.colorspace_settings.name = "ACEScg"  # converted, by way of other datablocks
+    texture.image.colorspace_settings.name = "ACEScg"  # converted through other datablocks
     rendered()
     assert len(bpy.data.images) == images
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from command_line import run_script
+
+from tests.support.command_line import run_script
 
 bpy = pytest.importorskip("bpy")
 
@@ -18,5 +19,7 @@ def test_normals_are_interpolated_unless_flat_ones_are_asked_for(flat, addon, tm
     bpy.ops.wm.open_mainfile(filepath=str(out))
     mesh = bpy.data.objects["fold"].data
     assert len(mesh.polygons) == 2
-    along_the_fold = [normal.vector for loop, normal in zip(mesh.loops, mesh.corner_normals, strict=True) if loop.vertex_index == 0]
+    along_the_fold = [
+        normal.vector for loop, normal in zip(mesh.loops, mesh.corner_normals, strict=True) if loop.vertex_index == 0
+    ]
     assert (max(abs(a - b) for a, b in zip(*along_the_fold, strict=True)) < 1e-6) == (not flat)

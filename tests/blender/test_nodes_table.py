@@ -1,10 +1,10 @@
-"""The list of shader nodes is made from their handlers."""
+"""The list of shader nodes is generated from their handlers."""
 
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import nodes_table  # noqa: E402
+from tables import nodes_table  # noqa: E402
 
 from raybatch_addon.export.nodes.registry import shader_nodes, value_nodes  # noqa: E402
 
@@ -13,12 +13,18 @@ NEWEST = pytest.mark.skipif(bpy.app.version < (5, 2), reason="the list is that o
 
 @NEWEST
 def test_the_manual_is_up_to_date():
-    assert nodes_table.main(["--check"]) == 0, "run python scripts/nodes_table.py"
+    assert nodes_table.main(["--check"]) == 0, "run python scripts/tables/nodes_table.py"
 
 
 @NEWEST
 def test_every_node_that_is_understood_is_one_of_blender():
-    old = {"ShaderNodeCombineHSV", "ShaderNodeCombineRGB", "ShaderNodeSeparateHSV", "ShaderNodeSeparateRGB", "ShaderNodeMixRGB"}
+    old = {
+        "ShaderNodeCombineHSV",
+        "ShaderNodeCombineRGB",
+        "ShaderNodeSeparateHSV",
+        "ShaderNodeSeparateRGB",
+        "ShaderNodeMixRGB",
+    }
     assert {*value_nodes, *shader_nodes} - old <= set(nodes_table.blender_nodes())
 
 

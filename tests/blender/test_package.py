@@ -1,4 +1,4 @@
-"""The extension's zip: what is in it, and that a Blender without Warp renders with it."""
+"""The extension's zip: its contents, and that a Blender without Warp renders with it."""
 
 import os
 import subprocess
@@ -10,13 +10,16 @@ from pathlib import Path
 
 import package
 import pytest
-from command_line import ROOT, run_python, run_script
 from PIL import Image
+
+from raybatch_addon.core.measure.statistics import VERSION
+from tests.support.command_line import ROOT, run_python, run_script
 
 pytest.importorskip("bpy")
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the zip for Linux is installed")
 
-# Installs the zip sys.argv[1] into a fresh Blender where Warp can come from the extension's wheel only, and renders to sys.argv[2]
+# Installs the zip sys.argv[1] into a fresh Blender where Warp can come from the extension's wheel only, and renders to
+# sys.argv[2]
 INSTALL_AND_RENDER = """
 import importlib.machinery
 import sys
@@ -43,11 +46,13 @@ def available(name):
     return True
 
 assert not available("warp") and not available("raybatch_addon")
-assert bpy.ops.extensions.package_install_files(filepath=sys.argv[1], repo="user_default", enable_on_install=True) == {"FINISHED"}
+install = bpy.ops.extensions.package_install_files
+assert install(filepath=sys.argv[1], repo="user_default", enable_on_install=True) == {"FINISHED"}
 import warp
 assert "/extensions/.local/" in warp.__file__, warp.__file__
 assert "bl_ext.user_default.raybatch" in bpy.context.preferences.addons
-assert [c.__module__ for c in bpy.types.RenderEngine.__subclasses__() if getattr(c, "bl_idname", "") == "RAYBATCH"] == ["bl_ext.user_default.raybatch.engine"]
+engines = [c for c in bpy.types.RenderEngine.__subclasses__() if getattr(c, "bl_idname", "") == "RAYBATCH"]
+assert [c.__module__ for c in engines] == ["bl_ext.user_default.raybatch.engine"]
 
 scene = bpy.context.scene
 scene.render.engine = "RAYBATCH"
@@ -55,7 +60,7 @@ scene.render.resolution_x = scene.render.resolution_y = 32
 scene.raybatch.device, scene.raybatch.sample_count = "cpu", 2
 scene.render.filepath = sys.argv[2]
 bpy.ops.render.render(write_still=True)
-reports = sys.modules["bl_ext.user_default.raybatch.reports"]
+reports = sys.modules["bl_ext.user_default.raybatch.blender.reports"]
 print("left", reports.last().errors, reports.last().warnings)
 assert not available("raybatch_addon")
 
@@ -81,8 +86,18 @@ bpy.ops.render.render(write_still=True)
 
 
 def offline() -> bool:
-    """Whether pip reaches no index at all: then a wheel that cannot be downloaded is not the project's fault."""
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--no-input", "--disable-pip-version-check", "--no-cache-dir"]
+    """Whether pip reaches no index at all: a wheel that cannot be downloaded is then not the project's fault."""
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "download",
+        "--quiet",
+        "--no-deps",
+        "--no-input",
+        "--disable-pip-version-check",
+        "--no-cache-dir",
+    ]
     with tempfile.TemporaryDirectory() as folder:
         return subprocess.run([*command, "--dest", folder, "tqdm"], capture_output=True).returncode != 0
 
@@ -104,13 +119,13 @@ def test_the_zip_holds_the_addon_its_manifest_and_warp(linux_zip):
     with zipfile.ZipFile(linux_zip) as file:
         names = set(file.namelist())
         manifest = tomllib.loads(file.read("blender_manifest.toml").decode())
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert manifest["id"] == "raybatch" and manifest["version"] == project["version"]
+    assert manifest["id"] == "raybatch" and manifest["version"] == VERSION
     assert manifest["license"] == ["SPDX:GPL-3.0-or-later"] and "files" in manifest["permissions"]
     assert manifest["platforms"] == ["linux-x64"]
     (wheel,) = manifest["wheels"]
     assert wheel.removeprefix("./") in names and "manylinux" in wheel and "warp_lang" in wheel
-    sources = {str(path.relative_to(ROOT / "raybatch_addon")) for path in (ROOT / "raybatch_addon").rglob("*.py")}
+    addon = ROOT / "raybatch_addon"
+    sources = {str(path.relative_to(addon)) for kind in ("*.py", "*.h", "*.npz") for path in addon.rglob(kind)}
     assert "__init__.py" in sources and sources <= names
     assert "LICENSE" in names
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
@@ -129,7 +144,7 @@ def test_blender_without_warp_renders_with_it(linux_zip, tmp_path):
     kernels = {path: path.stat().st_mtime_ns for path in folder.rglob("wp_*") if path.is_file()}
     assert kernels
 
-    # what one compiled serves the other: nothing is compiled again, nor elsewhere
+    # kernels that one compiled serve the other: nothing is compiled again, nor elsewhere
     done = run_python(RENDER_FROM_THE_CLONE, again, ROOT, **environment, XDG_CACHE_HOME=tmp_path / "cache")
     assert done.returncode == 0, done.stderr
     assert Image.open(again).tobytes() == picture.tobytes()
@@ -143,7 +158,9 @@ def test_blender_without_warp_renders_with_it(linux_zip, tmp_path):
     ):
         code = f"import bpy; {add}; assert hasattr(bpy.types.Scene, 'raybatch')"
         variables = {**os.environ, **{name: str(value) for name, value in environment.items()}}
-        done = subprocess.run([sys.executable, "-c", code, ROOT], capture_output=True, text=True, env=variables, timeout=60)
+        done = subprocess.run(
+            [sys.executable, "-c", code, ROOT], capture_output=True, text=True, env=variables, timeout=60
+        )
         assert done.returncode == 0 and "Error" not in done.stderr, done.stderr
 
 

@@ -7,16 +7,15 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_builders import add_grid  # noqa: E402
-from panel_layout import ENGINE, context_of, drawn, enabled_panels, own_panels  # noqa: E402
-
-from raybatch_addon import reports  # noqa: E402
+from raybatch_addon.blender import reports  # noqa: E402
 from raybatch_addon.core.errors import SettingsError  # noqa: E402
-from raybatch_addon.core.settings import BYTES, GROUPS, SETTINGS, RenderSettings  # noqa: E402
+from raybatch_addon.core.settings.settings import BYTES, GROUPS, SETTINGS, RenderSettings  # noqa: E402
 from raybatch_addon.export.settings import assign_setting, settings_from  # noqa: E402
 from raybatch_addon.ui import builtin_panels, last_render  # noqa: E402
 from raybatch_addon.ui.properties import megabytes_name  # noqa: E402
 from raybatch_addon.ui.render_panels import shown_name  # noqa: E402
+from tests.support.blender_builders import add_grid  # noqa: E402
+from tests.support.panel_layout import ENGINE, context_of, drawn, enabled_panels, own_panels  # noqa: E402
 
 
 @pytest.mark.parametrize("name", list(SETTINGS))
@@ -36,7 +35,9 @@ def test_every_setting_is_a_property_made_from_its_definition(scene, name):
     elif info.kind is int:
         assert (prop.default, prop.hard_min, prop.hard_max) == (info.default, info.minimum, info.maximum)
     elif info.kind is float:
-        assert (prop.default, prop.hard_min, prop.hard_max) == tuple(np.float32([info.default, info.minimum, info.maximum]))
+        assert (prop.default, prop.hard_min, prop.hard_max) == tuple(
+            np.float32([info.default, info.minimum, info.maximum])
+        )
     else:
         assert prop.default == info.default
 
@@ -50,7 +51,13 @@ def test_settings_of_a_new_scene_are_the_defaults(addon):
 @pytest.mark.parametrize("name", [name for name, info in SETTINGS.items() if info.kind is not str])
 def test_the_ends_of_every_range_come_through(scene, name, end):
     before = settings_from(scene)
-    others = {"ray_low_water": 0.0} if name == "ray_high_water" else {"ray_high_water": 1.0} if name == "ray_low_water" else {}
+    others = (
+        {"ray_low_water": 0.0}
+        if name == "ray_high_water"
+        else {"ray_high_water": 1.0}
+        if name == "ray_low_water"
+        else {}
+    )
     ends = {**others, name: SETTINGS[name].kind(getattr(SETTINGS[name], end))}
     for each, value in ends.items():
         assign_setting(scene.raybatch, each, value)
@@ -111,8 +118,16 @@ def test_panels_of_groups_lie_in_that_of_their_parent(scene):
     panels = {panel.group: panel for panel in own_panels() if hasattr(panel, "group")}
     assert list(panels) == list(GROUPS)
     for name, panel in panels.items():
-        assert getattr(panel, "bl_parent_id", None) == (panels[GROUPS[name].parent].__name__ if GROUPS[name].parent else None)
-    assert [panels[name].bl_label for name in GROUPS if GROUPS[name].parent] == ["Scheduler", "Queues", "Treelets", "Launch", "Memory"]
+        assert getattr(panel, "bl_parent_id", None) == (
+            panels[GROUPS[name].parent].__name__ if GROUPS[name].parent else None
+        )
+    assert [panels[name].bl_label for name in GROUPS if GROUPS[name].parent] == [
+        "Scheduler",
+        "Queues",
+        "Treelets",
+        "Launch",
+        "Memory",
+    ]
 
 
 def test_panels_are_there_for_this_engine_only(scene):
@@ -141,21 +156,47 @@ def test_parents_of_panels_exist_and_are_enabled(addon):
     for panel in bpy.types.Panel.__subclasses__():
         if panel.__name__ in enabled and getattr(panel, "bl_parent_id", ""):
             parent = getattr(bpy.types, panel.bl_parent_id)
-            assert ENGINE in getattr(parent, "COMPAT_ENGINES", {ENGINE}), f"{panel.__name__} is inside {panel.bl_parent_id}, which is hidden"
+            assert ENGINE in getattr(parent, "COMPAT_ENGINES", {ENGINE}), (
+                f"{panel.__name__} is inside {panel.bl_parent_id}, which is hidden"
+            )
 
 
 def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
     enabled = enabled_panels()
     for name in (
-        "RENDER_PT_output", "RENDER_PT_format", "RENDER_PT_frame_range", "RENDER_PT_color_management", "RENDER_PT_simplify",
-        "VIEWLAYER_PT_layer", "DATA_PT_lens", "DATA_PT_camera_dof", "DATA_PT_EEVEE_light", "DATA_PT_spot", "DATA_PT_uv_texture",
-        "EEVEE_MATERIAL_PT_context_material", "EEVEE_MATERIAL_PT_surface", "EEVEE_WORLD_PT_surface", "WORLD_PT_context_world",
-        "OBJECT_PT_visibility", "PARTICLE_PT_render", "TEXTURE_PT_image",
-    ):  # fmt: skip
+        "RENDER_PT_output",
+        "RENDER_PT_format",
+        "RENDER_PT_frame_range",
+        "RENDER_PT_color_management",
+        "RENDER_PT_simplify",
+        "VIEWLAYER_PT_layer",
+        "DATA_PT_lens",
+        "DATA_PT_camera_dof",
+        "DATA_PT_EEVEE_light",
+        "DATA_PT_spot",
+        "DATA_PT_uv_texture",
+        "EEVEE_MATERIAL_PT_context_material",
+        "EEVEE_MATERIAL_PT_surface",
+        "EEVEE_WORLD_PT_surface",
+        "WORLD_PT_context_world",
+        "OBJECT_PT_visibility",
+        "PARTICLE_PT_render",
+        "TEXTURE_PT_image",
+    ):
         assert hasattr(bpy.types, name) and name in enabled, name
-    for name in ("RENDER_PT_freestyle", "DATA_PT_light", "OBJECT_PT_shading", "VIEWLAYER_PT_eevee_layer_passes_data", "RENDER_PT_stereoscopy"):
+    for name in (
+        "RENDER_PT_freestyle",
+        "DATA_PT_light",
+        "OBJECT_PT_shading",
+        "VIEWLAYER_PT_eevee_layer_passes_data",
+        "RENDER_PT_stereoscopy",
+    ):
         assert name not in enabled
-    assert not {name for name in enabled if name.startswith(("CYCLES_", "RENDER_PT_eevee", "DATA_PT_lightprobe", "VIEWLAYER_PT_freestyle"))}
+    assert not {
+        name
+        for name in enabled
+        if name.startswith(("CYCLES_", "RENDER_PT_eevee", "DATA_PT_lightprobe", "VIEWLAYER_PT_freestyle"))
+    }
 
 
 def test_the_last_render_is_listed_with_errors_first(scene):
@@ -163,8 +204,11 @@ def test_the_last_render_is_listed_with_errors_first(scene):
     report.warnings.append("object “Flat” is left out " * 5)
     report.errors.append("no camera")
     report.statistics["ViewLayer"] = {
-        "seconds": {"total": 2.5, "render": 2.0}, "rays": {"total": 4_000_000}, "device": {"alias": "cpu"}, "invalid_samples": 3,
-    }  # fmt: skip
+        "seconds": {"total": 2.5, "render": 2.0},
+        "rays": {"total": 4_000_000},
+        "device": {"alias": "cpu"},
+        "invalid_samples": 3,
+    }
     panel = last_render.RAYBATCH_RENDER_PT_last_render
     labels = [(text, icon) for _, text, icon in drawn(panel, context_of(scene))]
     assert labels[0][0] == "Scene, frame 7"
@@ -175,8 +219,8 @@ def test_the_last_render_is_listed_with_errors_first(scene):
     assert drawn(panel, context_of(scene), "draw_header")[0][2] == "ERROR"
 
 
-def test_the_last_render_tells_of_the_tree_and_of_what_was_counted(scene):
-    """Here of a real one, so that the statistics are what the panel takes them for."""
+def test_the_last_render_shows_the_tree_and_the_counts(scene):
+    """Statistics of a real render, so that they are those that the panel expects."""
     add_grid("Grid", 40)
     scene.raybatch.counters = "ON"
     bpy.ops.render.render()
@@ -197,11 +241,24 @@ def test_the_last_render_tells_of_the_tree_and_of_what_was_counted(scene):
 
 
 def test_work_on_trees_in_words():
-    tree = {"triangles": 1_234_567, "nodes": 210_345, "bytes": 96_400_000, "trees": 4, "built": 1, "refitted": 2, "seconds": 0.5}
+    tree = {
+        "triangles": 1_234_567,
+        "nodes": 210_345,
+        "bytes": 96_400_000,
+        "trees": 4,
+        "built": 1,
+        "refitted": 2,
+        "seconds": 0.5,
+    }
     lines = {1: "built in 0.50 s", 4: "1 built, 2 refitted in 0.50 s"}
     assert last_render._tree_lines(tree) == [f"Tree: 1.2 M triangles, 210 k nodes, 96.4 MB, {lines[4]}"]
     assert last_render._tree_lines({**tree, "trees": 1, "refitted": 0})[0].endswith(lines[1])
-    uncounted = {"rays": {"closest": [3]}, "node_steps": "unavailable", "triangle_tests": "unavailable", "seconds": {"trace": 3.0, "sort": 0.0, "film": 1.0}}
+    uncounted = {
+        "rays": {"closest": [3]},
+        "node_steps": "unavailable",
+        "triangle_tests": "unavailable",
+        "seconds": {"trace": 3.0, "sort": 0.0, "film": 1.0},
+    }
     assert last_render._counter_lines(uncounted) == ["Time: trace 75 %, film 25 %"]
 
 
@@ -233,9 +290,28 @@ def test_unregistering_removes_everything_and_registering_brings_it_back(addon):
         assert not [name for name in dir(bpy.types) if "raybatch" in name.lower()]
         handlers = [each for each in vars(type(bpy.app.handlers)) if isinstance(getattr(bpy.app.handlers, each), list)]
         assert "load_post" in handlers
-        assert not [call for each in handlers for call in getattr(bpy.app.handlers, each) if call.__module__.startswith("raybatch_addon")]
+        assert not [
+            call
+            for each in handlers
+            for call in getattr(bpy.app.handlers, each)
+            if call.__module__.startswith("raybatch_addon")
+        ]
     finally:
         addon.register()
     assert enabled_panels() == before
     bpy.context.scene.render.engine = ENGINE
     assert hasattr(bpy.context.scene, "raybatch")
+
+
+def test_unregistering_gives_back_what_renders_keep(addon, monkeypatch):
+    from raybatch_addon.blender import sessions
+    from raybatch_addon.export.images import images
+
+    given_back = []
+    monkeypatch.setattr(sessions, "close_all", lambda: given_back.append("sessions"))
+    monkeypatch.setattr(images, "forget_images", lambda: given_back.append("images"))
+    try:
+        addon.unregister()
+    finally:
+        addon.register()
+    assert given_back == ["sessions", "images"]

@@ -1,11 +1,12 @@
-"""scripts/render.py on Blender's files: the same render as Blender's own, whatever is asked for beside it."""
+"""scripts/render.py on Blender's files: the same render as Blender's own, whatever other options are given."""
 
 import json
 
 import numpy as np
 import pytest
-from command_line import error_line, run_python, run_script
 from PIL import Image
+
+from tests.support.command_line import error_line, run_python, run_script
 
 pytest.importorskip("bpy")
 
@@ -46,7 +47,7 @@ if "layers" in sys.argv:
 bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
 """
 
-# What a person does by hand: open the file, render, save
+# the steps of a person: open the file, render, save
 RENDER_BY_HAND = """
 import sys
 import bpy
@@ -85,7 +86,19 @@ def names(folder):
 
 def test_one_frame_with_everything(blend, tmp_path):
     out = tmp_path / "out"
-    run(blend, "--frame", "3", "-o", out / "a.png", "--film", out / "a.npz", "--json", out / "a.json", "--save-scene", out / "a.scene.npz")
+    run(
+        blend,
+        "--frame",
+        "3",
+        "-o",
+        out / "a.png",
+        "--film",
+        out / "a.npz",
+        "--json",
+        out / "a.json",
+        "--save-scene",
+        out / "a.scene.npz",
+    )
     assert names(out) == ["a.json", "a.npz", "a.png", "a.scene.npz"]
     statistics = json.loads((out / "a.json").read_text())
     assert (statistics["frame"]["number"], statistics["frame"]["view_layer"]) == (3, "ViewLayer")
@@ -108,7 +121,9 @@ def test_one_frame_with_everything(blend, tmp_path):
 
 
 def test_frames_are_numbered_as_blender_does(blend, tmp_path):
-    run(blend, "--frames", "1..2", "-o", tmp_path / "f_", "--film", tmp_path / "film.npz", "--json", tmp_path / "j.json")
+    run(
+        blend, "--frames", "1..2", "-o", tmp_path / "f_", "--film", tmp_path / "film.npz", "--json", tmp_path / "j.json"
+    )
     assert names(tmp_path) == ["f_0001.png", "f_0002.png", "film0001.npz", "film0002.npz", "j.json"]
     pictures = [np.array(Image.open(tmp_path / f"f_000{n}.png")) for n in (1, 2)]
     assert (pictures[0] != pictures[1]).any()
@@ -116,11 +131,32 @@ def test_frames_are_numbered_as_blender_does(blend, tmp_path):
 
 
 def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):
-    """Everything by name, from the command line; the picture is the same."""
+    """All settings by name, from the command line; the picture is the same."""
     out = tmp_path / "out"
     run(blend, "--film", tmp_path / "plain.npz")
-    arguments = [argument for pair in ("ray_sort=OFF", "counters=ON", "spatial_splits=ON", "treelet_bytes=7MiB", "geometry_budget=1500000001") for argument in ("--set", pair)]
-    run(blend, *arguments, "--passes", "normal, Triangle Tests", "--heat-map", f"node steps={out / 'steps.png'}", "--film", out / "a.npz", "--json", out / "a.json")
+    arguments = [
+        argument
+        for pair in (
+            "ray_sort=OFF",
+            "counters=ON",
+            "spatial_splits=ON",
+            "treelet_bytes=7MiB",
+            "geometry_budget=1500000001",
+        )
+        for argument in ("--set", pair)
+    ]
+    run(
+        blend,
+        *arguments,
+        "--passes",
+        "normal, Triangle Tests",
+        "--heat-map",
+        f"node steps={out / 'steps.png'}",
+        "--film",
+        out / "a.npz",
+        "--json",
+        out / "a.json",
+    )
     assert names(out) == ["a.json", "a.npz", "steps.png"]
     with np.load(out / "a.npz") as film, np.load(tmp_path / "plain.npz") as plain:
         assert set(film.files) == {"Combined", "Normal", "Node Steps", "Triangle Tests"}
@@ -133,7 +169,10 @@ def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):
     statistics = json.loads((out / "a.json").read_text())
     assert statistics["settings"]["ray_sort"] == "OFF" and statistics["ray_sort"] is None
     assert statistics["settings"]["spatial_splits"] == statistics["settings"]["counters"] == "ON"
-    assert (statistics["settings"]["treelet_bytes"], statistics["settings"]["geometry_budget"]) == (7 << 20, 1_500_000_001)
+    assert (statistics["settings"]["treelet_bytes"], statistics["settings"]["geometry_budget"]) == (
+        7 << 20,
+        1_500_000_001,
+    )
     assert statistics["counters"]["seconds"]["trace"] > 0
     again = tmp_path / "frames"
     run(blend, "--frames", "1..2", "--heat-map", f"Rays={again / 'rays.png'}")
@@ -143,8 +182,30 @@ def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):
 def test_view_layers_size_and_format(tmp_path):
     blend = make_scene(tmp_path / "two.blend", "layers")
     out = tmp_path / "out"
-    run(blend, "-o", out / "x##.exr", "--film", out / "all.npz", "--json", out / "all.json", "--set", "resolution=12x10", "--set", "sample_count=1")
-    run(blend, "--film", out / "one.npz", "--view-layer", "Empty", "--set", "resolution=12x10", "--set", "sample_count=1")
+    run(
+        blend,
+        "-o",
+        out / "x##.exr",
+        "--film",
+        out / "all.npz",
+        "--json",
+        out / "all.json",
+        "--set",
+        "resolution=12x10",
+        "--set",
+        "sample_count=1",
+    )
+    run(
+        blend,
+        "--film",
+        out / "one.npz",
+        "--view-layer",
+        "Empty",
+        "--set",
+        "resolution=12x10",
+        "--set",
+        "sample_count=1",
+    )
     assert names(out) == ["all.json", "all.npz", "one.npz", "x02.exr"]
     assert (out / "x02.exr").read_bytes()[:4] == b"\x76\x2f\x31\x01"
     layers = [entry["frame"]["view_layer"] for entry in json.loads((out / "all.json").read_text())]
@@ -175,21 +236,25 @@ def test_saving_the_scene_alone(blend, tmp_path):
 def test_errors_leave_no_picture(blend, tmp_path, words, arguments, message):
     source = make_scene(tmp_path / "bad.blend", *words) if words else blend
     out = tmp_path / "out"
-    line = error_line(run_script("render.py", source, "-o", out / "x.png", *[argument.format(folder=out) for argument in arguments]))
+    line = error_line(
+        run_script("render.py", source, "-o", out / "x.png", *[argument.format(folder=out) for argument in arguments])
+    )
     assert message in line.replace("Cannot render, no camera", "camera")
     assert not out.exists()
 
 
 def test_files_that_are_no_blend(tmp_path):
     (tmp_path / "junk.blend").write_text("junk")
-    assert "junk.blend cannot be opened" in error_line(run_script("render.py", tmp_path / "junk.blend", "-o", tmp_path / "x.png"))
+    assert "junk.blend cannot be opened" in error_line(
+        run_script("render.py", tmp_path / "junk.blend", "-o", tmp_path / "x.png")
+    )
     assert "there is no file" in error_line(run_script("render.py", tmp_path / "none.blend", "-o", tmp_path / "x.png"))
     assert names(tmp_path) == ["junk.blend"]
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".gltf"])
 def test_imported_geometry_looks_like_the_same_arrays(tmp_path, suffix):
-    """A tent, given as a file of each kind and as arrays, seen by the same camera in the same default light."""
+    """A tent, read from a file of each kind and from arrays, seen by the same camera in the same default light."""
     v = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 1.5]], np.float32)
     f = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]], np.int32)
     up = "z" if suffix == ".ply" else "y"
@@ -200,8 +265,21 @@ def test_imported_geometry_looks_like_the_same_arrays(tmp_path, suffix):
     np.savez(tmp_path / "tent.npz", v=v, f=f)
     eye = "3,-4,2,0,0,0.5,40" if up == "z" else "3,2,4,0,0.5,0,40"
     for name in (f"tent{suffix}", "tent.npz"):
-        run(tmp_path / name, "--film", tmp_path / f"{name}.film.npz", "--camera", eye, "--up", up,
-            "--device", "cpu", "--set", "resolution=40x30", "--set", "sample_count=64")  # fmt: skip
+        run(
+            tmp_path / name,
+            "--film",
+            tmp_path / f"{name}.film.npz",
+            "--camera",
+            eye,
+            "--up",
+            up,
+            "--device",
+            "cpu",
+            "--set",
+            "resolution=40x30",
+            "--set",
+            "sample_count=64",
+        )
     with np.load(tmp_path / f"tent{suffix}.film.npz") as a, np.load(tmp_path / "tent.npz.film.npz") as b:
         imported, arrays = a["Combined"], b["Combined"]
     assert imported.shape == (30, 40, 4)
@@ -218,8 +296,17 @@ def write_obj(path, v, f):
 
 
 def write_ply(path, v, f):
-    head = ["ply", "format ascii 1.0", f"element vertex {len(v)}", "property float x", "property float y", "property float z",
-            f"element face {len(f)}", "property list uchar int vertex_indices", "end_header"]  # fmt: skip
+    head = [
+        "ply",
+        "format ascii 1.0",
+        f"element vertex {len(v)}",
+        "property float x",
+        "property float y",
+        "property float z",
+        f"element face {len(f)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
     lines = head + [f"{x} {y} {z}" for x, y, z in v] + [f"3 {a} {b} {c}" for a, b, c in f]
     path.write_text("\n".join(lines) + "\n")
 
@@ -228,13 +315,35 @@ def write_gltf(path, v, f):
     import base64
 
     data = v.tobytes() + f.astype(np.uint32).tobytes()
-    path.write_text(json.dumps({
-        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": len(v), "type": "VEC3", "min": v.min(0).tolist(), "max": v.max(0).tolist()},
-            {"bufferView": 1, "componentType": 5125, "count": f.size, "type": "SCALAR"},
-        ],
-        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": v.nbytes}, {"buffer": 0, "byteOffset": v.nbytes, "byteLength": 4 * f.size}],
-        "buffers": [{"byteLength": len(data), "uri": "data:application/octet-stream;base64," + base64.b64encode(data).decode()}],
-    }))  # fmt: skip
+    path.write_text(
+        json.dumps(
+            {
+                "asset": {"version": "2.0"},
+                "scene": 0,
+                "scenes": [{"nodes": [0]}],
+                "nodes": [{"mesh": 0}],
+                "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
+                "accessors": [
+                    {
+                        "bufferView": 0,
+                        "componentType": 5126,
+                        "count": len(v),
+                        "type": "VEC3",
+                        "min": v.min(0).tolist(),
+                        "max": v.max(0).tolist(),
+                    },
+                    {"bufferView": 1, "componentType": 5125, "count": f.size, "type": "SCALAR"},
+                ],
+                "bufferViews": [
+                    {"buffer": 0, "byteOffset": 0, "byteLength": v.nbytes},
+                    {"buffer": 0, "byteOffset": v.nbytes, "byteLength": 4 * f.size},
+                ],
+                "buffers": [
+                    {
+                        "byteLength": len(data),
+                        "uri": "data:application/octet-stream;base64," + base64.b64encode(data).decode(),
+                    }
+                ],
+            }
+        )
+    )

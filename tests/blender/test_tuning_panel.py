@@ -1,4 +1,4 @@
-"""What the panel Performance shows beside the settings: what was chosen, presets, memory, what does not go together."""
+"""The panel Performance: automatic choices, presets, memory, and settings that do not go together."""
 
 import re
 
@@ -6,14 +6,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from blender_builders import add_grid  # noqa: E402
-from panel_layout import ENGINE, context_of, drawn, own_panels  # noqa: E402
-
-from raybatch_addon import reports  # noqa: E402
-from raybatch_addon.core.presets import PRESETS, preset_settings  # noqa: E402
-from raybatch_addon.core.settings import SETTINGS  # noqa: E402
+from raybatch_addon.blender import reports  # noqa: E402
+from raybatch_addon.core.settings.presets import PRESETS, preset_settings  # noqa: E402
+from raybatch_addon.core.settings.settings import SETTINGS  # noqa: E402
 from raybatch_addon.export.settings import assign_setting, settings_from  # noqa: E402
 from raybatch_addon.ui import choices, memory  # noqa: E402
+from tests.support.blender_builders import add_grid  # noqa: E402
+from tests.support.panel_layout import ENGINE, context_of, drawn, own_panels  # noqa: E402
 
 AUTO = {
     "treelet_size": {"value": 4096, "why": "1 MB of nodes and triangles fits the cache"},
@@ -42,18 +41,25 @@ def shown_choices(context):
 
 @pytest.fixture
 def chosen(scene):
-    """The scene with a last render in which RayBatch chose."""
+    """The scene with a last render in which RayBatch chose settings."""
     report = reports.begin(scene.name, 1)
     report.statistics["Other"] = {"auto": {}}
-    report.statistics[scene.view_layers[0].name] = {"auto": AUTO, "device": {"alias": "cpu"}, "schedule": {}, "tree": None}
+    report.statistics[scene.view_layers[0].name] = {
+        "auto": AUTO,
+        "device": {"alias": "cpu"},
+        "schedule": {},
+        "tree": None,
+    }
     return scene
 
 
 def test_choices_stand_beside_the_settings_that_were_left_open(chosen):
     found = shown_choices(context_of(chosen))
     assert {name: text for name, (text, _) in found.items()} == {
-        "treelet_size": "4,096", "geometry_budget": "1,500 MB", "bucket_selection": "Most full",
-    }  # fmt: skip
+        "treelet_size": "4,096",
+        "geometry_budget": "1,500 MB",
+        "bucket_selection": "Most full",
+    }
     assert found["treelet_size"][1].why == AUTO["treelet_size"]["why"]
     chosen.raybatch.treelet_size, chosen.raybatch.geometry_budget = 10, "1M"
     assert set(shown_choices(context_of(chosen))) == {"bucket_selection"}
@@ -79,13 +85,15 @@ def test_a_choice_is_kept_by_a_click(chosen):
     for name in ("treelet_size", "geometry_budget", "bucket_selection"):
         button = shown_choices(context_of(chosen))[name][1]
         assert bpy.ops.raybatch.keep_choice(setting=button.setting, value=button.value, why=button.why) == {"FINISHED"}
-    assert settings_from(chosen) == before.replace(treelet_size=4096, geometry_budget=1_500_000_001, bucket_selection="MOST_FULL")
+    assert settings_from(chosen) == before.replace(
+        treelet_size=4096, geometry_budget=1_500_000_001, bucket_selection="MOST_FULL"
+    )
     assert not shown_choices(context_of(chosen))
     with pytest.raises(RuntimeError, match="queue_size = 'much' is not valid"):
         bpy.ops.raybatch.keep_choice(setting="queue_size", value="much")
     assert settings_from(chosen).queue_size == 0
-    told = choices.RAYBATCH_OT_keep_choice.description(bpy.context, button)
-    assert button.why in told and "Click" in told
+    description = choices.RAYBATCH_OT_keep_choice.description(bpy.context, button)
+    assert button.why in description and "Click" in description
 
 
 @pytest.mark.parametrize("name", list(PRESETS))
@@ -97,7 +105,9 @@ def test_presets_set_the_whole_schedule(scene, name):
 
 
 def test_presets_are_in_a_menu_of_the_panel_and_can_be_undone(scene):
-    assert drawn(panel("PERFORMANCE"), context_of(scene), "draw_header_preset") == [("menu", "RAYBATCH_MT_schedule_presets", "PRESET")]
+    assert drawn(panel("PERFORMANCE"), context_of(scene), "draw_header_preset") == [
+        ("menu", "RAYBATCH_MT_schedule_presets", "PRESET")
+    ]
     notes = drawn(bpy.types.RAYBATCH_MT_schedule_presets, context_of(scene))
     assert [(name, text, button.preset) for _, name, text, button, _ in notes] == [
         ("raybatch.schedule_preset", preset.label, name) for name, preset in PRESETS.items()
@@ -105,7 +115,9 @@ def test_presets_are_in_a_menu_of_the_panel_and_can_be_undone(scene):
     for operator in (bpy.types.RAYBATCH_OT_schedule_preset, bpy.types.RAYBATCH_OT_keep_choice):
         assert "UNDO" in operator.bl_options
     for _, _, _, button, _ in notes:
-        assert PRESETS[button.preset].description in bpy.types.RAYBATCH_OT_schedule_preset.description(bpy.context, button)
+        assert PRESETS[button.preset].description in bpy.types.RAYBATCH_OT_schedule_preset.description(
+            bpy.context, button
+        )
     scene.render.engine = "BLENDER_WORKBENCH"
     assert not bpy.ops.raybatch.schedule_preset.poll()
 
@@ -121,7 +133,7 @@ def test_a_preset_is_undone(scene):
     assert bpy.context.scene.raybatch.queue_size == 9
 
 
-def test_settings_that_do_not_go_together_are_told_in_the_panel(scene):
+def test_settings_that_do_not_go_together_are_named_in_the_panel(scene):
     def icons():
         return [note[2] for note in drawn(panel("PERFORMANCE"), context_of(scene)) if note[0] == "label"]
 
@@ -133,6 +145,18 @@ def test_settings_that_do_not_go_together_are_told_in_the_panel(scene):
     assert memory.estimate_lines(context_of(scene)) == []
 
 
+def test_a_budget_that_means_no_number_is_told_where_it_stands(scene):
+    def labels():
+        return [note for note in drawn(panel("MEMORY"), context_of(scene)) if note[0] == "label"]
+
+    scene.raybatch.geometry_budget = "1.5G"
+    assert "ERROR" not in [icon for _, _, icon in labels()]
+    scene.raybatch.geometry_budget = "a lot"
+    notes = labels()
+    assert notes[0][2] == "ERROR"
+    assert "geometry_budget = 'a lot' is not valid: it must be 0 to" in " ".join(note[1] for note in notes)
+
+
 def test_memory_before_the_first_render(scene):
     add_grid("Grid", 100)
     reports.clear()
@@ -142,7 +166,10 @@ def test_memory_before_the_first_render(scene):
     assert 60 < path_bytes < 400
     # 20,000 triangles and 10,201 vertices: corners, positions, normals; and their tree
     assert lines[1] == "Geometry: 1.08 MB, trees: 900 KB"
-    assert lines[2] == f"On the device about {(path_bytes * 10**6 + 1_982_412 + 0.5e6) // 10**6:.0f} MB" and len(lines) == 3
+    assert (
+        lines[2] == f"On the device about {(path_bytes * 10**6 + 1_982_412 + 0.5e6) // 10**6:.0f} MB"
+        and len(lines) == 3
+    )
     scene.raybatch.geometry_budget = "100K"
     assert memory.estimate_lines(context_of(scene))[2] == "Of the trees 100 KB on the device, 800 KB behind it"
     labels = [note[1] for note in drawn(panel("MEMORY"), context_of(scene)) if note[0] == "label"]
@@ -161,11 +188,17 @@ def test_the_last_render_makes_the_estimate_better(scene):
     scene.raybatch.device = "AUTO"
     tree = {"triangles": 10**6, "bytes": 10**8}
     reports.begin(scene.name, 1).statistics[scene.view_layers[0].name] = {
-        "device": {"alias": "cuda:0"}, "schedule": {"workers": 1, "ray_count": 1000, "bytes_per_path": 150}, "tree": tree,
-    }  # fmt: skip
+        "device": {"alias": "cuda:0"},
+        "schedule": {"workers": 1, "ray_count": 1000, "bytes_per_path": 150},
+        "tree": tree,
+    }
     lines = memory.estimate_lines(context_of(scene))
-    assert lines == ["Rays: 1,000 x 150 bytes, 150 KB", "Geometry: 54.0 MB, trees: 100 MB", "On the device about 154 MB"]
-    scene.raybatch.device = "cpu"  # the last render tells nothing of another device
+    assert lines == [
+        "Rays: 1,000 x 150 bytes, 150 KB",
+        "Geometry: 54.0 MB, trees: 100 MB",
+        "On the device about 154 MB",
+    ]
+    scene.raybatch.device = "cpu"  # the last render says nothing about another device
     assert memory.estimate_lines(context_of(scene))[1] == "Geometry: 0 bytes, trees: 0 bytes"
 
 
@@ -179,26 +212,32 @@ def test_real_statistics_are_what_the_panel_takes_them_for(scene):
         assert text
 
 
-def test_the_last_render_tells_of_batching():
-    from raybatch_addon.core.report.batching import BatchingTotals
+def test_the_last_render_shows_batching():
+    from raybatch_addon.core.measure.batching import BatchingTotals
     from raybatch_addon.ui.last_render import _batching_lines
 
     totals = BatchingTotals(finished=10, treelet_visits=28, rays_queued=19, block_count=12_345, blocks_short=3)
     assert _batching_lines(totals.report()) == [
-        "Batched: 2.8 treelets, 1.9 times queued a ray", "The 12.3 k blocks of queues ran out 3 times",
-    ]  # fmt: skip
+        "Batched: 2.8 treelets, 1.9 times queued a ray",
+        "The 12.3 k blocks of queues ran out 3 times",
+    ]
     totals = BatchingTotals(finished=10, pages_loaded=355, bytes_copied=23_100_000_000, resident_peak=1_499_000_000)
-    assert _batching_lines(totals.report())[1:] == ["Geometry on the device 1,499 MB at most; brought there: 355 pages, 23.10 GB"]
+    assert _batching_lines(totals.report())[1:] == [
+        "Geometry on the device 1,499 MB at most; brought there: 355 pages, 23.10 GB"
+    ]
     assert _batching_lines(None) == []
 
 
 def test_values_in_words():
     assert choices.value_text(SETTINGS["treelet_bytes"], 65_536) == "0.0655 MB"
-    assert choices.value_text(SETTINGS["ray_sort"], "ON") == "On" and choices.value_text(SETTINGS["ray_count"], 4194304) == "4,194,304"
+    assert (
+        choices.value_text(SETTINGS["ray_sort"], "ON") == "On"
+        and choices.value_text(SETTINGS["ray_count"], 4194304) == "4,194,304"
+    )
     assert choices.value_text(SETTINGS["device"], "cuda:0") == "cuda:0"
 
 
 def test_assigned_values_are_those_of_settings(scene):
     for name, info in SETTINGS.items():
         assign_setting(scene.raybatch, name, info.default)
-    assert ENGINE == scene.render.engine
+    assert scene.render.engine == ENGINE

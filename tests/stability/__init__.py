@@ -1,1 +1,4 @@
-"""Stiff and extreme scenes with known answers: every module here that registers cases (`case.py`) joins the suite (`cases.py`)."""
+"""Stiff and extreme scenes with known answers.
+
+Every module here that registers cases (`case.py`) joins the suite (`cases.py`).
+"""

@@ -1,4 +1,4 @@
-"""What a case of the suite is: a scene or a calculation with a known answer, a bound on the error, and what was measured."""
+"""Cases of the suite: a scene or a calculation with a known answer, and a bound on the error."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .bench import Bench
+    from tests.stability.bench import Bench
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a case measured; of a sweep the worst value."""
+    """Measured and expected value of a case; for a sweep its worst value."""
 
     measured: float
     expected: float
     tolerance: float  # absolute
-    note: str = ""  # such as where in a sweep the worst was found
+    note: str = ""  # for example the parameters of a sweep's worst value
 
     @property
     def passed(self) -> bool:
@@ -32,15 +32,15 @@ class Case:
 
     name: str
     family: str
-    about: str  # what is done, and where the expected value comes from
-    bound: str  # why the tolerance
+    about: str  # what is done, and the source of the expected value
+    bound: str  # why the tolerance is what it is
     run: Callable[[Bench], Outcome]
-    traces: bool  # run for both tracers; else once
+    traces: bool  # the case runs for both tracers; else once
     quick: bool  # part of the quick suite
 
     @property
     def tracers(self) -> tuple[str, ...]:
-        """The tracers that the case runs for: `off`, `on`; `-` where none matters."""
+        """The tracers that the case runs for: `off`, `on`; `-` if the tracer does not matter."""
         return ("off", "on") if self.traces else ("-",)
 
 
@@ -51,8 +51,13 @@ class Skipped(Exception):
 CASES: dict[str, Case] = {}
 
 
-def case(name: str, family: str, about: str, bound: str, traces: bool = True, quick: bool = False) -> Callable[[Callable[[Bench], Outcome]], Callable]:
-    """Register the decorated function, which takes a `Bench` and returns an `Outcome`; raises `ValueError` for a name that is taken."""
+def case(
+    name: str, family: str, about: str, bound: str, traces: bool = True, quick: bool = False
+) -> Callable[[Callable[[Bench], Outcome]], Callable]:
+    """Register the decorated function, which takes a `Bench` and returns an `Outcome`.
+
+    Raises `ValueError` for a name that another case has.
+    """
 
     def register(run: Callable[[Bench], Outcome]) -> Callable[[Bench], Outcome]:
         if name in CASES:
@@ -65,13 +70,13 @@ def case(name: str, family: str, about: str, bound: str, traces: bool = True, qu
 
 @dataclass
 class Sweep:
-    """The worst value of a swept parameter, in units of its tolerance: `add` each, then return `outcome()`."""
+    """The worst value of a swept parameter, in units of its tolerance: `add` each value, then return `outcome()`."""
 
     worst: Outcome | None = None
     count: int = 0
 
     def add(self, measured: float, expected: float, tolerance: float, note: str = "") -> None:
-        """One value of the sweep; the tolerance is absolute."""
+        """Add a value; the tolerance is absolute."""
         self.count += 1
         added = Outcome(float(measured), float(expected), float(tolerance), note)
         if self.worst is None or _excess(added) > _excess(self.worst):
@@ -85,7 +90,7 @@ class Sweep:
 
 
 def _excess(outcome: Outcome) -> float:
-    """The error in units of the tolerance; infinite where one of the numbers is none: nothing is worse."""
+    """The error in units of the tolerance; infinite, and so the worst, if one of the numbers is NaN."""
     if outcome.measured == outcome.expected:
         return 0.0
     error = abs(outcome.measured - outcome.expected)

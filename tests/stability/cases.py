@@ -1,4 +1,4 @@
-"""The registry: every module of this folder that registers cases, and how one is run."""
+"""The registry: every module of this folder that registers cases, and how a case is run."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.session import Session
+from tests.stability.bench import Bench
+from tests.stability.case import CASES, Case, Outcome, Skipped
+from tests.support.running.kernel_builds import BUILDS
 
-from .bench import Bench
-from .case import CASES, Case, Outcome, Skipped
-
-# In the order of the report; others follow by name
+# families in the order of the report; others follow by name
 FAMILIES = ("scale", "geometry", "transforms", "leaks", "lights", "materials", "transport", "numbers", "scheduling")
 
 
@@ -25,16 +25,17 @@ class Result:
 
     case: Case
     tracer: str
-    outcome: Outcome | None  # None: it failed with `error`, or was `skipped`
+    outcome: Outcome | None  # None: the case failed with `error`, or was `skipped`
     invalid_samples: int = 0
     samples: int = 0
     seconds: float = 0.0
+    compiling: float = 0.0  # seconds of processors that went into kernels, where `build_once` was called
     error: str | None = None
     skipped: str | None = None
 
     @property
     def passed(self) -> bool:
-        """Whether the answer is right, and no sample was invalid. What was skipped did not pass, nor fail."""
+        """Whether the answer is right, and no sample was invalid; a skipped case neither passed nor failed."""
         return self.outcome is not None and self.outcome.passed and self.invalid_samples == 0
 
     @property
@@ -44,7 +45,7 @@ class Result:
 
     @property
     def note(self) -> str:
-        """What there is to say."""
+        """Message about the result."""
         return self.error or self.skipped or (self.outcome.note if self.outcome else "")
 
 
@@ -53,21 +54,28 @@ class UnknownCase(RayBatchError):
 
 
 def all_cases() -> list[Case]:
-    """Every case there is, by family, in the order of registration."""
+    """All cases by family, in the order of registration."""
     package = __name__.rpartition(".")[0]
-    for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
-        if not module.name.startswith("test_"):
-            importlib.import_module(f"{package}.{module.name}")
-    order = {family: place for place, family in enumerate(FAMILIES)}
+    for module in pkgutil.walk_packages(importlib.import_module(package).__path__, f"{package}."):
+        if not module.name.rpartition(".")[2].startswith("test_"):
+            importlib.import_module(module.name)
+    order = {family: index for index, family in enumerate(FAMILIES)}
     return sorted(CASES.values(), key=lambda each: (order.get(each.family, len(order)), each.family))
 
 
 def chosen_cases(names: Iterable[str] = (), quick: bool = False) -> list[Case]:
-    """The cases that `names` choose: a name, a family, or a part of names; none: all. Raises `UnknownCase`."""
+    """The cases that `names` choose: a name, a family, or a part of names; without names all.
+
+    Raises `UnknownCase`.
+    """
     cases, names = all_cases(), [name.strip() for name in names if name.strip()]
     chosen: set[str] = set()
     for name in names:
-        found = [c.name for c in cases if name == c.name] or [c.name for c in cases if name == c.family] or [c.name for c in cases if name in c.name]
+        found = (
+            [c.name for c in cases if name == c.name]
+            or [c.name for c in cases if name == c.family]
+            or [c.name for c in cases if name in c.name]
+        )
         if not found:
             families = ", ".join(dict.fromkeys(c.family for c in cases))
             raise UnknownCase(f"no case is called {name!r}: --list names all of them; families are {families}")
@@ -79,23 +87,40 @@ def chosen_cases(names: Iterable[str] = (), quick: bool = False) -> list[Case]:
 
 
 def run_case(case: Case, bench: Bench) -> Result:
-    """Run `case` with the tracer of `bench`; what it raises is its failure."""
+    """Run `case` with the tracer of `bench`; an exception is a failure of the case."""
     bench.invalid_samples = bench.samples = 0
     outcome = error = skipped = None
-    start = time.perf_counter()
+    start, compiled = time.perf_counter(), BUILDS.seconds
     try:
         outcome = case.run(bench)
     except Skipped as reason:
         skipped = str(reason)
     except Exception as fault:
         error = f"{type(fault).__name__}: {' '.join(str(fault).split())}"
-    return Result(case, bench.tracer, outcome, bench.invalid_samples, bench.samples, time.perf_counter() - start, error, skipped)
+    return Result(
+        case,
+        bench.tracer,
+        outcome,
+        bench.invalid_samples,
+        bench.samples,
+        time.perf_counter() - start,
+        BUILDS.seconds - compiled,
+        error,
+        skipped,
+    )
 
 
 def run_cases(
-    cases: Iterable[Case], device: str, tracers: Iterable[str] = ("off", "on", "-"), cache_folder: str | None = None, leak_rays: int = 0
+    cases: Iterable[Case],
+    device: str,
+    tracers: Iterable[str] = ("off", "on", "-"),
+    cache_folder: str | None = None,
+    leak_rays: int = 0,
 ) -> Iterator[Any]:
-    """Yield (case, tracer) before, and the `Result` after, each run of `cases` on `device` (AUTO, cpu or cuda:N); `leak_rays` as in `Bench`."""
+    """Yield (case, tracer) before, and the `Result` after, each run of `cases` on `device` (AUTO, cpu or cuda:N).
+
+    `leak_rays` as in `Bench`.
+    """
     session, tracers = Session(device, cache_folder=cache_folder), tuple(tracers)
     try:
         benches = {tracer: Bench(device, tracer, session, leak_rays) for tracer in ("off", "on", "-")}

@@ -1,8 +1,9 @@
-"""What rays must meet: every triangle is asked in float64, and on lattices in whole numbers.
+"""Hits that rays must have: every triangle is tested in float64, and on lattices in whole numbers.
 
-Roundings are half units in the last place of float32, u = 2**-24, of m, the largest coordinate of the triangle's corners taken from the
-ray's origin. `margin.py` proves that the ray's point at the distance that the triangle test finds is within 19 u m, in each coordinate, of
-a point of the triangle; `traverse_cuda_text.py` counts 6 more of them for what is approximate on CUDA, all of which are allowed here.
+Roundings are half units in the last place of float32, u = 2**-24, of m, the largest coordinate of the triangle's
+corners relative to the ray's origin. `margin.py` proves that the ray's point at the distance that the triangle test
+finds is within 19 u m, in each coordinate, of a point of the triangle. `traverse/quantised/ray.h` counts 6 more of them
+for CUDA's approximate operations, all of which are allowed here.
 """
 
 from __future__ import annotations
@@ -11,19 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .bench import Bench, Hits
-from .case import Outcome
+from tests.stability.bench import Bench, Hits
+from tests.stability.case import Outcome
 
 U = 2.0**-24
 CPU_ROUNDINGS, CUDA_ROUNDINGS = 19, 25
-# A ray that passes a triangle's edges at more than this [u m] meets it for certain: its corners, as the test sees them, are moved by 5 u m
-# in each of two coordinates, on CUDA by 6
+# A ray that passes a triangle's edges at more than this [u m] hits it for certain: the test sees the corners moved by
+# 5 u m in each of two coordinates, on CUDA by 6
 CERTAIN = 32 * 3**0.5
-WRONG = 1e6  # added to what is measured for every answer that is wrong, not only inexact
-IN_ROUNDINGS = """Measured: the largest distance of a hit from the triangle that it names, in u m a coordinate (u = 2^-24, m: the largest
-coordinate of its corners from the ray's origin), plus 1e6 for each answer that is wrong. margin.py proves 19 u m; 25 u m with what is
-approximate on CUDA."""
-PAIRS = 1 << 19  # of rays and triangles that are looked at together
+WRONG = 1e6  # added to the measured value for every answer that is wrong, not only inexact
+IN_ROUNDINGS = """Measured: the largest distance of a hit from the triangle that it names, in u m a coordinate (u =
+2^-24, m: the largest coordinate of its corners from the ray's origin), plus 1e6 for each answer that is wrong.
+margin.py proves 19 u m; 25 u m with CUDA's approximate operations."""
+PAIRS = 1 << 19  # pairs of rays and triangles that are compared at once
 
 
 def roundings(bench: Bench) -> int:
@@ -37,12 +38,12 @@ def along_roundings(bench: Bench) -> int:
 
 
 def reach_of(origin: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """m: of rays [n, 3] and a triangle for each [n, 3, 3]."""
+    """m of each ray and its triangle: rays [n, 3], triangles [n, 3, 3]."""
     return np.abs(corners - origin[:, None]).max((1, 2))
 
 
 def distance_to_triangles(point: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Of points [n, 3] and a triangle for each [n, 3, 3], float64, shape [n]; also of triangles without area."""
+    """Distances of points [n, 3] to a triangle each, [n, 3, 3], float64, shape [n]; triangles may have no area."""
     best = np.full(len(point), np.inf)
     for k in range(3):
         a, e = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
@@ -59,7 +60,7 @@ def distance_to_triangles(point: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def hit_errors(origin: np.ndarray, direction: np.ndarray, t: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """How far the rays' points at `t` are from the triangles that they name, along each coordinate [m], shape [n]."""
+    """Distances of the rays' points at `t` to their triangles, the largest over the coordinates [m], shape [n]."""
     point = origin.astype(np.float64) + t.astype(np.float64)[:, None] * direction
     return distance_to_triangles(point, corners) / 3**0.5
 
@@ -67,16 +68,24 @@ def hit_errors(origin: np.ndarray, direction: np.ndarray, t: np.ndarray, corners
 def backward_error(origin: np.ndarray, direction: np.ndarray, hits: Hits, corners: np.ndarray) -> float:
     """The largest distance of a hit from its triangle [u m]; `corners` of all triangles, float64, shape [m, 3, 3]."""
     found = np.flatnonzero(hits.hit)
-    origin, direction, met = origin[found].astype(np.float64), direction[found].astype(np.float64), corners[hits.primitive[found]]
+    origin, direction, met = (
+        origin[found].astype(np.float64),
+        direction[found].astype(np.float64),
+        corners[hits.primitive[found]],
+    )
     return float((hit_errors(origin, direction, hits.t[found], met) / (U * reach_of(origin, met))).max(initial=0.0))
 
 
-def certain_hits(origin: np.ndarray, direction: np.ndarray, corners: np.ndarray, carried: np.ndarray | float = 0.0) -> np.ndarray:
-    """The distance beyond which no closest hit can be, in lengths of the direction, float64, shape [n]; infinite where nothing is certain.
+def certain_hits(
+    origin: np.ndarray, direction: np.ndarray, corners: np.ndarray, carried: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """The distance beyond which no closest hit can be, in lengths of the direction, float64, shape [n].
+
+    It is infinite where nothing is certain.
 
     Args:
         origin, direction: shape [n, 3]. corners: all triangles [m, 3, 3].
-        carried: how far off rays come to the triangles, beside the test's own error [m], shape [n].
+        carried: how far off rays come to the triangles, besides the test's own error [m], shape [n].
     """
     origin, direction = origin.astype(np.float64), direction.astype(np.float64)
     size = np.linalg.norm(direction, axis=1)
@@ -89,7 +98,10 @@ def certain_hits(origin: np.ndarray, direction: np.ndarray, corners: np.ndarray,
     step = max(1, PAIRS // len(corners))
     for first in range(0, len(d), step):
         part = slice(first, first + step)
-        x, y = ((corners @ axis[part].T).transpose(2, 0, 1) - (origin[part] * axis[part]).sum(1)[:, None, None] for axis in (aside, other))
+        x, y = (
+            (corners @ axis[part].T).transpose(2, 0, 1) - (origin[part] * axis[part]).sum(1)[:, None, None]
+            for axis in (aside, other)
+        )
         u, v, w = (x[..., i] * y[..., j] - y[..., i] * x[..., j] for i, j in ((1, 2), (2, 0), (0, 1)))
         ray, triangle = np.nonzero((np.minimum(np.minimum(u, v), w) > 0) | (np.maximum(np.maximum(u, v), w) < 0))
         if not len(ray):
@@ -104,7 +116,10 @@ def certain_hits(origin: np.ndarray, direction: np.ndarray, corners: np.ndarray,
         facing = (normal * d[ray]).sum(1)
         along = (relative * d[ray][:, None]).sum(2)
         with np.errstate(divide="ignore", invalid="ignore"):
-            t, error = (relative[:, 0] * normal).sum(1) / facing, bound * np.linalg.norm(normal, axis=1) / np.abs(facing)
+            t, error = (
+                (relative[:, 0] * normal).sum(1) / facing,
+                bound * np.linalg.norm(normal, axis=1) / np.abs(facing),
+            )
         low, high = np.maximum(t - error, along.min(1) - bound), np.minimum(t + error, along.max(1) + bound)
         sure = (clear > bound) & (low > 0)
         np.minimum.at(before, ray[sure], high[sure])
@@ -113,19 +128,24 @@ def certain_hits(origin: np.ndarray, direction: np.ndarray, corners: np.ndarray,
 
 @dataclass
 class Judgement:
-    """How right the answers were."""
+    """Errors of a tracer's answers."""
 
-    worst: float  # of hits, in units of the bound's
-    wrong: int  # rays that missed what they must meet, or met it too late
+    worst: float  # worst error of a hit, in units of its bound
+    wrong: int  # rays that missed a triangle that they must hit, or hit it too late
     note: str
 
     def outcome(self, tolerance: float) -> Outcome:
-        """As a case returns it."""
+        """The outcome of a case."""
         return Outcome(self.worst + WRONG * self.wrong, 0.0, tolerance, self.note)
 
 
-def judge(origin: np.ndarray, direction: np.ndarray, hits: Hits, corners: np.ndarray, must_hit: bool = False) -> Judgement:
-    """Judge closest hits with triangles `corners`, float64, shape [m, 3, 3], in the world; `must_hit`: a miss is wrong in any case."""
+def judge(
+    origin: np.ndarray, direction: np.ndarray, hits: Hits, corners: np.ndarray, must_hit: bool = False
+) -> Judgement:
+    """Judge closest hits with triangles `corners`, float64, shape [m, 3, 3], in the world.
+
+    `must_hit`: a miss is wrong in any case.
+    """
     before = certain_hits(origin, direction, corners)
     late = (before < np.inf) & (~hits.hit | (hits.t > before))
     if must_hit:
@@ -136,15 +156,15 @@ def judge(origin: np.ndarray, direction: np.ndarray, hits: Hits, corners: np.nda
 
 @dataclass(frozen=True)
 class LatticeHits:
-    """What rays along whole numbers meet of triangles with whole coordinates, exactly."""
+    """Exact hits of rays along whole numbers with triangles of whole coordinates."""
 
-    t: np.ndarray  # nearest distance above 0, in lengths of the direction; infinite: nothing. float64, shape [n]
-    nearest: np.ndarray  # triangles that are met there, bool, shape [n, m]
+    t: np.ndarray  # nearest distance above 0, in lengths of the direction; infinite: no hit. float64, shape [n]
+    nearest: np.ndarray  # triangles that are hit at that distance, bool, shape [n, m]
     at_origin: np.ndarray  # triangles that hold the origin, bool, shape [n, m]
-    at_corner: np.ndarray  # whether something is met at a corner, shape [n]
-    at_edge: np.ndarray  # or within an edge
-    along_edge: np.ndarray  # or the ray's line holds an edge
-    in_plane: np.ndarray  # or lies in the plane of a triangle
+    at_corner: np.ndarray  # whether the ray hits something at a corner, shape [n]
+    at_edge: np.ndarray  # ... within an edge
+    along_edge: np.ndarray  # ... or its line holds an edge
+    in_plane: np.ndarray  # ... or lies in the plane of a triangle
 
 
 def lattice_hits(origin: np.ndarray, direction: np.ndarray, corners: np.ndarray) -> LatticeHits:
@@ -167,6 +187,11 @@ def lattice_hits(origin: np.ndarray, direction: np.ndarray, corners: np.ndarray)
     # the line holds a corner when the corner, seen from the origin, is parallel to it
     on_line = np.stack([(np.cross(each, ray) == 0).all(-1) for each in (a, b, c)], -1)
     return LatticeHits(
-        first, nearest, met & (t == 0), (nearest & (zeros == 2)).any(1), (nearest & (zeros == 1)).any(1),
-        (on_line.sum(-1) >= 2).any(1), ((total == 0) & (np.abs(volumes).sum(-1) == 0)).any(1),
-    )  # fmt: skip
+        first,
+        nearest,
+        met & (t == 0),
+        (nearest & (zeros == 2)).any(1),
+        (nearest & (zeros == 1)).any(1),
+        (on_line.sum(-1) >= 2).any(1),
+        ((total == 0) & (np.abs(volumes).sum(-1) == 0)).any(1),
+    )

@@ -3,11 +3,16 @@
 import math
 
 import pytest
-from stability.bench import Bench
-from stability.case import CASES, Case, Outcome, Skipped, Sweep, case
-from stability.cases import UnknownCase, all_cases, chosen_cases, run_case
 
-QUICK = [pytest.param(each, tracer, id=f"{each.name} {tracer}") for each in chosen_cases(quick=True) for tracer in each.tracers]
+from tests.stability.bench import Bench
+from tests.stability.case import CASES, Case, Outcome, Skipped, Sweep, case
+from tests.stability.cases import UnknownCase, all_cases, chosen_cases, run_case
+
+QUICK = [
+    pytest.param(each, tracer, id=f"{each.name} {tracer}")
+    for each in chosen_cases(quick=True)
+    for tracer in each.tracers
+]
 
 
 @pytest.mark.parametrize("each, tracer", QUICK)
@@ -25,12 +30,20 @@ def test_every_case_says_what_it_does_and_why_its_bound_holds():
         assert each.name == each.name.strip() and len(each.about) > 20 and len(each.bound) > 20, each.name
 
 
-def test_what_cannot_be_told_apart_from_wrong_does_not_pass():
+def test_an_answer_that_may_be_wrong_does_not_pass():
     assert Outcome(1.0, 1.1, 0.11).passed and Outcome(math.inf, math.inf, 0.0).passed
-    assert not any(outcome.passed for outcome in (Outcome(math.nan, 1, 1), Outcome(1, math.nan, 1), Outcome(1, 1.1, math.nan), Outcome(1, 1.2, 0.1)))
+    assert not any(
+        outcome.passed
+        for outcome in (
+            Outcome(math.nan, 1, 1),
+            Outcome(1, math.nan, 1),
+            Outcome(1, 1.1, math.nan),
+            Outcome(1, 1.2, 0.1),
+        )
+    )
 
 
-def test_a_sweep_tells_its_worst_value():
+def test_a_sweep_returns_its_worst_value():
     sweep = Sweep()
     sweep.add(1.0, 1.0, 0.0)
     sweep.add(2.0, 2.1, 0.2, "half")
@@ -52,7 +65,7 @@ def _made(run) -> Case:
     return Case("made", "made", "", "", run, False, False)
 
 
-def test_invalid_samples_errors_and_skips_are_told_apart():
+def test_invalid_samples_errors_and_skips_are_distinct():
     def spoils(bench):
         bench.invalid_samples += 1
         return Outcome(0, 0, 0)

@@ -21,10 +21,10 @@ Where is the exact ray at the computed t? Along the axis z where the direction d
 So t dz is within 14 u m of a weighted mean of the az, and t dx within 14 u m + 5 u m = 19 u m of the same mean of the
 ax: the ray's point at t is within **19 u m of the triangle's box** in each coordinate.
 
-The slab test computes fma(plane, 1/d, b) with b = -(o' +- margin) / d. In units of length the roundings of 1/d, of b and
-of the FMA cost 2 u (|o'| + M) + 2 u |o'|, and o' itself u |o'|. A component of d that is raised to 2**-40 of the largest
-moves the point by 2**-40 m, less than u m / 2**15. All together 24 u |o'| + 21 u M, for which 32 is used. (CUDA computes with
-approximate reciprocals; what they take of the slack is counted in `traverse_cuda_text.py`.)
+The slab test computes fma(plane, 1/d, b) with b = -(o' +- margin) / d. In units of length the roundings of 1/d, of b
+and of the FMA cost 2 u (|o'| + M) + 2 u |o'|, and o' itself u |o'|. A component of d that is raised to 2**-40 of the
+largest moves the point by 2**-40 m, less than u m / 2**15. All together 24 u |o'| + 21 u M, for which 32 is used. (CUDA
+computes with approximate reciprocals; what they take of the slack is counted in `traverse/quantised/ray.h`.)
 
 The two parts are split: every child box in a wide node is grown by `SLAB_MARGIN` M, M the largest absolute coordinate
 of the boxes in that node, and every ray moves its near planes back and its far planes on by `SLAB_MARGIN` |o'|.
@@ -34,11 +34,14 @@ slivers, which the triangle test computes again in float64 when they are tiny.
 """
 
 SLAB_MARGIN = 32 * 2.0**-24
-"""Of the largest absolute coordinate relative to the tree's centre: of a node (grows its boxes) and of a ray's origin."""
+"""Of the largest absolute coordinate relative to the tree's centre: of a node (grows its boxes) and of a ray's
+origin.
+"""
 
 TRIANGLE_TEST = 25 * 2.0**-24
-"""How far the ray's point at the distance that is found may be off the triangle in each coordinate, of the largest coordinate of the corners
-relative to the ray's origin: the 19 roundings above, and what CUDA's approximate reciprocals add."""
+"""How far the ray's point at the distance that is found may be off the triangle in each coordinate, of the largest
+coordinate of the corners relative to the ray's origin: the 19 roundings above, and what CUDA's approximate reciprocals
+add."""
 
 DIRECTION_LEAST = 2.0**-40
 """A component of a direction counts as at least this times the largest one in the box test."""

@@ -1,6 +1,6 @@
-"""Memory of a scene's geometry and trees, told before it is asked for.
+"""Memory of a scene's geometry and trees, computed before it is allocated.
 
-Figures are lower bounds: what is refused here would not fit, what is not may still fail when it asks for its memory.
+Figures are lower bounds: what is refused here would not fit, what is not may still fail when it is allocated.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ..device import free_memory, total_memory
+from ..device.devices import free_memory, total_memory
 from ..errors import OutOfMemoryError, SceneError
 from ..scene.description import Scene, Visibility
-from .build_cuda import BYTES_EACH
+from .build.cuda.build import BYTES_EACH
 from .node import Layout
 
 # Corners of triangles are counted in int32, and so are vertices
@@ -25,7 +25,7 @@ VERTICES_MAX = 2**31 - 1
 ROW = 12  # a triangle's indices, or a position
 NORMALS = 36  # of the corners of a triangle
 TREE_BYTES = {Layout.BOXES: 45, Layout.QUANTISED: 55}  # nodes and blocks of full groups and leaves, for each triangle
-BUILD_BYTES_HOST = 100  # records, lists and nodes of a binary tree, for each triangle (`build_sah.py`)
+BUILD_BYTES_HOST = 100  # records, lists and nodes of a binary tree, for each triangle (`cpu/build.py`)
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,9 @@ class GeometrySize:
         meshes = [scene.meshes[i] for i in used.tolist()]
         filled = [(mesh, count) for mesh, count in zip(meshes, uses.tolist(), strict=True) if len(mesh.triangles)]
         trees = [len(mesh.triangles) for mesh, count in filled if count > 1]
-        seen = dict(zip(scene.instances.mesh.tolist(), (scene.instances.visibility & int(Visibility.ALL)).tolist(), strict=True))
+        seen = dict(
+            zip(scene.instances.mesh.tolist(), (scene.instances.visibility & int(Visibility.ALL)).tolist(), strict=True)
+        )
         baked: dict[int, int] = {}  # those that are placed once share a tree where they are seen alike
         for i, mesh, count in zip(used.tolist(), meshes, uses.tolist(), strict=True):
             if count == 1:
@@ -64,7 +66,9 @@ class GeometrySize:
         """Geometry and trees on `device`, the build included [bytes]."""
         build = BYTES_EACH if device.is_cuda else BUILD_BYTES_HOST
         # the CPU holds the geometry of the host and that of the device
-        return self.arrays() * (1 if device.is_cuda else 2) + max(TREE_BYTES[layout] * self.triangles, build * self.largest)
+        return self.arrays() * (1 if device.is_cuda else 2) + max(
+            TREE_BYTES[layout] * self.triangles, build * self.largest
+        )
 
 
 def check_counts(size: GeometrySize) -> None:
@@ -72,7 +76,8 @@ def check_counts(size: GeometrySize) -> None:
     for count, most, what in ((size.triangles, TRIANGLES_MAX, "triangles"), (size.vertices, VERTICES_MAX, "vertices")):
         if count > most:
             raise SceneError(
-                f"the scene's meshes have {count:,} {what}, and a scene holds {most:,}; use fewer, or instances of one mesh in place of copies"
+                f"the scene's meshes have {count:,} {what}, and a scene holds {most:,}; use fewer, or instances of one "
+                "mesh in place of copies"
             )
 
 
@@ -85,8 +90,8 @@ def check_memory(size: GeometrySize, layout: Layout, device: wp.Device, all_of_i
 
 
 @contextlib.contextmanager
-def memory_told(size: GeometrySize, layout: Layout, device: wp.Device) -> Iterator[None]:
-    """Meanwhile an allocation that fails, here or on `device`, becomes an `OutOfMemoryError` with the figures."""
+def explained_memory_errors(size: GeometrySize, layout: Layout, device: wp.Device) -> Iterator[None]:
+    """Inside, an allocation that fails, here or on `device`, becomes an `OutOfMemoryError` with the figures."""
     try:
         yield
     except OutOfMemoryError:
@@ -95,12 +100,15 @@ def memory_told(size: GeometrySize, layout: Layout, device: wp.Device) -> Iterat
         # Warp has no class of its own for it
         if isinstance(error, RuntimeError) and not str(error).startswith("Failed to allocate"):
             raise
-        raise _out_of_memory(size, size.needed(layout, device), device, f"{_gigabytes(free_memory(device))} free") from error
+        raise _out_of_memory(
+            size, size.needed(layout, device), device, f"{_gigabytes(free_memory(device))} free"
+        ) from error
 
 
 def _out_of_memory(size: GeometrySize, needed: int, device: wp.Device, there: str) -> OutOfMemoryError:
     return OutOfMemoryError(
-        f"the scene's {size.triangles:,} triangles need at least {_gigabytes(needed)} with their trees, and {device.alias} has {there}; use fewer "
+        f"the scene's {size.triangles:,} triangles need at least {_gigabytes(needed)} with their trees, and "
+        f"{device.alias} has {there}; use fewer "
         "triangles, instances in place of copies, or a device with more memory"
     )
 

@@ -1,11 +1,12 @@
 """The two layouts of a wide tree: nodes with up to eight children, and blocks of triangles.
 
 A *mesh tree* is one block of nodes and one block of triangles. Node 0 is the root; every index is relative to the first
-node or triangle of its block, so that blocks can be moved. Boxes are relative to the tree's `centre`, triangles are not.
+node or triangle of its block, so that blocks can be moved. Boxes are relative to the tree's `centre`, triangles are
+not.
 
 BOXES is for CPUs: full float32 boxes as rows of eight for vector units, nodes and groups of triangles in depth-first
-order. QUANTISED is for GPUs: 80 bytes a node, boxes as bytes on a grid of the node's own (Ylitie, Karras and Laine 2017,
-"Efficient incoherent ray traversal on GPUs through compressed wide BVHs"). Both keep whole float32 triangles.
+order. QUANTISED is for GPUs: 80 bytes a node, boxes as bytes on a grid of the node's own (Ylitie, Karras and Laine
+2017, "Efficient incoherent ray traversal on GPUs through compressed wide BVHs"). Both keep whole float32 triangles.
 
 Every child box is the box of what is below it, moved by the centre, grown by `SLAB_MARGIN` (`margin.py`) times the
 largest absolute coordinate, relative to the centre, of the triangles below *the node that holds it*, and rounded
@@ -28,17 +29,18 @@ EMPTY_CHILD = 0x7FFFFFFF  # BOXES: a slot without a child
 TRIANGLES_MAX_BOXES = 8  # of a leaf: one group
 TRIANGLES_MAX_QUANTISED = 3
 
-# One node of BOXES, 256 bytes. `planes` [axis, lower or upper, slot]: an empty slot has +inf and -inf. `child`: a node when >= 0;
-# a leaf is ~(first_group * 8 + group_count - 1).
+# One node of BOXES, 256 bytes. `planes` [axis, lower or upper, slot]: an empty slot has +inf and -inf. `child`: a node
+# when >= 0; a leaf is ~(first_group * 8 + group_count - 1).
 BOXES_NODE = np.dtype([("planes", "<f4", (3, 2, WIDTH)), ("child", "<i4", WIDTH), ("spare", "<i4", WIDTH)])
-# Eight triangles of BOXES, 320 bytes. `corners` [corner, axis, lane]; `face` is -1, and the corners 0, where there is none.
+# Eight triangles of BOXES, 320 bytes. `corners` [corner, axis, lane]; `face` is -1, and the corners 0, where there is
+# none.
 BOXES_GROUP = np.dtype([("corners", "<f4", (3, 3, WIDTH)), ("face", "<i4", WIDTH)])
 
-# One node of QUANTISED, 80 bytes. A plane is origin + byte * 2^(exponent - 127). Bit s of `inner_mask`: slot s holds a node. These
-# nodes are contiguous from `child_base`, in the order of slots. `meta` of a node is 1 << 5 | 24 + slot; of a leaf, its count in
-# unary (1, 3, 7) << 5 | offset of its first triangle from `triangle_base`; of an empty slot, 0.
-# Slot bits say where a child lies: 4 towards +x, 2 towards +y, 1 towards +z. A ray with the octant o (4 when dx < 0, 2 when dy < 0,
-# 1 when dz < 0) meets children roughly in the order of slot ^ o.
+# One node of QUANTISED, 80 bytes. A plane is origin + byte * 2^(exponent - 127). Bit s of `inner_mask`: slot s holds a
+# node. These nodes are contiguous from `child_base`, in the order of slots. `meta` of a node is 1 << 5 | 24 + slot; of
+# a leaf, its count in unary (1, 3, 7) << 5 | offset of its first triangle from `triangle_base`; of an empty slot, 0.
+# Slot bits say where a child lies: 4 towards +x, 2 towards +y, 1 towards +z. A ray with the octant o (4 when dx < 0, 2
+# when dy < 0, 1 when dz < 0) meets children roughly in the order of slot ^ o.
 QUANTISED_NODE = np.dtype(
     [
         ("origin", "<f4", 3),
@@ -55,6 +57,16 @@ QUANTISED_NODE = np.dtype(
 QUANTISED_TRIANGLE = np.dtype(
     [("a", "<f4", 3), ("face", "<i4"), ("b", "<f4", 3), ("spare_b", "<i4"), ("c", "<f4", 3), ("spare_c", "<i4")]
 )
+
+# What native code knows of either layout; the words of a quantised one are 16 bytes
+BOXES_DEFINES = {
+    "NODE_BYTES": BOXES_NODE.itemsize,
+    "NODE_CHILD": BOXES_NODE.fields["child"][1],
+    "GROUP_BYTES": BOXES_GROUP.itemsize,
+    "GROUP_FACE": BOXES_GROUP.fields["face"][1],
+    "EMPTY_CHILD": EMPTY_CHILD,
+}
+QUANTISED_DEFINES = {"NODE_WORDS": QUANTISED_NODE.itemsize // 16, "TRIANGLE_WORDS": QUANTISED_TRIANGLE.itemsize // 16}
 
 
 class Layout(enum.Enum):
@@ -110,17 +122,13 @@ class WideMesh(WideTree):
         """Memory of nodes and triangles [bytes]."""
         return self.nodes.nbytes + self.triangles.nbytes
 
-    @property
-    def bytes_per_triangle(self) -> float:
-        """Memory of nodes and triangles for each triangle of the mesh [bytes]."""
-        return self.byte_count / self.triangle_count
-
 
 @dataclass(frozen=True)
 class WideTop(WideTree):
     """A tree over entries (meshes in their places) instead of triangles.
 
-    A leaf of BOXES is ~(first * 8 + count - 1), one of QUANTISED counts from `triangle_base`: both over positions in `order`.
+    A leaf of BOXES is ~(first * 8 + count - 1), one of QUANTISED counts from `triangle_base`: both over positions in
+    `order`.
     """
 
     order: np.ndarray  # int32: entries as leaves list them
@@ -180,72 +188,3 @@ def _decode_quantised(nodes: np.ndarray) -> Children:
 def triangle_faces(layout: Layout, triangles: np.ndarray) -> np.ndarray:
     """View of the triangle numbers in the blocks, int32, shape [groups, 8] (-1 for none) or [t]."""
     return triangles.view(BOXES_GROUP if layout is Layout.BOXES else QUANTISED_TRIANGLE)[:, 0]["face"]
-
-
-def triangle_corners(layout: Layout, triangles: np.ndarray) -> np.ndarray:
-    """Vertices as they lie in the blocks, float32, shape [groups, 8, 3 corners, 3] or [t, 3, 3]."""
-    if layout is Layout.BOXES:
-        return np.ascontiguousarray(triangles).view(BOXES_GROUP)[:, 0]["corners"].transpose(0, 3, 1, 2)
-    fields = np.ascontiguousarray(triangles).view(QUANTISED_TRIANGLE)[:, 0]
-    return np.stack([fields["a"], fields["b"], fields["c"]], 1)
-
-
-class Walk(NamedTuple):
-    """All that a ray could reach from the root."""
-
-    depth: np.ndarray  # int64, shape [n]: level of each node, the root's is 0
-    leaf_node: np.ndarray  # int64, shape [leaves]: node that holds the leaf
-    leaf_slot: np.ndarray
-    leaf_first: np.ndarray  # first triangle or group
-    leaf_count: np.ndarray  # triangles or groups
-    leaf_low: np.ndarray  # float64, shape [leaves, 3]: corner of what a ray must meet to visit the leaf, relative to the centre: the
-    # leaf's box within all boxes on the way to it
-    leaf_high: np.ndarray
-
-
-def walk_tree(layout: Layout, nodes: np.ndarray) -> Walk:
-    """Follow every child from the root; raises `ValueError` where nodes are not one tree.
-
-    Checks that each node is reached exactly once and after the node that holds it, that a node has a child, and that what marks a
-    child as a node, a leaf or nothing agrees.
-    """
-    children = decode_children(layout, nodes)
-    if layout is Layout.QUANTISED:
-        _check_meta(np.ascontiguousarray(nodes).view(QUANTISED_NODE)[:, 0])
-    depth = np.full(len(nodes), -1)
-    depth[0] = 0
-    low = np.full((len(nodes), 3), -np.inf)
-    high = np.full((len(nodes), 3), np.inf)
-    level = np.zeros(1, np.int64)
-    found: list[tuple[np.ndarray, ...]] = []
-    while len(level):
-        box_low = np.maximum(children.low[level], low[level][:, None])
-        box_high = np.minimum(children.high[level], high[level][:, None])
-        i, slot = np.nonzero(children.count[level])
-        node = level[i]
-        found.append((node, slot, children.first[node, slot], children.count[node, slot], box_low[i, slot], box_high[i, slot]))
-        i, slot = np.nonzero(children.inner[level] >= 0)
-        below = children.inner[level[i], slot]
-        if len(below) and (below.max() >= len(nodes) or (below <= level[i]).any() or len(np.unique(below)) < len(below)):
-            raise ValueError("a child lies outside of the block, before the node that holds it, or below two nodes")
-        if (depth[below] >= 0).any():
-            raise ValueError("a node is reached twice")
-        depth[below] = depth[level[0]] + 1
-        low[below], high[below] = box_low[i, slot], box_high[i, slot]
-        level = below
-    if (depth < 0).any():
-        raise ValueError("a node is never reached")
-    if not ((children.inner >= 0) | (children.count > 0)).any(1).all():
-        raise ValueError("a node has no child")
-    return Walk(depth, *(np.concatenate(part) for part in zip(*found)))
-
-
-def _check_meta(fields: np.ndarray) -> None:
-    meta = fields["meta"].astype(np.int64)
-    inner = (fields["inner_mask"].astype(np.int64)[:, None] >> np.arange(WIDTH) & 1) == 1
-    if (inner != (meta & 0xF8 == 0x38)).any() or (inner & (meta & 7 != np.arange(WIDTH))).any():
-        raise ValueError("the mask of inner children and their meta bytes disagree")
-    if not (inner | (meta == 0) | np.isin(meta >> 5, (1, 3, 7)) & (meta & 31 < 24)).all():
-        raise ValueError("a leaf's count is not 1 to 3, or its offset is not below 24")
-    if not ((fields["exponent"] >= 1) & (fields["exponent"] <= 254)).all():
-        raise ValueError("an exponent is not that of a normal number")

@@ -45,10 +45,11 @@ TRAIL_LEVELS = 6
 
 @wp.struct
 class Treelets:
-    """Where the parts of mesh trees lie that are visited as units. `Tree.nodes` and `Tree.triangles` hold what is above them.
+    """Where the parts of mesh trees lie that are visited as units. `Tree.nodes` and `Tree.triangles` hold what is above
+    them.
 
-    A treelet is a subtree. Its root is among `Tree.nodes`; the nodes and triangles below the root form two blocks, whose
-    indices, the root's too, are relative to the block's first. Blocks can be anywhere, and be absent.
+    A treelet is a subtree. Its root is among `Tree.nodes`; the nodes and triangles below the root form two blocks,
+    whose indices, the root's too, are relative to the block's first. Blocks can be anywhere, and be absent.
     """
 
     of_node: wp.array(dtype=int)  # by node of `Tree.nodes`: the treelet whose root it is, or -1
@@ -61,8 +62,9 @@ class Treelets:
 class TopProgress:
     """How far rays have come through the top level, by ray slot: enough to go on behind a treelet.
 
-    A trail says, level by level from the root, which child of a resident node the ray is in (`TRAIL_LEVELS`). What it has met so far
-    is in `Rays`: `hit_t`, `hit_uv`, the triangle in `hit_primitive` (-1: none) and its entry in `hit_instance`.
+    A trail says, level by level from the root, which child of a resident node the ray is in (`TRAIL_LEVELS`). What it
+    has met so far is in `Rays`: `hit_t`, `hit_uv`, the triangle in `hit_primitive` (-1: none) and its entry in
+    `hit_instance`.
     """
 
     trail: wp.array2d(dtype=wp.uint32)  # shape [words, slots]

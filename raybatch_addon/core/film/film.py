@@ -15,7 +15,7 @@ from .sums import WIDE_DIGITS, ExactSums, means_of, normalised
 from .tile import FinishedTile, HostSamples
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Film:
     """Passes of the rendered region, bottom row first, and how they came about.
 
@@ -31,12 +31,12 @@ class Film:
     complete: bool = True  # every sample asked for is there
     statistics: dict[str, Any] = field(default_factory=dict)
     resume_state: Any = None  # what `Session.render(resume=...)` needs; None when complete
-    # By place; their samples are not in `samples` yet
+    # By rectangle; their samples are not in `samples` yet
     tiles: dict[tuple[int, int, int, int], FinishedTile] = field(default_factory=dict, repr=False)
     # The pictures, while every pixel has the samples of one tile alone; None: they are made of the sums
     picture: dict[str, np.ndarray] | None = field(default=None, repr=False)
-    # Films of either half of the samples, with seeds of their own, whose exact sum this is; None: all samples are here. Of the passes
-    # that the first sample decides the second half has none
+    # Films of either half of the samples, with seeds of their own, whose exact sum this is; None: all samples are here.
+    # Of the passes that the first sample decides the second half has none
     halves: tuple[Film, Film] | None = field(default=None, repr=False)
     _sum: HostSamples | None = field(default=None, repr=False)  # of the halves, where it was asked for
 
@@ -46,7 +46,14 @@ class Film:
         x0, y0, x1, y1 = frame.region
         layout = layout_of(frame.passes, frame.transparent)
         samples = HostSamples.zeros((x1 - x0) * (y1 - y0), layout.count, tuple(frame.passes))
-        film = Film(frame.width, frame.height, frame.region, tuple(frame.passes), layout, samples)
+        film = Film(
+            width=frame.width,
+            height=frame.height,
+            region=frame.region,
+            pass_names=tuple(frame.passes),
+            layout=layout,
+            samples=samples,
+        )
         if half_count == 2:
             film.halves = (Film.empty(frame), Film.empty(frame))
         return film
@@ -93,13 +100,15 @@ class Film:
         return split_passes(self.pass_names, self.layout, means, self._fetched().single, self.shape)
 
     def add_tile(self, tile: FinishedTile) -> dict[str, np.ndarray]:
-        """Add the samples of `tile`, or put it in the place of the tile that it went on from; returns the passes of its rectangle."""
+        """Add the samples of `tile`, or replace the tile that it went on from by it; returns the passes of its
+        rectangle.
+        """
         untouched = self.picture is None and not self.tiles and not self.samples.counts.any()
         if self.halves:
             for half, part in zip(self.halves, tile.halves, strict=True):
                 half.add_tile(part)
             self._sum = None
-        self.tiles[tile.place] = tile
+        self.tiles[tile.rectangle] = tile
         if untouched or self.picture is not None:
             self._show(tile)
             return tile.passes
@@ -109,8 +118,10 @@ class Film:
         """`passes` of the rectangle whose bottom left is frame pixel (x, y)."""
         left, bottom = x - self.region[0], y - self.region[1]
         if self.picture is not None:
-            return {name: values[bottom : bottom + height, left : left + width] for name, values in self.picture.items()}
-        samples = self._fetched().part(self._place(x, y, width, height))
+            return {
+                name: values[bottom : bottom + height, left : left + width] for name, values in self.picture.items()
+            }
+        samples = self._fetched().part(self._pixels(x, y, width, height))
         means = means_of(samples.sums.window, samples.sums.wide, samples.counts, self.layout.count)
         return split_passes(self.pass_names, self.layout, means, samples.single, (height, width))
 
@@ -120,23 +131,39 @@ class Film:
         Halves stay apart where both films have them. Statistics are those of this film alone, its error among them.
         """
         if (self.width, self.height, self.region, self.pass_names, self.layout) != (
-            other.width, other.height, other.region, other.pass_names, other.layout,
-        ):  # fmt: skip
-            raise RayBatchError("these films cannot be merged: they differ in size, region or passes; render both alike")
+            other.width,
+            other.height,
+            other.region,
+            other.pass_names,
+            other.layout,
+        ):
+            raise RayBatchError(
+                "these films cannot be merged: they differ in size, region or passes; render both alike"
+            )
         merged = Film(
-            self.width, self.height, self.region, self.pass_names, self.layout, self._fetched().add(other._fetched()),
-            complete=self.complete and other.complete, statistics=dict(self.statistics),
-        )  # fmt: skip
+            width=self.width,
+            height=self.height,
+            region=self.region,
+            pass_names=self.pass_names,
+            layout=self.layout,
+            samples=self._fetched().add(other._fetched()),
+            complete=self.complete and other.complete,
+            statistics=dict(self.statistics),
+        )
         if self.halves and other.halves:
             merged.halves = (self.halves[0].merge(other.halves[0]), self.halves[1].merge(other.halves[1]))
             merged._sum = merged.samples
         return merged
 
-    def tile_on(self, place: tuple[int, int, int, int], device: Any) -> FinishedTile:
-        """The samples of the rectangle `place` (x, y, width, height in the frame) as a tile on `device` that more can be added to."""
+    def tile_on(self, rectangle: tuple[int, int, int, int], device: Any) -> FinishedTile:
+        """The samples of the `rectangle` (x, y, width, height in the frame) as a tile on `device` that more can
+        be added to.
+        """
         if self.halves:
-            return FinishedTile.sum_of(*(half.tile_on(place, device) for half in self.halves))
-        return FinishedTile.on_device(place, self._fetched().part(self._place(*place)), self.layout, self.pass_names, device)
+            return FinishedTile.sum_of(*(half.tile_on(rectangle, device) for half in self.halves))
+        return FinishedTile.on_device(
+            rectangle, self._fetched().part(self._pixels(*rectangle)), self.layout, self.pass_names, device
+        )
 
     def save_npz(self, path: str | Path) -> None:
         """Write the passes as arrays by name, linear float32 [height, width, channels], bottom row first."""
@@ -153,8 +180,8 @@ class Film:
             self.picture = {name: np.zeros((*self.shape, PASSES[name]), np.float32) for name in self.pass_names}
             if not self.layout.transparent and "Combined" in self.picture:
                 self.picture["Combined"][..., 3] = 1
-        for name, place in self.part(tile.x, tile.y, tile.width, tile.height).items():
-            place[:] = tile.passes[name]
+        for name, pixels in self.part(tile.x, tile.y, tile.width, tile.height).items():
+            pixels[:] = tile.passes[name]
 
     def _fetched(self) -> HostSamples:
         """All samples in the host's memory."""
@@ -164,26 +191,26 @@ class Film:
             return self._sum
         while self.tiles:
             # a tile that cannot be fetched stays, and is asked for again
-            place = next(iter(self.tiles))
-            self._add_samples(self.tiles[place], self.tiles[place].fetch())
-            del self.tiles[place]
+            rectangle = next(iter(self.tiles))
+            self._add_samples(self.tiles[rectangle], self.tiles[rectangle].fetch())
+            del self.tiles[rectangle]
         return self.samples
 
     def _add_samples(self, tile: FinishedTile, samples: HostSamples) -> None:
-        place, channels = self._place(tile.x, tile.y, tile.width, tile.height), self.layout.count
+        pixels, channels = self._pixels(tile.x, tile.y, tile.width, tile.height), self.layout.count
         sums = self.samples.sums
         if len(samples.sums.wide) and not len(sums.wide):
             sums.wide = np.zeros((WIDE_DIGITS, sums.window.shape[1]), np.int64)
         for mine, theirs in ((sums.window, samples.sums.window), (sums.wide, samples.sums.wide)):
             if len(theirs):
                 cells = mine.reshape(len(mine), -1, channels)
-                cells[:, place] = normalised(cells[:, place] + theirs.reshape(len(mine), -1, channels))
-        self.samples.counts[place] += samples.counts
+                cells[:, pixels] = normalised(cells[:, pixels] + theirs.reshape(len(mine), -1, channels))
+        self.samples.counts[pixels] += samples.counts
         for name, values in samples.first.items():
-            self.samples.first[name].reshape(-1, PASSES[name])[place] += values.reshape(-1, PASSES[name])
+            self.samples.first[name].reshape(-1, PASSES[name])[pixels] += values.reshape(-1, PASSES[name])
         for name, values in samples.cost.items():
-            self.samples.cost[name][place] += values
+            self.samples.cost[name][pixels] += values
 
-    def _place(self, x: int, y: int, width: int, height: int) -> np.ndarray:
+    def _pixels(self, x: int, y: int, width: int, height: int) -> np.ndarray:
         rows = np.arange(y - self.region[1], y - self.region[1] + height)
         return (rows[:, None] * self.shape[1] + np.arange(width) + (x - self.region[0])).ravel()

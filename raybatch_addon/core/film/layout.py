@@ -27,8 +27,8 @@ class ChannelLayout:
 
     def span(self, name: str) -> slice:
         """Channels of the pass `name`."""
-        colour = 3 + self.transparent
-        return slice(0, colour) if name == "Combined" else slice(colour, colour + 3)
+        color = 3 + self.transparent
+        return slice(0, color) if name == "Combined" else slice(color, color + 3)
 
 
 def layout_of(passes: tuple[str, ...], transparent: bool) -> ChannelLayout:
@@ -37,9 +37,15 @@ def layout_of(passes: tuple[str, ...], transparent: bool) -> ChannelLayout:
 
 
 def split_passes(
-    names: tuple[str, ...], layout: ChannelLayout, means: np.ndarray, single: dict[str, np.ndarray], shape: tuple[int, int]
+    names: tuple[str, ...],
+    layout: ChannelLayout,
+    means: np.ndarray,
+    single: dict[str, np.ndarray],
+    shape: tuple[int, int],
 ) -> dict[str, np.ndarray]:
-    """Passes by name, shape [height, width, channels], from the means of the summed channels and from passes of their own."""
+    """Passes by name, shape [height, width, channels], from the means of the summed channels and from passes of their
+    own.
+    """
     means = means.reshape(*shape, layout.count)
     passes = {}
     for name in names:

@@ -6,7 +6,8 @@ adding is integer addition: exact, without carries, and independent of the order
 partition of the samples therefore merge to the bits of one render.
 
 Most pictures need four digits, 2^-96 to 2^32 (the *window*). A sample that does not fit is set aside and added to a
-second set of ten digits that covers all of float32 (the *wide* digits), which is allocated when the first such sample turns up.
+second set of ten digits that covers all of float32 (the *wide* digits), which is allocated when the first such sample
+turns up.
 """
 
 from __future__ import annotations
@@ -15,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
-
 
 # Digit k of the wide digits counts units of 2^(32 k - 160): bits 2^-160 to 2^160 hold 2^31 sums of any float32.
 WIDE_DIGITS = 10
@@ -77,8 +77,8 @@ def rounded_sums(window: np.ndarray, wide: np.ndarray) -> np.ndarray:
         float64, shape [n].
     """
     lowest, low, middle, high = normalised(window)
-    # Below 2^20 the two upper digits are exact in float64 together, and adding the next one rounds once. With at least 55
-    # bits there, the lowest digit matters only by being 0 or not: a sticky bit.
+    # Below 2^20 the two upper digits are exact in float64 together, and adding the next one rounds once. With at least
+    # 55 bits there, the lowest digit matters only by being 0 or not: a sticky bit.
     upper = high.astype(np.float64) * 2.0**32 + middle
     sticky = low | (lowest != 0)
     sums = (upper * 2.0**32 + sticky) * 2.0**-64

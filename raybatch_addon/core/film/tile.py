@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ..kernel import KERNEL_OPTIONS
+from ..device.kernel import KERNEL_OPTIONS
 from .layout import COST_PASSES, FIRST_SAMPLE_PASSES, PASSES, ChannelLayout, mean_costs, split_passes
 from .sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, add_wide, means_of, no_wide
 
@@ -40,24 +40,33 @@ class FilmTile:
     spill_count: wp.array(dtype=int)  # shape [1]
 
 
-# Places for channels that are set aside. When they run out the paths that found none wait until there are wide digits
-SPILL_PLACES = 1 << 16
+# Entries for channels that are set aside. When they run out the paths that found none wait until there are wide digits
+SPILL_CAPACITY = 1 << 16
 
 
 class FilmTiles:
-    """Makes the tiles of one worker; what is set aside at the window's ends has one place for all of them."""
+    """Makes the tiles of one worker; all of them share the arrays of what is set aside at the window's ends."""
 
     def __init__(
-        self, layout: ChannelLayout, passes: tuple[str, ...], device: wp.Device, spill_count: wp.array, spill_places: int = SPILL_PLACES
-    ):  # fmt: skip
-        """`spill_count`, int32, shape [1], counts what is set aside: whole pixels, of which `spill_places` channels have a place."""
+        self,
+        layout: ChannelLayout,
+        passes: tuple[str, ...],
+        device: wp.Device,
+        spill_count: wp.array,
+        spill_capacity: int = SPILL_CAPACITY,
+    ):
+        """`spill_count`, int32, shape [1], counts what is set aside: whole pixels, for which there are
+        `spill_capacity` entries, one a channel.
+        """
         self._layout, self._passes, self._device, self._spill_count = layout, passes, device, spill_count
-        places = max(1, spill_places // layout.count) * layout.count
-        self._spill_index = wp.zeros(places, dtype=int, device=device)
-        self._spill_value = wp.zeros(places, dtype=float, device=device)
+        capacity = max(1, spill_capacity // layout.count) * layout.count
+        self._spill_index = wp.zeros(capacity, dtype=int, device=device)
+        self._spill_value = wp.zeros(capacity, dtype=float, device=device)
 
     def begin(self, pixel_count: int, earlier: FilmTile | None = None) -> FilmTile:
-        """A black tile, or `earlier`, to which more samples are added; of invalid samples only those to come are counted."""
+        """A black tile, or `earlier`, to which more samples are added; of invalid samples only those to come are
+        counted.
+        """
         if earlier is not None:
             tile = earlier
             tile.invalid.zero_()
@@ -65,26 +74,30 @@ class FilmTiles:
             tile = _black_tile(self._layout.count * pixel_count, self._device)
             tile.counts = wp.zeros(pixel_count, dtype=wp.int64, device=self._device)
             tile.depth = wp.zeros(pixel_count if "Depth" in self._passes else 0, dtype=float, device=self._device)
-            tile.position = wp.zeros(pixel_count if "Position" in self._passes else 0, dtype=wp.vec3, device=self._device)
+            tile.position = wp.zeros(
+                pixel_count if "Position" in self._passes else 0, dtype=wp.vec3, device=self._device
+            )
         tile.spill_index, tile.spill_value = self._spill_index, self._spill_value
         self._spill_count.zero_()
         tile.spill_count = self._spill_count
         return tile
 
     def take_spill(self, film: FilmTile, spilled: int) -> bool:
-        """Add the `spilled` channels that were set aside to wide digits; whether some found no place, so that there is more to add."""
+        """Add the `spilled` channels that were set aside to wide digits; whether some found no entry, so that there is
+        more to add.
+        """
         if spilled == 0:
             return False
         if film.wide.shape[0] == 0:
             film.wide = wp.zeros((WIDE_DIGITS, film.window.shape[1]), dtype=wp.int64, device=self._device)
-        places = film.spill_index.shape[0]
-        wp.launch(add_spill_kernel, min(spilled, places), [film], device=self._device)
+        capacity = film.spill_index.shape[0]
+        wp.launch(add_spill_kernel, min(spilled, capacity), [film], device=self._device)
         film.spill_count.zero_()
-        return spilled > places
+        return spilled > capacity
 
 
 def _black_tile(cell_count: int, device: wp.Device) -> FilmTile:
-    """Sums of so many channels, without counts and without places for what does not fit."""
+    """Sums of so many channels, without counts and without entries for what does not fit."""
     tile = FilmTile()
     tile.window = wp.zeros((WINDOW_DIGITS, cell_count), dtype=wp.int64, device=device)
     tile.wide = wp.zeros((0, 0), dtype=wp.int64, device=device)
@@ -93,7 +106,9 @@ def _black_tile(cell_count: int, device: wp.Device) -> FilmTile:
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def add_integers_kernel(first: wp.array(dtype=wp.int64), second: wp.array(dtype=wp.int64), result: wp.array(dtype=wp.int64)):
+def add_integers_kernel(
+    first: wp.array(dtype=wp.int64), second: wp.array(dtype=wp.int64), result: wp.array(dtype=wp.int64)
+):
     """The sums of two arrays: of digits, counts or costs."""
     i = wp.tid()
     result[i] = first[i] + second[i]
@@ -104,7 +119,9 @@ def _added(first: wp.array, second: wp.array) -> wp.array:
     if first.size == 0 or second.size == 0:
         return second if first.size == 0 else first
     result = wp.empty(first.shape, dtype=wp.int64, device=first.device)
-    wp.launch(add_integers_kernel, first.size, [first.flatten(), second.flatten(), result.flatten()], device=first.device)
+    wp.launch(
+        add_integers_kernel, first.size, [first.flatten(), second.flatten(), result.flatten()], device=first.device
+    )
     return result
 
 
@@ -164,7 +181,9 @@ def resolve_kernel(layout: ChannelLayout) -> wp.Kernel:
         return float(rounded_sum(film.window, pixel * wp.static(layout.count) + channel) / count)
 
     @wp.kernel(**KERNEL_OPTIONS)
-    def resolve(film: FilmTile, combined: wp.array(dtype=wp.vec4), normal: wp.array(dtype=wp.vec3), beyond: wp.array(dtype=int)):
+    def resolve(
+        film: FilmTile, combined: wp.array(dtype=wp.vec4), normal: wp.array(dtype=wp.vec3), beyond: wp.array(dtype=int)
+    ):
         pixel = wp.tid()
         for channel in range(wp.static(layout.count)):
             # so high that carries from below could leave it
@@ -176,7 +195,9 @@ def resolve_kernel(layout: ChannelLayout) -> wp.Kernel:
         combined[pixel] = wp.vec4(mean(film, pixel, 0), mean(film, pixel, 1), mean(film, pixel, 2), alpha)
         if wp.static(layout.normal):
             first = wp.static(layout.span("Normal").start)
-            normal[pixel] = wp.vec3(mean(film, pixel, first), mean(film, pixel, first + 1), mean(film, pixel, first + 2))
+            normal[pixel] = wp.vec3(
+                mean(film, pixel, first), mean(film, pixel, first + 1), mean(film, pixel, first + 2)
+            )
 
     return resolve
 
@@ -193,7 +214,9 @@ class HostSamples:
     @staticmethod
     def zeros(pixel_count: int, channels: int, pass_names: tuple[str, ...]) -> HostSamples:
         """No samples of so many pixels, with `channels` summed channels each."""
-        first = {name: np.zeros(pixel_count * PASSES[name], np.float32) for name in pass_names if name in FIRST_SAMPLE_PASSES}
+        first = {
+            name: np.zeros(pixel_count * PASSES[name], np.float32) for name in pass_names if name in FIRST_SAMPLE_PASSES
+        }
         cost = {name: np.zeros(pixel_count, np.int64) for name in pass_names if name in COST_PASSES}
         return HostSamples(ExactSums.zeros(pixel_count, channels), np.zeros(pixel_count, np.int64), first, cost)
 
@@ -231,20 +254,30 @@ class FinishedTile:
     """A tile whose samples so far are all there."""
 
     def __init__(
-        self, place: tuple[int, int, int, int], film: FilmTile, layout: ChannelLayout, pass_names: tuple[str, ...], sample_count: int,
+        self,
+        rectangle: tuple[int, int, int, int],
+        film: FilmTile,
+        layout: ChannelLayout,
+        pass_names: tuple[str, ...],
+        sample_count: int,
         cost: wp.array | None = None,
-    ):  # fmt: skip
-        """`place` is x, y, width, height in the frame [pixels], `sample_count` the paths in it, `cost` (int64, shape [cost passes, pixels])
-        the sums of those cost passes that are in `pass_names`, in their order. The picture is fetched at once."""
+    ):
+        """`rectangle` is x, y, width, height in the frame [pixels], `sample_count` the paths in it, `cost` (int64,
+        shape [cost passes, pixels]) the sums of those cost passes that are in `pass_names`, in their order. The
+        picture is fetched at once."""
         # the worker's own arrays, which the next tile needs and this one must not keep alive
-        film.spill_index, film.spill_value = (wp.empty(0, dtype=dtype, device=film.window.device) for dtype in (int, float))
-        self.place = place
+        film.spill_index, film.spill_value = (
+            wp.empty(0, dtype=dtype, device=film.window.device) for dtype in (int, float)
+        )
+        self.rectangle = rectangle
         self.film: FilmTile | None = film  # None: it is the sum of `halves`
         self.cost = cost
         self.halves: tuple[FinishedTile, FinishedTile] | None = None  # what it is the sum of
         self.sample_count = sample_count
-        self.x, self.y, self.width, self.height = place
-        self.invalid = int(film.invalid.numpy()[0])  # samples that were not finite, since the tile was begun or gone on with
+        self.x, self.y, self.width, self.height = rectangle
+        self.invalid = int(
+            film.invalid.numpy()[0]
+        )  # samples that were not finite, since the tile was begun or gone on with
         self._layout, self._pass_names = layout, pass_names
         self._cost_names = tuple(name for name in pass_names if name in COST_PASSES)
         self._first_names = tuple(name for name in pass_names if name in FIRST_SAMPLE_PASSES)
@@ -252,22 +285,31 @@ class FinishedTile:
 
     @staticmethod
     def sum_of(first: FinishedTile, second: FinishedTile) -> FinishedTile:
-        """The tile of both halves of its samples; what only the first sample tells is that of `first`. Their sums stay apart."""
+        """The tile of both halves of its samples; what only the first sample gives is that of `first`. Their sums stay
+        apart.
+        """
         film = FilmTile()
-        film.window, film.wide = _added(first.film.window, second.film.window), _added(first.film.wide, second.film.wide)
+        film.window, film.wide = (
+            _added(first.film.window, second.film.window),
+            _added(first.film.wide, second.film.wide),
+        )
         film.counts = _added(first.film.counts, second.film.counts)
         film.depth, film.position = first.film.depth, first.film.position
         film.invalid, film.spill_count = (wp.zeros(1, dtype=int, device=film.window.device) for _ in range(2))
         cost = _added(first.cost, second.cost) if first.cost is not None else None
         count = first.sample_count + second.sample_count
-        tile = FinishedTile(first.place, film, first._layout, first._pass_names, count, cost)
+        tile = FinishedTile(first.rectangle, film, first._layout, first._pass_names, count, cost)
         tile.halves, tile.invalid = (first, second), first.invalid + second.invalid
         tile.film = tile.cost = None
         return tile
 
     @staticmethod
     def on_device(
-        place: tuple[int, int, int, int], samples: HostSamples, layout: ChannelLayout, pass_names: tuple[str, ...], device: wp.Device
+        rectangle: tuple[int, int, int, int],
+        samples: HostSamples,
+        layout: ChannelLayout,
+        pass_names: tuple[str, ...],
+        device: wp.Device,
     ) -> FinishedTile:
         """`samples` as a tile on `device` that more can be added to."""
         film = _black_tile(0, device)
@@ -276,11 +318,13 @@ class FinishedTile:
             film.wide = wp.array(samples.sums.wide, dtype=wp.int64, device=device)
         film.counts = wp.array(samples.counts, dtype=wp.int64, device=device)
         film.depth = wp.array(samples.first.get("Depth", np.zeros(0, np.float32)), dtype=float, device=device)
-        film.position = wp.array(samples.first.get("Position", np.zeros(0, np.float32)).reshape(-1, 3), dtype=wp.vec3, device=device)
+        film.position = wp.array(
+            samples.first.get("Position", np.zeros(0, np.float32)).reshape(-1, 3), dtype=wp.vec3, device=device
+        )
         film.spill_count = wp.zeros(1, dtype=int, device=device)
         costs = [samples.cost[name] for name in pass_names if name in COST_PASSES]
         cost = wp.array(np.stack(costs), dtype=wp.int64, device=device) if costs else None
-        return FinishedTile(place, film, layout, pass_names, int(samples.counts.sum()), cost)
+        return FinishedTile(rectangle, film, layout, pass_names, int(samples.counts.sum()), cost)
 
     def fetch(self) -> HostSamples:
         """What the pictures are made of."""
@@ -288,7 +332,9 @@ class FinishedTile:
             return self.halves[0].fetch().add(self.halves[1].fetch())
         film = self.film
         wide = film.wide.numpy() if film.wide.shape[0] else no_wide()
-        return HostSamples(ExactSums(film.window.numpy(), wide, self._layout.count), film.counts.numpy(), self._first(), self._costs())
+        return HostSamples(
+            ExactSums(film.window.numpy(), wide, self._layout.count), film.counts.numpy(), self._first(), self._costs()
+        )
 
     def _costs(self) -> dict[str, np.ndarray]:
         return dict(zip(self._cost_names, self.cost.numpy())) if self._cost_names else {}
@@ -311,7 +357,8 @@ class FinishedTile:
                 if self._cost_names:
                     single |= mean_costs(self._costs(), film.counts.numpy())
                 return {
-                    name: (single[name] if name in single else means[name].numpy()).reshape(*shape, PASSES[name]) for name in pass_names
+                    name: (single[name] if name in single else means[name].numpy()).reshape(*shape, PASSES[name])
+                    for name in pass_names
                 }
         # sums of more bits than the kernel handles
         samples = self.fetch()

@@ -10,8 +10,6 @@ from __future__ import annotations
 import dataclasses
 import enum
 import json
-import os
-import tempfile
 import zipfile
 import zlib
 from pathlib import Path
@@ -20,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import SceneError
-from ..settings import RenderSettings
+from ..files import whole_file
+from ..settings.settings import RenderSettings
 from . import description
 
 FORMAT = "raybatch-scene"
@@ -40,22 +39,15 @@ def save_scene(path: str | Path, scene: description.Scene, settings: RenderSetti
     members: dict[int, str] = {}  # member by id of an array, so that one used twice is written once
     tree = {"scene": _encode(scene, arrays, members), "settings": _encode(settings, arrays, members)}
     header = json.dumps({"format": FORMAT, "version": VERSION, **tree}, ensure_ascii=False)
-    temporary = None
     try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            temporary = Path(file.name)
+        with whole_file(path) as temporary, temporary.open("wb") as file:
             np.savez(file, header=np.frombuffer(header.encode(), np.uint8), **arrays)
-        temporary.chmod(0o666 & ~_umask())
-        os.replace(temporary, path)
     except OSError as error:
         raise SceneError(f"the scene cannot be written to {path}: {error.strerror or error}") from error
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
 
 
 def load_scene(path: str | Path) -> tuple[description.Scene, RenderSettings]:
-    """The scene and settings of a file by `save_scene`; raises `SceneError` for any other or a damaged one."""
+    """The scene and settings of a file by `save_scene`; raises `SceneError` for any other or a damaged file."""
     path = Path(path)
     try:
         loaded = np.load(path, allow_pickle=False)
@@ -76,7 +68,16 @@ def load_scene(path: str | Path) -> tuple[description.Scene, RenderSettings]:
         scene, settings = _decode(header["scene"], arrays), _decode(header["settings"], arrays)
     except FileNotFoundError:
         raise SceneError(f"there is no file {path}") from None
-    except (OSError, EOFError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile, zlib.error) as error:
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         if isinstance(error, SceneError):
             raise
         raise SceneError(f"{path} cannot be read as a saved scene; is it damaged or cut short? ({error})") from error
@@ -86,7 +87,7 @@ def load_scene(path: str | Path) -> tuple[description.Scene, RenderSettings]:
 
 
 def _encode(value: Any, arrays: dict[str, np.ndarray], members: dict[int, str]) -> Any:
-    """`value` as JSON can hold it; arrays go to `arrays`. A list of JSON stands for a tuple."""
+    """`value` in a form that JSON can hold; arrays go to `arrays`. A list in JSON stands for a tuple."""
     if isinstance(value, (np.ndarray, np.generic)):
         if id(value) not in members:
             array = np.asarray(value)
@@ -98,7 +99,10 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], members: dict[int, str]) 
     if isinstance(value, enum.Enum):
         return {"enum": type(value).__name__, "value": value.value}
     if dataclasses.is_dataclass(value):
-        fields = {field.name: _encode(getattr(value, field.name), arrays, members) for field in dataclasses.fields(value)}
+        fields = {
+            description.stored_name(field): _encode(getattr(value, field.name), arrays, members)
+            for field in dataclasses.fields(value)
+        }
         return {"class": type(value).__name__, "fields": fields}
     if isinstance(value, (tuple, list)):
         return [_encode(item, arrays, members) for item in value]
@@ -108,7 +112,7 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], members: dict[int, str]) 
 
 
 def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
-    """The inverse of `_encode`; a field that the file lacks gets its default, one that we do not know is an error."""
+    """The inverse of `_encode`; a field that the file lacks gets its default, an unknown one is an error."""
     if isinstance(value, list):
         return tuple(_decode(item, arrays) for item in value)
     if not isinstance(value, dict):
@@ -119,11 +123,6 @@ def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
         return arrays[value["scalar"]][()]
     if "enum" in value:
         return _CLASSES[value["enum"]](value["value"])
-    return _CLASSES[value["class"]](**{name: _decode(item, arrays) for name, item in value["fields"].items()})
-
-
-def _umask() -> int:
-    """The process's file mode mask, which a temporary file does not follow by itself."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+    kind = _CLASSES[value["class"]]
+    names = {description.stored_name(field): field.name for field in dataclasses.fields(kind)}
+    return kind(**{names.get(name, name): _decode(item, arrays) for name, item in value["fields"].items()})

@@ -6,16 +6,23 @@ Axes are Blender's world axes. A camera looks along its own -Z, with +X right an
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import Field, dataclass, field
 from enum import IntEnum, IntFlag
 
 import numpy as np
 
 from .program import Instruction, Program, ProgramFeatures  # noqa: F401  (the archive finds its classes here)
 
+_STORED_NAME = "stored_name"  # metadata of a field that is called otherwise in files
+
+
+def stored_name(of: Field) -> str:
+    """Name of a dataclass's field in saved scenes and in digests, which stays when the field is renamed."""
+    return of.metadata.get(_STORED_NAME, of.name)
+
 
 class Visibility(IntFlag):
-    """Kinds of rays that see an object; an object is skipped by rays whose bit it lacks."""
+    """Kinds of rays that see an object; rays whose bit an object lacks skip it."""
 
     CAMERA = 1
     DIFFUSE = 2
@@ -26,29 +33,30 @@ class Visibility(IntFlag):
 
 
 class ClosureKind(IntEnum):
-    """The scattering and emission models that a material mixes (see `shading/closures.py`), and what they may have besides.
+    """Scattering and emission models that a material mixes (see `shading/bsdf/bsdf.py`), and abilities of closures.
 
     Facets are of GGX where a closure does not say otherwise.
     """
 
     DIFFUSE = 0  # Lambert
-    LAYERED_DIFFUSE = 1  # Lambert below a dielectric coat (roughness, ior): scaled by what the coat lets through
+    # Lambert below a dielectric coat (roughness, ior): scaled by the share of light that the coat lets through
+    LAYERED_DIFFUSE = 1
     GLOSSY = 2  # facets that reflect all light
-    METAL = 3  # facets with the Fresnel of F82-tint: `colour` at normal incidence, Schlick's times `edge` at 82 degrees
+    METAL = 3  # facets with the Fresnel of F82-tint: `color` at normal incidence, Schlick's times `edge` at 82 degrees
     DIELECTRIC = 4  # facets of a dielectric coat, Fresnel from `ior`
     GLASS = 5  # facets that reflect and refract, Fresnel from `ior`
     TRANSPARENT = 6  # passes straight on, times `weight`
     EMISSION = 7  # emits `weight` as radiance on both sides
-    ROUGH_DIFFUSE = 8  # Oren and Nayar's, `roughness`; `colour` is what each bounce between its grooves keeps
+    ROUGH_DIFFUSE = 8  # Oren and Nayar's, `roughness`; each bounce between its grooves is multiplied by `color`
     TRANSLUCENT = 9  # Lambert on the other side
-    REFRACTION = 10  # facets that refract all light but what they mirror totally
-    CONDUCTOR = 11  # facets with the Fresnel of a metal: `colour` is its index, `edge` its extinction coefficient
+    REFRACTION = 10  # facets that refract all light except total reflection
+    CONDUCTOR = 11  # facets with the Fresnel of a conductor: `color` is its index, `edge` its extinction coefficient
     ASHIKHMIN_SHIRLEY = 12  # anisotropic Phong lobe
     SHEEN = 13  # a layer of fibres
     VELVET = 14  # Ashikhmin's; `roughness` is sigma
-    HOLDOUT = 15  # cuts a hole into the picture: takes light, and for `weight` of it the film's alpha is 0
-    SHEET = 16  # facets that scatter on the other side as GLOSSY's on this one: a rough sheet without thickness
-    SUBSURFACE = 17  # light goes in and scatters below: a random walk through the medium (`shading/subsurface.py`)
+    HOLDOUT = 15  # hole in the picture: takes light, and `weight` of it takes the film's alpha
+    SHEET = 16  # facets that scatter to the other side as GLOSSY's do to this one: a rough sheet without thickness
+    SUBSURFACE = 17  # light goes in and scatters below: a random walk through the medium (`shading/bsdf/subsurface.py`)
     # Abilities: not models, but needed by closures whose values ask for them (`Closure.needs`)
     BECKMANN = 32  # `distribution` 1
     ANISOTROPIC = 33  # `aspect` other than 1
@@ -62,7 +70,7 @@ class ClosureKind(IntEnum):
 
 
 class LightKind(IntEnum):
-    """Lights without mesh."""
+    """Kinds of lights without mesh."""
 
     POINT = 0
     SPOT = 1
@@ -72,7 +80,7 @@ class LightKind(IntEnum):
 
 
 class CameraKind(IntEnum):
-    """Projections."""
+    """Projections of cameras."""
 
     PERSPECTIVE = 0
     ORTHOGRAPHIC = 1
@@ -84,8 +92,8 @@ class Attribute:
 
     kind: str
     name: str
-    # float32; of corners, shape [triangle_count, 3, width], or of whole triangles, shape [triangle_count, width]. The width tells what it
-    # is: 1 a number, 2 a pair, 3 a vector, 4 a colour with alpha
+    # float32; one value for each corner, shape [triangle_count, 3, width], or each triangle, shape [triangle_count,
+    # width]. The width is 1 for a number, 2 for a pair, 3 for a vector, 4 for a colour with alpha
     values: np.ndarray
 
 
@@ -101,41 +109,43 @@ class Mesh:
     corner_uvs: np.ndarray | None = None  # float32, shape [triangle_count, 3, 2]; None: no UV map
     # centre and half size of the box that generated texture coordinates span, in object space [m]; None: -1..1
     texture_space: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
-    attributes: tuple[Attribute, ...] = ()  # what programs of its materials ask for
+    attributes: tuple[Attribute, ...] = ()  # values that programs of its materials read
 
 
 @dataclass(frozen=True)
 class Closure:
-    """One weighted closure of a material; what a kind does not use is ignored."""
+    """One weighted closure of a material; fields that its kind does not use are ignored."""
 
     kind: ClosureKind
     weight: tuple[float, float, float]  # linear RGB, >= 0: colour times mix factors (EMISSION: radiance, W/(m² sr))
     roughness: float = 0.0  # Blender's roughness, 0..1; the facets' alpha is its square
-    ior: float = 1.5  # of the inside relative to the outside (GLASS, DIELECTRIC, LAYERED_DIFFUSE)
+    ior: float = 1.5  # index of the inside relative to the outside (GLASS, DIELECTRIC, LAYERED_DIFFUSE)
     # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence; CONDUCTOR: extinction coefficient
     edge: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    refraction: tuple[float, float, float] = (1.0, 1.0, 1.0)  # GLASS: what refracts is `weight` times this, what reflects `weight`
-    share: float = 1.0  # the mix factors that `weight` contains, where there is no `colour`
-    multiscatter: bool = True  # GLOSSY to GLASS, LAYERED_DIFFUSE: add what bounces more than once between facets
-    # Colour of a facet without mix factors: GLOSSY, GLASS, ROUGH_DIFFUSE: of what bounces between facets; METAL: reflectance at
-    # normal incidence; CONDUCTOR: index of refraction.
-    # None: that of `weight`, in which `share` is no colour (METAL, CONDUCTOR: all of it, and the weight is `share`)
-    colour: tuple[float, float, float] | None = None
-    distribution: int = 0  # of facets: 0 GGX, 1 Beckmann
-    aspect: float = 1.0  # of facets: alpha along the tangent is multiplied by it, across it divided
-    normal: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in world space; 0: that of the surface
+    # GLASS: refracted light is multiplied by `weight` times this, reflected light by `weight`
+    refraction: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    share: float = 1.0  # the mix factors that `weight` contains; used where `color` is None
+    multiscatter: bool = True  # GLOSSY to GLASS, LAYERED_DIFFUSE: add light that bounces more than once between facets
+    # Colour of a facet without mix factors. GLOSSY, GLASS, ROUGH_DIFFUSE: multiplies light that bounces between
+    # facets; METAL: reflectance at normal incidence; CONDUCTOR: index of refraction. None: the colour of `weight`,
+    # without the factors in `share`; METAL, CONDUCTOR: `weight` / `share`, and the closure's weight is `share`
+    color: tuple[float, float, float] | None = field(default=None, metadata={_STORED_NAME: "colour"})
+    distribution: int = 0  # facets: 0 GGX, 1 Beckmann
+    aspect: float = 1.0  # facets: alpha along the tangent is multiplied by it, across it divided
+    normal: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in world space; 0: the surface's
     tangent: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in world space; 0: facets are isotropic
-    film_thickness: float = 0.0  # METAL, CONDUCTOR, DIELECTRIC, GLASS: of a film on the facets [nm]; below 0.1 there is none
-    film_ior: float = 1.33  # of that film, relative to the outside
-    # SUBSURFACE: mean cosine of the phase function. `colour` is the medium's albedo, `edge` its extinction [1/m], `refraction` what a walk's
-    # throughput is multiplied by at once; `multiscatter`: half of the light goes in diffusely
+    # METAL, CONDUCTOR, DIELECTRIC, GLASS: thickness of a film on the facets [nm]; below 0.1 there is none
+    film_thickness: float = 0.0
+    film_ior: float = 1.33  # index of the film, relative to the outside
+    # SUBSURFACE: mean cosine of the phase function. `color` is the medium's albedo, `edge` its extinction [1/m],
+    # `refraction` a factor of a walk's throughput at its start; `multiscatter`: half of the light goes in diffusely
     mean_cosine: float = 0.0
 
     @property
     def needs(self) -> frozenset[ClosureKind]:
-        """The kind, and the abilities that its values ask for."""
+        """The kind, and the abilities that the values ask for."""
         abilities = {
-            ClosureKind.DIFFUSE: self.kind == ClosureKind.SUBSURFACE,  # where light comes out again
+            ClosureKind.DIFFUSE: self.kind == ClosureKind.SUBSURFACE,  # light comes out again by Lambert's law
             ClosureKind.BECKMANN: self.distribution == 1,
             ClosureKind.ANISOTROPIC: self.aspect != 1 and any(self.tangent),
             ClosureKind.THIN_FILM: self.film_thickness > 0,
@@ -149,39 +159,41 @@ class Material:
     """A named sum of closures; with no closure it is black."""
 
     name: str
-    closures: tuple[Closure, ...] = ()  # those with a weight above 0
-    # Kinds that the material's nodes can have when a slider moves (by node kind, not by value):
-    # kernels are compiled for these, so that moving a slider never compiles. Includes those of `closures`.
+    closures: tuple[Closure, ...] = ()  # closures with a weight above 0
+    # Kinds that the material's nodes can have when a slider moves (by node kind, not by value). Kernels are compiled
+    # for these, so that moving a slider never compiles. Includes the kinds of `closures`.
     kinds: tuple[ClosureKind, ...] = ()
     program: Program | None = None  # makes the closures at every point, instead of `closures`
 
 
 @dataclass(frozen=True)
 class Instances:
-    """Placements of meshes, one entry an instance."""
+    """Placements of meshes, one entry for each instance."""
 
     mesh: np.ndarray  # index into `Scene.meshes`, int32, shape [n]
     transform: np.ndarray  # object to world, float32, shape [n, 3, 4]
     slot_first: np.ndarray  # first entry of the instance in `Scene.slot_materials`, int32, shape [n]
     visibility: np.ndarray  # `Visibility` bits, int32, shape [n]
     object: np.ndarray  # index into `Scene.object_names`, int32, shape [n]
-    # what shader programs may ask: red, green, blue, alpha of the object's colour, its index, and a random number; float32, shape [n, 6]
+    # values that shader programs read: red, green, blue, alpha of the object's colour, its index, and a random number;
+    # float32, shape [n, 6]
     info: np.ndarray | None = None
-    attributes: np.ndarray | None = None  # RGBA that programs read by index, of objects and what places them; float32, shape [n, k, 4]
+    # RGBA attributes of objects, and of objects that place them, which programs read by index; float32, shape [n, k, 4]
+    attributes: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.mesh)
 
     @staticmethod
     def empty() -> Instances:
-        """No instances."""
+        """Arrays without instances."""
         none = np.zeros(0, np.int32)
         return Instances(none, np.zeros((0, 3, 4), np.float32), none, none, none)
 
 
 @dataclass(frozen=True)
 class Light:
-    """A light without mesh. It shines along its own -Z (SPOT, SUN, RECTANGLE, ELLIPSE)."""
+    """A light without mesh, which shines along its own -Z (SPOT, SUN, RECTANGLE, ELLIPSE)."""
 
     name: str
     kind: LightKind
@@ -189,7 +201,7 @@ class Light:
     # POINT, SPOT: radiant intensity (on the axis, before blending) [W/sr]; SUN: irradiance of a
     # surface that faces it [W/m²]; RECTANGLE, ELLIPSE: radiosity / pi, the radiance where `spread` is pi [W/(m² sr)]
     emission: tuple[float, float, float]
-    radius: float = 0.0  # POINT, SPOT: of the luminous sphere [m]
+    radius: float = 0.0  # POINT, SPOT: radius of the luminous sphere [m]
     soft_falloff: bool = True  # POINT, SPOT: the light is a disk that faces the shaded point, else a sphere
     angle: float = 0.0  # SUN: angular diameter [rad]; SPOT: full cone angle [rad]
     blend: float = 0.0  # SPOT: share of the cone that is softened, 0..1
@@ -198,17 +210,18 @@ class Light:
     spread: float = np.pi  # RECTANGLE, ELLIPSE: full angle into which light leaves [rad]
     visibility: int = int(Visibility.ALL)  # kinds of rays that meet the light itself
     casts_shadow: bool = True
-    # multiplies `emission` by the sum of its emission closures, in every direction and at every point of the light's shape; None: by 1
+    # the sum of its emission closures multiplies `emission`, in every direction and at every point of the light's
+    # shape; None: factor 1
     program: Program | None = None
-    # what the program may ask of the light's object: its map to the world with all scale and shear, float32, shape [3, 4] (None:
-    # `transform`), and a row as of `Instances.info`
+    # values of the light's object that the program reads: its map to the world with all scale and shear, float32,
+    # shape [3, 4] (None: `transform`), and a row as in `Instances.info`
     object_transform: np.ndarray | None = None
     info: tuple[float, ...] | None = None
-    attributes: np.ndarray | None = None  # as a row of `Instances.attributes`; float32, shape [k, 4]
+    attributes: np.ndarray | None = None  # a row as in `Instances.attributes`; float32, shape [k, 4]
 
 
 class ImageEncoding(IntEnum):
-    """What the numbers of an image stand for."""
+    """Meaning of an image's numbers."""
 
     LINEAR = 0  # linear RGB, or data that are no colour
     SRGB = 1  # the sRGB transfer function; decoded after interpolation, as Blender does
@@ -216,10 +229,11 @@ class ImageEncoding(IntEnum):
 
 @dataclass(frozen=True)
 class Image:
-    """A picture that textures read. The bottom row comes first; alpha, where there is any, has been multiplied into the colours.
+    """A picture that textures read.
 
-    With tiles (UDIM) it is many pictures: tile 1001 + 10 v + u covers texture coordinates u..u + 1, v..v + 1.
-    A picture without pixels counts as missing, and so does the place of a tile that is not there: magenta.
+    The bottom row comes first; alpha, where there is any, has been multiplied into the colours. With tiles (UDIM) it is
+    many pictures: tile 1001 + 10 v + u covers texture coordinates u..u + 1, v..v + 1. A picture without pixels counts
+    as missing, and so does a tile that is not there: magenta.
     """
 
     name: str
@@ -235,7 +249,7 @@ class Camera:
 
     kind: CameraKind
     transform: np.ndarray  # camera to world, orthonormal axes in the columns, float32, shape [3, 4]
-    # left, right, bottom, top edges of the full frame: on the plane z = -1 (PERSPECTIVE), or on the camera's plane in metres
+    # left, right, bottom, top edges of the full frame [m]: on the plane z = -1 (PERSPECTIVE), or on the camera's plane
     window: tuple[float, float, float, float]
     clip_start: float = 0.0  # distance of the near plane along the view axis [m]
     clip_end: float = np.inf  # distance of the far plane along the view axis [m]
@@ -248,22 +262,23 @@ class Camera:
 
 @dataclass(frozen=True)
 class World:
-    """What a ray meets that leaves the scene."""
+    """Light that comes to rays which leave the scene."""
 
     radiance: tuple[float, float, float] = (0.0, 0.0, 0.0)  # linear RGB [W/(m² sr)]
     visibility: int = int(Visibility.ALL)
-    program: Program | None = None  # makes the radiance of every direction, instead of `radiance`: the sum of its emission closures
-    sampling_size: int = 1024  # texels around the world, by whose brightness a program is sampled; 0: it is not
+    # the sum of its emission closures is the radiance of every direction, instead of `radiance`
+    program: Program | None = None
+    sampling_size: int = 1024  # texels around the world, by whose brightness a program is sampled; 0: it is not sampled
 
 
 @dataclass(frozen=True)
 class Frame:
-    """The picture asked for. Pixel (0, 0) is at the bottom left, as in Blender."""
+    """The picture asked for; pixel (0, 0) is at the bottom left, as in Blender."""
 
-    width: int  # of the full frame [pixels]
+    width: int  # width of the full frame [pixels]
     height: int
     border: tuple[int, int, int, int] | None = None  # x0, y0, x1, y1: rendered part (end exclusive); None: all
-    transparent: bool = False  # the world does not cover what is behind the objects: alpha
+    transparent: bool = False  # the world does not cover the background of the objects: alpha is below 1 there
     passes: tuple[str, ...] = ("Combined",)  # names of `film.PASSES`
 
     @property
@@ -274,7 +289,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything that one picture shows."""
+    """All data of one picture."""
 
     camera: Camera
     frame: Frame
@@ -284,8 +299,10 @@ class Scene:
     slot_materials: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
     materials: tuple[Material, ...] = ()
     images: tuple[Image, ...] = ()
-    attributes: tuple[tuple[str, str], ...] = ()  # kind and name of what programs read of meshes by index
+    # kind and name of the attributes of meshes that programs read by index
+    attributes: tuple[tuple[str, str], ...] = ()
     lights: tuple[Light, ...] = ()
     world: World = World()
     object_names: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()  # what was skipped, repaired or replaced on the way here, by name
+    # messages about objects that were skipped, repaired or replaced by the export, by name
+    warnings: tuple[str, ...] = ()

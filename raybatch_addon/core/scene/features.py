@@ -1,39 +1,41 @@
-"""What a scene needs, and so what is compiled, allocated, uploaded and launched for it.
+"""Features of a scene: they decide what is compiled, allocated, uploaded and launched for it.
 
-`SceneFeatures` is derived from the scene and the settings by pure functions. Materials count by the kinds that
-their nodes can have, not by the values of their sockets, so that moving a slider never compiles. Each kernel is
-specialised on the few of these features that concern it.
+Pure functions derive `SceneFeatures` from the scene and the settings. Materials count by the kinds that their nodes can
+have, not by the values of their sockets, so that moving a slider never compiles. Each kernel is specialised on the few
+of these features that concern it.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
-from ..settings import RenderSettings
+from ..settings.settings import RenderSettings
 from .description import CameraKind, ClosureKind, LightKind, Scene, Visibility
 from .program import ProgramFeatures, program_features
 
+T = TypeVar("T")
 # Kinds that scatter; the others emit or let light pass
 SCATTERING = tuple(k for k in ClosureKind if k not in (ClosureKind.EMISSION, ClosureKind.TRANSPARENT))
 
 
 @dataclass(frozen=True)
 class SceneFeatures:
-    """Everything that kernels are specialised on."""
+    """Features that kernels are specialised on."""
 
     closures: tuple[ClosureKind, ...] = ()  # sorted
-    programs: ProgramFeatures = ProgramFeatures()  # of materials: what their shader graphs need
+    programs: ProgramFeatures = ProgramFeatures()  # needs of the materials' shader graphs
     world_program: ProgramFeatures = ProgramFeatures()
-    lamp_program: ProgramFeatures = ProgramFeatures()  # of lights without mesh
+    lamp_program: ProgramFeatures = ProgramFeatures()  # needs of the shader graphs of lights without mesh
     lights: tuple[LightKind, ...] = ()  # sorted
     light_sphere: bool = False  # a point or spot light shaped as a sphere
     light_hits: bool = False  # a light without mesh that rays can meet
-    mesh_lights: bool = False  # materials that emit
-    mesh_programs: bool = False  # by a program
-    world_light: bool = False  # the world is not the same everywhere, and is sampled
+    mesh_lights: bool = False  # materials emit
+    mesh_programs: bool = False  # materials emit by a program
+    world_light: bool = False  # the world's radiance varies, and is sampled
     world: bool = False  # rays that leave the scene find light
     camera: CameraKind = CameraKind.PERSPECTIVE
     depth_of_field: bool = False
@@ -50,22 +52,22 @@ class SceneFeatures:
 
     @property
     def transparency(self) -> bool:
-        """Surfaces that rays pass straight through."""
+        """Whether rays pass straight through some surfaces."""
         return ClosureKind.TRANSPARENT in self.closures
 
     @property
     def subsurface(self) -> bool:
-        """Light that scatters below surfaces."""
+        """Whether light scatters below some surfaces."""
         return ClosureKind.SUBSURFACE in self.closures
 
     @property
     def shadow_rays(self) -> bool:
-        """There is something to aim at, and it is asked for."""
+        """Whether there are lights to aim at, and the settings ask for it."""
         return self.nee != "OFF" and self.surfaces and (bool(self.lights) or self.mesh_lights or self.world_light)
 
     @property
     def light_programs(self) -> bool:
-        """Light that is aimed at may come from programs."""
+        """Whether light that is aimed at may come from programs."""
         return self.shadow_rays and (self.mesh_programs or self.world_light or bool(self.lamp_program))
 
     @property
@@ -75,11 +77,31 @@ class SceneFeatures:
 
     @property
     def path_history(self) -> bool:
-        """Programs ask how a path has scattered so far."""
+        """Whether programs ask how a path has scattered so far."""
         return "path_history" in self.programs.ops
 
+    @property
+    def lamp_programs(self) -> bool:
+        """Whether lights without mesh have programs."""
+        return bool(self.lamp_program)
+
+    @property
+    def film_holes(self) -> bool:
+        """Whether surfaces cut holes into a film that has alpha."""
+        return self.film_transparent and ClosureKind.HOLDOUT in self.closures
+
+    @property
+    def normal_pass(self) -> bool:
+        """Whether the film has the pass Normal."""
+        return "Normal" in self.passes
+
+    @property
+    def depth_pass(self) -> bool:
+        """Whether the film has the pass Depth."""
+        return "Depth" in self.passes
+
     def left_out(self) -> list[str]:
-        """Names of what this render did without."""
+        """Names of features that this render does without."""
         names = {f"closure {kind.name.lower()}": kind in self.closures for kind in ClosureKind}
         names |= {f"light {kind.name.lower()}": kind in self.lights for kind in LightKind}
         names |= {f"pass {name}": name in self.passes for name in ("Depth", "Position", "Normal")}
@@ -121,11 +143,18 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         world_program=program_features([scene.world.program]),
         lamp_program=program_features([light.program for light in scene.lights]),
         lights=tuple(sorted({light.kind for light in scene.lights})),
-        light_sphere=any(l.kind in (LightKind.POINT, LightKind.SPOT) and not l.soft_falloff and l.radius > 0 for l in scene.lights),
+        light_sphere=any(
+            light.kind in (LightKind.POINT, LightKind.SPOT) and not light.soft_falloff and light.radius > 0
+            for light in scene.lights
+        ),
         light_hits=any(_can_be_met(light) for light in scene.lights),
         mesh_lights=ClosureKind.EMISSION in kinds,
-        mesh_programs=surfaces and any(m.program is not None and ClosureKind.EMISSION in m.kinds for m in scene.materials),
-        world_light=surfaces and settings.nee != "OFF" and scene.world.program is not None and scene.world.sampling_size > 0,
+        mesh_programs=surfaces
+        and any(m.program is not None and ClosureKind.EMISSION in m.kinds for m in scene.materials),
+        world_light=surfaces
+        and settings.nee != "OFF"
+        and scene.world.program is not None
+        and scene.world.sampling_size > 0,
         world=any(scene.world.radiance) or scene.world.program is not None,
         camera=scene.camera.kind,
         depth_of_field=scene.camera.lens_radius > 0,
@@ -139,37 +168,50 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         mis=settings.mis == "ON" or settings.nee == "OFF",
         clamping=settings.clamp_direct > 0 or settings.clamp_indirect > 0,
         roulette=settings.roulette_bounce <= settings.bounce_max,
-    )  # fmt: skip
+    )
 
 
 def _material_programs(scene: Scene) -> ProgramFeatures:
     return program_features(
-        [material.program for material in scene.materials], max((len(material.closures) for material in scene.materials), default=0)
+        [material.program for material in scene.materials],
+        max((len(material.closures) for material in scene.materials), default=0),
     )
 
 
-# What Blender's Principled BSDF can become
+# kinds that Blender's Principled BSDF can become
 PRINCIPLED = (
-    ClosureKind.LAYERED_DIFFUSE, ClosureKind.METAL, ClosureKind.DIELECTRIC, ClosureKind.GLASS, ClosureKind.TRANSPARENT,
+    ClosureKind.LAYERED_DIFFUSE,
+    ClosureKind.METAL,
+    ClosureKind.DIELECTRIC,
+    ClosureKind.GLASS,
+    ClosureKind.TRANSPARENT,
     ClosureKind.EMISSION,
-)  # fmt: skip
+)
 
 
 def ordinary_features() -> list[SceneFeatures]:
-    """Features of the scenes that most people render first: what is worth compiling ahead of them.
+    """Features of the scenes that most people render first, for which kernels are compiled ahead.
 
-    Blender's materials under each kind of light, with flat and smooth meshes, and bare geometry under sun and sky.
+    They are Blender's materials under each kind of light, with flat and smooth meshes, and bare geometry under sun and
+    sky.
     """
     kernels_ahead = [
-        SceneFeatures(closures=(ClosureKind.DIFFUSE,), lights=(LightKind.SUN,), light_hits=True, world=True, surfaces=True)
+        SceneFeatures(
+            closures=(ClosureKind.DIFFUSE,), lights=(LightKind.SUN,), light_hits=True, world=True, surfaces=True
+        )
     ]
     for kind in LightKind:
         for smooth in (False, True):
             kernels_ahead.append(
                 SceneFeatures(
-                    closures=PRINCIPLED, lights=(kind,), light_hits=True, mesh_lights=True, world=True, surfaces=True,
+                    closures=PRINCIPLED,
+                    lights=(kind,),
+                    light_hits=True,
+                    mesh_lights=True,
+                    world=True,
+                    surfaces=True,
                     smooth_normals=smooth,
-                )  # fmt: skip
+                )
             )
     return kernels_ahead
 
@@ -195,6 +237,6 @@ def _can_be_met(light) -> bool:
     return light.size[0] > 0 and light.size[1] > 0
 
 
-def narrow(features: SceneFeatures, names: tuple[str, ...]) -> dict:
-    """The named features alone, as keyword arguments of a kernel's own feature class."""
-    return {f.name: getattr(features, f.name) for f in dataclasses.fields(features) if f.name in names}
+def narrow(features: Any, kind: type[T]) -> T:
+    """The part of `features` that `kind`, a dataclass, has: its fields are fields or properties of `features`."""
+    return kind(**{field.name: getattr(features, field.name) for field in dataclasses.fields(kind)})

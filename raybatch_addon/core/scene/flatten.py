@@ -1,7 +1,7 @@
-"""One set of arrays for all geometry of a scene, in the order in which trees want it.
+"""All geometry of a scene as one set of arrays, in the order in which trees want it.
 
-A mesh that is placed once is moved to world space (*baked*), so that all such meshes share one tree and are shaded without
-transforms. Meshes placed more often stay in object space, once for all their instances.
+A mesh that is placed once is moved to world space (*baked*), so that all such meshes share one tree and are shaded
+without transforms. A mesh that is placed more often stays in object space, once for all its instances.
 """
 
 from __future__ import annotations
@@ -19,11 +19,12 @@ IDENTITY = np.eye(3, 4, dtype=np.float32)
 class Merged:
     """Baked instances that share one world-space tree."""
 
-    visibility: int  # the same for all of them
+    visibility: int  # `Visibility` bits, which all of them share
     triangle_first: int  # their triangles are contiguous in `FlatGeometry.triangles`
     triangle_count: int
     instance: np.ndarray  # instance ids in the order of their triangles, int32, shape [n]
-    instance_triangle_first: np.ndarray  # first triangle of each, counted from `triangle_first`, int32, shape [n]
+    # first triangle of each instance, counted from `triangle_first`, int32, shape [n]
+    instance_triangle_first: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,9 @@ class FlatGeometry:
 def flatten(scene: Scene) -> FlatGeometry:
     """Arrays of all geometry that `scene` uses."""
     instances = scene.instances
-    uses = np.bincount(instances.mesh, minlength=len(scene.meshes)) if len(instances) else np.zeros(len(scene.meshes), int)
+    uses = (
+        np.bincount(instances.mesh, minlength=len(scene.meshes)) if len(instances) else np.zeros(len(scene.meshes), int)
+    )
     filled = np.array([len(mesh.triangles) > 0 for mesh in scene.meshes], bool)
     alive = filled[instances.mesh] if len(instances) else np.zeros(0, bool)
     baked = alive & (uses[instances.mesh] == 1) if len(instances) else alive
@@ -77,7 +80,10 @@ def flatten(scene: Scene) -> FlatGeometry:
 
 
 def is_mirrored_where_baked(scene: Scene) -> np.ndarray:
-    """Which instances have their triangles' last two corners exchanged in `FlatGeometry`, bool, shape [instance_count]."""
+    """Whether each instance has the last two corners of its triangles exchanged in `FlatGeometry`.
+
+    Bool, shape [instance_count].
+    """
     instances = scene.instances
     if len(instances) == 0:
         return np.zeros(0, bool)
@@ -106,7 +112,9 @@ def _bake(mesh: Mesh, transform: np.ndarray) -> _Chunk:
     triangles, normals = mesh.triangles, mesh.corner_normals
     if normals is not None:
         # the cofactor matrix is the inverse transpose times the determinant, and exists for singular matrices too
-        cofactor = np.stack([np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])])
+        cofactor = np.stack(
+            [np.cross(linear[1], linear[2]), np.cross(linear[2], linear[0]), np.cross(linear[0], linear[1])]
+        )
         if np.linalg.det(linear) < 0:
             cofactor = -cofactor
         turned = normals.astype(np.float64) @ cofactor.T
@@ -131,12 +139,14 @@ def _joined(chunks, instance_mesh, transform, merged, shared) -> FlatGeometry:
     for chunk, start, end, vertex in zip(chunks, first[:-1], first[1:], vertex_first[:-1]):
         triangles[start:end] = chunk.triangles + vertex
         if chunk.corner_normals is not None:
-            corner_normals[start:end] = chunk.corner_normals  # those of flat meshes stay 0: shaded flat
+            corner_normals[start:end] = chunk.corner_normals  # normals of flat meshes stay 0: shaded flat
         if chunk.triangle_slot is not None:
             triangle_slot[start:end] = chunk.triangle_slot
     positions = [chunk.positions for chunk in chunks]
     return FlatGeometry(
-        positions=np.ascontiguousarray(np.concatenate(positions), np.float32) if positions else np.zeros((0, 3), np.float32),
+        positions=np.ascontiguousarray(np.concatenate(positions), np.float32)
+        if positions
+        else np.zeros((0, 3), np.float32),
         triangles=triangles,
         corner_normals=corner_normals.reshape(-1, 3),
         triangle_slot=triangle_slot,
@@ -147,5 +157,3 @@ def _joined(chunks, instance_mesh, transform, merged, shared) -> FlatGeometry:
         merged=merged,
         shared=shared,
     )
-
-

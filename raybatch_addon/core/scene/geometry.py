@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..native.build import native_source
 from .description import Scene
 from .flatten import FlatGeometry
 
@@ -18,8 +19,10 @@ mat34 = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
 class Geometry:
     """Device arrays of `FlatGeometry`."""
 
-    positions: wp.array(dtype=wp.vec3)  # [m], shape [vertex_count], or the corners of every triangle, shape [3 * triangle_count]
-    triangles: wp.array(dtype=wp.vec3i)  # indices into `positions`, shape [triangle_count]; no entries where there are the corners
+    # [m], shape [vertex_count], or the corners of every triangle, shape [3 * triangle_count]
+    positions: wp.array(dtype=wp.vec3)
+    # indices into `positions`, shape [triangle_count]; empty if `positions` holds the corners
+    triangles: wp.array(dtype=wp.vec3i)
     mesh_triangle_first: wp.array(dtype=int)  # shape [mesh_count + 1]
     instance_mesh: wp.array(dtype=int)  # shape [instance_count]
     instance_transform: wp.array(dtype=mat34)  # object to world, shape [instance_count]
@@ -30,7 +33,8 @@ class Geometry:
     slot_materials: wp.array(dtype=int)  # material of slot s of an instance: [instance_slot_first + s]
 
 
-@wp.func
+# Kernels run the header, which traversal has too. The bodies are what ops folded on the host run (`as_python`).
+@wp.func_native(native_source("math/transform.h") + "return transformed_point(m, p);")
 def transform_point(m: mat34, p: wp.vec3) -> wp.vec3:
     """The point `p` under the affine map `m`."""
     return wp.vec3(
@@ -40,7 +44,7 @@ def transform_point(m: mat34, p: wp.vec3) -> wp.vec3:
     )
 
 
-@wp.func
+@wp.func_native(native_source("math/transform.h") + "return transformed_vector(m, d);")
 def transform_vector(m: mat34, d: wp.vec3) -> wp.vec3:
     """The direction `d` under the linear part of `m`, not normalised, so that ray distances stay those of the world."""
     return wp.vec3(
@@ -52,7 +56,7 @@ def transform_vector(m: mat34, d: wp.vec3) -> wp.vec3:
 
 @wp.func
 def corners_of(geometry: Geometry, triangle: int) -> wp.vec3i:
-    """Where the corners of `triangle` are in `positions`."""
+    """Indices in `positions` of the corners of `triangle`."""
     if geometry.triangles.shape[0] == 0:
         return wp.vec3i(3 * triangle, 3 * triangle + 1, 3 * triangle + 2)
     return geometry.triangles[triangle]
@@ -72,8 +76,8 @@ def triangle_vertices(geometry: Geometry, instance: int, primitive: int) -> tupl
 def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device, on_host: bool = False) -> Geometry:
     """`flat`, the geometry of `scene`, on `device`.
 
-    With `on_host` arrays that grow with the triangles stay in host memory, pinned for a CUDA device, which reads them through the bus: there
-    the corners of a triangle lie together, so that it takes two reads instead of five.
+    With `on_host` arrays that grow with the triangles stay in host memory, pinned for a CUDA device, which reads them
+    through the bus. There the corners of a triangle lie together, so that it takes two reads instead of five.
     """
     geometry = Geometry()
     triangles = [("triangles", flat.triangles, wp.vec3i)]
@@ -83,7 +87,9 @@ def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device, on_host
     per_mesh = [("mesh_triangle_first", flat.mesh_triangle_first, int), ("instance_mesh", flat.instance_mesh, int)]
     for name, values, dtype in triangles + per_mesh + _what_moves(flat, scene):
         stays = on_host and device.is_cuda and name in _BY_TRIANGLE
-        setattr(geometry, name, host_array(values, dtype, device) if stays else wp.array(values, dtype=dtype, device=device))
+        setattr(
+            geometry, name, host_array(values, dtype, device) if stays else wp.array(values, dtype=dtype, device=device)
+        )
     return geometry
 
 
@@ -96,11 +102,16 @@ def host_array(values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array:
     if pinned.size == 0:
         return wp.zeros(0, dtype=dtype, device=device)
     # the host's addresses are the device's too; the alias keeps the memory
-    return wp.array(ptr=pinned.ptr, dtype=dtype, shape=pinned.shape, device=device, deleter=lambda pointer, size, kept=pinned: None)
+    return wp.array(
+        ptr=pinned.ptr, dtype=dtype, shape=pinned.shape, device=device, deleter=lambda pointer, size, kept=pinned: None
+    )
 
 
 def update_geometry(geometry: Geometry, flat: FlatGeometry, scene: Scene) -> None:
-    """Make `geometry` hold `flat`, which has the same triangles and meshes; arrays of the same size are written over."""
+    """Make `geometry` hold `flat`, which has the same triangles and meshes.
+
+    Arrays of the same size are overwritten.
+    """
     device = geometry.triangles.device
     for name, values, dtype in _what_moves(flat, scene):
         array = getattr(geometry, name)
@@ -111,7 +122,7 @@ def update_geometry(geometry: Geometry, flat: FlatGeometry, scene: Scene) -> Non
 
 
 def _what_moves(flat: FlatGeometry, scene: Scene) -> list[tuple[str, np.ndarray, Any]]:
-    """Names, contents and elements of the arrays that may change where triangles do not."""
+    """Names, contents and element types of the arrays that may change where triangles do not."""
     return [
         ("positions", flat.positions, wp.vec3),
         ("instance_transform", flat.instance_transform, mat34),

@@ -1,9 +1,10 @@
-"""Shader graphs as small programs: what the export makes of a graph, and the interpreter of `shading/nodes` runs.
+"""Shader graphs as small programs, which the export builds and the interpreter of `programs/run.py` runs.
 
-A program is a list of instructions. Each has the name of an op and one word (int32) for each letter of the op's signature
-(`shading/nodes/op.py`):
+A program is a list of instructions. Each has the name of an op and one word (int32) for each letter of the op's
+signature (`programs/op.py`):
 
-- `n`, `v`: a number, or three. A word w >= 0 is a register: the offset of its first float; w < 0 is the constant at index -1 - w.
+- `n`, `v`: a number, or three. A word w >= 0 is a register: the offset of its first float; w < 0 is the constant at
+  index -1 - w.
 - `i`: the value itself. `t`: the index of a table's first constant. `m`: an image. `a`: an attribute.
 - `N`, `V`: the register that is written; -1: not wanted.
 """
@@ -26,31 +27,31 @@ class Instruction:
 
 @dataclass(frozen=True)
 class Program:
-    """What computes a surface's closures, or the radiance of a world or light."""
+    """A program that makes a surface's closures, or the radiance of a world or light."""
 
     instructions: tuple[Instruction, ...] = ()
     constants: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))  # float32, shape [n]
-    register_count: int = 0  # floats
-    closure_count: int = 0  # the most closures that it makes
-    # Names of everything that the graph's nodes may need when values change; kernels are compiled for these. Includes those
-    # of `instructions`.
+    register_count: int = 0  # size of the stack [floats]
+    closure_count: int = 0  # most closures that it makes
+    # Names of all ops that the graph's nodes may need when values change; kernels are compiled for these. Includes the
+    # ops of `instructions`.
     ops: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class ProgramFeatures:
-    """What an interpreter is compiled for."""
+    """Features that an interpreter is compiled for."""
 
-    ops: tuple[str, ...] = ()  # sorted; none: there is no program
-    register_count: int = 1  # floats of its stack
-    closure_count: int = 1  # closures that a material can have
+    ops: tuple[str, ...] = ()  # sorted; empty: there is no program
+    register_count: int = 1  # size of the stack [floats]
+    closure_count: int = 1  # most closures of a material
 
     def __bool__(self) -> bool:
         return bool(self.ops)
 
 
 def program_features(programs: Iterable[Program | None], closure_count: int = 0) -> ProgramFeatures:
-    """What `programs` need, beside materials of up to `closure_count` closures without program.
+    """Features for `programs`, and for materials of up to `closure_count` closures without program.
 
     Sizes are rounded up, so that they grow rarely, and kernels are rarely compiled anew.
     """

@@ -1,4 +1,4 @@
-"""What a scene must be before it is rendered: checked here, whoever made it."""
+"""Checks of a scene before it is rendered, whoever made it."""
 
 from __future__ import annotations
 
@@ -9,16 +9,26 @@ import numpy as np
 from ..errors import SceneError
 from .description import Camera, Frame, Instances, Light, Mesh, Scene, World
 
-# Squares of larger coordinates leave float32
+# Largest coordinate; squares of larger ones leave float32
 COORDINATE_MAX = 1e18
-# Areas of smaller things leave the normal numbers of float32
+# Least size; areas of smaller things leave the normal numbers of float32
 EXTENT_MIN = 1e-18
 # The passes that a film can hold (`film.PASSES`)
-PASS_NAMES = ("Combined", "Depth", "Position", "Normal", "Rays", "Node Steps", "Triangle Tests", "Treelet Visits", "Times Queued")
+PASS_NAMES = (
+    "Combined",
+    "Depth",
+    "Position",
+    "Normal",
+    "Rays",
+    "Node Steps",
+    "Triangle Tests",
+    "Treelet Visits",
+    "Times Queued",
+)
 
 
 def checked_scene(scene: Scene) -> Scene:
-    """`scene` without what cannot be rendered, each named in its warnings.
+    """`scene` without parts that cannot be rendered, each named in its warnings.
 
     Raises `SceneError` when the camera or the frame cannot be used.
     """
@@ -40,15 +50,28 @@ def checked_scene(scene: Scene) -> Scene:
 
 
 def _check_camera(camera: Camera) -> None:
-    numbers = [*np.ravel(camera.transform), *camera.window, camera.clip_start, camera.lens_radius, camera.focus_distance]
+    numbers = [
+        *np.ravel(camera.transform),
+        *camera.window,
+        camera.clip_start,
+        camera.lens_radius,
+        camera.focus_distance,
+    ]
     if not np.all(np.isfinite(numbers)) or np.isnan(camera.clip_end):
-        raise SceneError("the camera's matrix or lens is not finite; reset its transform and check its constraints and drivers")
+        raise SceneError(
+            "the camera's matrix or lens is not finite; reset its transform and check its constraints and drivers"
+        )
     if np.abs(camera.transform).max() > COORDINATE_MAX:
-        raise SceneError(f"the camera is more than {COORDINATE_MAX:g} m away from the origin; reset its location and check its constraints and drivers")
+        raise SceneError(
+            f"the camera is more than {COORDINATE_MAX:g} m away from the origin; reset its location and check its "
+            "constraints and drivers"
+        )
     if abs(np.linalg.det(np.asarray(camera.transform, np.float64)[:, :3])) < 1e-3:
         raise SceneError("the camera's matrix is singular; set its scale (and its parents') to 1")
     if camera.lens_radius > 0 and not (camera.focus_distance > 0 and camera.lens_ratio > 0):
-        raise SceneError("the camera's focus distance or aperture ratio is 0; give it one above 0, or switch depth of field off")
+        raise SceneError(
+            "the camera's focus distance or aperture ratio is 0; give it one above 0, or switch depth of field off"
+        )
     left, right, bottom, top = camera.window
     if not (left != right and bottom != top):
         raise SceneError("the camera's window has no area; check its focal length or orthographic scale")
@@ -57,14 +80,19 @@ def _check_camera(camera: Camera) -> None:
 def _check_frame(frame: Frame) -> None:
     x0, y0, x1, y1 = frame.region
     if not (0 <= x0 < x1 <= frame.width and 0 <= y0 < y1 <= frame.height):
-        raise SceneError(f"the rendered region {frame.region} is not inside the frame of {frame.width} x {frame.height} pixels")
+        raise SceneError(
+            f"the rendered region {frame.region} is not inside the frame of {frame.width} x {frame.height} pixels"
+        )
     unknown = [name for name in frame.passes if name not in PASS_NAMES]
     if unknown or "Combined" not in frame.passes:
-        raise SceneError(f"the passes {', '.join(frame.passes)} cannot be rendered: choose Combined and any of {', '.join(PASS_NAMES)}")
+        raise SceneError(
+            f"the passes {', '.join(frame.passes)} cannot be rendered: choose Combined and any of "
+            f"{', '.join(PASS_NAMES)}"
+        )
 
 
 def _check_indices(scene: Scene) -> None:
-    """Kernels trust indices, so those of a damaged or hand-made scene are checked here."""
+    """Raise `SceneError` for an index out of range: kernels trust indices, and a scene may be damaged or hand-made."""
     instances, slots = scene.instances, scene.slot_materials
     if len(instances) == 0:
         return
@@ -72,12 +100,20 @@ def _check_indices(scene: Scene) -> None:
         raise SceneError("an instance names a mesh that does not exist; export the scene again")
     if not _within(slots, len(scene.materials)):
         raise SceneError("a material slot names a material that does not exist; export the scene again")
-    slot_counts = np.array([1 if mesh.triangle_slot is None or not len(mesh.triangle_slot) else int(mesh.triangle_slot.max()) + 1 for mesh in scene.meshes])
+    slot_counts = np.array(
+        [
+            1 if mesh.triangle_slot is None or not len(mesh.triangle_slot) else int(mesh.triangle_slot.max()) + 1
+            for mesh in scene.meshes
+        ]
+    )
     filled = np.array([len(mesh.triangles) > 0 for mesh in scene.meshes])
     needed = np.where(filled, slot_counts, 0)[instances.mesh]
     bad = np.flatnonzero((instances.slot_first < 0) | (instances.slot_first + needed > len(slots)))
     if len(bad):
-        raise SceneError(f"object “{_object_name(scene, bad[0])}” has faces of a material slot that does not exist; export the scene again")
+        raise SceneError(
+            f"object “{_object_name(scene, bad[0])}” has faces of a material slot that does not exist; export the "
+            "scene again"
+        )
 
 
 def _within(indices: np.ndarray, count: int) -> bool:
@@ -85,17 +121,28 @@ def _within(indices: np.ndarray, count: int) -> bool:
 
 
 def _object_name(scene: Scene, instance: int) -> str:
-    place = int(scene.instances.object[instance]) if len(scene.instances.object) > instance else -1
-    return scene.object_names[place] if 0 <= place < len(scene.object_names) else f"instance {instance}"
+    index = int(scene.instances.object[instance]) if len(scene.instances.object) > instance else -1
+    return scene.object_names[index] if 0 <= index < len(scene.object_names) else f"instance {instance}"
 
 
 def _is_usable(light: Light, warnings: list[str]) -> bool:
-    numbers = [*np.ravel(light.transform), *light.emission, *light.size, *light.spot_scale, light.radius, light.angle, light.spread, light.blend]
-    for asked in (light.object_transform, light.info, light.attributes):  # what its program may ask
+    numbers = [
+        *np.ravel(light.transform),
+        *light.emission,
+        *light.size,
+        *light.spot_scale,
+        light.radius,
+        light.angle,
+        light.spread,
+        light.blend,
+    ]
+    for asked in (light.object_transform, light.info, light.attributes):  # values that its program reads
         numbers += [] if asked is None else np.ravel(asked).tolist()
     if np.all(np.isfinite(numbers)) and min(light.emission) >= 0:
         return True
-    warnings.append(f"light “{light.name}” has a place, size or power that is not finite, or a negative power: it is not rendered")
+    warnings.append(
+        f"light “{light.name}” has a place, size or power that is not finite, or a negative power: it is not rendered"
+    )
     return False
 
 
@@ -116,7 +163,9 @@ def _checked_mesh(mesh: Mesh, warnings: list[str]) -> Mesh:
             reason = "has vertices that are not finite"
         elif np.abs(mesh.positions).max() > COORDINATE_MAX:
             reason = f"has coordinates beyond {COORDINATE_MAX:g} m"
-        elif mesh.triangle_slot is not None and (mesh.triangle_slot.shape != (len(mesh.triangles),) or mesh.triangle_slot.min() < 0):
+        elif mesh.triangle_slot is not None and (
+            mesh.triangle_slot.shape != (len(mesh.triangles),) or mesh.triangle_slot.min() < 0
+        ):
             reason = "has material slots that do not belong to its faces"
         elif mesh.corner_normals is not None and mesh.corner_normals.shape != (len(mesh.triangles), 3, 3):
             reason = "has normals that do not belong to its faces"
@@ -131,7 +180,11 @@ def _checked_mesh(mesh: Mesh, warnings: list[str]) -> Mesh:
 def _belongs(values: np.ndarray, triangle_count: int) -> bool:
     """Whether an attribute's values are finite, one for each triangle or each of its corners, of 1 to 4 numbers."""
     shape = values.shape
-    return shape[:-1] in ((triangle_count,), (triangle_count, 3)) and 1 <= shape[-1] <= 4 and bool(np.isfinite(values).all())
+    return (
+        shape[:-1] in ((triangle_count,), (triangle_count, 3))
+        and 1 <= shape[-1] <= 4
+        and bool(np.isfinite(values).all())
+    )
 
 
 def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
@@ -145,15 +198,22 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
     singular_values = np.linalg.svd(linear, compute_uv=False)
     regular = singular_values[:, 2] > singular_values[:, 0] * np.finfo(np.float32).eps
     reach, size = (values[instances.mesh] for values in _mesh_extents(scene.meshes))
-    near = (reach * singular_values[:, 0] <= COORDINATE_MAX) & (np.abs(instances.transform).max((1, 2)) <= COORDINATE_MAX)
-    # in the world, and of meshes that stay in object space also there
+    near = (reach * singular_values[:, 0] <= COORDINATE_MAX) & (
+        np.abs(instances.transform).max((1, 2)) <= COORDINATE_MAX
+    )
+    # in the world, and for meshes that stay in object space also there
     shared = np.bincount(instances.mesh)[instances.mesh] > 1
     extent = size * np.where(shared, np.minimum(singular_values[:, 0], 1), singular_values[:, 0])
     large = (extent >= EXTENT_MIN) | (size == 0)
-    # and how far the scene reaches, seen from object space
+    # ... and the scene's reach, seen from object space
     placed = finite & regular & near
     camera = float(np.abs(scene.camera.transform[:, 3]).max())
-    scene_reach = max(camera, float((np.abs(instances.transform[placed, :, 3]).max(1) + (reach * singular_values[:, 0])[placed]).max(initial=0)))
+    scene_reach = max(
+        camera,
+        float(
+            (np.abs(instances.transform[placed, :, 3]).max(1) + (reach * singular_values[:, 0])[placed]).max(initial=0)
+        ),
+    )
     with np.errstate(divide="ignore", over="ignore"):
         within = ~shared | (scene_reach / singular_values[:, 2] <= COORDINATE_MAX)
     keep = placed & large & within
@@ -176,8 +236,8 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
 def _mesh_extents(meshes: tuple[Mesh, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Largest coordinate and longest side of the box of each mesh, float64; 0 where there are no triangles."""
     extents = np.zeros((2, len(meshes)))
-    for place, mesh in enumerate(meshes):
+    for index, mesh in enumerate(meshes):
         if len(mesh.triangles):
             low, high = mesh.positions.min(0).astype(np.float64), mesh.positions.max(0).astype(np.float64)
-            extents[:, place] = np.abs([low, high]).max(), (high - low).max()
+            extents[:, index] = np.abs([low, high]).max(), (high - low).max()
     return extents[0], extents[1]

@@ -1,1 +1,1 @@
-
+"""Shading: what a surface, a light or a camera does to a ray."""

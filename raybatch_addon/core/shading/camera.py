@@ -18,12 +18,12 @@ class CameraData:
     """A camera and its frame on the device."""
 
     position: wp.vec3  # [m]
-    axis_x: wp.vec3  # camera's axes in world space, unit
+    axis_x: wp.vec3  # axes of the camera in world space, unit
     axis_y: wp.vec3
     axis_z: wp.vec3  # away from the scene
     window_x: float  # left edge of the frame: on the plane one metre ahead (perspective), or of the camera [m]
     window_y: float  # lower edge
-    pixel_width: float  # of a pixel, on the same plane [m]
+    pixel_width: float  # width of a pixel, on the same plane [m]
     pixel_height: float
     clip_start: float  # along the view axis [m]
     clip_length: float  # from the near to the far plane [m]
@@ -36,7 +36,7 @@ class CameraData:
 
 @dataclass(frozen=True)
 class CameraFeatures:
-    """What camera rays are specialised on; the fields are those of `SceneFeatures` under the same names."""
+    """Features that camera rays are specialised on, under the names that `SceneFeatures` has for them."""
 
     camera: CameraKind = CameraKind.PERSPECTIVE
     depth_of_field: bool = False
@@ -81,13 +81,15 @@ def make_camera_ray(features: CameraFeatures) -> wp.Function:
     """`camera_ray(camera, pixel_x, pixel_y, u_lens) -> (origin, direction, t_max)` for one kind of camera.
 
     `pixel_x`, `pixel_y`: position in the full frame [pixels], (0, 0) the lower left corner of its lower left pixel.
-    `u_lens`: place on the aperture, in [0, 1)^2. The origin lies on the near plane, the direction is a unit vector,
-    and `t_max` [m] ends at the far plane. Depth of field is that of a thin lens.
+    `u_lens`: point of the aperture, in [0, 1)^2. The origin lies on the near plane, the direction is a unit vector, and
+    `t_max` [m] ends at the far plane. Depth of field is that of a thin lens.
     """
     perspective = features.camera == CameraKind.PERSPECTIVE
 
     @wp.func
-    def camera_ray(camera: CameraData, pixel_x: float, pixel_y: float, u_lens: wp.vec2) -> tuple[wp.vec3, wp.vec3, float]:
+    def camera_ray(
+        camera: CameraData, pixel_x: float, pixel_y: float, u_lens: wp.vec2
+    ) -> tuple[wp.vec3, wp.vec3, float]:
         x = camera.window_x + pixel_x * camera.pixel_width
         y = camera.window_y + pixel_y * camera.pixel_height
         # in camera space, per metre along the view axis: start + depth * (slope, -1)

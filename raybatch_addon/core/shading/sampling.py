@@ -1,11 +1,11 @@
-"""Random numbers keyed by what they are for, and warps from the unit square to shapes.
+"""Random numbers keyed by their purpose, and warps from the unit square to shapes.
 
-A number is a pure function of (seed, pixel of the full frame, sample, dimension set): threads, tiles
-and the order of work never enter. A *dimension set* is one decision of a path (see the constants);
-each set is a sequence of its own over the sample index, and sets are padded against each other.
+A number is a pure function of (seed, pixel of the full frame, sample, dimension set): threads, tiles and the order of
+work never enter. A *dimension set* is one decision of a path (see the constants). Each set is a sequence of its own
+over the sample index, and sets are padded against each other.
 
-Points of the unit square are in [0, 1) with 24 bits; warps centre them in their cells of 2**-24, so
-that no warp meets the border of the square, where directions would degenerate.
+Points of the unit square are in [0, 1) with 24 bits. Warps centre them in their cells of 2**-24, so that no warp meets
+the border of the square, where directions would degenerate.
 """
 
 import functools
@@ -15,13 +15,15 @@ from typing import NamedTuple
 import numpy as np
 import warp as wp
 
+from ..native.build import native_source
+
 # Dimension sets. FILTER and LENS belong to bounce 0; the others are added to
 # `bounce * DIMENSIONS_PER_BOUNCE`.
 DIMENSIONS_PER_BOUNCE = 8
-FILTER = 0  # 2D: place in the pixel filter
-LENS = 1  # 2D: place on the aperture
+FILTER = 0  # 2D: point of the pixel filter
+LENS = 1  # 2D: point of the aperture
 LIGHT_CHOICE = 2  # 1D: which light
-LIGHT = 3  # 2D: place on it
+LIGHT = 3  # 2D: point of that light
 LOBE = 4  # 1D: which closure, and which side of it
 BSDF = 5  # 2D: direction
 ROULETTE = 6  # 1D: whether the path goes on
@@ -79,13 +81,7 @@ def _unit(x: wp.uint32) -> float:
 # --- Owen-scrambled Sobol -------------------------------------------------------------------------
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return __brev(x);
-#else
-    return __builtin_bitreverse32(x);
-#endif
-""")
+@wp.func_native(native_source("math/reverse_bits.h"))
 def reverse_bits(x: wp.uint32) -> wp.uint32: ...
 
 
@@ -128,7 +124,7 @@ def _shuffled_index(sample: wp.uint32, seed: wp.uint32) -> wp.uint32:
 
 @wp.func
 def _sobol_1d(key: wp.uint32, sample: wp.uint32, dimension: wp.uint32) -> float:
-    """Burley, "Practical Hash-based Owen Scrambling" (2020): first dimension of the set's pair."""
+    """First dimension of a set's Sobol pair, Owen-scrambled (Burley, "Practical Hash-based Owen Scrambling", 2020)."""
     seed = _set_seed(key, dimension)
     index = _shuffled_index(sample, seed)
     return _unit(reverse_bits(_scramble_reversed(index, mix_bits(seed + wp.uint32(1)))))
@@ -136,7 +132,7 @@ def _sobol_1d(key: wp.uint32, sample: wp.uint32, dimension: wp.uint32) -> float:
 
 @wp.func
 def _sobol_2d(key: wp.uint32, sample: wp.uint32, dimension: wp.uint32) -> wp.vec2:
-    """Burley (2020): an Owen-scrambled (0,2)-sequence with shuffled index, one for each set."""
+    """An Owen-scrambled (0,2)-sequence with shuffled index, one for each set (Burley 2020)."""
     seed = _set_seed(key, dimension)
     index = _shuffled_index(sample, seed)
     x = reverse_bits(_scramble_reversed(index, mix_bits(seed + wp.uint32(1))))
@@ -187,13 +183,13 @@ def _philox_2d(key: wp.uint32, sample: wp.uint32, dimension: wp.uint32) -> wp.ve
 
 @wp.func
 def _centred(u: float) -> float:
-    """[0, 1) to (-1, 1), never 0 and never an end: the middle of the 24-bit cell, exact in float32."""
+    """A number in (-1, 1) for one in [0, 1): the middle of its 24-bit cell, exact in float32, never 0 nor an end."""
     return (2.0 * u - 1.0) + _ULP_BELOW_ONE
 
 
 @wp.func
 def sample_disk(u: wp.vec2) -> wp.vec2:
-    """Uniform in the open unit disk, keeping neighbours (Shirley and Chiu 1997). Density 1 / pi."""
+    """A uniform point of the open unit disk, keeping neighbours (Shirley and Chiu 1997). Density 1 / pi."""
     x = _centred(u[0])
     y = _centred(u[1])
     radius = x
@@ -258,10 +254,10 @@ def sample_triangle(u: wp.vec2) -> wp.vec3:
 
 @wp.func
 def sample_aperture(u: wp.vec2, blade_count: int, rotation: float) -> wp.vec2:
-    """Uniform in the unit disk, or in the regular polygon inscribed in the unit circle.
+    """A uniform point of the unit disk, or of the regular polygon inscribed in the unit circle.
 
-    `blade_count` < 3 gives the disk. The middle of a polygon's edge lies at angle `rotation` [rad]
-    from +X, as in Blender.
+    `blade_count` < 3 gives the disk. The middle of a polygon's edge lies at angle `rotation` [rad] from +X, as in
+    Blender.
     """
     if blade_count < 3:
         return sample_disk(u)
@@ -287,7 +283,7 @@ def tangent_of(normal: wp.vec3) -> wp.vec3:
 
 @wp.func
 def bitangent_of(normal: wp.vec3) -> wp.vec3:
-    """cross(normal, tangent_of(normal)), from the same construction."""
+    """Unit vector cross(normal, tangent_of(normal)), from the same construction."""
     sign = wp.where(normal[2] < 0.0, -1.0, 1.0)
     a = -1.0 / (sign + normal[2])
     return wp.vec3(normal[0] * normal[1] * a, sign + normal[1] * normal[1] * a, -normal[1])
@@ -312,10 +308,10 @@ def spherical_direction(cos_theta: float, phi: float) -> wp.vec3:
 def filter_table(name: str, width: float) -> np.ndarray:
     """Inverse CDF of a pixel filter at FILTER_TABLE_SIZE even probabilities from 0 to 1.
 
-    float32, shape [FILTER_TABLE_SIZE]: offsets from the pixel's centre [pixels], increasing and
-    exactly antisymmetric. Shapes and extents are those of Blender's Cycles: "BOX" is 1 pixel wide
-    whatever `width`; "GAUSSIAN" is exp(-8 (x / width)^2) on |x| < 1.5 width; "BLACKMAN_HARRIS" is the
-    4-term window on |x| < width. `width` in pixels, > 0; raises `ValueError` for an unknown name.
+    Offsets from the pixel's centre [pixels], float32, shape [FILTER_TABLE_SIZE], increasing and exactly antisymmetric.
+    Shapes and extents are those of Blender's Cycles: "BOX" is 1 pixel wide whatever `width`; "GAUSSIAN" is exp(-8 (x /
+    width)^2) on |x| < 1.5 width; "BLACKMAN_HARRIS" is the 4-term window on |x| < width. `width` in pixels, > 0; raises
+    `ValueError` for an unknown name.
     """
     probability = np.linspace(0.0, 1.0, FILTER_TABLE_SIZE)[FILTER_TABLE_SIZE // 2 :]
     if name == "BOX":
@@ -353,9 +349,9 @@ def _invert(cdf, probability: np.ndarray, extent: float) -> np.ndarray:
 
 @wp.func
 def _filter_offset(table: wp.array(dtype=float), u: float) -> float:
-    place = u * float(FILTER_TABLE_SIZE - 1)
-    i = wp.min(int(place), FILTER_TABLE_SIZE - 2)
-    return wp.lerp(table[i], table[i + 1], place - float(i))
+    position = u * float(FILTER_TABLE_SIZE - 1)
+    i = wp.min(int(position), FILTER_TABLE_SIZE - 2)
+    return wp.lerp(table[i], table[i + 1], position - float(i))
 
 
 @wp.func

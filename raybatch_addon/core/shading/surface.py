@@ -1,4 +1,4 @@
-"""The surface at a hit: where it is, how far it may be from there, how it is turned, and what it is made of."""
+"""The surface at a hit: its point and the bound of that point's error, its normals, and its material."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class SurfacePoint:
     """A point on a triangle, in world space."""
 
     position: wp.vec3  # [m]
-    error: wp.vec3  # bound of the error of each coordinate, and of the ray test there [m]
+    error: wp.vec3  # bound of the error of each coordinate, and of the ray test at the point [m]
     geometric_normal: wp.vec3  # unit, of the front
     normal: wp.vec3  # unit, interpolated; on the same side as `geometric_normal`
     material: int
@@ -38,8 +38,8 @@ class SurfaceFunctions(NamedTuple):
 def spawn_origin(position: wp.vec3, error: wp.vec3, normal: wp.vec3, direction: wp.vec3) -> wp.vec3:
     """Origin of a ray that leaves the surface at `position` towards `direction` and cannot meet it again.
 
-    Moves along the normal to the outside of the box of possible positions, then rounds away from it
-    (Pharr, Jakob and Humphreys 2023, section 6.8.6).
+    The origin is moved along the normal to the outside of the box of possible positions, then rounded away from the
+    surface (Pharr, Jakob and Humphreys 2023, section 6.8.6).
     """
     reach = wp.dot(wp.vec3(wp.abs(normal[0]), wp.abs(normal[1]), wp.abs(normal[2])), error)
     offset = normal * reach
@@ -84,7 +84,7 @@ def _row_abs(m: mat34, v: wp.vec3) -> wp.vec3:
 
 @wp.func
 def _cofactor(m: mat34, n: wp.vec3) -> wp.vec3:
-    """Normal `n` under `m`: by the cofactor matrix, signed so that the front stays the front of mirrored objects."""
+    """Normal `n` under `m`, by the cofactor matrix, signed so that the front of mirrored objects stays the front."""
     r0 = wp.vec3(m[0, 0], m[0, 1], m[0, 2])
     r1 = wp.vec3(m[1, 0], m[1, 1], m[1, 2])
     r2 = wp.vec3(m[2, 0], m[2, 1], m[2, 2])
@@ -117,23 +117,30 @@ def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
         p2 = geometry.positions[corners[2]]
 
         surface = SurfacePoint()
-        # From one corner along the edges: whatever the weights are, that is a point of the plane, but for three roundings in
-        # proportion to the edges, and one of the sum. Three weighted corners would be off by eight roundings of their coordinates.
-        # The test of a ray that starts here takes corners relative to its origin and mixes their coordinates, so that its error
-        # is in proportion to the triangle too: no corner is farther away than the longest edge.
+        # The point is computed from one corner along the edges. Whatever the weights are, that is a point of the
+        # plane, but for three roundings in proportion to the edges, and one of the sum. Three weighted corners would
+        # be off by eight roundings of their coordinates. The test of a ray that starts here takes corners relative to
+        # its origin and mixes their coordinates, so that its error is in proportion to the triangle too: no corner is
+        # farther away than the longest edge.
         edge_1 = p1 - p0
         edge_2 = p2 - p0
         position = p0 + (uv[0] * edge_1 + uv[1] * edge_2)
         longest = wp.max(wp.max(_abs(edge_1)), wp.max(wp.max(_abs(edge_2)), wp.max(_abs(edge_2 - edge_1))))
         tested = wp.static(_TRIANGLE_TEST) * longest
-        error = wp.static(_GAMMA_3) * (_abs(edge_1) + _abs(edge_2)) + wp.vec3(tested, tested, tested) + wp.static(2.0 * _U) * _abs(position)
+        error = (
+            wp.static(_GAMMA_3) * (_abs(edge_1) + _abs(edge_2))
+            + wp.vec3(tested, tested, tested)
+            + wp.static(2.0 * _U) * _abs(position)
+        )
         edge_cross = wp.cross(edge_1, edge_2)
         if wp.static(instancing):
             matrix = geometry.instance_transform[instance]
             moved = transform_vector(matrix, position)
             offset = _offset(matrix)
-            # carrying the point to the world, and the ray to the object and back
-            error = _row_abs(matrix, error) + wp.static(2.0 * _GAMMA_8) * (_row_abs(matrix, _abs(position)) + _abs(offset))
+            # error of carrying the point to the world, and the ray to the object and back
+            error = _row_abs(matrix, error) + wp.static(2.0 * _GAMMA_8) * (
+                _row_abs(matrix, _abs(position)) + _abs(offset)
+            )
             position = moved + offset
             edge_cross = _cofactor(matrix, edge_cross)
         surface.position = position
@@ -142,7 +149,11 @@ def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
         surface.normal = surface.geometric_normal
         if wp.static(smooth_normals):
             n = (1.0 - uv[0] - uv[1]) * geometry.corner_normals[3 * triangle]
-            n = n + uv[0] * geometry.corner_normals[3 * triangle + 1] + uv[1] * geometry.corner_normals[3 * triangle + 2]
+            n = (
+                n
+                + uv[0] * geometry.corner_normals[3 * triangle + 1]
+                + uv[1] * geometry.corner_normals[3 * triangle + 2]
+            )
             if wp.static(instancing):
                 n = _cofactor(geometry.instance_transform[instance], n)
             n = _unit(n)

@@ -1,8 +1,8 @@
-"""A sky of light that was scattered many times, by air and aerosols of a city, with ozone that absorbs.
+"""A sky of light that air and aerosols of a city scatter many times, with ozone that absorbs.
 
-Fernando García Liñán, "Spectral sky rendering" (2024, https://fgarlin.com/posts/2024-12-06-spectral_sky, MIT licence): four wavelengths
-are enough with fitted colours, and light that was scattered more than once is a fit, with that from the ground. Numbers are float32 and
-sums in one order, since pictures are to be those of Blender.
+Fernando García Liñán, "Spectral sky rendering" (2024, https://fgarlin.com/posts/2024-12-06-spectral_sky, MIT licence).
+Four wavelengths are enough with fitted colours; light scattered more than once is a fit that includes light from the
+ground. Numbers are float32 and sums in one order, since pictures are to be those of Blender.
 """
 
 from __future__ import annotations
@@ -13,38 +13,43 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .atmosphere import EARTH_RADIUS, PICTURE_HEIGHT, PICTURE_WIDTH, Atmosphere, F, SunDisc, in_parts
+from .atmosphere import EARTH_RADIUS, PICTURE_HEIGHT, PICTURE_WIDTH, Atmosphere, F, SkyModel, SunDisc, in_parts
 
 ALTITUDE_RANGE = (1.0, 99999.0)  # [m]
 _EARTH = F(EARTH_RADIUS)  # [km]
-_THICKNESS = F(100.0)  # of the atmosphere [km]
+_THICKNESS = F(100.0)  # thickness of the atmosphere [km]
 _TOP = _EARTH + _THICKNESS
-_SEGMENTS = 64  # of any ray
+_SEGMENTS = 64  # segments of any ray
 _LIGHT_WIDTH, _LIGHT_HEIGHT = 256, 64  # table of transmittances to the sun, by cosine of its zenith angle and altitude
-_GROUND = F(0.3)  # how much light the ground reflects
+_GROUND = F(0.3)  # share of light that the ground reflects
 _FORWARD = F(0.8)  # asymmetry of scattering by aerosols
 
-# At 630, 560, 490 and 430 nm
-_IRRADIANCE = np.array([1.679, 1.828, 1.986, 1.307], F)  # of the sun outside the atmosphere [W / (m^2 nm)]
+# at 630, 560, 490 and 430 nm
+_IRRADIANCE = np.array([1.679, 1.828, 1.986, 1.307], F)  # sunlight outside the atmosphere [W / (m^2 nm)]
 _AIR_SCATTERING = np.array([6.605e-3, 1.067e-2, 1.842e-2, 3.156e-2], F)  # at sea level [1 / km]
 _OZONE_ABSORPTION = np.array([3.472e-25, 3.914e-25, 1.349e-25, 11.03e-27], F)  # cross section [m^2]
 _OZONE_AMOUNT = F(334.5)  # [Dobson units]
 _AEROSOL_ABSORPTION = np.array([2.8722e-24, 4.6168e-24, 7.9706e-24, 1.3578e-23], F)  # cross section [m^2]
 _AEROSOL_SCATTERING = np.array([1.5908e-22, 1.7711e-22, 2.0942e-22, 2.4033e-22], F)  # cross section [m^2]
-_AEROSOL_DENSITY = F(1.3681e20)  # at sea level
-_AEROSOL_BACKGROUND = F(2e6)  # everywhere
-_AEROSOL_HEIGHT = F(0.73)  # at which there is 1 / e of them left [km]
+_AEROSOL_DENSITY = F(1.3681e20)  # number density at sea level
+_AEROSOL_BACKGROUND = F(2e6)  # number density everywhere
+_AEROSOL_HEIGHT = F(0.73)  # height at which the density is 1 / e of that at sea level [km]
 _REPEATED = np.array([0.217, 0.347, 0.594, 1.0], F)  # light that air has scattered more than once
-# XYZ of each of the four
-_TO_XYZ = np.array([
-    (53.386917738564668023, 22.981337506691024754, 0.0), (43.904844466369358263, 71.347795700053393866, 0.102506867965741307),
-    (1.6137278251608962005, 18.422960591455485011, 31.742921188390805758), (20.762668673810577145, 2.3614213523314368527, 110.48009643252140334),
-], F)  # fmt: skip
+# XYZ of light of each of the four wavelengths
+_TO_XYZ = np.array(
+    [
+        (53.386917738564668023, 22.981337506691024754, 0.0),
+        (43.904844466369358263, 71.347795700053393866, 0.102506867965741307),
+        (1.6137278251608962005, 18.422960591455485011, 31.742921188390805758),
+        (20.762668673810577145, 2.3614213523314368527, 110.48009643252140334),
+    ],
+    F,
+)
 
 
 @functools.lru_cache(maxsize=4)
-def sky_picture(atmosphere: Atmosphere) -> np.ndarray:
-    """The sky's radiance, and the air's before the ground; see `atmosphere.py` for its layout. Read only."""
+def multiple_scattering_picture(atmosphere: Atmosphere) -> np.ndarray:
+    """Radiance of the sky, and of the air in front of the ground; see `atmosphere.py` for its layout. Read only."""
     light = _Light(_lit_table(atmosphere.air, atmosphere.aerosol, atmosphere.ozone), atmosphere)
     cosine = np.cos(F(0.5 * math.pi) - F(atmosphere.sun_elevation))
     sun = _sun_direction(cosine)
@@ -55,7 +60,9 @@ def sky_picture(atmosphere: Atmosphere) -> np.ndarray:
         elevation = (np.copysign(v * v, v) * F(0.5 * math.pi))[:, None]
         azimuth = (F(2 * math.pi) * ((np.arange(PICTURE_WIDTH // 2).astype(F) + F(0.5)) / F(PICTURE_WIDTH)))[None, :]
         flat = _rounded(np.cos, elevation)
-        x, y, z = np.broadcast_arrays(flat * _rounded(np.cos, azimuth), flat * _rounded(np.sin, azimuth), _rounded(np.sin, elevation))
+        x, y, z = np.broadcast_arrays(
+            flat * _rounded(np.cos, azimuth), flat * _rounded(np.sin, azimuth), _rounded(np.sin, elevation)
+        )
         return _to_xyz(light.scattered((x.ravel(), y.ravel(), z.ravel()), sun, _EARTH + height)).reshape(*x.shape, 3)
 
     picture = in_parts(0, render)
@@ -63,19 +70,22 @@ def sky_picture(atmosphere: Atmosphere) -> np.ndarray:
     return picture
 
 
-def sun_disc(atmosphere: Atmosphere, size: float) -> SunDisc:
+def multiple_scattering_disc(atmosphere: Atmosphere, size: float) -> SunDisc:
     """The sun's disc of angular diameter `size` [rad]."""
     solid_angle = F(2 * math.pi) * (F(1) - np.cos(F(size) / F(2)))
     height = F(np.clip(atmosphere.altitude, *ALTITUDE_RANGE)) / F(1000)
 
-    def colour(elevation: np.float32) -> tuple[float, float, float]:
+    def color(elevation: np.float32) -> tuple[float, float, float]:
         cosine = np.array([np.cos(F(0.5 * math.pi) - elevation)], F)
         passed = _transmittance(cosine, np.array([height / _THICKNESS], F), atmosphere)
         x, y, z = _to_xyz(_IRRADIANCE * passed / solid_angle)[0]
         return float(x), float(y), float(z)
 
     half = F(size) / F(2)
-    return SunDisc(colour(F(atmosphere.sun_elevation) - half), colour(F(atmosphere.sun_elevation) + half))
+    return SunDisc(color(F(atmosphere.sun_elevation) - half), color(F(atmosphere.sun_elevation) + half))
+
+
+MULTIPLE_SCATTERING = SkyModel(multiple_scattering_picture, multiple_scattering_disc)
 
 
 def _sun_direction(cosine):
@@ -84,8 +94,8 @@ def _sun_direction(cosine):
 
 def _to_xyz(spectrum: np.ndarray) -> np.ndarray:
     result = np.zeros((*spectrum.shape[:-1], 3), F)
-    for i, colour in enumerate(_TO_XYZ):
-        result += colour * spectrum[..., i, None]
+    for i, color in enumerate(_TO_XYZ):
+        result += color * spectrum[..., i, None]
     return result
 
 
@@ -98,7 +108,7 @@ def _length(x, y, z):
 
 
 def _to_sphere(z0, direction, radius) -> np.ndarray:
-    """Distance from (0, 0, z0) to a sphere around the origin [km]; -1: it is not met."""
+    """Distance from (0, 0, z0) to a sphere around the origin [km]; -1 if the ray misses it."""
     along = z0 * direction[2]
     outside = z0 * z0 - radius * radius
     rest = along * along - outside
@@ -108,21 +118,24 @@ def _to_sphere(z0, direction, radius) -> np.ndarray:
 
 
 def _rounded(function: np.ufunc, *arguments) -> np.ndarray:
-    """`function` rounded to the nearest float32: what a short way takes from light is all in the last bit, and NumPy's float32 errs more."""
+    """`function` rounded to the nearest float32.
+
+    Light lost on a short way is all in the last bit, and NumPy's float32 functions err more.
+    """
     return function(*(np.asarray(each, np.float64) for each in arguments)).astype(F)
 
 
 @dataclass(frozen=True)
 class _Coefficients:
-    """What air and aerosols do to light at some altitudes [1 / km], [..., 4]."""
+    """Effects of air and aerosols on light at some altitudes [1 / km], [..., 4]."""
 
     air: np.ndarray  # scattering
     aerosol: np.ndarray  # scattering
-    extinction: np.ndarray  # with absorption
+    extinction: np.ndarray  # scattering and absorption together
 
 
 def _coefficients(altitude: np.ndarray, atmosphere: Atmosphere) -> _Coefficients:
-    """At `altitude` [km], at least 0."""
+    """Coefficients at `altitude` [km], at least 0."""
     share = _rounded(np.exp, -altitude / _AEROSOL_HEIGHT) + _AEROSOL_BACKGROUND / _AEROSOL_DENSITY
     density = (_AEROSOL_DENSITY * share * F(atmosphere.aerosol))[..., None]
     height = _rounded(np.log, np.maximum(altitude, F(1e-4)))
@@ -136,7 +149,7 @@ def _coefficients(altitude: np.ndarray, atmosphere: Atmosphere) -> _Coefficients
 
 
 def _transmittance(cosine: np.ndarray, height: np.ndarray, atmosphere: Atmosphere) -> np.ndarray:
-    """What is left of sunlight at `height` (0: ground, 1: top) when the sun's zenith angle has `cosine`: [..., 4]."""
+    """Share of sunlight at `height` (0: ground, 1: top) when the sun's zenith angle has `cosine`: [..., 4]."""
     x, _, z = _sun_direction(cosine)
     start = _lerp(_EARTH, _TOP, height)
     step = _to_sphere(start, (x, None, z), _TOP) / F(_SEGMENTS)
@@ -165,7 +178,7 @@ class _Light:
         self._atmosphere = atmosphere
 
     def scattered(self, direction: tuple[np.ndarray, ...], sun, start: np.float32) -> np.ndarray:
-        """What comes from `direction` (arrays of shape [n]) to a viewer `start` [km] above the Earth's centre: [n, 4]."""
+        """Light from `direction` (arrays of shape [n]) to a viewer `start` [km] above the Earth's centre: [n, 4]."""
         x, y, z = direction
         ground = _to_sphere(start, direction, _EARTH)
         step = np.where(ground < 0, _to_sphere(start, direction, _TOP), ground) / F(_SEGMENTS)
@@ -184,7 +197,9 @@ class _Light:
             sun_cosine = px / from_centre * sun[0] + py / from_centre * sun[1] + pz / from_centre * sun[2]
             here = _coefficients(altitude, self._atmosphere)
             lit, repeated = self._lit(sun_cosine, height), self._repeated(sun_cosine, height, from_centre)
-            source = _IRRADIANCE * (here.air * (air_phase * lit + repeated) + here.aerosol * (aerosol_phase * lit + repeated))
+            source = _IRRADIANCE * (
+                here.air * (air_phase * lit + repeated) + here.aerosol * (aerosol_phase * lit + repeated)
+            )
             kept = _rounded(np.exp, -step[:, None] * here.extinction)
             result += passed * ((source - source * kept) / np.maximum(here.extinction, F(1e-7)))
             passed *= kept
@@ -201,11 +216,15 @@ class _Light:
         return low * _LIGHT_WIDTH, np.minimum(low + 1, _LIGHT_HEIGHT - 1) * _LIGHT_WIDTH, (y - low.astype(F))[:, None]
 
     def _lit(self, cosine: np.ndarray, height: np.ndarray) -> np.ndarray:
-        """Transmittance to the sun."""
+        """Transmittance to the sun at a zenith angle of this cosine and at `height`."""
         left, right, fx = self._columns(cosine)
         lower, upper, fy = self._rows(height)
         table = self._table
-        return _lerp(_lerp(table[lower + left], table[lower + right], fx), _lerp(table[upper + left], table[upper + right], fx), fy)
+        return _lerp(
+            _lerp(table[lower + left], table[lower + right], fx),
+            _lerp(table[upper + left], table[upper + right], fx),
+            fy,
+        )
 
     def _repeated(self, cosine: np.ndarray, height: np.ndarray, from_centre: np.ndarray) -> np.ndarray:
         """Light that was scattered more than once, by air (a fit) and by the ground, for a unit of sunlight."""

@@ -10,29 +10,29 @@ from typing import Any
 
 import warp as wp
 
+from ..device.launches import RepeatedLaunches
 from ..film import layout_of
 from ..film.tile import FilmTile, FilmTiles, FinishedTile
-from ..report.batching import BatchingTotals
-from ..report.counters import Counters, CounterTotals
-from ..launches import RepeatedLaunches
-from ..report.timing import NoTimer
+from ..measure.batching import BatchingTotals
+from ..measure.counters import Counters, CounterTotals
+from ..measure.timing import NoTimer
+from ..rays import NO_RAYS, RayKind, RayList
 from ..scene.description import Frame
-from ..settings import RenderSettings
+from ..settings.settings import RenderSettings
 from ..shading.sampling import filter_table
-from .device_scene import DeviceScene
-from .hit_order import HitOrder
 from .kernels import StageKernels
-from .plan import Method
-from .queues import Length, PathLists
-from .ray_order import RayOrder
-from .rays import RayKind, RayNeeds, allocate_paths, allocate_rays
-from .rounds import half_seed
+from .order.hit_order import HitOrder
+from .order.ray_order import RayOrder
+from .path_lists import Length, PathLists
+from .plan.plan import Method
+from .rays import RayNeeds, allocate_paths, allocate_rays
+from .scene.device_scene import DeviceScene
 from .scheduler import Rectangle, WaterMarks
 from .stages import generate
 from .stages.generate import TileWork, counted_kernel
-from .stages.limits import path_limits
-from .tracer import NO_SLOTS, SlotList, Tracer
-from .tracers import make_tracer
+from .stages.limits import half_seed, path_limits
+from .tracers.choose import make_tracer
+from .tracers.interface import Tracer
 
 # A stopped tile whose rays are not at their end after this long gives them up [s]
 DRAIN_SECONDS = 0.25
@@ -59,7 +59,7 @@ class RayTotals:
 
     @property
     def total(self) -> int:
-        """Of all kinds."""
+        """Rays of all kinds."""
         return self.camera + self.bounced + self.shadow
 
 
@@ -70,7 +70,10 @@ class TileIntegrator:
         features, device, count = scene.features, scene.device, marks.path_count
         self._scene, self._frame, self._settings, self._marks = scene, frame, settings, marks
         self._kernels = StageKernels.choose(features)
-        self._half_limits = [path_limits(settings.replace(seed=half_seed(settings.seed, half)), frame.width) for half in range(settings.half_count)]
+        self._half_limits = [
+            path_limits(settings.replace(seed=half_seed(settings.seed, half)), frame.width)
+            for half in range(settings.half_count)
+        ]
         self._limits = self._half_limits[0]
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, features, device)
@@ -81,7 +84,7 @@ class TileIntegrator:
         self._lists = PathLists(count, device, walks=features.subsurface)
         self._film_tiles = FilmTiles(self._layout, frame.passes, device, self._lists.counts.at(Length.SPILL))
         self._free: wp.array | None = None
-        self._bounced = self._shadow = NO_SLOTS
+        self._bounced = self._shadow = NO_RAYS
         counting = tracing.counters(settings, frame.passes)
         self._counters = Counters(counting, self._rays.origin.size, settings.bounce_max, device) if counting else None
         self._counts_steps = bool(counting and counting.steps)
@@ -95,8 +98,15 @@ class TileIntegrator:
         self._tracer: Tracer | None = None  # there is nothing to hit
         if scene.tree:
             self._tracer = make_tracer(
-                scene, self._rays, count, self._shadow_kind, settings, self._counters if self._counts_steps else None, self._timer, self._trace_in_order
-            )  # fmt: skip
+                scene,
+                self._rays,
+                count,
+                self._shadow_kind,
+                settings,
+                self._counters if self._counts_steps else None,
+                self._timer,
+                self._order,
+            )
         self._cost: wp.array | None = None
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
         self._launches = RepeatedLaunches(device)
@@ -107,10 +117,11 @@ class TileIntegrator:
         self.items_done = 0  # paths that came to their end, for progress
 
     def render(self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool]) -> FinishedTile:
-        """Render what is left of a tile's samples `sample_first` to `sample_first + sample_count`; `state` is brought up to date.
+        """Render what is left of a tile's samples `sample_first` to `sample_first + sample_count`; `state` is brought
+        up to date.
 
-        They are added to what the tile has from earlier rounds. When `stop()` turns true no path is begun any more, and those under way are
-        brought to their end.
+        They are added to what the tile has from earlier rounds. When `stop()` turns true no path is begun any more, and
+        those under way are brought to their end.
         """
         work, film = self._begin_tile(state, sample_first, sample_count)
         items = state.tile.pixel_count * sample_count
@@ -118,7 +129,7 @@ class TileIntegrator:
         while True:
             if stopped_at is None and stop():
                 stopped_at = time.perf_counter()
-            camera = NO_SLOTS
+            camera = NO_RAYS
             if stopped_at is None:
                 camera = self._generate(state, work, items)
             elif self._alive and time.perf_counter() - stopped_at > DRAIN_SECONDS:
@@ -137,7 +148,7 @@ class TileIntegrator:
         with self._timer.stage("transfer"):
             finished = state.held = FinishedTile(
                 (tile.x, tile.y, tile.width, tile.height), film, self._layout, self._frame.passes, count, self._cost
-            )  # fmt: skip
+            )
         self.invalid_samples += finished.invalid
         return finished
 
@@ -159,26 +170,36 @@ class TileIntegrator:
             self._cost = held.cost if held and held.cost is not None else self._counters.begin_tile(tile.pixel_count)
         return work, self._film_tiles.begin(tile.pixel_count, held.film if held else None)
 
-    def _generate(self, state: TileState, work: TileWork, items: int) -> SlotList:
+    def _generate(self, state: TileState, work: TileWork, items: int) -> RayList:
         if self._alive == 0:
             work.item_base = state.items_begun
         # paths are numbered by 32 bits: beyond them, numbers begin anew when no path is alive
         left = min(items, work.item_base + generate.ITEMS_NUMBERED) - state.items_begun
         count = self._marks.to_generate(self._alive, left)
         if count == 0:
-            return NO_SLOTS
+            return NO_RAYS
         work.item_first, work.item_count = state.items_begun, count
         length = self._lists.counts.at(Length.CAMERA)
         with self._timer.stage("generate"):
             self._launch(
-                self._kernels.generate, count, work, self._limits, self._scene.camera, self._paths, self._rays, self._free, length
+                self._kernels.generate,
+                count,
+                work,
+                self._limits,
+                self._scene.camera,
+                self._paths,
+                self._rays,
+                self._free,
+                length,
             )
         state.items_begun += count
         self._alive += count
         self.rays.camera += count
-        return SlotList(self._free, length, count, coherent=True)
+        if self._order:
+            self._order.note_begun(self.rays.camera)
+        return RayList(self._free, length, count, coherent=True)
 
-    def _trace(self, work: TileWork, camera: SlotList, stop: Callable[[], bool]) -> int:
+    def _trace(self, work: TileWork, camera: RayList, stop: Callable[[], bool]) -> int:
         """Rays go on; how many came back at most."""
         waves = [(RayKind.CLOSEST, camera), (RayKind.CLOSEST, self._bounced), (self._shadow_kind, self._shadow)]
         waves = [(kind, rays) for kind, rays in waves if rays.bound]
@@ -190,7 +211,8 @@ class TileIntegrator:
         for kind, rays in waves:
             if self._order and self._scene.tracing.waits:
                 # rays that wait are sorted before; a tracer takes them in at once
-                self._order.trace(kind, rays, self._rays, self.rays.camera, lambda part, kind=kind: self._tracer.submit(kind, part))
+                for part in self._order.parts(kind, rays, self._rays):
+                    self._tracer.submit(kind, part)
             else:
                 self._tracer.submit(kind, rays)
         self._tracer.advance(stop)
@@ -203,14 +225,16 @@ class TileIntegrator:
                 self._take_back(kind, back)
         return sum(back.bound for _, back in finished)
 
-    def _take_back(self, kind: RayKind, back: SlotList) -> None:
+    def _take_back(self, kind: RayKind, back: RayList) -> None:
         if kind == RayKind.CLOSEST:
             self._launch_over(self._kernels.settle, back, self._paths, self._rays)
         elif kind == RayKind.OCCLUSION:
             programs = (self._scene.data, self._limits) if self._scene.features.light_programs else ()
             self._launch_over(self._kernels.connect, back, *programs, self._paths, self._rays)
         else:
-            self._launch_over(self._kernels.connect_transparent, back, self._scene.data, self._limits, self._paths, self._rays)
+            self._launch_over(
+                self._kernels.connect_transparent, back, self._scene.data, self._limits, self._paths, self._rays
+            )
 
     def _shade(self, work: TileWork, film: FilmTile, bound: int) -> None:
         """Paths whose rays are all back go on: at most `bound`."""
@@ -237,7 +261,7 @@ class TileIntegrator:
 
         `generates`: there are paths to generate, which need free slots.
         """
-        by_bounce = self._order is not None and self._order.wants_parts(self.rays.camera)
+        by_bounce = self._order is not None and self._order.wants_parts()
         with self._timer.stage("lists"):
             done = self._lists.end_turn(self._paths.status, self._alive, by_bounce, generates)
         with self._timer.stage("film"):
@@ -252,7 +276,7 @@ class TileIntegrator:
         turn = self._lists.next_turn(lengths, by_bounce, generates)
         self._free, self._bounced, self._shadow = turn.free, turn.bounced, turn.shadow
         if self._order:
-            self._order.told(turn.bounced, turn.bounced_parts)
+            self._order.note_bounced(turn.bounced, turn.bounced_parts)
         return lengths[Length.DONE]
 
     def _give_up(self, state: TileState) -> None:
@@ -263,7 +287,7 @@ class TileIntegrator:
         # rays of the next turn were not traced
         self.rays.bounced -= self._bounced.bound
         self.rays.shadow -= self._shadow.bound
-        self._bounced = self._shadow = NO_SLOTS
+        self._bounced = self._shadow = NO_RAYS
         if self._tracer:
             self._tracer.forget()
 
@@ -272,18 +296,6 @@ class TileIntegrator:
     def batching_totals(self) -> BatchingTotals | None:
         """What rays waited for so far; None where they do not wait."""
         return self._tracer.totals() if self._tracer and self._scene.tracing.waits else None
-
-    def _trace_in_order(self, kind: RayKind, listed: SlotList, launch: Callable) -> None:
-        counts = self._counters.work[kind] if self._counts_steps else None
-
-        def timed(rays: SlotList) -> None:
-            with self._timer.stage("trace"):
-                launch(rays, counts)
-
-        if self._order:
-            self._order.trace(kind, listed, self._rays, self.rays.camera, timed)
-        else:
-            timed(listed)
 
     @property
     def is_counting(self) -> bool:
@@ -300,7 +312,7 @@ class TileIntegrator:
 
     # --- launching
 
-    def _launch_over(self, kernel: wp.Kernel, slots: SlotList, *inputs) -> None:
+    def _launch_over(self, kernel: wp.Kernel, slots: RayList, *inputs) -> None:
         if slots.bound:
             self._launch(kernel, slots.bound, *inputs, slots.slots, slots.count)
 

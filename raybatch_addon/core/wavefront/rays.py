@@ -1,29 +1,22 @@
-"""All state of rays and paths on the device.
+"""All state of paths on the device, and the memory of their rays.
 
 A path has two ray slots: slot `p` holds the ray that extends path `p` (closest hit), slot `path_count + p` its
 shadow ray (occlusion). Both may be under way at once; the path goes on when both are back.
 
-There may be many millions of paths, so nothing is kept twice: `RayNeeds` says which arrays a render has, and which of them
-share memory.
+There may be many millions of paths, so nothing is kept twice: `RayNeeds` says which arrays a render has, and which of
+them share memory.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import IntFlag
 
 import warp as wp
 
 from ..bvh.tree import TRAIL_LEVELS, TopProgress
+from ..rays import Rays
 from ..scene.features import SceneFeatures
-
-
-class RayKind(IntEnum):
-    """What is asked of a ray."""
-
-    CLOSEST = 0  # the closest hit
-    OCCLUSION = 1  # whether anything is hit
-    TRANSPARENT_SHADOW = 2  # the closest hit, asked again from there on while surfaces let light through
 
 
 class Status(IntFlag):
@@ -43,31 +36,22 @@ class Status(IntFlag):
 # Above the status: the `Visibility` bit of the extending ray (5 bits), and the bounce (up to 2^17 - 1)
 VISIBILITY_SHIFT = 9
 BOUNCE_SHIFT = 14
-# In `Paths.passed`, passes by the shadow ray are counted above those of the extending ray; both go on from what the path passed before
+# In `Paths.passed`, passes by the shadow ray are counted above those of the extending ray; both go on from what the
+# path passed before
 SHADOW_PASS = 1 << 16
-# Places in lists: two lists, and blocks' counts of paths (`queues.py`)
+# Places in lists: two lists, and blocks' counts of paths (`path_lists.py`)
 LIST_BYTES_PER_PATH = 2 * 4 + 1
 
 
 @wp.struct
-class Rays:
-    """Rays and their hits, one entry a ray slot; some arrays have entries only for the slots that need them (`allocate_rays`)."""
-
-    origin: wp.array(dtype=wp.vec3)  # [m]
-    direction: wp.array(dtype=wp.vec3)  # unit length in world space
-    t_max: wp.array(dtype=float)  # only hits nearer than this count [m]
-    visibility: wp.array(dtype=int)  # `Visibility` bit of the ray: objects without it are passed. No entries: all is seen
-    hit_t: wp.array(dtype=float)  # distance of the hit, or `t_max` [m]. May be the same memory as `t_max`
-    hit_instance: wp.array(dtype=int)  # -1: nothing was hit. Of occlusion rays only this is set, and only its sign counts
-    hit_primitive: wp.array(dtype=int)  # triangle of the instance's mesh. Has entries for closest hits alone, like `hit_uv`
-    hit_uv: wp.array(dtype=wp.vec2)  # barycentric weights of the triangle's second and third corner
-
-
-@wp.struct
 class Walks:
-    """Random walks below surfaces, one entry a path; no entries where no closure asks for them. Set where a path goes in."""
+    """Random walks below surfaces, one entry a path; no entries where no closure asks for them. Set where a path goes
+    in.
+    """
 
-    step: wp.array(dtype=int)  # number of the step that the path's ray takes, from 1; 0: it has come out, where the ray met the surface
+    step: wp.array(
+        dtype=int
+    )  # number of the step that the path's ray takes, from 1; 0: it has come out, where the ray met the surface
     instance: wp.array(dtype=int)  # in which it walks
     extinction: wp.array(dtype=wp.vec3)  # [1/m]
     albedo: wp.array(dtype=wp.vec3)  # of a single scattering
@@ -84,7 +68,9 @@ class Walks:
 class Paths:
     """Shading state, one entry a path slot. Arrays that a scene does not need have no entries."""
 
-    status: wp.array(dtype=int)  # `Status` bits, the extending ray's visibility, and scattering events so far, without straight passes
+    status: wp.array(
+        dtype=int
+    )  # `Status` bits, the extending ray's visibility, and scattering events so far, without straight passes
     item: wp.array(dtype=wp.uint32)  # number of the path within its tile: pixel and sample (`pixel_sample`)
     throughput: wp.array(dtype=wp.vec3)
     radiance: wp.array(dtype=wp.vec3)  # summed in bounce order
@@ -94,7 +80,9 @@ class Paths:
     light_program: wp.array(dtype=int)  # WORLD_PROGRAM, SURFACE_PROGRAM, LAMP_PROGRAM; 0: `shadow_light` is all
     light_instance: wp.array(dtype=int)  # of lamps their number
     light_primitive: wp.array(dtype=int)
-    light_barycentric: wp.array(dtype=wp.vec2)  # of lamps how far they were when aimed at [m], and how much of that `t_max` lacks
+    light_barycentric: wp.array(
+        dtype=wp.vec2
+    )  # of lamps how far they were when aimed at [m], and how much of that `t_max` lacks
     # transparency
     passed: wp.array(dtype=int)  # transparent surfaces passed by the extending ray, and (x 65536) by the shadow ray
     passed_t: wp.array(dtype=float)  # distance from the last scattering to the extending ray's origin [m]
@@ -151,7 +139,9 @@ class RayNeeds:
 
     @staticmethod
     def of(features: SceneFeatures, reference: bool = False) -> RayNeeds:
-        """For a scene with `features`. Warp's own tree (`reference`) reads everything, and leaves no `t_max` where nothing is hit."""
+        """For a scene with `features`. Warp's own tree (`reference`) reads everything, and leaves no `t_max` where
+        nothing is hit.
+        """
         through = features.transparency
         return RayNeeds(features.shadow_rays, through, through or reference, features.instancing or reference)
 
@@ -180,36 +170,39 @@ def allocate_rays(path_count: int, device: wp.Device, needs: RayNeeds = RayNeeds
     return rays
 
 
-def _shadow_lengths(features: SceneFeatures) -> bool:
-    return features.transparency and features.shadow_rays and bool(features.programs)
+def needed_arrays(features: SceneFeatures) -> dict[str, bool]:
+    """By name of an array of `Paths`: whether a scene with `features` has it. `walk` is apart."""
+    shadow_rays, transparency, history = features.shadow_rays, features.transparency, features.path_history
+    return {
+        "status": True,
+        "item": True,
+        "throughput": True,
+        "radiance": True,
+        "pdf": True,
+        "shadow_light": shadow_rays,
+        "light_program": features.light_programs,
+        "light_instance": features.light_programs,
+        "light_primitive": features.light_programs,
+        "light_barycentric": features.light_programs,
+        "passed": transparency,
+        "passed_t": transparency,
+        "shadow_t": transparency and shadow_rays and bool(features.programs),
+        "alpha": features.film_transparent,
+        "history": history,
+        "shadow_history": history and shadow_rays,
+        "normal": features.normal_pass,
+    }
 
 
 def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) -> Paths:
     """`Paths` for `path_count` slots, all free."""
-
-    def zeros(dtype, needed: bool = True):
-        return wp.zeros(path_count if needed else 0, dtype=dtype, device=device)
-
     paths = Paths()
-    paths.status = zeros(int)
-    paths.item = zeros(wp.uint32)
-    paths.throughput = zeros(wp.vec3)
-    paths.radiance = zeros(wp.vec3)
-    paths.pdf = zeros(float)
-    paths.shadow_light = zeros(wp.vec3, features.shadow_rays)
-    paths.light_program = zeros(int, features.light_programs)
-    paths.light_instance = zeros(int, features.light_programs)
-    paths.light_primitive = zeros(int, features.light_programs)
-    paths.light_barycentric = zeros(wp.vec2, features.light_programs)
-    paths.passed = zeros(int, features.transparency)
-    paths.passed_t = zeros(float, features.transparency)
-    paths.shadow_t = zeros(float, _shadow_lengths(features))
-    paths.alpha = zeros(float, features.film_transparent)
-    paths.history = zeros(int, features.path_history)
-    paths.shadow_history = zeros(int, features.path_history and features.shadow_rays)
+    for name, is_needed in needed_arrays(features).items():
+        dtype = Paths.vars[name].type.dtype
+        setattr(paths, name, wp.zeros(path_count if is_needed else 0, dtype=dtype, device=device))
     for name, array in Walks.vars.items():
-        setattr(paths.walk, name, zeros(array.type.dtype, features.subsurface))
-    paths.normal = zeros(wp.vec3, "Normal" in features.passes)
+        entry_count = path_count if features.subsurface else 0
+        setattr(paths.walk, name, wp.zeros(entry_count, dtype=array.type.dtype, device=device))
     return paths
 
 
@@ -229,10 +222,11 @@ def allocate_progress(count: int, words: int, instancing: bool, device: wp.Devic
 
 
 def bytes_per_path(features: SceneFeatures, reference: bool = False) -> int:
-    """Device memory of one path alive: state, its ray slots, and its places in lists [bytes]. `reference`: Warp's own tree is traced."""
-    path = 2 * 4 + 12 + 12 + 4
-    path += 12 * features.shadow_rays + 8 * features.transparency + 4 * _shadow_lengths(features) + 20 * features.light_programs
-    path += 4 * features.path_history * (1 + features.shadow_rays)
-    path += 76 * features.subsurface
-    path += 4 * features.film_transparent + 12 * ("Normal" in features.passes)
+    """Device memory of one path alive: state, its ray slots, and its entries in lists [bytes]. `reference`: Warp's own
+    tree is traced.
+    """
+    arrays = [Paths.vars[name] for name, is_needed in needed_arrays(features).items() if is_needed]
+    if features.subsurface:
+        arrays += Walks.vars.values()
+    path = sum(wp.types.type_size_in_bytes(array.type.dtype) for array in arrays)
     return path + RayNeeds.of(features, reference).bytes_per_path + LIST_BYTES_PER_PATH

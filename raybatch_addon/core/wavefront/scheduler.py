@@ -6,19 +6,21 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from ..settings import RenderSettings
+from ..settings.settings import RenderSettings
 
-# Paths alive at once, by device, where `ray_count` is 0. A CPU wave stays within a core's share of the outer caches; a GPU
-# needs some ten thousand threads many times over, so that a wave's tail does not leave it idle.
+# Paths alive at once, by device, where `ray_count` is 0. A CPU wave stays within a core's share of the outer caches; a
+# GPU needs some ten thousand threads many times over, so that a wave's tail does not leave it idle.
 CPU_RAYS_A_WORKER = 1 << 15
 CUDA_RAYS = 1 << 22
-# Beyond memory every page that is brought in should serve many rays. But all of them are looked through for each: a render of 125 million
-# triangles (H200, a tenth of them on the device) took 1.39 s with 34 million paths alive, and 1.59 s with 105 million. New paths begin
-# where others end, so that few pages more are copied.
+# Beyond memory every page that is brought in should serve many rays. But all of them are looked through for each: a
+# render of 125 million triangles (H200, a tenth of them on the device) took 1.39 s with 34 million paths alive, and
+# 1.59 s with 105 million. New paths begin where others end, so that few pages more are copied.
 RAYS_MOST = {True: 1 << 25, False: 1 << 23}  # on CUDA; of a worker on the CPU
 # Edges of tiles where `tile_size` is 0
 CPU_TILE = 128
 CUDA_TILE = 2048
+# Tiles of each CPU worker, about, where a render is cut into rounds
+CUT_TILES_A_WORKER = 2
 # Where a tile's last paths come to their end a GPU has little to do, so its tiles have this many paths if they can
 CUDA_TILE_PATHS = 1 << 24
 
@@ -69,24 +71,43 @@ def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool, paged:
     return CUDA_RAYS if is_cuda else CPU_RAYS_A_WORKER
 
 
-def tile_edge(settings: RenderSettings, is_cuda: bool, width: int, height: int, paged_workers: int = 0) -> int:
+def tile_edge(
+    settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, paged: bool = False
+) -> int:
     """Edge of the tiles [pixels]. Where it is chosen here, at least four tiles cover a frame that can be cut so.
 
-    On CUDA small work is one tile, and tiles shrink with the samples so that they come at some pace. Where geometry is brought in by pages
-    (for so many workers) tiles are as large as there are workers: no more rays can be alive than a tile has.
+    On CUDA small work is one tile, and tiles shrink with the samples so that they come at some pace. Where geometry is
+    brought in by pages (`paged`) each worker has one tile, if it is not too large: no more rays can be alive than a
+    tile has.
     """
     if settings.tile_size:
         return settings.tile_size
-    if paged_workers:
-        shares = math.ceil(math.sqrt(width * height / paged_workers))
-        return min(CUDA_TILE, max(width, height) if paged_workers == 1 else shares)
-    quarter = max(1, min(-(-max(width, height) // 2), -(-min(width, height) // 2) if min(width, height) > 1 else 1 << 30))
+    if paged:
+        shares = math.ceil(math.sqrt(width * height / workers))
+        return min(CUDA_TILE, max(width, height) if workers == 1 else shares)
+    quarter = max(
+        1, min(-(-max(width, height) // 2), -(-min(width, height) // 2) if min(width, height) > 1 else 1 << 30)
+    )
     if not is_cuda:
         return min(CPU_TILE, quarter)
     if width * height * settings.sample_count <= CUDA_TILE_PATHS:
         return min(CUDA_TILE, max(width, height))
     paced = math.ceil(math.sqrt(4 * CUDA_TILE_PATHS / settings.sample_count))
     return min(CUDA_TILE, quarter, max(256, paced))
+
+
+def round_tile_edge(
+    settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, paged: bool = False
+) -> int:
+    """As `tile_edge`, for a render that is cut into rounds.
+
+    Tiles come at the pace of rounds, of which the first have few samples. Each tile comes to its end in each round,
+    which takes a CPU as long however few paths it has: tiles are large there.
+    """
+    edge = tile_edge(settings.replace(sample_count=1), is_cuda, width, height, workers, paged)
+    if is_cuda or settings.tile_size:
+        return edge
+    return max(edge, math.ceil(math.sqrt(width * height / (CUT_TILES_A_WORKER * workers))))
 
 
 def tiles(region: tuple[int, int, int, int], edge: int) -> Iterator[Rectangle]:

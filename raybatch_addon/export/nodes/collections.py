@@ -1,52 +1,52 @@
-"""What programs refer to by its place in the scene: images and attributes, collected while graphs are compiled."""
+"""Images and attributes that programs refer to by index, collected while graphs are compiled."""
 
 from __future__ import annotations
 
 from typing import Any
 
-# A kind of attribute: where instances are on what places them; `generated` or `uv`
+# Kind of an attribute: position of instances on the surface that places them, `generated` or `uv`
 OF_INSTANCER = "OF_INSTANCER"
 
 
 class Collections:
-    """Collected over all graphs of a scene."""
+    """Images and attributes of all graphs of a scene."""
 
     def __init__(self) -> None:
-        self.frame = 0  # of the scene, for images that change with it
+        self.frame = 0  # the scene's frame, for images that change with it
         self.images: list[Any] = []  # the core's `Image`s
-        self.environment_width = 0  # of the widest image that worlds show [texels]
-        self.sun_width = 0  # texels around worlds of which the smallest sun in their skies is two wide
-        self.warnings: list[str] = []  # of images and attributes that cannot be used as they are, by name
+        self.environment_width = 0  # width of the widest image that worlds show [texels]
+        self.sun_width = 0  # texels around a world so that the smallest sun in the worlds' skies is two texels wide
+        self.warnings: list[str] = []  # messages about images and attributes that cannot be used as they are, by name
         self._image_places: dict[Any, int] = {}
         self._attribute_places: dict[tuple[str, str], int] = {}
         self._object_attribute_places: dict[tuple[str, str], int] = {}
-        self.asked: set[tuple[str, str]] = set()  # attributes that the graph at hand asks for
-        self.view_layer: Any = None  # Blender's, whose properties graphs may ask for
+        self.asked: set[tuple[str, str]] = set()  # attributes that the current graph reads
+        self.view_layer: Any = None  # Blender's, whose properties graphs may read
         self.scene: Any = None
 
     def image(self, key: Any, make) -> int:
-        """The place of the image known as `key`, which `make()` exports when it is asked for first."""
+        """Index of the image known as `key`, which `make()` exports at the first request."""
         if key not in self._image_places:
             self._image_places[key] = len(self.images)
             self.images.append(make())
         return self._image_places[key]
 
     def attribute(self, kind: str, name: str) -> int:
-        """The place of an attribute of meshes: `kind` tells how it is found, see `export/attributes.py`."""
+        """Index of an attribute of meshes; for `kind` see `export/meshes/attributes.py`."""
         self.asked.add((kind, name))
         return self._attribute_places.setdefault((kind, name), len(self._attribute_places))
 
     def object_attribute(self, kind: str, name: str) -> int:
-        """The same of objects (`kind` OBJECT), or of what places them (INSTANCER)."""
+        """Index of an attribute of objects (`kind` OBJECT), or of the objects that place them (INSTANCER)."""
         self.asked.add((kind, name))
         return self._object_attribute_places.setdefault((kind, name), len(self._object_attribute_places))
 
     @property
     def attributes(self) -> list[tuple[str, str]]:
-        """(kind, name) of all attributes of meshes, by their place."""
+        """(kind, name) of all attributes of meshes, by index."""
         return list(self._attribute_places)
 
     @property
     def object_attributes(self) -> list[tuple[str, str]]:
-        """(kind, name) of all attributes of objects, by their place."""
+        """(kind, name) of all attributes of objects, by index."""
         return list(self._object_attribute_places)

@@ -1,4 +1,4 @@
-"""Following the links of a shader graph: through reroutes, muted nodes and node groups, to the node that feeds a socket."""
+"""Links of a shader graph, followed through reroutes, muted nodes and groups to the node that feeds a socket."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-# Groups within groups, and sockets on the way of one link: more of them is a cycle
+# Most nested groups, and most sockets on the way of one link: more of them is a cycle
 _GROUPS_MOST = 64
 _HOPS_MOST = 1000
 _GROUPS = ("GROUP", "CUSTOM GROUP")
@@ -21,7 +21,8 @@ class Source:
 
     socket: Any
     groups: tuple[Any, ...] = ()
-    through: tuple[str, ...] = ()  # types of the sockets of groups and muted nodes on the way: values are converted at each
+    # types of the sockets of groups and muted nodes on the way: values are converted at each
+    through: tuple[str, ...] = ()
 
     @property
     def node(self) -> Any:
@@ -29,10 +30,11 @@ class Source:
         return self.socket.node
 
 
-class Links:
-    """Links by the socket that they lead to, each tree read once: Blender goes through all links of a tree to find those of one socket.
+class SocketLinks:
+    """Links by the socket that they lead to, read once for each tree.
 
-    Good for as long as nobody edits the trees.
+    Blender goes through all links of a tree to find those of one socket. The links are valid until someone edits the
+    trees.
     """
 
     def __init__(self) -> None:
@@ -55,17 +57,17 @@ def is_group(node) -> bool:
 
 
 def is_inlined(tree) -> bool:
-    """Whether Blender made the node tree `tree` of another, without its groups and zones."""
+    """Whether Blender derived the node tree `tree` from another one, without its groups and zones."""
     return tree.is_runtime_data and not tree.is_evaluated and not tree.is_embedded_data
 
 
 def node_name(node) -> str:
-    """The name that the user knows a node by."""
+    """The name by which the user knows a node."""
     return _NUMBERED.sub("", node.name) if is_inlined(node.id_data) else node.name
 
 
 def node_label(node) -> str:
-    """How messages name a node."""
+    """The name of a node in messages."""
     return f"node “{node_name(node)}” ({node.bl_label})"
 
 
@@ -73,17 +75,18 @@ def find_source(
     socket,
     groups: tuple[Any, ...] = (),
     note: Callable[[str], None] = lambda text: None,
-    links: Links | None = None,
+    links: SocketLinks | None = None,
     keeps_values: bool = False,
 ) -> tuple[Source | None, Any]:
-    """What feeds the input `socket`: (source, None), or (None, input socket) whose own value counts.
+    """The output that feeds the input `socket`: (source, None), or (None, input socket) whose own value counts.
 
-    `groups` are the group nodes around the socket. The input socket returned is `socket` itself, or that of a group node around it; None
-    where the value is 0. `note` is told of groups and links that are broken. With `keeps_values` (from Blender 5.0 on) an input keeps its
-    own value where what is linked to it leads, by reroutes and muted nodes, to nothing.
+    `groups` are the group nodes around the socket. The input socket returned is `socket` itself, or that of a group
+    node around it; None where the value is 0. `note` is called with a message about each group or link that is broken.
+    With `keeps_values` (from Blender 5.0 on) an input keeps its own value if its link leads, by reroutes and muted
+    nodes, to nothing.
     """
-    links = links or Links()
-    start = real = socket  # real: the last input on the way that has a value to give
+    links = links or SocketLinks()
+    start = real = socket  # real: the last input on the way that has a value
     through: list[str] = []
     for _ in range(_HOPS_MOST):
         found = [link for link in links.of(socket) if not link.is_muted]

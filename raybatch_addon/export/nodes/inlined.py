@@ -1,6 +1,7 @@
 """Blender's own simplification of a shader graph: without groups, reroutes, muted nodes, zones, closures and bundles.
 
-From Blender 5.0 on it is what Cycles renders, so that what Blender makes of such nodes need not be done again here.
+Cycles renders the simplified graph from Blender 5.0 on, so that the effect of such nodes need not be computed again
+here.
 """
 
 from __future__ import annotations
@@ -8,16 +9,15 @@ from __future__ import annotations
 from typing import Any
 
 
-
 class Inlined:
     """The simplified tree of `owner`, a material, world or light, with the output node that stands for `output`.
 
-    Its nodes are there for as long as this is.
+    The nodes exist as long as this object.
     """
 
     def __init__(self, owner: Any, output: Any) -> None:
-        self.output = None  # of the simplified tree; None where there is none
-        self._tree: Any = None  # owns the nodes
+        self.output = None  # output node of the simplified tree; None if it has none
+        self._tree: Any = None  # owner of the nodes
         if not is_inlinable(owner) or output.id_data != owner.node_tree:
             return
         self._tree = owner.inline_shader_nodes()

@@ -1,4 +1,4 @@
-"""A node as its handler sees it, and the walk over a graph that calls the handlers."""
+"""Nodes as their handlers see them, and the walk over a graph that calls the handlers."""
 
 from __future__ import annotations
 
@@ -9,58 +9,61 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from ...core.programs.builder import Constant, ProgramBuilder, Value
+from ...core.programs.ops.values.vector_math import VectorOperation
 from ...core.scene.description import ClosureKind
-from ...core.shading.nodes.builder import Constant, ProgramBuilder, Value
-from ...core.shading.nodes.vector_math import VectorOperation
 from .collections import Collections
-from .graph import Links, Source, find_source, is_group, node_label, node_name
+from .graph import SocketLinks, Source, find_source, is_group, node_label, node_name
 from .registry import shader_nodes, value_nodes
 from .survey import Survey
 
 WHITE = Value.of((1.0, 1.0, 1.0))
 BLACK = Value.of((0.0, 0.0, 0.0))
 _VECTORS = {"VECTOR", "RGBA", "ROTATION"}
-# Python's own limit would end chains of a few hundred nodes
+# Recursion limit; Python's own would end chains of a few hundred nodes
 _RECURSION_LIMIT = 40_000
 
 
 @dataclass
 class Graph:
-    """One graph on its way to a program."""
+    """One graph, and the program that it is compiled to."""
 
     owner: Any = None  # Blender's material, world or light
     collections: Collections = field(default_factory=Collections)
     builder: ProgramBuilder = field(default_factory=ProgramBuilder)
     kinds: set[ClosureKind] = field(default_factory=set)
-    notes: list[str] = field(default_factory=list)  # what is left out or approximated, in words
-    varying: list[str] = field(default_factory=list)  # nodes whose outputs are not constants, in the order of the way to them
-    bumped: Value | None = None  # the surface's normal, where the displacement of the material bends it
-    shift: int = 0  # bump mapping evaluates its height thrice: here, and a little aside along two axes
-    links: Links = field(default_factory=Links)
-    keeps_values: bool = False  # as `find_source` has it
+    notes: list[str] = field(default_factory=list)  # messages about parts that are left out or approximated
+    # nodes whose outputs are not constants, in the order in which the walk meets them
+    varying: list[str] = field(default_factory=list)
+    bumped: Value | None = None  # the surface's normal as the displacement of the material bends it
+    shift: int = 0  # bump mapping evaluates its height three times: here, and one step aside along either axis
+    links: SocketLinks = field(default_factory=SocketLinks)
+    keeps_values: bool = False  # see `find_source`
     survey: Survey = field(default_factory=Survey)
     _known: dict[tuple, dict[str, Value]] = field(default_factory=dict)
-    _open: set[tuple] = field(default_factory=set)  # nodes being evaluated: one met again is a cycle
+    _open: set[tuple] = field(default_factory=set)  # nodes being evaluated: meeting one again means a cycle
     _sources: dict[tuple, tuple[Source | None, Any]] = field(default_factory=dict)
-    _uses: Counter = field(default_factory=Counter)  # of shader nodes: links that lead from them to the output
-    _shaded: Counter = field(default_factory=Counter)  # the times that closures of shader nodes were added
-    _waiting: dict[tuple, tuple[Node, Value, int]] = field(default_factory=dict)  # shader nodes, weights and links so far
+    _uses: Counter = field(default_factory=Counter)  # for each shader node: links that lead from it to the output
+    # for each shader node: how many times its closures were asked for
+    _shaded: Counter = field(default_factory=Counter)
+    # shader nodes, weights and links so far
+    _waiting: dict[tuple, tuple[Node, Value, int]] = field(default_factory=dict)
 
     def source(self, socket, groups: tuple[Any, ...] = ()) -> tuple[Source | None, Any]:
-        """What feeds the input `socket`, as `find_source` has it."""
+        """The output that feeds the input `socket`; see `find_source`."""
         key = (socket.as_pointer(), *(group.as_pointer() for group in groups))
         if key not in self._sources:
             self._sources[key] = find_source(socket, groups, self.note, self.links, self.keeps_values)
         return self._sources[key]
 
     def surface(self, socket) -> None:
-        """Adds the closures that feed the shader input `socket` of an output node.
+        """Add the closures that feed the shader input `socket` of an output node.
 
-        A shader that is used more than once adds its closures once, of all its weights together.
+        A shader that is used several times adds its closures once, with the sum of its weights.
         """
         self._count_uses(socket)
         self.shade(socket, WHITE)
-        while self._waiting:  # those that a shader above did not ask for as often as it is linked to them
+        while self._waiting:  # shaders that were asked for fewer times than they are linked
             node, weight, _ = self._waiting.pop(next(iter(self._waiting)))
             self._add_shader(node, weight)
 
@@ -76,17 +79,17 @@ class Graph:
                 waiting += [(inner, node.groups) for inner in self._shader_inputs(node)]
 
     def _shader_inputs(self, node: Node) -> list[Any]:
-        """Linked shader inputs that count: the first alone of a node that is not understood."""
+        """Linked shader inputs that count; a node that is not understood has the first alone."""
         inputs = [s for s in node.node.inputs if s.type == "SHADER" and self.source(s, node.groups)[0] is not None]
         return inputs if node.node.bl_idname in shader_nodes else inputs[:1]
 
     def shade(self, socket, weight: Value, groups: tuple[Any, ...] = ()) -> None:
-        """Adds what feeds the shader input `socket`, of that weight."""
+        """Add the closures that feed the shader input `socket`, times `weight`."""
         source, _ = self.source(socket, groups)
         if source is None:
             return
         node = Node(self, source.node, source.groups)
-        if source.socket.type != "SHADER":  # a number or colour in place of a shader shines, as in Cycles
+        if source.socket.type != "SHADER":  # a number or colour in place of a shader emits, as in Cycles
             self.kinds.add(ClosureKind.EMISSION)
             node.closure("emission", node.times(weight, self.value(source)))
             return
@@ -112,12 +115,12 @@ class Graph:
             try:
                 self.kinds.update(handled.kinds(node) if callable(handled.kinds) else handled.kinds)
                 handled.handler(node, weight)
-            except Exception as error:  # noqa: BLE001  (one node that cannot be read must not cost the others)
+            except Exception as error:
                 self.builder.drop_closures(step)
-                self._viewport_colour(node, weight, f"cannot be read ({error_text(error)})")
+                self._viewport_color(node, weight, f"cannot be read ({error_text(error)})")
 
     def value(self, source) -> Value:
-        """What comes out of the socket `source.socket`."""
+        """Value of the socket `source.socket`."""
         node = Node(self, source.node, source.groups)
         key = (*node.key, self.shift)
         if key not in self._known:
@@ -127,7 +130,7 @@ class Graph:
                     return Value.of(0.0)
                 try:
                     self._known[key] = self._outputs(node)
-                except Exception as error:  # noqa: BLE001
+                except Exception as error:
                     self.note(f"{node_label(node.node)} cannot be read ({error_text(error)}); it gives 0")
                     self._known[key] = {"": Value.of(0.0)}
                 label = node_label(node.node)
@@ -137,12 +140,12 @@ class Graph:
         return outputs.get(source.socket.identifier) or outputs.get("") or Value.of(0.0)
 
     def bend(self, normal: Value) -> None:
-        """Gives the surface another normal: what was computed of the one before is forgotten."""
+        """Give the surface another normal; values computed from the former one are dropped."""
         self.bumped = normal
         self._known.clear()
 
     def note(self, text: str) -> None:
-        """Remembers what is not rendered as it is."""
+        """Remember a message about a part that is not rendered as it is."""
         if text not in self.notes:
             self.notes.append(text)
 
@@ -161,11 +164,14 @@ class Graph:
             self.note(f"{node_label(node.node)} is not supported; its first linked shader passes through")
             self.shade(inner, weight, node.groups)
             return
-        self._viewport_colour(node, weight, "is not supported")
+        self._viewport_color(node, weight, "is not supported")
 
-    def _viewport_colour(self, node: Node, weight: Value, why: str) -> None:
-        """A surface or light in place of a shader."""
-        color = [max(float(c), 0.0) for c in getattr(self.owner, "diffuse_color", getattr(self.owner, "color", (0.8, 0.8, 0.8)))[:3]]
+    def _viewport_color(self, node: Node, weight: Value, why: str) -> None:
+        """Replace a shader by a surface or light of the viewport's colour."""
+        color = [
+            max(float(c), 0.0)
+            for c in getattr(self.owner, "diffuse_color", getattr(self.owner, "color", (0.8, 0.8, 0.8)))[:3]
+        ]
         if type(self.owner).__name__ in ("Material", "NoneType"):
             self.note(f"{node_label(node.node)} {why}; it is a diffuse surface in the viewport colour")
             self.kinds.add(ClosureKind.DIFFUSE)
@@ -201,21 +207,21 @@ class Node:
 
     @property
     def key(self) -> tuple:
-        """What tells this use of the node from others."""
+        """Key of this use of the node."""
         return (self.node.as_pointer(), *(group.as_pointer() for group in self.groups))
 
     @property
     def shift(self) -> int:
-        """Which of bump mapping's three evaluations this is."""
+        """Number of the step aside in bump mapping's three evaluations; 0: none."""
         return self.graph.shift
 
     @property
     def library(self):
-        """Blender's library whose file paths of the node are relative to; None: the file that is open."""
+        """Blender's library that the node's file paths are relative to; None: the open file."""
         return self.graph.survey.libraries.get(node_name(self.node))
 
     def socket(self, key: int | str):
-        """The input number, identifier or name `key`; None where this Blender has none."""
+        """The input with number, identifier or name `key`; None if this Blender has none."""
         inputs = self.node.inputs
         if isinstance(key, int):
             return inputs[key] if key < len(inputs) else None
@@ -223,7 +229,7 @@ class Node:
         return by_identifier or next((s for s in inputs if s.name == key and s.enabled), None) or inputs.get(key)
 
     def has(self, key: int | str) -> bool:
-        """Whether there is such an input."""
+        """Whether the input exists."""
         return self.socket(key) is not None
 
     def linked(self, key: int | str) -> bool:
@@ -232,12 +238,14 @@ class Node:
         if socket is None:
             return False
         source, own = self.graph.source(socket, self.groups)
-        # the value that a group is given counts as if it was linked
-        given = self.graph.keeps_values and own is not None and own != socket and is_group(own.node) and not own.hide_value
+        # a value that a group passes in counts as linked
+        given = (
+            self.graph.keeps_values and own is not None and own != socket and is_group(own.node) and not own.hide_value
+        )
         return source is not None or given
 
     def used(self, key: int | str) -> bool:
-        """Whether the input is there, and is linked, animated or not 0."""
+        """Whether the input exists, and is linked, animated or not 0."""
         socket = self.socket(key)
         if socket is None:
             return False
@@ -254,7 +262,7 @@ class Node:
         return next((s.identifier for s in named if s.enabled), named[0].identifier if named else name)
 
     def number(self, key: int | str, default: float = 0.0) -> Value:
-        """The input as a number; `default` where there is no such input."""
+        """The input as a number; `default` if there is no such input."""
         return self._input(key, default, 1)
 
     def vector(self, key: int | str, default: Constant = (0.0, 0.0, 0.0)) -> Value:
@@ -262,28 +270,28 @@ class Node:
         return self._input(key, default, 3)
 
     def color(self, key: int | str, default: Constant = (0.0, 0.0, 0.0)) -> Value:
-        """The input as a colour: linear RGB, as it is."""
+        """The input as a colour, linear RGB."""
         return self._input(key, default, 3)
 
     def op(self, name: str, *operands) -> Any:
-        """Computes a value; see `ProgramBuilder.value`."""
+        """Compute a value; see `ProgramBuilder.value`."""
         return self.graph.builder.value(name, *operands)
 
     def closure(self, name: str, *operands) -> None:
-        """Adds a closure; the first operand is its weight."""
+        """Add a closure; the first operand is its weight."""
         self.graph.builder.closure(name, *operands)
 
     def shader(self, key: int | str, weight: Value) -> None:
-        """Adds the closures that come in at a shader input, of that weight."""
+        """Add the closures that feed a shader input, times `weight`."""
         self.graph.shade(self.socket(key), weight, self.groups)
 
     def constant(self, value: Constant) -> Value:
-        """A constant."""
+        """A constant as a value."""
         return Value.of(value)
 
     def times(self, a: Value | Constant, b: Value | Constant) -> Value:
         """The product of a vector with a number or vector."""
-        if a is WHITE:  # the weight of what is linked to an output, whatever its sockets say
+        if a is WHITE:  # the weight of an output's shader, the same object for all
             return self.as_vector(b)
         return self.op("multiply_colors", self.as_vector(a), self.as_vector(b))
 
@@ -298,15 +306,15 @@ class Node:
         return value if value.width == 1 else self.op("luminance" if color else "average", value)
 
     def warn(self, text: str) -> None:
-        """Notes what of this node is left out or approximated."""
+        """Note a part of this node that is left out or approximated."""
         self.graph.note(f"{text} of {node_label(self.node)}")
 
     def coordinates(self) -> Value:
-        """Generated texture coordinates, which textures take where nothing is linked."""
+        """Generated texture coordinates, the input of textures without link."""
         return self.op("generated", self.shift)
 
     def normal(self, key: int | str = "Normal") -> Value:
-        """A normal input; the shading normal where nothing is linked."""
+        """A normal input; the shading normal if nothing is linked."""
         return self.vector(key) if self.linked(key) else self.surface_normal()
 
     def surface_normal(self) -> Value:
@@ -314,22 +322,22 @@ class Node:
         return self.graph.bumped or self.op("normals")[0]
 
     def own_normal(self, key: int | str = "Normal") -> Value:
-        """A normal input for closures; 0, which stands for the surface's normal, where nothing is linked."""
+        """A normal input for closures; 0, which stands for the surface's normal, if nothing is linked."""
         if not self.linked(key):
             return BLACK
         self.graph.kinds.add(ClosureKind.OWN_NORMAL)
         return self.normal(key)
 
     def tangent(self, key: int | str = "Tangent") -> Value:
-        """A tangent input; around the object's Z axis where nothing is linked."""
+        """A tangent input; around the object's Z axis if nothing is linked."""
         return self.vector(key) if self.linked(key) else self.op("radial_tangent", 2, self.shift)
 
     def uv(self) -> Value:
-        """The active UV map, as a vector; what images take where nothing is linked."""
+        """The active UV map as a vector, the input of image textures without link."""
         return self.op("uv", -1, self.shift)
 
     def passed_through(self) -> Value:
-        """The first linked input of the kind of the first output, else what the output says by itself."""
+        """The first linked input of the kind of the first output, else the output's own value."""
         kinds = {s.type for s in self.node.outputs}
         for i, socket in enumerate(self.node.inputs):
             if socket.type in kinds and self.linked(i):
@@ -337,7 +345,7 @@ class Node:
         return Value.of(0.0)
 
     def pass_through_words(self) -> str:
-        """What `passed_through` does, in words."""
+        """The effect of `passed_through`, in words."""
         kinds = {s.type for s in self.node.outputs}
         linked = [s.name for i, s in enumerate(self.node.inputs) if s.type in kinds and self.linked(i)]
         return f"its input {linked[0]} passes through" if linked else "it gives 0"
@@ -359,7 +367,7 @@ class Node:
         return self.as_number(value, kind == "RGBA")
 
     def _converted(self, value: Value, kind: str, to: str) -> Value:
-        """`value` of a socket of type `kind` as Blender hands it to one of type `to`."""
+        """`value` of a socket of type `kind` as Blender passes it to a socket of type `to`."""
         if to in _VECTORS:
             return self.as_vector(value)
         value = self.as_number(value, kind == "RGBA")
@@ -370,7 +378,7 @@ class Node:
 
 
 def own_value(socket) -> Value:
-    """What an unlinked socket says by itself."""
+    """The own value of an unlinked socket."""
     value = getattr(socket, "default_value", 0.0)
     if isinstance(value, str):
         return Value.of(0.0)
@@ -381,7 +389,7 @@ def own_value(socket) -> Value:
 
 @contextmanager
 def deep_recursion() -> Iterator[None]:
-    """Lets long chains of nodes be followed."""
+    """Context in which long chains of nodes can be followed."""
     before = sys.getrecursionlimit()
     sys.setrecursionlimit(max(before, _RECURSION_LIMIT))
     try:

@@ -1,4 +1,7 @@
-"""Handlers of nodes, by `bl_idname`. A file a family registers its own; `docs/nodes.md` is made of this."""
+"""Handlers of nodes, by `bl_idname`.
+
+Each family's file registers its own; `docs/nodes.md` is generated from the registry.
+"""
 
 from __future__ import annotations
 
@@ -11,14 +14,14 @@ from ...core.scene.description import ClosureKind
 
 @dataclass(frozen=True)
 class Handled:
-    """A kind of node that is understood."""
+    """A kind of node that has a handler."""
 
     bl_idname: str
     family: str  # Shaders, Textures, Inputs, Utilities
     handler: Callable[..., Any]
     # closures that a shader can become whatever its values: always these, or as a function of its `Node`
     kinds: tuple[ClosureKind, ...] | Callable[[Any], Iterable[ClosureKind]] = ()
-    note: str = ""  # what is approximated or left out
+    note: str = ""  # parts that are approximated or left out
 
 
 value_nodes: dict[str, Handled] = {}
@@ -26,7 +29,10 @@ shader_nodes: dict[str, Handled] = {}
 
 
 def values(*bl_idnames: str, family: str, note: str = "") -> Callable[[Callable], Callable]:
-    """Registers a function of a `Node` that returns its output, or a dictionary of outputs by identifier, as `Value`s or constants."""
+    """Register a function of a `Node` that returns its output, a `Value` or constant.
+
+    A node with several outputs returns a dictionary of them by identifier.
+    """
 
     def register(handler: Callable) -> Callable:
         for name in bl_idnames:
@@ -37,9 +43,12 @@ def values(*bl_idnames: str, family: str, note: str = "") -> Callable[[Callable]
 
 
 def shader(
-    bl_idname: str, kinds: tuple[ClosureKind, ...] | Callable[[Any], Iterable[ClosureKind]] = (), family: str = "Shaders", note: str = ""
+    bl_idname: str,
+    kinds: tuple[ClosureKind, ...] | Callable[[Any], Iterable[ClosureKind]] = (),
+    family: str = "Shaders",
+    note: str = "",
 ) -> Callable[[Callable], Callable]:
-    """Registers a function (Node, weight: Value), which adds the closures of a shader node of that weight, a vector."""
+    """Register a function (Node, weight: Value) that adds the closures of a shader node, times `weight`, a vector."""
 
     def register(handler: Callable) -> Callable:
         shader_nodes[bl_idname] = Handled(bl_idname, family, handler, kinds, note)

@@ -1,4 +1,4 @@
-"""What a graph as the user made it tells, and Blender's simplification of it does not."""
+"""Facts of a graph as the user made it, which Blender's simplification of it does not show."""
 
 from __future__ import annotations
 
@@ -6,22 +6,25 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from .graph import Links, find_source
+from .graph import SocketLinks, find_source
 
 _VALUE = ".default_value"
 
 
 @dataclass
 class Survey:
-    """Of all nodes that feed an output, by the names that the user knows them by; nodes of one name in several groups count as one."""
+    """Facts of all nodes that feed an output, by the names that the user knows; nodes of one name count as one."""
 
-    # (node, identifier) of inputs that nodes, F-curves or drivers may give another value at another time
+    # (node, identifier) of inputs whose value may change by nodes, F-curves or drivers
     lively: set[tuple[str, str]] = field(default_factory=set)
-    libraries: dict[str, Any] = field(default_factory=dict)  # of nodes in trees of other files
+    libraries: dict[str, Any] = field(default_factory=dict)  # libraries of nodes in trees of other files
 
 
-def surveyed(output, note: Callable[[str], None], links: Links) -> Survey:
-    """The nodes on the way to the node `output`; `note` is told of links and groups that are broken."""
+def surveyed(output, note: Callable[[str], None], links: SocketLinks) -> Survey:
+    """Survey of the nodes on the way to the node `output`.
+
+    `note` is called with a message about each link or group that is broken.
+    """
     survey = Survey()
     animated = _Animated()
     seen = set()
@@ -59,7 +62,7 @@ class _Animated:
         return bool(self._of(tree))
 
     def moves(self, socket) -> bool:
-        """Whether `socket` is one."""
+        """Whether the value of `socket` has F-curves or drivers."""
         return socket.as_pointer() in self._of(socket.id_data)
 
     def _of(self, tree) -> set[int]:
@@ -74,7 +77,7 @@ def _animated_sockets(tree) -> Iterator[int]:
         if path.endswith(_VALUE):
             try:
                 yield tree.path_resolve(path[: -len(_VALUE)]).as_pointer()
-            except ValueError:  # of a node that is gone
+            except ValueError:  # the path is of a node that is gone
                 continue
 
 

@@ -1,1 +1,4 @@
-"""Features of Blender's materials, textures and worlds: one small scene each, rendered by Cycles and by RayBatch and compared."""
+"""Features of Blender's materials, textures and worlds, one small scene each.
+
+Cycles and RayBatch render each scene, and the results are compared.
+"""

@@ -1,14 +1,14 @@
-"""Things to put into a scene."""
+"""Objects to put into a scene."""
 
 from __future__ import annotations
 
 import bmesh
 import bpy
-from blender_builders import add_grid, add_mesh, add_object, material_of, node_tree
 from mathutils import Vector
 
-from .compare import add_world
-from .graph import Graph
+from tests.blender.features.compare import add_world
+from tests.blender.features.graph import Graph
+from tests.support.blender_builders import add_grid, add_mesh, add_object, material_of, node_tree
 
 
 def shaded(obj: bpy.types.Object, kind: str, distribution: str | None = None, **inputs) -> bpy.types.Object:
@@ -43,7 +43,10 @@ def world_graph(scene: bpy.types.Scene, build) -> bpy.types.World:
 
 
 def studio(scene: bpy.types.Scene, build=None, smooth: bool = True, world: float = 0.6) -> bpy.types.Object:
-    """A ball, with the shader that `build(graph)` returns, over a floor under a wide sun and a pale sky; returns the ball."""
+    """A ball over a floor under a wide sun and a pale sky.
+
+    The ball has the shader that `build(graph)` returns; returns the ball.
+    """
     add_world(scene, world, (0.6, 0.75, 1.0))
     floor()
     lamp("SUN", (0, 0, 5), target=(2, 3, 0), energy=2.0, angle=0.8)
@@ -55,12 +58,12 @@ def studio(scene: bpy.types.Scene, build=None, smooth: bool = True, world: float
 
 
 def diffuse(obj: bpy.types.Object, color) -> bpy.types.Object:
-    """`obj` as Lambert's surface."""
+    """`obj` with a diffuse material."""
     return shaded(obj, "ShaderNodeBsdfDiffuse", Color=(*color, 1))
 
 
 def principled(obj: bpy.types.Object, color, **inputs) -> bpy.types.Object:
-    """`obj` with Blender's standard surface."""
+    """`obj` with Blender's standard material."""
     return shaded(obj, "ShaderNodeBsdfPrincipled", Base_Color=(*color, 1), **inputs)
 
 
@@ -69,17 +72,19 @@ def quad(name: str, corners, color) -> bpy.types.Object:
     return diffuse(add_mesh(name, corners, [(0, 1, 2, 3)]), color)
 
 
-def box(name: str, place, size, turn: float, color) -> bpy.types.Object:
+def box(name: str, position, size, turn: float, color) -> bpy.types.Object:
     """A diffuse box, turned about the vertical axis."""
     h = 0.5
     corners = [(x, y, z) for x in (-h, h) for y in (-h, h) for z in (-h, h)]
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     obj = add_mesh(name, corners, faces)
-    obj.location, obj.scale, obj.rotation_euler.z = place, size, turn
+    obj.location, obj.scale, obj.rotation_euler.z = position, size, turn
     return diffuse(obj, color)
 
 
-def ball(name: str, place, radius: float, segments: int = 32, rings: int = 16, smooth: bool = True) -> bpy.types.Object:
+def ball(
+    name: str, position, radius: float, segments: int = 32, rings: int = 16, smooth: bool = True
+) -> bpy.types.Object:
     """A UV sphere with UV coordinates."""
     mesh = bpy.data.meshes.new(name)
     shape = bmesh.new()
@@ -90,7 +95,7 @@ def ball(name: str, place, radius: float, segments: int = 32, rings: int = 16, s
     shape.to_mesh(mesh)
     shape.free()
     obj = add_object(name, mesh)
-    obj.location = place
+    obj.location = position
     return obj
 
 
@@ -101,15 +106,15 @@ def look(scene: bpy.types.Scene, eye, target, lens: float = 35.0) -> None:
     camera.rotation_euler = (Vector(target) - Vector(eye)).to_track_quat("-Z", "Y").to_euler()
 
 
-def lamp(kind: str, place, target=None, **values) -> bpy.types.Object:
+def lamp(kind: str, position, target=None, **values) -> bpy.types.Object:
     """A new light of `kind`, with its properties."""
     data = bpy.data.lights.new(kind.title(), kind)
     for name, value in values.items():
         setattr(data, name, value)
     obj = add_object(data.name, data)
-    obj.location = place
+    obj.location = position
     if target is not None:
-        obj.rotation_euler = (Vector(target) - Vector(place)).to_track_quat("-Z", "Y").to_euler()
+        obj.rotation_euler = (Vector(target) - Vector(position)).to_track_quat("-Z", "Y").to_euler()
     return obj
 
 

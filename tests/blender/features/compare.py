@@ -1,8 +1,8 @@
-"""Whole pictures by two engines, with Cycles made unbiased, and the difference that is left when noise is taken away.
+"""Whole pictures by two engines, with Cycles made unbiased, and their difference without noise.
 
-Every engine renders a scene twice, with seeds of its own; its picture is the mean of the two, whose variance in a
-pixel is estimated by (first - second)^2 / 4. With A the picture by RayBatch and B that by Cycles, the expectation of
-(A - B)^2 is their true difference squared plus both variances, so that
+Every engine renders a scene twice, with seeds of its own; its picture is the mean of the two, whose variance in a pixel
+is estimated by (first - second)^2 / 4. With A the picture by RayBatch and B that by Cycles, the expectation of (A -
+B)^2 is their true difference squared plus both variances, so that
 
     relMSE = mean(((A - B)^2 - (A1 - A2)^2 / 4 - (B1 - B2)^2 / 4) / (B^2 + EPSILON))
 
@@ -17,14 +17,14 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from raybatch_addon import frame, reports
+from raybatch_addon.blender import frame, reports
 
-EPSILON = 1e-2  # keeps what is nearly black from counting most
+EPSILON = 1e-2  # keeps nearly black pixels from counting most
 BOUNCES = 6
 
 
 class RenderFailed(Exception):
-    """RayBatch gave no picture; the message is its own."""
+    """RayBatch gave no picture; the message is the engine's."""
 
 
 @dataclass
@@ -37,18 +37,18 @@ class Picture:
 
     @property
     def mean(self) -> np.ndarray:
-        """Both together."""
+        """Mean of both renders."""
         return (self.first + self.second) / 2
 
     @property
     def variance(self) -> np.ndarray:
-        """Of each pixel of `mean`, as estimated from the two."""
+        """Variance of each pixel of `mean`, estimated from the two renders."""
         return (self.first - self.second) ** 2 / 4
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What two pictures have in common."""
+    """Comparison of two pictures."""
 
     ours: np.ndarray  # [3], mean of each channel
     theirs: np.ndarray  # [3]
@@ -70,7 +70,7 @@ class Figures:
 
 
 def rel_mse(ours: Picture, theirs: Picture) -> float:
-    """As the module's head states it."""
+    """relMSE of the module's docstring."""
     return float(_differences(ours, theirs).mean())
 
 
@@ -86,16 +86,23 @@ def figures_of(ours: Picture, theirs: Picture) -> Figures:
     error = np.sqrt((ours.variance + theirs.variance).sum((0, 1))) / pixels
     differences = _differences(ours, theirs)
     return Figures(
-        means[0], means[1], (means[0] - means[1]) / np.maximum(error, 1e-12), float((error / np.maximum(means[1], 1e-12)).max()),
-        float(differences.mean()), float(differences.mean(-1).std() / np.sqrt(pixels)),
-    )  # fmt: skip
+        means[0],
+        means[1],
+        (means[0] - means[1]) / np.maximum(error, 1e-12),
+        float((error / np.maximum(means[1], 1e-12)).max()),
+        float(differences.mean()),
+        float(differences.mean(-1).std() / np.sqrt(pixels)),
+    )
 
 
-# --- the scene, set alike for both
+# --- the scene, with the same settings for both
 
 
 def empty_scene() -> bpy.types.Scene:
-    """An empty scene with factory settings, RayBatch as its engine, and nothing in it but a camera. The add-on is registered."""
+    """An empty scene with factory settings, RayBatch as its engine, and only a camera in it.
+
+    The add-on is registered.
+    """
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
@@ -109,7 +116,7 @@ def empty_scene() -> bpy.types.Scene:
 
 
 def set_alike(scene: bpy.types.Scene, resolution: int = 64) -> None:
-    """Cycles without what makes it biased, and RayBatch with the same filter and bounces; a black world."""
+    """Make Cycles unbiased, and give RayBatch the same filter and bounces; the world is black."""
     render, cycles, ours = scene.render, scene.cycles, scene.raybatch
     render.resolution_x = render.resolution_y = resolution
     image = render.image_settings
@@ -124,7 +131,7 @@ def set_alike(scene: bpy.types.Scene, resolution: int = 64) -> None:
 
 
 def set_bounces(scene: bpy.types.Scene, count: int) -> None:
-    """Of every kind, also through transparent surfaces, for both engines."""
+    """Limit the bounces of every kind, also through transparent surfaces, for both engines."""
     for name in ("max", "diffuse", "glossy", "transmission", "transparent_max"):
         setattr(scene.cycles, f"{name}_bounces", count)
     scene.raybatch.bounce_max = scene.raybatch.transparent_bounce_max = count
@@ -145,7 +152,7 @@ def add_world(scene: bpy.types.Scene, strength: float, color=(1, 1, 1)) -> bpy.t
 
 
 def by_raybatch(scene: bpy.types.Scene, seed: int, samples: int) -> tuple[np.ndarray, list[str]]:
-    """Pixels and warnings. Raises `RenderFailed`."""
+    """Pixels and warnings of a render by RayBatch. Raises `RenderFailed`."""
     films = []
 
     def listen(_layer, _scene, film):
@@ -167,7 +174,7 @@ def by_raybatch(scene: bpy.types.Scene, seed: int, samples: int) -> tuple[np.nda
 
 
 def by_cycles(scene: bpy.types.Scene, seed: int, samples: int, path: Path) -> np.ndarray:
-    """Pixels, by way of an EXR file at `path`."""
+    """Pixels of a render by Cycles, through an EXR file at `path`."""
     scene.render.engine, scene.render.filepath = "CYCLES", str(path)
     scene.cycles.seed, scene.cycles.samples = seed, samples
     bpy.ops.render.render(write_still=True)
@@ -182,18 +189,21 @@ def by_cycles(scene: bpy.types.Scene, seed: int, samples: int, path: Path) -> np
 
 
 def raybatch_picture(scene: bpy.types.Scene, samples: int, seeds=(1, 2)) -> Picture:
-    """Two renders of `samples` each."""
+    """Two renders by RayBatch of `samples` each."""
     (first, warnings), (second, _) = (by_raybatch(scene, seed, samples) for seed in seeds)
     return Picture(first, second, warnings)
 
 
 def cycles_picture(scene: bpy.types.Scene, samples: int, folder: Path, seeds=(3, 4)) -> Picture:
-    """Two renders of `samples` each."""
+    """Two renders by Cycles of `samples` each."""
     return Picture(*(by_cycles(scene, seed, samples, folder / f"{seed}.exr") for seed in seeds))
 
 
 def both_reopened(folder: Path, samples: int, cycles_samples: int | None = None) -> tuple[Picture, Picture]:
-    """The scene as it is, saved and opened again, by RayBatch and by Cycles; `samples` are those of each of the two renders."""
+    """The current scene, saved and opened again, by RayBatch and by Cycles.
+
+    `samples` are those of each of the two renders.
+    """
     blend = str(folder / "scene.blend")
     bpy.ops.wm.save_as_mainfile(filepath=blend)
     bpy.ops.wm.open_mainfile(filepath=blend)

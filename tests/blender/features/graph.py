@@ -1,4 +1,4 @@
-"""Shader graphs in few words."""
+"""Builder of shader graphs."""
 
 from __future__ import annotations
 
@@ -8,19 +8,22 @@ from typing import Any
 
 import bpy
 
-SNAP = 1 / 8  # coordinates are multiples of it, and the offset
+SNAP = 1 / 8  # coordinates and their offset are multiples of it
 OFFSET = (11 / 64, 19 / 64, 5 / 64)
 
 
 class Graph:
-    """A node tree that is being made, for the object `obj` (None: a world's)."""
+    """A node tree under construction, for the object `obj` (None: a world's)."""
 
     def __init__(self, tree: bpy.types.NodeTree, obj: bpy.types.Object | None = None) -> None:
         self.tree = tree
         self.obj = obj
 
     def node(self, kind: str, inputs: Mapping[str | int, Any] | None = None, **properties) -> bpy.types.Node:
-        """A new node; `inputs` by index, identifier or name: a socket to link, or a value (colours may leave out alpha)."""
+        """A new node.
+
+        `inputs` are by index, identifier or name: a socket to link, or a value (colours may leave out alpha).
+        """
         made = self.tree.nodes.new(kind)
         for name, value in properties.items():
             setattr(made, name, value)
@@ -28,7 +31,9 @@ class Graph:
             self.set(socket_of(made.inputs, key), value)
         return made
 
-    def value(self, kind: str, inputs: Mapping[str | int, Any] | None = None, output: str | int = 0, **properties) -> bpy.types.NodeSocket:
+    def value(
+        self, kind: str, inputs: Mapping[str | int, Any] | None = None, output: str | int = 0, **properties
+    ) -> bpy.types.NodeSocket:
         """An output of a new node."""
         return socket_of(self.node(kind, inputs, **properties).outputs, output)
 
@@ -42,7 +47,7 @@ class Graph:
             socket.default_value = value
 
     def fill(self, node: bpy.types.Node, values: Mapping[str, Any]) -> bpy.types.Node:
-        """Link or set those inputs, by identifier, that the node has in use; returns `node`."""
+        """Link or set the inputs, by identifier, that the node has in use; returns `node`."""
         for socket in node.inputs:
             if socket.enabled and socket.identifier in values:
                 self.set(socket, values[socket.identifier])
@@ -58,7 +63,7 @@ class Graph:
 
     @cached_property
     def point(self) -> bpy.types.NodeSocket:
-        """Coordinates in -2..2.3 that are the same bits in every engine, and on no cell's border."""
+        """Coordinates in -2..2.3, the same bits in every engine, and on no cell's border."""
         coordinates = self.value("ShaderNodeTexCoord", output="Object")
         cells = self.vector_math("SNAP", coordinates, (SNAP,) * 3)
         return self.vector_math("ADD", cells, OFFSET)
@@ -69,31 +74,35 @@ class Graph:
 
     @property
     def x(self) -> bpy.types.NodeSocket:
-        """First of `point`; multiples of 1/64 from -1.8 to 2.1."""
+        """First coordinate of `point`; multiples of 1/64 from -1.8 to 2.1."""
         return self._parts.outputs[0]
 
     @property
     def y(self) -> bpy.types.NodeSocket:
-        """Second of `point`; multiples of 1/64 from -1.7 to 2.2."""
+        """Second coordinate of `point`; multiples of 1/64 from -1.7 to 2.2."""
         return self._parts.outputs[1]
 
     @property
     def z(self) -> bpy.types.NodeSocket:
-        """Third of `point`; multiples of 1/64 from -1.4 to 1.6."""
+        """Third coordinate of `point`; multiples of 1/64 from -1.4 to 1.6."""
         return self._parts.outputs[2]
 
     @cached_property
     def unit(self) -> bpy.types.NodeSocket:
-        """`point` within 0..1, for colours."""
+        """`point` mapped to 0..1, for colours."""
         return self.vector_math("MULTIPLY_ADD", self.point, (0.234375, 0.234375, 0.234375), (0.4375, 0.4375, 0.4375))
 
     def outputs(self, node: bpy.types.Node) -> dict[str, bpy.types.NodeSocket]:
-        """All that are available of a node, by identifier."""
-        return {socket.identifier: socket for socket in node.outputs if socket.enabled and not getattr(socket, "is_unavailable", False)}
+        """All available outputs of a node, by identifier."""
+        return {
+            socket.identifier: socket
+            for socket in node.outputs
+            if socket.enabled and not getattr(socket, "is_unavailable", False)
+        }
 
 
 def socket_of(sockets, key: str | int) -> bpy.types.NodeSocket:
-    """By index, by identifier, or by name among those that are in use."""
+    """The socket by index, by identifier, or by name among those in use."""
     if isinstance(key, int):
         return sockets[key]
     for socket in sockets:

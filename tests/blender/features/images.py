@@ -20,7 +20,13 @@ def pattern(width: int = WIDTH, height: int = HEIGHT, alpha: bool = False, seed:
     return values
 
 
-def image_of(pixels: np.ndarray, name: str = "Pattern", float_buffer: bool = False, alpha: bool = False, colorspace: str | None = None) -> bpy.types.Image:
+def image_of(
+    pixels: np.ndarray,
+    name: str = "Pattern",
+    float_buffer: bool = False,
+    alpha: bool = False,
+    colorspace: str | None = None,
+) -> bpy.types.Image:
     """A generated image with these pixels, packed."""
     height, width = pixels.shape[:2]
     image = bpy.data.images.new(name, width, height, alpha=alpha, float_buffer=float_buffer)
@@ -33,7 +39,7 @@ def image_of(pixels: np.ndarray, name: str = "Pattern", float_buffer: bool = Fal
 
 
 def file_of(pixels: np.ndarray, name: str, file_format: str, depth: str = "8") -> Path:
-    """The pixels as a file."""
+    """A file of the pixels."""
     _FOLDER.mkdir(exist_ok=True)
     path = _FOLDER / name
     scene = bpy.context.scene
@@ -59,7 +65,10 @@ def tiles(name: str = "Tiles") -> bpy.types.Image:
 
 
 def sky_map(width: int = 64, sun: float = 0.0) -> np.ndarray:
-    """An equirectangular picture: a blue gradient, a warm patch, and a texel of radiance `sun`; float32 [width / 2, width, 4]."""
+    """An equirectangular picture: a blue gradient, a warm patch, and a texel of radiance `sun`.
+
+    Float32 [width / 2, width, 4].
+    """
     height = width // 2
     v, u = np.meshgrid((np.arange(height) + 0.5) / height, (np.arange(width) + 0.5) / width, indexing="ij")
     pixels = np.stack([0.2 + 0.3 * v, 0.3 + 0.3 * v, 0.4 + 0.5 * v, np.ones_like(u)], -1)

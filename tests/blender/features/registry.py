@@ -1,4 +1,4 @@
-"""The list of features: what is compared with Cycles, by name and family."""
+"""The list of features that are compared with Cycles, by name and family."""
 
 from __future__ import annotations
 
@@ -8,21 +8,31 @@ from dataclasses import dataclass
 from typing import Any
 
 FAMILIES = ("Shaders", "Textures", "Inputs", "Utility", "World", "Surface")
-# Files of features beside this one
+# files of features in `families/`
 MODULES = (
-    "shaders", "shaders_principled", "textures", "textures_image", "inputs", "inputs_pictures", "utility", "utility_mix",
-    "utility_pictures", "worlds", "surfaces", "lamps",
-)  # fmt: skip
-SAMPLES = 96  # of each of the two renders of a picture, at first
-RESOLUTION = 40  # pixels, of a picture's edge
+    "shaders",
+    "shaders_principled",
+    "textures",
+    "textures_image",
+    "inputs",
+    "inputs_pictures",
+    "utility",
+    "utility_mix",
+    "utility_pictures",
+    "worlds",
+    "surfaces",
+    "lamps",
+)
+SAMPLES = 96  # samples of each of the two renders of a picture, at first
+RESOLUTION = 40  # edge of a picture [pixels]
 
 
 @dataclass(frozen=True)
 class Feature:
     """One row of the table of parity.
 
-    kind "node": `build(graph, variant)` makes a graph and returns the sockets to look at, by name. Each is emitted by a plane.
-    kind "picture": `build(scene)` fills a scene that is set alike for both engines.
+    kind "node": `build(graph, variant)` makes a graph and returns the sockets to look at, by name; a plane emits each.
+    kind "picture": `build(scene)` fills a scene with the same settings for both engines.
     """
 
     name: str
@@ -31,17 +41,19 @@ class Feature:
     build: Callable[..., Any]
     quick: bool = False
     variants: tuple[Any, ...] = (None,)
-    offset: float = 8.0  # added to what a node gives, so that negative numbers can be emitted
-    flat: bool = False  # a node that gives one value everywhere
-    samples: int = 0  # of each render of a picture, at first; 0: SAMPLES
+    offset: float = 8.0  # added to a node's output, so that negative numbers can be emitted
+    flat: bool = False  # the node gives one value everywhere
+    samples: int = 0  # samples of each render of a picture, at first; 0: SAMPLES
     resolution: int = RESOLUTION
 
 
 _FEATURES: dict[str, Feature] = {}
 
 
-def feature(name: str, family: str, kind: str, *, variants: Sequence[Any] = (None,), **more) -> Callable[[Callable], Callable]:
-    """Enter what is decorated as the builder of a feature. See `Feature` for the rest."""
+def feature(
+    name: str, family: str, kind: str, *, variants: Sequence[Any] = (None,), **more
+) -> Callable[[Callable], Callable]:
+    """Register the decorated function as the builder of a feature; see `Feature` for the rest."""
     assert family in FAMILIES and kind in ("node", "picture"), name
     assert name not in _FEATURES, f"two features are called {name}"
 
@@ -55,12 +67,15 @@ def feature(name: str, family: str, kind: str, *, variants: Sequence[Any] = (Non
 def all_features() -> list[Feature]:
     """Every feature, family by family."""
     for module in MODULES:
-        importlib.import_module(f"{__package__}.{module}")
+        importlib.import_module(f"{__package__}.families.{module}")
     return sorted(_FEATURES.values(), key=lambda each: FAMILIES.index(each.family))
 
 
 def chosen_features(names: Sequence[str] = (), quick: bool = False) -> list[Feature]:
-    """Those called, or of the family, or with a part of their name in `names` (all without any). Raises `LookupError`."""
+    """The features that `names` choose: a name, a family, or a part of names; without names all.
+
+    Raises `LookupError`.
+    """
     everything = all_features()
     chosen = [each for each in everything if each.quick or not quick]
     if not names:

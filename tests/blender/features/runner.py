@@ -1,4 +1,4 @@
-"""Features rendered by both engines, and what came of it."""
+"""Features rendered by both engines, and their results."""
 
 from __future__ import annotations
 
@@ -13,46 +13,53 @@ from pathlib import Path
 
 import numpy as np
 
-from .compare import RenderFailed, cycles_picture, empty_scene, figures_of, raybatch_picture, set_alike
-from .registry import SAMPLES, Feature
-from .sheet import CELLS_MOST, TOLERANCE, Cell, build_sheet, render_sheet
+from tests.blender.features.compare import (
+    RenderFailed,
+    cycles_picture,
+    empty_scene,
+    figures_of,
+    raybatch_picture,
+    set_alike,
+)
+from tests.blender.features.registry import SAMPLES, Feature
+from tests.blender.features.sheet import CELLS_MOST, TOLERANCE, Cell, build_sheet, render_sheet
 
 MEAN_TOLERANCE = 0.01
 REL_MSE_TOLERANCE = 3e-3
-# Standard errors at which a figure can be told from its tolerance
+# standard errors by which a figure must differ from its tolerance
 MEAN_NOISE = 0.0025
 REL_MSE_NOISE = 6e-4
 SAMPLES_MOST = 4096
 
-NOT_SUPPORTED = "not supported"  # in a warning
+NOT_SUPPORTED = "not supported"  # part of warnings
 OK, DIFFERENT, UNSUPPORTED, NOISY, FAILED = "ok", "differs", "not supported", "too noisy", "failed"
 
 
 @dataclass
 class Result:
-    """What came of one feature."""
+    """Result of one feature."""
 
     feature: Feature
     status: str
     figures: dict[str, float] = field(default_factory=dict)
     note: str = ""
-    ours: np.ndarray | None = None  # [height, width, 3], bottom row first: of the worst plane, or the picture
+    ours: np.ndarray | None = None  # [height, width, 3], bottom row first: the worst plane, or the picture
     theirs: np.ndarray | None = None
     seconds: float = 0.0
 
     @property
     def ok(self) -> bool:
-        """Within bounds."""
+        """Whether the feature is within bounds."""
         return self.status == OK
 
     def text(self) -> str:
-        """One line."""
+        """The result in one line."""
         numbers = ", ".join(f"{name} {value:.3g}" for name, value in self.figures.items())
         return f"{self.status:13} {self.feature.name}: {numbers}{'; ' if self.note and numbers else ''}{self.note}"
 
 
 def run(features: list[Feature], done: Callable[[Result], None] = lambda result: None) -> list[Result]:
-    """All of them, nodes first; `done` is called with each result."""
+    """Results of all features, nodes first; `done` is called with each."""
     results = []
     with tempfile.TemporaryDirectory() as folder:
         for results_of_some in _runs(features, Path(folder)):
@@ -71,7 +78,7 @@ def _runs(features: list[Feature], folder: Path) -> Iterator[list[Result]]:
 
 
 def sheets(features: list[Feature]) -> list[list[Feature]]:
-    """Features of a family together, as many as a sheet takes, about."""
+    """Features of a family together, about as many as fit a sheet."""
     made: list[list[Feature]] = []
     size, last = 0, None
     for each in sorted(features, key=lambda each: each.family):
@@ -84,7 +91,7 @@ def sheets(features: list[Feature]) -> list[list[Feature]]:
 
 
 def run_sheet(features: list[Feature], folder: Path) -> list[Result]:
-    """Those that cannot be rendered together are rendered one by one."""
+    """Results of the features of a sheet; if they cannot be rendered together, they are rendered one by one."""
     started = time.perf_counter()
     try:
         scene, cells = build_sheet(features)
@@ -93,43 +100,55 @@ def run_sheet(features: list[Feature], folder: Path) -> list[Result]:
         if len(features) > 1:
             return [result for each in features for result in run_sheet([each], folder)]
         return [Result(features[0], FAILED, note=str(error), seconds=time.perf_counter() - started)]
-    except Exception as error:  # of one builder: the others must be told apart from it
+    except Exception as error:  # one builder's error must not fail the others
         if len(features) > 1:
             return [result for each in features for result in run_sheet([each], folder)]
         traceback.print_exc()
-        return [Result(features[0], FAILED, note=f"the scene cannot be built: {error}", seconds=time.perf_counter() - started)]
+        return [
+            Result(
+                features[0], FAILED, note=f"the scene cannot be built: {error}", seconds=time.perf_counter() - started
+            )
+        ]
     seconds = (time.perf_counter() - started) / len(features)
-    return [_node_result(each, [cell for cell in cells if cell.feature is each], warnings, seconds) for each in features]
+    return [
+        _node_result(each, [cell for cell in cells if cell.feature is each], warnings, seconds) for each in features
+    ]
 
 
 def _reasons(warnings: list[str]) -> list[str]:
-    """Warnings without what they are about, each once."""
-    return list(dict.fromkeys(re.sub(r"^(material|world|light) “[^”]*”( of “[^”]*”.*?)?: ", "", text) for text in warnings))
+    """Texts of the warnings without the names that they are about, each once."""
+    return list(
+        dict.fromkeys(re.sub(r"^(material|world|light) “[^”]*”( of “[^”]*”.*?)?: ", "", text) for text in warnings)
+    )
 
 
 def _node_result(feature: Feature, cells: list[Cell], warnings: list[str], seconds: float) -> Result:
     worst = max(cells, key=lambda cell: cell.worst)
     names = {f"“{cell.material}”" for cell in cells}
-    told = _reasons([text for text in warnings if any(name in text for name in names)])
+    reasons = _reasons([text for text in warnings if any(name in text for name in names)])
     figures = {"error": worst.worst}
     shown = worst if worst.worst > TOLERANCE else cells[-1]
-    result = Result(feature, OK, figures, "; ".join(told), shown.ours, shown.theirs, seconds)
-    if any(NOT_SUPPORTED in text for text in told):
+    result = Result(feature, OK, figures, "; ".join(reasons), shown.ours, shown.theirs, seconds)
+    if any(NOT_SUPPORTED in text for text in reasons):
         result.status = UNSUPPORTED
     if empty := [cell.label for cell in cells if cell.empty]:
         result.status, result.note = FAILED, f"Cycles' picture is the same everywhere: {', '.join(empty)}"
     elif worst.worst > TOLERANCE:
         bad = [cell for cell in cells if cell.worst > TOLERANCE]
         figures["points beyond the bound, %"] = 100 * float(np.mean([cell.errors > TOLERANCE for cell in bad]))
-        result.status = UNSUPPORTED if told else DIFFERENT
+        result.status = UNSUPPORTED if reasons else DIFFERENT
         where = [f"{cell.label or 'it'} ({cell.worst:.2g})" for cell in bad]
-        some = f"{len(bad)} of {len(cells)} planes: {', '.join(where[:12])}{', ...' if len(where) > 12 else ''}" if len(cells) > 1 else ""
-        result.note = "; ".join(filter(None, [some, *told]))
+        some = (
+            f"{len(bad)} of {len(cells)} planes: {', '.join(where[:12])}{', ...' if len(where) > 12 else ''}"
+            if len(cells) > 1
+            else ""
+        )
+        result.note = "; ".join(filter(None, [some, *reasons]))
     return result
 
 
 def run_picture(feature: Feature, folder: Path) -> Result:
-    """With as many samples as it takes to tell."""
+    """Result of a picture, with as many samples as a decision takes."""
     started = time.perf_counter()
     result = Result(feature, OK)
     try:
@@ -154,15 +173,22 @@ def _run_picture(feature: Feature, folder: Path, result: Result) -> None:
         short = max((found.noise / MEAN_NOISE) ** 2, found.rel_mse_noise / REL_MSE_NOISE)
         if short <= 1 or samples >= SAMPLES_MOST:
             break
-        clearly = found.mean_error > MEAN_TOLERANCE + 5 * found.noise or found.rel_mse > REL_MSE_TOLERANCE + 5 * found.rel_mse_noise
+        clearly = (
+            found.mean_error > MEAN_TOLERANCE + 5 * found.noise
+            or found.rel_mse > REL_MSE_TOLERANCE + 5 * found.rel_mse_noise
+        )
         if clearly:
             break
         samples = min(SAMPLES_MOST, math.ceil(1.3 * short * samples))
     result.ours, result.theirs = ours.mean, theirs.mean
     result.figures = {
-        "mean": found.mean_error, "mean's noise": found.noise, "deviations": float(np.abs(found.deviations).max()),
-        "relMSE": found.rel_mse, "relMSE's noise": found.rel_mse_noise, "samples": 2 * samples,
-    }  # fmt: skip
+        "mean": found.mean_error,
+        "mean's noise": found.noise,
+        "deviations": float(np.abs(found.deviations).max()),
+        "relMSE": found.rel_mse,
+        "relMSE's noise": found.rel_mse_noise,
+        "samples": 2 * samples,
+    }
     result.note = "; ".join(_reasons(ours.warnings))
     if found.theirs.max() < 1e-3:
         result.status, result.note = FAILED, "Cycles' picture is black"

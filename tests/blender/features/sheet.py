@@ -1,4 +1,4 @@
-"""Nodes alone: what they give is emitted by planes, at 32 x 32 points each, and compared number by number.
+"""Nodes alone: planes emit their outputs, at 32 x 32 points each, which are compared number by number.
 
 Many planes make one sheet, so that kernels are compiled once for all of them.
 """
@@ -14,23 +14,23 @@ from unittest import mock
 
 import bpy
 import numpy as np
-from blender_builders import add_mesh, material_of, node_tree
 
 from raybatch_addon.core.shading.sampling import FILTER_TABLE_SIZE
 from raybatch_addon.core.wavefront import integrator
+from tests.blender.features.compare import add_world, by_cycles, by_raybatch, empty_scene, set_alike, set_bounces
+from tests.blender.features.graph import Graph
+from tests.blender.features.registry import Feature
+from tests.support.blender_builders import add_mesh, material_of, node_tree
 
-from .compare import add_world, by_cycles, by_raybatch, empty_scene, set_alike, set_bounces
-from .graph import Graph
-from .registry import Feature
-
-EDGE = 32  # points of a plane's edge
+EDGE = 32  # points along a plane's edge
 TOLERANCE = 1e-4  # absolute below 1, relative above
 CELLS_MOST = 160  # variants of a sheet, about
-# Radiance of the world behind the planes: pixels whose ray missed its plane are told by it. Cycles loses rays at edges between triangles
+# Radiance of the world behind the planes, which shows that a pixel's ray missed its plane. Cycles loses rays at edges
+# between triangles
 BEHIND = 1e6
 BEHIND_SEEN = 500.0
-MISSED_MOST = 0.03  # of the points of a cell, by one engine alone
-# A plane's corners in its own space; z varies too
+MISSED_MOST = 0.03  # largest share of a cell's points that one engine alone misses
+# a plane's corners in its own space; z varies too
 _CORNERS = [(x, y, x / 2 - y / 4) for x, y in ((-2, -2), (2, -2), (2, 2), (-2, 2))]
 
 
@@ -40,14 +40,14 @@ class Cell:
 
     feature: Feature
     label: str
-    place: int
+    plane_index: int
     material: str
     ours: np.ndarray | None = None  # [EDGE, EDGE, 3], bottom row first
     theirs: np.ndarray | None = None
 
     @property
     def errors(self) -> np.ndarray:
-        """Of each point, [EDGE, EDGE]."""
+        """Error of each point, [EDGE, EDGE]."""
         difference = np.abs(self.ours - self.theirs) / np.maximum(1.0, np.abs(self.theirs))
         difference = np.where(np.isfinite(self.theirs) & np.isfinite(self.ours), difference, np.inf).max(-1)
         missed = self.missed
@@ -57,7 +57,7 @@ class Cell:
 
     @property
     def missed(self) -> np.ndarray:
-        """Whether ours and theirs saw what is behind, bool [2, EDGE, EDGE]."""
+        """Whether each engine's ray missed the plane, bool [2, EDGE, EDGE]."""
         return np.stack([each.max(-1) > BEHIND_SEEN for each in (self.ours, self.theirs)])
 
     @property
@@ -67,7 +67,7 @@ class Cell:
 
     @property
     def empty(self) -> bool:
-        """Nothing to see, where there should be."""
+        """Whether Cycles shows nothing at the points, or a single value of a node that should vary."""
         seen = self.theirs[~self.missed[1]]
         return seen.size == 0 or (not self.feature.flat and float(np.ptp(seen, axis=0).max()) < 1e-6)
 
@@ -79,19 +79,19 @@ def _outputs(feature: Feature, variant: Any, graph: Graph) -> dict[str, bpy.type
     return made
 
 
-def _plane(name: str, place: tuple[int, int]) -> bpy.types.Object:
+def _plane(name: str, grid_position: tuple[int, int]) -> bpy.types.Object:
     obj = add_mesh(name, _CORNERS, [(0, 1, 2, 3)])
     layer = obj.data.uv_layers.new(name="UVMap")
     for loop, (u, v) in zip(layer.data, ((0, 0), (1, 0), (1, 1), (0, 1))):
         loop.uv = (u, v)
     obj.scale = (0.5, 0.5, 0.5)
-    obj.location = (2 * place[0], 2 * place[1], 0)
+    obj.location = (2 * grid_position[0], 2 * grid_position[1], 0)
     return obj
 
 
-def _add_cell(feature: Feature, variant: Any, index: int, place: tuple[int, int]) -> tuple[int, str, str]:
+def _add_cell(feature: Feature, variant: Any, index: int, grid_position: tuple[int, int]) -> tuple[int, str, str]:
     """Number of outputs of the variant, the label of the one at `index`, and the material's name."""
-    obj = _plane(feature.name, place)
+    obj = _plane(feature.name, grid_position)
     material = material_of(obj, feature.name)
     tree, surface = node_tree(material)
     graph = Graph(tree, obj)
@@ -121,9 +121,9 @@ def build_sheet(features: list[Feature]) -> tuple[bpy.types.Scene, list[Cell]]:
     cells: list[Cell] = []
     for (each, variant), count in zip(wanted, counts):
         for index in range(count):
-            place = len(cells)
-            _, label, material = _add_cell(each, variant, index, (place % columns, place // columns))
-            cells.append(Cell(each, label, place, material))
+            plane_index = len(cells)
+            _, label, material = _add_cell(each, variant, index, (plane_index % columns, plane_index // columns))
+            cells.append(Cell(each, label, plane_index, material))
     return scene, cells
 
 
@@ -133,7 +133,7 @@ def _output_counts(wanted: list[tuple[Feature, Any]]) -> list[int]:
 
 
 def _middles(_name: str, _width: float) -> np.ndarray:
-    """A pixel filter that is as narrow as can be: Cycles looks through the middles of pixels where it takes one sample alone."""
+    """A pixel filter as narrow as possible: with a single sample Cycles looks through the middles of pixels."""
     return np.zeros(FILTER_TABLE_SIZE, np.float32)
 
 
@@ -144,16 +144,17 @@ def render_sheet(scene: bpy.types.Scene, cells: list[Cell], folder: Path) -> lis
         ours, warnings = by_raybatch(scene, 0, 1)
     columns = theirs.shape[1] // EDGE
     for cell in cells:
-        row, column = divmod(cell.place, columns)
+        row, column = divmod(cell.plane_index, columns)
         part = slice(EDGE * row, EDGE * row + EDGE), slice(EDGE * column, EDGE * column + EDGE)
         cell.ours, cell.theirs = ours[part] - cell.feature.offset, theirs[part] - cell.feature.offset
     return warnings
 
 
 def compare_node(build: Callable[[Graph], Any], folder: Path | str = "/tmp", **more) -> float:
-    """The largest difference of what `build(graph)` returns (a socket, or several by name) between RayBatch and Cycles.
+    """The largest difference between RayBatch and Cycles in the sockets that `build(graph)` returns.
 
-    Absolute below 1, relative above. `more` are fields of `Feature`.
+    It returns a socket, or several by name. The difference is absolute below 1, relative above. `more` are fields of
+    `Feature`.
     """
     scene, cells = build_sheet([Feature("node", "Textures", "node", build, **more)])
     for warning in render_sheet(scene, cells, Path(folder)):

@@ -6,16 +6,16 @@ bpy = pytest.importorskip("bpy")
 if bpy.app.version < (5, 2):
     pytest.skip("features are compared with the Cycles of Blender 5.2", allow_module_level=True)
 
-from blender.features.known import quick_parameters  # noqa: E402
-from blender.features.registry import chosen_features  # noqa: E402
-from blender.features.runner import run_sheet, sheets  # noqa: E402
+from tests.blender.features.known import quick_parameters  # noqa: E402
+from tests.blender.features.registry import chosen_features  # noqa: E402
+from tests.blender.features.runner import run_sheet, sheets  # noqa: E402
 
 SHEETS = sheets([each for each in chosen_features(quick=True) if each.kind == "node"])
 
 
 @pytest.fixture(scope="module")
 def result_of(addon, tmp_path_factory):
-    """The result of a feature; its whole sheet is rendered when the first of it is asked for."""
+    """The result of a feature; its whole sheet is rendered at the first request."""
     found = {}
 
     def result(feature):

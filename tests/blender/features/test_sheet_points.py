@@ -1,4 +1,4 @@
-"""Where the points lie at which nodes are compared."""
+"""Positions of the points at which nodes are compared."""
 
 import pytest
 
@@ -6,9 +6,9 @@ bpy = pytest.importorskip("bpy")
 
 import numpy as np  # noqa: E402
 
-from blender.features.graph import Graph  # noqa: E402
-from blender.features.inputs import TURNS, hills  # noqa: E402
-from blender.features.sheet import EDGE, _plane  # noqa: E402
+from tests.blender.features.families.inputs import TURNS, hills  # noqa: E402
+from tests.blender.features.graph import Graph  # noqa: E402
+from tests.blender.features.sheet import EDGE, _plane  # noqa: E402
 
 
 @pytest.mark.parametrize("turn", TURNS)
@@ -19,7 +19,9 @@ def test_no_point_lies_on_an_edge(turn):
     mesh = obj.data
     mesh.calc_loop_triangles()
     corners = np.array([obj.matrix_world @ vertex.co for vertex in mesh.vertices])[:, :2] * (EDGE / 2) + EDGE / 2
-    edges = np.unique(np.sort([(t.vertices[i], t.vertices[i - 1]) for t in mesh.loop_triangles for i in range(3)], axis=1), axis=0)
+    edges = np.unique(
+        np.sort([(t.vertices[i], t.vertices[i - 1]) for t in mesh.loop_triangles for i in range(3)], axis=1), axis=0
+    )
     start, along = corners[edges[:, 0]], corners[edges[:, 1]] - corners[edges[:, 0]]
     middles = np.stack(np.meshgrid(np.arange(EDGE) + 0.5, np.arange(EDGE) + 0.5), -1).reshape(-1, 1, 2)
     share = np.clip(((middles - start) * along).sum(-1) / (along**2).sum(-1), 0, 1)

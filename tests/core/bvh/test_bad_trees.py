@@ -4,30 +4,36 @@ import dataclasses
 
 import numpy as np
 import pytest
-import scenes
 import warp as wp
 
-from raybatch_addon.core.bvh import build_cuda, build_sah, memory
-from raybatch_addon.core.bvh.build import build_scene_tree
+from raybatch_addon.core.bvh import memory
+from raybatch_addon.core.bvh.build.cpu import build as build_sah
+from raybatch_addon.core.bvh.build.cuda import build as build_cuda
+from raybatch_addon.core.bvh.build.scene_tree import build_scene_tree
 from raybatch_addon.core.bvh.memory import GeometrySize, check_counts
 from raybatch_addon.core.bvh.node import Layout
+from raybatch_addon.core.bvh.traverse.options import TraceOptions
 from raybatch_addon.core.errors import OutOfMemoryError, SceneError
+from raybatch_addon.core.rays import RayList
 from raybatch_addon.core.scene.description import Frame, Mesh
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import upload_geometry
 from raybatch_addon.core.scene.validate import COORDINATE_MAX, EXTENT_MIN, checked_scene
-from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.core.wavefront import geometry_cache
+from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.rays import allocate_rays
-from raybatch_addon.core.wavefront.stages.trace import TraceFeatures, Traversal, trace_stage
-from raybatch_addon.core.wavefront.tracer import SlotList
+from raybatch_addon.core.wavefront.scene import scene_cache
+from raybatch_addon.core.wavefront.tracers.unbatched import trace_stage
+from tests.support import scenes
 
 SETTINGS = RenderSettings(sample_count=1, bounce_max=1)
 # layout, spatial splits, built where rays are traced
 KINDS = {
-    "boxes": (Layout.BOXES, False, False), "boxes-splits": (Layout.BOXES, True, False), "quantised": (Layout.QUANTISED, False, False),
-    "quantised-splits": (Layout.QUANTISED, True, False), "device": (Layout.QUANTISED, False, True),
-}  # fmt: skip
+    "boxes": (Layout.BOXES, False, False),
+    "boxes-splits": (Layout.BOXES, True, False),
+    "quantised": (Layout.QUANTISED, False, False),
+    "quantised-splits": (Layout.QUANTISED, True, False),
+    "device": (Layout.QUANTISED, False, True),
+}
 
 
 @pytest.fixture(params=KINDS)
@@ -44,10 +50,20 @@ def hits(kind, device, positions, triangles, origin, direction) -> tuple[np.ndar
     """Triangle (-1: none) and distance that each ray finds."""
     layout, splits, on_device = kind
     device = wp.get_device(device)
-    scene = scenes.scene([(Mesh("mesh", np.float32(positions), np.int32(triangles)), scenes.IDENTITY, scenes.diffuse())])
+    scene = scenes.scene(
+        [(Mesh("mesh", np.float32(positions), np.int32(triangles)), scenes.IDENTITY, scenes.diffuse())]
+    )
     flat = flatten(scene)
     built = build_scene_tree(
-        flat, upload_geometry(flat, scene, device), scene.instances.visibility, False, device, layout, splits, False, on_device
+        flat,
+        upload_geometry(flat, scene, device),
+        scene.instances.visibility,
+        False,
+        device,
+        layout,
+        splits,
+        False,
+        on_device,
     )
     rays = allocate_rays(len(origin), device)
     rays.origin.assign(np.float32(origin))
@@ -55,8 +71,8 @@ def hits(kind, device, positions, triangles, origin, direction) -> tuple[np.ndar
     rays.t_max.fill_(np.inf)
     rays.visibility.fill_(1)
     slots = wp.array(np.arange(len(origin), dtype=np.int32), device=device)
-    listed = SlotList(slots, wp.array([len(origin)], dtype=int, device=device), len(origin))
-    trace_stage(TraceFeatures(Traversal.of("OFF", layout), False, False, False)).launch(built.tree, rays, listed, None)
+    listed = RayList(slots, wp.array([len(origin)], dtype=int, device=device), len(origin))
+    trace_stage(layout, TraceOptions(any_hit=False, instancing=False)).launch(built.tree, rays, listed, None)
     return np.where(rays.hit_instance.numpy() >= 0, rays.hit_primitive.numpy(), -1), rays.hit_t.numpy()
 
 
@@ -97,7 +113,9 @@ def test_a_closed_mesh_of_any_allowed_size_is_closed(kind, device, scale):
     origin = np.random.default_rng(3).uniform(-0.5, 0.5, (2000, 3)) * scale
     found, t = hits(kind, device, ball.positions, ball.triangles, origin, directions(2000))
     assert (found >= 0).all()
-    place = np.linalg.norm(np.float32(origin).astype(np.float64) + t[:, None] * np.float32(directions(2000)).astype(np.float64), axis=1)
+    place = np.linalg.norm(
+        np.float32(origin).astype(np.float64) + t[:, None] * np.float32(directions(2000)).astype(np.float64), axis=1
+    )
     assert place.min() > 0.98 * scale and place.max() < 1.0001 * scale
 
 
@@ -111,7 +129,10 @@ def placed(mesh, *matrices):
 def test_what_is_too_small_is_named_with_the_limit():
     tiny = scenes.sphere("ball", radius=1e-19)
     scene = placed(tiny, scenes.IDENTITY)
-    assert scene.warnings == ("object “object 0” has an extent below 1e-18 m: it is not rendered",) and len(scene.instances) == 0
+    assert (
+        scene.warnings == ("object “object 0” has an extent below 1e-18 m: it is not rendered",)
+        and len(scene.instances) == 0
+    )
     assert placed(tiny, scenes.translation(0, 0, 0, 100.0)).warnings == ()
     assert len(placed(scenes.sphere(), scenes.translation(0, 0, 0, 1e-19)).warnings) == 1
     # of shared meshes the size in object space counts too
@@ -141,7 +162,11 @@ def test_vertices_that_are_not_finite_are_named(session):
     mesh = scenes.plane("broken")
     positions = mesh.positions.copy()
     positions[0, 1] = np.nan
-    scene = scenes.scene([(dataclasses.replace(mesh, positions=positions), scenes.IDENTITY, scenes.diffuse())], frame=Frame(4, 4), world=0.5)
+    scene = scenes.scene(
+        [(dataclasses.replace(mesh, positions=positions), scenes.IDENTITY, scenes.diffuse())],
+        frame=Frame(4, 4),
+        world=0.5,
+    )
     film = session.render(scene, SETTINGS)
     assert "“broken” has vertices that are not finite" in film.statistics["warnings"][0]
     assert (film.passes["Combined"][..., 0] == 0.5).all()
@@ -167,8 +192,12 @@ def test_a_mesh_of_2_28_triangles_on_a_small_device(session, monkeypatch):
     before = session.render(lit(scenes.sphere()), SETTINGS)
     with monkeypatch.context() as small:
         small.setattr(memory, "total_memory", lambda device: 8 * 10**9)
-        small.setattr(geometry_cache, "flatten", lambda scene: pytest.fail("memory was asked for"))
-        with pytest.raises(OutOfMemoryError, match=r"268,435,456 triangles need at least \d\d\.\d\d GB with their trees, and .* has 8\.00 GB in all; use fewer"):
+        small.setattr(scene_cache, "flatten", lambda scene: pytest.fail("memory was asked for"))
+        with pytest.raises(
+            OutOfMemoryError,
+            match=r"268,435,456 triangles need at least \d\d\.\d\d GB with their trees, "
+            r"and .* has 8\.00 GB in all; use fewer",
+        ):
             session.render(lit(huge_mesh(2**31 // 8)), SETTINGS.replace(batching="OFF"))
     assert_usable(session, before)
 
@@ -177,8 +206,11 @@ def test_more_than_is_free_is_refused_before_anything_is_uploaded(session, monke
     before = session.render(lit(scenes.sphere()), SETTINGS)
     with monkeypatch.context() as small:
         small.setattr(memory, "free_memory", lambda device: 10**5)
-        small.setattr(geometry_cache, "upload_geometry", lambda *_: pytest.fail("memory was asked for"))
-        with pytest.raises(OutOfMemoryError, match=r"10,000 triangles need at least 0\.00 GB with their trees, and .* has 0\.00 GB free"):
+        small.setattr(scene_cache, "upload_geometry", lambda *_: pytest.fail("memory was asked for"))
+        with pytest.raises(
+            OutOfMemoryError,
+            match=r"10,000 triangles need at least 0\.00 GB with their trees, and .* has 0\.00 GB free",
+        ):
             session.render(lit(huge_mesh(10_000)), SETTINGS)
     assert_usable(session, before)
 
@@ -186,7 +218,9 @@ def test_more_than_is_free_is_refused_before_anything_is_uploaded(session, monke
 def test_more_than_indices_name():
     size = GeometrySize.of(lit(huge_mesh(2**29), huge_mesh(2**29), scenes.plane()))
     assert size == GeometrySize(2**30 + 2, 12, 2**30 + 2, False)
-    with pytest.raises(SceneError, match="1,073,741,826 triangles, and a scene holds 715,827,882; use fewer, or instances"):
+    with pytest.raises(
+        SceneError, match="1,073,741,826 triangles, and a scene holds 715,827,882; use fewer, or instances"
+    ):
         check_counts(size)
     with pytest.raises(SceneError, match="2,147,483,648 vertices"):
         check_counts(GeometrySize(1, 2**31, 1, False))
@@ -197,7 +231,9 @@ def test_sizes_count_shared_meshes_once():
     scene = scenes.scene([(mesh, scenes.IDENTITY, scenes.diffuse()) for mesh in (shared, shared, single, hidden)])
     scene.instances.visibility[3] = 1
     count = len(shared.triangles)
-    assert GeometrySize.of(scene) == GeometrySize(count + 14, len(shared.positions) + len(single.positions) + 4, count, False)
+    assert GeometrySize.of(scene) == GeometrySize(
+        count + 14, len(shared.positions) + len(single.positions) + 4, count, False
+    )
     assert GeometrySize.of(scenes.scene()).triangles == 0
 
 
@@ -225,7 +261,7 @@ def test_a_build_that_runs_out_of_memory(session, device, monkeypatch, where):
     message = r"triangles need at least .* GB with their trees, and .* GB free; use fewer"
     with monkeypatch.context() as full:
         if where == "geometry":
-            full.setattr(geometry_cache, "flatten", refuse)
+            full.setattr(scene_cache, "flatten", refuse)
         elif where == "builder":
             full.setattr(build_sah, "np", FullNumpy())
             message = r"the tree over \d,\d\d\d triangles could not get \d\d\d,\d\d\d bytes beside 0 that it has; close"
@@ -241,7 +277,7 @@ def test_other_failures_of_a_build_are_not_hidden(session, monkeypatch):
     def broken(*_arguments, **_options):
         raise RuntimeError("the moon is missing")
 
-    monkeypatch.setattr(geometry_cache, "build_scene_tree", broken)
+    monkeypatch.setattr(scene_cache, "build_scene_tree", broken)
     with pytest.raises(RuntimeError, match="moon"):
         session.render(lit(scenes.sphere(segments=20)), SETTINGS)
 
@@ -255,4 +291,14 @@ def test_the_build_itself_refuses_what_is_not_free(device, monkeypatch):
     geometry = upload_geometry(flat, scene, wp.get_device(device))
     for layout, splits, on_device in KINDS.values() if device == "cpu" else [KINDS["device"]]:
         with pytest.raises(OutOfMemoryError, match="triangles"):
-            build_scene_tree(flat, geometry, scene.instances.visibility, False, wp.get_device(device), layout, splits, False, on_device)
+            build_scene_tree(
+                flat,
+                geometry,
+                scene.instances.visibility,
+                False,
+                wp.get_device(device),
+                layout,
+                splits,
+                False,
+                on_device,
+            )

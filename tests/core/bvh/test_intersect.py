@@ -6,11 +6,13 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import warp as wp
-from under_test import BLOCK_DIM
 
-from raybatch_addon.core.bvh.intersect import EDGE_TINY, TRIANGLE_TEXT, fused_multiply_add, intersect_exact, intersect_float32
+from raybatch_addon.core.bvh.intersect import EDGE_TINY
 from raybatch_addon.core.bvh.margin import SLAB_MARGIN
-from raybatch_addon.core.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.native.build import native_source
+from tests.support.under_test import BLOCK_DIM
+from tests.twins.watertight import fused_multiply_add, intersect_exact, intersect_float32
 
 U = 2.0**-24
 BOUND = 19  # u times (|origin| + |vertex|), see margin.py
@@ -41,21 +43,33 @@ def test_the_emulated_fma_rounds_once():
 @functools.cache
 def meet_kernel() -> wp.Kernel:
     @wp.func_native(
-        TRIANGLE_TEXT
+        native_source("traverse/triangle.h", EDGE_TINY=EDGE_TINY)
         + """
         const auto& o = origin.data[i];
         const auto& d = direction.data[i];
         const auto *a = corners.data + 3 * i, *b = a + 1, *c = a + 2;
         const ShearedRay ray = shear_ray(o[0], o[1], o[2], d[0], d[1], d[2]);
         float t = 0.0f, v = 0.0f, w = 0.0f;
-        const bool hit = meet_triangle(ray, (*a)[0], (*a)[1], (*a)[2], (*b)[0], (*b)[1], (*b)[2], (*c)[0], (*c)[1], (*c)[2], t, v, w);
+        const bool hit = meet_triangle(
+            ray, (*a)[0], (*a)[1], (*a)[2], (*b)[0], (*b)[1], (*b)[2], (*c)[0], (*c)[1], (*c)[2], t, v, w);
         out.data[i] = wp::vec_t<4, float>(hit ? 1.0f : 0.0f, t, v, w);
         """
     )
-    def meet(origin: wp.array(dtype=wp.vec3), direction: wp.array(dtype=wp.vec3), corners: wp.array(dtype=wp.vec3), i: int, out: wp.array(dtype=wp.vec4)): ...
+    def meet(
+        origin: wp.array(dtype=wp.vec3),
+        direction: wp.array(dtype=wp.vec3),
+        corners: wp.array(dtype=wp.vec3),
+        i: int,
+        out: wp.array(dtype=wp.vec4),
+    ): ...
 
     @wp.kernel(**KERNEL_OPTIONS)
-    def kernel(origin: wp.array(dtype=wp.vec3), direction: wp.array(dtype=wp.vec3), corners: wp.array(dtype=wp.vec3), out: wp.array(dtype=wp.vec4)):
+    def kernel(
+        origin: wp.array(dtype=wp.vec3),
+        direction: wp.array(dtype=wp.vec3),
+        corners: wp.array(dtype=wp.vec3),
+        out: wp.array(dtype=wp.vec4),
+    ):
         meet(origin, direction, corners, wp.tid(), out)
 
     return kernel
@@ -83,12 +97,20 @@ def cases(name: str, count: int = 4000) -> tuple[np.ndarray, np.ndarray, np.ndar
     target = np.einsum("nc,nck->nk", weights, corners)
     origin = rng.uniform(-2, 2, (count, 3)) if name != "grid" else rng.integers(-3, 4, (count, 3)).astype(np.float64)
     origin[-count // 5 :] = target[-count // 5 :] + 1e-6 * rng.normal(size=(count // 5, 3))
-    origin, corners, target = (origin * scale + offset).astype(np.float32), (corners * scale + offset).astype(np.float32), target * scale + offset
+    origin, corners, target = (
+        (origin * scale + offset).astype(np.float32),
+        (corners * scale + offset).astype(np.float32),
+        target * scale + offset,
+    )
     direction = target - origin
     axis = slice(0, count, 7)
-    direction[axis] = np.eye(3)[rng.integers(3, size=len(direction[axis]))] * rng.choice([-1, 1], (len(direction[axis]), 1))
+    direction[axis] = np.eye(3)[rng.integers(3, size=len(direction[axis]))] * rng.choice(
+        [-1, 1], (len(direction[axis]), 1)
+    )
     length = np.linalg.norm(direction, axis=1, keepdims=True)
-    direction = np.where(length > 0, direction / np.where(length > 0, length, 1), (1, 0, 0)) * rng.choice([1, 1, 1e-3, 50], (count, 1))
+    direction = np.where(length > 0, direction / np.where(length > 0, length, 1), (1, 0, 0)) * rng.choice(
+        [1, 1, 1e-3, 50], (count, 1)
+    )
     return origin, direction.astype(np.float32), corners
 
 
@@ -167,7 +189,9 @@ def test_nothing_slips_between_two_triangles(scale):
     count = 20000
     edge = rng.uniform(-1, 1, (count, 2, 3))
     aside = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-4, 0, (count, 1))
-    quad = np.stack([edge[:, 0], edge[:, 1], (edge[:, 0] + edge[:, 1]) / 2 + aside, (edge[:, 0] + edge[:, 1]) / 2 - aside], 1)
+    quad = np.stack(
+        [edge[:, 0], edge[:, 1], (edge[:, 0] + edge[:, 1]) / 2 + aside, (edge[:, 0] + edge[:, 1]) / 2 - aside], 1
+    )
     share = rng.uniform(0.3, 0.7, (count, 1))
     quad = (quad * scale).astype(np.float32)
     target = quad[:, 0] * share + quad[:, 1] * (1 - share)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from wide_trees import soup, wide
 
 from raybatch_addon.core.bvh.node import (
     BOXES_GROUP,
@@ -13,12 +12,18 @@ from raybatch_addon.core.bvh.node import (
     Layout,
     aligned_empty,
     decode_children,
-    walk_tree,
 )
+from tests.support.wide_trees import soup, wide
+from tests.twins.tree_walk import walk_tree
 
 
 def test_sizes():
-    assert (BOXES_NODE.itemsize, BOXES_GROUP.itemsize, QUANTISED_NODE.itemsize, QUANTISED_TRIANGLE.itemsize) == (256, 320, 80, 48)
+    assert (BOXES_NODE.itemsize, BOXES_GROUP.itemsize, QUANTISED_NODE.itemsize, QUANTISED_TRIANGLE.itemsize) == (
+        256,
+        320,
+        80,
+        48,
+    )
     assert (Layout.BOXES.node_words, Layout.BOXES.triangle_words) == (64, 80)
     assert (Layout.QUANTISED.node_words, Layout.QUANTISED.triangle_words) == (20, 12)
 
@@ -26,7 +31,9 @@ def test_sizes():
 @pytest.mark.parametrize("shape", [(1, 20), (1000, 20)])
 def test_memory_is_aligned(shape):
     array = aligned_empty(shape, np.uint32)
-    assert array.shape == shape and array.dtype == np.uint32 and array.flags.c_contiguous and array.ctypes.data % 64 == 0
+    assert (
+        array.shape == shape and array.dtype == np.uint32 and array.flags.c_contiguous and array.ctypes.data % 64 == 0
+    )
 
 
 def boxes_nodes() -> np.ndarray:
@@ -43,7 +50,9 @@ def boxes_nodes() -> np.ndarray:
 
 
 def quantised_nodes() -> np.ndarray:
-    """A root with a leaf of two triangles in slot 5 and nodes in slots 2 and 7, each with a leaf of three, the second after one of one."""
+    """A root with a leaf of two triangles in slot 5 and nodes in slots 2 and 7, each with a leaf of three, the second
+    after one of one.
+    """
     nodes = np.zeros(3, QUANTISED_NODE)
     nodes["exponent"] = 127
     nodes["origin"][0] = [10, 20, 30]
@@ -60,7 +69,10 @@ def quantised_nodes() -> np.ndarray:
 
 def test_boxes_are_decoded():
     children = decode_children(Layout.BOXES, boxes_nodes())
-    assert children.low[0, :2].tolist() == [[-1, -2, -3], [0, 1, 2]] and children.high[0, :2].tolist() == [[1, 2, 3], [5, 6, 7]]
+    assert children.low[0, :2].tolist() == [[-1, -2, -3], [0, 1, 2]] and children.high[0, :2].tolist() == [
+        [1, 2, 3],
+        [5, 6, 7],
+    ]
     assert np.isposinf(children.low[0, 2:]).all() and np.isneginf(children.high[0, 2:]).all()
     assert children.inner[0].tolist() == [-1, 1] + 6 * [-1]
     assert children.first[:, 0].tolist() == [0, 1] and children.count[:, 0].tolist() == [1, 2]
@@ -87,9 +99,9 @@ def test_a_walk_meets_leaves_within_all_boxes_on_the_way():
 def spoil_boxes(what: str) -> np.ndarray:
     nodes = boxes_nodes()
     child = nodes.view(BOXES_NODE)["child"][:, 0]
-    child[{"reached twice": (0, 2), "outside": (0, 1), "itself": (1, 0), "never": (0, 1), "childless": (1, 0)}[what]] = {
-        "reached twice": 1, "outside": 2, "itself": 1, "never": EMPTY_CHILD, "childless": EMPTY_CHILD
-    }[what]  # fmt: skip
+    child[
+        {"reached twice": (0, 2), "outside": (0, 1), "itself": (1, 0), "never": (0, 1), "childless": (1, 0)}[what]
+    ] = {"reached twice": 1, "outside": 2, "itself": 1, "never": EMPTY_CHILD, "childless": EMPTY_CHILD}[what]
     return nodes
 
 
@@ -99,7 +111,10 @@ def test_a_broken_tree_is_noticed(what):
         walk_tree(Layout.BOXES, spoil_boxes(what))
 
 
-@pytest.mark.parametrize("field, index, value", [("meta", (0, 2), 1 << 5 | 27), ("meta", (1, 0), 5 << 5), ("inner_mask", 0, 4), ("exponent", (2, 1), 0)])
+@pytest.mark.parametrize(
+    "field, index, value",
+    [("meta", (0, 2), 1 << 5 | 27), ("meta", (1, 0), 5 << 5), ("inner_mask", 0, 4), ("exponent", (2, 1), 0)],
+)
 def test_broken_codes_are_noticed(field, index, value):
     nodes = quantised_nodes()
     walk_tree(Layout.QUANTISED, nodes)
@@ -112,4 +127,3 @@ def test_broken_codes_are_noticed(field, index, value):
 def test_figures_of_memory(layout):
     mesh = wide(*soup(100), layout)
     assert mesh.byte_count == 4 * (mesh.node_count * layout.node_words + len(mesh.triangles) * layout.triangle_words)
-    assert mesh.bytes_per_triangle == mesh.byte_count / 100

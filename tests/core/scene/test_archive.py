@@ -6,13 +6,15 @@ from enum import Enum
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings as hypothesis_settings, strategies as st
+from hypothesis import HealthCheck, given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays_of
 
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.scene import description as d
 from raybatch_addon.core.scene.archive import load_scene, save_scene
-from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.settings.settings import RenderSettings
 
 
 def assert_same(a, b):
@@ -43,7 +45,10 @@ def full_scene() -> d.Scene:
         np.array([1], np.int32),
         np.tile(np.array([0, 0, 1], np.float32), (1, 3, 1)),
         np.random.default_rng(1).random((1, 3, 2), np.float32),
-        attributes=(d.Attribute("GEOMETRY", "Größe", np.full((1, 3, 4), 0.1, np.float32)), d.Attribute("COLOR", "", np.zeros((1, 1), np.float32))),
+        attributes=(
+            d.Attribute("GEOMETRY", "Größe", np.full((1, 3, 4), 0.1, np.float32)),
+            d.Attribute("COLOR", "", np.zeros((1, 1), np.float32)),
+        ),
     )
     materials = (
         d.Material("glass", (d.Closure(d.ClosureKind.GLASS, (0.1, 0.2, 1 / 3), 0.4, 1.45),), (d.ClosureKind.GLASS,)),
@@ -54,12 +59,21 @@ def full_scene() -> d.Scene:
         camera=d.Camera(d.CameraKind.PERSPECTIVE, matrix, (-0.5, 0.5, -0.25, 0.25), clip_end=np.inf, lens_radius=0.01),
         frame=d.Frame(64, 32, border=(1, 2, 30, 20), transparent=True, passes=("Combined", "Depth")),
         meshes=(mesh, dataclasses.replace(mesh, name="second", corner_uvs=None)),
-        instances=d.Instances(one, matrix[None].copy(), one, np.array([int(d.Visibility.ALL)], np.int32), one, attributes=np.ones((1, 2, 4), np.float32)),
+        instances=d.Instances(
+            one,
+            matrix[None].copy(),
+            one,
+            np.array([int(d.Visibility.ALL)], np.int32),
+            one,
+            attributes=np.ones((1, 2, 4), np.float32),
+        ),
         slot_materials=np.array([1, 0], np.int32),
         materials=materials,
         images=(
             d.Image("one", np.random.default_rng(2).integers(0, 256, (4, 3, 4)).astype(np.uint8), d.ImageEncoding.SRGB),
-            d.Image("many", tiles=((1001, np.ones((2, 2, 1), np.float16)), (1012, np.full((1, 2, 3), np.inf, np.float32)))),
+            d.Image(
+                "many", tiles=((1001, np.ones((2, 2, 1), np.float16)), (1012, np.full((1, 2, 3), np.inf, np.float32)))
+            ),
             d.Image("missing"),
         ),
         attributes=(("GEOMETRY", "Größe"), ("COLOR", "")),
@@ -109,8 +123,8 @@ def test_a_flipped_byte_of_an_array_is_noticed(tmp_path):
     scene = full_scene()
     save_scene(path, scene, RenderSettings())
     data = path.read_bytes()
-    place = data.index(scene.meshes[0].corner_uvs.tobytes())
-    path.write_bytes(data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :])
+    offset = data.index(scene.meshes[0].corner_uvs.tobytes())
+    path.write_bytes(data[:offset] + bytes([data[offset] ^ 1]) + data[offset + 1 :])
     with pytest.raises(SceneError, match="damaged"):
         load_scene(path)
 
@@ -141,6 +155,18 @@ def test_a_header_of_another_kind_is_refused(tmp_path, change, message):
     rewrite_header(path, change)
     with pytest.raises(SceneError, match=message):
         load_scene(path)
+
+
+def test_a_renamed_field_keeps_its_name_in_files(tmp_path):
+    path = tmp_path / "a.scene.npz"
+    scene = full_scene()
+    closure = dataclasses.replace(scene.materials[0].closures[0], color=(0.25, 0.5, 1.0))
+    scene = dataclasses.replace(scene, materials=(dataclasses.replace(scene.materials[0], closures=(closure,)),))
+    save_scene(path, scene, RenderSettings())
+    with np.load(path) as archive:
+        header = json.loads(archive["header"].tobytes())
+    assert header["scene"]["fields"]["materials"][0]["fields"]["closures"][0]["fields"]["colour"] == [0.25, 0.5, 1.0]
+    assert_same(load_scene(path)[0], scene)
 
 
 def test_files_of_other_kinds_are_refused(tmp_path):

@@ -1,24 +1,24 @@
-"""A scene pays only for what it has: what it lacks is neither compiled nor allocated nor uploaded."""
+"""A scene costs only its features: code, memory and uploads that it does not need are left out."""
 
 import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
-import scenes
 
-from raybatch_addon.core.bvh.build import layout_for
+from raybatch_addon.core.bvh.build.scene_tree import layout_for
 from raybatch_addon.core.bvh.node import Layout
-from raybatch_addon.core.device import find_device
+from raybatch_addon.core.device.devices import find_device
 from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame, Light, LightKind, Visibility
 from raybatch_addon.core.scene.features import SceneFeatures, derive_features, ordinary_features
-from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.core.wavefront.device_scene import DeviceScene
-from raybatch_addon.core.wavefront.geometry_cache import GeometryCache, GeometryRequest
+from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.kernels import StageKernels, tracing_kernels
-from raybatch_addon.core.wavefront.plan import Method, TracingPlan
+from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
+from raybatch_addon.core.wavefront.plan.tracing import Tracing
 from raybatch_addon.core.wavefront.rays import allocate_paths, bytes_per_path
-from raybatch_addon.core.wavefront.tracing import Tracing
+from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
+from raybatch_addon.core.wavefront.scene.scene_cache import GeometryRequest, SceneCache
+from tests.support import scenes
 
 SETTINGS = RenderSettings()
 
@@ -33,16 +33,21 @@ def plain(**more):
 def with_material(kind):
     return scenes.scene(
         [(scenes.plane(), scenes.IDENTITY, scenes.material(Closure(kind, (0.5, 0.5, 0.5), roughness=0.5)))],
-        lights=plain().lights, frame=Frame(8, 8),
-    )  # fmt: skip
+        lights=plain().lights,
+        frame=Frame(8, 8),
+    )
 
 
 def source(features: SceneFeatures) -> str:
     """All code that is compiled for `features`."""
     text = []
-    tracing = tracing_kernels(features, SETTINGS, Tracing(Layout.QUANTISED, Method.UNBATCHED, features.instancing), find_device("cpu"))
+    tracing = tracing_kernels(
+        features, SETTINGS, Tracing(Layout.QUANTISED, Method.UNBATCHED, features.instancing), find_device("cpu")
+    )
     for kernel in StageKernels.choose(features).all() + tracing:
-        builder = __import__("warp")._src.context.ModuleBuilder(kernel.module, {**kernel.module.options, "block_dim": 1, "mode": "release"})
+        builder = __import__("warp")._src.context.ModuleBuilder(
+            kernel.module, {**kernel.module.options, "block_dim": 1, "mode": "release"}
+        )
         text.append(builder.codegen("cpu"))
     return "\n".join(text)
 
@@ -64,12 +69,22 @@ CODE = {
     "light that rays meet": (with_light(LightKind.POINT, radius=0.1), "light_hits"),
     "depth of field": (plain(view=scenes.camera(lens_radius=0.1)), "lens_point"),
     "instancing": (
-        (lambda m: scenes.scene([(m, scenes.IDENTITY, scenes.diffuse()), (m, scenes.translation(3, 0, 0), scenes.diffuse())]))(scenes.plane()),
-        "TWO_LEVEL = true",
+        (
+            lambda m: scenes.scene(
+                [(m, scenes.IDENTITY, scenes.diffuse()), (m, scenes.translation(3, 0, 0), scenes.diffuse())]
+            )
+        )(scenes.plane()),
+        "#define TWO_LEVEL 1",
     ),
-    "hidden objects": (scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse(), Visibility.CAMERA)]), "TWO_LEVEL = true"),
-    "smooth normals": (scenes.scene([(scenes.sphere(smooth=True), scenes.IDENTITY, scenes.diffuse())]), "corner_normals["),
-}  # fmt: skip
+    "hidden objects": (
+        scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse(), Visibility.CAMERA)]),
+        "#define TWO_LEVEL 1",
+    ),
+    "smooth normals": (
+        scenes.scene([(scenes.sphere(smooth=True), scenes.IDENTITY, scenes.diffuse())]),
+        "corner_normals[",
+    ),
+}
 
 
 @pytest.fixture(scope="module")
@@ -105,10 +120,14 @@ def test_arrays_of_a_feature_are_allocated_only_for_scenes_that_have_it(device):
     full = allocate_paths(
         4,
         dataclasses.replace(
-            base, lights=(LightKind.POINT,), closures=(ClosureKind.DIFFUSE, ClosureKind.TRANSPARENT), film_transparent=True, passes=("Combined", "Normal"),
+            base,
+            lights=(LightKind.POINT,),
+            closures=(ClosureKind.DIFFUSE, ClosureKind.TRANSPARENT),
+            film_transparent=True,
+            passes=("Combined", "Normal"),
         ),
         where,
-    )  # fmt: skip
+    )
     assert all(getattr(full, field).size for field in ("shadow_light", "passed", "passed_t", "alpha", "normal"))
     assert bytes_per_path(base) < bytes_per_path(dataclasses.replace(base, lights=(LightKind.POINT,)))
 
@@ -117,15 +136,29 @@ def test_a_flat_scene_of_one_material_uploads_no_normals_and_no_slots(device):
     scene = plain()
     where = find_device(device)
     features = derive_features(scene, SETTINGS)
-    request = GeometryRequest(SETTINGS, TracingPlan(Method.UNBATCHED), layout_for(where), features.instancing, Path("unused"))
-    built = DeviceScene.build(scene, features, request, where, GeometryCache())
+    request = GeometryRequest(
+        settings=SETTINGS,
+        plan=TracingPlan(Method.UNBATCHED),
+        layout=layout_for(where),
+        instancing=features.instancing,
+        page_folder=Path("unused"),
+    )
+    built = DeviceScene.build(scene, features, request, where, SceneCache())
     assert built.data.geometry.corner_normals.size == 0 and built.data.geometry.triangle_slot.size == 0
     assert built.tree.top_entry.size == 0
 
 
-def test_what_is_left_out_is_told_by_name():
+def test_features_that_are_left_out_are_named():
     left_out = derive_features(plain(), SETTINGS).left_out()
-    assert {"closure glass", "instancing", "depth of field", "world", "mesh lights", "smooth normals", "light sun"} <= set(left_out)
+    assert {
+        "closure glass",
+        "instancing",
+        "depth of field",
+        "world",
+        "mesh lights",
+        "smooth normals",
+        "light sun",
+    } <= set(left_out)
     assert not {"closure diffuse", "light point", "surfaces", "shadow rays"} & set(left_out)
 
 
@@ -142,5 +175,7 @@ def test_ordinary_features_can_be_rendered():
 
 
 def test_a_render_without_surfaces_shows_the_world(session):
-    picture = session.render(scenes.scene(world=(0.2, 0.4, 0.6), frame=Frame(8, 8)), RenderSettings(sample_count=3)).passes["Combined"]
+    picture = session.render(
+        scenes.scene(world=(0.2, 0.4, 0.6), frame=Frame(8, 8)), RenderSettings(sample_count=3)
+    ).passes["Combined"]
     assert np.allclose(picture, [0.2, 0.4, 0.6, 1.0], rtol=1e-6)

@@ -1,19 +1,19 @@
-"""Geometry of a scene in one set of arrays: baked where it can be, shared where it must be."""
+"""Geometry of a scene in one set of arrays: baked if possible, shared if necessary."""
 
 import dataclasses
 
 import numpy as np
-import scenes
 
 from raybatch_addon.core.scene.description import Visibility
 from raybatch_addon.core.scene.flatten import flatten
-from raybatch_addon.core.settings import RenderSettings
+from raybatch_addon.core.settings.settings import RenderSettings
+from tests.support import scenes
 
 MIRROR = np.array([[-1, 0, 0, 2], [0, 1.5, 0, 0], [0, 0, 0.5, 1]], np.float32)
 
 
 def outward(positions, triangles, centre) -> np.ndarray:
-    """Sign of each triangle's normal against the way out from `centre`."""
+    """Sign of each triangle's normal relative to the direction away from `centre`."""
     corners = positions.astype(np.float64)[triangles]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return np.sign(np.einsum("ij,ij->i", normal, corners.mean(1) - centre))
@@ -36,11 +36,13 @@ def test_baked_and_shared_geometry_is_placed_by_visibility():
     flat = flatten(
         scenes.scene(
             [
-                (ball, scenes.IDENTITY, scenes.diffuse()), (lid, scenes.translation(0, 0, 3), scenes.diffuse(), hidden),
-                (ball, scenes.translation(3, 0, 0), scenes.diffuse()), (floor, scenes.translation(0, 0, -1), scenes.diffuse()),
+                (ball, scenes.IDENTITY, scenes.diffuse()),
+                (lid, scenes.translation(0, 0, 3), scenes.diffuse(), hidden),
+                (ball, scenes.translation(3, 0, 0), scenes.diffuse()),
+                (floor, scenes.translation(0, 0, -1), scenes.diffuse()),
             ]
         )
-    )  # fmt: skip
+    )
     assert [group.visibility for group in flat.merged] == [int(Visibility.ALL), int(hidden)]
     assert [group.instance.tolist() for group in flat.merged] == [[3], [1]]
     assert flat.shared.tolist() == [0, 2] and flat.instance_mesh[0] == flat.instance_mesh[2]

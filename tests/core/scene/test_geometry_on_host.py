@@ -1,10 +1,10 @@
-"""Geometry whose triangles hold their corners, as it lies in host memory, is shaded to the same bits."""
+"""Geometry that holds the corners of each triangle, as in host memory, is shaded to the same bits."""
 
 import numpy as np
-import scenes
 
-from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.core.wavefront import geometry_cache
+from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.scene import scene_cache
+from tests.support import scenes
 
 
 def test_corners_instead_of_indices_change_no_film(session, monkeypatch):
@@ -12,7 +12,7 @@ def test_corners_instead_of_indices_change_no_film(session, monkeypatch):
     frame = scenes.Frame(24, 18, passes=("Combined", "Normal", "Position", "Depth"))
     expected = session.render(scenes.mixed(frame), settings).passes
     session.close()
-    upload, seen, corners = geometry_cache.upload_geometry, [], []
+    upload, seen, corners = scene_cache.upload_geometry, [], []
 
     def upload_corners(flat, scene, device, on_host=False):
         geometry = upload(flat, scene, device, on_host=True)
@@ -20,15 +20,15 @@ def test_corners_instead_of_indices_change_no_film(session, monkeypatch):
         corners.append(geometry)
         return upload(flat, scene, device)  # trees are built from indices
 
-    monkeypatch.setattr(geometry_cache, "upload_geometry", upload_corners)
-    get = geometry_cache.GeometryCache.get
+    monkeypatch.setattr(scene_cache, "upload_geometry", upload_corners)
+    get = scene_cache.SceneCache.get
 
     def get_corners(self, scene, request, device):
         kept = get(self, scene, request, device)
         kept.geometry = corners[-1]
         return kept
 
-    monkeypatch.setattr(geometry_cache.GeometryCache, "get", get_corners)
+    monkeypatch.setattr(scene_cache.SceneCache, "get", get_corners)
     film = session.render(scenes.mixed(frame), settings)
     assert seen == [(0, 0)]
     for name, values in expected.items():

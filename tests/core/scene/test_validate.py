@@ -4,12 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
-import scenes
 
 from raybatch_addon.core.errors import SceneError
+from raybatch_addon.core.film import PASSES
 from raybatch_addon.core.scene.description import Frame, World
 from raybatch_addon.core.scene.validate import PASS_NAMES, checked_scene
-from raybatch_addon.core.film import PASSES
+from tests.support import scenes
 
 
 def plain():
@@ -50,7 +50,10 @@ def test_indices_and_numbers_that_lead_nowhere_are_refused_by_name(scene, words)
         (with_mesh(triangle_slot=np.zeros(1, np.int32)), "plane.*material slots"),
         (with_mesh(corner_normals=np.zeros((1, 3, 3), np.float32)), "plane.*normals"),
         (with_mesh(triangles=np.array([[0, 1, 9]], np.int32)), "plane.*vertices that do not exist"),
-        (scenes.scene([(scenes.plane(size=20), scenes.translation(0, 0, 0, 5e17), scenes.diffuse())]), "object 0.*beyond"),
+        (
+            scenes.scene([(scenes.plane(size=20), scenes.translation(0, 0, 0, 5e17), scenes.diffuse())]),
+            "object 0.*beyond",
+        ),
         (dataclasses.replace(plain(), world=World((np.nan, 1, 1))), "world"),
         (dataclasses.replace(plain(), world=World((-1, 0, 0))), "world"),
         (dataclasses.replace(plain(), lights=(scenes.sun(np.nan),)), "sun"),

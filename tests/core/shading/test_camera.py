@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import warp as wp
 
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.errors import SceneError
-from raybatch_addon.core.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Camera, CameraKind
 from raybatch_addon.core.shading.camera import CameraData, CameraFeatures, make_camera_ray, upload_camera
-from under_test import BLOCK_DIM, DEVICE
+from tests.support.under_test import BLOCK_DIM, DEVICE
 
 DEVICES = [DEVICE]
 WIDTH, HEIGHT = 64, 48
@@ -86,7 +86,9 @@ def test_orthographic_rays_are_parallel(device):
 
 @pytest.mark.parametrize("kind", list(CameraKind))
 def test_depth_of_field_is_sharp_on_the_plane_of_focus_alone(kind):
-    camera = Camera(kind, turned(), WINDOW, clip_start=0.1, clip_end=9.0, lens_radius=0.3, focus_distance=4.0, lens_ratio=2.0)
+    camera = Camera(
+        kind, turned(), WINDOW, clip_start=0.1, clip_end=9.0, lens_radius=0.3, focus_distance=4.0, lens_ratio=2.0
+    )
     lens = np.random.default_rng(0).uniform(size=(4000, 2))
     origin, direction, t_max = shoot(camera, np.tile([(WIDTH / 4, HEIGHT / 2)], (4000, 1)), lens)
 
@@ -107,9 +109,16 @@ def test_depth_of_field_is_sharp_on_the_plane_of_focus_alone(kind):
 
 def test_aperture_blades():
     """A triangle whose edge's middle lies at the angle of rotation, its corners on the circle."""
-    camera = Camera(CameraKind.PERSPECTIVE, np.eye(3, 4, dtype=np.float32), WINDOW, lens_radius=2.0, blade_count=3, blade_rotation=0.3)
+    camera = Camera(
+        CameraKind.PERSPECTIVE,
+        np.eye(3, 4, dtype=np.float32),
+        WINDOW,
+        lens_radius=2.0,
+        blade_count=3,
+        blade_rotation=0.3,
+    )
     lens = np.random.default_rng(1).uniform(size=(20000, 2))
-    origin, direction, _ = shoot(camera, np.tile([(10, 10)], (20000, 1)), lens)
+    origin, _direction, _ = shoot(camera, np.tile([(10, 10)], (20000, 1)), lens)
     point = origin[:, :2] / 2
     for k in range(3):
         angle = 0.3 + k * 2 * np.pi / 3
@@ -132,4 +141,6 @@ def test_cameras_that_see_nothing_are_refused():
         dict(clip_start=5.0, clip_end=5.0),
     ):
         with pytest.raises(SceneError, match="camera"):
-            upload_camera(Camera(**{**dict(kind=CameraKind.PERSPECTIVE, transform=eye, window=WINDOW), **broken}), WIDTH, HEIGHT)
+            upload_camera(
+                Camera(**{**dict(kind=CameraKind.PERSPECTIVE, transform=eye, window=WINDOW), **broken}), WIDTH, HEIGHT
+            )

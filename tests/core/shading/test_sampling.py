@@ -7,15 +7,34 @@ import numpy as np
 import pytest
 import warp as wp
 
-from raybatch_addon.core.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.shading import sampling
 from raybatch_addon.core.shading.sampling import (
-    BSDF, DIMENSIONS_PER_BOUNCE, FILTER, LENS, LIGHT, LIGHT_CHOICE, LOBE, ROULETTE,
-    bitangent_of, filter_table, make_sampler, pixel_key, philox, sample_aperture, sample_cone,
-    sample_cosine_hemisphere, sample_disk, sample_filter, sample_sphere, sample_triangle,
-    spherical_direction, tangent_of, to_world,
-)  # fmt: skip
-from under_test import BLOCK_DIM, DEVICE
+    BSDF,
+    DIMENSIONS_PER_BOUNCE,
+    FILTER,
+    LENS,
+    LIGHT,
+    LIGHT_CHOICE,
+    LOBE,
+    ROULETTE,
+    bitangent_of,
+    filter_table,
+    make_sampler,
+    philox,
+    pixel_key,
+    sample_aperture,
+    sample_cone,
+    sample_cosine_hemisphere,
+    sample_disk,
+    sample_filter,
+    sample_sphere,
+    sample_triangle,
+    spherical_direction,
+    tangent_of,
+    to_world,
+)
+from tests.support.under_test import BLOCK_DIM, DEVICE
 
 SEQUENCES = ("SOBOL", "INDEPENDENT")
 
@@ -35,9 +54,13 @@ def number_kernel(sequence):
 
     @wp.kernel(**KERNEL_OPTIONS)
     def numbers(
-        seed: wp.uint32, pixel: wp.array(dtype=wp.uint32), sample: wp.array(dtype=wp.uint32), dimension: wp.uint32,
-        one: wp.array(dtype=float), two: wp.array(dtype=wp.vec2),
-    ):  # fmt: skip
+        seed: wp.uint32,
+        pixel: wp.array(dtype=wp.uint32),
+        sample: wp.array(dtype=wp.uint32),
+        dimension: wp.uint32,
+        one: wp.array(dtype=float),
+        two: wp.array(dtype=wp.vec2),
+    ):
         i = wp.tid()
         key = pixel_key(seed, pixel[i])
         one[i] = sampler.sample_1d(key, sample[i], dimension)
@@ -47,7 +70,7 @@ def number_kernel(sequence):
 
 
 def numbers(sequence, samples, pixels=0, dimension=LIGHT, seed=0):
-    """1D numbers [n] and 2D numbers [n, 2]."""
+    """1D numbers, shape [n], and 2D numbers, shape [n, 2]."""
     samples, pixels = np.broadcast_arrays(samples, pixels)
     count = samples.size
     one, two = wp.zeros(count, dtype=float, device=DEVICE), wp.zeros(count, dtype=wp.vec2, device=DEVICE)
@@ -59,7 +82,7 @@ def numbers(sequence, samples, pixels=0, dimension=LIGHT, seed=0):
 @pytest.mark.parametrize("dimension", [FILTER, BSDF, 7 * DIMENSIONS_PER_BOUNCE + LIGHT])
 @pytest.mark.parametrize("pixel", [0, 1, 123_456])
 def test_sobol_fills_every_elementary_interval_once(pixel, dimension):
-    """(0,2)-sequence: any aligned 2**k samples have one point in each dyadic box of area 2**-k."""
+    """A (0,2)-sequence: any aligned 2**k samples have one point in each dyadic box of area 2**-k."""
     one, two = numbers("SOBOL", np.arange(1024), pixel, dimension)
     for log in (1, 4, 8):
         for block in range(0, 1024, 2**log):
@@ -99,11 +122,14 @@ def test_philox_known_answers():
     counters = [[0] * 4, [0xFFFFFFFF] * 4, [0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344]]
     keys = [[0] * 2, [0xFFFFFFFF] * 2, [0xA4093822, 0x299F31D0]]
     expected = [
-        [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8], [0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD],
+        [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8],
+        [0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD],
         [0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1],
-    ]  # fmt: skip
+    ]
     out = wp.zeros(3, dtype=wp.vec4ui, device=DEVICE)
-    arrays = [wp.array(np.array(a, np.uint32), dtype=d, device=DEVICE) for a, d in ((counters, wp.vec4ui), (keys, wp.vec2ui))]
+    arrays = [
+        wp.array(np.array(a, np.uint32), dtype=d, device=DEVICE) for a, d in ((counters, wp.vec4ui), (keys, wp.vec2ui))
+    ]
     launch(load(run), 3, arrays, [out])
     np.testing.assert_array_equal(out.numpy(), np.array(expected, np.uint32))
 
@@ -121,7 +147,9 @@ def test_numbers_are_uniform_and_below_one(sequence):
             assert np.mean(values**power) == pytest.approx(1 / (power + 1), abs=4 * 0.3 * sigma)
         counts = np.bincount((values * 256).astype(int), minlength=256)
         if sequence == "INDEPENDENT":
-            assert ((counts - values.size / 256) ** 2 / (values.size / 256)).sum() == pytest.approx(255, abs=5 * np.sqrt(510))
+            assert ((counts - values.size / 256) ** 2 / (values.size / 256)).sum() == pytest.approx(
+                255, abs=5 * np.sqrt(510)
+            )
 
 
 def test_owen_scrambling_integrates_better():
@@ -151,7 +179,9 @@ def test_pixels_seeds_and_dimensions_are_independent(sequence):
         "second number": numbers(sequence, 3, pixels)[1][:, 1],
         "next bounce": numbers(sequence, 3, pixels, LIGHT + DIMENSIONS_PER_BOUNCE)[1][:, 0],
     }
-    others |= {f"set {d}": numbers(sequence, 3, pixels, d)[1][:, 0] for d in (FILTER, LENS, LIGHT_CHOICE, LOBE, BSDF, ROULETTE)}
+    others |= {
+        f"set {d}": numbers(sequence, 3, pixels, d)[1][:, 0] for d in (FILTER, LENS, LIGHT_CHOICE, LOBE, BSDF, ROULETTE)
+    }
     for name, values in others.items():
         assert abs(np.corrcoef(base, values)[0, 1]) < 5 / np.sqrt(count), name
     # within one pixel, sets are padded against each other: pairs across sets fill the square evenly
@@ -162,7 +192,7 @@ def test_pixels_seeds_and_dimensions_are_independent(sequence):
 
 
 def test_numbers_depend_on_their_key_alone():
-    """The same numbers whatever else is asked for in the launch, and no two pixels alike."""
+    """The same numbers whatever else is computed in the launch, and no two pixels alike."""
     for sequence in SEQUENCES:
         whole = numbers(sequence, np.arange(100), 77)[1]
         np.testing.assert_array_equal(whole[40:60], numbers(sequence, np.arange(40, 60), 77)[1])
@@ -177,9 +207,13 @@ def test_numbers_depend_on_their_key_alone():
 
 @wp.kernel(**KERNEL_OPTIONS)
 def warp_kernel(
-    shape: int, parameter: float, count: int, u: wp.array(dtype=wp.vec2), table: wp.array(dtype=float),
+    shape: int,
+    parameter: float,
+    count: int,
+    u: wp.array(dtype=wp.vec2),
+    table: wp.array(dtype=float),
     out: wp.array(dtype=wp.vec3),
-):  # fmt: skip
+):
     i = wp.tid()
     if shape == 0:
         p = sample_disk(u[i])
@@ -201,7 +235,9 @@ def warp_kernel(
 
 
 DISK, COSINE, SPHERE, CONE, TRIANGLE, APERTURE, PIXEL = range(7)
-ENDS = np.array([(a, b) for a in (0, 2.0**-24, 0.5, 1 - 2.0**-24) for b in (0, 2.0**-24, 0.5, 1 - 2.0**-24)], np.float32)
+ENDS = np.array(
+    [(a, b) for a in (0, 2.0**-24, 0.5, 1 - 2.0**-24) for b in (0, 2.0**-24, 0.5, 1 - 2.0**-24)], np.float32
+)
 
 
 @functools.cache
@@ -215,13 +251,16 @@ def jittered(side):
 def warp_points(shape, parameter=0.0, count=0, u=None, table=(0.0, 0.0)):
     u = jittered(256) if u is None else u
     out = wp.zeros(len(u), dtype=wp.vec3, device=DEVICE)
-    arrays = [wp.array(u, dtype=wp.vec2, device=DEVICE), wp.array(np.asarray(table, np.float32), dtype=float, device=DEVICE)]
+    arrays = [
+        wp.array(u, dtype=wp.vec2, device=DEVICE),
+        wp.array(np.asarray(table, np.float32), dtype=float, device=DEVICE),
+    ]
     launch(load(warp_kernel), len(u), [shape, parameter, count, *arrays], [out])
     return out.numpy().astype(np.float64)
 
 
 def assert_even(values, bins, tolerance=0.02):
-    """`values`, uniform in [0, 1) if the warp is right, fall evenly into `bins` (stratified input)."""
+    """Assert that `values`, uniform in [0, 1) if the warp is right, fall evenly into `bins` (stratified input)."""
     counts = np.bincount(np.clip((values * bins).astype(int), 0, bins - 1), minlength=bins)
     np.testing.assert_allclose(counts, len(values) / bins, rtol=tolerance)
 
@@ -290,10 +329,12 @@ def test_aperture_without_blades_is_a_disk():
 
 
 def test_frames_are_orthonormal():
-    """Also for normals at and beside the poles, where the construction changes sign."""
+    """Frames for random normals, and for normals at and near the poles, where the construction changes sign."""
 
     @wp.kernel(**KERNEL_OPTIONS)
-    def frames(n: wp.array(dtype=wp.vec3), t: wp.array(dtype=wp.vec3), b: wp.array(dtype=wp.vec3), s: wp.array(dtype=wp.vec3)):
+    def frames(
+        n: wp.array(dtype=wp.vec3), t: wp.array(dtype=wp.vec3), b: wp.array(dtype=wp.vec3), s: wp.array(dtype=wp.vec3)
+    ):
         i = wp.tid()
         t[i] = tangent_of(n[i])
         b[i] = bitangent_of(n[i])
@@ -316,7 +357,9 @@ SHAPES = {
     "BOX": (lambda x, w: np.ones_like(x), lambda w: 0.5),
     "GAUSSIAN": (lambda x, w: np.exp(-8 * (x / w) ** 2), lambda w: 1.5 * w),
     "BLACKMAN_HARRIS": (
-        lambda x, w: sum(a * np.cos(k * np.pi * (x / w + 1)) for k, a in enumerate((0.35875, -0.48829, 0.14128, -0.01168))),
+        lambda x, w: sum(
+            a * np.cos(k * np.pi * (x / w + 1)) for k, a in enumerate((0.35875, -0.48829, 0.14128, -0.01168))
+        ),
         lambda w: w,
     ),
 }

@@ -1,18 +1,25 @@
-"""Skies as the host computes them: places of the sun, pictures, the sun's disc, coefficients."""
+"""Skies as the host computes them: positions of the sun, pictures, the sun's disc, coefficients."""
 
 import math
 
 import numpy as np
 import pytest
 
-from raybatch_addon.core.sky import multiple_scattering, single_scattering
 from raybatch_addon.core.sky.atmosphere import (
-    PICTURE_HEIGHT, PICTURE_WIDTH, Atmosphere, horizon_elevation, sky_table, sun_direction, wrapped_sun,
-)  # fmt: skip
+    PICTURE_HEIGHT,
+    PICTURE_WIDTH,
+    Atmosphere,
+    horizon_elevation,
+    sky_table,
+    sun_direction,
+    wrapped_sun,
+)
 from raybatch_addon.core.sky.hosek_wilkie import hosek_wilkie_table
+from raybatch_addon.core.sky.multiple_scattering import MULTIPLE_SCATTERING
 from raybatch_addon.core.sky.preetham import preetham_table, sun_angles
+from raybatch_addon.core.sky.single_scattering import SINGLE_SCATTERING
 
-MODELS = [single_scattering, multiple_scattering]
+MODELS = [SINGLE_SCATTERING, MULTIPLE_SCATTERING]
 HALF = PICTURE_HEIGHT // 2
 
 
@@ -66,10 +73,16 @@ def test_a_sun_that_is_twice_as_wide_is_a_quarter_as_bright(model):
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("values", [
-    {"altitude": 0.0}, {"altitude": 1e5}, {"air": 1000.0, "aerosol": 1000.0, "ozone": 1000.0}, {"sun_elevation": math.pi / 2},
-    {"sun_elevation": -math.pi / 2},
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"altitude": 0.0},
+        {"altitude": 1e5},
+        {"air": 1000.0, "aerosol": 1000.0, "ozone": 1000.0},
+        {"sun_elevation": math.pi / 2},
+        {"sun_elevation": -math.pi / 2},
+    ],
+)
 def test_no_setting_makes_numbers_that_are_not_finite(model, values):
     atmosphere = Atmosphere(**{"sun_elevation": 0.2} | values)
     picture = model.sky_picture(atmosphere)
@@ -79,17 +92,17 @@ def test_no_setting_makes_numbers_that_are_not_finite(model, values):
 
 
 def test_a_single_scattering_sun_below_the_horizon_is_dark():
-    assert single_scattering.sun_disc(Atmosphere(-0.2), 0.01).highest == (0.0, 0.0, 0.0)
+    assert SINGLE_SCATTERING.sun_disc(Atmosphere(-0.2), 0.01).highest == (0.0, 0.0, 0.0)
 
 
 def test_tables_of_scattering_skies():
-    disc = single_scattering.sun_disc(Atmosphere(0.5), 0.01)
+    disc = SINGLE_SCATTERING.sun_disc(Atmosphere(0.5), 0.01)
     table = sky_table(disc, 0.5, 1.0, 0.01, 2.0, 100.0)
     assert table[:6] == [*disc.lowest, *disc.highest] and table[6:10] == [0.5, 1.0, 0.01, 2.0]
     assert sky_table(None, 0.5, 1.0, 0.01, 2.0, 100.0)[8] < 0.0
 
 
-@pytest.mark.parametrize("table", [lambda sun, turbidity: preetham_table(sun, turbidity), lambda sun, t: hosek_wilkie_table(sun, t, 0.3)])
+@pytest.mark.parametrize("table", [preetham_table, lambda sun, t: hosek_wilkie_table(sun, t, 0.3)])
 def test_tables_of_formulas(table):
     for turbidity in (1.0, 2.5, 10.0):
         for sun in ((0, 0, 1), (0, 0, 5), (1, 0, 0), (0.2, -0.3, -0.1), (0, 0, 0), (math.nan, 0, 1)):

@@ -5,36 +5,39 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import scenes
 import warp as wp
-from under_test import DEVICE
 
-from raybatch_addon.core.bvh.build import layout_for
-from raybatch_addon.core.device import find_device
+from raybatch_addon.core.bvh.build.scene_tree import layout_for
+from raybatch_addon.core.device.devices import find_device
 from raybatch_addon.core.film import sums
 from raybatch_addon.core.film import tile as film_tile
+from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Material, Visibility
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.scene.validate import checked_scene
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings import RenderSettings
-from raybatch_addon.core.shading.nodes.builder import ProgramBuilder
-from raybatch_addon.core.wavefront import ray_order
-from raybatch_addon.core.wavefront.device_scene import DeviceScene
-from raybatch_addon.core.wavefront.geometry_cache import GeometryCache, GeometryRequest
+from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.integrator import TileIntegrator, TileState
-from raybatch_addon.core.wavefront.plan import Method, TracingPlan
-from raybatch_addon.core.wavefront.ray_order import order_bytes
-from raybatch_addon.core.wavefront.rays import bytes_per_path
+from raybatch_addon.core.wavefront.order import ray_order
+from raybatch_addon.core.wavefront.order.ray_order import order_bytes
+from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
+from raybatch_addon.core.wavefront.rays import Paths, bytes_per_path, needed_arrays
+from raybatch_addon.core.wavefront.scene.device_scene import DeviceScene
+from raybatch_addon.core.wavefront.scene.scene_cache import GeometryRequest, SceneCache
 from raybatch_addon.core.wavefront.scheduler import Rectangle, water_marks
 from raybatch_addon.core.wavefront.stages import generate
+from tests.support import scenes
+from tests.support.under_test import DEVICE
 
 LEAST = 4096
 
 
 def lit(surface=None, frame=None, visibility=int(Visibility.ALL), lamp=None):
     surface = surface or scenes.diffuse()
-    objects = [(scenes.plane(size=4), scenes.translation(0, 0, -1), surface), (scenes.sphere(), scenes.IDENTITY, surface, visibility)]
+    objects = [
+        (scenes.plane(size=4), scenes.translation(0, 0, -1), surface),
+        (scenes.sphere(), scenes.IDENTITY, surface, visibility),
+    ]
     return scenes.scene(objects, frame=frame or Frame(32, 32), lights=[lamp or scenes.area_light(3.0)], world=0.2)
 
 
@@ -52,14 +55,26 @@ def lamp_program():
 def veil_program(asks_history=False):
     """Light that passes straight on, as much as a program says, which may ask how paths came there."""
     builder = ProgramBuilder()
-    asked = builder.value("path_history")[3] if asks_history else builder.value("average", builder.value("object_coordinates", 0))
+    asked = (
+        builder.value("path_history")[3]
+        if asks_history
+        else builder.value("average", builder.value("object_coordinates", 0))
+    )
     builder.closure("transparent", builder.value("combine_xyz", asked, asked, asked))
-    return dataclasses.replace(scenes.diffuse(), closures=(), program=builder.finish(), kinds=(ClosureKind.TRANSPARENT,))
+    return dataclasses.replace(
+        scenes.diffuse(), closures=(), program=builder.finish(), kinds=(ClosureKind.TRANSPARENT,)
+    )
 
 
 def wax():
     medium = Closure(
-        ClosureKind.SUBSURFACE, (0.8, 0.6, 0.4), 0.3, 1.4, colour=(0.9, 0.8, 0.7), edge=(3.0, 6.0, 9.0), refraction=(1.2, 1.5, 2.0)
+        ClosureKind.SUBSURFACE,
+        (0.8, 0.6, 0.4),
+        0.3,
+        1.4,
+        color=(0.9, 0.8, 0.7),
+        edge=(3.0, 6.0, 9.0),
+        refraction=(1.2, 1.5, 2.0),
     )
     return Material("wax", (medium,), (ClosureKind.SUBSURFACE, ClosureKind.DIFFUSE))
 
@@ -91,9 +106,11 @@ CASES = {
 
 # What cases are named for, that they may not lose
 HAS = {
-    "subsurface": lambda features: features.subsurface, "lamp program": lambda features: bool(features.lamp_program),
-    "history": lambda features: features.path_history, "with a program": lambda features: bool(features.programs),
-}  # fmt: skip
+    "subsurface": lambda features: features.subsurface,
+    "lamp program": lambda features: bool(features.lamp_program),
+    "history": lambda features: features.path_history,
+    "with a program": lambda features: bool(features.programs),
+}
 
 
 def integrator_of(scene, settings, path_count) -> tuple[TileIntegrator, DeviceScene]:
@@ -101,8 +118,14 @@ def integrator_of(scene, settings, path_count) -> tuple[TileIntegrator, DeviceSc
     scene = checked_scene(scene)
     features = derive_features(scene, settings)
     plan = TracingPlan(Method.REFERENCE if settings.batching == "REFERENCE" else Method.UNBATCHED)
-    request = GeometryRequest(settings, plan, layout_for(device), features.instancing, Path("unused"))
-    built = DeviceScene.build(scene, features, request, device, GeometryCache())
+    request = GeometryRequest(
+        settings=settings,
+        plan=plan,
+        layout=layout_for(device),
+        instancing=features.instancing,
+        page_folder=Path("unused"),
+    )
+    built = DeviceScene.build(scene, features, request, device, SceneCache())
     return TileIntegrator(built, scene.frame, settings, water_marks(settings, path_count)), built
 
 
@@ -128,12 +151,21 @@ def arrays_in(value, seen: set[int]) -> list[wp.array]:
 def bytes_held(integrator: TileIntegrator, scene: DeviceScene) -> int:
     """Memory of all its arrays, what they share counted once [bytes]."""
     seen = {id(scene), id(scene.tree), id(scene.data), id(scene.camera)}
-    spans = sorted((a.ptr, a.ptr + a.size * wp.types.type_size_in_bytes(a.dtype)) for a in arrays_in(integrator.__dict__, seen) if a.size)
+    spans = sorted(
+        (a.ptr, a.ptr + a.size * wp.types.type_size_in_bytes(a.dtype))
+        for a in arrays_in(integrator.__dict__, seen)
+        if a.size
+    )
     total, last = 0, 0
     for first, end in spans:
         total += max(0, end - max(first, last))
         last = max(last, end)
     return total
+
+
+def test_the_table_of_paths_has_all_their_arrays():
+    features = derive_features(checked_scene(lit()), RenderSettings())
+    assert needed_arrays(features).keys() == Paths.vars.keys() - {"walk"}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -170,7 +202,9 @@ def test_sorting_takes_memory_when_it_begins_and_no_more_than_is_told(monkeypatc
             integrator.render(TileState(Rectangle(0, 0, 32, 32)), 0, 1, lambda: False)
             held[ray_sort, path_count] = bytes_held(integrator, built) - before
     for path_count in (200, LEAST):
-        assert held["ON", path_count] - held["OFF", path_count] == pytest.approx(order_bytes("ON", path_count, is_cuda), abs=64)
+        assert held["ON", path_count] - held["OFF", path_count] == pytest.approx(
+            order_bytes("ON", path_count, is_cuda), abs=64
+        )
     assert order_bytes("ON", LEAST, is_cuda) == order_bytes("ON", 2 * LEAST, is_cuda) > order_bytes("ON", 200, is_cuda)
     assert order_bytes("OFF", LEAST, is_cuda) == 0
 
@@ -182,13 +216,15 @@ def bright():
         (scenes.plane("glow", 1.0), scenes.translation(0.7, 0, 0), scenes.emitter(1e-35)),
     ]
     view = scenes.camera(eye=(0, -0.1, 3), half_width=0.6)
-    return scenes.scene(objects, view=view, frame=Frame(24, 24, passes=("Combined", "Normal"), transparent=True), world=0.3)
+    return scenes.scene(
+        objects, view=view, frame=Frame(24, 24, passes=("Combined", "Normal"), transparent=True), world=0.3
+    )
 
 
 @pytest.mark.parametrize("places", [1, 70, 1000])
 def test_a_film_is_the_same_when_there_is_no_room_to_set_channels_aside(monkeypatch, places):
     films = []
-    for count in (film_tile.SPILL_PLACES, places):
+    for count in (film_tile.SPILL_CAPACITY, places):
         monkeypatch.setattr(film_tile.FilmTiles.__init__, "__defaults__", (count,))
         films.append(Session(DEVICE).render(bright(), RenderSettings(sample_count=3, thread_count=1)))
     whole, short = films
@@ -205,7 +241,9 @@ def test_lists_that_are_sorted_in_parts_give_the_same_film(monkeypatch, sorted_m
     whole = Session(DEVICE).render(scenes.mixed(), RenderSettings(sample_count=2, ray_sort="ON", thread_count=1))
     monkeypatch.setattr(ray_order, "CPU_SORTED_MAX", sorted_max)
     monkeypatch.setattr(ray_order, "CUDA_SORTED_MAX", sorted_max)
-    parts = Session(DEVICE).render(scenes.mixed(), RenderSettings(sample_count=2, ray_sort="ON", thread_count=1, ray_count=2000))
+    parts = Session(DEVICE).render(
+        scenes.mixed(), RenderSettings(sample_count=2, ray_sort="ON", thread_count=1, ray_count=2000)
+    )
     for name, values in whole.passes.items():
         assert np.array_equal(values, parts.passes[name]), name
 

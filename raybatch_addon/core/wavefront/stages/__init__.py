@@ -1,1 +1,1 @@
-
+"""The stages of the loop: each file has one kernel, or a few."""

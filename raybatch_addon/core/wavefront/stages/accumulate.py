@@ -6,10 +6,10 @@ import functools
 
 import warp as wp
 
+from ...device.kernel import KERNEL_OPTIONS
 from ...film import ChannelLayout
 from ...film.sums import add_wide, add_window
 from ...film.tile import FilmTile, fits_window
-from ...kernel import KERNEL_OPTIONS
 from ..rays import Paths
 from .generate import TileWork, pixel_sample
 
@@ -18,8 +18,8 @@ from .generate import TileWork, pixel_sample
 def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
     """Kernel (work, paths, film, slots, count).
 
-    Where there are no wide digits yet, paths for which there is no room among the channels that are set aside stay as they are: a second
-    launch adds them, and no other, once there are wide digits.
+    Where there are no wide digits yet, paths for which there is no room among the channels that are set aside stay as
+    they are: a second launch adds them, and no other, once there are wide digits.
     """
     channels = layout.count
 
@@ -35,29 +35,31 @@ def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
         return fits_all
 
     @wp.func
-    def places_aside(film: FilmTile) -> int:
-        """First of one path's places among the channels that are set aside, one a channel; -1: there is no room."""
-        places = film.spill_index.shape[0]
-        place = int(-1)
-        if film.spill_count[0] <= places:  # else it tells already that there is no room, and need not grow
-            place = wp.atomic_add(film.spill_count, 0, channels)
-            if place + channels > places:
-                place = -1
-        return place
+    def spill_entries(film: FilmTile) -> int:
+        """First of one path's entries among the channels that are set aside, one a channel; -1: there is no room."""
+        capacity = film.spill_index.shape[0]
+        entry = int(-1)
+        if film.spill_count[0] <= capacity:  # else it says already that there is no room, and need not grow
+            entry = wp.atomic_add(film.spill_count, 0, channels)
+            if entry + channels > capacity:
+                entry = -1
+        return entry
 
     @wp.func
-    def add(film: FilmTile, index: int, value: float, place: int):
+    def add(film: FilmTile, index: int, value: float, entry: int):
         left = value
         if add_window(film.window, index, value):
             left = 0.0
         elif film.wide.shape[0] > 0:
             add_wide(film.wide, index, value)
-        if place >= 0:
-            film.spill_index[place] = index
-            film.spill_value[place] = left
+        if entry >= 0:
+            film.spill_index[entry] = index
+            film.spill_value[entry] = left
 
     @wp.kernel(**KERNEL_OPTIONS)
-    def accumulate(work: TileWork, paths: Paths, film: FilmTile, slots: wp.array(dtype=int), count: wp.array(dtype=int)):
+    def accumulate(
+        work: TileWork, paths: Paths, film: FilmTile, slots: wp.array(dtype=int), count: wp.array(dtype=int)
+    ):
         i = wp.tid()
         if i >= count[0]:
             return
@@ -73,20 +75,20 @@ def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
             normal = paths.normal[path]
             valid = valid and wp.isfinite(normal[0]) and wp.isfinite(normal[1]) and wp.isfinite(normal[2])
         if valid:
-            place = int(-channels)  # below 0 for all channels: nothing is set aside
+            entry = int(-channels)  # below 0 for all channels: nothing is set aside
             if film.wide.shape[0] == 0:
                 if not fits(paths, path):
-                    place = places_aside(film)
-                    if place < 0:
+                    entry = spill_entries(film)
+                    if entry < 0:
                         return
             for c in range(3):
-                add(film, pixel * channels + c, radiance[c], place + c)
+                add(film, pixel * channels + c, radiance[c], entry + c)
             if wp.static(layout.transparent):
-                add(film, pixel * channels + 3, paths.alpha[path], place + 3)
+                add(film, pixel * channels + 3, paths.alpha[path], entry + 3)
             if wp.static(layout.normal):
                 for c in range(3):
                     channel = wp.static(layout.span("Normal").start) + c
-                    add(film, pixel * channels + channel, normal[c], place + channel)
+                    add(film, pixel * channels + channel, normal[c], entry + channel)
         else:
             wp.atomic_add(film.invalid, 0, 1)
         wp.atomic_add(film.counts, pixel, wp.int64(1))

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...kernel import KERNEL_OPTIONS
+from ...device.kernel import KERNEL_OPTIONS
+from ...rays import Rays
 from ...scene.program import ProgramFeatures
-from ...shading.lamp_program import make_lamp_emission
-from ...shading.light_shapes import LAMP_PROGRAM, SURFACE_PROGRAM, WORLD_PROGRAM
-from ..scene_data import SceneData
-from ..rays import Paths, Rays, Status, bounce_to_light, passed_before_light
+from ...shading.lights.lamp_program import make_lamp_emission
+from ...shading.lights.light_shapes import LAMP_PROGRAM, SURFACE_PROGRAM, WORLD_PROGRAM
+from ..rays import Paths, Status, bounce_to_light, passed_before_light
+from ..scene.scene_data import SceneData
 from .emitted import make_surface_emission, make_world_emission
 from .history import DEPTHS
 from .limits import PathLimits, clamped
@@ -62,7 +63,9 @@ class ConnectFeatures:
 
 @functools.cache
 def make_arrived(features: ConnectFeatures) -> wp.Function:
-    """Function (data, limits, paths, rays, path: int, slot: int) -> vec3: what an unhidden shadow ray brings to its path."""
+    """Function (data, limits, paths, rays, path: int, slot: int) -> vec3: what an unhidden shadow ray brings to its
+    path.
+    """
     has_world, has_surfaces = features.world_light, features.mesh_programs
     has_lamps = bool(features.lamp_program)
     has_history = "path_history" in features.programs.ops
@@ -82,7 +85,10 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
         direction = rays.direction[slot]
         if wp.static(has_world):
             if kind == wp.static(WORLD_PROGRAM):
-                light = wp.cw_mul(light, world_emission(data, rays.origin[slot], direction, 0, bounce, passed_before_light(paths, path)))
+                light = wp.cw_mul(
+                    light,
+                    world_emission(data, rays.origin[slot], direction, 0, bounce, passed_before_light(paths, path)),
+                )
         if wp.static(has_surfaces):
             if kind == wp.static(SURFACE_PROGRAM):
                 history = int(0)
@@ -92,9 +98,16 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
                 if paths.shadow_t.shape[0] > 0:
                     distance += paths.shadow_t[path]
                 emitted = surface_emission(
-                    data, paths.light_instance[path], paths.light_primitive[path], paths.light_barycentric[path], -direction, distance,
-                    bounce, passed_before_light(paths, path), history,
-                )  # fmt: skip
+                    data,
+                    paths.light_instance[path],
+                    paths.light_primitive[path],
+                    paths.light_barycentric[path],
+                    -direction,
+                    distance,
+                    bounce,
+                    passed_before_light(paths, path),
+                    history,
+                )
                 light = wp.cw_mul(light, emitted)
         if wp.static(has_lamps):
             if kind == wp.static(LAMP_PROGRAM):
@@ -102,9 +115,15 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
                 aimed = paths.light_barycentric[path]
                 position = rays.origin[slot] + (rays.t_max[slot] + aimed[1]) * direction
                 shone = lamp_emission(
-                    data.lamp_nodes, data.lights, paths.light_instance[path], position, direction, aimed[0], bounce,
+                    data.lamp_nodes,
+                    data.lights,
+                    paths.light_instance[path],
+                    position,
+                    direction,
+                    aimed[0],
+                    bounce,
                     passed_before_light(paths, path),
-                )  # fmt: skip
+                )
                 light = wp.cw_mul(light, shone)
         if wp.static(features.clamping):
             light = clamped(limits, light, bounce)
@@ -120,7 +139,12 @@ def connect_program_kernel(features: ConnectFeatures) -> wp.Kernel:
 
     @wp.kernel(**KERNEL_OPTIONS)
     def connect_program(
-        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)
+        data: SceneData,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
     ):
         i = wp.tid()
         if i >= count[0]:

@@ -1,4 +1,6 @@
-"""Stage: shadow rays of scenes in which surfaces may let them through are back. Next: `trace` again behind such a surface, or shading."""
+"""Stage: shadow rays of scenes in which surfaces may let them through are back. Next: `trace` again behind such a
+surface, or shading.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +8,18 @@ import functools
 
 import warp as wp
 
-from ...kernel import KERNEL_OPTIONS
+from ...device.kernel import KERNEL_OPTIONS
+from ...rays import Rays
 from ...scene.description import Visibility
-from ...shading.closures import ClosureFeatures, make_bsdf
-from ...shading.materials import ClosureRecord
+from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
+from ...shading.bsdf.materials import ClosureRecord
 from ...shading.surface import make_surface, spawn_origin
-from ..rays import SHADOW_PASS, Paths, Rays, Status, bounce_to_light
-from ..scene_data import SceneData
+from ..rays import SHADOW_PASS, Paths, Status, bounce_to_light
+from ..scene.scene_data import SceneData
 from .connect import ConnectFeatures, make_arrived
 from .history import DEPTHS
-from .limits import PathLimits, is_positive
-from .shade_surface import SurfaceFeatures
+from .limits import PathLimits, has_light
+from .surface_features import SurfaceFeatures
 from .surface_program import make_surface_program, shading_point
 
 SHADOW_NEW = int(Status.SHADOW_NEW)
@@ -37,7 +40,12 @@ def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeature
 
     @wp.kernel(**KERNEL_OPTIONS)
     def connect_transparent(
-        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)
+        data: SceneData,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
     ):
         i = wp.tid()
         if i >= count[0]:
@@ -55,9 +63,13 @@ def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeature
             surface = surface_point(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot])
             if wp.static(bool(programs)):
                 point = shading_point(
-                    surface, -rays.direction[slot], rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot],
+                    surface,
+                    -rays.direction[slot],
+                    rays.hit_instance[slot],
+                    rays.hit_primitive[slot],
+                    rays.hit_uv[slot],
                     paths.shadow_t[path] + rays.hit_t[slot],
-                )  # fmt: skip
+                )
                 point.ray_kind = wp.static(int(Visibility.SHADOW))
                 point.bounce = bounce_to_light(status)
                 if wp.static(features.path_history):
@@ -71,13 +83,14 @@ def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeature
                 first = data.materials.closure_first[surface.material]
                 end = data.materials.closure_first[surface.material + 1]
             light = wp.cw_mul(paths.shadow_light[path], transparency(closures, first, end))
-            if is_positive(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
+            if has_light(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
                 direction = rays.direction[slot]
                 origin = spawn_origin(surface.position, surface.error, surface.geometric_normal, direction)
                 ray = origin - rays.origin[slot]
                 t_max = rays.t_max[slot]
                 if t_max < wp.inf:
-                    # to the same end: moved aside only, the ray could find the light that it was aimed at in its own way
+                    # to the same end: moved aside only, the ray could find the light that it was aimed at in its own
+                    # way
                     left = t_max * direction - ray
                     t_max = wp.length(left)
                     if t_max > 0.0:

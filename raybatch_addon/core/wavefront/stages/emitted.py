@@ -7,19 +7,20 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import warp as wp
 
-from ...kernel import KERNEL_OPTIONS
+from ...device.kernel import KERNEL_OPTIONS
+from ...programs.point import ShadingPoint
+from ...programs.run import make_run
 from ...scene.description import ClosureKind
 from ...scene.features import SceneFeatures
 from ...scene.program import ProgramFeatures
-from ...shading.materials import ClosureRecord
-from ...shading.nodes.point import ShadingPoint
-from ...shading.nodes.run import make_run
+from ...shading.bsdf.materials import ClosureRecord
+from ...shading.lights.world import WorldTable, texel_direction
 from ...shading.surface import make_surface
-from ...shading.world import WorldTable, texel_direction
-from ..scene_data import SceneData
+from ..scene.scene_data import SceneData
 from .surface_program import make_surface_program, shading_point
 
-# Points of a texel of the world, along either axis, whose mean is its brightness; one where texels are as many as an image's
+# Points of a texel of the world, along either axis, whose mean is its brightness; one where texels are as many as an
+# image's
 _TEXEL_POINTS = 2
 _FINE_WIDTH = 4096
 # How long a ray into the world is, as Cycles has it: the largest float32
@@ -44,7 +45,9 @@ def make_world_emission(programs: ProgramFeatures) -> wp.Function:
     run = make_run(programs)
 
     @wp.func
-    def world_emission(data: SceneData, origin: wp.vec3, direction: wp.vec3, ray_kind: int, bounce: int, passed: int) -> wp.vec3:
+    def world_emission(
+        data: SceneData, origin: wp.vec3, direction: wp.vec3, ray_kind: int, bounce: int, passed: int
+    ) -> wp.vec3:
         point = ShadingPoint()
         point.position = origin
         point.incoming = -direction
@@ -64,17 +67,25 @@ def make_world_emission(programs: ProgramFeatures) -> wp.Function:
 
 @functools.cache
 def make_surface_emission(programs: ProgramFeatures, instancing: bool, smooth_normals: bool) -> wp.Function:
-    """Function (data, instance: int, primitive: int, barycentric: vec2, incoming: vec3, distance: float, bounce: int, passed: int,
-    history: int) -> vec3: radiance towards `incoming`; bounce, passed and history as `ShadingPoint` has them.
+    """Function (data, instance: int, primitive: int, barycentric: vec2, incoming: vec3, distance: float, bounce: int,
+    passed: int, history: int) -> vec3: radiance towards `incoming`; bounce, passed and history as `ShadingPoint` has
+    them.
     """
     surface_point = make_surface(instancing, smooth_normals).point
     surface_closures = make_surface_program(programs)
 
     @wp.func
     def surface_emission(
-        data: SceneData, instance: int, primitive: int, barycentric: wp.vec2, incoming: wp.vec3, distance: float, bounce: int, passed: int,
+        data: SceneData,
+        instance: int,
+        primitive: int,
+        barycentric: wp.vec2,
+        incoming: wp.vec3,
+        distance: float,
+        bounce: int,
+        passed: int,
         history: int,
-    ) -> wp.vec3:  # fmt: skip
+    ) -> wp.vec3:
         surface = surface_point(data.geometry, instance, primitive, barycentric)
         point = shading_point(surface, incoming, instance, primitive, barycentric, distance)
         point.bounce = bounce
@@ -88,7 +99,9 @@ def make_surface_emission(programs: ProgramFeatures, instancing: bool, smooth_no
 
 @functools.cache
 def world_texels_kernel(programs: ProgramFeatures) -> wp.Kernel:
-    """Kernel (data, table, row_first, points, light): mean brightness of texels of rows from `row_first` on, `points` along either axis."""
+    """Kernel (data, table, row_first, points, light): mean brightness of texels of rows from `row_first` on, `points`
+    along either axis.
+    """
     world_emission = make_world_emission(programs)
 
     @wp.kernel(**KERNEL_OPTIONS)
@@ -108,13 +121,18 @@ def world_texels_kernel(programs: ProgramFeatures) -> wp.Kernel:
 
 @functools.cache
 def triangle_emission_kernel(programs: ProgramFeatures, instancing: bool, smooth_normals: bool) -> wp.Kernel:
-    """Kernel (data, instance, primitive, radiance): mean radiance of triangles, seen from the front and from the back."""
+    """Kernel (data, instance, primitive, radiance): mean radiance of triangles, seen from the front and from the
+    back.
+    """
     surface_emission = make_surface_emission(programs, instancing, smooth_normals)
     surface_point = make_surface(instancing, smooth_normals).point
 
     @wp.kernel(**KERNEL_OPTIONS)
     def triangle_emission(
-        data: SceneData, instance: wp.array(dtype=int), primitive: wp.array(dtype=int), radiance: wp.array(dtype=wp.vec3)
+        data: SceneData,
+        instance: wp.array(dtype=int),
+        primitive: wp.array(dtype=int),
+        radiance: wp.array(dtype=wp.vec3),
     ):
         i = wp.tid()
         total = wp.vec3(0.0)
@@ -141,7 +159,12 @@ def emission_of_triangles(
     """Mean radiance of triangles whose material is a program, float32, shape [n, 3]."""
     kernel = triangle_emission_kernel(features.programs, features.instancing, features.smooth_normals)
     radiance = wp.zeros(len(instance), dtype=wp.vec3, device=device)
-    inputs = [data, wp.array(instance, dtype=int, device=device), wp.array(primitive, dtype=int, device=device), radiance]
+    inputs = [
+        data,
+        wp.array(instance, dtype=int, device=device),
+        wp.array(primitive, dtype=int, device=device),
+        radiance,
+    ]
     wp.launch(kernel, len(instance), inputs, device=device)
     return radiance.numpy()
 

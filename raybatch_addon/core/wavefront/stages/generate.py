@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...kernel import KERNEL_OPTIONS
+from ...device.kernel import KERNEL_OPTIONS
+from ...rays import Rays
 from ...scene.description import CameraKind, Visibility
 from ...shading.camera import CameraData, CameraFeatures, make_camera_ray
 from ...shading.sampling import FILTER, LENS, make_sampler, pixel_key, sample_filter
-from ..rays import VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of
+from ..rays import VISIBILITY_SHIFT, Paths, Status, bounce_of
 from .limits import PathLimits
 
 # Paths that are numbered from one `TileWork.item_base`, by 32 bits
@@ -53,7 +54,9 @@ class TileWork:
 
 @wp.func
 def pixel_in_blocks(number: int, width: int, height: int) -> wp.vec2i:
-    """Column and row of pixel `number` of a tile that is walked in blocks of 8 x 8, so that rays beside each other are alike."""
+    """Column and row of pixel `number` of a tile that is walked in blocks of 8 x 8, so that rays beside each other are
+    alike.
+    """
     strip = number / (8 * width)
     rows = wp.min(8, height - 8 * strip)
     rest = number - 8 * width * strip
@@ -107,7 +110,9 @@ def pixel_sample(work: TileWork, number: wp.uint32) -> PixelSample:
 
 @wp.kernel(**KERNEL_OPTIONS)
 def counted_kernel(work: TileWork, paths: Paths, bounce: wp.array(dtype=int), pixel: wp.array(dtype=int)):
-    """What counters ask for: the bounce and the pixel of every path. A free slot's number may be of another tile, where this one has no pixel."""
+    """What counters ask for: the bounce and the pixel of every path. A free slot's number may be of another tile, where
+    this one has no pixel.
+    """
     path = wp.tid()
     if paths.status[path] == 0:
         return
@@ -117,16 +122,23 @@ def counted_kernel(work: TileWork, paths: Paths, bounce: wp.array(dtype=int), pi
 
 @functools.cache
 def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
-    """Kernel (work, limits, camera, paths, rays, slots, count): item `item_first + i` starts in free slot `slots[i]`; `count` is told."""
+    """Kernel (work, limits, camera, paths, rays, slots, count): item `item_first + i` starts in free slot `slots[i]`;
+    `count` is told.
+    """
     sampler = make_sampler(features.sample_sequence)
     sample_2d = sampler.sample_2d
     camera_ray = make_camera_ray(CameraFeatures(features.camera, features.depth_of_field))
 
     @wp.kernel(**KERNEL_OPTIONS)
     def generate(
-        work: TileWork, limits: PathLimits, camera: CameraData, paths: Paths, rays: Rays, slots: wp.array(dtype=int),
-        count: wp.array(dtype=int)
-    ):  # fmt: skip
+        work: TileWork,
+        limits: PathLimits,
+        camera: CameraData,
+        paths: Paths,
+        rays: Rays,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
+    ):
         i = wp.tid()
         if i == 0:
             count[0] = work.item_count

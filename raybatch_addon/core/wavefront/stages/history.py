@@ -2,16 +2,18 @@
 
 import warp as wp
 
-from ...shading.closures import DELTA, DIFFUSE, TRANSMISSION
-from ...shading.nodes.point import DEPTH_BITS, DEPTH_SHIFT, HistoryBits
+from ...programs.point import DEPTH_BITS, DEPTH_SHIFT, HistoryBits
+from ...shading.bsdf.bsdf import DELTA, DIFFUSE, TRANSMISSION
 
 _MOST = (1 << DEPTH_BITS) - 1
-DEPTHS = ((1 << (DEPTH_SHIFT + 3 * DEPTH_BITS)) - 1) & ~((1 << DEPTH_SHIFT) - 1)  # all but the bits of the last scattering
+DEPTHS = ((1 << (DEPTH_SHIFT + 3 * DEPTH_BITS)) - 1) & ~(
+    (1 << DEPTH_SHIFT) - 1
+)  # all but the bits of the last scattering
 
 
 @wp.func
 def history_after(history: int, lobe: int) -> int:
-    """`history` of a path that is scattered by `lobe` (bits of `shading/closures.py`). Counts stay at their largest."""
+    """`history` of a path that `lobe` (bits of `shading/bsdf/bsdf.py`) scatters. Counts stay at their largest."""
     place = int(1)
     kind = wp.static(int(HistoryBits.GLOSSY))
     if (lobe & DIFFUSE) != 0:

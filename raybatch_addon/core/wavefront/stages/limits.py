@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from ...settings import RenderSettings
+from ...settings.settings import RenderSettings
 
 
 @wp.struct
@@ -18,6 +18,19 @@ class PathLimits:
     clamp_direct: float  # 0: no limit
     clamp_indirect: float
     nee_end: int  # light is sampled left of this column of the frame
+
+
+def half_seed(seed: int, half: int) -> int:
+    """The seed of a half: the render's own for half 0, for half 1 another legal seed, mixed from it (two rounds of
+    Wellons' hash).
+    """
+    if half == 0:
+        return seed
+    x = (seed + 0x9E3779B9) & 0xFFFFFFFF
+    x = (x ^ x >> 16) * 0x21F0AAAD & 0xFFFFFFFF
+    x = (x ^ x >> 15) * 0xD35A2D97 & 0xFFFFFFFF
+    x = (x ^ x >> 15) & 0x7FFFFFFF
+    return x if x != seed else x ^ 1
 
 
 def path_limits(settings: RenderSettings, frame_width: int) -> PathLimits:
@@ -46,6 +59,6 @@ def clamped(limits: PathLimits, light: wp.vec3, bounce: int) -> wp.vec3:
 
 
 @wp.func
-def is_positive(light: wp.vec3) -> bool:
+def has_light(light: wp.vec3) -> bool:
     """Whether any channel is above 0, or not a number: that must reach the film, which counts it."""
     return not (light[0] <= 0.0 and light[1] <= 0.0 and light[2] <= 0.0)

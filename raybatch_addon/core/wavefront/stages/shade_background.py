@@ -1,4 +1,6 @@
-"""Stage: light that a ray meets outside surfaces: lights without mesh on its way, and the world behind. Then the path ends."""
+"""Stage: light that a ray meets outside surfaces: lights without mesh on its way, and the world behind. Then the path
+ends.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,14 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from ...device.kernel import KERNEL_OPTIONS
 from ...film.tile import FilmTile
-from ...kernel import KERNEL_OPTIONS
+from ...rays import Rays
 from ...scene.program import ProgramFeatures
-from ...shading.light_hits import LightHitFeatures, make_light_hits
-from ...shading.lights import is_lit_in_part, light_weights, world_light_pdf
-from ..scene_data import SceneData
-from ..rays import SHADOW_PASS, Paths, Rays, Status, bounce_of, visibility_of
+from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
+from ...shading.lights.lights import is_lit_in_part, light_weights, world_light_pdf
+from ..rays import SHADOW_PASS, Paths, Status, bounce_of, visibility_of
+from ..scene.scene_data import SceneData
 from .emitted import make_world_emission
 from .generate import TileWork, pixel_sample
 from .limits import PathLimits, clamped
@@ -38,13 +41,20 @@ class BackgroundFeatures:
 
 
 @functools.cache
-def light_hit_kernel(features: LightHitFeatures, transparency: bool, clamping: bool, subsurface: bool = False) -> wp.Kernel:
+def light_hit_kernel(
+    features: LightHitFeatures, transparency: bool, clamping: bool, subsurface: bool = False
+) -> wp.Kernel:
     """Kernel (data, limits, paths, rays, slots, count): lights that rays met on their way."""
     intersect, miss = make_light_hits(features)
 
     @wp.kernel(**KERNEL_OPTIONS)
     def light_hits(
-        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)
+        data: SceneData,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
     ):
         i = wp.tid()
         if i >= count[0]:
@@ -69,7 +79,9 @@ def light_hit_kernel(features: LightHitFeatures, transparency: bool, clamping: b
         passed = int(0)
         if wp.static(transparency):
             passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
-        light = intersect(data.lights, data.lamp_nodes, origin, direction, t_min, t_max, visibility, pdf, bounce + 1, passed)
+        light = intersect(
+            data.lights, data.lamp_nodes, origin, direction, t_min, t_max, visibility, pdf, bounce + 1, passed
+        )
         if rays.hit_instance[path] < 0:
             light = light + miss(data.lights, data.lamp_nodes, direction, visibility, pdf, bounce + 1, passed)
         light = wp.cw_mul(paths.throughput[path], light)
@@ -120,7 +132,10 @@ def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
                     if paths.passed.shape[0] > 0:
                         passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
                     direction = rays.direction[path]
-                    light = wp.cw_mul(throughput, world_emission(data, rays.origin[path], direction, visibility_of(status), bounce, passed))
+                    light = wp.cw_mul(
+                        throughput,
+                        world_emission(data, rays.origin[path], direction, visibility_of(status), bounce, passed),
+                    )
                     if wp.static(features.world_light):
                         pdf = paths.pdf[path]
                         if pdf > 0.0 and data.lights.world_emitter >= 0:

@@ -1,19 +1,22 @@
-"""Stage: a ray has met a surface. It emits, a light is sampled, and the path scatters. Next: `trace`, or `accumulate`."""
+"""Stage: a ray has met a surface. It emits, a light is sampled, and the path scatters. Next: `trace`, or
+`accumulate`.
+"""
 
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import warp as wp
 
+from ...device.kernel import KERNEL_OPTIONS
 from ...film.tile import FilmTile
-from ...kernel import KERNEL_OPTIONS
-from ...scene.description import ClosureKind, LightKind, Visibility
-from ...scene.program import ProgramFeatures
-from ...shading.closures import DELTA, DIFFUSE, SUBSURFACE, TRANSMISSION, TRANSPARENT, ClosureFeatures, ShadingFrame, make_bsdf
-from ...shading.light_shapes import LAMP_PROGRAM
-from ...shading.lights import LightFeatures, is_lit_in_part, light_weights, make_lights
+from ...rays import Rays
+from ...scene.description import ClosureKind, Visibility
+from ...scene.features import narrow
+from ...shading.bsdf.bsdf import DELTA, DIFFUSE, SUBSURFACE, TRANSMISSION, TRANSPARENT, ClosureFeatures, make_bsdf
+from ...shading.bsdf.materials import SURFACE_NORMAL, ClosureRecord, new_closure
+from ...shading.bsdf.normals import shading_frame
+from ...shading.lights.lights import LightFeatures, light_weights, make_lights
 from ...shading.sampling import (
     BSDF,
     DIMENSIONS_PER_BOUNCE,
@@ -26,76 +29,23 @@ from ...shading.sampling import (
     pixel_key,
     tangent_of,
 )
-from ...shading.materials import SURFACE_NORMAL, ClosureRecord, new_closure
-from ...shading.normals import shading_frame
-from ...shading.surface import SurfacePoint, make_surface, spawn_origin
-from ..scene_data import SceneData
-from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Rays, Status, bounce_of, visibility_of
+from ...shading.surface import make_surface, spawn_origin
+from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, bounce_of, visibility_of
+from ..scene.scene_data import SceneData
+from .aim import make_connect_light
+from .emission import make_gather_emission
 from .generate import TileWork, pixel_sample
 from .history import history_after
-from .limits import PathLimits, clamped, is_positive
+from .limits import PathLimits, has_light
+from .surface_features import SurfaceFeatures
 from .surface_program import make_surface_program, shading_point
 from .walk import STEPS_MOST, make_walk_begin, walk_dimension
 
 RAY_NEW = int(Status.RAY_NEW)
-SHADOW_NEW = int(Status.SHADOW_NEW)
 HIT = int(Status.HIT)
 STRAIGHT = int(Status.STRAIGHT)
 ENDED = int(Status.ENDED)
 INSIDE = int(Status.INSIDE)
-
-
-@dataclass(frozen=True)
-class SurfaceFeatures:
-    """What the stage is specialised on; the fields are those of `SceneFeatures`."""
-
-    closures: tuple[ClosureKind, ...]
-    programs: ProgramFeatures
-    lights: tuple[LightKind, ...]
-    light_sphere: bool
-    mesh_lights: bool
-    mesh_programs: bool
-    world_light: bool
-    light_programs: bool
-    lamp_programs: bool
-    path_history: bool
-    mis: bool
-    shadow_rays: bool
-    instancing: bool
-    smooth_normals: bool
-    sample_sequence: str
-    passes: tuple[str, ...]
-    clamping: bool
-    roulette: bool
-    film_holes: bool = False  # surfaces cut holes into a film that has alpha
-
-    @property
-    def transparency(self) -> bool:
-        """Surfaces that rays pass straight through."""
-        return ClosureKind.TRANSPARENT in self.closures
-
-    @property
-    def subsurface(self) -> bool:
-        """Light that scatters below surfaces."""
-        return ClosureKind.SUBSURFACE in self.closures
-
-    @property
-    def emission(self) -> bool:
-        """Surfaces that emit."""
-        return ClosureKind.EMISSION in self.closures
-
-
-@wp.func
-def lit_value(value: wp.vec3, diffuse: wp.vec3, visibility: int, reflected: bool) -> wp.vec3:
-    """What is left of a BSDF's `value`, of which `diffuse` is Lambertian, for a light that only some rays see."""
-    if not reflected:
-        return wp.where((visibility & wp.static(int(Visibility.TRANSMISSION))) != 0, value, wp.vec3(0.0))
-    left = wp.vec3(0.0)
-    if (visibility & wp.static(int(Visibility.DIFFUSE))) != 0:
-        left += diffuse
-    if (visibility & wp.static(int(Visibility.GLOSSY))) != 0:
-        left += value - diffuse
-    return left
 
 
 @functools.cache
@@ -106,106 +56,15 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     sample_2d = sampler.sample_2d
     surface_point = make_surface(features.instancing, features.smooth_normals).point
     bsdf = make_bsdf(ClosureFeatures(features.closures))
-    bsdf_evaluate = bsdf.evaluate
     bsdf_sample = bsdf.sample
-    bsdf_emission = bsdf.emission
     bsdf_holdout = bsdf.holdout
-    lights = make_lights(
-        LightFeatures(
-            features.lights, features.light_sphere, features.mesh_lights, features.mesh_programs, features.world_light,
-            features.lamp_programs,
-        )
-    )  # fmt: skip
-    light_sample = lights.sample
-    light_hit_pdf = lights.hit_pdf
+    lights = make_lights(narrow(features, LightFeatures))
     sample_weight, hit_weight = light_weights(features.mis)
+    gather_emission = make_gather_emission(bsdf.emission, lights.hit_pdf, hit_weight, features.clamping)
+    connect_light = make_connect_light(features, bsdf.evaluate, lights.sample, sample_weight)
     programs = features.programs
     surface_closures = make_surface_program(programs)
     begin_walk = make_walk_begin(features.sample_sequence)
-
-    @wp.func
-    def gather_emission(
-        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, closures: wp.array(dtype=ClosureRecord), first: int, end: int,
-        seen_from: float,
-    ):  # fmt: skip
-        emission = bsdf_emission(closures, first, end)
-        if is_positive(emission):
-            weight = float(1.0)
-            pdf = paths.pdf[path]
-            if pdf > 0.0:
-                light_pdf = light_hit_pdf(
-                    data.lights, data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.direction[path],
-                    seen_from + rays.hit_t[path],
-                )  # fmt: skip
-                weight = hit_weight(pdf, light_pdf)
-                # what is not aimed at is in no table
-                if light_pdf > 0.0 and is_lit_in_part(data.lights.instance_visibility[rays.hit_instance[path]]):
-                    weight = 0.0  # found by light sampling alone
-            light = weight * wp.cw_mul(paths.throughput[path], emission)
-            if wp.static(features.clamping):
-                light = clamped(limits, light, bounce_of(paths.status[path]))
-            paths.radiance[path] = paths.radiance[path] + light
-
-    @wp.func
-    def connect_light(
-        data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, surface: SurfacePoint, frame: ShadingFrame,
-        wo: wp.vec3, closures: wp.array(dtype=ClosureRecord), first: int, end: int, u_choice: float, u: wp.vec2,
-    ) -> int:  # fmt: skip
-        """Aim a shadow ray at a light; returns the status bit that submits it, or 0."""
-        light = light_sample(data.lights, data.geometry, surface.position, u_choice, u)
-        if light.pdf <= 0.0:
-            return 0
-        bsdf = bsdf_evaluate(closures, first, end, data.materials.albedo, frame, wo, light.direction)
-        value = bsdf.value
-        weight = 1.0 / light.pdf
-        if is_lit_in_part(light.visibility):
-            # lobes whose rays do not see the light are not lit by it; this strategy alone finds such a light
-            value = lit_value(bsdf.value, bsdf.diffuse, light.visibility, wp.dot(light.direction, frame.geometric_normal) > 0.0)
-        elif light.delta == 0:
-            weight = sample_weight(light.pdf, bsdf.pdf) / light.pdf
-        if not is_positive(value):
-            return 0
-        contribution = weight * wp.cw_mul(wp.cw_mul(paths.throughput[path], value), light.radiance)
-        if wp.static(features.clamping):
-            if light.program == 0:
-                contribution = clamped(limits, contribution, bounce_of(paths.status[path]) + 1)
-        if not is_positive(contribution):
-            return 0
-        if light.casts_shadow == 0 and light.program == 0:
-            paths.radiance[path] = paths.radiance[path] + contribution
-            return 0
-        origin = spawn_origin(surface.position, surface.error, frame.geometric_normal, light.direction)
-        slot = paths.status.shape[0] + path
-        direction = light.direction
-        distance = light.distance
-        if distance < wp.inf:
-            # from the moved origin to the same point; the light itself must not hide it
-            ray = surface.position + distance * direction - origin
-            distance = wp.length(ray)
-            if distance > 0.0:
-                direction = ray / distance
-            distance = wp.max(distance - light.distance_error, 0.0)
-        rays.origin[slot] = origin
-        rays.direction[slot] = direction
-        rays.t_max[slot] = distance
-        if rays.visibility.shape[0] > 0:
-            rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
-        paths.shadow_light[path] = contribution
-        if wp.static(features.transparency and bool(programs)):
-            paths.shadow_t[path] = 0.0
-        if wp.static(features.light_programs):
-            # the program says how bright the light is when the ray is back, if nothing hides it
-            paths.light_program[path] = light.program
-            paths.light_instance[path] = light.instance
-            paths.light_primitive[path] = light.primitive
-            paths.light_barycentric[path] = light.barycentric
-            if wp.static(features.lamp_programs):
-                if light.program == wp.static(LAMP_PROGRAM):
-                    paths.light_barycentric[path] = wp.vec2(light.distance, 0.0)
-                    if light.casts_shadow == 0:  # nothing may be in its way
-                        paths.light_barycentric[path] = wp.vec2(light.distance, light.distance)
-                        rays.t_max[slot] = 0.0
-        return wp.static(SHADOW_NEW)
 
     @wp.kernel(**KERNEL_OPTIONS)
     def shade(
@@ -318,16 +177,33 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
         if wp.static(features.shadow_rays):
             if x < limits.nee_end and not last:
                 status = status | connect_light(
-                    data, limits, paths, rays, path, surface, frame, wo, closures, first, end,
-                    sample_1d(key, sample, dimension + wp.uint32(LIGHT_CHOICE)), sample_2d(key, sample, dimension + wp.uint32(LIGHT)),
-                )  # fmt: skip
+                    data,
+                    limits,
+                    paths,
+                    rays,
+                    path,
+                    surface,
+                    frame,
+                    wo,
+                    closures,
+                    first,
+                    end,
+                    sample_1d(key, sample, dimension + wp.uint32(LIGHT_CHOICE)),
+                    sample_2d(key, sample, dimension + wp.uint32(LIGHT)),
+                )
 
         scattered = bsdf_sample(
-            closures, first, end, data.materials.albedo, frame, wo,
-            sample_1d(key, sample, dimension + wp.uint32(LOBE)), sample_2d(key, sample, dimension + wp.uint32(BSDF)),
-        )  # fmt: skip
+            closures,
+            first,
+            end,
+            data.materials.albedo,
+            frame,
+            wo,
+            sample_1d(key, sample, dimension + wp.uint32(LOBE)),
+            sample_2d(key, sample, dimension + wp.uint32(BSDF)),
+        )
         throughput = wp.cw_mul(paths.throughput[path], scattered.weight)
-        goes_on = is_positive(throughput) and (not last or (scattered.lobe & TRANSPARENT) != 0)
+        goes_on = has_light(throughput) and (not last or (scattered.lobe & TRANSPARENT) != 0)
 
         if wp.static(features.transparency):
             if (scattered.lobe & TRANSPARENT) != 0:
@@ -373,14 +249,25 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
                 if goes_on:
                     closure = closures[scattered.closure]
                     far = begin_walk(
-                        paths, rays, path, closure, surface.position, frame.normal, throughput, key, sample, bounce + passed
+                        paths,
+                        rays,
+                        path,
+                        closure,
+                        surface.position,
+                        frame.normal,
+                        throughput,
+                        key,
+                        sample,
+                        bounce + passed,
                     )
                     throughput = paths.throughput[path]
                     goes_on = far > 0.0
 
         if goes_on:
             paths.throughput[path] = throughput
-            rays.origin[path] = spawn_origin(surface.position, surface.error, frame.geometric_normal, scattered.direction)
+            rays.origin[path] = spawn_origin(
+                surface.position, surface.error, frame.geometric_normal, scattered.direction
+            )
             rays.direction[path] = scattered.direction
             t_max = far
             if wp.static(features.transparency):

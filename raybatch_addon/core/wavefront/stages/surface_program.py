@@ -4,22 +4,24 @@ import functools
 
 import warp as wp
 
-from ...scene.program import ProgramFeatures
-from ...shading.materials import ClosureRecord
-from ...shading.nodes.point import ShadingPoint
+from ...programs.op import NodeData
+from ...programs.ops.inputs.geometry_inputs import footprint_axis, pixel_footprint
+from ...programs.point import ShadingPoint
+from ...programs.run import make_run
 from ...scene.geometry import triangle_vertices
-from ...shading.nodes.geometry_inputs import footprint_axis, pixel_footprint
-from ...shading.nodes.op import NodeData
-from ...shading.nodes.run import make_run
+from ...scene.program import ProgramFeatures
+from ...shading.bsdf.materials import ClosureRecord
 from ...shading.surface import SurfacePoint
-from ..scene_data import SceneData
+from ..scene.scene_data import SceneData
 
 
 @wp.func
 def shading_point(
     surface: SurfacePoint, incoming: wp.vec3, instance: int, primitive: int, barycentric: wp.vec2, ray_length: float
 ) -> ShadingPoint:
-    """The point of a hit. Both normals are turned by the side of the triangle that is met, whichever way the interpolated one leans."""
+    """The point of a hit. Both normals are turned by the side of the triangle that is met, whichever way the
+    interpolated one leans.
+    """
     point = ShadingPoint()
     point.position = surface.position
     point.incoming = incoming
@@ -65,13 +67,16 @@ def _in_triangle(edge_1: wp.vec3, edge_2: wp.vec3, step: wp.vec3) -> wp.vec2:
     square = wp.dot(normal, normal)
     result = wp.vec2(0.0, 0.0)
     if square > 0.0:
-        result = wp.vec2(wp.dot(wp.cross(step, edge_2), normal) / square, wp.dot(wp.cross(edge_1, step), normal) / square)
+        result = wp.vec2(
+            wp.dot(wp.cross(step, edge_2), normal) / square, wp.dot(wp.cross(edge_1, step), normal) / square
+        )
     return result
 
 
 @functools.cache
 def make_surface_program(features: ProgramFeatures) -> wp.Function:
-    """Function (data, material: int, point, closures) -> int: fills `closures`, a local array of `closure_count` records; their number.
+    """Function (data, material: int, point, closures) -> int: fills `closures`, a local array of `closure_count`
+    records; their number.
 
     Materials without program have their closures copied.
     """
@@ -79,7 +84,9 @@ def make_surface_program(features: ProgramFeatures) -> wp.Function:
     bumps = "bump" in features.ops
 
     @wp.func
-    def surface_closures(data: SceneData, material: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord)) -> int:
+    def surface_closures(
+        data: SceneData, material: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord)
+    ) -> int:
         first = data.nodes.program_first[material]
         if first >= 0:
             stack = wp.zeros(wp.static(features.register_count), dtype=float)

@@ -1,4 +1,6 @@
-"""Stage: a ray below a surface is back, a step of a random walk. Light walks on, or comes out, where `shade_surface` goes on."""
+"""Stage: a ray below a surface is back, a step of a random walk. Light walks on, or comes out, where `shade_surface`
+goes on.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +9,11 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...kernel import KERNEL_OPTIONS
+from ...device.kernel import KERNEL_OPTIONS
+from ...rays import Rays
 from ...scene.description import Visibility
-from ...shading.materials import ClosureRecord
-from ...shading.sampling import bitangent_of, make_sampler, pixel_key, spherical_direction, tangent_of, to_world
-from ...shading.subsurface import (
+from ...shading.bsdf.materials import ClosureRecord
+from ...shading.bsdf.subsurface import (
     STEPS_MOST,
     THROUGHPUT_LEAST,
     away_share,
@@ -27,11 +29,12 @@ from ...shading.subsurface import (
     sampled_length,
     transmittance,
 )
+from ...shading.sampling import bitangent_of, make_sampler, pixel_key, spherical_direction, tangent_of, to_world
 from ...shading.surface import make_surface, spawn_origin
-from ..rays import SHADOW_PASS, Paths, Rays, Status, bounce_of
-from ..scene_data import SceneData
+from ..rays import SHADOW_PASS, Paths, Status, bounce_of
+from ..scene.scene_data import SceneData
 from .generate import TileWork, pixel_sample
-from .limits import PathLimits, is_positive
+from .limits import PathLimits, has_light
 
 RAY_NEW, ENDED, HIT, INSIDE = int(Status.RAY_NEW), int(Status.ENDED), int(Status.HIT), int(Status.INSIDE)
 # Dimension sets of walks: after those of bounces, eight a step, and eight more for the surface where a walk comes out
@@ -55,8 +58,8 @@ class WalkFeatures:
 
 @wp.func
 def walk_dimension(surface: int, step: int) -> wp.uint32:
-    """The first dimension set of step `step`, from 1, of a walk that begins at surface number `surface` of a path; behind those of the last
-    step are the ones of the surface where it comes out."""
+    """The first dimension set of step `step`, from 1, of a walk that begins at surface number `surface` of a path;
+    behind those of the last step are the ones of the surface where it comes out."""
     return wp.uint32(wp.static(_FIRST_DIMENSION)) + wp.uint32(
         (surface * wp.static(STEPS_MOST + 1) + step - 1) * wp.static(_STEP_DIMENSIONS)
     )
@@ -70,7 +73,8 @@ def first_reach(length: float, extinction: wp.vec3) -> float:
 
 @functools.cache
 def make_walk_begin(sample_sequence: str) -> wp.Function:
-    """Function (paths, rays, path: int, closure, entry: vec3, normal: vec3, throughput: vec3, key, sample, surface: int) -> float.
+    """Function (paths, rays, path: int, closure, entry: vec3, normal: vec3, throughput: vec3, key, sample, surface:
+    int) -> float.
 
     Begins a walk of throughput `throughput` at `entry`: how far its first ray looks [m]; 0 where nothing goes on.
     """
@@ -78,22 +82,30 @@ def make_walk_begin(sample_sequence: str) -> wp.Function:
 
     @wp.func
     def begin(
-        paths: Paths, rays: Rays, path: int, closure: ClosureRecord, entry: wp.vec3, normal: wp.vec3, throughput: wp.vec3,
-        key: wp.uint32, sample: wp.uint32, surface: int,
-    ) -> float:  # fmt: skip
+        paths: Paths,
+        rays: Rays,
+        path: int,
+        closure: ClosureRecord,
+        entry: wp.vec3,
+        normal: wp.vec3,
+        throughput: wp.vec3,
+        key: wp.uint32,
+        sample: wp.uint32,
+        surface: int,
+    ) -> float:
         extinction = closure.edge
         carried = wp.cw_mul(throughput, closure.refraction)
-        if not is_positive(carried) or diffusion_length(closure.colour) <= 1.0:
+        if not has_light(carried) or diffusion_length(closure.color) <= 1.0:
             return 0.0
         dimension = walk_dimension(surface, 1)
         u_channel = sample_1d(key, sample, dimension + wp.uint32(wp.static(_CHANNEL)))
         u = sample_1d(key, sample, dimension + wp.uint32(wp.static(_LENGTH)))
-        length = sampled_length(extinction, 1.0, channel_shares(carried, closure.colour), u_channel, u)
+        length = sampled_length(extinction, 1.0, channel_shares(carried, closure.color), u_channel, u)
         paths.throughput[path] = carried
         paths.walk.step[path] = 1
         paths.walk.instance[path] = rays.hit_instance[path]
         paths.walk.extinction[path] = extinction
-        paths.walk.albedo[path] = closure.colour
+        paths.walk.albedo[path] = closure.color
         paths.walk.g[path] = closure.mean_cosine
         paths.walk.entry[path] = entry
         paths.walk.normal[path] = normal
@@ -108,14 +120,18 @@ def make_walk_begin(sample_sequence: str) -> wp.Function:
 
 @functools.cache
 def walk_kernel(features: WalkFeatures) -> wp.Kernel:
-    """Kernel (data, work, limits, paths, rays, slots, count): steps that are over. Paths that are not below a surface stay as they are."""
+    """Kernel (data, work, limits, paths, rays, slots, count): steps that are over. Paths that are not below a surface
+    stay as they are.
+    """
     sampler = make_sampler(features.sample_sequence)
     sample_1d = sampler.sample_1d
     sample_2d = sampler.sample_2d
     surface_point = make_surface(features.instancing, features.smooth_normals).point
 
     @wp.func
-    def scattered(work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, path: int, passed: int, position: wp.vec3):
+    def scattered(
+        work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, path: int, passed: int, position: wp.vec3
+    ):
         """The next step, from `position`."""
         step = paths.walk.step[path] + 1
         where = pixel_sample(work, paths.item[path])
@@ -137,12 +153,16 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
             new = to_world(spherical_direction(cosine, wp.TAU * u[1]), tangent_of(normal), bitangent_of(normal), normal)
         else:
             cosine = phase_cosine(medium.g, u[0])
-            new = to_world(spherical_direction(cosine, wp.TAU * u[1]), tangent_of(direction), bitangent_of(direction), direction)
+            new = to_world(
+                spherical_direction(cosine, wp.TAU * u[1]), tangent_of(direction), bitangent_of(direction), direction
+            )
         length = sampled_length(
-            medium.extinction, stretching, channel_shares(paths.throughput[path], albedo),
+            medium.extinction,
+            stretching,
+            channel_shares(paths.throughput[path], albedo),
             sample_1d(key, where.sample, dimension + wp.uint32(wp.static(_CHANNEL))),
             sample_1d(key, where.sample, dimension + wp.uint32(wp.static(_LENGTH))),
-        )  # fmt: skip
+        )
         paths.walk.phase[path] = phase_density(medium.g, wp.dot(direction, new))
         paths.walk.step[path] = step
         paths.walk.length[path] = length
@@ -153,9 +173,14 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
 
     @wp.kernel(**KERNEL_OPTIONS)
     def walk(
-        data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, slots: wp.array(dtype=int),
+        data: SceneData,
+        work: TileWork,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        slots: wp.array(dtype=int),
         count: wp.array(dtype=int),
-    ):  # fmt: skip
+    ):
         i = wp.tid()
         if i >= count[0]:
             return
@@ -168,8 +193,8 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
         gone = paths.walk.gone[path]
         start = rays.origin[path] - gone * direction
         if step == 1:
-            # where light goes in, not where the ray begins, which is so far below that it cannot meet the surface: to a medium that is dense
-            # beside the size of a triangle that would be a layer in front
+            # where light goes in, not where the ray begins, which is so far below that it cannot meet the surface: to a
+            # medium that is dense beside the size of a triangle that would be a layer in front
             start = paths.walk.entry[path]
         length = paths.walk.length[path]
         extinction = paths.walk.extinction[path]
@@ -186,8 +211,12 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
                 if step == 1:
                     reach = first_reach(length, extinction)
                 if at < reach:
-                    surface = surface_point(data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path])
-                    rays.origin[path] = spawn_origin(surface.position, surface.error, surface.geometric_normal, direction)
+                    surface = surface_point(
+                        data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path]
+                    )
+                    rays.origin[path] = spawn_origin(
+                        surface.position, surface.error, surface.geometric_normal, direction
+                    )
                     rays.t_max[path] = wp.min(reach, wp.static(_LONGEST)) - at
                     paths.walk.gone[path] = at
                     paths.status[path] = (status & wp.static(~HIT)) | wp.static(RAY_NEW)
@@ -222,7 +251,7 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
             left = wp.cw_mul(medium.scattering, left)
         likely = wp.dot(channel_shares(throughput, albedo), density)
         throughput = wp.cw_mul(throughput, left) / wp.max(likely, 1.0e-30)
-        goes_on = likely > 1.0e-30 and length < wp.static(_LONGEST) and is_positive(throughput)
+        goes_on = likely > 1.0e-30 and length < wp.static(_LONGEST) and has_light(throughput)
         if hit and goes_on:
             paths.throughput[path] = throughput
             paths.walk.step[path] = 0

@@ -1,0 +1,1 @@
+"""A render as Blender sees it: frames, results, reports, and the sessions that outlive engine objects."""

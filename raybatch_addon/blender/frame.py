@@ -1,0 +1,170 @@
+"""The final render of one view layer of one frame: export, core, result; and what happens when it fails."""
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+from collections.abc import Callable
+
+import bpy
+
+from ..convergence import records
+from ..core.errors import RayBatchError
+from ..core.film import Film
+from ..core.observers import Progress
+from ..core.scene.description import Scene
+from ..core.settings.settings import RenderSettings
+from ..export.scene import export_scene
+from ..export.settings import settings_from
+from . import reports
+from .result import ResultWriter
+from .sessions import session_for
+
+# Called with (view layer name, exported scene, film) after each view layer; for scripts that want more than pixels
+film_listeners: list[Callable[[str, Scene, Film], None]] = []
+# Called with (view layer name, exported scene, its settings) before each view layer; a `RayBatchError` from it ends the
+# render
+scene_listeners: list[Callable[[str, Scene, RenderSettings], None]] = []
+# Called with the core's `Progress` several times a second
+progress_listeners: list[Callable[[Progress], None]] = []
+
+# Blender's status line is written at most this often [s]: it goes to the terminal when Blender has no window
+STATUS_SECONDS = 0.25
+_STAGES = {"build": "Building the scene", "compile": "Compiling kernels", "render": "Rendering"}
+
+
+def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
+    """Render the depsgraph's view layer into the engine's result; an error becomes a report, never an exception.
+
+    A report of kind ERROR is what keeps Blender from saving the frame. After an error the other view layers of the
+    frame are left alone.
+    """
+    if engine.report_of_frame is None:
+        engine.report_of_frame = reports.begin(depsgraph.scene.name, depsgraph.scene.frame_current)
+    report = engine.report_of_frame
+    if report.errors:
+        return
+    try:
+        _render(engine, depsgraph, report)
+    except RayBatchError as error:
+        _fail(engine, report, str(error))
+    except KeyboardInterrupt:
+        report.interrupted = True
+        _fail(engine, report, "stopped from the keyboard")
+    except BaseException as error:  # Blender would go on to save a blank frame, or crash
+        traceback.print_exc(file=sys.stderr)
+        _fail(engine, report, f"the render failed: {type(error).__name__}: {error}")
+
+
+def _fail(engine: bpy.types.RenderEngine, report: reports.RenderReport, message: str) -> None:
+    line = " ".join(message.split())
+    report.errors.append(line)
+    engine.report({"ERROR"}, f"RayBatch: {line}")
+
+
+def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, report: reports.RenderReport) -> None:
+    settings = settings_from(depsgraph.scene)
+    layer_name = depsgraph.view_layer.name
+    status = _Status(engine, layer_name)
+    status.show("Reading the scene")
+    started = time.perf_counter()
+    scene = export_scene(depsgraph, cancelled=engine.test_break)
+    if scene is None:
+        return
+    export_seconds = time.perf_counter() - started
+    for listener in scene_listeners:
+        listener(layer_name, scene, settings)
+    writer = ResultWriter(engine, layer_name, scene.frame.region[:2])
+
+    def on_progress(progress: Progress) -> None:
+        status.update(progress)
+        for listener in progress_listeners:
+            listener(progress)
+
+    recorder = None
+    if wants_recording(depsgraph.scene, settings, has_windows=not bpy.app.background):
+        recorder = records.recorder_for(
+            records.store, depsgraph.scene.name, layer_name, depsgraph.scene.frame_current, settings
+        )
+    observers = [recorder] if recorder else []
+    film = None
+    try:
+        with session_for(settings) as session:
+            film = session.render(
+                scene,
+                settings,
+                on_tile=writer.write,
+                on_progress=on_progress,
+                cancelled=engine.test_break,
+                observers=observers,
+            )
+    finally:
+        if recorder:
+            state = records.FAILED if film is None else records.FINISHED if film.complete else records.CANCELLED
+            recorder.end(state, film and film.statistics)
+    seconds = film.statistics["seconds"]
+    seconds["export"] = round(export_seconds, 6)
+    seconds["total"] = round(seconds.get("total", 0.0) + export_seconds, 6)
+    report.statistics[layer_name] = film.statistics
+    _report_warnings(engine, report, film.statistics["warnings"])
+    for listener in film_listeners:
+        listener(layer_name, scene, film)
+
+
+def wants_recording(scene: bpy.types.Scene, settings: RenderSettings, has_windows: bool) -> bool:
+    """Whether error and rays a second over time are to be kept: where the panel was asked to, or shows an error that is
+    estimated anyway.
+
+    Without windows nobody looks at the panel, and to be looked at a render is cut into rounds, which take time. What it
+    needs to end at an error or by the clock it looks at itself.
+    """
+    own = getattr(scene, "raybatch_convergence", None)
+    return bool(own and own.record) or (has_windows and settings.half_count > 1)
+
+
+def _report_warnings(engine: bpy.types.RenderEngine, report: reports.RenderReport, warnings: list[str]) -> None:
+    new = [text for text in warnings if text not in report.warnings]
+    report.warnings += new
+    if new:
+        more = f" (and {len(new) - 1} more, listed in the panel Last Render)" if len(new) > 1 else ""
+        engine.report({"WARNING"}, f"RayBatch: {new[0]}{more}")
+
+
+class _Status:
+    """Blender's status line, progress bar and memory of a render."""
+
+    def __init__(self, engine: bpy.types.RenderEngine, layer_name: str) -> None:
+        self._engine = engine
+        self._layer_name = layer_name
+        self._shown = float("-inf")
+
+    def show(self, text: str) -> None:
+        """Write `text` now."""
+        self._shown = time.perf_counter()
+        self._engine.update_stats(self._layer_name, text)
+
+    def update(self, progress: Progress) -> None:
+        """Show `progress`, unless something was shown just before."""
+        if time.perf_counter() - self._shown < STATUS_SECONDS:
+            return
+        if progress.stage == "render":
+            self._engine.update_progress(progress.fraction)
+        if progress.memory_bytes:
+            megabytes = progress.memory_bytes / 2**20
+            self._engine.update_memory_stats(memory_used=megabytes, memory_peak=megabytes)
+        self.show(status_text(progress))
+
+
+def status_text(progress: Progress) -> str:
+    """One line on where a render stands."""
+    if progress.stage != "render":
+        return progress.message or _STAGES.get(progress.stage, progress.stage)
+    parts = [
+        f"Sample {progress.samples_done:.0f}/{progress.samples_total}",
+        f"{progress.rays_per_second / 1e6:.2f} Mrays/s",
+    ]
+    if progress.seconds_left is not None:
+        minutes, seconds = divmod(round(progress.seconds_left), 60)
+        parts.append(f"{minutes:d}:{seconds:02d} left")
+    return " | ".join(parts)

@@ -1,0 +1,39 @@
+"""Reports of the last render, for the panel and for scripts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+@dataclass
+class RenderReport:
+    """One frame of one scene."""
+
+    scene: str
+    frame: int
+    errors: list[str] = field(default_factory=list)  # the render failed
+    interrupted: bool = False  # by Ctrl-C
+    warnings: list[str] = field(default_factory=list)  # it went on
+    statistics: dict[str, dict[str, Any]] = field(default_factory=dict)  # by view layer, as documented for `--json`
+
+
+_last: RenderReport | None = None
+
+
+def begin(scene: str, frame: int) -> RenderReport:
+    """Start the report of a new frame; it is the last one from now on."""
+    global _last
+    _last = RenderReport(scene, frame)
+    return _last
+
+
+def last() -> RenderReport | None:
+    """The report of the newest render of this Blender, finished or not."""
+    return _last
+
+
+def clear() -> None:
+    """Forget it."""
+    global _last
+    _last = None

@@ -1,0 +1,1 @@
+"""Plots without Blender: letters, lines and logarithmic axes, drawn into arrays."""

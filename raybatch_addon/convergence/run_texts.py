@@ -1,0 +1,103 @@
+"""Runs in words: what tells them apart, how far they came, and when they reach an error."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from ..core.settings.settings import SETTINGS
+from .plotting.axes import number_text, seconds_text
+from .records import FINISHED, RUNNING, Run
+
+# Settings that say when a render ends and what is reported of it, and words for what ended one
+_END_SETTINGS = {"sample_count", "time_limit", "error_estimate", "error_target"}
+_ENDINGS = {"error": "stopped at its error", "time": "stopped by its time limit"}
+
+
+def names_of(runs: Sequence[Run]) -> dict[int, str]:
+    """Names by number that tell `runs` apart: scene, view layer, frame and settings in which they differ.
+
+    What more than half of them have is not said, and when they end only where they differ in nothing else.
+    """
+    about = {
+        run.number: {"scene": run.scene, "layer": run.layer, "frame": f"frame {run.frame}"} | _setting_texts(run)
+        for run in runs
+    }
+    values = {key: Counter(each.get(key) for each in about.values()) for key in next(iter(about.values()), {})}
+    differing = [key for key, counts in values.items() if len(counts) > 1]
+    differing = [key for key in differing if key not in _END_SETTINGS] or differing
+    names = {}
+    for number, each in about.items():
+        own = [each[key] for key in differing if key in each and 2 * values[key][each[key]] <= len(about)]
+        names[number] = ", ".join([f"#{number}", *own])
+    return names
+
+
+def _setting_texts(run: Run) -> dict[str, str]:
+    return {
+        name: f"{SETTINGS[name].label if name in SETTINGS else name} {_value_text(value)}"
+        for name, value in run.settings.items()
+    }
+
+
+def _value_text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:g}"
+    return value.capitalize() if isinstance(value, str) and value.isupper() else str(value)
+
+
+def error_line(statistics: dict[str, Any]) -> str:
+    """How far a render came, and why it ended: samples, error, `stopped_by`. For its statistics."""
+    samples = statistics.get("samples_per_pixel")
+    if samples is None:
+        return ""
+    parts = [f"{samples:,} sample{'' if samples == 1 else 's'} per pixel"]
+    error = statistics.get("error")
+    if error and error.get("relmse") is not None:
+        parts.append(
+            f"error {error['relmse']:.3g} (relMSE)"
+            + (f" at {error['samples']:,}" if error["samples"] != samples else "")
+        )
+    if statistics.get("stopped_by") in _ENDINGS:
+        parts.append(_ENDINGS[statistics["stopped_by"]])
+    elif error and error.get("target") and not error.get("reached") and statistics.get("stopped_by"):
+        parts.append(f"the error of {error['target']:g} was not reached")
+    elif not statistics.get("stopped_by"):
+        parts.append("cancelled")
+    return ", ".join(parts)
+
+
+def run_lines(run: Run, target: float) -> list[str]:
+    """Where a run stands, its slope, and when it reaches the relMSE `target`."""
+    state = _ENDINGS.get(run.stopped_by or "", run.state) if run.state == FINISHED else run.state
+    samples = run.samples or (run.points[-1].samples if run.points else 0)
+    count = f"{samples:,.0f} samples in " if samples else ""
+    head = [f"{state.capitalize()}: {count}{seconds_text(run.seconds)}" if run.seconds else state.capitalize()]
+    if run.rates:
+        head.append(f"{number_text(run.rates[-1].rays_per_second)} rays/s")
+    lines = [", ".join(head)]
+    if run.problem:
+        lines.append(run.problem)
+    if not run.estimates_error:
+        return [*lines, "The error is not known: turn on Error Estimate in Sampling"]
+    if not run.points:
+        return [*lines, "No error yet: it takes two samples"]
+    lines.append(f"Error {run.points[-1].relmse:.3g} (relMSE) at {run.points[-1].samples:,} samples")
+    slope = run.slope
+    if slope is not None:
+        lines.append(f"RMSE against samples: {slope.says}")
+    lines.append(target_line(run, target))
+    return lines
+
+
+def target_line(run: Run, target: float) -> str:
+    """When `run` reaches the relMSE `target`."""
+    found = run.time_to(target)
+    if found is None:
+        return f"relMSE {target:g}: never at this rate"
+    seconds, extrapolated = found
+    if not extrapolated:
+        return f"relMSE {target:g} in {seconds_text(seconds)}"
+    left = f", {seconds_text(max(seconds - run.seconds, 0))} left" if run.state == RUNNING else ""
+    return f"relMSE {target:g} in about {seconds_text(seconds)}{left} (extrapolated)"

@@ -1,0 +1,1 @@
+"""Building trees: binary ones first, collapsed to wide nodes, and refitted from frame to frame."""

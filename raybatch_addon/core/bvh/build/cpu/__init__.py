@@ -1,0 +1,1 @@
+"""Binary trees by the surface area heuristic, with spatial splits, on the CPU."""

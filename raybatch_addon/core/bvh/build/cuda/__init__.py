@@ -1,0 +1,1 @@
+"""Binary trees by merging clusters along a Morton curve, improved by reinsertion, on the device."""

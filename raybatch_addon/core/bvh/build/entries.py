@@ -1,0 +1,104 @@
+"""The entries of a scene, mesh trees as instances place them, and the top level over them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from ...scene.flatten import FlatGeometry
+from ..margin import SLAB_MARGIN
+from ..node import Layout
+from .binary import BuildOptions
+from .collapse import collapse_entries
+from .cpu.build import build_binary_from_boxes
+from .cuda.build import build_top
+from .encode import as_vectors
+
+
+@dataclass(frozen=True)
+class Entries:
+    """Mesh trees as instances place them: groups of baked instances, then instances of shared meshes. Shapes begin with
+    [n].
+    """
+
+    mesh: np.ndarray  # index in `mesh_parts`, int64
+    instance: np.ndarray  # instance id, or -1 for a group
+    visibility: np.ndarray
+    to_world: np.ndarray  # float64, shape [n, 3, 4]
+    from_world: np.ndarray  # its inverse
+    merged_first: np.ndarray  # first of an entry's baked instances in the next two, shape [n + 1]
+    merged_instance: np.ndarray
+    merged_triangle_first: np.ndarray
+
+    def boxes(self, mesh_boxes: np.ndarray) -> np.ndarray:
+        """World boxes of the entries, float64, shape [n, 2, 3], from those of the mesh trees, shape [m, 2, 3] (Arvo
+        1990).
+        """
+        box = mesh_boxes.astype(np.float64)[self.mesh]
+        linear = self.to_world[:, :, :3]
+        middle = np.einsum("nij,nj->ni", linear, box.mean(1)) + self.to_world[:, :, 3]
+        reach = np.einsum("nij,nj->ni", np.abs(linear), (box[:, 1] - box[:, 0]) / 2)
+        return np.stack([middle - reach, middle + reach], 1)
+
+
+def entries_of(flat: FlatGeometry, visibility: np.ndarray) -> Entries:
+    """The entries of `flat`; `visibility` holds the bits of each instance, int, shape [instance_count]."""
+    groups, shared = flat.merged, flat.shared
+    _, mesh = np.unique(flat.instance_mesh[shared], return_inverse=True)
+    to_world = np.concatenate(
+        [np.broadcast_to(np.eye(3, 4), (len(groups), 3, 4)), flat.instance_transform[shared].astype(np.float64)]
+    )
+    merged_end = np.cumsum([len(group.instance) for group in groups], dtype=np.int64)
+    none = np.zeros(0, np.int32)
+    return Entries(
+        mesh=np.concatenate([np.arange(len(groups)), len(groups) + mesh]),
+        instance=np.concatenate([np.full(len(groups), -1), shared]),
+        visibility=np.concatenate([[group.visibility for group in groups], visibility[shared]]),
+        to_world=to_world,
+        from_world=inverse_transforms(to_world),
+        merged_first=np.concatenate([[0], merged_end, np.full(len(shared), merged_end[-1] if groups else 0)]),
+        merged_instance=np.concatenate([none, *(group.instance for group in groups)]),
+        merged_triangle_first=np.concatenate([none, *(group.instance_triangle_first for group in groups)]),
+    )
+
+
+def inverse_transforms(matrices: np.ndarray) -> np.ndarray:
+    """Inverses of affine maps, float64, shape [n, 3, 4]."""
+    inverse = np.linalg.inv(matrices[:, :, :3])
+    return np.concatenate([inverse, -inverse @ matrices[:, :, 3:]], axis=2)
+
+
+class TopLevel(NamedTuple):
+    """The tree over entries."""
+
+    nodes: wp.array  # vec4, in the layout of the mesh trees
+    order: wp.array  # int: entries as leaves list them
+    centre: np.ndarray  # float32 [3]: what box coordinates are relative to
+    margin: float  # of rays, as `Tree.top_margin`
+
+
+def build_top_level(entries: Entries, boxes: np.ndarray, layout: Layout, device: wp.Device) -> TopLevel:
+    """The tree over `entries`, whose world boxes are `boxes`; its arrays are on `device`.
+
+    Let x -> M x + m be the entry's map from the world, A the inverse of M, |M| the largest sum of a row's sizes, and R
+    the largest coordinate of the entry's box or of its origin. A ray that is carried to object space by nine products
+    and sums of float32 is wrong there by at most 8u |M| (|o| + R), the rounding of M and m adds as much again, and the
+    triangle test 19u of the largest object coordinate (`margin.py`), which is below |M| (|o| + R) too. A carries any of
+    these into any axis of the world: together they are below 2 `SLAB_MARGIN` |A| |M| (|o| + R) there. An uneven scale
+    makes |A| |M| large.
+    """
+    condition = np.abs(entries.to_world[:, :, :3]).sum(2).max(1) * np.abs(entries.from_world[:, :, :3]).sum(2).max(1)
+    # no coordinate of the top level's centre is larger than all boxes
+    reach = np.maximum(np.abs(boxes).max((1, 2)), np.abs(entries.to_world[:, :, 3]).max(1)) + np.abs(boxes).max()
+    margin = (2 * SLAB_MARGIN * condition * reach)[:, None]
+    low = np.nextafter((boxes[:, 0] - margin).astype(np.float32), np.float32(-np.inf))
+    high = np.nextafter((boxes[:, 1] + margin).astype(np.float32), np.float32(np.inf))
+    ray_margin = float(2 * SLAB_MARGIN * condition.max())
+    if device.is_cuda:
+        top = build_top(wp.array(low, dtype=wp.vec3, device=device), wp.array(high, dtype=wp.vec3, device=device))
+        return TopLevel(top.nodes, top.order, top.centre, ray_margin)
+    top = collapse_entries(build_binary_from_boxes(low, high, BuildOptions(leaf_group=1, leaf_max=1)), layout)
+    return TopLevel(as_vectors(top.nodes), wp.array(top.order, dtype=int, device=device), top.centre, ray_margin)

@@ -1,0 +1,154 @@
+"""The trees of single meshes on the device that traces them: built, and refitted when vertices move.
+
+On the CPU: binned SAH and the layout BOXES. On CUDA: clusters in Morton order, built on the device, and the layout
+QUANTISED; meshes with spatial splits are built by the CPU and uploaded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import warp as wp
+
+from ...scene.flatten import FlatGeometry
+from ...scene.geometry import Geometry
+from ..node import TRIANGLES_MAX_QUANTISED, Layout
+from .binary import BuildOptions
+from .collapse import collapse_mesh
+from .cpu.build import build_binary
+from .cuda.build import build_mesh
+from .encode import as_vectors
+from .refit import NodeLevels, node_levels, refit_boxes, refit_quantised
+
+# A refitted tree is built anew when it costs rays so many times what it did when it was built (Wald, Boulos and Shirley
+# 2007 find 1.5 to 2 usual; but a build takes as long as some thirty refits, and a frame's rays mostly longer)
+SAH_GROWTH_MAX = 1.4
+
+
+class MeshPart(NamedTuple):
+    """The contiguous parts of the scene's arrays that one mesh tree is over."""
+
+    triangle_first: int
+    triangle_count: int
+    vertex_first: int
+    vertex_count: int
+
+
+def mesh_parts(flat: FlatGeometry) -> list[MeshPart]:
+    """The parts that the mesh trees of a scene are over: the groups of baked instances, then the shared meshes in their
+    order.
+    """
+    starts = [(group.triangle_first, group.triangle_count) for group in flat.merged]
+    first = flat.mesh_triangle_first
+    starts += [
+        (int(first[i]), int(first[i + 1] - first[i])) for i in np.unique(flat.instance_mesh[flat.shared]).tolist()
+    ]
+    parts = []
+    for start, count in starts:
+        vertex_first, vertex_end = flat.mesh_vertex_first[np.searchsorted(first, [start, start + count])].tolist()
+        parts.append(MeshPart(start, count, vertex_first, vertex_end - vertex_first))
+    return parts
+
+
+@dataclass(kw_only=True)
+class MeshTree:
+    """The blocks of one mesh on the device that traces them, or on the way there."""
+
+    part: MeshPart
+    nodes: wp.array  # vec4
+    triangles: wp.array  # vec4
+    centre: np.ndarray  # float32 [3]
+    box: np.ndarray  # float32 [2, 3]
+    node_count: int
+    depth: int
+    sah: float  # expected cost of a ray that meets the root's box, in node steps
+    sah_built: float  # the same when the tree was built
+    split: bool  # some triangles are listed more than once
+    level_first: list[int] | None  # as `NodeLevels.first`, of nodes that lie level by level
+    levels: NodeLevels | None = None  # of QUANTISED, from the first refit on
+
+
+class MeshTrees:
+    """Builds and refits the mesh trees of one frame."""
+
+    def __init__(
+        self,
+        flat: FlatGeometry,
+        geometry: Geometry,
+        device: wp.Device,
+        layout: Layout,
+        spatial_splits: bool,
+        on_device: bool | None = None,
+    ):
+        """Take the frame `flat`, whose arrays are on `device` as `geometry`.
+
+        `on_device`: build where rays are traced, which can be asked for on the CPU too (QUANTISED, without splits);
+        default: on CUDA, without splits.
+        """
+        self._on_device = device.is_cuda and not spatial_splits if on_device is None else on_device
+        self._flat, self._geometry, self._device, self.layout = flat, geometry, device, layout
+        if layout is Layout.QUANTISED:
+            self._options = BuildOptions(leaf_group=1, leaf_max=TRIANGLES_MAX_QUANTISED, spatial_splits=spatial_splits)
+        else:
+            self._options = BuildOptions(spatial_splits=spatial_splits)
+
+    def build(self, part: MeshPart) -> MeshTree:
+        """A new tree. Raises `OutOfMemoryError` where it does not fit."""
+        if self._on_device:
+            made = build_mesh(
+                self._geometry.positions, self._geometry.triangles, part.triangle_first, part.triangle_count
+            )
+            return MeshTree(
+                part=part,
+                nodes=made.nodes,
+                triangles=made.triangles,
+                centre=made.centre,
+                box=made.box,
+                node_count=made.node_count,
+                depth=made.depth,
+                sah=made.sah,
+                sah_built=made.sah,
+                split=False,
+                level_first=made.level_first,
+            )
+        positions = self._flat.positions
+        triangles = self._flat.triangles[part.triangle_first : part.triangle_first + part.triangle_count]
+        wide = collapse_mesh(build_binary(positions, triangles, self._options), positions, triangles, self.layout)
+        return MeshTree(
+            part=part,
+            nodes=as_vectors(wide.nodes),
+            triangles=as_vectors(wide.triangles),
+            centre=wide.centre,
+            box=wide.box,
+            node_count=wide.node_count,
+            depth=wide.depth,
+            sah=wide.sah,
+            sah_built=wide.sah,
+            split=wide.reference_count > part.triangle_count,
+            level_first=None,
+        )
+
+    def refit(self, mesh: MeshTree) -> bool:
+        """Fit `mesh` in place to the frame's positions; False when it has become so bad that it should be built anew.
+
+        Parts of triangles that were split for the old positions are lost, so such a tree must cost no more than it did.
+        """
+        part, positions = mesh.part, self._geometry.positions
+        triangles = self._geometry.triangles[part.triangle_first : part.triangle_first + part.triangle_count]
+        if self.layout is Layout.QUANTISED:
+            mesh.levels = mesh.levels or self._levels(mesh)
+            result = refit_quantised(mesh.nodes, mesh.triangles, mesh.levels, positions, triangles)
+        else:
+            result = refit_boxes(mesh.nodes, mesh.triangles, positions, triangles)
+        mesh.centre, mesh.box, mesh.sah = result.centre, result.box, result.sah
+        return result.sah <= mesh.sah_built * (1.0 if mesh.split else SAH_GROWTH_MAX)
+
+    def _levels(self, mesh: MeshTree) -> NodeLevels:
+        if mesh.level_first is None:
+            words = mesh.nodes.numpy().view(self.layout.node_type).reshape(-1, self.layout.node_words)
+            return node_levels(words, self._device)
+        return NodeLevels(
+            wp.array(np.arange(mesh.node_count, dtype=np.int32), dtype=int, device=self._device), mesh.level_first
+        )

@@ -1,0 +1,105 @@
+"""The part of a scene beyond memory that stays on the device: the top level, top nodes and treelets' roots, entries,
+and sometimes all nodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...scene.flatten import FlatGeometry
+from ...scene.geometry import mat34
+from ..build.encode import as_vectors
+from ..build.entries import build_top_level
+from ..node import Layout, aligned_empty
+from ..tree import Tree
+from ..treelets.links import tree_levels
+from .entries import chunk_entries
+from .store import Page, PageStore, bytes_of_rows, page_buffer, page_rows
+from .tables import PageTables
+
+
+@dataclass(frozen=True)
+class Resident:
+    """On the device."""
+
+    tree: Tree
+    of_node: wp.array  # as `Treelets`
+    root: wp.array  # likewise
+    levels: int  # of the top level and of the deepest top of a mesh tree
+    box: np.ndarray  # two corners that hold all surfaces [m], float64, shape [2, 3]
+    bytes: int
+
+
+def place_resident(
+    tables: PageTables, flat: FlatGeometry, visibility: np.ndarray, layout: Layout, device: wp.Device
+) -> Resident:
+    """Everything on `device` but pages; `visibility` as for `entries_of`."""
+    entries = chunk_entries(flat, visibility, tables.chunk_first, tables.baked)
+    boxes = entries.boxes(tables.chunk_box)
+    top = build_top_level(entries, boxes, layout, device)
+    top_words = top.nodes.numpy().view(layout.node_type).reshape(-1, layout.node_words)
+    node_count = len(tables.top_nodes)
+    tree = Tree()
+    tree.nodes = _upload_words(np.concatenate([tables.top_nodes, top_words]), device)
+    tree.triangles = _upload_words(tables.top_triangles, device)
+    upload = _Uploads(device)
+    tree.entry_node = upload.add(tables.chunk_node[entries.mesh], int)
+    tree.entry_triangle = upload.add(tables.chunk_triangle[entries.mesh], int)
+    tree.entry_centre = upload.add(tables.chunk_centre[entries.mesh], wp.vec3)
+    tree.entry_from_world = upload.add(entries.from_world, mat34)
+    tree.entry_instance = upload.add(entries.instance, int)
+    tree.entry_visibility = upload.add(entries.visibility, int)
+    tree.merged_first = upload.add(entries.merged_first, int)
+    tree.merged_instance = upload.add(entries.merged_instance, int)
+    tree.merged_triangle_first = upload.add(entries.merged_triangle_first, int)
+    tree.entry_count = len(entries.mesh)
+    tree.top_node, tree.top_entry = node_count, top.order
+    tree.top_centre, tree.top_margin = wp.vec3(*top.centre.tolist()), top.margin
+    of_node = upload.add(np.concatenate([tables.top_treelet, np.full(len(top_words), -1)]), int)
+    root = upload.add(tables.treelet_root, int)
+    size = upload.bytes + 16 * (tree.nodes.size + tree.triangles.size) + 4 * top.order.size
+    levels = len(tree_levels(layout, top_words)) + int(tables.chunk_levels.max())
+    return Resident(tree, of_node, root, levels, np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)]), size)
+
+
+def load_nodes(tables: PageTables, store: PageStore, device: wp.Device) -> wp.array:
+    """The nodes of all treelets on `device`, page after page, as `page_rows`."""
+    nodes = page_rows(int(tables.page_bytes[:, 0].sum()), device)
+    buffer = page_buffer(max(int(tables.page_bytes[:, 0].max()), 64)) if device.is_cuda else None
+    end = 0
+    for i, (byte, size) in enumerate(zip(tables.page_byte[:, 0].tolist(), tables.page_bytes[:, 0].tolist())):
+        if size == 0:
+            continue
+        page = Page(int(tables.page_treelet[i]), 0, byte, size, size)
+        if device.is_cuda:
+            store.read_into(page, buffer.numpy(), direct=True)
+            wp.copy(bytes_of_rows(nodes, end, size), buffer, count=size)
+            wp.synchronize_device(device)
+        else:
+            store.read_into(page, bytes_of_rows(nodes, end, size).numpy(), direct=True)
+        end += size
+    return nodes
+
+
+class _Uploads:
+    """Copies arrays to a device and counts their bytes."""
+
+    def __init__(self, device: wp.Device):
+        self._device, self.bytes = device, 0
+
+    def add(self, values: np.ndarray, dtype: Any) -> wp.array:
+        host = np.ascontiguousarray(values, np.float32 if dtype in (wp.vec3, mat34) else np.int32)
+        self.bytes += host.nbytes
+        return wp.array(host, dtype=dtype, device=self._device)
+
+
+def _upload_words(words: np.ndarray, device: wp.Device) -> wp.array:
+    """Nodes or triangles where kernels read them; at least one element, so that there is an address."""
+    host = aligned_empty((max(words.size // 4, 1), 4), np.float32)
+    host[:] = 0
+    host.reshape(-1).view(words.dtype)[: words.size] = words.reshape(-1)
+    return wp.array(host, dtype=wp.vec4, device=device) if device.is_cuda else as_vectors(host)

@@ -1,0 +1,1 @@
+"""Traversal: rays through whole trees and through treelets, on CPUs and on CUDA."""

@@ -1,0 +1,75 @@
+"""Traversal of quantised trees that are cut into treelets: the tasks of batched tracing, for CUDA (and, one ray at a
+time, for CPUs).
+
+The same warps, steps and arithmetic as in `cuda.py`, on three levels: the top level over entries, the nodes of
+a mesh above its treelets, and treelets, whose blocks lie anywhere. Rays that ask for the closest hit and for any hit
+are mixed. A ray that comes to a treelet that it may not enter stops once no triangle waits, and leaves its *trail*:
+which child it is in, level by level (Laine 2010, "Restart trail for stackless BVH traversal"). It goes on from the root
+along the trail: at each node what comes after its way is put on the stack, if it is still met before the closest hit so
+far.
+
+A treelet's root is always there. Rays visit it before they stop, and do not stop if none of its children is met.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import warp as wp
+
+from ...native.build import native_source
+from ...rays import DeviceRayList, Rays
+from ..tree import DONE, TRAIL_LEVELS, TopProgress, Tree, Treelets
+from .counts import TraceCounts
+from .cuda import LANE_HEADERS, NODE_HEADERS, STACK_MESH, quantised_defines
+from .options import VisitOptions
+from .task import task_defines
+
+
+def quantised_visit_source(options: VisitOptions) -> str:
+    """The body of the native function for `options`."""
+    if options.takes_together:
+        options = replace(options, refill=32)
+    levels = 2 * STACK_MESH if options.instancing else STACK_MESH  # of trees that the stack is made for
+    return native_source(
+        *NODE_HEADERS,
+        "traverse/quantised/visit_lane.h",
+        *LANE_HEADERS,
+        "traverse/quantised/visit_rays.h",
+        "traverse/quantised/visit_steps.h",
+        "traverse/quantised/loop.h",
+        "traverse/quantised/visit_end.h",
+        EVERY_TRIANGLE=False,
+        DONE=DONE,
+        TRAIL_SIZE=levels + 1,
+        TRAIL_LEVELS=TRAIL_LEVELS,
+        **task_defines(options.task),
+        **quantised_defines(options),
+    )
+
+
+@functools.cache
+def quantised_visit_function(options: VisitOptions) -> wp.Function:
+    """Native function (tree, treelets, progress, rays, listed, cursor, thread, counts).
+
+    Does the task for the rays of `listed`, which wait at `listed.locations`, and writes there which location they came
+    to. Rays that are done have their hits as `trace_function` writes them; others what `TopProgress` says. `t_max` of a
+    closest-hit ray is read when it is `NEW`, and may be the same memory as `hit_t`. All threads of all warps call it,
+    with their numbers. `cursor[0]` is 0 before. What `TREELET` visits must be there. With counters also writes
+    `counts`.
+    """
+
+    @wp.func_native(quantised_visit_source(options))
+    def visit(
+        tree: Tree,
+        treelets: Treelets,
+        progress: TopProgress,
+        rays: Rays,
+        listed: DeviceRayList,
+        cursor: wp.array(dtype=int),
+        thread: int,
+        counts: TraceCounts,
+    ): ...
+
+    return visit

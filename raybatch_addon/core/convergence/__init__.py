@@ -1,0 +1,1 @@
+"""Error against time: how errors are computed, kept, fitted and read from two halves of a render."""

@@ -1,0 +1,42 @@
+"""The error of a film while it is rendered, estimated from how far two halves of its samples differ."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import relative_to_halves, squared_error_of_halves
+
+_ROWS = 64  # looked at together, so that they stay in a cache
+
+
+@dataclass(frozen=True)
+class HalfError:
+    """The estimated error of a picture."""
+
+    relmse: float  # mean over pixels and channels of the squared error over (squared true value + 0.01)
+    rmse: float  # root of the mean squared error
+
+
+def half_error(first: np.ndarray, second: np.ndarray, samples: int) -> HalfError:
+    """The error of the film of both halves.
+
+    With n and m independent samples of variance v the halves' means A and B differ by v (1/n + 1/m) in the mean of
+    squares, and the mean of all n + m samples has the variance v / (n + m). So (A - B)^2 n m / (n + m)^2 estimates its
+    squared error without bias; for halves of one size that is (A - B)^2 / 4, and holds for any unbiased halves with
+    scrambles of their own, low-discrepancy points too.
+
+    Args:
+        first, second: pictures of either half, linear float32, shape [height, width, 3].
+        samples: of every pixel in both together; at least 2, and in one half as many as in the other, or one more.
+    """
+    squared = np.zeros(first.shape[:1])  # by row, so that the sum does not depend on how rows are taken together
+    relative = np.zeros(first.shape[:1])
+    for row in range(0, len(first), _ROWS):
+        part = slice(row, row + _ROWS)
+        error = squared_error_of_halves(first[part], second[part], samples)
+        squared[part] = error.sum((1, 2))
+        relative[part] = (error / relative_to_halves(first[part], second[part])).sum((1, 2))
+    return HalfError(float(relative.sum() / first.size), math.sqrt(squared.sum() / first.size))

@@ -1,0 +1,1 @@
+"""Devices, and how kernels are declared and launched on them."""

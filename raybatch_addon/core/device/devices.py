@@ -1,0 +1,175 @@
+"""Devices, worker threads and memory."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+import warp as wp
+
+from ..errors import DeviceError
+from .kernel import block_size_of
+
+_warp_lock = threading.Lock()
+# Warp's native code prints a line that begins so where there is no CUDA driver, whatever its log level is. That is no
+# fault: `find_device` says which devices there are.
+_DRIVER_MISSING = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver"
+
+
+def start_warp(cache_folder: str | Path | None = None) -> None:
+    """Initialise Warp once, without a word on standard output, nor on standard error about a missing CUDA driver;
+    kernels are cached in `cache_folder`.
+
+    Raises `DeviceError` for a folder that cannot be made.
+    """
+    with _warp_lock:
+        wp.config.log_level = wp.LOG_ERROR
+        _initialize_warp()
+        if cache_folder is not None:
+            # after init, which would put the version behind whatever it finds
+            folder = Path(cache_folder) / wp.config.version
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise DeviceError(
+                    f"compiled kernels cannot be kept in {cache_folder} ({error.strerror}); make it writable, or set "
+                    "RAYBATCH_KERNEL_CACHE to a folder that is"
+                ) from error
+            wp.config.kernel_cache_dir = str(folder)
+
+
+@functools.cache
+def _initialize_warp() -> None:
+    with _without_line(_DRIVER_MISSING):
+        wp.init()
+
+
+@contextlib.contextmanager
+def _without_line(start: bytes) -> Iterator[None]:
+    """Keep lines that begin with `start` from standard error; all else that is written there meanwhile comes at the
+    end.
+    """
+    with contextlib.ExitStack() as opened:
+        written = None
+        with contextlib.suppress(OSError):  # there is no standard error, or no room for a file
+            real = os.dup(2)
+            opened.callback(os.close, real)
+            written = opened.enter_context(tempfile.TemporaryFile())
+        if written is None:
+            yield
+            return
+        _flush_standard_error()
+        os.dup2(written.fileno(), 2)
+        try:
+            yield
+        finally:
+            _flush_standard_error()
+            os.dup2(real, 2)
+            written.seek(0)
+            for line in written:
+                if not line.startswith(start):
+                    os.write(2, line)
+
+
+def _flush_standard_error() -> None:
+    if sys.stderr is not None:  # as in a program that has no console
+        sys.stderr.flush()
+
+
+def warp_cache_folder() -> Path:
+    """Where compiled kernels are kept, of every version of Warp."""
+    return Path(wp.config.kernel_cache_dir).parent
+
+
+def find_device(name: str) -> wp.Device:
+    """The device called `name`: AUTO, cpu or cuda:N; raises `DeviceError` that lists what there is."""
+    start_warp()
+    cuda = [device.alias for device in wp.get_cuda_devices()]
+    text = name.strip().lower()
+    if text == "auto":
+        text = cuda[0] if cuda else "cpu"
+    elif text == "cuda" and cuda:
+        text = cuda[0]
+    if text != "cpu" and text not in cuda:
+        there = ", ".join(["AUTO", "cpu", *cuda])
+        why = "" if cuda else "; no CUDA device was found (is the NVIDIA driver installed?)"
+        raise DeviceError(f"there is no device {name!r}: choose one of {there}{why}")
+    device = wp.get_device(text)
+    if device.is_cuda:
+        # the first thread that asks makes the context, then its stream; another would find one without the other
+        _ = device.context
+    return device
+
+
+def worker_count(device: wp.Device, thread_count: int) -> int:
+    """Worker threads of a render: every core of the CPU by default; one drives a CUDA device."""
+    if device.is_cuda:
+        return 1
+    if thread_count:
+        return thread_count
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def device_description(device: wp.Device) -> dict[str, str | int]:
+    """Name and size of `device`, for reports."""
+    return {"alias": device.alias, "name": device.name, "memory": total_memory(device), "cores": os.cpu_count() or 1}
+
+
+def total_memory(device: wp.Device) -> int:
+    """Memory of `device` [bytes]; 0 where the system does not say."""
+    if device.is_cuda:
+        return int(device.total_memory)
+    try:
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return 0
+
+
+def free_memory(device: wp.Device) -> int:
+    """Memory that a render may still take on `device` [bytes]."""
+    if device.is_cuda:
+        return int(device.free_memory)
+    try:
+        # what the kernel could free counts too
+        with open("/proc/meminfo", encoding="ascii") as file:
+            available = next(line for line in file if line.startswith("MemAvailable:"))
+        return int(available.split()[1]) * 1024
+    except (OSError, ValueError, StopIteration):
+        return 2**63 - 1  # unknown here: allocation itself will show
+
+
+def host_memory_peak() -> int:
+    """Largest resident size of this process so far [bytes]; 0 where the system does not say."""
+    try:
+        import resource
+    except ImportError:
+        return 0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(peak if sys.platform == "darwin" else peak * 1024)
+
+
+def load_kernels(kernels: Iterable[wp.Kernel], device: wp.Device, on_module: Callable[[int, int], None]) -> list[str]:
+    """Compile or load the modules of `kernels`, several at a time; returns the modules' names.
+
+    Done before worker threads start, because a launch must find its module loaded.
+    `on_module(done, all)` is called after each.
+    """
+    from concurrent.futures import ThreadPoolExecutor, as_completed
+
+    unique = {kernel.module.name: kernel for kernel in kernels}
+    with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
+        tasks = [
+            pool.submit(kernel.module.load, device, block_size_of(kernel) if device.is_cuda else 1)
+            for kernel in unique.values()
+        ]
+        for done, task in enumerate(as_completed(tasks), 1):
+            if task.result() is None:
+                raise DeviceError(f"a kernel could not be compiled for {device.alias}; see the log above")
+            on_module(done, len(tasks))
+    return sorted(unique)

@@ -1,0 +1,31 @@
+"""How every kernel of the core is compiled."""
+
+import weakref
+from typing import Any
+
+# Fused multiply-adds and fast math would make results depend on the compiler's choices, and adjoints
+# are never needed. A kernel with `module="unique"` ignores its file's `set_module_options`, so each
+# kernel is declared as `@wp.kernel(**KERNEL_OPTIONS)`; a test looks at every loaded module.
+# On the CPU every function is inlined: Warp passes structs of arrays by value, and each call that is left copies some
+# thousand bytes.
+MODULE_OPTIONS: dict[str, Any] = {
+    "enable_backward": False,
+    "fuse_fp": False,
+    "fast_math": False,
+    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=1000000 -Wno-constant-conversion",
+}
+KERNEL_OPTIONS: dict[str, Any] = {"module": "unique", "module_options": MODULE_OPTIONS, "enable_backward": False}
+
+_BLOCK_SIZES: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
+DEFAULT_BLOCK_SIZE = 256  # threads of a CUDA block where a kernel does not ask for another
+
+
+def with_block_size(kernel, threads: int):
+    """`kernel`, which will be launched on CUDA with blocks of `threads`: it is compiled for that."""
+    _BLOCK_SIZES[kernel] = threads
+    return kernel
+
+
+def block_size_of(kernel) -> int:
+    """Threads of a CUDA block of `kernel`."""
+    return _BLOCK_SIZES.get(kernel, DEFAULT_BLOCK_SIZE)

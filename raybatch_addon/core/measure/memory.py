@@ -1,0 +1,56 @@
+"""What a render will take of its device's memory, estimated from counts alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..bvh.memory import TREE_BYTES, GeometrySize
+from ..bvh.node import Layout
+
+
+@dataclass(frozen=True)
+class MemoryEstimate:
+    """Memory of a render once it runs [bytes]. A build may need more for a while (`bvh/memory.py`), the film is left
+    out.
+    """
+
+    path_bytes: int  # of one path alive
+    path_count: int  # paths alive
+    geometry: int  # what shading reads: corners, positions, normals
+    tree: int  # nodes and triangles of all mesh trees
+    resident: int  # of `tree`, what is on the device
+
+    @property
+    def rays(self) -> int:
+        """Memory of all paths alive [bytes]."""
+        return self.path_bytes * self.path_count
+
+    @property
+    def behind(self) -> int:
+        """Of `tree`, what waits in host memory or on disk."""
+        return self.tree - self.resident
+
+    @property
+    def device(self) -> int:
+        """All that is on the device."""
+        return self.rays + self.geometry + self.resident
+
+
+def estimate_memory(
+    size: GeometrySize, layout: Layout, path_bytes: int, path_count: int, budget: int = 0, tree_bytes: int | None = None
+) -> MemoryEstimate:
+    """The estimate for geometry of this size, and `path_count` paths alive that take `path_bytes` each.
+
+    `budget`: the setting `geometry_budget` [bytes]; 0: the tree is on the device whole. `tree_bytes`: what the tree
+    takes, where that is known; otherwise it is the least for so many triangles.
+    """
+    tree = TREE_BYTES[layout] * size.triangles if tree_bytes is None else tree_bytes
+    return MemoryEstimate(path_bytes, path_count, size.arrays(), tree, min(tree, budget) if budget else tree)
+
+
+def size_text(size: int) -> str:
+    """A number of bytes with a decimal unit and about three digits."""
+    for unit, factor in (("GB", 10**9), ("MB", 10**6), ("KB", 10**3)):
+        if size >= factor:
+            return f"{size / factor:,.{0 if size >= 100 * factor else 1 if size >= 10 * factor else 2}f} {unit}"
+    return f"{size} bytes"

@@ -1,0 +1,26 @@
+"""A picture on the way: what an observer is handed while a render runs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class Snapshot:
+    """The picture when every pixel had the same number of samples.
+
+    Seconds, rays and invalid samples are of this call of `Session.render`: what was done before a resume is in the
+    picture and in `samples` alone.
+    """
+
+    samples: int  # of every pixel so far
+    seconds: float  # of rendering alone, without what observers did meanwhile
+    seconds_total: float  # since the call of `Session.render`: with build and compile
+    rays: dict[str, int]  # traced so far: "camera", "bounced", "shadow"
+    invalid_samples: int
+    # linear RGB, float32, shape [region height, region width, 3], bottom row first; the receiver's own copy
+    picture: np.ndarray
+    # the same of either half of the samples; None: they are not kept apart
+    halves: tuple[np.ndarray, np.ndarray] | None = None

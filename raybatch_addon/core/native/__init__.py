@@ -1,0 +1,1 @@
+"""The C++ of native functions: headers, and what puts them together."""

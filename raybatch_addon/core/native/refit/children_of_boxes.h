@@ -1,0 +1,22 @@
+// Boxes and units of the children of node i, of BOXES.
+float* node = (float*)work.nodes.data + NODE_WORDS * (long long)i;
+const int* child = (const int*)node + 48;
+for (int s = 0; s < 8; ++s) {
+    const int c = child[s];
+    there[s] = c != EMPTY_CHILD;
+    units[s] = 0;
+    if (c >= 0) {
+        for (int j = 0; there[s] && j < 6; ++j) box[s][j] = work.boxes.data[6ll * c + j];
+        continue;
+    }
+    units[s] = (~c & 7) + 1;
+    bool first = true;
+    for (int g = 0; g < units[s]; ++g) {
+        const float* rows = (const float*)work.blocks.data + UNIT_WORDS * (long long)((~c >> 3) + g);
+        for (int lane = 0; lane < 8; ++lane)
+            if (((const int*)rows)[72 + lane] >= 0) {
+                for (int row = 0; row < 9; ++row) widen(box[s], rows[8 * row + lane], row % 3, first && row < 3);
+                first = false;
+            }
+    }
+}

@@ -1,0 +1,2 @@
+// The key of the ray in `slot`.
+return ray_key(slot);

@@ -1,0 +1,53 @@
+// The lane tests one triangle of the group in hand.
+
+auto test = [&]() {
+    const unsigned bit = highest_bit(leaf.y);
+    leaf.y ^= 1u << bit;
+    const Words* p = triangles + TRIANGLE * (leaf.x + bit);
+    const Words a = read(p), b = read(p + 1), c = read(p + 2);
+    if (leaf.y == 0u) {
+        leaf = later;
+        later.y = 0u;
+    }
+#if COUNTERS
+    count_lanes(2, true);
+    ++tests;
+#endif
+    const int axis = (ray.order >> 5) & 3u;
+    const ShearedRay sheared = {ray.ox, ray.oy, ray.oz, ray.sx, ray.sy, along(axis, ray.ix, ray.iy, ray.iz), axis};
+    float t, v, w;
+    if (!meet_triangle(
+            sheared, as_float(a.x), as_float(a.y), as_float(a.z), as_float(b.x), as_float(b.y), as_float(b.z),
+            as_float(c.x), as_float(c.y), as_float(c.z), t, v, w
+        ))
+        return;
+    if (asks_any()) {
+        if (t < best) {
+            rays.hit_instance.data[slot] = 0;
+            inner.y = leaf.y = later.y = 0u;
+            depth = bottom = 0;
+            entry = -1;
+            node = NONE;
+            end_any();
+        }
+        return;
+    }
+    if (!(t <= best)) return;
+    const int face = (int)a.w;
+    if (t == best) {
+        const int other = rays.hit_primitive.data[slot];
+        if (other < 0) return;
+        if (!TWO_LEVEL || entry == rays.hit_instance.data[slot]) {
+            if (face >= other) return;
+        } else {
+            int instance, primitive, best_instance, best_primitive;
+            identify(entry, face, instance, primitive);
+            identify(rays.hit_instance.data[slot], other, best_instance, best_primitive);
+            if (instance > best_instance || (instance == best_instance && primitive >= best_primitive)) return;
+        }
+    }
+    best = t;
+    rays.hit_primitive.data[slot] = face;
+    if (TWO_LEVEL) rays.hit_instance.data[slot] = entry;
+    rays.hit_uv.data[slot] = wp::vec_t<2, float>(v, w);
+};

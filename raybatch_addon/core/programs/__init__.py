@@ -1,0 +1,1 @@
+"""Programs of shader graphs: how they are built, stored, and run in kernels."""

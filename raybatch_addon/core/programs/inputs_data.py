@@ -1,0 +1,170 @@
+"""Inputs that ops read of the scene besides its triangles: transforms of objects, texture spaces, values at corners."""
+
+import numpy as np
+import warp as wp
+
+from ..errors import SceneError
+from ..scene.description import CameraKind, Instances, Scene
+from ..scene.flatten import is_mirrored_where_baked
+from ..scene.geometry import mat34
+from .texture_space import generated_corners, texture_space_maps
+
+# Ops that convert between the spaces of world and object, and ops that use a mesh's texture space
+_TEXTURE_SPACE_OPS = frozenset({"generated", "radial_tangent"})
+_OBJECT_OPS = _TEXTURE_SPACE_OPS | {
+    "object_coordinates",
+    "object_normal",
+    "object_location",
+    "vector_transform",
+    "normal_map",
+    "uv_tangent",
+    "displacement",
+}
+_ATTRIBUTE_OPS = frozenset({"attribute", "normal_map", "uv_tangent"})
+
+PER_CORNER = 8  # flag of `InputData.attribute_layout`: the values are those of corners, not of triangles
+_NUMBERS_MOST = 2**31 - 1
+
+
+@wp.struct
+class InputData:
+    """Inputs of ops on the device; an array that no program of the scene reads is empty."""
+
+    to_object: wp.array(dtype=mat34)  # world to object, for each instance
+    to_world: wp.array(dtype=mat34)  # object to world, also where the geometry is in world space already
+    info: wp.array2d(dtype=float)  # row of each instance; columns as in `Instances.info`
+    to_camera: mat34  # world to camera; the camera looks along +Z in these coordinates
+    camera_position: wp.vec3  # [m]
+    perspective: int  # 0: orthographic
+    # width of a pixel one metre in front of a perspective camera, or at any distance from an orthographic one [m]
+    pixel_width: float
+    window: wp.vec4  # `Camera.window`
+    # for each instance: generated coordinates are the position in object space times scale, plus offset
+    texture_offset: wp.array(dtype=wp.vec3)
+    texture_scale: wp.array(dtype=wp.vec3)
+    # for each instance: its first corner in `generated`; -1: the map above is exact enough
+    generated_first: wp.array(dtype=int)
+    generated: wp.array(dtype=wp.vec3)  # generated coordinates of triangle corners
+    uv_first: wp.array(dtype=int)  # for each instance: its first corner in `uvs`; -1: it has no UV map
+    uvs: wp.array(dtype=wp.vec2)  # UV coordinates of triangle corners
+    attribute_row: wp.array(dtype=int)  # for each instance: its row in the next two
+    # first number of each of `Scene.attributes` in `attribute_values`; -1: the mesh lacks it
+    attribute_first: wp.array2d(dtype=int)
+    attribute_layout: wp.array2d(dtype=int)  # numbers of a value, and the flag PER_CORNER
+    attribute_values: wp.array(dtype=float)
+    object_attributes: wp.array2d(dtype=wp.vec4)  # `Instances.attributes`
+
+
+def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> InputData:
+    """The inputs that programs with `ops` read of `scene`."""
+    inputs = InputData()
+    instances = scene.instances
+    matrix = np.eye(4)
+    matrix[:3] = scene.camera.transform
+    to_camera = np.diag([1.0, 1.0, -1.0, 1.0]) @ np.linalg.inv(matrix)
+    inputs.to_camera = mat34(*to_camera[:3].ravel().tolist())
+    inputs.camera_position = wp.vec3(*matrix[:3, 3].tolist())
+    inputs.perspective = int(scene.camera.kind == CameraKind.PERSPECTIVE)
+    inputs.window = wp.vec4(*scene.camera.window)
+    left, right, bottom, top = scene.camera.window
+    inputs.pixel_width = 0.5 * ((right - left) / scene.frame.width + (top - bottom) / scene.frame.height)
+    if not _OBJECT_OPS.isdisjoint(ops):
+        inputs.to_object = wp.array(inverses(instances.transform), dtype=mat34, device=device)
+        inputs.to_world = wp.array(np.asarray(instances.transform, np.float32), dtype=mat34, device=device)
+    if "object_info" in ops and instances.info is not None:
+        inputs.info = wp.array(np.asarray(instances.info, np.float32), dtype=float, device=device)
+    if not _TEXTURE_SPACE_OPS.isdisjoint(ops):
+        scale, offset = texture_space_maps(scene)
+        inputs.texture_scale = wp.array(scale[instances.mesh].astype(np.float32), dtype=wp.vec3, device=device)
+        inputs.texture_offset = wp.array(offset[instances.mesh].astype(np.float32), dtype=wp.vec3, device=device)
+    if "generated" in ops:
+        first, corners = _corner_values(scene, generated_corners(scene), 3)
+        inputs.generated_first = wp.array(first, dtype=int, device=device)
+        inputs.generated = wp.array(corners, dtype=wp.vec3, device=device)
+    if "uv" in ops:
+        first, uvs = _corner_values(
+            scene, {i: mesh.corner_uvs for i, mesh in enumerate(scene.meshes) if mesh.corner_uvs is not None}, 2
+        )
+        inputs.uv_first = wp.array(first, dtype=int, device=device)
+        inputs.uvs = wp.array(uvs, dtype=wp.vec2, device=device)
+    if not _ATTRIBUTE_OPS.isdisjoint(ops):
+        _upload_attributes(scene, inputs, device)
+    if "object_attribute" in ops and instances.attributes is not None:
+        inputs.object_attributes = wp.array(np.asarray(instances.attributes, np.float32), dtype=wp.vec4, device=device)
+    return inputs
+
+
+def upload_camera_inputs(scene: Scene, device: wp.Device) -> InputData:
+    """Inputs of programs without instances, as those of the world: only those of the camera."""
+    return upload_inputs(Scene(scene.camera, scene.frame, instances=Instances.empty()), (), device)
+
+
+def _upload_attributes(scene: Scene, inputs: InputData, device: wp.Device) -> None:
+    """Fill in the meshes' values of `Scene.attributes`, with triangle corners in the order of the geometry."""
+    rows: dict[tuple[int, bool], int] = {}
+    row_of = np.array(
+        [
+            rows.setdefault(key, len(rows))
+            for key in zip(scene.instances.mesh.tolist(), is_mirrored_where_baked(scene).tolist())
+        ],
+        np.int32,
+    )
+    first = np.full((max(len(rows), 1), max(len(scene.attributes), 1)), -1, np.int32)
+    layout = np.zeros_like(first)
+    indices = {key: index for index, key in enumerate(scene.attributes)}
+    chunks, count = [], 0
+    for (mesh, mirrored), row in rows.items():
+        for attribute in scene.meshes[mesh].attributes:
+            index = indices.get((attribute.kind, attribute.name))
+            if index is None:
+                continue
+            values = np.asarray(attribute.values, np.float32)
+            first[row, index] = count
+            layout[row, index] = values.shape[-1] | (PER_CORNER if values.ndim == 3 else 0)
+            chunks.append((values[:, [0, 2, 1]] if mirrored and values.ndim == 3 else values).ravel())
+            count += len(chunks[-1])
+    if count > _NUMBERS_MOST:
+        raise SceneError(
+            f"the attributes that materials read have {count:,} numbers; at most {_NUMBERS_MOST:,} can be indexed"
+        )
+    inputs.attribute_row = wp.array(row_of, dtype=int, device=device)
+    inputs.attribute_first = wp.array(first, dtype=int, device=device)
+    inputs.attribute_layout = wp.array(layout, dtype=int, device=device)
+    inputs.attribute_values = wp.array(
+        np.concatenate(chunks) if chunks else np.zeros(0, np.float32), dtype=float, device=device
+    )
+
+
+def inverses(transform: np.ndarray) -> np.ndarray:
+    """Inverses of transforms, float32, shape [n, 3, 4]; 0 for a singular transform."""
+    matrix = np.asarray(transform, np.float64)
+    result = np.zeros_like(matrix)
+    usable = np.abs(np.linalg.det(matrix[:, :, :3])) > 0
+    linear = np.linalg.inv(matrix[usable, :, :3])
+    result[usable, :, :3] = linear
+    result[usable, :, 3] = -np.einsum("nij,nj->ni", linear, matrix[usable, :, 3])
+    return result.astype(np.float32)
+
+
+def _corner_values(scene: Scene, of_meshes: dict[int, np.ndarray], width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Values of meshes joined: first corner of each instance, int32, and values, float32, shape [n, width].
+
+    `of_meshes` holds values by index of the mesh, each of shape [triangle_count, 3, width].
+    """
+    first = np.full(len(scene.instances), -1, np.int32)
+    chunks: list[np.ndarray] = []
+    first_corners: dict[tuple[int, bool], int] = {}
+    count = 0
+    mirrored = is_mirrored_where_baked(scene)
+    for i, mesh_index in enumerate(scene.instances.mesh.tolist()):
+        values = of_meshes.get(mesh_index)
+        if values is None:
+            continue
+        key = (mesh_index, bool(mirrored[i]))
+        if key not in first_corners:
+            # corners in the order that the geometry has them
+            chunks.append((values[:, [0, 2, 1]] if key[1] else values).reshape(-1, width))
+            first_corners[key] = count
+            count += len(chunks[-1])
+        first[i] = first_corners[key]
+    return first, np.concatenate(chunks).astype(np.float32) if chunks else np.zeros((0, width), np.float32)

@@ -1,0 +1,20 @@
+"""The ops of programs, a file for each family of Blender's nodes."""
+
+from .closures import closure_ops, closure_ops_facets, closure_ops_soft, layers  # noqa: F401
+from .inputs import attributes, bump, coordinates, geometry_inputs, ies, object_inputs, view_inputs  # noqa: F401
+from .textures import (  # noqa: F401
+    brick,
+    checker,
+    environment,
+    gabor,
+    gradient,
+    image,
+    magic,
+    noise,
+    radial_tiling,
+    sky,
+    wave,
+    white_noise,
+)
+from .textures.voronoi import ops as voronoi_ops  # noqa: F401
+from .values import affine, color, convert, curves, map_range, math, mixing, ramp, rotate, spaces, spectrum, vector_math  # noqa: F401

@@ -1,0 +1,1 @@
+"""Ops that write closures and stack them in layers."""

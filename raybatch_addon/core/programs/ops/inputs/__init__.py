@@ -1,0 +1,1 @@
+"""Ops that read the shaded point, its object, the ray and the camera."""

@@ -1,0 +1,1 @@
+"""Ops of textures: procedural ones, images and skies."""

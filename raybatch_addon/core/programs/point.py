@@ -1,0 +1,68 @@
+"""The point for which a program runs."""
+
+from enum import IntFlag
+
+import warp as wp
+
+
+class HistoryBits(IntFlag):
+    """Last scattering of a path.
+
+    Above DEPTH_SHIFT follow three counts of DEPTH_BITS each: diffuse, glossy and transmitted scatterings.
+    """
+
+    DIFFUSE = 1
+    GLOSSY = 2  # reflected or transmitted, also if sharp
+    SINGULAR = 4
+
+
+DEPTH_SHIFT, DEPTH_BITS = 3, 9
+
+
+@wp.struct
+class ShadingPoint:
+    """A point on a surface or lamp, or a direction into the world; in world space.
+
+    In the world there is no instance, `position` is the ray's origin, and `incoming` and all normals are the ray's
+    direction reversed.
+    """
+
+    position: wp.vec3  # [m]
+    incoming: wp.vec3  # unit, towards the origin of the ray
+    normal: wp.vec3  # unit, interpolated, on the side of `incoming`
+    geometric_normal: wp.vec3  # unit, of the triangle, on the side of `incoming`
+    backfacing: int  # 1: the ray met the back of the surface
+    instance: int  # -1: none; for a lamp its number among the lights
+    primitive: int  # triangle of the instance's mesh; -1 for a lamp
+    barycentric: wp.vec2  # weights of the triangle's second and third corner
+    ray_length: float  # distance from the ray's origin to the point [m]
+    ray_kind: int  # `Visibility` bit of the ray
+    bounce: int  # scattering events of the path so far
+    passed: int  # transparent surfaces that the ray has passed
+    history: int  # how the path has scattered: `HistoryBits`, and counts by kind above them
+    # one step aside along either axis of the surface, about a pixel wide, for bump mapping: in the world, and of
+    # `barycentric`
+    step_x: wp.vec3  # [m]
+    step_y: wp.vec3
+    step_x_barycentric: wp.vec2
+    step_y_barycentric: wp.vec2
+
+
+@wp.func
+def shifted_position(point: ShadingPoint, shift: int) -> wp.vec3:
+    """The position (shift 0), or one step aside along x (1) or y (2) [m]."""
+    if shift == 1:
+        return point.position + point.step_x
+    if shift == 2:
+        return point.position + point.step_y
+    return point.position
+
+
+@wp.func
+def shifted_barycentric(point: ShadingPoint, shift: int) -> wp.vec2:
+    """The barycentric weights (shift 0), or those one step aside along x (1) or y (2)."""
+    if shift == 1:
+        return point.barycentric + point.step_x_barycentric
+    if shift == 2:
+        return point.barycentric + point.step_y_barycentric
+    return point.barycentric

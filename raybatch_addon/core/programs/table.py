@@ -1,0 +1,107 @@
+"""Upload of programs to the device."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import warp as wp
+
+from ..errors import SceneError
+from ..scene.description import Scene
+from ..scene.geometry import Geometry
+from ..scene.program import Program, ProgramFeatures
+from ..shading.bsdf.albedo import upload_tables
+from ..shading.images.textures import ImageTable
+from .inputs_data import InputData, upload_inputs
+from .op import INPUTS, NodeData, op_named
+from .run import END, FIRST_OP, LENGTH_SHIFT
+
+
+def encode(programs: Sequence[Program | None], ops: Sequence[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Programs as one array of code, one of constants, and the begin of each program (-1 for None).
+
+    A `Program` that occurs several times has its code and constants once: lamps may share it. Ops are numbered by their
+    index in `ops`. Raises `SceneError` for a program that is not valid: unknown ops or operands out of range.
+    """
+    numbers = {name: FIRST_OP + i for i, name in enumerate(ops)}
+    code: list[int] = []
+    constants: list[np.ndarray] = []
+    first = np.full(len(programs), -1, np.int32)
+    known: dict[int, int] = {}  # begin by identity: to compare constants would take longer than to copy them
+    constant_first = 0
+    for index, program in enumerate(programs):
+        if program is None:
+            continue
+        if id(program) in known:
+            first[index] = known[id(program)]
+            continue
+        first[index] = known[id(program)] = len(code)
+        for instruction in program.instructions:
+            words = _checked(instruction, program, numbers, constant_first)
+            code.append(numbers[instruction.op] | (len(words) + 1) << LENGTH_SHIFT)
+            code += words
+        code.append(END)
+        constants.append(np.asarray(program.constants, np.float32))
+        constant_first += len(program.constants)
+    if any(not np.isfinite(values).all() for values in constants):
+        raise SceneError("a shader program has a constant that is not a finite number")
+    return np.array(code, np.int32), np.concatenate(constants) if constants else np.zeros(0, np.float32), first
+
+
+def upload_programs(
+    programs: Sequence[Program | None],
+    features: ProgramFeatures,
+    scene: Scene,
+    geometry: Geometry,
+    images: ImageTable,
+    device: wp.Device,
+    inputs: InputData | None = None,
+) -> NodeData:
+    """`programs` and their inputs from `scene`; all arrays are empty where there are no programs.
+
+    `inputs`: those of objects that are no instances.
+    """
+    data = NodeData()
+    if not features:
+        return data
+    code, constants, first = encode(programs, features.ops)
+    data.code = wp.array(code, dtype=int, device=device)
+    data.constants = wp.array(constants, dtype=float, device=device)
+    data.program_first = wp.array(first, dtype=int, device=device)
+    data.geometry = geometry
+    data.images = images
+    data.inputs = upload_inputs(scene, features.ops, device) if inputs is None else inputs
+    coat = not {"layer_coat", "layer_specular"}.isdisjoint(features.ops)
+    film = not {"layer_film", "layer_thin_glass_film"}.isdisjoint(features.ops)
+    data.albedo = upload_tables(
+        device, reflection=coat, coat=coat, glass=False, sheen="layer_sheen" in features.ops, film=film
+    )
+    return data
+
+
+def _checked(instruction, program: Program, numbers: dict[str, int], constant_first: int) -> list[int]:
+    """Words of `instruction`, with constants counted from the first constant of all programs."""
+    if instruction.op not in numbers:
+        raise SceneError(f"a shader program has the op {instruction.op!r}, which the scene's features lack")
+    op = op_named(instruction.op)
+    if len(instruction.words) != len(op.signature):
+        raise SceneError(
+            f"the op {instruction.op!r} of a shader program has {len(instruction.words)} words instead of "
+            f"{len(op.signature)}"
+        )
+    words = []
+    for letter, word in zip(op.signature, instruction.words):
+        width = 3 if letter in "vV" else 1
+        if (letter in "nv" and word < 0) or letter == "t":
+            index = word if letter == "t" else -1 - word
+            good = 0 <= index <= len(program.constants) - width
+            word = index + constant_first if letter == "t" else word - constant_first
+        elif letter in "nvNV":
+            good = 0 <= word <= program.register_count - width or (letter not in INPUTS and word == -1)
+        else:
+            good = -(2**31) <= word < 2**31
+        if not good:
+            raise SceneError(f"the op {instruction.op!r} of a shader program has an operand out of range")
+        words.append(word)
+    return words

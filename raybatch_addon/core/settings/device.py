@@ -1,0 +1,116 @@
+"""Settings of the device: which one renders, how kernels are launched on it, and what geometry it holds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .info import BYTES, setting
+
+# Threads of a block of the kernels that trace rays, where `block_size` is 0
+TRACE_BLOCK_SIZE = 128
+
+
+@dataclass(frozen=True)
+class DeviceSettings:
+    """Where to render."""
+
+    device: str = setting(
+        "AUTO",
+        "Device",
+        "Where to render: AUTO (the first CUDA device, else the CPU), cpu, or cuda:N",
+        group="DEVICE",
+        effect="schedule",
+        auto="AUTO",
+    )
+    thread_count: int = setting(
+        0,
+        "Threads",
+        "Worker threads on the CPU; 0 uses every core. Not used on CUDA devices",
+        group="DEVICE",
+        effect="schedule",
+        unit="threads",
+        minimum=0,
+        maximum=1024,
+        auto=0,
+    )
+
+
+@dataclass(frozen=True)
+class LaunchSettings:
+    """How the kernels that trace rays are compiled and launched."""
+
+    warp_count: int = setting(
+        0,
+        "Warps",
+        "Warps that are launched, of 32 lanes each; 0 launches all that the device holds. On the CPU: slices of a list "
+        "of rays, traced one after another",
+        group="LAUNCH",
+        effect="schedule",
+        unit="warps",
+        minimum=0,
+        maximum=2**20,
+        auto=0,
+    )
+    single_lane: str = setting(
+        "OFF",
+        "Single Lane",
+        "Trace on one lane alone, one ray after another; slow",
+        group="LAUNCH",
+        effect="schedule",
+        choices=(("OFF", "Off", "All lanes work"), ("ON", "On", "For debugging")),
+    )
+    register_cap: int = setting(
+        0,
+        "Registers",
+        "Most registers of a thread (CUDA's maxrregcount); 0 lets the compiler choose. Not used on the CPU",
+        group="LAUNCH",
+        effect="schedule",
+        unit="registers",
+        minimum=0,
+        maximum=255,
+        least=16,
+        auto=0,
+    )
+    block_size: int = setting(
+        0,
+        "Block Width",
+        "Threads of a block; 0 chooses. Not used on the CPU",
+        group="LAUNCH",
+        effect="schedule",
+        unit="threads",
+        minimum=0,
+        maximum=1024,
+        multiple=32,
+        auto=0,
+    )
+
+
+@dataclass(frozen=True)
+class MemorySettings:
+    """How much of the scene's geometry is on the device, and where the rest is."""
+
+    geometry_budget: int = setting(
+        0,
+        "Geometry",
+        "Memory that trees and triangles may take on the device; the rest waits behind it. 0: all of it where it fits, "
+        "else what rays leave free",
+        group="MEMORY",
+        effect="schedule",
+        unit=BYTES,
+        minimum=0,
+        maximum=2**62,
+        auto=0,
+    )
+    geometry_store: str = setting(
+        "AUTO",
+        "Behind It",
+        "Where geometry is kept that is not on the device",
+        group="MEMORY",
+        effect="schedule",
+        auto="AUTO",
+        choices=(
+            ("AUTO", "Automatic", "Host memory of a CUDA device where that is large enough, else disk"),
+            ("HOST", "Host memory", "The host's memory, page-locked for a CUDA device"),
+            ("DISK", "Disk", "A file beside the cache of compiled kernels, written once and used again"),
+        ),
+    )

@@ -1,0 +1,177 @@
+"""Settings that decide what a film estimates: they change the picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .info import INT_MAX, setting
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """How many paths are traced, how far light is followed, and how samples become pixels."""
+
+    sample_count: int = setting(
+        128,
+        "Samples",
+        "Paths traced through every pixel",
+        group="SAMPLING",
+        unit="samples per pixel",
+        minimum=1,
+        maximum=INT_MAX,
+    )
+    time_limit: float = setting(
+        0.0,
+        "Time Limit",
+        "A render ends when no more samples of every pixel are expected to fit in this time, counted without build and "
+        "compilation; 0 sets no limit. One sample is always rendered",
+        group="SAMPLING",
+        unit="s",
+        minimum=0.0,
+        maximum=1e9,
+    )
+    error_estimate: str = setting(
+        "OFF",
+        "Error Estimate",
+        "Tell how far the picture is from its limit at infinitely many samples, without a reference",
+        group="SAMPLING",
+        choices=(
+            ("OFF", "Off", "All samples have the same seed"),
+            (
+                "ON",
+                "On",
+                "Every other sample has another seed, and either half a film of its own: how far they differ tells the "
+                "error of both together",
+            ),
+        ),
+    )
+    error_target: float = setting(
+        0.0,
+        "Stop at Error",
+        "A render ends when its estimated error is no larger than this: the mean over pixels and channels of the "
+        "squared error over the squared value (relMSE). It implies Error Estimate; 0 renders all samples",
+        group="SAMPLING",
+        unit="relMSE",
+        minimum=0.0,
+        maximum=1e9,
+    )
+    seed: int = setting(
+        0,
+        "Seed",
+        "Chooses another set of random numbers, and so another pattern of noise",
+        group="SAMPLING",
+        minimum=0,
+        maximum=INT_MAX,
+    )
+    sample_sequence: str = setting(
+        "SOBOL",
+        "Sequence",
+        "How the random numbers of a pixel are spread",
+        group="SAMPLING",
+        choices=(
+            (
+                "SOBOL",
+                "Owen-scrambled Sobol",
+                "Low-discrepancy points: less noise at the same sample count (Burley 2020)",
+            ),
+            ("INDEPENDENT", "Independent", "Independent Philox numbers: error statistics are textbook Monte Carlo"),
+        ),
+    )
+    nee: str = setting(
+        "ON",
+        "Light Sampling",
+        "Next-event estimation: aim a shadow ray at a light from every surface",
+        group="SAMPLING",
+        choices=(
+            ("ON", "On", "Lights are sampled directly, combined with BSDF sampling by multiple importance sampling"),
+            ("OFF", "Off", "Light is found by BSDF sampling alone; lights without size then give no light"),
+            ("HALF", "Half", "On in the left half of the frame, off in the right half, for comparing"),
+        ),
+    )
+    mis: str = setting(
+        "ON",
+        "Combine Sampling",
+        "Multiple importance sampling: what light sampling and BSDF sampling can both find is weighted by how likely "
+        "each finds it",
+        group="SAMPLING",
+        choices=(
+            (
+                "ON",
+                "On",
+                "Weights of the power heuristic (Veach 1997): low noise whichever of the two is the better one",
+            ),
+            (
+                "OFF",
+                "Off",
+                "Light sampling alone finds what it can find: a control, noisy near lights and on shiny surfaces. "
+                "Unused without light sampling",
+            ),
+        ),
+    )
+
+    bounce_max: int = setting(
+        8,
+        "Bounces",
+        "Bounces of indirect light; 0 renders direct light only",
+        group="LIGHT_PATHS",
+        unit="bounces",
+        minimum=0,
+        maximum=100_000,
+    )
+    transparent_bounce_max: int = setting(
+        8,
+        "Transparent Bounces",
+        "Transparent surfaces that a ray passes before it is taken as blocked",
+        group="LIGHT_PATHS",
+        unit="surfaces",
+        minimum=0,
+        maximum=1024,
+    )
+    roulette_bounce: int = setting(
+        3,
+        "Roulette From",
+        "Bounce from which Russian roulette may end a path that carries little light (unbiased)",
+        group="LIGHT_PATHS",
+        unit="bounces",
+        minimum=0,
+        maximum=100_000,
+    )
+    clamp_direct: float = setting(
+        0.0,
+        "Clamp Direct",
+        "Largest radiance of one light seen directly or at the first bounce; 0 does not clamp. Clamping loses light",
+        group="LIGHT_PATHS",
+        unit="W/(m² sr)",
+        minimum=0.0,
+        maximum=1e30,
+    )
+    clamp_indirect: float = setting(
+        0.0,
+        "Clamp Indirect",
+        "Largest radiance of one light found after the first bounce; 0 does not clamp. Clamping loses light",
+        group="LIGHT_PATHS",
+        unit="W/(m² sr)",
+        minimum=0.0,
+        maximum=1e30,
+    )
+
+    pixel_filter: str = setting(
+        "BLACKMAN_HARRIS",
+        "Pixel Filter",
+        "Weight of the light around a pixel's centre",
+        group="FILM",
+        choices=(
+            ("BLACKMAN_HARRIS", "Blackman-Harris", "Smooth, sharp, without ringing"),
+            ("GAUSSIAN", "Gaussian", "Soft"),
+            ("BOX", "Box", "The pixel's own square only"),
+        ),
+    )
+    filter_width: float = setting(
+        1.5,
+        "Filter Width",
+        "Width of the pixel filter; the box is one pixel wide always",
+        group="FILM",
+        unit="pixels",
+        minimum=0.01,
+        maximum=10.0,
+    )

@@ -1,0 +1,184 @@
+"""Settings as data: label, unit, range and meaning beside the value; and how values are read and checked."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+from ..errors import SettingsError
+
+BYTES = "bytes"
+INT_MAX = 2**31 - 1
+# What a number of bytes may end with; without an i decimal, as everywhere in reports, with it binary
+_BYTE_UNITS = {"": 1} | {
+    f"{letter}{binary}": (1024 if binary else 1000) ** power
+    for power, letter in enumerate("KMGT", 1)
+    for binary in ("", "I")
+}
+_BYTE_TEXT = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([KMGT]?I?)B?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class GroupInfo:
+    """Settings that belong together: a panel in Blender, a section of the manual."""
+
+    label: str
+    description: str
+    parent: str = ""  # the group that this one is part of
+    closed: bool = True  # at first
+
+
+GROUPS = {
+    "DEVICE": GroupInfo("Device", "Where to render.", closed=False),
+    "SAMPLING": GroupInfo("Sampling", "How many paths are traced, and what decides where they go.", closed=False),
+    "LIGHT_PATHS": GroupInfo("Light Paths", "How far light is followed."),
+    "FILM": GroupInfo("Film", "How samples become pixels."),
+    "PERFORMANCE": GroupInfo(
+        "Performance", "How rays are traced. From here on no setting changes the picture, only the time it takes."
+    ),
+    "SCHEDULER": GroupInfo("Scheduler", "Which rays are alive, and what is done next.", "PERFORMANCE"),
+    "QUEUES": GroupInfo("Queues", "Where rays wait. For renders that batch.", "PERFORMANCE"),
+    "TREELETS": GroupInfo(
+        "Treelets", "How trees are cut into parts that rays visit together. For renders that batch.", "PERFORMANCE"
+    ),
+    "LAUNCH": GroupInfo(
+        "Launch",
+        "How the kernels that trace rays are compiled and launched, but for those of Warp's own tree.",
+        "PERFORMANCE",
+    ),
+    "MEMORY": GroupInfo(
+        "Memory", "How much of the scene's geometry is on the device, and where the rest is.", "PERFORMANCE"
+    ),
+}
+
+
+@dataclass(frozen=True)
+class SettingInfo:
+    """Facts about one setting beside its value."""
+
+    name: str
+    label: str
+    description: str
+    group: str  # of `GROUPS`
+    effect: str  # "estimator" (changes the film) or "schedule" (changes time only)
+    default: Any
+    kind: type  # int, float or str (a str with `choices` is an enumeration)
+    unit: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    least: int = 0  # of an int: smallest value but `minimum`
+    multiple: int = 1  # of an int: values are whole multiples of it
+    choices: tuple[tuple[str, str, str], ...] = ()  # (identifier, label, description)
+    auto: Any = None  # the value that lets RayBatch choose; None: there is none
+
+    def range_text(self) -> str:
+        """The legal values in words, for messages and the manual."""
+        if self.choices:
+            return "one of " + ", ".join(identifier for identifier, _, _ in self.choices)
+        if self.kind is str:
+            return "text"
+        if self.kind is not int:
+            return f"{self.minimum:g} to {self.maximum:g}"
+        lowest, highest = int(self.minimum), int(self.maximum)
+        if self.least or self.multiple > 1:
+            words = f"{lowest}, or {self.least or self.multiple} to {highest}"
+            return words + (f" in steps of {self.multiple}" if self.multiple > 1 else "")
+        return f"{lowest} to {highest}"
+
+    def is_auto(self, value: Any) -> bool:
+        """Whether `value` lets RayBatch choose."""
+        return self.auto is not None and value == self.auto
+
+
+def setting(
+    default,
+    label,
+    description,
+    *,
+    group,
+    effect="estimator",
+    unit="",
+    minimum=None,
+    maximum=None,
+    least=0,
+    multiple=1,
+    choices=(),
+    auto=None,
+):
+    """A field of a dataclass of settings; for the arguments see `SettingInfo`."""
+    metadata = dict(
+        label=label,
+        description=description,
+        group=group,
+        effect=effect,
+        unit=unit,
+        minimum=minimum,
+        maximum=maximum,
+        least=least,
+        multiple=multiple,
+        choices=tuple(choices),
+        auto=auto,
+    )
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+_TYPES = {"int": int, "float": float, "str": str}
+
+
+def infos_of(settings: type) -> dict[str, SettingInfo]:
+    """By name, of a dataclass whose fields are made by `setting`."""
+    return {
+        field.name: SettingInfo(name=field.name, default=field.default, kind=_TYPES[field.type], **field.metadata)
+        for field in dataclasses.fields(settings)
+    }
+
+
+def checked(info: SettingInfo, value: Any) -> Any:
+    """`value` (or its text) as the setting's own type; raises `SettingsError` with the legal range.
+
+    Numbers of bytes may be written with a unit: `1.5G` or `1500MB` are 1,500,000,000 bytes, `512Mi` or `512MiB` are
+    536,870,912.
+    """
+    complaint = SettingsError(f"{info.name} = {value!r} is not valid: it must be {info.range_text()}{_unit_hint(info)}")
+    if info.kind is str:
+        text = str(value).strip()
+        if info.choices:
+            text = text.upper()
+            if text not in {identifier for identifier, _, _ in info.choices}:
+                raise complaint
+        return text
+    if info.unit == BYTES and isinstance(value, str):
+        value = _bytes(value, complaint)
+    try:
+        number = float(value)
+        if info.kind is int:
+            exact = int(value) if not isinstance(value, float) else int(number)
+            if exact != number and abs(number) < 2**53:
+                raise complaint
+            number = exact
+    except (TypeError, ValueError, OverflowError):
+        raise complaint from None
+    if not math.isfinite(number) or not info.minimum <= number <= info.maximum:
+        raise complaint
+    if info.kind is int and number != info.minimum and (number < info.least or number % info.multiple):
+        raise complaint
+    return number
+
+
+def _unit_hint(info: SettingInfo) -> str:
+    return " bytes; 1.5G is 1,500,000,000, and 512Mi is 536,870,912" if info.unit == BYTES else ""
+
+
+def _bytes(text: str, complaint: SettingsError) -> int:
+    """The number that `text` means, exactly; raises `complaint`."""
+    found = _BYTE_TEXT.fullmatch(text.strip())
+    if not found or found[2].upper() not in _BYTE_UNITS:
+        raise complaint
+    number = Fraction(found[1]) * _BYTE_UNITS[found[2].upper()]
+    if number.denominator != 1:
+        raise complaint
+    return int(number)

@@ -1,0 +1,281 @@
+"""Settings of the order in which rays are traced and of what they wait in: they change time, never the picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .info import BYTES, INT_MAX, setting
+
+
+@dataclass(frozen=True)
+class TracingSettings:
+    """How rays are traced."""
+
+    batching: str = setting(
+        "AUTO",
+        "Batching",
+        "Let rays wait at parts of the tree (treelets) and visit them together, or let each ray go its way",
+        group="PERFORMANCE",
+        effect="schedule",
+        auto="AUTO",
+        choices=(
+            (
+                "AUTO",
+                "Automatic",
+                "On for a scene that does not fit in the device's memory; else what is expected to be fastest",
+            ),
+            ("ON", "On", "Rays wait in queues at treelets"),
+            ("OFF", "Off", "Each ray visits the whole tree at once: fastest where the scene fits in memory"),
+            ("REFERENCE", "Reference", "As off, with Warp's own tree: what the others are measured against"),
+        ),
+    )
+    ray_sort: str = setting(
+        "AUTO",
+        "Sort Rays",
+        "Sort rays by direction and origin before they are traced",
+        group="PERFORMANCE",
+        effect="schedule",
+        auto="AUTO",
+        choices=(
+            ("AUTO", "Automatic", "Where that was measured to save time, by kind of ray"),
+            (
+                "ON",
+                "On",
+                "Always, but for rays that wait for geometry beyond memory: these are traced in the order of their "
+                "paths",
+            ),
+            ("OFF", "Off", "Never"),
+        ),
+    )
+    tile_size: int = setting(
+        0,
+        "Tile Size",
+        "Edge of the square tiles in which the frame is rendered and shown; 0 chooses by device",
+        group="PERFORMANCE",
+        effect="schedule",
+        unit="pixels",
+        minimum=0,
+        maximum=65_536,
+        auto=0,
+    )
+    spatial_splits: str = setting(
+        "AUTO",
+        "Spatial Splits",
+        "Split triangles among the boxes of the tree: a slower build for faster rays where large or long triangles "
+        "overlap",
+        group="PERFORMANCE",
+        effect="schedule",
+        auto="AUTO",
+        choices=(
+            (
+                "AUTO",
+                "Automatic",
+                "On the CPU, but for meshes that move from frame to frame: their trees follow them. On CUDA trees are "
+                "built on the device, without splits",
+            ),
+            ("OFF", "Off", "Each triangle is in one box"),
+            ("ON", "On", "Triangles may be in several boxes (Stich et al. 2009). On CUDA the CPU builds the tree then"),
+        ),
+    )
+    counters: str = setting(
+        "OFF",
+        "Counters",
+        "Count the steps of every ray, by kind and bounce, and time each stage; the render takes longer",
+        group="PERFORMANCE",
+        effect="schedule",
+        choices=(
+            ("OFF", "Off", "Nothing is counted, and nothing is paid for it"),
+            ("ON", "On", "For the statistics and the passes that show cost"),
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class SchedulerSettings:
+    """Which rays are alive, and what is done next."""
+
+    ray_count: int = setting(
+        0,
+        "Rays Alive",
+        "Paths alive at once in all workers together; 0 chooses by device and scene. The panel's memory estimate tells "
+        "what each takes",
+        group="SCHEDULER",
+        effect="schedule",
+        unit="paths",
+        minimum=0,
+        maximum=2**28,
+        auto=0,
+    )
+    ray_low_water: float = setting(
+        0.75,
+        "Low Water",
+        "New paths are generated when fewer than this share of Rays Alive is left",
+        group="SCHEDULER",
+        effect="schedule",
+        unit="of rays alive",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    ray_high_water: float = setting(
+        1.0,
+        "High Water",
+        "Share of Rays Alive up to which new paths are generated",
+        group="SCHEDULER",
+        effect="schedule",
+        unit="of rays alive",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    sample_order: str = setting(
+        "FRAME_FIRST",
+        "Sample Order",
+        "Which path is generated next",
+        group="SCHEDULER",
+        effect="schedule",
+        choices=(
+            ("FRAME_FIRST", "Frame first", "One sample of every pixel of the tile, then the next sample"),
+            ("PIXEL_FIRST", "Pixel first", "All samples of a pixel, then the next pixel"),
+        ),
+    )
+    bucket_selection: str = setting(
+        "AUTO",
+        "Next Bucket",
+        "Which bucket is served next: a treelet has one, with the rays that wait to enter it and those that left it",
+        group="SCHEDULER",
+        effect="schedule",
+        auto="AUTO",
+        choices=(
+            ("AUTO", "Automatic", "By device"),
+            ("MOST_FULL", "Most full", "The one in which most rays wait"),
+            ("NEXT", "Next", "The one behind the last, in turn, that is not empty"),
+            ("RANDOM", "Random", "Any that is not empty, from random numbers that repeat"),
+            ("ALL", "All", "Every bucket in each step, in one sorted sweep"),
+        ),
+    )
+    bucket_wait_max: int = setting(
+        0,
+        "Longest Wait",
+        "Steps of the scheduler after which a bucket is served before all fuller ones; 0 lets rays wait as long as it "
+        "takes",
+        group="SCHEDULER",
+        effect="schedule",
+        unit="steps",
+        minimum=0,
+        maximum=INT_MAX,
+    )
+    top_level_traversal: str = setting(
+        "NAIVE",
+        "Top Level",
+        "How the rays of a warp go through what is above the treelets. Not used on the CPU",
+        group="SCHEDULER",
+        effect="schedule",
+        choices=(
+            ("NAIVE", "Naive", "A lane takes the next ray as soon as its own is through"),
+            ("INTERLOCKED", "Interlocked", "Lanes take new rays together, when all of their rays are through"),
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class QueueSettings:
+    """Where rays wait, in renders that batch."""
+
+    queue_size: int = setting(
+        0,
+        "Block Size",
+        "Rays that a block of a queue holds; 0 chooses by device and treelets",
+        group="QUEUES",
+        effect="schedule",
+        unit="rays",
+        minimum=0,
+        maximum=2**24,
+        auto=0,
+    )
+    queue_count: int = setting(
+        0,
+        "Blocks",
+        "Blocks that all queues of a worker share; 0 chooses enough for Rays Alive. Where they run out, the fullest "
+        "bucket is served first",
+        group="QUEUES",
+        effect="schedule",
+        unit="blocks",
+        minimum=0,
+        maximum=2**28,
+        auto=0,
+    )
+    ray_storage: str = setting(
+        "INDIRECT",
+        "Storage",
+        "What queues hold of a ray",
+        group="QUEUES",
+        effect="schedule",
+        choices=(
+            ("INDIRECT", "Indirect", "Its number: 4 bytes, and its state stays where it is"),
+            (
+                "DIRECT",
+                "Direct",
+                "Its whole state for traversal, copied: rays of a queue lie side by side, and take more memory",
+            ),
+        ),
+    )
+    debug_checks: str = setting(
+        "OFF",
+        "Check Queues",
+        "Check after each step that every ray is in exactly one place and all counts agree; slow",
+        group="QUEUES",
+        effect="schedule",
+        choices=(
+            ("OFF", "Off", "Nothing is checked, and nothing is paid for it"),
+            ("ON", "On", "The render fails with what is wrong"),
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class TreeletSettings:
+    """How trees are cut into parts that rays visit together."""
+
+    treelet_size: int = setting(
+        0,
+        "Nodes at Most",
+        "Most nodes of a treelet; 0 chooses by device. Nodes at Least comes first: where it keeps a node closed, a "
+        "treelet is larger. As many as the tree has make it one treelet, as a control",
+        group="TREELETS",
+        effect="schedule",
+        unit="nodes",
+        minimum=0,
+        maximum=INT_MAX,
+        auto=0,
+    )
+    treelet_size_min: int = setting(
+        1,
+        "Nodes at Least",
+        "No node is opened whose child would be a smaller treelet than this: it comes before Nodes at Most",
+        group="TREELETS",
+        effect="schedule",
+        unit="nodes",
+        minimum=1,
+        maximum=INT_MAX,
+    )
+    treelet_bytes: int = setting(
+        0,
+        "Bytes at Most",
+        "Most memory of a treelet's nodes and triangles, such as a cache's size; 0 chooses by device, or sets no limit "
+        "where Nodes at Most is given",
+        group="TREELETS",
+        effect="schedule",
+        unit=BYTES,
+        minimum=0,
+        maximum=INT_MAX,
+        auto=0,
+    )
+    top_level_depth_max: int = setting(
+        64,
+        "Top Level Depth",
+        "Levels of a mesh's tree that are above its treelets at most",
+        group="TREELETS",
+        effect="schedule",
+        unit="levels",
+        minimum=1,
+        maximum=1024,
+    )

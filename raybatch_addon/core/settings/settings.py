@@ -1,0 +1,135 @@
+"""Every tuning parameter of a render, defined once.
+
+The Blender panel, the command line, the manual and the checks of values are all made from
+`RenderSettings`: a field's metadata (`SettingInfo`) holds its label, unit, range, choices and meaning.
+*Estimator* settings change the film; *schedule* settings change only the time it takes (law:
+"the schedule changes time, never the image"). Where 0 or AUTO lets RayBatch choose, the statistics say what it chose.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import SettingsError
+from .device import TRACE_BLOCK_SIZE, DeviceSettings, LaunchSettings, MemorySettings
+from .estimator import EstimatorSettings
+from .info import BYTES, GROUPS, INT_MAX, SettingInfo, checked, infos_of
+from .schedule import QueueSettings, SchedulerSettings, TracingSettings, TreeletSettings
+
+__all__ = ["BYTES", "GROUPS", "SETTINGS", "RenderSettings", "SettingInfo", "parse_setting", "setting_info"]
+
+# 32-bit registers of a block of threads, on every CUDA device since 2014, and the steps in which a thread gets them
+REGISTERS_MAX, REGISTER_STEP = 65_536, 8
+
+
+# Fields come in the order of the bases from the last to the first: that of the panel and of the manual
+@dataclass(frozen=True)
+class RenderSettings(
+    MemorySettings,
+    LaunchSettings,
+    TreeletSettings,
+    QueueSettings,
+    SchedulerSettings,
+    TracingSettings,
+    EstimatorSettings,
+    DeviceSettings,
+):
+    """The settings of one render; construct with legal values only (checked, `SettingsError`)."""
+
+    def __post_init__(self):
+        for info in SETTINGS.values():
+            object.__setattr__(self, info.name, checked(info, getattr(self, info.name)))
+        for complaint in (self._complaint_of_queues(), self._complaint_of_launches(), self._complaint_of_memory()):
+            if complaint:
+                raise SettingsError(complaint)
+
+    def _complaint_of_queues(self) -> str | None:
+        """Why marks, sizes and counts do not go together."""
+        if self.ray_low_water > self.ray_high_water:
+            return (
+                f"ray_low_water ({self.ray_low_water:g}) is above ray_high_water ({self.ray_high_water:g}); "
+                "lower it, or raise ray_high_water"
+            )
+        if self.treelet_size and self.treelet_size_min > self.treelet_size:
+            return (
+                f"treelet_size_min ({self.treelet_size_min}) is above treelet_size ({self.treelet_size}): no treelet "
+                "could have so many nodes; lower treelet_size_min, or raise treelet_size (0 lets RayBatch choose)"
+            )
+        if self.queue_size * self.queue_count > INT_MAX:
+            return (
+                f"queue_count ({self.queue_count}) times queue_size ({self.queue_size}) is "
+                f"{self.queue_size * self.queue_count:,} places for rays, "
+                f"and {INT_MAX:,} can be numbered; lower one of the two, or set queue_count to 0"
+            )
+        return None
+
+    def _complaint_of_launches(self) -> str | None:
+        """Why a kernel could not be launched so."""
+        if self.single_lane == "ON" and self.warp_count > 1:
+            return (
+                f"single_lane is ON, so one lane of one warp works, but warp_count is {self.warp_count}; "
+                "set warp_count to 0 or 1, or single_lane to OFF"
+            )
+        if block_registers(self.register_cap, self.block_size or TRACE_BLOCK_SIZE) > REGISTERS_MAX:
+            return (
+                f"register_cap ({self.register_cap}) times block_size ({self.block_size}) is more than the "
+                f"{REGISTERS_MAX:,} registers that a block of threads can have, and a thread gets them in steps of "
+                f"{REGISTER_STEP}; lower one of the two, or set it to 0"
+            )
+        return None
+
+    def _complaint_of_memory(self) -> str | None:
+        """Why geometry could not be kept so."""
+        if self.geometry_budget and self.batching in ("OFF", "REFERENCE"):
+            why = "Warp's own tree is" if self.batching == "REFERENCE" else "without queues rays need the whole tree"
+            return (
+                f"batching is {self.batching}, and {why} on the device at once, but geometry_budget "
+                f"({self.geometry_budget} bytes) lets a part of it "
+                "wait elsewhere; set geometry_budget to 0, or batching to AUTO or ON"
+            )
+        return None
+
+    @property
+    def half_count(self) -> int:
+        """In how many films samples come: 2 where the error is estimated."""
+        return 2 if self.error_estimate == "ON" or self.error_target > 0 else 1
+
+    def replace(self, **changes: Any) -> RenderSettings:
+        """A copy with `changes`; raises `SettingsError` for an unknown name or an illegal value."""
+        for name in changes:
+            setting_info(name)
+        return dataclasses.replace(self, **changes)
+
+
+def block_registers(register_cap: int, block_size: int) -> int:
+    """Registers that a block of `block_size` threads takes, each with up to `register_cap`; 0 where they are not
+    capped.
+    """
+    return -(-register_cap // REGISTER_STEP) * REGISTER_STEP * block_size
+
+
+def setting_info(name: str, beside: Iterable[str] = ()) -> SettingInfo:
+    """The `SettingInfo` of `name`; raises `SettingsError` that names the closest ones, and lists all, those `beside`
+    the settings too.
+    """
+    try:
+        return SETTINGS[name]
+    except KeyError:
+        names = sorted((*SETTINGS, *beside))
+        close = difflib.get_close_matches(name.lower().replace("-", "_"), names)
+        hint = f"did you mean {' or '.join(close)}? The" if close else "the"
+        raise SettingsError(f"no setting is called {name!r}; {hint} settings are {', '.join(names)}") from None
+
+
+def parse_setting(name: str, text: str, beside: Iterable[str] = ()) -> Any:
+    """The value of setting `name` written as `text` on a command line; raises `SettingsError`. What else has a name
+    there is `beside`.
+    """
+    return checked(setting_info(name, beside), text)
+
+
+SETTINGS: dict[str, SettingInfo] = infos_of(RenderSettings)

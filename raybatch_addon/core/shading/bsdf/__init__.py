@@ -1,0 +1,1 @@
+"""Closures: how surfaces scatter light, a file for each model."""

@@ -1,0 +1,282 @@
+"""Materials on the device: tables of weighted closures, and the data that their evaluation takes.
+
+`shading/bsdf/bsdf.py` holds the functions that evaluate and sample them.
+"""
+
+import functools
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ...errors import SceneError
+from ...scene.description import Closure, ClosureKind, Material
+from .albedo import AlbedoTables, upload_tables
+
+# Kind of a record that is no closure: its `normal` is the surface's normal
+SURFACE_NORMAL = 64
+
+# Events of a sampled path (bits)
+DIFFUSE = 1  # reflected by a Lambertian closure
+GLOSSY = 2  # reflected by facets
+TRANSMISSION = 4  # refracted
+TRANSPARENT = 8  # passed straight on
+DELTA = 16  # into a direction that no other strategy finds
+SUBSURFACE = 32  # entered the medium below the surface, where it scatters on
+
+_K = ClosureKind
+# facets that reflect and let nothing through
+MIRROR_KINDS = frozenset({_K.GLOSSY, _K.METAL, _K.DIELECTRIC, _K.CONDUCTOR})
+PASSING_KINDS = frozenset({_K.GLASS, _K.REFRACTION})  # facets that refract
+REFLECTION_KINDS = MIRROR_KINDS | {_K.SHEET}  # facets whose albedo is that of reflection
+MICROFACET_KINDS = REFLECTION_KINDS | PASSING_KINDS | {_K.ASHIKHMIN_SHIRLEY, _K.SUBSURFACE}
+_COAT_KINDS = frozenset({_K.LAYERED_DIFFUSE, _K.DIELECTRIC})
+# Indices of refraction are kept in a range whose squares and their inverses are far from the ends of
+# float32; beyond it a dielectric reflects more than 99.6 % and is a mirror for all purposes.
+IOR_RANGE = (1e-3, 1e3)
+FILM_IOR_LEAST = 1e-5
+ASPECT_LEAST = 1e-4  # least alpha along one direction over the mean, of anisotropic facets
+
+
+@dataclass(frozen=True)
+class ClosureFeatures:
+    """Kinds and abilities that BSDF functions are compiled for."""
+
+    kinds: tuple[ClosureKind, ...] = ()
+
+    def has(self, *kinds: ClosureKind) -> bool:
+        """Whether any of `kinds` is compiled."""
+        return any(kind in self.kinds for kind in kinds)
+
+    def test(self, kinds: Iterable[ClosureKind]) -> wp.Function:
+        """Function (kind: int) -> bool: whether `kind` is one of `kinds`; kinds that are not compiled cost nothing."""
+        return _kind_test(tuple(sorted(int(kind) for kind in kinds if kind in self.kinds)))
+
+    @property
+    def scatters(self) -> bool:
+        """Whether any closure does more than emit and pass light straight on."""
+        return any(kind.is_model and kind not in (_K.EMISSION, _K.TRANSPARENT, _K.HOLDOUT) for kind in self.kinds)
+
+    @property
+    def facets(self) -> bool:
+        """Whether microfacets are needed."""
+        return self.has(*MICROFACET_KINDS)
+
+    @property
+    def own_normals(self) -> bool:
+        """Whether closures may have a normal of their own."""
+        return self.has(_K.OWN_NORMAL)
+
+    @property
+    def coats(self) -> bool:
+        """Whether the albedo of a dielectric coat is needed."""
+        return self.has(*_COAT_KINDS)
+
+
+@functools.cache
+def _kind_test(kinds: tuple[int, ...]) -> wp.Function:
+    count = len(kinds)
+
+    @wp.func
+    def is_one(kind: int) -> bool:
+        found = bool(False)
+        for i in range(wp.static(count)):
+            if kind == wp.static(kinds[i]):
+                found = True
+        return found
+
+    return is_one
+
+
+@wp.struct
+class ClosureRecord:
+    """One weighted closure on the device; what a kind does not use is ignored."""
+
+    kind: int  # `ClosureKind`
+    weight: wp.vec3  # linear RGB, >= 0
+    roughness: float  # [0, 1]; alpha is its square
+    ior: float  # inside over outside
+    # colour of a facet without mix factors. GLOSSY, GLASS, ROUGH_DIFFUSE: taken by light that bounces between facets;
+    # METAL: reflectance at normal incidence; CONDUCTOR: index of refraction
+    color: wp.vec3
+    # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence; CONDUCTOR: extinction coefficient
+    edge: wp.vec3
+    refraction: wp.vec3  # GLASS: colour of refracted light relative to `weight`
+    multiscatter: int  # 1: light that bounces more than once between facets is added
+    distribution: int  # BECKMANN: 1
+    aspect: float  # ANISOTROPIC: alpha along `tangent` is multiplied by it, across it divided
+    tangent: wp.vec3  # ANISOTROPIC: about along the surface; 0: facets are isotropic
+    film_thickness: float  # THIN_FILM, of METAL, CONDUCTOR, DIELECTRIC and GLASS [nm]; 0: none
+    film_ior: float  # relative to the outside
+    normal: wp.vec3  # OWN_NORMAL: unit; 0: the normal of the frame
+    # SUBSURFACE: mean cosine of the phase function; the medium is in `color`, `edge` and `refraction`, as in `Closure`
+    mean_cosine: float
+
+
+@wp.func
+def new_closure(kind: int, weight: wp.vec3) -> ClosureRecord:
+    """A record whose optional values are neutral, for ops that make closures."""
+    one = wp.vec3(1.0, 1.0, 1.0)
+    record = ClosureRecord()
+    record.kind = kind
+    record.weight = weight
+    record.ior = 1.5
+    record.color = one
+    record.edge = one
+    record.refraction = one
+    record.aspect = 1.0
+    record.film_ior = 1.0
+    return record
+
+
+@wp.struct
+class MaterialTable:
+    """Closures of all materials, one after the other.
+
+    With SUBSURFACE a white Lambertian closure follows them, for light that comes out again.
+    """
+
+    closure_first: wp.array(dtype=int)  # material m has the closures [first[m], first[m + 1]); [material_count + 1]
+    closures: wp.array(dtype=ClosureRecord)  # [closure_count]
+    albedo: AlbedoTables  # arrays that the features do not use have length 0
+
+
+@wp.struct
+class ShadingFrame:
+    """Directions at a surface point."""
+
+    normal: wp.vec3  # unit shading normal, on the same side as geometric_normal; it may be turned away from wo
+    geometric_normal: wp.vec3  # unit, of the triangle, on the side of wo
+    tangent: wp.vec3  # unit; with bitangent and normal a right-handed frame
+    bitangent: wp.vec3
+    entering: int  # 1: wo is in front of the surface, so that refracted light enters the object
+
+
+@wp.struct
+class BsdfValue:
+    """Sum over the closures, without delta lobes."""
+
+    value: wp.vec3  # BSDF times |cosine to the shading normal| [1/sr]
+    diffuse: wp.vec3  # the part of `value` that is Lambertian
+    pdf: float  # density with which `sample` finds the direction [1/sr]
+
+
+@wp.struct
+class BsdfSample:
+    """A direction chosen by the BSDF."""
+
+    direction: wp.vec3  # unit, away from the surface
+    # BSDF |cosine| / density of all lobes together: a path's throughput is multiplied by it; 0: absorbed
+    weight: wp.vec3
+    pdf: float  # density as in `BsdfValue` [1/sr]; 0 for delta lobes
+    lobe: int  # bits DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT, DELTA, SUBSURFACE; 0: absorbed
+    closure: int  # index of the closure that chose the direction, where that is SUBSURFACE
+
+
+def upload_materials(materials: Sequence[Material], features: ClosureFeatures, device) -> MaterialTable:
+    """The table of `materials` on `device`.
+
+    Roughness and the indices of refraction are brought into their ranges. Raises `SceneError` for a value that is not
+    finite or a negative weight, `ValueError` for a kind that `features` lacks.
+    """
+    closures = [closure for material in materials for closure in material.closures]
+    for material in materials:
+        for closure in material.closures:
+            _check(material, closure, features)
+    if features.has(_K.SUBSURFACE):
+        closures.append(Closure(_K.DIFFUSE, (1.0, 1.0, 1.0)))
+    first = np.cumsum([0] + [len(material.closures) for material in materials], dtype=np.int32)
+    records = np.zeros(len(closures), ClosureRecord.numpy_dtype())
+    for record, closure in zip(records, closures):
+        _fill(record, closure)
+
+    table = MaterialTable()
+    table.closure_first = wp.array(first, dtype=int, device=device)
+    table.closures = wp.array(records, dtype=ClosureRecord, device=device)
+    table.albedo = upload_tables(
+        device,
+        reflection=features.coats or features.has(*REFLECTION_KINDS),
+        coat=features.coats,
+        glass=features.has(_K.GLASS),
+        sheen=features.has(_K.SHEEN),
+        film=features.has(_K.THIN_FILM),
+    )
+    return table
+
+
+def constant_closure(record: ClosureRecord) -> Closure:
+    """The `Closure` that a `record` made on the host stands for."""
+    values = {name: float(getattr(record, name)) for name in _NUMBERS}
+    vectors = {name: tuple(float(x) for x in getattr(record, name)) for name in _COLORS + _DIRECTIONS}
+    return Closure(
+        ClosureKind(record.kind),
+        multiscatter=bool(record.multiscatter),
+        distribution=int(record.distribution),
+        **values,
+        **vectors,
+    )
+
+
+_COLORS = ("weight", "color", "edge", "refraction")
+_DIRECTIONS = ("normal", "tangent")
+_NUMBERS = ("roughness", "ior", "aspect", "film_thickness", "film_ior", "mean_cosine")
+
+
+def _fill(record, closure: Closure) -> None:
+    """Write `closure` to `record`, a row of records on the host."""
+    record["kind"] = int(closure.kind)
+    record["weight"], record["color"] = _weight_and_color(closure)
+    for name in ("edge", "refraction", "distribution", "multiscatter", *_DIRECTIONS):
+        record[name] = getattr(closure, name)
+    record["roughness"] = min(max(closure.roughness, 0.0), 1.0)
+    record["ior"] = _ior(closure)
+    record["aspect"] = max(closure.aspect, ASPECT_LEAST)
+    record["mean_cosine"] = closure.mean_cosine
+    record["film_thickness"], record["film_ior"] = closure.film_thickness, max(closure.film_ior, FILM_IOR_LEAST)
+
+
+def _weight_and_color(closure: Closure) -> tuple:
+    """Weight of the record, without colour for kinds that have their own, and the colour of a facet."""
+    if closure.color is not None:
+        return closure.weight, closure.color
+    scale = np.float32(1.0 / closure.share) if closure.share > 0 else np.float32(np.inf)
+    # a share too small to divide by means a closure too faint to see
+    scale = float(scale) if math.isfinite(scale) else 1.0
+    color = np.float32(scale) * np.array(closure.weight, np.float32)
+    if closure.kind == _K.GLASS:
+        return closure.weight, color * np.array(closure.refraction, np.float32)
+    if closure.kind in (_K.METAL, _K.CONDUCTOR):
+        return (closure.share,) * 3, color
+    return closure.weight, color
+
+
+def _check(material: Material, closure: Closure, features: ClosureFeatures) -> None:
+    kind = ClosureKind(closure.kind)
+    lacking = sorted(need.name for need in closure.needs if need not in features.kinds)
+    if lacking:
+        raise ValueError(
+            f"material {material.name!r} has a closure that needs {', '.join(lacking)}, which its features lack"
+        )
+    colors = (*closure.weight, *closure.edge, *closure.refraction, *(closure.color or ()))
+    numbers = (
+        *colors,
+        *closure.normal,
+        *closure.tangent,
+        closure.roughness,
+        closure.ior,
+        closure.share,
+        closure.aspect,
+    )
+    numbers = (*numbers, closure.film_thickness, closure.film_ior, closure.mean_cosine)
+    if not np.all(np.isfinite(np.asarray(numbers, np.float32))) or min(*colors, closure.share) < 0:
+        raise SceneError(
+            f"material {material.name!r}: the {kind.name.lower()} closure has a value that is negative, infinite or "
+            "not a number; look for such a value in the material's nodes"
+        )
+
+
+def _ior(closure: Closure) -> float:
+    least, largest = IOR_RANGE
+    return min(max(closure.ior, least), largest)

@@ -1,0 +1,1 @@
+"""Images: their upload to the device, and their look-up."""

@@ -1,0 +1,259 @@
+"""Images on their way to a device: checked, made to fit its memory, and kept for the next frame."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import warp as wp
+
+from ...scene.description import Image
+from .textures import TILE_COLUMNS, ImageEntry, ImageTable, Texels
+
+FIRST_TILE = 1001  # number of the tile at texture coordinates 0..1 (UDIM)
+LAST_TILE = 2000  # number of the last tile that Blender has
+TEXELS_MAX = 2**31 - 1  # most texels of one picture: an int32 counts them
+EDGE_LEAST = 16  # pictures are not made smaller than this to save memory [texels]
+
+_ALIGNMENT = 8  # alignment of addresses [bytes]: texels are loaded whole, up to this many bytes at a time
+
+_KINDS = {
+    ("uint8", 1): (Texels.BYTE, wp.uint8),
+    ("uint8", 4): (Texels.BYTE4, wp.vec4ub),
+    ("float16", 1): (Texels.HALF, wp.float16),
+    ("float16", 4): (Texels.HALF4, wp.vec4h),
+    ("float32", 1): (Texels.FLOAT, wp.float32),
+    ("float32", 4): (Texels.FLOAT4, wp.vec4),
+}
+
+
+@dataclass
+class _Picture:
+    """The pixels of an image or tile on the device."""
+
+    source: weakref.ref  # the array that it was made of
+    halvings: int  # how many times it was halved in width and height
+    texels: Texels
+    width: int
+    height: int
+    array: wp.array
+    replaced: int  # texels that were not finite, and became black
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the picture on the device [bytes]."""
+        return self.array.size * wp.types.type_size_in_bytes(self.array.dtype)
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    """Checked pixels of an image or tile that a scene needs."""
+
+    label: str  # name in messages
+    pixels: np.ndarray  # shape [height, width, channels], not empty
+    device_bytes: int
+
+
+@dataclass
+class UploadedImages:
+    """The images of a scene on its device."""
+
+    table: ImageTable
+    warnings: list[str] = field(default_factory=list)  # repairs and reductions, with the images' names
+    bytes: int = 0  # memory on the device
+    keep: list[wp.array] = field(default_factory=list)  # arrays of the pictures: the table holds addresses alone
+
+
+class ImageCache:
+    """The pictures of the last upload; an array of pixels that was uploaded already is not uploaded again."""
+
+    def __init__(self) -> None:
+        self._pictures: dict[int, _Picture] = {}  # by identity of the array of pixels
+
+    @property
+    def device_bytes(self) -> int:
+        """Memory that the pictures take on the device [bytes]."""
+        return sum(picture.bytes for picture in self._pictures.values())
+
+    def clear(self) -> None:
+        """Drop the pictures, and their memory."""
+        self._pictures = {}
+
+    def upload(self, images: Sequence[Image], device, budget: int | None = None) -> UploadedImages:
+        """The table of `images` on `device`.
+
+        Pictures are made smaller until all fit in `budget` bytes (None: no limit), as far as that can go. Texels that
+        are not finite become black. The warnings name the images of both.
+        """
+        device = wp.get_device(device)
+        done = UploadedImages(ImageTable())
+        wanted = list(_wanted(images, done.warnings))
+        halvings = _halvings(wanted, budget)
+        entries, tiles, arrays = self._entries(images, wanted, halvings, device, done)
+        done.table.entries = wp.array(entries, dtype=ImageEntry, device=device)
+        done.table.tiles = wp.array(tiles, dtype=int, device=device)
+        done.keep = arrays
+        return done
+
+    def _entries(self, images, wanted: list[_Wanted | None], halvings: list[int], device, done: UploadedImages):
+        """Rows of the table, entries of tiles, and the arrays of all pictures."""
+        kept, self._pictures = self._pictures, {}
+        pictures = [
+            each and self._picture(each, count, kept.get(id(each.pixels)), device, done.warnings)
+            for each, count in zip(wanted, halvings)
+        ]
+        tiles: list[int] = []
+        entries = np.zeros(len(images) + sum(len(image.tiles or ()) for image in images), ImageEntry.numpy_dtype())
+        next_entry, next_picture = len(images), iter(pictures)
+        for row, image in zip(entries, images):
+            row["encoding"] = int(image.encoding)
+            if image.tiles is None:
+                _describe(row, next(next_picture))
+                continue
+            pixels_by_index = {number - FIRST_TILE: pixels for number, pixels in image.tiles}
+            row["tile_first"], row["tile_count"] = len(tiles), _rows_of(pixels_by_index) * int(TILE_COLUMNS)
+            own = [-1] * int(row["tile_count"])
+            for number, _ in image.tiles:
+                entries[next_entry]["encoding"] = int(image.encoding)
+                _describe(entries[next_entry], next(next_picture))
+                if 0 <= number - FIRST_TILE < len(own):
+                    own[number - FIRST_TILE] = next_entry
+                next_entry += 1
+            tiles += own
+        there = list(self._pictures.values())
+        done.bytes = sum(picture.bytes for picture in there) + entries.nbytes + 4 * len(tiles)
+        return entries, np.array(tiles, np.int32), [picture.array for picture in there]
+
+    def _picture(
+        self, wanted: _Wanted, halvings: int, before: _Picture | None, device, warnings: list[str]
+    ) -> _Picture:
+        own = self._pictures.get(id(wanted.pixels)) or before
+        if own is None or own.source() is not wanted.pixels or own.halvings != halvings or own.array.device != device:
+            own = _upload(wanted.pixels, halvings, device)
+        self._pictures[id(wanted.pixels)] = own
+        if own.replaced:
+            warnings.append(f"{wanted.label}: {own.replaced:,} texels are infinite or not a number; they are black")
+        if halvings:
+            height, width = wanted.pixels.shape[:2]
+            warnings.append(
+                f"{wanted.label} does not fit the memory of the device: it is scaled down from {width:,} x {height:,} "
+                f"to {own.width:,} x {own.height:,} texels"
+            )
+        return own
+
+
+def device_bytes_of(images: Sequence[Image]) -> int:
+    """Memory of `images` on a device if none is made smaller [bytes]."""
+    return sum({id(each.pixels): each.device_bytes for each in _wanted(images, []) if each is not None}.values())
+
+
+def _rows_of(pixels_by_index) -> int:
+    return (
+        max((index for index in pixels_by_index if 0 <= index <= LAST_TILE - FIRST_TILE), default=-1)
+        // int(TILE_COLUMNS)
+        + 1
+    )
+
+
+def _describe(row, picture: _Picture | None) -> None:
+    if picture is None:
+        row["texels"] = int(Texels.MISSING)
+        return
+    row["address"], row["texels"] = picture.array.ptr, int(picture.texels)
+    row["width"], row["height"] = picture.width, picture.height
+
+
+def _wanted(images: Sequence[Image], warnings: list[str]) -> Iterator[_Wanted | None]:
+    """All pictures in the order of the table; None for a picture that is missing or cannot be used."""
+    for image in images:
+        for number, pixels in image.tiles if image.tiles is not None else ((0, image.pixels),):
+            label = f"image “{image.name}”" + (f", tile {number}" if image.tiles is not None else "")
+            if image.tiles is not None and not FIRST_TILE <= number <= LAST_TILE:
+                warnings.append(f"{label}: tiles are numbered {FIRST_TILE} to {LAST_TILE}; it is left out")
+                yield None
+            elif pixels is None:
+                yield None
+            elif (
+                pixels.ndim != 3
+                or pixels.shape[2] not in (1, 3, 4)
+                or pixels.dtype.name not in ("uint8", "float16", "float32")
+            ):
+                kind = f"{pixels.dtype}, shape {list(pixels.shape)}"
+                warnings.append(f"{label} has pixels of a kind that is not understood ({kind}); it is magenta")
+                yield None
+            elif pixels.size == 0:
+                warnings.append(f"{label} has no pixels; it is magenta")
+                yield None
+            else:
+                channels = 1 if pixels.shape[2] == 1 else 4
+                yield _Wanted(label, pixels, pixels.shape[0] * pixels.shape[1] * channels * pixels.itemsize)
+
+
+def _halvings(wanted: Sequence[_Wanted | None], budget: int | None) -> list[int]:
+    """How many times each picture is halved in width and height: the largest first, until all fit `budget`."""
+    counts = [0] * len(wanted)
+    sizes = [0 if each is None else each.device_bytes for each in wanted]
+    for i, each in enumerate(wanted):
+        while each is not None and each.pixels.shape[0] * each.pixels.shape[1] >> 2 * counts[i] > TEXELS_MAX:
+            counts[i], sizes[i] = counts[i] + 1, sizes[i] // 4
+    first = {
+        id(each.pixels): i for i, each in reversed(list(enumerate(wanted))) if each is not None
+    }  # one array may be there twice
+    while budget is not None and first:
+        if sum(sizes[i] for i in first.values()) <= budget:
+            break
+        able = [i for i in first.values() if min(wanted[i].pixels.shape[:2]) >> counts[i] > EDGE_LEAST]
+        if not able:
+            break
+        largest = max(able, key=lambda i: sizes[i])
+        counts[largest], sizes[largest] = counts[largest] + 1, sizes[largest] // 4
+    return [0 if each is None else counts[first[id(each.pixels)]] for each in wanted]
+
+
+def _upload(pixels: np.ndarray, halvings: int, device) -> _Picture:
+    own, replaced = pixels, 0
+    if pixels.dtype != np.uint8:
+        own, replaced = _finite(pixels)
+    for _ in range(halvings):
+        own = halved(own)
+    if own.shape[2] == 3:
+        opaque = 255 if own.dtype == np.uint8 else 1
+        own = np.concatenate([own, np.full((*own.shape[:2], 1), opaque, own.dtype)], 2)
+    height, width, channels = own.shape
+    texels, dtype = _KINDS[own.dtype.name, channels]
+    flat = np.ascontiguousarray(own).reshape((-1, 4) if channels == 4 else -1)
+    if flat.ctypes.data % _ALIGNMENT:
+        flat = flat.copy()
+    # on the CPU this is the memory of the pixels itself, which `keep` holds
+    array = wp.array(flat, dtype=dtype, device=device, copy=device.is_cuda)
+    return _Picture(weakref.ref(pixels), halvings, texels, width, height, array, replaced)
+
+
+def _finite(pixels: np.ndarray) -> tuple[np.ndarray, int]:
+    """`pixels` with every texel black that has a channel that is not finite, and the number of these texels."""
+    good = np.isfinite(pixels).all(2)
+    bad = good.size - int(np.count_nonzero(good))
+    if not bad:
+        return pixels, 0
+    own = pixels.copy()
+    own[~good] = 0
+    return own, bad
+
+
+def halved(pixels: np.ndarray) -> np.ndarray:
+    """`pixels` [height, width, channels] at half the width and height, rounded up.
+
+    A texel is the mean of a square of four, of the numbers as stored.
+    """
+    height, width = pixels.shape[:2]
+    if height % 2 or width % 2:
+        pixels = np.pad(pixels, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+    small = np.empty(((height + 1) // 2, (width + 1) // 2, pixels.shape[2]), pixels.dtype)
+    block = 1024  # rows at a time, so that a large image is never whole as float32
+    for first in range(0, len(small), block):
+        part = pixels[2 * first : 2 * (first + block)].astype(np.float32) * np.float32(0.25)
+        mean = part[0::2, 0::2] + part[1::2, 0::2] + part[0::2, 1::2] + part[1::2, 1::2]
+        small[first : first + block] = np.rint(mean) if pixels.dtype == np.uint8 else mean
+    return small

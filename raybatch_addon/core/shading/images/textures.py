@@ -1,0 +1,274 @@
+"""Images on the device and their look-up, as in Cycles: texel centres are at half-integer coordinates.
+
+Interpolation works on the numbers as they are stored. Alpha is divided out before the sRGB transfer function is undone.
+No look-up gives a number that is not finite, whatever the coordinates.
+"""
+
+from enum import IntEnum
+
+import warp as wp
+
+from ...scene.description import ImageEncoding
+
+
+class Interpolation(IntEnum):
+    """Interpolation between texels."""
+
+    CLOSEST = 0
+    LINEAR = 1
+    CUBIC = 2  # uniform cubic B-spline, which also blurs
+
+
+class Extension(IntEnum):
+    """Look-up beyond the image's edges."""
+
+    REPEAT = 0
+    EXTEND = 1  # the outermost texels
+    CLIP = 2  # transparent black
+    MIRROR = 3
+
+
+class Texels(IntEnum):
+    """Storage of an image's texels: one or four numbers each."""
+
+    MISSING = 0
+    BYTE = 1
+    BYTE4 = 2
+    HALF = 3
+    HALF4 = 4
+    FLOAT = 5
+    FLOAT4 = 6
+
+
+@wp.struct
+class ImageEntry:
+    """One picture, or the tiles of one."""
+
+    address: wp.uint64  # address of the texels, row by row from the bottom
+    width: int  # [texels]
+    height: int
+    texels: int  # `Texels`
+    encoding: int  # `ImageEncoding`
+    tile_first: int  # index of tile 1001 in `ImageTable.tiles`
+    tile_count: int  # entries in `ImageTable.tiles`, 10 a row of UDIM; 0: the image has no tiles
+
+
+@wp.struct
+class ImageTable:
+    """All images of a scene."""
+
+    entries: wp.array(dtype=ImageEntry)  # images in the scene's order, then their tiles
+    tiles: wp.array(dtype=int)  # entry of a tile; -1: there is none
+
+
+_CLOSEST = wp.constant(int(Interpolation.CLOSEST))
+_LINEAR = wp.constant(int(Interpolation.LINEAR))
+_REPEAT = wp.constant(int(Extension.REPEAT))
+_EXTEND = wp.constant(int(Extension.EXTEND))
+_CLIP = wp.constant(int(Extension.CLIP))
+_MISSING = wp.constant(int(Texels.MISSING))
+_BYTE = wp.constant(int(Texels.BYTE))
+_BYTE4 = wp.constant(int(Texels.BYTE4))
+_HALF = wp.constant(int(Texels.HALF))
+_HALF4 = wp.constant(int(Texels.HALF4))
+_FLOAT = wp.constant(int(Texels.FLOAT))
+_SRGB = wp.constant(int(ImageEncoding.SRGB))
+
+# Tiles of one row of UDIM
+TILE_COLUMNS = wp.constant(10)
+# From this many texels on a count may not fit an int32
+_FAR = wp.constant(2.0**30)
+_MAGENTA = wp.constant(wp.vec4(1.0, 0.0, 1.0, 1.0))  # Blender's colour of a missing image
+
+
+@wp.func
+def srgb_to_linear(x: float) -> float:
+    """The number of which `x` is the sRGB encoding (IEC 61966-2-1); 0 for x below 0."""
+    if x < 0.04045:
+        return wp.max(x, 0.0) / 12.92
+    return wp.pow((x + 0.055) / 1.055, 2.4)
+
+
+@wp.func
+def _half(bits: wp.uint64) -> float:
+    """The half-precision number of the lowest 16 bits."""
+    return float(wp.cast(wp.uint16(bits & wp.uint64(65535)), wp.float16))
+
+
+@wp.func
+def _texel(image: ImageEntry, x: int, y: int) -> wp.vec4:
+    """The texel of column `x` and row `y`, as stored; a single number is in all three colours."""
+    count = image.width * image.height
+    at = y * image.width + x
+    if image.texels == _BYTE4:
+        word = wp.array(ptr=image.address, shape=(count,), dtype=wp.uint32)[at]  # one load for four numbers
+        scale = wp.static(1.0 / 255.0)
+        mask = wp.uint32(255)
+        return wp.vec4(
+            float(word & mask) * scale,
+            float((word >> wp.uint32(8)) & mask) * scale,
+            float((word >> wp.uint32(16)) & mask) * scale,
+            float(word >> wp.uint32(24)) * scale,
+        )
+    if image.texels == _HALF4:
+        pairs = wp.array(ptr=image.address, shape=(count,), dtype=wp.uint64)[at]
+        return wp.vec4(
+            _half(pairs), _half(pairs >> wp.uint64(16)), _half(pairs >> wp.uint64(32)), _half(pairs >> wp.uint64(48))
+        )
+    grey = float(0.0)
+    if image.texels == _BYTE:
+        grey = float(wp.array(ptr=image.address, shape=(count,), dtype=wp.uint8)[at]) * wp.static(1.0 / 255.0)
+    elif image.texels == _HALF:
+        grey = float(wp.array(ptr=image.address, shape=(count,), dtype=wp.float16)[at])
+    elif image.texels == _FLOAT:
+        grey = wp.array(ptr=image.address, shape=(count,), dtype=float)[at]
+    else:
+        return wp.array(ptr=image.address, shape=(count,), dtype=wp.vec4)[at]
+    return wp.vec4(grey, grey, grey, 1.0)
+
+
+@wp.func
+def _near(x: float, size: int, extension: int) -> float:
+    """A coordinate at which the image is the same as at `x`, near enough to count `size` texels in an int32.
+
+    0 where `x` is not finite.
+    """
+    near = float(x)
+    if extension == _EXTEND or extension == _CLIP:
+        # cubic interpolation reads two texels to each side, and an image has at least one
+        near = wp.clamp(x, -4.0, 5.0)
+    elif wp.abs(x) * float(size) > _FAR:
+        near = x - 2.0 * wp.floor(0.5 * x)  # mirrored images repeat after two
+    if not wp.isfinite(x) or not wp.isfinite(near):
+        near = 0.0
+    return near
+
+
+@wp.func
+def _wrapped(i: int, size: int, extension: int) -> int:
+    """Index of the texel that is seen at index `i` of `size`; -1: none."""
+    if i >= 0 and i < size:
+        return i
+    if extension == _CLIP:
+        return -1
+    if extension == _EXTEND:
+        return wp.clamp(i, 0, size - 1)
+    if extension == _REPEAT:
+        rest = i % size
+        if rest < 0:
+            rest += size
+        return rest
+    up = i
+    if i < 0:
+        up = -1 - i
+    rest = up % (2 * size)
+    if rest >= size:
+        rest = 2 * size - 1 - rest
+    return rest
+
+
+@wp.func
+def _tap_weight(k: int, t: float, interpolation: int) -> float:
+    """Weight of the k-th texel, at `t` in [0, 1) behind the last one before the point."""
+    if interpolation == _CLOSEST:
+        return 1.0
+    if interpolation == _LINEAR:
+        if k == 0:
+            return 1.0 - t
+        return t
+    s = 1.0 - t
+    if k == 0:
+        return s * s * s / 6.0
+    if k == 1:
+        return (0.5 * t - 1.0) * t * t + wp.static(2.0 / 3.0)
+    if k == 2:
+        return (0.5 * s - 1.0) * s * s + wp.static(2.0 / 3.0)
+    return t * t * t / 6.0
+
+
+@wp.func
+def _interpolated(image: ImageEntry, u: float, v: float, interpolation: int, extension: int) -> wp.vec4:
+    """The image's numbers at (u, v), as stored.
+
+    One loop instead of a branch for each interpolation keeps the code small.
+    """
+    count = int(4)
+    first = int(-1)
+    offset = float(0.5)
+    if interpolation == _LINEAR:
+        count = 2
+        first = 0
+    elif interpolation == _CLOSEST:
+        count = 1
+        first = 0
+        offset = 0.0
+    x = _near(u, image.width, extension) * float(image.width) - offset
+    y = _near(v, image.height, extension) * float(image.height) - offset
+    x_floor = wp.floor(x)
+    y_floor = wp.floor(y)
+    column = int(x_floor) + first
+    row = int(y_floor) + first
+    if extension == _REPEAT:
+        column = _wrapped(column, image.width, extension)
+        row = _wrapped(row, image.height, extension)
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    for j in range(count):
+        at_y = _wrapped(row + j, image.height, extension)
+        if at_y >= 0:
+            weight = _tap_weight(j, y - y_floor, interpolation)
+            for i in range(count):
+                at_x = _wrapped(column + i, image.width, extension)
+                if at_x >= 0:
+                    total += (weight * _tap_weight(i, x - x_floor, interpolation)) * _texel(image, at_x, at_y)
+    return total
+
+
+@wp.func
+def _without_alpha(value: wp.vec4) -> wp.vec4:
+    """Colours divided by alpha, where that is neither 0 nor 1."""
+    alpha = value[3]
+    if alpha == 0.0 or alpha == 1.0:
+        return value
+    divided = wp.vec4(value[0] / alpha, value[1] / alpha, value[2] / alpha, alpha)
+    if wp.isfinite(divided[0]) and wp.isfinite(divided[1]) and wp.isfinite(divided[2]):
+        return divided
+    return value
+
+
+@wp.func
+def sample_image(
+    table: ImageTable, index: int, uv: wp.vec2, interpolation: int, extension: int, divide: int
+) -> wp.vec4:
+    """Linear RGB and alpha of image `index` at `uv`, (0, 0) being its bottom left corner; magenta where it is missing.
+
+    `divide`: 1 if alpha is to be divided out of the colours.
+    """
+    if index < 0 or index >= table.entries.shape[0]:
+        return _MAGENTA
+    u = uv[0]
+    v = uv[1]
+    at = int(index)
+    tile_count = table.entries[index].tile_count
+    if tile_count > 0:
+        # truncated, not rounded down: a coordinate a little below 0 belongs to the first tile, as in Cycles
+        if not (u > -1.0 and u < float(TILE_COLUMNS) and v > -1.0 and v < float(tile_count)):
+            return _MAGENTA
+        column = int(u)
+        row = int(v)
+        tile = row * TILE_COLUMNS + column
+        if tile >= tile_count:
+            return _MAGENTA
+        at = table.tiles[table.entries[index].tile_first + tile]
+        if at < 0:
+            return _MAGENTA
+        u -= float(column)
+        v -= float(row)
+    image = table.entries[at]
+    if image.texels == _MISSING:
+        return _MAGENTA
+    value = _interpolated(image, u, v, interpolation, extension)
+    if divide != 0:
+        value = _without_alpha(value)
+    if image.encoding == _SRGB:
+        value = wp.vec4(srgb_to_linear(value[0]), srgb_to_linear(value[1]), srgb_to_linear(value[2]), value[3])
+    return value

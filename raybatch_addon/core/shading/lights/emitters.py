@@ -1,0 +1,211 @@
+"""Emitters of a scene, and the probability with which each is chosen. Host side, NumPy only.
+
+Emitters are numbered: first the lights without mesh, in the scene's order, then the emissive triangles, sorted by
+instance and then by primitive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import SceneError
+from ...scene.description import ClosureKind, Light, LightKind, Material, Scene, Visibility
+
+# Kinds of rays that leave surfaces, where lights are sampled; an emitter that none of them sees lights nothing
+_LIT = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
+
+# Entries of a temporary [instances of one mesh, triangles] block while areas are computed: 32 MB of float64
+_BLOCK = 2**22
+
+
+@dataclass(frozen=True)
+class EmissiveTriangles:
+    """Triangles that emit and have an area, one entry for each instance and primitive."""
+
+    instance: np.ndarray  # int32, shape [e], ascending
+    primitive: np.ndarray  # triangle of the instance's mesh, int32, shape [e], ascending within an instance
+    radiance: np.ndarray  # on both sides [W/(m² sr)], float32, shape [e, 3]
+    area: np.ndarray  # in world space [m²], float64, shape [e]
+    program: np.ndarray  # 1: a program computes the emission, and `radiance` is an estimated mean; int32, shape [e]
+    instance_first: np.ndarray  # first entry of each instance, int32, shape [instance_count + 1]
+
+    def __len__(self) -> int:
+        return len(self.instance)
+
+
+def find_emissive_triangles(
+    scene: Scene, emitted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+) -> EmissiveTriangles:
+    """The emissive triangles of `scene` that surfaces can be lit by.
+
+    `emitted` computes the mean radiance of triangles (instances, primitives) whose material is a program, float32,
+    shape [n, 3]. Triangles of radiance 0 are not sampled. Without `emitted` no program emits.
+    """
+    instances = scene.instances
+    emission = _material_emission(scene)
+    by_program = np.array([emitted is not None and _may_emit(material) for material in scene.materials], bool)
+    chunks: list[tuple[np.ndarray, ...]] = []
+    candidates = np.flatnonzero(instances.visibility & _LIT) if emission.any() or by_program.any() else np.zeros(0, int)
+    for mesh_index in np.unique(instances.mesh[candidates]).tolist():
+        mesh = scene.meshes[mesh_index]
+        if len(mesh.triangles) == 0:
+            continue
+        slot = np.zeros(len(mesh.triangles), np.int32) if mesh.triangle_slot is None else mesh.triangle_slot
+        placed = candidates[instances.mesh[candidates] == mesh_index]
+        corners = mesh.positions.astype(np.float64)[mesh.triangles]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+        # instances that share their first slot share their materials
+        for slot_first in np.unique(instances.slot_first[placed]).tolist():
+            material = scene.slot_materials[slot_first + slot]
+            radiance, program = emission[material], by_program[material]
+            primitive = np.flatnonzero(radiance.any(1) | program).astype(np.int32)
+            if len(primitive) == 0:
+                continue
+            members = placed[instances.slot_first[placed] == slot_first]
+            step = max(1, _BLOCK // len(primitive))
+            for first in range(0, len(members), step):
+                some = members[first : first + step]
+                area = _instanced_areas(instances.transform[some], normal[primitive])
+                which, triangle = np.nonzero(area > 0)
+                chosen = primitive[triangle]
+                chunks.append(
+                    (some[which].astype(np.int32), chosen, radiance[chosen], area[which, triangle], program[chosen])
+                )
+    if not chunks:
+        none = np.zeros(0, np.int32)
+        first = np.zeros(len(instances) + 1, np.int32)
+        return EmissiveTriangles(none, none, np.zeros((0, 3), np.float32), np.zeros(0), none, first)
+    instance, primitive, radiance, area, program = (np.concatenate(parts) for parts in zip(*chunks))
+    if program.any():
+        radiance[program] = emitted(instance[program], primitive[program])
+        shines = radiance.any(1)
+        instance, primitive, radiance, area, program = (
+            each[shines] for each in (instance, primitive, radiance, area, program)
+        )
+    # triangles of one block stay in order; only blocks of different meshes are out of order
+    order = np.argsort(instance, kind="stable")
+    first = np.searchsorted(instance[order], np.arange(len(instances) + 1)).astype(np.int32)
+    return EmissiveTriangles(
+        instance[order], primitive[order], radiance[order], area[order], program[order].astype(np.int32), first
+    )
+
+
+def emitter_powers(scene: Scene, triangles: EmissiveTriangles) -> np.ndarray:
+    """Estimated emitted power of every emitter [W], float64, shape [lights + triangles]; a heuristic for choosing."""
+    radius = scene_radius(scene)
+    lights = np.array([_light_power(light, radius) for light in scene.lights], np.float64)
+    # two sides, each of pi times the radiance
+    meshes = triangles.radiance.astype(np.float64).mean(1) * triangles.area * (2 * np.pi)
+    return np.concatenate([lights, meshes])
+
+
+def fixed_point_cdf(power: np.ndarray) -> np.ndarray:
+    """Selection probabilities in proportion to `power`, in units of 2^-32.
+
+    Args:
+        power: float64, shape [n], finite, >= 0; when all are 0, all emitters are as likely.
+
+    Returns:
+        Where each emitter's interval of [0, 2^32) begins, uint32, shape [n], strictly ascending from 0. The last one
+        ends at 2^32, so the probabilities sum to exactly 1, and none is below 2^-32: nothing that emits is left out.
+    """
+    count = len(power)
+    if count == 0:
+        return np.zeros(0, np.uint32)
+    # scaled to at most 1, so that sums stay in range whatever the unit
+    largest = power.max()
+    share = power / largest if largest > 0 else np.ones(count)
+    ends = np.cumsum(share)
+    first = np.zeros(count, np.uint64)
+    # one unit to each, the rest in proportion
+    first[1:] = np.floor(ends[:-1] / ends[-1] * (2.0**32 - count)).astype(np.uint64)
+    return (first + np.arange(count, dtype=np.uint64)).astype(np.uint32)
+
+
+def world_power(scene: Scene, brightness: float) -> float:
+    """Estimated power from a world of mean radiance `brightness` [W]: that of a sun of the same irradiance."""
+    return 4 * np.pi**2 * scene_radius(scene) ** 2 * brightness
+
+
+def scene_radius(scene: Scene) -> float:
+    """Radius of a sphere around all geometry and lights [m].
+
+    It is at least the radius of one light or point, and 1 for an empty scene.
+    """
+    boxes = np.full((len(scene.meshes), 2, 3), np.nan)
+    for i, mesh in enumerate(scene.meshes):
+        if len(mesh.positions):
+            boxes[i] = mesh.positions.min(0), mesh.positions.max(0)
+    points = [np.asarray(light.transform, np.float64)[:, 3] for light in scene.lights if light.kind != LightKind.SUN]
+    low, high = [np.array(points).reshape(-1, 3)], [np.array(points).reshape(-1, 3)]
+    if len(scene.instances):
+        matrix = scene.instances.transform.astype(np.float64)
+        box = boxes[scene.instances.mesh]
+        centre = np.einsum("nij,nj->ni", matrix[:, :, :3], box.mean(1)) + matrix[:, :, 3]
+        reach = np.einsum("nij,nj->ni", np.abs(matrix[:, :, :3]), (box[:, 1] - box[:, 0]) / 2)
+        filled = np.isfinite(centre).all(1) & np.isfinite(reach).all(1)
+        low.append((centre - reach)[filled])
+        high.append((centre + reach)[filled])
+    low, high = np.concatenate(low), np.concatenate(high)
+    if len(low) == 0:
+        return 1.0
+    radius = float(np.linalg.norm(high.max(0) - low.min(0)) / 2)
+    return radius if radius > 0 else 1.0
+
+
+def _light_power(light: Light, radius_of_scene: float) -> float:
+    strength = np.mean(np.asarray(light.emission, np.float64))
+    if not np.isfinite(strength) or strength < 0:
+        raise SceneError(
+            f"light “{light.name}”: its emission {light.emission} is not usable; give it a finite, positive power"
+        )
+    if light.kind == LightKind.POINT:
+        return strength * 4 * np.pi
+    if light.kind == LightKind.SPOT:
+        return strength * 2 * np.pi * (1 - np.cos(np.clip(light.angle, 0, np.pi) / 2))
+    if light.kind == LightKind.SUN:
+        return strength * np.pi * radius_of_scene**2
+    return strength * np.pi * light_area(light)
+
+
+def light_area(light: Light) -> float:
+    """Area of a RECTANGLE or ELLIPSE [m²]."""
+    area = abs(float(light.size[0]) * float(light.size[1]))
+    return area * np.pi / 4 if light.kind == LightKind.ELLIPSE else area
+
+
+def _may_emit(material: Material) -> bool:
+    # a program whose emission is known to be black has no emission step, though its kinds count it
+    program = material.program
+    return (
+        program is not None
+        and ClosureKind.EMISSION in material.kinds
+        and any(step.op == "emission" for step in program.instructions)
+    )
+
+
+def _material_emission(scene: Scene) -> np.ndarray:
+    """Radiance of each material, float32, shape [material_count, 3]."""
+    emission = np.zeros((len(scene.materials), 3))
+    for i, material in enumerate(scene.materials):
+        for closure in material.closures:
+            if closure.kind == ClosureKind.EMISSION:
+                emission[i] += closure.weight
+        if not np.isfinite(emission[i]).all():
+            raise SceneError(f"material “{material.name}”: its emission is not finite; give it a finite strength")
+    return np.clip(emission, 0, np.finfo(np.float32).max).astype(np.float32)
+
+
+def _instanced_areas(transform: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Areas of triangles under each transform, float64, shape [transforms, triangles].
+
+    `normal` holds area vectors, shape [triangles, 3]. A transform takes them by its cofactor matrix, singular or not.
+    """
+    rows = transform[:, :, :3].astype(np.float64)
+    cofactor = np.stack(
+        [np.cross(rows[:, 1], rows[:, 2]), np.cross(rows[:, 2], rows[:, 0]), np.cross(rows[:, 0], rows[:, 1])], 1
+    )
+    return np.linalg.norm(np.einsum("nij,kj->nki", cofactor, normal), axis=-1)

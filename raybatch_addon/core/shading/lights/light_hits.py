@@ -1,0 +1,157 @@
+"""Lights without mesh that rays meet by themselves.
+
+Lights neither block rays nor hide one another, as in Cycles: a ray gathers the light of all that it passes.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import warp as wp
+
+from ...programs.op import NodeData
+from ...scene.description import LightKind
+from ...scene.program import ProgramFeatures
+from .area_shapes import meet_area_light
+from .lamp_program import make_lamp_emission
+from .light_choice import selection_pdf
+from .light_shapes import LightSample, meet_disk, meet_sphere, meet_sun, spot_factor
+from .light_table import LightRecord, LightTable
+from .lights import is_lit_in_part, light_weights
+
+_POINT = wp.constant(int(LightKind.POINT))
+_SPOT = wp.constant(int(LightKind.SPOT))
+_SUN = wp.constant(int(LightKind.SUN))
+_ELLIPSE = wp.constant(int(LightKind.ELLIPSE))
+
+
+@dataclass(frozen=True)
+class LightHitFeatures:
+    """Features that the functions are compiled for, under the names that `SceneFeatures` has for them."""
+
+    lights: tuple[LightKind, ...] = ()  # kinds of the scene's lights
+    light_sphere: bool = False  # a POINT or SPOT shaped as a sphere
+    light_hits: bool = False  # a light that rays can meet
+    mis: bool = True  # False: light sampling alone finds what it can find
+    lamp_program: ProgramFeatures = ProgramFeatures()
+
+
+class LightHits(NamedTuple):
+    """Functions (`wp.Function`) of one specialisation.
+
+    `nodes` are the lamps' programs; `bounce` and `passed` are inputs of these about the path. `bsdf_pdf` is the density
+    of the ray's direction where it scattered last (see `mis_weight`), `visibility` the kind of ray.
+    """
+
+    # (table, nodes, origin, direction, t_min, t_max, visibility, bsdf_pdf, bounce, passed) -> vec3: weighted radiance
+    # of all lights on a ray at `t_min` <= t < `t_max` that rays of that kind see, without suns. `origin` is the point
+    # where the ray scattered last
+    intersect: wp.Function
+    # (table, nodes, direction, visibility, bsdf_pdf, bounce, passed) -> vec3: weighted radiance of the suns, for a ray
+    # that leaves the scene
+    miss: wp.Function
+
+
+@functools.cache
+def make_light_hits(features: LightHitFeatures) -> LightHits:
+    """The `LightHits` for scenes with these features."""
+    has_round = LightKind.POINT in features.lights or LightKind.SPOT in features.lights
+    has_spot = LightKind.SPOT in features.lights
+    has_sphere = has_round and features.light_sphere
+    has_area = LightKind.RECTANGLE in features.lights or LightKind.ELLIPSE in features.lights
+    met_in_space = features.light_hits and (has_round or has_area)
+    met_suns = features.light_hits and LightKind.SUN in features.lights
+    has_programs = bool(features.lamp_program)
+    hit_weight = light_weights(features.mis)[1]
+    lamp_emission = make_lamp_emission(features.lamp_program) if has_programs else None
+
+    @wp.func
+    def meet_shape(light: LightRecord, origin: wp.vec3, direction: wp.vec3) -> LightSample:
+        s = LightSample()
+        if wp.static(has_round):
+            if light.kind == _POINT or light.kind == _SPOT:
+                if wp.static(has_sphere):
+                    if light.sphere != 0:
+                        s = meet_sphere(light, origin, direction)
+                    else:
+                        s = meet_disk(light, origin, direction)
+                else:
+                    s = meet_disk(light, origin, direction)
+                s.radiance = wp.vec3(1.0)
+                if wp.static(has_spot):
+                    if light.kind == _SPOT and s.pdf > 0.0:
+                        s.radiance = wp.vec3(spot_factor(light, origin, direction))
+        if wp.static(has_area):
+            if light.kind > _SUN:
+                s = meet_area_light(light, origin, direction, wp.where(light.kind == _ELLIPSE, 1, 0))
+        return s
+
+    @wp.func
+    def intersect(
+        table: LightTable,
+        nodes: NodeData,
+        origin: wp.vec3,
+        direction: wp.vec3,
+        t_min: float,
+        t_max: float,
+        visibility: int,
+        bsdf_pdf: float,
+        bounce: int,
+        passed: int,
+    ) -> wp.vec3:
+        total = wp.vec3()
+        if wp.static(met_in_space):
+            if table.tree_count > 0:
+                item = int(0)
+                query = wp.bvh_query_ray(table.tree, origin, direction)
+                while wp.bvh_query_next(query, item, t_max):
+                    emitter = table.tree_light[item]
+                    light = table.lights[emitter]
+                    sampled = bsdf_pdf > 0.0 and is_lit_in_part(light.visibility)
+                    if (light.visibility & visibility) != 0 and not sampled:
+                        met = meet_shape(light, origin, direction)
+                        if met.pdf > 0.0 and met.distance >= t_min and met.distance < t_max:
+                            weight = hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter))
+                            radiance = wp.cw_mul(met.radiance, light.emission)
+                            if wp.static(has_programs):
+                                if light.program != 0:
+                                    position = origin + met.distance * direction
+                                    emitted = lamp_emission(
+                                        nodes, table, emitter, position, direction, met.distance, bounce, passed
+                                    )
+                                    radiance = wp.cw_mul(radiance, emitted)
+                            total += weight * radiance
+        return total
+
+    @wp.func
+    def miss(
+        table: LightTable,
+        nodes: NodeData,
+        direction: wp.vec3,
+        visibility: int,
+        bsdf_pdf: float,
+        bounce: int,
+        passed: int,
+    ) -> wp.vec3:
+        total = wp.vec3()
+        if wp.static(met_suns):
+            for i in range(table.sun_count):
+                emitter = table.suns[i]
+                light = table.lights[emitter]
+                sampled = bsdf_pdf > 0.0 and is_lit_in_part(light.visibility)
+                if (light.visibility & visibility) != 0 and not sampled:
+                    met = meet_sun(light, direction)
+                    if met.pdf > 0.0:
+                        radiance = light.emission
+                        if wp.static(has_programs):
+                            if light.program != 0:
+                                emitted = lamp_emission(
+                                    nodes, table, emitter, direction, direction, wp.inf, bounce, passed
+                                )
+                                radiance = wp.cw_mul(radiance, emitted)
+                        total += hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter)) * radiance
+        return total
+
+    return LightHits(intersect, miss)

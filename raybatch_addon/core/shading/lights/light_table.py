@@ -1,0 +1,233 @@
+"""Tables on the device: lights, and the probabilities of all emitters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ...scene.description import Light, LightKind, Scene
+from .emitters import emitter_powers, find_emissive_triangles, fixed_point_cdf, light_area, world_power
+from .world import SampledWorld, WorldTable
+
+_FLOAT = np.finfo(np.float32)
+
+# The square of a sphere's angular radius must stay a normal float32 up to this distance; smaller spheres act as points
+_FARTHEST = 1e9  # [m]
+_RADIUS_MIN = float(np.sqrt(_FLOAT.tiny)) * _FARTHEST  # [m], about 1e-10
+# Rounding of a direction; light that spreads less than this is parallel
+_ANGLE_MIN = float(_FLOAT.eps)  # [rad]
+
+
+@wp.struct
+class LightRecord:
+    """One light without mesh; fields that its kind does not use are 0."""
+
+    kind: int  # `LightKind`
+    visibility: int  # `Visibility` bits
+    casts_shadow: int
+    delta: int  # 1: no ray meets it by chance
+    sphere: int  # POINT, SPOT: 1: a sphere; 0: a disk that faces the shaded point
+    program: int  # 1: `emission` is multiplied by the result of a program
+    position: wp.vec3  # [m]
+    axis_x: wp.vec3  # unit
+    axis_y: wp.vec3  # unit
+    axis: wp.vec3  # unit, the direction in which it shines
+    # radiance, before spread and cone [W/(m² sr)]; of delta lights POINT, SPOT: radiant intensity [W/sr]; of other
+    # delta lights: irradiance of a surface that faces it [W/m²]
+    emission: wp.vec3
+    radius: float  # POINT, SPOT [m]
+    one_minus_cos: float  # SUN: 1 - cos of half its angular diameter
+    cos_half: float  # SPOT: cosine of half the cone's angle
+    inverse_blend: float  # SPOT: one over the span of the cosine that is softened; 0: a hard edge
+    squeeze_x: float  # SPOT: one over the width of the cone relative to z
+    squeeze_y: float
+    half_x: float  # RECTANGLE, ELLIPSE: half width [m]
+    half_y: float
+    tan_half_spread: float  # RECTANGLE, ELLIPSE: tangent of half the spread
+    spread_scale: float  # RECTANGLE, ELLIPSE: one over that tangent; 0: light leaves into the whole half space
+
+
+@wp.struct
+class LightTable:
+    """All emitters: lights without mesh first, then emissive triangles, then the world if it is sampled."""
+
+    emitter_count: int
+    light_count: int
+    emitter_first: wp.array(dtype=wp.uint32)  # begin of each emitter's interval of [0, 2^32)
+    lights: wp.array(dtype=LightRecord)  # [light_count]
+    sun_count: int
+    suns: wp.array(dtype=int)  # numbers of the suns with a size; [sun_count]
+    tree: wp.uint64  # `wp.Bvh` over the boxes of the lights that rays can meet
+    tree_count: int
+    tree_light: wp.array(dtype=int)  # number of the light of each item of the tree; [tree_count]
+    triangle_instance: wp.array(dtype=int)  # [emitter_count - light_count], ascending
+    triangle_primitive: wp.array(dtype=int)  # ascending within an instance
+    triangle_radiance: wp.array(dtype=wp.vec3)  # [W/(m² sr)]
+    instance_first: wp.array(dtype=int)  # first triangle of each instance in the three above; [instance_count + 1]
+    instance_visibility: wp.array(dtype=int)  # `Visibility` bits
+    triangle_program: wp.array(dtype=int)  # 1: the radiance comes from a program; no entries where none does
+    world_emitter: int  # -1: the world is not sampled
+    world_visibility: int  # `Visibility` bits
+    world: WorldTable
+
+
+@dataclass
+class UploadedLights:
+    """A `LightTable`, with the objects that must outlive it."""
+
+    table: LightTable
+    tree: wp.Bvh | None
+    triangle_count: int  # number of emissive triangles
+
+    @property
+    def emitter_count(self) -> int:
+        """Number of lights and emissive triangles together."""
+        return self.table.emitter_count
+
+
+def upload_lights(
+    scene: Scene,
+    device: wp.Device,
+    emitted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
+    world: SampledWorld | None = None,
+    lamps: Callable[[LightTable], np.ndarray] | None = None,
+) -> UploadedLights:
+    """The emitters of `scene` on `device`; raises `SceneError` for emission that is not finite.
+
+    Args:
+        emitted: computes the mean radiance of triangles (instances, primitives) whose material is a program, float32,
+            shape [n, 3].
+        world: the world, if it is sampled.
+        lamps: computes the factor by which programs change the brightness of each light, float64, shape [light_count],
+            from a table that holds lights alone.
+    """
+    triangles = find_emissive_triangles(scene, emitted)
+    power = emitter_powers(scene, triangles)
+    if world is not None:
+        power = np.append(power, world_power(scene, world.brightness))
+    records = np.zeros(len(scene.lights), LightRecord.numpy_dtype())
+    for i, light in enumerate(scene.lights):
+        _fill_record(records[i, ...], light)
+
+    def upload(values, dtype) -> wp.array:
+        return wp.array(values, dtype=dtype, device=device)
+
+    sized = records["delta"] == 0
+    is_sun = records["kind"] == LightKind.SUN
+    suns = np.flatnonzero(sized & is_sun).astype(np.int32)
+    placed = np.flatnonzero(sized & ~is_sun).astype(np.int32)
+
+    table = LightTable()
+    table.emitter_count = len(power)
+    table.light_count = len(records)
+    table.lights = upload(records, LightRecord)
+    if lamps is not None:
+        power[: len(records)] *= lamps(table)
+    table.emitter_first = upload(fixed_point_cdf(power), wp.uint32)
+    table.sun_count = len(suns)
+    table.suns = upload(suns, int)
+    table.tree_count = len(placed)
+    table.tree_light = upload(placed, int)
+    tree = None
+    if len(placed):
+        low, high = _boxes(records[placed])
+        tree = wp.Bvh(upload(low, wp.vec3), upload(high, wp.vec3))
+        table.tree = tree.id
+    table.triangle_instance = upload(triangles.instance, int)
+    table.triangle_primitive = upload(triangles.primitive, int)
+    table.triangle_radiance = upload(triangles.radiance, wp.vec3)
+    table.triangle_program = upload(triangles.program if triangles.program.any() else triangles.program[:0], int)
+    table.world_emitter = -1
+    if world is not None:
+        table.world_emitter = len(power) - 1
+        table.world_visibility = int(scene.world.visibility)
+        table.world = world.table
+    has_triangles = len(triangles) > 0
+    table.instance_first = upload(triangles.instance_first if has_triangles else np.zeros(0, np.int32), int)
+    visibility = scene.instances.visibility.astype(np.int32)
+    table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
+    return UploadedLights(table, tree, len(triangles))
+
+
+def _fill_record(record: np.ndarray, light: Light) -> None:
+    """Write `light` to `record`, an entry of zeros of a table that exists: to make the type of one takes longer."""
+    matrix = np.asarray(light.transform, np.float64)
+    record["kind"] = int(light.kind)
+    record["visibility"] = int(light.visibility)
+    record["casts_shadow"] = int(light.casts_shadow)
+    record["program"] = int(light.program is not None)
+    record["axis_x"], record["axis_y"], record["axis"] = matrix[:, 0], matrix[:, 1], -matrix[:, 2]
+    record["position"] = matrix[:, 3]
+    emission = np.asarray(light.emission, np.float64)
+    if light.kind in (LightKind.POINT, LightKind.SPOT):
+        emission = emission * _round_light(record, light)
+    elif light.kind == LightKind.SUN:
+        emission = emission * _sun(record, light)
+    else:
+        emission = emission * _area_light(record, light)
+    # a light of 1e30 W on a speck is beyond float32: the largest finite number stands for it
+    record["emission"] = np.clip(emission, 0, _FLOAT.max)
+
+
+def _round_light(record: np.ndarray, light: Light) -> float:
+    """Fill in a POINT or SPOT; returns the factor from intensity to `LightRecord.emission`."""
+    if light.kind == LightKind.SPOT:
+        cos_half = np.cos(np.clip(light.angle, 0, np.pi) / 2)
+        span = (1 - cos_half) * np.clip(light.blend, 0, 1)
+        record["cos_half"] = cos_half
+        # below the rounding of a cosine the edge is hard
+        record["inverse_blend"] = 1 / span if span > _FLOAT.eps else 0
+        width = np.maximum(np.abs(light.spot_scale), float(_FLOAT.tiny))
+        record["squeeze_x"], record["squeeze_y"] = 1 / width
+    if light.radius < _RADIUS_MIN:
+        record["delta"] = 1
+        return 1.0
+    record["radius"] = light.radius
+    record["sphere"] = int(not light.soft_falloff)
+    return 1 / (np.pi * float(light.radius) ** 2)
+
+
+def _sun(record: np.ndarray, light: Light) -> float:
+    """Fill in a SUN; returns the factor from irradiance to `LightRecord.emission`."""
+    half = np.clip(light.angle, 0, np.pi) / 2
+    if half < _ANGLE_MIN:
+        record["delta"] = 1
+        return 1.0
+    record["one_minus_cos"] = 2 * np.sin(half / 2) ** 2
+    return 1 / (np.pi * np.sin(half) ** 2)
+
+
+def _area_light(record: np.ndarray, light: Light) -> float:
+    """Fill in a RECTANGLE or ELLIPSE; returns the factor from radiosity / pi to `LightRecord.emission`."""
+    record["half_x"], record["half_y"] = np.abs(np.asarray(light.size, np.float64)) / 2
+    if light_area(light) < _FLOAT.tiny:
+        record["delta"] = 1
+        return 0.0
+    half = np.clip(light.spread, 0, np.pi) / 2
+    if half < _ANGLE_MIN:
+        record["delta"] = 1
+        return np.pi
+    if light.spread >= np.pi:
+        return 1.0
+    tangent = np.tan(half)
+    # tan(a) - a, by its series where the difference would cancel
+    excess = tangent - half if half > 1e-2 else half**3 / 3 * (1 + half**2 * (2 / 5 + half**2 * 17 / 105))
+    record["tan_half_spread"] = tangent
+    # radiance falls linearly with the tangent, from tan(a) / (tan(a) - a) on the axis to 0 at half the spread a,
+    # and adds up to the same radiosity for every spread
+    record["spread_scale"] = 1 / tangent
+    return tangent / excess
+
+
+def _boxes(records: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """World boxes of lights, float32, shape [n, 3] each."""
+    reach = np.repeat(records["radius"][:, None].astype(np.float64), 3, 1)
+    for axis, half in (("axis_x", "half_x"), ("axis_y", "half_y")):
+        reach += np.abs(records[axis].astype(np.float64)) * records[half][:, None]
+    centre = records["position"].astype(np.float64)
+    # a slab's distance carries three roundings of the coordinates, and flat boxes need a thickness
+    margin = 4 * float(_FLOAT.eps) * (np.abs(centre) + reach).max(1, keepdims=True) + float(_FLOAT.tiny)
+    return (centre - reach - margin).astype(np.float32), (centre + reach + margin).astype(np.float32)

@@ -1,0 +1,171 @@
+"""Sampling of a world whose radiance varies: a table of directions, each as likely as it is bright.
+
+The sphere of directions is cut into texels, equal steps of the angles around and away from +Z. A texel is chosen with a
+probability in proportion to its light (Pharr, Jakob and Humphreys 2023, section 12.5.2), and a direction within it
+uniformly by solid angle, so that the density is exact whatever the radiance within a texel.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from .emitters import fixed_point_cdf
+
+# Least light that a texel counts for, as a share of the mean: light that the texels' test points missed is still found
+_FLOOR = 1e-3
+# ... and as a share of the brightest texel around it: the rim of a sun may lie between the points of a texel
+_AROUND = 0.05
+
+
+@wp.struct
+class WorldTable:
+    """Probabilities in units of 2^-32; no entries: the world is not sampled."""
+
+    width: int  # texels around
+    height: int  # texels from +Z to -Z
+    row_first: wp.array(dtype=wp.uint32)  # begin of each row's interval of [0, 2^32), [height]
+    texel_first: wp.array(dtype=wp.uint32)  # begin of each texel's interval within its row, [height * width]
+
+
+@wp.struct
+class WorldDirection:
+    """A direction into the world."""
+
+    direction: wp.vec3  # unit
+    pdf: float  # [1/sr]
+
+
+@dataclass(frozen=True)
+class SampledWorld:
+    """A world that is sampled."""
+
+    table: WorldTable
+    brightness: float  # mean radiance over all directions
+
+
+def sampled_world(light: np.ndarray, device: wp.Device) -> SampledWorld:
+    """The world whose texels have the brightness `light`; see `build_world_table`."""
+    height = light.shape[0]
+    edges = np.cos(np.arange(height + 1) * (np.pi / height))
+    mean = float((light.mean(1, dtype=np.float64) * (edges[:-1] - edges[1:])).sum() / 2)
+    return SampledWorld(build_world_table(light, device), mean)
+
+
+def build_world_table(light: np.ndarray, device: wp.Device) -> WorldTable:
+    """The table for the `light` of texels, >= 0 and finite, float32, shape [height, width]; row 0 is around +Z."""
+    height, width = light.shape
+    edges = np.arange(height + 1) * (np.pi / height)
+    share = light.astype(np.float64)
+    share += _AROUND * _brightest_around(light) + _FLOOR * share.mean()
+    rows = share.sum(1) * (np.cos(edges[:-1]) - np.cos(edges[1:]))
+    table = WorldTable()
+    table.width, table.height = width, height
+    table.row_first = wp.array(fixed_point_cdf(rows), dtype=wp.uint32, device=device)
+    texels = np.empty((height, width), np.uint32)
+    for row in range(height):
+        texels[row] = fixed_point_cdf(share[row])
+    table.texel_first = wp.array(texels.ravel(), dtype=wp.uint32, device=device)
+    return table
+
+
+def _brightest_around(light: np.ndarray) -> np.ndarray:
+    """The largest light of each texel and the eight around it."""
+    rows = np.maximum(light, np.maximum(np.roll(light, 1, 1), np.roll(light, -1, 1)))
+    result = rows.copy()
+    np.maximum(result[1:], rows[:-1], out=result[1:])
+    np.maximum(result[:-1], rows[1:], out=result[:-1])
+    return result
+
+
+@wp.func
+def _find(first: wp.array(dtype=wp.uint32), begin: int, count: int, bits: wp.uint32) -> int:
+    """Index of the last of `count` entries from `begin` on that is not above `bits`, relative to `begin`."""
+    low = int(0)
+    high = count - 1
+    while low < high:
+        middle = low + (high - low + 1) // 2
+        if first[begin + middle] <= bits:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@wp.func
+def _probability(first: wp.array(dtype=wp.uint32), begin: int, count: int, index: int) -> float:
+    if count == 1:
+        return 1.0
+    end = wp.uint32(0)  # 2^32 in 32 bits
+    if index + 1 < count:
+        end = first[begin + index + 1]
+    return float(end - first[begin + index]) * wp.static(2.0**-32)
+
+
+@wp.func
+def _within(first: wp.array(dtype=wp.uint32), begin: int, index: int, bits: wp.uint32, probability: float) -> float:
+    """Position of `bits` within its interval, 0..1."""
+    return wp.min(float(bits - first[begin + index]) / (probability * wp.static(2.0**32)), wp.static(1.0 - 2.0**-24))
+
+
+@wp.func
+def _texel_solid_angle(table: WorldTable, row: int) -> float:
+    """Solid angle of a texel [sr]; a product, which does not cancel at the poles."""
+    step = wp.PI / float(table.height)
+    return wp.TAU / float(table.width) * 2.0 * wp.sin((float(row) + 0.5) * step) * wp.sin(0.5 * step)
+
+
+@wp.func
+def texel_direction(table: WorldTable, row: int, column: int, u: wp.vec2) -> wp.vec3:
+    """The direction at the point `u` of a texel, uniform by solid angle."""
+    # angles are measured from the nearer pole, where sin²(angle / 2) keeps its digits
+    near = row
+    if 2 * row >= table.height:
+        near = table.height - 1 - row
+    half_step = 0.5 * wp.PI / float(table.height)
+    a = wp.sin(float(near) * half_step)
+    b = wp.sin(float(near + 1) * half_step)
+    s = a * a + u[1] * (b * b - a * a)
+    sine = 2.0 * wp.sqrt(s * wp.max(1.0 - s, 0.0))
+    z = 1.0 - 2.0 * s
+    if near != row:
+        z = -z
+    around = wp.TAU * ((float(column) + u[0]) / float(table.width))
+    return wp.vec3(wp.cos(around) * sine, wp.sin(around) * sine, z)
+
+
+@wp.func
+def sample_world(table: WorldTable, u: wp.vec2) -> WorldDirection:
+    """A direction, as likely as the world is bright there."""
+    bits_row = wp.uint32(u[0] * wp.static(2.0**24)) << wp.uint32(8)
+    bits_column = wp.uint32(u[1] * wp.static(2.0**24)) << wp.uint32(8)
+    row = _find(table.row_first, 0, table.height, bits_row)
+    of_row = _probability(table.row_first, 0, table.height, row)
+    begin = row * table.width
+    column = _find(table.texel_first, begin, table.width, bits_column)
+    of_column = _probability(table.texel_first, begin, table.width, column)
+    within_texel = wp.vec2(
+        _within(table.texel_first, begin, column, bits_column, of_column),
+        _within(table.row_first, 0, row, bits_row, of_row),
+    )
+    result = WorldDirection()
+    result.direction = texel_direction(table, row, column, within_texel)
+    result.pdf = of_row * of_column / _texel_solid_angle(table, row)
+    return result
+
+
+@wp.func
+def world_pdf(table: WorldTable, direction: wp.vec3) -> float:
+    """Density with which `sample_world` chooses `direction` [1/sr]."""
+    sine = wp.sqrt(direction[0] * direction[0] + direction[1] * direction[1])
+    down = wp.atan2(sine, direction[2]) / wp.PI
+    around = wp.atan2(direction[1], direction[0]) / wp.TAU
+    if around < 0.0:
+        around += 1.0
+    row = wp.clamp(int(down * float(table.height)), 0, table.height - 1)
+    column = wp.clamp(int(around * float(table.width)), 0, table.width - 1)
+    begin = row * table.width
+    chance = _probability(table.row_first, 0, table.height, row) * _probability(
+        table.texel_first, begin, table.width, column
+    )
+    return chance / _texel_solid_angle(table, row)

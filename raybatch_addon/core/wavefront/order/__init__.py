@@ -1,0 +1,1 @@
+"""The order of rays and hits: whether and how they are sorted."""

@@ -1,0 +1,1 @@
+"""The plan of a render: whether it batches, how its kernels are launched, and why."""

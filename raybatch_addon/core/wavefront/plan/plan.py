@@ -1,0 +1,160 @@
+"""How a render traces its rays: batched or not, where its geometry lies, and why (pure policy, without a device).
+
+The setting `batching` decides; where it is AUTO, and for every setting that is left to RayBatch, a choice is made here
+before memory is asked for, from counts of the scene, the memory that is free, and a small model of what rays cost
+(`cost_model.py`). Every choice is reported with its reason.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, field
+from typing import Any
+
+from ...bvh.memory import GeometrySize
+from ...bvh.node import Layout
+from ...bvh.treelets.cut import CutRule
+from ...measure.memory import size_text
+from ...settings.settings import RenderSettings
+from .cost_model import batching_cost, costs_of, unbatched_cost
+
+# Bytes of tree and triangles for each triangle, from above: what must fit a budget is counted so
+TREE_BYTES_MOST = {Layout.BOXES: 90, Layout.QUANTISED: 64}
+# Shares of the free memory: a scene is kept whole where its geometry and the build take no more than the first; else
+# the tree gets the second, and rays the rest
+WHOLE_SHARE = 0.85
+PAGED_SHARE = 0.5
+# Of the host's free memory that pages may take
+HOST_SHARE = 0.7
+# The queues of a GPU are swept bucket by bucket; a treelet of a CPU should fit its core's cache
+TREELET_BYTES = {Layout.BOXES: 1 << 20, Layout.QUANTISED: 8 << 20}
+
+
+class Method(enum.Enum):
+    """How rays meet the scene."""
+
+    REFERENCE = "Warp's own tree"
+    UNBATCHED = "each ray visits the whole tree at once"
+    BATCHED = "rays wait at treelets; all geometry is in memory"
+    PAGED = "rays wait for pages of geometry that are brought in for many of them"
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What was chosen for a setting that was left to RayBatch."""
+
+    value: Any
+    why: str
+
+
+@dataclass(frozen=True)
+class TracingPlan:
+    """What a render does."""
+
+    method: Method
+    geometry_budget: int = 0  # PAGED: tree and triangles on the device [bytes]
+    geometry_store: str = "HOST"  # PAGED: what is behind it
+    treelet_bytes: int = 0  # BATCHED: most of a treelet's; 0: no limit
+    treelet_size: int = 0  # most nodes of a treelet; 0: no limit
+    choices: dict[str, Choice] = field(default_factory=dict)  # by setting
+
+
+def report_of(choices: dict[str, Choice]) -> dict[str, dict[str, Any]]:
+    """For the statistics."""
+    return {name: {"value": choice.value, "why": choice.why} for name, choice in choices.items()}
+
+
+def cut_rule(plan: TracingPlan, settings: RenderSettings) -> CutRule:
+    """Where trees are cut into treelets."""
+    return CutRule(plan.treelet_size, settings.treelet_size_min, settings.top_level_depth_max, plan.treelet_bytes)
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What there is, and what a scene takes when it is kept whole [bytes]."""
+
+    needed: int  # geometry, trees and their build, on the device
+    free: int  # of the device
+    host_free: int
+
+
+def plan_tracing(
+    settings: RenderSettings, size: GeometrySize, layout: Layout, is_cuda: bool, memory: Memory
+) -> TracingPlan:
+    """The plan for a scene of `size`."""
+    mode = settings.batching
+    if mode == "REFERENCE":
+        return TracingPlan(Method.REFERENCE)
+    if mode == "OFF":
+        return TracingPlan(Method.UNBATCHED)
+    needed, free = memory.needed, memory.free
+    tree = TREE_BYTES_MOST[layout] * size.triangles
+    budget, choices = settings.geometry_budget, {}
+    device = "the device" if is_cuda else "the machine"
+    if budget:
+        wanted = tree
+        fits, why = tree <= budget, f"geometry_budget is {size_text(budget)}"
+    else:
+        budget = int(free * WHOLE_SHARE)
+        wanted = max(tree, needed)
+        fits, why = needed <= budget, f"{device} has {size_text(free)} free"
+    if not fits:
+        return _paged(settings, is_cuda, tree, memory, f"the scene needs up to {size_text(wanted)}, and {why}")
+    if mode == "ON":
+        return _batched(settings, layout, choices)
+    costs = costs_of(is_cuda)
+    unbatched, batched = unbatched_cost(costs, tree), batching_cost(costs, tree, TREELET_BYTES[layout])
+    choices["batching"] = Choice(
+        "OFF" if unbatched <= batched else "ON",
+        f"the scene needs up to {size_text(wanted)}, and {why}; inside memory a ray is expected to take "
+        f"{_time(unbatched)} unbatched, and "
+        f"{_time(batched)} batched",
+    )
+    if unbatched <= batched:
+        return TracingPlan(Method.UNBATCHED, choices=choices)
+    return _batched(settings, layout, choices)
+
+
+def _batched(settings: RenderSettings, layout: Layout, choices: dict[str, Choice]) -> TracingPlan:
+    treelet_bytes = settings.treelet_bytes
+    if not treelet_bytes and not settings.treelet_size:
+        treelet_bytes = TREELET_BYTES[layout]
+        where = "a core's cache" if layout is Layout.BOXES else "a share of the cache, with enough rays for each"
+        choices["treelet_bytes"] = Choice(treelet_bytes, f"fits {where}")
+    return TracingPlan(Method.BATCHED, treelet_bytes=treelet_bytes, treelet_size=settings.treelet_size, choices=choices)
+
+
+def _paged(settings: RenderSettings, is_cuda: bool, tree: int, memory: Memory, why: str) -> TracingPlan:
+    budget, store, choices = settings.geometry_budget, settings.geometry_store, {}
+    if settings.batching == "AUTO":
+        choices["batching"] = Choice("ON", f"{why}: its geometry is brought in by pages")
+    if not budget:
+        budget = int(memory.free * PAGED_SHARE)
+        choices["geometry_budget"] = Choice(
+            budget, f"half of the {size_text(memory.free)} that are free; the rest is for rays"
+        )
+    if store == "AUTO":
+        store, reason = "DISK", "memory is the device here, and what does not fit in it lies on disk"
+        if is_cuda:
+            fits_host = tree <= memory.host_free * HOST_SHARE
+            store, reason = (
+                ("HOST" if fits_host else "DISK"),
+                f"the host has {size_text(memory.host_free)} free, and pages need up to {size_text(tree)}",
+            )
+        choices["geometry_store"] = Choice(store, reason)
+    if not settings.treelet_size and not settings.treelet_bytes:
+        choices["treelet_bytes"] = Choice(
+            0, "no limit: each page is brought in for all rays that wait for any part of it"
+        )
+    return TracingPlan(
+        Method.PAGED,
+        geometry_budget=budget,
+        geometry_store=store,
+        treelet_bytes=settings.treelet_bytes,
+        treelet_size=settings.treelet_size,
+        choices=choices,
+    )
+
+
+def _time(nanoseconds: float) -> str:
+    return f"{nanoseconds:.2f} ns" if nanoseconds < 10 else f"{nanoseconds:,.0f} ns"

@@ -1,0 +1,1 @@
+"""A render around the loop: rounds of samples, workers, and how a stopped render is resumed."""

@@ -1,0 +1,230 @@
+"""A render as a sequence of rounds: workers take tiles, a round ends when all tiles have its samples, and observers see
+pictures between.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...convergence.halves import HalfError, half_error
+from ...film import Film
+from ...film.tile import FinishedTile
+from ...measure.snapshot import Snapshot
+from ...observers import RenderObserver
+from ..integrator import TileIntegrator, TileState
+from .resume import ResumeState
+from .rounds import sample_marks
+from .summary import ray_totals
+
+# How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
+POLL_SECONDS = 0.05
+
+
+@dataclass(frozen=True)
+class SnapshotWatcher:
+    """An observer who receives pictures on the way."""
+
+    marks: tuple[int, ...]  # sample counts of the pictures, ascending; one more comes at the end
+    on_snapshot: Callable[[Snapshot], None]
+
+
+def snapshot_watchers(observers: Iterable[RenderObserver], sample_count: int) -> list[SnapshotWatcher]:
+    """Those of the observers that want snapshots of a render of `sample_count` samples."""
+    wanted = [(observer, observer.snapshot_samples(sample_count)) for observer in observers]
+    return [
+        SnapshotWatcher(sample_marks(marks, sample_count), observer.on_snapshot)
+        for observer, marks in wanted
+        if marks is not None
+    ]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderEvents:
+    """Functions to call when something happens. All calls come from the thread that calls `Rendering.run`."""
+
+    on_tile: Callable[[FinishedTile, dict[str, np.ndarray]], None]  # with the passes of its rectangle
+    # arguments: share of the work that is done, mean samples of a pixel, seconds of rendering
+    on_progress: Callable[[float, float, float], None]
+    cancelled: Callable[[], bool]
+    watchers: Sequence[SnapshotWatcher]
+
+
+class Rendering:
+    """The rounds of one render, and what is known of it at their ends."""
+
+    def __init__(
+        self,
+        integrators: Sequence[TileIntegrator],
+        state: ResumeState,
+        film: Film,
+        events: RenderEvents,
+        started: float,
+    ):
+        """`state` is brought up to date and `film` filled; `started` is when the render was asked for
+        (`time.perf_counter`).
+        """
+        self._integrators, self._state, self._film, self._events, self._started = (
+            integrators,
+            state,
+            film,
+            events,
+            started,
+        )
+        self._total, self._pixels = state.items_to_come, state.pixel_count
+        self._begun = time.perf_counter()
+        self.error: HalfError | None = None  # at the end of the last round where it was looked at
+        self.error_samples = 0  # of every pixel, then
+        self.warnings: list[str] = []
+
+    def run(self) -> None:
+        """Until the policy or a cancel ends it; raises what a worker or a callback raised."""
+        state, policy = self._state, self._state.policy
+        rendering = 0.0  # without what observers do meanwhile [s]
+        if state.end is None:
+            state.end = policy.next_end(state.done, 0.0)
+        while state.end is not None:
+            start = time.perf_counter()
+            samples = state.items_open / self._pixels
+            if not self._render_round():
+                return
+            seconds = time.perf_counter() - start
+            rendering += seconds
+            state.end_round()
+            looked_at = self._look_at_error() if policy.looks_at_error(state.done) else None
+            policy.note_round(samples, seconds, looked_at and looked_at.relmse)
+            end = policy.next_end(state.done, time.perf_counter() - self._begun)
+            self._show(rendering, is_last=end is None)
+            state.end = end
+        if self.error_samples != state.done:
+            self._look_at_error()
+        if policy.stopped_by == "error" and not _colors(self._film).any():
+            self.warnings.append(
+                f"error_target was met by a black picture: no path of {state.done} samples found any light, so that "
+                "nothing is known of its "
+                "error; if it should not be black, set error_target to 0 and render all samples"
+            )
+
+    def error_report(self) -> dict[str, Any] | None:
+        """What is known of the film's error, for statistics; None where halves are not kept apart."""
+        if not self._film.halves:
+            return None
+        policy, found = self._state.policy, self.error
+        return {
+            "relmse": found.relmse if found else None,
+            "rmse": found.rmse if found else None,
+            "samples": self.error_samples,
+            "target": policy.error_target,
+            "reached": bool(found and found.relmse <= policy.error_target > 0),
+            "stopped_by": policy.stopped_by,
+        }
+
+    # --- a round
+
+    def _render_round(self) -> bool:
+        """Let the workers render what is left of the round, and take their results on this thread; False: it was
+        cancelled.
+        """
+        state, events = self._state, self._events
+        todo: queue.SimpleQueue[tuple[TileState, ...]] = queue.SimpleQueue()
+        for halves in state.open_tiles:
+            todo.put(halves)
+        results: queue.SimpleQueue[FinishedTile | BaseException | None] = queue.SimpleQueue()
+        stop = threading.Event()
+
+        def work(integrator: TileIntegrator) -> None:
+            try:
+                while not stop.is_set():
+                    results.put(self._render_tile(integrator, todo.get_nowait(), stop.is_set))
+            except queue.Empty:
+                pass
+            except BaseException as error:  # carried to the calling thread, and raised there
+                stop.set()
+                results.put(error)
+            finally:
+                results.put(None)  # this worker is through
+
+        threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in self._integrators]
+        working = len(threads)
+        for thread in threads:
+            thread.start()
+        try:
+            while working:
+                if events.cancelled():
+                    stop.set()
+                try:
+                    result = results.get(timeout=POLL_SECONDS)
+                    if isinstance(result, BaseException):
+                        raise result
+                    if result is None:
+                        working -= 1
+                    else:
+                        events.on_tile(result, self._film.add_tile(result))
+                except queue.Empty:
+                    pass
+                self._report_progress()
+        finally:
+            stop.set()
+            for thread in threads:
+                thread.join()
+        return state.drained and not state.open_tiles
+
+    def _render_tile(
+        self, integrator: TileIntegrator, halves: Sequence[TileState], stop: Callable[[], bool]
+    ) -> FinishedTile:
+        finished = []
+        for state in halves:
+            samples = self._state.samples_of(state)
+            finished.append(integrator.render(state, samples.first, samples.sample_count, stop))
+        return finished[0] if len(finished) == 1 else FinishedTile.sum_of(*finished)
+
+    def _report_progress(self) -> None:
+        seconds = time.perf_counter() - self._begun
+        items = sum(integrator.items_done for integrator in self._integrators)
+        done = items / self._total if self._total else 1.0
+        if limit := self._state.policy.time_limit:
+            done = max(done, min(seconds / limit, 1.0))
+        left = (self._total - items) / self._pixels  # samples of a pixel, if nothing ends the render before
+        self._events.on_progress(done, self._state.policy.sample_count - left, seconds)
+
+    # --- between rounds
+
+    def _look_at_error(self) -> HalfError | None:
+        """None where the film has no halves, or one of them no sample."""
+        film, state = self._film, self._state
+        samples = state.samples_so_far.of_half(0, 2).sample_count, state.samples_so_far.of_half(1, 2).sample_count
+        if not film.halves or not all(samples):
+            return None
+        self.error, self.error_samples = half_error(*(_colors(half) for half in film.halves), sum(samples)), state.done
+        return self.error
+
+    def _show(self, seconds: float, is_last: bool) -> None:
+        """Hand out the picture as it is after `seconds` of rendering."""
+        done = self._state.done
+        watching = [watcher for watcher in self._events.watchers if is_last or done in watcher.marks]
+        for watcher in watching:
+            rays = ray_totals(self._integrators)
+            rays["bounced"] = rays.pop("bounce")
+            halves = self._film.halves
+            watcher.on_snapshot(
+                Snapshot(
+                    samples=done,
+                    seconds=seconds,
+                    seconds_total=time.perf_counter() - self._started,
+                    rays=rays,
+                    invalid_samples=sum(each.invalid_samples for each in self._integrators),
+                    picture=_colors(self._film).copy(),
+                    halves=tuple(_colors(half).copy() for half in halves) if halves else None,
+                )
+            )
+
+
+def _colors(film: Film) -> np.ndarray:
+    """Its picture without alpha, shape [height, width, 3]."""
+    return film.passes["Combined"][..., :3]

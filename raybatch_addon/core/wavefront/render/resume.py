@@ -1,0 +1,173 @@
+"""How far a render has come, and what goes on when it is resumed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import warp as wp
+
+from ...errors import RayBatchError
+from ...film import Film
+from ...scene.description import Frame
+from ...settings.settings import SETTINGS, RenderSettings
+from ..integrator import TileState
+from ..scheduler import tiles
+from .rounds import Round, RoundPolicy
+
+# Estimator settings that only say when a render ends, by the clock
+_CLOCK = ("time_limit",)
+
+
+@dataclass(kw_only=True)
+class ResumeState:
+    """How far a render has come."""
+
+    tiles: list[tuple[TileState, ...]]  # with one state for each half
+    sample_first: int
+    sample_order: str
+    estimator: dict[str, Any]  # the settings that the film depends on
+    policy: RoundPolicy
+    done: int = 0  # samples of every pixel, of this render, at the end of the last round
+    end: int | None = None  # the same at the end of the round that is under way; None: between rounds
+
+    @staticmethod
+    def begin(settings: RenderSettings, frame: Frame, edge: int, sample_first: int, policy: RoundPolicy) -> ResumeState:
+        """The state of a render that begins, with tiles of `edge` pixels."""
+        halves = range(settings.half_count)
+        states = [tuple(TileState(tile, half=half) for half in halves) for tile in tiles(frame.region, edge)]
+        return ResumeState(
+            tiles=states,
+            sample_first=sample_first,
+            sample_order=settings.sample_order,
+            estimator=estimator_settings(settings),
+            policy=policy,
+        )
+
+    @property
+    def states(self) -> list[TileState]:
+        """The states of all halves of all tiles."""
+        return [state for halves in self.tiles for state in halves]
+
+    @property
+    def pixel_count(self) -> int:
+        """Pixels of all tiles together."""
+        return sum(halves[0].tile.pixel_count for halves in self.tiles)
+
+    @property
+    def samples_so_far(self) -> Round:
+        """Which samples every pixel has."""
+        return Round(self.sample_first, self.sample_first + self.done)
+
+    def samples_of(self, state: TileState) -> Round:
+        """Which samples of its half a tile gets in the round under way."""
+        return self._samples_to(self.end, state)
+
+    def _samples_to(self, end: int, state: TileState) -> Round:
+        return Round(self.sample_first + self.done, self.sample_first + end).of_half(state.half, len(self.tiles[0]))
+
+    def _items_left(self, state: TileState) -> int:
+        return state.tile.pixel_count * self.samples_of(state).sample_count - state.items_begun
+
+    @property
+    def open_tiles(self) -> list[tuple[TileState, ...]]:
+        """Tiles of which not all paths of the round under way were begun."""
+        return [halves for halves in self.tiles if any(self._items_left(state) for state in halves)]
+
+    @property
+    def items_open(self) -> int:
+        """Paths of the round under way that were not begun."""
+        return sum(self._items_left(state) for state in self.states)
+
+    @property
+    def items_to_come(self) -> int:
+        """Paths that were not begun, of all rounds that there can be."""
+        last = self.policy.sample_count
+        return sum(
+            each.tile.pixel_count * self._samples_to(last, each).sample_count - each.items_begun for each in self.states
+        )
+
+    @property
+    def drained(self) -> bool:
+        """Whether all paths that were begun are in the film."""
+        return all(state.drained for state in self.states)
+
+    def shorten_round(self) -> bool:
+        """Let the round under way end as soon as every pixel can have the same samples; False where it must be
+        finished.
+
+        A policy that is new, with a clock of its own, has no say in a round that was begun. Where samples of a pixel
+        come one after another, those that are begun are spread over the whole round.
+        """
+        if self.end is None:
+            return True
+        if self.sample_order == "PIXEL_FIRST" and any(state.items_begun for state in self.states):
+            return False
+        begun = max(-(-state.items_begun // state.tile.pixel_count) for state in self.states)  # samples of a half
+        self.end = min(self.end, self.done + max(begun, 1) * len(self.tiles[0]))
+        return True
+
+    def end_round(self) -> None:
+        """Every tile has all samples of the round."""
+        self.done, self.end = self.end, None
+        for state in self.states:
+            state.items_begun = 0
+
+    def release(self) -> None:
+        """The render is over: its tiles are those of its film alone."""
+        for state in self.states:
+            state.held = None
+
+
+def film_to_fill(
+    frame: Frame, settings: RenderSettings, sample_first: int, resume: Film | None, device: wp.Device
+) -> Film:
+    """An empty film, or a copy of the one to go on with, its tiles on `device`; raises `RayBatchError` for a film that
+    cannot be gone on with.
+    """
+    film = Film.empty(frame, settings.half_count)
+    if resume is None:
+        return film
+    if resume.complete:
+        raise RayBatchError(
+            "this film is complete: there is nothing to resume; to add samples, render a range with sample_first and "
+            "merge"
+        )
+    state: ResumeState | None = resume.resume_state
+    if state is None:
+        raise RayBatchError("this film cannot be resumed: rays were given up when it was cancelled; render it again")
+    if state.sample_first != sample_first or state.estimator != estimator_settings(settings):
+        raise RayBatchError(
+            "this film was begun with other settings or another range of samples; resume it with the same ones"
+        )
+    tiles = []
+    for halves in state.tiles:
+        tile = halves[0].tile
+        held = resume.tile_on((tile.x, tile.y, tile.width, tile.height), device)
+        film.add_tile(held)
+        parts = held.halves or (held,)
+        tiles.append(
+            tuple(
+                TileState(tile, old.items_begun, half=old.half, held=part)
+                for old, part in zip(halves, parts, strict=True)
+            )
+        )
+    film.resume_state = ResumeState(
+        tiles=tiles,
+        sample_first=state.sample_first,
+        sample_order=state.sample_order,
+        estimator=state.estimator,
+        policy=state.policy,
+        done=state.done,
+        end=state.end,
+    )
+    return film
+
+
+def estimator_settings(settings: RenderSettings) -> dict[str, Any]:
+    """The settings that change the film, but for what a clock decides."""
+    return {
+        name: getattr(settings, name)
+        for name, info in SETTINGS.items()
+        if info.effect == "estimator" and name not in _CLOCK
+    }

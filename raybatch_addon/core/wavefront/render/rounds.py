@@ -1,0 +1,138 @@
+"""Rounds: consecutive ranges of samples of every pixel, and when a render ends. Pure policy, without Warp or a device.
+
+After a round every pixel has the same number of samples, so the picture is an estimate as good as any; in the middle of
+a round it is not, for short paths come home first. A render is one round unless somebody wants more: an observer
+snapshots, a time limit, or an error target.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from ...settings.settings import RenderSettings
+
+# Each round of a render that may end early has as many samples as all before
+GROWTH = 2.0
+# With fewer samples of every pixel the error is not looked at: a half has two
+ERROR_SAMPLES_LEAST = 4
+# Share of the time left that a round is planned to take: what is left is given to ever smaller ones
+TIME_SHARE = 0.95
+
+
+@dataclass(frozen=True)
+class Round:
+    """A range of samples of every pixel."""
+
+    first: int
+    end: int
+
+    @property
+    def sample_count(self) -> int:
+        """Samples of every pixel."""
+        return self.end - self.first
+
+    def of_half(self, half: int, half_count: int) -> Round:
+        """Which samples of half `half` these are: sample i is sample i // 2 of half i % 2; with one half alone, all of
+        them.
+        """
+        if half_count == 1:
+            return self
+        return Round((self.first + 1 - half) // 2, (self.end + 1 - half) // 2)
+
+
+def sample_marks(wanted: Iterable[int], sample_count: int) -> tuple[int, ...]:
+    """The sample counts among `wanted` that a render of `sample_count` samples comes by, ascending."""
+    return tuple(sorted({int(samples) for samples in wanted if 0 < samples <= sample_count}))
+
+
+@dataclass
+class RoundPolicy:
+    """Says how far the next round goes, and when there is none. Counts are of this render's samples of every pixel."""
+
+    sample_count: int  # asked for
+    marks: tuple[int, ...] = ()  # where rounds must end, ascending
+    time_limit: float = 0.0  # [s]; 0: none
+    error_target: float = 0.0  # relMSE; 0: none
+    stopped_by: str | None = field(
+        default=None, init=False
+    )  # "samples", "error" or "time", once there is no round any more
+    _seconds_a_sample: float | None = field(default=None, init=False)  # of the last round
+    _error: float | None = field(default=None, init=False)  # when it was looked at last
+    # Where the error is looked at next. It follows from errors alone: neither marks nor a clock decide what the film is
+    _check: int = field(default=0, init=False)
+
+    @staticmethod
+    def of(settings: RenderSettings, wanted: Iterable[int]) -> RoundPolicy:
+        """For a render whose observers want snapshots at the sample counts `wanted`."""
+        return RoundPolicy(
+            settings.sample_count,
+            sample_marks(wanted, settings.sample_count),
+            settings.time_limit,
+            settings.error_target,
+        )
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether there can be more than one round."""
+        return bool(self.time_limit or self.error_target or any(mark < self.sample_count for mark in self.marks))
+
+    def looks_at_error(self, done: int) -> bool:
+        """Whether the error is to be computed after `done` samples."""
+        return bool(self.error_target) and done in (self._check, self.sample_count)
+
+    def note_round(self, samples: int, seconds: float, error: float | None) -> None:
+        """Remember a round of `samples` samples that took `seconds`; `error` is the relMSE of all so far, where it was
+        computed.
+
+        Of a round that was finished before the clock began there are none.
+        """
+        if samples:
+            self._seconds_a_sample = seconds / samples
+        if error is not None:
+            self._error = error
+
+    def resumed(self, settings: RenderSettings, wanted: Iterable[int]) -> RoundPolicy:
+        """The policy of a render that goes on, with a clock and observers of its own."""
+        policy = RoundPolicy.of(settings, wanted)
+        policy._error, policy._check = self._error, self._check
+        return policy
+
+    def next_end(self, done: int, seconds: float) -> int | None:
+        """Where the round after `done` samples ends, `seconds` after the render began; None: the render ends."""
+        if self.error_target and self._error is not None and self._error <= self.error_target:
+            self.stopped_by = "error"
+        elif done >= self.sample_count:
+            self.stopped_by = "samples"
+        if self.stopped_by:
+            return None
+        end = self.sample_count
+        if self.error_target:
+            if done >= self._check:
+                self._check = self._end_by_error(done)
+            end = min(end, self._check)
+        if self.time_limit:
+            end = min(end, self._end_by_time(done, seconds))
+            if end <= done:
+                self.stopped_by = "time"
+                return None
+        return min([end, *(mark for mark in self.marks if mark > done)])
+
+    def _end_by_error(self, done: int) -> int:
+        end = max(ERROR_SAMPLES_LEAST, math.ceil(done * GROWTH))
+        if self._error is not None:
+            # of independent samples the squared error falls with their number; if it falls faster, one round is too
+            # long by little
+            needed = self._error / self.error_target * done
+            if needed < end:
+                end = max(math.ceil(needed), done + done // 8, done + 2)
+        return end + end % 2
+
+    def _end_by_time(self, done: int, seconds: float) -> int:
+        if self._seconds_a_sample is None:
+            return done + 1  # it is always rendered, and shows how long a sample takes
+        left = (self.time_limit - seconds) * TIME_SHARE
+        rate = max(self._seconds_a_sample, 1e-9)
+        fitting = math.floor(min(max(left, 0.0) / rate, self.sample_count))
+        return min(math.ceil(done * GROWTH), done + fitting)

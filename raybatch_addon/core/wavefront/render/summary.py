@@ -1,0 +1,59 @@
+"""What the workers of a render did, for its statistics."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+from ...bvh.node import Layout
+from ...bvh.traverse.reference import BuiltReference
+from ...measure.batching import BatchingTotals
+from ...measure.counters import CounterTotals, TreeBytes
+from ..integrator import TileIntegrator
+from ..order.sort_policy import merged_reports
+from ..scene.device_scene import DeviceScene
+
+
+def ray_totals(integrators: Sequence[TileIntegrator]) -> dict[str, int]:
+    """Rays traced, by kind."""
+    return {
+        "camera": sum(each.rays.camera for each in integrators),
+        "bounce": sum(each.rays.bounced for each in integrators),
+        "shadow": sum(each.rays.shadow for each in integrators),
+    }
+
+
+def batching_totals(integrators: Sequence[TileIntegrator]) -> BatchingTotals | None:
+    """What the workers' rays waited for; None where no ray waits."""
+    found = [totals for totals in (integrator.batching_totals() for integrator in integrators) if totals]
+    return functools.reduce(BatchingTotals.merge, found) if found else None
+
+
+def workers_summary(
+    integrators: Sequence[TileIntegrator], scene: DeviceScene | None, hardware: dict[str, Any], path_bytes: int
+) -> dict[str, Any]:
+    """The parts of the statistics about tracing; `scene` is None where nothing was begun, `hardware` what the
+    processor counted.
+    """
+    built = scene.built if scene else None
+    own = built is not None and not isinstance(built, BuiltReference)
+    counted = [each for each in (integrator.counted() for integrator in integrators) if each]
+    totals = functools.reduce(CounterTotals.merge, counted) if counted else None
+    reports = [report for report in (integrator.order_report() for integrator in integrators) if report]
+    return {
+        "schedule": {
+            "workers": len(integrators),
+            "ray_count": sum(each.path_count for each in integrators),
+            "bytes_per_path": path_bytes,
+        },
+        "tree": {**built.statistics, **({"cut": scene.treelets.statistics} if scene.treelets else {})} if own else None,
+        "ray_sort": merged_reports(reports),
+        "counters": totals.report(tree_bytes(scene.tracing.layout) if own else None, hardware) if totals else None,
+    }
+
+
+def tree_bytes(layout: Layout) -> TreeBytes:
+    """What visits to a tree of this layout read."""
+    triangles = 8 if layout is Layout.BOXES else 1
+    return TreeBytes(4 * layout.node_words, 4 * layout.triangle_words // triangles)

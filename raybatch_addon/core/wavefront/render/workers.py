@@ -1,0 +1,134 @@
+"""The workers of a render: as many integrators as there are threads, each with as many paths as memory allows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from ...bvh.build.scene_tree import splits_triangles
+from ...device.devices import free_memory, worker_count
+from ...errors import OutOfMemoryError
+from ...film import layout_of
+from ...film.sums import WINDOW_DIGITS
+from ...measure.counters import counter_bytes_per_path
+from ...scene.description import Frame
+from ...settings.settings import RenderSettings
+from ..integrator import TileIntegrator
+from ..order.hit_order import hit_order_bytes
+from ..order.ray_order import order_bytes
+from ..plan.plan import Choice, Method
+from ..rays import bytes_per_path
+from ..scene.device_scene import DeviceScene
+from ..scheduler import paths_a_worker, reduced_path_count, water_marks
+from ..tracers.buckets.tracer import selection_of
+from ..tracers.choose import tracer_bytes_per_path
+
+# Share of the free memory that paths may take
+PATH_MEMORY_SHARE = 0.6
+# Of samples that are set aside on their way to the film [bytes]
+SPILL_BYTES = 1 << 19
+
+
+@dataclass
+class Workers:
+    """The integrators of a render, and what was found when they were made."""
+
+    integrators: list[TileIntegrator] = field(default_factory=list)
+    path_bytes: int = 0  # device memory of a path alive: all that grows with their number
+    warnings: list[str] = field(default_factory=list)
+    chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open
+
+
+def make_workers(
+    scene: DeviceScene, frame: Frame, settings: RenderSettings, areas: Sequence[int], sample_count: int
+) -> Workers:
+    """Workers for tiles of so many pixels and samples; raises `OutOfMemoryError` where not even one path fits."""
+    made = Workers()
+    if not areas:
+        return made
+    device, paged = scene.device, scene.tracing.method is Method.PAGED
+    workers = min(worker_count(device, settings.thread_count), len(areas))
+    if settings.ray_count:
+        workers = min(workers, settings.ray_count)
+    # no tile needs more paths than it has samples
+    asked = min(paths_a_worker(settings, workers, device.is_cuda, paged), max(areas) * sample_count)
+    made.path_bytes = each = path_bytes(scene, frame, settings, asked)
+    layout = layout_of(frame.passes, frame.transparent)
+    # sums of finished tiles stay on a CUDA device until the film is asked for them
+    tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
+    if settings.half_count == 2:
+        tile_bytes *= 3  # of both halves, and of their sum while a picture is made of it
+    sorting = order_bytes(scene.tracing.sort_mode(settings), asked, device.is_cuda)
+    if scene.geometry_on_host:
+        sorting += hit_order_bytes(asked)
+    budget = max(0, int(free_memory(device) * PATH_MEMORY_SHARE) // workers - tile_bytes - sorting - SPILL_BYTES)
+    count = reduced_path_count(asked, each, budget)
+    if count == 0:
+        raise OutOfMemoryError(
+            f"{device.alias} has {budget * workers:,} bytes left for rays beside the film's tiles, and one path takes "
+            f"{each}; "
+            "close other programs, lower tile_size, or render a smaller scene"
+        )
+    while True:
+        try:
+            marks = water_marks(settings, count)
+            made.integrators = [TileIntegrator(scene, frame, settings, marks) for _ in range(workers)]
+            break
+        except (MemoryError, RuntimeError) as error:
+            if count == 1 or not ("memory" in str(error).lower() or isinstance(error, MemoryError)):
+                raise
+            count //= 2
+    if not settings.ray_count:
+        why = (
+            "as many as memory and the samples of a tile allow: every page that is brought in serves more of them"
+            if paged
+            else ("some times what keeps the device busy" if device.is_cuda else "a wave stays within the outer caches")
+        )
+        made.chosen["ray_count"] = Choice(count * workers, why)
+    if settings.bucket_selection == "AUTO" and scene.treelets:
+        made.chosen["bucket_selection"] = Choice(
+            selection_of(settings, device.is_cuda).name,
+            "every launch is large" if device.is_cuda else "a step costs little, and fuller buckets save more",
+        )
+    if settings.spatial_splits == "AUTO" and scene.built and scene.tracing.method is not Method.REFERENCE:
+        splits = splits_triangles("AUTO", scene.tracing.layout) and not paged
+        made.chosen["spatial_splits"] = Choice(
+            "ON" if splits else "OFF",
+            "faster rays for a slower build" if splits else "the builder that is used here is faster without",
+        )
+    if count < asked and not (paged and not settings.ray_count):
+        made.warnings.append(
+            f"ray_count was reduced from {asked * workers:,} to {count * workers:,}: {device.alias} has not enough "
+            "free memory"
+        )
+    elif fewer := fewer_alive(settings.ray_count, workers, areas, sample_count):
+        made.warnings.append(fewer)
+    return made
+
+
+def fewer_alive(ray_count: int, workers: int, areas: Sequence[int], sample_count: int) -> str | None:
+    """Why fewer paths are alive than `ray_count` asks for (0: nothing is asked for); None where tiles of so many pixels
+    have enough.
+    """
+    most = min(workers * max(areas), sum(areas)) * sample_count
+    # what is left over where workers share them counts for nothing
+    if ray_count // workers * workers <= most:
+        return None
+    samples = f"{sample_count:,} sample{'s' * (sample_count > 1)}"
+    reason = f"ray_count {ray_count}: {most:,} are alive at most, because "
+    if sum(areas) <= workers * max(areas):
+        return f"{reason}the picture's {sum(areas):,} pixels have no more at {samples}"
+    at_once = f", and {workers} tiles are rendered at once" if workers > 1 else ""
+    return (
+        f"{reason}a tile of {max(areas):,} pixels has {max(areas) * sample_count:,} at {samples}{at_once}; raise "
+        "tile_size"
+    )
+
+
+def path_bytes(scene: DeviceScene, frame: Frame, settings: RenderSettings, path_count: int) -> int:
+    """Device memory of one of `path_count` paths alive, with all that its tracer and counters keep of it [bytes]."""
+    features, tracing = scene.features, scene.tracing
+    size = bytes_per_path(features, tracing.method is Method.REFERENCE) + tracer_bytes_per_path(
+        scene, settings, path_count
+    )
+    return size + counter_bytes_per_path(tracing.counters(settings, frame.passes), features.shadow_rays)

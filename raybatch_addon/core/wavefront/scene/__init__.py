@@ -1,0 +1,1 @@
+"""A scene on its device, and what is kept of it for the next render."""

@@ -1,0 +1,127 @@
+"""A scene on a device, ready to render."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ...bvh.traverse.reference import ReferenceTree
+from ...bvh.tree import Tree
+from ...bvh.treelets.tree import TreeletTree
+from ...programs.inputs_data import upload_camera_inputs
+from ...programs.table import upload_programs
+from ...scene.description import ClosureKind, Scene
+from ...scene.features import SceneFeatures
+from ...shading.bsdf.bsdf import ClosureFeatures, upload_materials
+from ...shading.camera import CameraData, upload_camera
+from ...shading.images.image_upload import UploadedImages
+from ...shading.lights.lamp_brightness import brightness_of_lamps
+from ...shading.lights.lamp_program import upload_lamp_programs
+from ...shading.lights.light_table import UploadedLights, upload_lights
+from ..plan.tracing import Tracing
+from ..stages.emitted import emission_of_triangles, world_texels
+from .scene_cache import BuiltGeometry, GeometryRequest, PagedTree, SceneCache
+from .scene_data import SceneData
+from .world_cache import WorldCache
+
+
+@dataclass(kw_only=True)
+class DeviceScene:
+    """A scene ready to render; shared by all workers, which only read it."""
+
+    device: wp.Device
+    features: SceneFeatures
+    data: SceneData
+    camera: CameraData
+    tree: Tree | ReferenceTree | None  # None: there is nothing to hit
+    tracing: Tracing
+    treelets: TreeletTree | None  # where rays wait at treelets in memory
+    box: np.ndarray | None  # two corners that hold all surfaces [m], float64, shape [2, 3]
+    transparent_shadows: bool  # some surface lets shadow rays through
+    lights: UploadedLights  # keeps the tree of the lights alive
+    shadow_rays: bool  # there is an emitter to aim at, not only code for it
+    built: BuiltGeometry | None
+    images: UploadedImages  # keeps them alive
+
+    @staticmethod
+    def build(
+        scene: Scene, features: SceneFeatures, request: GeometryRequest, device: wp.Device, cache: SceneCache
+    ) -> DeviceScene:
+        """Upload `scene` and build its tree."""
+        data = SceneData()
+        built = treelets = None
+        images = cache.images.upload(scene.images, device, cache.image_budget(device))
+        if features.surfaces:
+            kept = cache.get(scene, request, device)
+            data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets
+            data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
+            programs = [material.program for material in scene.materials]
+            data.nodes = upload_programs(programs, features.programs, scene, data.geometry, images.table, device)
+        data.world_nodes = upload_programs(
+            [scene.world.program],
+            features.world_program,
+            scene,
+            data.geometry,
+            images.table,
+            device,
+            upload_camera_inputs(scene, device),
+        )
+        data.lamp_nodes = upload_lamp_programs(scene, features.lamp_program, data.geometry, images.table, device)
+        lights = upload_lights(scene, device, *_program_light(data, scene, features, device, cache.world))
+        data.lights = lights.table
+        data.world = wp.vec3(*scene.world.radiance)
+        data.world_visibility = scene.world.visibility
+        matrix = np.asarray(scene.camera.transform, np.float64)
+        data.view_origin = wp.vec3(*matrix[:, 3].tolist())
+        data.view_axis = wp.vec3(*(-matrix[:, 2] / np.linalg.norm(matrix[:, 2])).tolist())
+        lets_through = any(
+            closure.kind == ClosureKind.TRANSPARENT and any(closure.weight)
+            for material in scene.materials
+            for closure in material.closures
+        ) or any(
+            material.program is not None and ClosureKind.TRANSPARENT in material.kinds for material in scene.materials
+        )
+        return DeviceScene(
+            device=device,
+            features=features,
+            data=data,
+            camera=upload_camera(scene.camera, scene.frame.width, scene.frame.height),
+            tree=built.tree if built else None,
+            tracing=Tracing.of(request.plan, request.layout, features),
+            treelets=treelets,
+            box=built.box if built else None,
+            transparent_shadows=lets_through,
+            lights=lights,
+            shadow_rays=features.shadow_rays and lights.emitter_count > 0,
+            built=built,
+            images=images,
+        )
+
+    @property
+    def paged(self) -> PagedTree | None:
+        """The tree, where it lies beyond memory."""
+        return self.built if isinstance(self.built, PagedTree) else None
+
+    @property
+    def geometry_on_host(self) -> bool:
+        """Whether a CUDA device reads what shading needs of triangles through the bus."""
+        return self.paged is not None and self.device.is_cuda
+
+
+def _program_light(data: SceneData, scene: Scene, features: SceneFeatures, device: wp.Device, worlds: WorldCache):
+    """Functions that compute the emission of triangles by programs and the brightness of lamps, and between them the
+    sampled world; None for each that the scene does not have.
+    """
+    emitted = world = lamps = None
+    if features.mesh_programs:
+        emitted = functools.partial(emission_of_triangles, data, features, device)
+    if not features.world_light:
+        worlds.clear()
+    else:
+        world = worlds.get(scene, device, lambda: world_texels(data, features, scene.world.sampling_size, device))
+    if features.lamp_program:
+        lamps = functools.partial(brightness_of_lamps, scene, data.lamp_nodes, features.lamp_program, device)
+    return emitted, world, lamps

@@ -1,0 +1,288 @@
+"""What is kept of a scene's geometry and tree for the next frame."""
+
+from __future__ import annotations
+
+import hashlib
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ...bvh.build.mesh_tree import mesh_parts
+from ...bvh.build.scene_tree import BuiltTree, build_scene_tree, refit_scene_tree, splits_triangles
+from ...bvh.memory import GeometrySize, check_counts, check_memory, explained_memory_errors
+from ...bvh.node import Layout
+from ...bvh.pages.build import PagedScene, build_paged_scene
+from ...bvh.pages.residency import Residency, staging_bytes_of
+from ...bvh.traverse.reference import BuiltReference, build_reference
+from ...bvh.tree import Tree
+from ...bvh.treelets.cut import CutRule
+from ...bvh.treelets.tree import TreeletTree, cut_scene_tree
+from ...device.devices import free_memory
+from ...scene.description import Image, Scene
+from ...scene.flatten import FlatGeometry, flatten
+from ...scene.geometry import Geometry, update_geometry, upload_geometry
+from ...settings.settings import RenderSettings
+from ...shading.images.image_upload import ImageCache, device_bytes_of
+from ..plan.plan import Method, TracingPlan, cut_rule
+from .world_cache import WorldCache
+
+# Of a device's free memory, what images may take: geometry, rays and the film need the rest
+IMAGE_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class _Fingerprint:
+    """Digests of a frame: what is equal was equal."""
+
+    # triangles, what instances place, visibility, settings: a tree can follow only where it is the same
+    topology: bytes
+    positions: tuple[bytes, ...]  # of each mesh tree
+    transforms: bytes  # of instances that are not baked
+    surface: bytes  # normals and materials, which trees do not know
+
+    @staticmethod
+    def of(flat: FlatGeometry, scene: Scene, kind: tuple) -> _Fingerprint:
+        """The fingerprint of a frame; `kind` are the choices that its tree depends on."""
+        merged = [array for group in flat.merged for array in (group.instance, group.instance_triangle_first)]
+        topology = [
+            flat.triangles,
+            flat.mesh_triangle_first,
+            flat.mesh_vertex_first,
+            flat.instance_mesh,
+            flat.shared,
+            *merged,
+            scene.instances.visibility,
+            np.frombuffer(repr(kind).encode(), np.uint8),
+        ]
+        parts = [flat.positions[part.vertex_first : part.vertex_first + part.vertex_count] for part in mesh_parts(flat)]
+        surface = [flat.corner_normals, flat.triangle_slot, scene.instances.slot_first, scene.slot_materials]
+        return _Fingerprint(
+            _digest(topology),
+            tuple(_digest([part]) for part in parts),
+            _digest([flat.instance_transform]),
+            _digest(surface),
+        )
+
+
+def _digest(arrays: Iterable[np.ndarray]) -> bytes:
+    """Equal for equal arrays only."""
+    digest = hashlib.sha1(usedforsecurity=False)  # twice as fast as others where processors have instructions for it
+    for array in arrays:
+        digest.update(str((array.dtype, array.shape)).encode())
+        digest.update(np.ascontiguousarray(array))
+    return digest.digest()
+
+
+@dataclass
+class PagedTree:
+    """A scene beyond memory, and what of it is on the device."""
+
+    scene: PagedScene
+    residency: Residency
+
+    @property
+    def tree(self) -> Tree:
+        """What stays on the device."""
+        return self.scene.tree
+
+    @property
+    def box(self) -> np.ndarray:
+        """Two corners that hold all surfaces [m], float64, shape [2, 3]."""
+        return self.scene.box
+
+    @property
+    def statistics(self) -> dict[str, Any]:
+        """What the trees are."""
+        return self.scene.statistics
+
+
+BuiltGeometry = BuiltReference | BuiltTree | PagedTree
+
+
+@dataclass
+class Kept:
+    """The geometry and tree of a frame."""
+
+    fingerprint: _Fingerprint
+    geometry: Geometry
+    built: BuiltGeometry
+    treelets: TreeletTree | None = None  # of `built`, where rays wait at treelets in memory
+    cut: CutRule | None = None  # that they were cut by
+
+    @property
+    def device_bytes(self) -> int:
+        """Memory of the tree on the device [bytes]; 0 where it is not known."""
+        if isinstance(self.built, BuiltTree):
+            return int(self.built.statistics.get("bytes", 0)) + (self.treelets.bytes if self.treelets else 0)
+        if isinstance(self.built, PagedTree):
+            scene, pool = self.built.scene, self.built.residency
+            return (
+                scene.resident_bytes
+                + pool.slot_count * pool.slot_bytes
+                + staging_bytes_of(scene, pool.slot_count, pool.device)
+            )
+        return 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeometryRequest:
+    """What is wanted of a scene's geometry."""
+
+    settings: RenderSettings
+    plan: TracingPlan
+    layout: Layout
+    instancing: bool  # as the kernels that shade (`SceneFeatures.instancing`)
+    page_folder: Path  # for geometry that lies on disk
+    cancelled: Callable[[], bool] = lambda: False  # asked on any thread while pages are built, which it ends
+
+    def kind(self) -> tuple:
+        """The choices that a tree depends on."""
+        plan = self.plan
+        paged = (
+            (plan.geometry_budget, plan.geometry_store, cut_rule(plan, self.settings))
+            if plan.method is Method.PAGED
+            else ()
+        )
+        return (self.instancing, plan.method is Method.REFERENCE, self.settings.spatial_splits, self.layout, *paged)
+
+
+class SceneCache:
+    """The geometry and tree of the last frame, for the next one: kept where it shows the same, refitted where things
+    only moved.
+    """
+
+    def __init__(self):
+        self.images = ImageCache()
+        self.world = WorldCache()
+        self._last: Kept | None = None
+        self._lock = threading.Lock()  # the build of a cancelled render may still be going on
+
+    def clear(self) -> None:
+        """Forget it."""
+        self.images.clear()
+        self.world.clear()
+        self._last = None
+
+    @property
+    def device_bytes(self) -> int:
+        """Memory that the last frame's tree holds on the device, and the next one's may have [bytes]."""
+        last = self._last
+        return last.device_bytes if last else 0
+
+    def image_budget(self, device: wp.Device) -> int | None:
+        """What images may take of the memory of `device` [bytes]; None: they lie where they are.
+
+        It does not depend on what is kept of the last frame, or images would be made smaller in one frame and not in
+        the next.
+        """
+        if not device.is_cuda:
+            return None
+        return int(
+            IMAGE_SHARE * (free_memory(device) + self.device_bytes + self.images.device_bytes + self.world.device_bytes)
+        )
+
+    def free_for_geometry(self, images: Sequence[Image], device: wp.Device) -> int:
+        """Memory that the geometry of a frame with `images` may have on `device` [bytes]."""
+        budget = self.image_budget(device)
+        images_need = 0 if budget is None else min(device_bytes_of(images), budget) - self.images.device_bytes
+        return free_memory(device) + self.device_bytes + self.world.device_bytes - images_need
+
+    def get(self, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept:
+        """Geometry and tree of `scene`; those of the last call cannot be used any more.
+
+        Raises `SceneError` for too large a scene, `OutOfMemoryError` for one that does not fit, before or where memory
+        is asked for; `BuildCancelledError`.
+        """
+        size = GeometrySize.of(scene)
+        check_counts(size)
+        whole = request.plan.method is not Method.PAGED
+        if whole:
+            check_memory(size, request.layout, device, all_of_it=True)
+        with explained_memory_errors(size, request.layout, device):
+            flat = flatten(scene)
+            fingerprint = _Fingerprint.of(flat, scene, request.kind())
+            with self._lock:
+                # nothing is kept until the new one is whole: not what an error left half done, nor two of them
+                last, self._last = self._last, None
+                if last is None or not _follow(last, fingerprint, flat, scene, device):
+                    del last
+                    if whole:
+                        check_memory(size, request.layout, device, all_of_it=False)
+                    last = _build(fingerprint, flat, scene, request, device)
+                _cut(last, request, device)
+                self._last = last
+                return last
+
+
+def _follow(last: Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, device: wp.Device) -> bool:
+    """Make `last` show the frame; False where it cannot."""
+    start = time.perf_counter()
+    before, last.fingerprint = last.fingerprint, fingerprint
+    own = isinstance(last.built, BuiltTree)
+    if isinstance(last.built, PagedTree) and last.built.residency.has_failed:
+        return False  # its file is no good; a new one may be
+    if fingerprint != before:
+        if not own or fingerprint.topology != before.topology:
+            return False
+        update_geometry(last.geometry, flat, scene)
+        moved = [
+            i for i, (old, new) in enumerate(zip(before.positions, fingerprint.positions, strict=True)) if old != new
+        ]
+        if moved or fingerprint.transforms != before.transforms:
+            last.treelets = last.cut = None  # copies of what is changed now
+            refit_scene_tree(last.built, flat, last.geometry, scene.instances.visibility, moved, device)
+            return True
+    if own:
+        last.built.note(0, 0, start)
+    return True
+
+
+def _build(
+    fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, request: GeometryRequest, device: wp.Device
+) -> Kept:
+    plan, settings, layout, visibility = request.plan, request.settings, request.layout, scene.instances.visibility
+    geometry = upload_geometry(flat, scene, device, on_host=plan.method is Method.PAGED and device.is_cuda)
+    if plan.method is Method.PAGED:
+        paged = build_paged_scene(
+            flat,
+            visibility,
+            layout,
+            device,
+            plan.geometry_budget,
+            plan.geometry_store,
+            request.page_folder,
+            cut_rule(request.plan, request.settings),
+            spatial_splits=settings.spatial_splits == "ON",
+            encoded=encodes(layout),
+            cancelled=request.cancelled,
+        )
+        return Kept(fingerprint, geometry, PagedTree(paged, Residency(paged, plan.geometry_budget, device)))
+    if plan.method is Method.REFERENCE:
+        return Kept(fingerprint, geometry, build_reference(flat, visibility, request.instancing, device))
+    splits = splits_triangles(settings.spatial_splits, layout)
+    built = build_scene_tree(
+        flat, geometry, visibility, request.instancing, device, layout, splits, settings.spatial_splits == "ON"
+    )
+    return Kept(fingerprint, geometry, built)
+
+
+def encodes(layout: Layout) -> bool:
+    """Whether pages are packed on their way: where the device expands them faster than the bus brings them."""
+    return layout is Layout.QUANTISED
+
+
+def _cut(kept: Kept, request: GeometryRequest, device: wp.Device) -> None:
+    """Treelets of the tree, where rays wait at them; else none are kept."""
+    if request.plan.method is not Method.BATCHED:
+        kept.treelets = kept.cut = None
+        return
+    rule = cut_rule(request.plan, request.settings)
+    if kept.treelets is None or kept.cut != rule:
+        kept.treelets, kept.cut = None, rule
+        kept.treelets = cut_scene_tree(kept.built, rule, device)

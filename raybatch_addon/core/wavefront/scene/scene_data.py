@@ -1,0 +1,26 @@
+"""What shading kernels read of a scene."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ...programs.op import NodeData
+from ...scene.geometry import Geometry
+from ...shading.bsdf.materials import MaterialTable
+from ...shading.lights.light_table import LightTable
+
+
+@wp.struct
+class SceneData:
+    """What shading reads."""
+
+    geometry: Geometry
+    materials: MaterialTable
+    nodes: NodeData  # of the materials' programs; empty where there are none
+    world_nodes: NodeData  # of the world's
+    lamp_nodes: NodeData  # of those of lights without mesh
+    lights: LightTable
+    world: wp.vec3  # radiance of the world [W/(m² sr)]
+    world_visibility: int
+    view_origin: wp.vec3  # of the camera, for depth
+    view_axis: wp.vec3

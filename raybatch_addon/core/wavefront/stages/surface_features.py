@@ -1,0 +1,48 @@
+"""What the stages at a surface are specialised on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ...scene.description import ClosureKind, LightKind
+from ...scene.program import ProgramFeatures
+
+
+@dataclass(frozen=True)
+class SurfaceFeatures:
+    """The part of `SceneFeatures` that shading a surface depends on; fields have the same names."""
+
+    closures: tuple[ClosureKind, ...]
+    programs: ProgramFeatures
+    lights: tuple[LightKind, ...]
+    light_sphere: bool
+    mesh_lights: bool
+    mesh_programs: bool
+    world_light: bool
+    light_programs: bool
+    lamp_programs: bool
+    path_history: bool
+    mis: bool
+    shadow_rays: bool
+    instancing: bool
+    smooth_normals: bool
+    sample_sequence: str
+    passes: tuple[str, ...]
+    clamping: bool
+    roulette: bool
+    film_holes: bool = False  # surfaces cut holes into a film that has alpha
+
+    @property
+    def transparency(self) -> bool:
+        """Surfaces that rays pass straight through."""
+        return ClosureKind.TRANSPARENT in self.closures
+
+    @property
+    def subsurface(self) -> bool:
+        """Light that scatters below surfaces."""
+        return ClosureKind.SUBSURFACE in self.closures
+
+    @property
+    def emission(self) -> bool:
+        """Surfaces that emit."""
+        return ClosureKind.EMISSION in self.closures

@@ -1,0 +1,247 @@
+"""The tracer that batches: rays wait in buckets at treelets and visit them together.
+
+A step serves queues that the policy chooses (`policy.py`): rays of an entry queue visit their treelet, rays of
+an exit queue go on through the top level. On the CPU, and for ALL, the host leads from step to step; on CUDA a captured
+loop does without it.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+
+import warp as wp
+
+from ....bvh.node import Layout
+from ....bvh.traverse.options import VisitOptions
+from ....bvh.traverse.task import VisitTask
+from ....bvh.treelets.tree import TreeletTree
+from ....measure.batching import BatchingTotals
+from ....measure.timing import NoTimer
+from ....rays import NO_ANY_HIT, RayKind, RayList
+from ....settings.settings import RenderSettings
+from ...plan.launch import Launch
+from ...rays import trail_words
+from ..visit import VisitStage, visit_stage
+from ..worker_rays import WorkerRays
+from .blocks import STEP, pool_bytes, pool_size
+from .device_loop import LOOP_KERNELS, DeviceLoop
+from .finished import SPLIT_KERNELS, FinishedLists
+from .policy import QueueNumbers, Selection, Step
+from .policy_device import AMOUNT, BUDGET, STEP_KIND, DevicePolicy, policy_kernels
+from .queues import BucketQueues, queue_kernels
+from .serve import QueueRules, QueueServer
+from .steps import FusedSteps, LaunchedSteps, LoopSteps, Steps, host_step_kernel
+from .storage import STORAGES, InPlace
+
+# A call of `advance` ends when this share of the rays under way is done: then new ones can be begun, and buckets stay
+# full
+ADVANCE_SHARE = 0.25
+# With fewer rays in its fullest bucket a step costs more than it saves (some 30 microseconds on the CPU, 150 on CUDA,
+# against what the rays take unbatched). A sweep serves all buckets, and costs as much whatever waits
+CPU_RAYS_FEW, CPU_SWEEP_FEW = 16, 256
+CUDA_RAYS_FEW, CUDA_SWEEP_FEW = 256, 1 << 16
+_OCCUPANCY_STEPS = 32  # of the host between points of the occupancy
+
+
+def selection_of(settings: RenderSettings, is_cuda: bool) -> Selection:
+    """`settings.bucket_selection`; AUTO: on the CPU a step is cheap, on CUDA every launch should be large."""
+    if settings.bucket_selection == "AUTO":
+        return Selection.ALL if is_cuda else Selection.MOST_FULL
+    return Selection[settings.bucket_selection]
+
+
+def visit_stages(
+    layout: Layout, instancing: bool, counters: bool, settings: RenderSettings
+) -> dict[VisitTask, VisitStage]:
+    """The stages that rays go through."""
+    interlocked = settings.top_level_traversal == "INTERLOCKED"
+    return {
+        task: visit_stage(
+            layout,
+            VisitOptions(task=task, instancing=instancing, counters=counters, interlocked=interlocked),
+            Launch.of(settings),
+        )
+        for task in VisitTask
+    }
+
+
+def batching_kernels(
+    layout: Layout, instancing: bool, counters: bool, settings: RenderSettings, device: wp.Device
+) -> list[wp.Kernel]:
+    """What a `BatchingTracer` launches, to be compiled ahead."""
+    stages = visit_stages(layout, instancing, counters, settings)
+    kernels = [*queue_kernels(device), *policy_kernels(device), *SPLIT_KERNELS]
+    kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
+    kernels += STORAGES[settings.ray_storage].kernels
+    return kernels + [kernel for stage in stages.values() for kernel in stage.kernels]
+
+
+def batching_bytes_per_path(
+    settings: RenderSettings, shadow_rays: bool, instancing: bool, levels: int, is_cuda: bool
+) -> int:
+    """Device memory of a `BatchingTracer` for each path alive, but for what batches need, which is bounded [bytes]."""
+    many, queues = 1 << 22, 512
+    size = pool_size(queues, settings.queue_size, settings.queue_count, many)
+    progress_bytes = 4 * trail_words(levels) + 4 * instancing
+    storage = STORAGES[settings.ray_storage]
+    stored = storage.bytes_per_slot(progress_bytes, instancing, size.place_count / many)
+    return math.ceil((1 + shadow_rays) * (stored + pool_bytes(size, queues, is_cuda) / many))
+
+
+def few_rays(selection: Selection, is_cuda: bool) -> int:
+    """With fewer rays in every bucket, all go on unbatched."""
+    few, sweep_few = (CUDA_RAYS_FEW, CUDA_SWEEP_FEW) if is_cuda else (CPU_RAYS_FEW, CPU_SWEEP_FEW)
+    return sweep_few if selection == Selection.ALL else few
+
+
+class BatchingTracer:
+    """A `Tracer` in which rays wait for others that visit the same treelet."""
+
+    def __init__(
+        self,
+        treelet_tree: TreeletTree,
+        worker: WorkerRays,
+        settings: RenderSettings,
+        instancing: bool,
+        *,
+        stages: Mapping[VisitTask, VisitStage] | None = None,
+        rays_few: int | None = None,
+        parallel: bool | None = None,
+        capacity: int = 0,
+    ):
+        """Traces the rays of `worker` in `treelet_tree`.
+
+        `stages`: what tracing does. `rays_few`: with fewer in every bucket, rays go on unbatched. `parallel`: the way
+        of CUDA devices, on the CPU too. `capacity`: rays of a batch at most. Where these are not given they are chosen.
+        """
+        device, counts, debug = worker.device, worker.counts, settings.debug_checks == "ON"
+        self._timer, self._numbers = worker.timer, QueueNumbers(treelet_tree.treelet_count)
+        self._rules = QueueRules(self._numbers)
+        self._selection = selection_of(settings, device.is_cuda)
+        storage = STORAGES[settings.ray_storage]
+        queue_total, slot_count = self._numbers.queue_total, worker.slot_count
+        if not capacity:
+            size = pool_size(queue_total, settings.queue_size, settings.queue_count, slot_count)
+            capacity = storage.batch_capacity(slot_count, size.queue_size, device.is_cuda)
+        self._queues = BucketQueues(
+            queue_total, settings.queue_size, settings.queue_count, slot_count, device, debug, capacity, parallel
+        )
+        any_first = worker.path_count if worker.shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
+        self._storage = storage(
+            self._queues, worker.rays, any_first, trail_words(treelet_tree.levels), instancing, counts
+        )
+        self._finished = FinishedLists(self._queues.capacity, worker.path_count, worker.shadow_kind, device)
+        policy = DevicePolicy(
+            self._selection,
+            settings.bucket_wait_max,
+            settings.seed,
+            treelet_tree.treelet_count,
+            few_rays(self._selection, device.is_cuda) if rays_few is None else rays_few,
+            self._queues.blocks,
+            parallel,
+            self._queues.capacity,
+        )
+        is_given = stages is not None  # and so are their kernels, which are loaded already
+        if stages is None:
+            stages = visit_stages(treelet_tree.layout, instancing, counts is not None, settings)
+        for stage in stages.values():
+            stage.prepare(device)
+        served = treelet_tree, stages, self._queues, self._storage, self._numbers
+        self._server = QueueServer(*served, worker.timer)
+        led = policy, self._server, worker.timer
+        parallel_queues, is_stepwise = self._queues.parallel_queues, self._selection != Selection.ALL and not debug
+        self._steps: Steps
+        if is_stepwise and parallel_queues and counts is None:
+            untimed = QueueServer(*served, NoTimer())  # the loop is timed as one
+            kernels = [] if is_given else batching_kernels(treelet_tree.layout, instancing, False, settings, device)
+            self._steps = LoopSteps(*led, DeviceLoop(policy, parallel_queues.moves, untimed.serve_marked, kernels))
+        elif is_stepwise and not parallel_queues and storage is InPlace:
+            self._steps = FusedSteps(*led, self._queues, self._rules)
+        else:
+            self._steps = LaunchedSteps(*led)
+        self._totals = BatchingTotals(block_count=self._queues.size.block_count)
+        self._made_at = time.perf_counter()
+        self._step = self._host_steps = self._forgotten = self._forgotten_done = 0
+        self._notes, self._note_every = 0, 1
+
+    # --- the interface
+
+    def submit(self, kind: RayKind, rays: RayList) -> None:
+        """Rays wait to begin."""
+        with self._timer.stage("queue"):
+            self._storage.begin(RayList(rays.slots, rays.count, rays.bound, rays.slots), self._rules.begin)
+
+    def advance(self, stop: Callable[[], bool] | None = None) -> None:
+        """As `Tracer.advance`: queues are served until a share of the rays under way is done, or none waits."""
+        self._count_steps()
+        waiting = self._queues.waiting
+        self._note_occupancy(waiting)
+        target = max(1, int(waiting * ADVANCE_SHARE))
+        self._steps.begin(target)
+        while True:
+            choice = self._steps.choose()
+            step = choice[STEP_KIND]
+            if step == Step.NOTHING:
+                if choice[BUDGET] != 0:
+                    return
+                self._note_occupancy(self._queues.waiting)
+                self._steps.begin(target)
+            elif step == Step.UNBATCHED:
+                self._totals.rays_unbatched += self._server.finish_all()
+            elif step == Step.SWEEP:
+                self._server.sweep(choice[AMOUNT])
+            else:
+                self._steps.serve(step, choice)
+            self._host_steps += 1
+            if self._host_steps % _OCCUPANCY_STEPS == 0:
+                self._note_occupancy(self._queues.waiting)
+            if stop and stop():
+                return
+
+    def take_finished(self) -> list[tuple[RayKind, RayList]]:
+        """Rays that are done, as many as a batch may have."""
+        count = int(self._queues.fetch_counts()[self._numbers.done])
+        if count == 0:
+            return []
+        with self._timer.stage("queue"):
+            self._finished.split(self._queues.take([self._numbers.done], self._rules.entry, bound=count))
+        finished = self._finished.fetch()
+        self._totals.finished += sum(rays.bound for _, rays in finished)
+        return finished
+
+    def forget(self) -> None:
+        """As `Tracer.forget`."""
+        self._forgotten += self._queues.waiting
+        self._forgotten_done += int(self._queues.fetch_counts()[self._numbers.done])
+        self._queues.clear()
+
+    def totals(self) -> BatchingTotals:
+        """What was done so far; waits for the device."""
+        totals, queues = self._totals, self._queues
+        for name, value in queues.totals().items():
+            setattr(totals, name, value)
+        totals.rays = totals.finished + queues.waiting + self._forgotten
+        # rays that are done wait in a queue too, which is none of those that cost
+        totals.rays_queued -= totals.finished + int(queues.fetch_counts()[self._numbers.done]) + self._forgotten_done
+        totals.treelet_visits = int(self._storage.progress.visits.numpy()[0])
+        self._count_steps()
+        return totals.merge(BatchingTotals())
+
+    # --- counting
+
+    def _count_steps(self) -> None:
+        """The device counts them with 32 bits, which a long render uses up."""
+        step = int(self._queues.fetch_state()[STEP])
+        self._totals.steps += (step - self._step) & 0xFFFFFFFF
+        self._step = step
+
+    def _note_occupancy(self, waiting: int) -> None:
+        """Points are forgotten when there are many; from then on fewer are noted, so that they lie evenly."""
+        self._notes += 1
+        if self._notes % self._note_every == 0:
+            points = len(self._totals.occupancy)
+            self._totals.note_occupancy(time.perf_counter() - self._made_at, waiting)
+            if len(self._totals.occupancy) < points:
+                self._note_every *= 2

@@ -1,0 +1,73 @@
+"""The tracer that a render's plan asks for: what it launches, what memory it takes, and how a worker gets one."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ...bvh.treelets.tree import TREELET_KERNELS
+from ...measure.counters import Counters
+from ...measure.timing import NoTimer, StageTimer
+from ...rays import RayKind, Rays
+from ...settings.settings import RenderSettings
+from ..order.ray_order import RayOrder
+from ..plan.launch import Launch
+from ..plan.plan import Method
+from ..plan.tracing import Tracing
+from ..scene.device_scene import DeviceScene
+from .buckets.tracer import BatchingTracer, batching_bytes_per_path, batching_kernels
+from .interface import Tracer, UnbatchedTracer
+from .pages.tracer import StreamingTracer, compiled_ahead, streaming_bytes_per_path
+from .unbatched import tracing_stages
+from .worker_rays import WorkerRays
+
+
+def tracer_kernels(
+    tracing: Tracing, settings: RenderSettings, shadow_rays: bool, counts: bool, device: wp.Device
+) -> list[wp.Kernel]:
+    """What the tracer launches, for compiling ahead; `counts`: steps are counted."""
+    if tracing.method is Method.BATCHED:
+        cut = TREELET_KERNELS if device.is_cuda else ()
+        return [*batching_kernels(tracing.layout, tracing.instancing, counts, settings, device), *cut]
+    if tracing.method is Method.PAGED:
+        return compiled_ahead(tracing.layout, counts, settings)
+    stages = tracing_stages(tracing.layout, tracing.instancing, counts, Launch.of(settings))
+    return [
+        kernel for kind, stage in stages.items() if shadow_rays or kind == RayKind.CLOSEST for kernel in stage.kernels
+    ]
+
+
+def tracer_bytes_per_path(scene: DeviceScene, settings: RenderSettings, path_count: int) -> int:
+    """Device memory that the tracer takes for each of `path_count` paths alive [bytes]."""
+    if scene.treelets:
+        return batching_bytes_per_path(
+            settings, scene.shadow_rays, scene.tracing.instancing, scene.treelets.levels, scene.device.is_cuda
+        )
+    if scene.paged:
+        return streaming_bytes_per_path(path_count, scene.shadow_rays, scene.paged.scene.levels)
+    return 0
+
+
+def make_tracer(
+    scene: DeviceScene,
+    rays: Rays,
+    path_count: int,
+    shadow_kind: RayKind,
+    settings: RenderSettings,
+    counters: Counters | None,
+    timer: StageTimer | NoTimer,
+    order: RayOrder | None = None,
+) -> Tracer:
+    """The tracer of one worker, with slots for `path_count` paths. `order` sorts rays of tracers in which they do not
+    wait; `counters` count steps.
+    """
+    tracing, counts = scene.tracing, counters.mixed if counters else None
+    worker = WorkerRays(
+        rays=rays, path_count=path_count, shadow_kind=shadow_kind, device=scene.device, timer=timer, counts=counts
+    )
+    if scene.treelets:
+        return BatchingTracer(scene.treelets, worker, settings, tracing.instancing)
+    if scene.paged:
+        return StreamingTracer(scene.paged.scene, scene.paged.residency, worker, settings)
+    stages = tracing_stages(tracing.layout, tracing.instancing, counts is not None, Launch.of(settings))
+    work = counters.work if counters else None
+    return UnbatchedTracer(scene.tree, rays, stages, order=order, timer=timer, counts=work)

@@ -1,0 +1,1 @@
+"""Blender's images and their color spaces as arrays."""

@@ -1,0 +1,1 @@
+"""Meshes and instances of the depsgraph as arrays."""

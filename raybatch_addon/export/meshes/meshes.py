@@ -1,0 +1,91 @@
+"""Blender's evaluated meshes as the core's `Mesh`es, read as whole arrays."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ...core.scene.description import Mesh
+
+
+def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | None:
+    """The triangles of `mesh`, evaluated; messages call it by the object `name`.
+
+    Returns None for a mesh without triangles, and for one with vertices that are not finite. Vertices that no triangle
+    uses are dropped. `warnings` gets a line for everything that was left out or repaired.
+    """
+    mesh.calc_loop_triangles()
+    count = len(mesh.loop_triangles)
+    if count == 0:
+        if len(mesh.vertices):
+            warnings.append(f"object “{name}”: its mesh “{mesh.name}” has no faces; there is nothing to render")
+        return None
+    triangles = _read(mesh.loop_triangles, "vertices", np.int32, count, 3)
+    positions = _read(mesh.vertices, "co", np.float32, len(mesh.vertices), 3)
+    positions, triangles = _used_vertices(positions, triangles)
+    if not np.isfinite(positions).all():
+        bad = int(len(positions) - np.isfinite(positions).all(axis=1).sum())
+        warnings.append(
+            f"object “{name}”: {bad:,} vertices of its mesh “{mesh.name}” are NaN or infinite; it is left out. "
+            "Clean up the mesh, or check its modifiers and shape keys"
+        )
+        return None
+    loops = None
+    normals = uvs = None
+    if mesh.normals_domain != "FACE" or mesh.has_custom_normals:
+        loops = _read(mesh.loop_triangles, "loops", np.int32, count, 3)
+        normals = _corner_normals(mesh, loops, name, warnings)
+    layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
+    if layer is not None and len(layer.uv):
+        if loops is None:
+            loops = _read(mesh.loop_triangles, "loops", np.int32, count, 3)
+        uvs = _read(layer.uv, "vector", np.float32, len(mesh.loops), 2)[loops]
+    space = (tuple(mesh.texspace_location), tuple(mesh.texspace_size))
+    return Mesh(mesh.name, positions, triangles, _slots(mesh, count), normals, uvs, space)
+
+
+def slot_count(mesh: bpy.types.Mesh) -> int:
+    """Number of material slots that `Mesh.triangle_slot` assumes; at least 1."""
+    return max(1, len(mesh.materials))
+
+
+def _read(collection, attribute: str, dtype, count: int, width: int = 1) -> np.ndarray:
+    """`attribute` of all items of `collection`: shape [count, width], or [count] for a width of 1."""
+    values = np.empty(count * width, dtype)
+    collection.foreach_get(attribute, values)
+    return values.reshape(count, width) if width > 1 else values
+
+
+def _used_vertices(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """`positions` of the vertices that `triangles` use, and the triangles with indices into them."""
+    used = np.zeros(len(positions), bool)
+    used[triangles.ravel()] = True
+    if used.all():
+        return positions, triangles
+    renumbered = np.cumsum(used, dtype=np.int32) - np.int32(1)
+    return positions[used], renumbered[triangles]
+
+
+def _corner_normals(mesh: bpy.types.Mesh, loops: np.ndarray, name: str, warnings: list[str]) -> np.ndarray:
+    """Unit normals of the triangles' corners, shape [triangle_count, 3, 3]; 0 (flat) where Blender has none."""
+    normals = _read(mesh.corner_normals, "vector", np.float32, len(mesh.loops), 3)
+    # A sum is finite where all terms are: a cheap look before the close one
+    if not np.isfinite(normals.sum()):
+        finite = np.isfinite(normals).all(axis=1)
+        warnings.append(
+            f"object “{name}”: {int((~finite).sum()):,} normals of its mesh “{mesh.name}” are not finite; these "
+            "corners are flat"
+        )
+        normals[~finite] = 0
+    return normals[loops]
+
+
+def _slots(mesh: bpy.types.Mesh, count: int) -> np.ndarray | None:
+    """Material slot of each triangle, indices beyond the last slot lowered to it; None when all are slot 0."""
+    last = slot_count(mesh) - 1
+    if last == 0 or "material_index" not in mesh.attributes:
+        return None
+    of_polygon = _read(mesh.polygons, "material_index", np.int32, len(mesh.polygons))
+    polygon = _read(mesh.loop_triangle_polygons, "value", np.int32, count)
+    slots = np.clip(of_polygon, 0, last)[polygon]
+    return slots if slots.any() else None

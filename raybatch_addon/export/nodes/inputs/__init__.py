@@ -1,0 +1,1 @@
+"""Handlers of Blender's input nodes."""

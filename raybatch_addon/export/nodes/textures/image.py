@@ -1,0 +1,74 @@
+"""Image and environment textures."""
+
+from __future__ import annotations
+
+from ....core.programs.ops.textures.environment import EnvironmentProjection
+from ....core.programs.ops.textures.image import Projection
+from ....core.shading.images.textures import Extension, Interpolation
+from ..graph import node_label
+from ..node import Node, Value
+from ..registry import values
+from .mapping import mapped
+
+_INTERPOLATIONS = {
+    "Closest": Interpolation.CLOSEST,
+    "Linear": Interpolation.LINEAR,
+    "Cubic": Interpolation.CUBIC,
+    "Smart": Interpolation.CUBIC,  # as in Cycles
+}
+
+
+@values("ShaderNodeTexImage", family="Textures")
+def image_texture(node: Node) -> dict[str, Value]:
+    """Colour and alpha of an image at texture coordinates; without link at the active UV map."""
+    texture = node.node
+    index, divide = _image_of(node)
+    interpolation, extension = _INTERPOLATIONS[texture.interpolation], Extension[texture.extension]
+    coordinates = mapped(node, node.vector("Vector") if node.linked("Vector") else node.uv())
+    if texture.projection == "BOX":
+        blend = float(texture.projection_blend)
+        color, alpha = node.op(
+            "image_box", index, interpolation, extension, divide, blend, coordinates, node.op("object_normal")
+        )
+    else:
+        color, alpha = node.op(
+            "image", index, interpolation, extension, Projection[texture.projection], divide, coordinates
+        )
+    return {"Color": color, "Alpha": alpha}
+
+
+@values("ShaderNodeTexEnvironment", family="Textures")
+def environment_texture(node: Node) -> dict[str, Value]:
+    """Colour of an image in a direction.
+
+    Without link the direction is that of the ray into the world, or of the point from the origin.
+    """
+    texture = node.node
+    index, divide = _image_of(node)
+    image = node.graph.collections.images[index]
+    if image.pixels is not None and type(node.graph.owner).__name__ == "World":
+        widest = node.graph.collections.environment_width
+        node.graph.collections.environment_width = max(widest, image.pixels.shape[1])
+    projection = EnvironmentProjection[texture.projection]
+    direction = mapped(node, node.vector("Vector") if node.linked("Vector") else node.op("position", node.shift))
+    color, alpha = node.op("environment", index, _INTERPOLATIONS[texture.interpolation], projection, divide, direction)
+    return {"Color": color, "Alpha": alpha}
+
+
+def _image_of(node: Node) -> tuple[int, int]:
+    """Index of the node's image, and whether alpha is divided out of its colours (only if alpha is used)."""
+    # imports Blender, without which graphs can be built
+    from ...images.images import divides_alpha, export_image, image_key
+
+    collections, texture = node.graph.collections, node.node
+    arguments = (texture.image, texture.image_user, collections.frame)
+
+    def make():
+        image, notes = export_image(*arguments)
+        collections.warnings += notes
+        return image
+
+    index = collections.image(image_key(*arguments), make)
+    if texture.image is None:
+        node.graph.note(f"{node_label(texture)} has no image: it is magenta")
+    return index, int(node.wants("Alpha") and divides_alpha(texture.image))

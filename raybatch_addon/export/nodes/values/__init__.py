@@ -1,0 +1,1 @@
+"""Handlers of Blender's nodes on numbers, vectors and colors."""

@@ -1,1 +1,0 @@
-"""Plots drawn into arrays with NumPy alone: Blender has no plotting library."""

@@ -1,0 +1,31 @@
+"""Properties of a scene that the panel Convergence remembers."""
+
+from __future__ import annotations
+
+import bpy
+
+
+class RayBatchConvergence(bpy.types.PropertyGroup):
+    """What the panel Convergence remembers of a scene."""
+
+    record: bpy.props.BoolProperty(
+        name="Record Renders",
+        default=False,
+        options=set(),
+        description="Keep rays a second over time of each render. Error over time is kept as well, and without this, "
+        "where Error Estimate is on",
+    )
+    target: bpy.props.FloatProperty(
+        name="Error to Reach",
+        default=0.001,
+        min=1e-9,
+        max=1e9,
+        precision=6,
+        options=set(),
+        description="The error (relMSE) to which the time is told; that of Stop at Error, where there is one",
+    )
+
+
+def chosen_target(scene: bpy.types.Scene) -> float:
+    """The relMSE to which the time is stated."""
+    return scene.raybatch.error_target or scene.raybatch_convergence.target

@@ -1,0 +1,1 @@
+"""The tables that the core ships (.npz), computed by quadrature."""

@@ -1,0 +1,34 @@
+"""Documents with parts that scripts make: each stands between two lines, its marks."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+
+def with_part(text: str, first: str, last: str, made: str, where: object) -> str:
+    """`text` with `made` between the lines `first` and `last`; raises `ValueError`, which names `where`, if they are
+    not there once.
+    """
+    text, found = re.subn(
+        re.escape(first) + ".*?" + re.escape(last), lambda _: f"{first}\n\n{made}\n\n{last}", text, flags=re.S
+    )
+    if found != 1:
+        raise ValueError(f"{where} must hold the line {first}, and the line {last} behind it, once")
+    return text
+
+
+def write_or_check(page: Path, updated: Callable[[str], str], script: str, arguments: list[str]) -> int:
+    """Write `page` as `updated` makes it of its text; with --check among `arguments` nothing is written. The exit code:
+    1 where the page was checked and is not up to date, with a line on standard error that says to run `script`.
+    """
+    text = page.read_text(encoding="utf-8")
+    new = updated(text)
+    if "--check" not in arguments:
+        page.write_text(new, encoding="utf-8")
+        return 0
+    if new != text:
+        print(f"{page} is not up to date: run python {script}", file=sys.stderr)
+    return int(new != text)

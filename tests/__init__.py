@@ -1,0 +1,1 @@
+"""RayBatch's tests; the folders mirror those of the code."""

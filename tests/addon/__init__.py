@@ -1,0 +1,1 @@
+"""Tests of the add-on that need no Blender."""

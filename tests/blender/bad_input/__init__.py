@@ -1,0 +1,1 @@
+"""Tests of bad input, devices and faults through the whole engine."""

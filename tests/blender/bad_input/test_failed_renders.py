@@ -1,0 +1,190 @@
+"""Devices, memory, faults and cancels: a render that cannot go on says why, and spoils nothing."""
+
+import os
+import subprocess
+import sys
+import textwrap
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from raybatch_addon.blender import reports, sessions  # noqa: E402
+from raybatch_addon.core import session as core_session  # noqa: E402
+from raybatch_addon.core.wavefront import integrator  # noqa: E402
+from raybatch_addon.core.wavefront.render import workers  # noqa: E402
+from tests.blender.bad_input.outcomes import BACKGROUND, assert_fails, assert_picture, render  # noqa: E402
+from tests.support.blender_watch import watch_engines  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+# --- devices and memory
+
+
+@pytest.mark.parametrize("name", ["cuda:99", "gpu", "cpu:7", "metal"])
+def test_an_unknown_device(lit, tmp_path, name):
+    lit.raybatch.device = name
+    assert_fails(tmp_path, repr(name), "choose one of AUTO, cpu")
+
+
+def test_cuda_where_there_is_none(lit, tmp_path, monkeypatch):
+    import warp
+
+    monkeypatch.setattr(warp, "get_cuda_devices", list)
+    lit.raybatch.device = "cuda:0"
+    sessions.close_all()
+    assert_fails(tmp_path, "'cuda:0'", "AUTO, cpu", "no CUDA device was found", "driver")
+
+
+def test_the_ray_count_is_reduced_when_memory_is_short(lit, films, monkeypatch):
+    lit.raybatch.sample_count = 64
+    render()
+    monkeypatch.setattr(workers, "free_memory", lambda device: 4 << 20)
+    (warning,) = render()
+    assert "ray_count was reduced from" in warning and "memory" in warning
+    assert films[1].statistics["warnings"] == [warning]
+    assert_picture(films[1])
+    assert np.array_equal(films[0].passes["Combined"], films[1].passes["Combined"]), (
+        "the schedule never changes the image"
+    )
+
+
+def test_no_memory_at_all(lit, tmp_path, monkeypatch):
+    monkeypatch.setattr(workers, "free_memory", lambda device: 100)
+    assert_fails(tmp_path, "bytes left for rays", "close other programs")
+
+
+# --- exceptions inside
+
+
+def fail(*_args, **_options):
+    raise ZeroDivisionError("a bug")
+
+
+PLACES = {
+    "build": (core_session.DeviceScene, "build"),
+    "compile": (core_session, "load_kernels"),
+    "worker": (integrator.TileIntegrator, "_shade"),
+    "film": (integrator, "FinishedTile"),
+    "result": (None, "begin_result"),
+    "status": (None, "update_stats"),
+}
+
+
+@pytest.mark.parametrize("file_format", ["PNG", "OPEN_EXR_MULTILAYER"])
+@pytest.mark.parametrize("place", PLACES)
+def test_an_exception_writes_nothing_over_what_is_there(lit, monkeypatch, tmp_path, capfd, place, file_format):
+    image = lit.render.image_settings
+    if hasattr(image, "media_type"):  # from 5.0 on
+        image.media_type = "MULTI_LAYER_IMAGE" if file_format == "OPEN_EXR_MULTILAYER" else "IMAGE"
+    image.file_format = file_format
+    path = tmp_path / ("kept" + lit.render.file_extension)
+    path.write_bytes(b"what was there")
+    lit.render.filepath = str(path)
+    owner, name = PLACES[place]
+    if owner is None:
+        watch_engines(monkeypatch, **{name: fail})
+    else:
+        monkeypatch.setattr(owner, name, fail)
+    with pytest.raises(RuntimeError, match="RayBatch: .*ZeroDivisionError: a bug"):
+        bpy.ops.render.render(write_still=True)
+    monkeypatch.undo()
+    assert path.read_bytes() == b"what was there" and os.listdir(tmp_path) == [path.name]
+    assert len(reports.last().errors) == 1
+    assert "Traceback" in capfd.readouterr().err
+    assert [thread for thread in threading.enumerate() if "work" in thread.name] == [], "no worker goes on"
+    assert bpy.ops.render.render(write_still=True) == {"FINISHED"}, "the next render is as good as ever"
+    assert path.read_bytes() != b"what was there"
+
+
+SCRIPT = """
+    import sys
+    import bpy
+    import raybatch_addon
+    from raybatch_addon.core.wavefront import integrator
+
+    def fail(*_):
+        raise ZeroDivisionError("a bug")
+
+    raybatch_addon.register()
+    integrator.TileIntegrator._shade = fail
+    scene = bpy.context.scene
+    scene.render.engine, scene.raybatch.device = "RAYBATCH", "cpu"
+    scene.render.resolution_x = scene.render.resolution_y = 32
+    scene.render.filepath = sys.argv[1]
+    image = scene.render.image_settings
+    if hasattr(image, "media_type"):
+        image.media_type = "MULTI_LAYER_IMAGE"
+    image.file_format = "OPEN_EXR_MULTILAYER"
+    try:
+        bpy.ops.render.render(animation=True)
+    except RuntimeError as error:
+        print("caught", error)
+        sys.exit(3)
+"""
+
+
+def test_a_process_whose_render_fails_ends_by_its_own_will(tmp_path):
+    """Blender itself crashes with multilayer EXR after an exception."""
+    command = [sys.executable, "-c", textwrap.dedent(SCRIPT), str(tmp_path / "frame")]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=120)
+    assert done.returncode == 3, (done.returncode, done.stderr)
+    assert "caught Error: RayBatch: the render failed: ZeroDivisionError: a bug" in done.stdout
+    assert os.listdir(tmp_path) == []
+
+
+# --- cancelling
+
+
+@pytest.mark.parametrize("stage", ["load_kernels", "build"])
+def test_a_cancel_does_not_wait_for_compiling_or_building(lit, monkeypatch, films, stage):
+    """Work that is under way goes on by itself; the render does not wait for it."""
+    entered, release, finished = threading.Event(), threading.Event(), threading.Event()
+    owner = core_session.DeviceScene if stage == "build" else core_session
+
+    def endless(*_args):
+        entered.set()
+        release.wait(5)
+        finished.set()
+
+    monkeypatch.setattr(owner, stage, endless)
+    watch_engines(monkeypatch, test_break=lambda _engine: entered.is_set())
+    bpy.ops.render.render()
+    assert entered.is_set() and not finished.is_set()
+    release.set()
+    assert not films[0].complete and films[0].sample_count == 0
+    assert reports.last().errors == []
+
+
+def test_a_cancel_during_export_renders_nothing(lit, monkeypatch, films):
+    watch_engines(monkeypatch, test_break=lambda _engine: True)
+    bpy.ops.render.render()
+    assert films == [] and reports.last().errors == []
+
+
+def test_a_cancel_keeps_what_is_done_of_a_tile(lit, monkeypatch, films):
+    """One tile of more samples than could ever be traced: it keeps the samples that are done."""
+    lit.raybatch.sample_count, lit.raybatch.tile_size, lit.raybatch.thread_count = 2**30, 64, 1
+    written, started = [], []
+    finish_paths = integrator.TileIntegrator._finish_paths
+
+    def begin_result(engine, x, y, width, height, **options):
+        written.append((x, y, width, height))
+        return engine.begin_result(x, y, width, height, **options)
+
+    def noted(*args):
+        started.append(1)
+        return finish_paths(*args)
+
+    monkeypatch.setattr(integrator.TileIntegrator, "_finish_paths", noted)
+    watch_engines(monkeypatch, begin_result=begin_result, test_break=lambda _engine: len(started) > 0)
+    bpy.ops.render.render()
+    (film,) = films
+    assert not film.complete and 0 < film.counts.max() < 2**30
+    assert written == [(0, 0, 32, 24)], "what is done is shown"
+    picture = film.passes["Combined"]
+    assert picture[12, 16, :3] == pytest.approx([1, 1, 1]) and picture[0, 0, :3] == pytest.approx(BACKGROUND, rel=1e-5)

@@ -1,0 +1,1 @@
+"""Tests of convergence in Blender: records of renders, and their panel."""

@@ -1,0 +1,1 @@
+"""Features of Blender that are compared with Cycles, a file a family."""

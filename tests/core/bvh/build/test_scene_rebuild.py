@@ -1,0 +1,146 @@
+"""Trees that do not follow what changed are built anew: another topology or other settings, bad trees, splits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from raybatch_addon.core.bvh.node import Layout
+from raybatch_addon.core.scene.description import Mesh
+from raybatch_addon.core.session import Session
+from tests.core.bvh.build.refit_scenes import (
+    FLOOR,
+    FRAME,
+    NOT_CAMERA,
+    SETTINGS,
+    assert_same,
+    counts,
+    layouts,
+    opened,
+    several,
+    turned,
+)
+from tests.support import scenes, wide_trees
+from tests.support.under_test import DEVICE
+
+
+def with_object(scene, index, **changes):
+    instances = {name: getattr(scene.instances, name).copy() for name in changes}
+    for name, value in changes.items():
+        instances[name][index] = value
+    return replace(scene, instances=replace(scene.instances, **instances))
+
+
+def without_last_object(scene):
+    return replace(
+        scene,
+        instances=replace(scene.instances, **{k: v[:-1] for k, v in vars(scene.instances).items() if v is not None}),
+    )
+
+
+def without_last_triangle(scene):
+    mesh = scene.meshes[1]
+    return replace(
+        scene,
+        meshes=(scene.meshes[0], replace(mesh, triangles=mesh.triangles[:-1], corner_normals=None), *scene.meshes[2:]),
+    )
+
+
+def with_other_triangles(scene):
+    mesh = scene.meshes[0]
+    return replace(scene, meshes=(replace(mesh, triangles=mesh.triangles[::-1].copy()), *scene.meshes[1:]))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        without_last_triangle,
+        with_other_triangles,
+        lambda scene: with_object(scene, 2, visibility=NOT_CAMERA),
+        lambda scene: with_object(scene, 6, visibility=NOT_CAMERA),
+        lambda scene: with_object(scene, 6, mesh=4),
+        lambda scene: with_object(scene, 1, transform=turned(0.3, -1.2, 0, 0) * np.array([[-1], [1], [1]])),  # mirrored
+        without_last_object,
+    ],
+    ids=[
+        "fewer triangles",
+        "other triangles",
+        "baked hidden",
+        "instance hidden",
+        "other mesh",
+        "mirrored",
+        "fewer instances",
+    ],
+)
+def test_another_topology_is_built_anew(change):
+    session = Session(DEVICE, SETTINGS)
+    session.render(several(0.5))
+    film = session.render(change(several(0.5)))
+    tree = film.statistics["tree"]
+    assert counts(tree) == (tree["trees"], 0)
+    assert_same(film, Session(DEVICE, SETTINGS).render(change(several(0.5))))
+
+
+def test_other_settings_of_the_tree_build_it_anew():
+    session = Session(DEVICE, SETTINGS)
+    expected = session.render(several(0.5))
+    splits = session.render(several(0.5), SETTINGS.replace(spatial_splits="ON"))
+    assert counts(splits.statistics["tree"]) == (4, 0)
+    assert_same(splits, expected)
+    assert session.render(several(0.5), SETTINGS.replace(batching="REFERENCE")).statistics["tree"] is None
+    film = session.render(several(0.5))
+    assert counts(film.statistics["tree"]) == (4, 0)
+    assert_same(film, expected)
+
+
+def soup_scene(positions: np.ndarray, triangles: np.ndarray, copies: int = 1):
+    mesh = Mesh("soup", positions, triangles)
+    objects = [(mesh, scenes.translation(1.5 * i, 0, 0), scenes.diffuse(0.7)) for i in range(copies)]
+    return scenes.scene([*objects, (FLOOR, scenes.translation(0, 0, -1), scenes.diffuse(0.5))], frame=FRAME, world=0.5)
+
+
+@layouts
+@pytest.mark.parametrize("copies", [1, 2], ids=["baked", "instances"])
+def test_a_tree_that_became_bad_is_built_anew(layout, copies):
+    positions, triangles = wide_trees.soup(500)
+    session = opened(layout)
+    first = session.render(soup_scene(positions, triangles, copies)).statistics["tree"]
+    assert first["sah"] == first["sah_built"] > 0
+    shaken = (positions + 0.02 * np.sin(40 * positions)).astype(np.float32)
+    tree = session.render(soup_scene(shaken, triangles, copies)).statistics["tree"]
+    assert counts(tree) == (0, 1) and tree["sah_built"] == first["sah"] and tree["sah"] != first["sah"]
+    mixed = positions[
+        np.random.default_rng(0).permutation(len(positions) // 3)[triangles // 3] * 3 + np.arange(3)
+    ].reshape(-1, 3)
+    film = session.render(soup_scene(mixed, triangles, copies))
+    tree = film.statistics["tree"]
+    assert counts(tree) == (1, 0) and tree["sah"] == tree["sah_built"] < 1.4 * first["sah"]
+    assert_same(film, opened(layout).render(soup_scene(mixed, triangles, copies)))
+
+
+def test_what_moves_is_built_without_splits_once_and_followed_from_then_on():
+    positions, triangles = wide_trees.needles(500)
+    session = opened(Layout.BOXES)
+    session.settings = SETTINGS.replace(spatial_splits="AUTO")
+    work = []
+    for frame in range(4):
+        moved = (positions + 0.002 * frame * np.sin(40 * positions)).astype(np.float32)
+        film = session.render(soup_scene(moved, triangles))
+        work.append(counts(film.statistics["tree"]))
+        assert_same(film, opened(Layout.BOXES).render(soup_scene(moved, triangles)))
+    assert work == [(1, 0), (1, 0), (0, 1), (0, 1)]
+
+
+def test_split_triangles_are_split_anew():
+    """What was split is worth it for its own positions only."""
+    positions, triangles = wide_trees.needles(500)
+    settings = SETTINGS.replace(spatial_splits="ON")
+    session = Session(DEVICE, settings)
+    scene = soup_scene(positions, triangles)
+    first = session.render(scene).statistics["tree"]
+    shaken = soup_scene((positions + 0.001 * np.sin(40 * positions)).astype(np.float32), triangles)
+    film = session.render(shaken)
+    tree = film.statistics["tree"]
+    assert counts(tree) == (1, 0) and tree["sah"] == pytest.approx(first["sah"], rel=0.05)
+    assert_same(film, Session(DEVICE, SETTINGS).render(shaken))
+    assert counts(session.render(shaken).statistics["tree"]) == (0, 0)

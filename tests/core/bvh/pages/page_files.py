@@ -1,0 +1,19 @@
+"""A scene whose pages lie in a file."""
+
+import warp as wp
+
+from raybatch_addon.core.bvh.node import Layout
+from raybatch_addon.core.bvh.pages.build import PagedScene, build_paged_scene
+from raybatch_addon.core.scene.flatten import flatten
+from tests.support import paged_scenes
+
+SCENE = paged_scenes.everything()
+FLAT = flatten(SCENE)
+BUDGET = 400_000  # bytes
+
+
+def built(store, folder=None, layout=Layout.BOXES, budget=BUDGET, **more) -> PagedScene:
+    """The pages of `FLAT` on the CPU."""
+    return build_paged_scene(
+        FLAT, SCENE.instances.visibility, layout, wp.get_device("cpu"), budget, store, folder, **more
+    )

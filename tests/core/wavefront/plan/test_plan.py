@@ -1,0 +1,90 @@
+"""Whether a render batches, and where its geometry lies: by counts, memory and settings alone, each choice with its
+reason.
+"""
+
+import re
+
+import pytest
+
+from raybatch_addon.core.bvh.memory import GeometrySize
+from raybatch_addon.core.bvh.node import Layout
+from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.plan.plan import (
+    PAGED_SHARE,
+    TREE_BYTES_MOST,
+    TREELET_BYTES,
+    Memory,
+    Method,
+    TracingPlan,
+    plan_tracing,
+    report_of,
+)
+
+GB = 10**9
+TRIANGLES = 10**7
+LAYOUTS = [(Layout.BOXES, False), (Layout.QUANTISED, True)]
+
+
+def plan_of(
+    layout: Layout, is_cuda: bool, needed: int = GB, free: int = 100 * GB, host_free: int = 100 * GB, **settings
+) -> TracingPlan:
+    size = GeometrySize(TRIANGLES, TRIANGLES // 2, TRIANGLES, smooth=True)
+    return plan_tracing(RenderSettings(**settings), size, layout, is_cuda, Memory(needed, free, host_free))
+
+
+@pytest.mark.parametrize(("layout", "is_cuda"), LAYOUTS)
+def test_what_is_asked_for_is_done(layout, is_cuda):
+    assert plan_of(layout, is_cuda, batching="REFERENCE") == TracingPlan(Method.REFERENCE)
+    assert plan_of(layout, is_cuda, needed=200 * GB, batching="OFF") == TracingPlan(Method.UNBATCHED)
+    batched = plan_of(layout, is_cuda, batching="ON")
+    assert (
+        batched.method is Method.BATCHED
+        and batched.treelet_bytes == TREELET_BYTES[layout] == batched.choices["treelet_bytes"].value
+    )
+    own = plan_of(layout, is_cuda, batching="ON", treelet_size=800)
+    assert (own.treelet_size, own.treelet_bytes, own.choices) == (800, 0, {})
+
+
+@pytest.mark.parametrize(("layout", "is_cuda"), LAYOUTS)
+@pytest.mark.parametrize("batching", ["AUTO", "ON"])
+def test_what_does_not_fit_is_brought_in_by_pages(layout, is_cuda, batching):
+    """The whole of what is free is not enough for a scene that needs nearly as much, and rays."""
+    plan = plan_of(layout, is_cuda, needed=90 * GB, free=100 * GB, batching=batching)
+    assert (
+        plan.method is Method.PAGED
+        and plan.geometry_budget == int(100 * GB * PAGED_SHARE) == plan.choices["geometry_budget"].value
+    )
+    assert plan.geometry_store == ("HOST" if is_cuda else "DISK") == plan.choices["geometry_store"].value
+    assert ("batching" in plan.choices) == (batching == "AUTO")
+    assert plan_of(layout, is_cuda, needed=84 * GB, free=100 * GB, batching=batching).method is not Method.PAGED
+
+
+@pytest.mark.parametrize(("layout", "is_cuda"), LAYOUTS)
+def test_a_budget_counts_the_tree_alone(layout, is_cuda):
+    tree = TREE_BYTES_MOST[layout] * TRIANGLES
+    whole, paged = (plan_of(layout, is_cuda, batching="ON", geometry_budget=budget) for budget in (tree, tree - 1))
+    assert (whole.method, paged.method) == (Method.BATCHED, Method.PAGED)
+    assert paged.geometry_budget == tree - 1 and "geometry_budget" not in paged.choices
+
+
+def test_pages_lie_on_disk_where_the_host_has_no_room():
+    found = plan_of(Layout.QUANTISED, True, needed=90 * GB, host_free=GB // 2, batching="ON")
+    assert found.geometry_store == "DISK" and "500 MB free" in found.choices["geometry_store"].why
+    assert (
+        plan_of(
+            Layout.QUANTISED, True, needed=90 * GB, host_free=0, batching="ON", geometry_store="HOST"
+        ).geometry_store
+        == "HOST"
+    )
+
+
+@pytest.mark.parametrize(("layout", "is_cuda"), LAYOUTS)
+def test_inside_memory_rays_go_alone_and_it_is_told_why(layout, is_cuda):
+    """What was compared is told: all that the scene needs, with what is free. People read numbers without powers of
+    ten.
+    """
+    plan = plan_of(layout, is_cuda, needed=3 * GB)
+    assert plan.method is Method.UNBATCHED
+    why = report_of(plan.choices)["batching"]["why"]
+    assert "3.00 GB, and the " in why and "has 100 GB free" in why
+    assert len(re.findall(r"\b[\d,]+(?:\.\d+)? ns\b", why)) == 2 and "e+" not in why

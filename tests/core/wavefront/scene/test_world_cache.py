@@ -1,0 +1,76 @@
+"""The sampling of a world is kept where the world is the same, and made anew where it is not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
+from raybatch_addon.core.programs.builder import ProgramBuilder
+from raybatch_addon.core.scene.description import Frame, Image, World
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.scene import device_scene
+from tests.support import scenes
+from tests.support.under_test import DEVICE
+
+SETTINGS = RenderSettings(device=DEVICE, sample_count=1, bounce_max=1)
+PIXELS = np.random.default_rng(3).random((8, 16, 4)).astype(np.float32)
+
+
+def world_of(strength=1.0, window=False):
+    """An environment image, or the window's coordinates, times a number."""
+    builder = ProgramBuilder()
+    if window:
+        color = builder.value("window_coordinates", 0)
+    else:
+        color, _ = builder.value("environment", 0, 1, 0, 0, builder.value("position", 0))
+    builder.closure("emission", builder.value("multiply_colors", color, (strength,) * 3))
+    return World(program=builder.finish(), sampling_size=16)
+
+
+def scene_of(world, place=0.0, image=Image("sky", PIXELS), eye=(0, -4, 0)):
+    made = scenes.scene(
+        [(scenes.box(), scenes.translation(place, 0, 0), scenes.diffuse())],
+        view=scenes.camera(eye=eye),
+        frame=Frame(8, 8),
+    )
+    return replace(made, world=world, images=(image,))
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """Sizes of the tables that were made."""
+    sizes = []
+    real = device_scene.world_texels
+
+    def texels(data, features, width, device):
+        sizes.append(width)
+        return real(data, features, width, device)
+
+    monkeypatch.setattr(device_scene, "world_texels", texels)
+    return sizes
+
+
+def test_a_world_is_tabulated_again_only_where_it_is_another(made):
+    session, world = Session(DEVICE), world_of()
+    image = Image("sky", PIXELS)
+    steps = [
+        (scene_of(world, image=image), 1),
+        # made anew, but of the same pixels, as exporters do it; other things moved
+        (scene_of(world_of(), 0.5, Image("sky", PIXELS), eye=(1, -4, 0)), 1),
+        (scene_of(world_of(2.0), image=image), 2),
+        (scene_of(world_of(2.0), image=Image("sky", PIXELS[::-1].copy())), 3),
+        (replace(scene_of(world_of(2.0)), world=replace(world_of(2.0), sampling_size=32)), 4),
+        (scene_of(world_of(window=True)), 5),
+        (scene_of(world_of(window=True), eye=(1, -4, 0)), 6),  # it looks at the camera
+    ]
+    for scene, count in steps:
+        film = session.render(scene, SETTINGS)
+        assert len(made) == count
+        expected = Session(DEVICE).render(scene, SETTINGS)
+        made.pop()
+        assert np.array_equal(film.passes["Combined"], expected.passes["Combined"])
+    assert session._cache.world.device_bytes == 4 * (8 + 8 * 16)
+    session.render(replace(scene_of(world), world=World(radiance=(1.0, 1.0, 1.0))), SETTINGS)
+    assert session._cache.world.device_bytes == 0

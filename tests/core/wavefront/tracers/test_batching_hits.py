@@ -1,0 +1,182 @@
+"""The tracer that batches finds the hits of the unbatched tracer, whatever the settings."""
+
+import functools
+
+import numpy as np
+import pytest
+import warp as wp
+
+from raybatch_addon.core.bvh.build.scene_tree import build_scene_tree
+from raybatch_addon.core.bvh.node import Layout
+from raybatch_addon.core.bvh.traverse.counts import TraceCounts
+from raybatch_addon.core.bvh.treelets.cut import CutRule
+from raybatch_addon.core.bvh.treelets.tree import cut_scene_tree
+from raybatch_addon.core.measure.timing import StageTimer, clock_of
+from raybatch_addon.core.rays import RayKind, Rays
+from raybatch_addon.core.scene.description import Mesh
+from raybatch_addon.core.scene.flatten import flatten
+from raybatch_addon.core.scene.geometry import upload_geometry
+from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.rays import allocate_rays
+from raybatch_addon.core.wavefront.tracers.buckets.tracer import (
+    BatchingTracer,
+    batching_bytes_per_path,
+    batching_kernels,
+)
+from raybatch_addon.core.wavefront.tracers.interface import UnbatchedTracer
+from raybatch_addon.core.wavefront.tracers.unbatched import tracing_stages
+from raybatch_addon.core.wavefront.tracers.worker_rays import WorkerRays
+from tests.core.wavefront.tracers.wandering import PARALLEL, SELECTIONS, drain, slot_list
+from tests.support import scenes
+from tests.support.under_test import DEVICE
+from tests.support.wide_trees import soup, sphere
+
+
+@functools.cache
+def cut_case(name: str, layout: Layout):
+    rng = np.random.default_rng(5)
+    if name == "instances":
+        places = [scenes.translation(*rng.uniform(-2, 2, 3), rng.uniform(0.3, 1)) for _ in range(25)]
+        objects = [(Mesh("ball", *sphere(10, 1.2)), place, scenes.diffuse()) for place in places]
+        objects += [(Mesh("soup", *soup(200, 1, 0.3)), scenes.IDENTITY, scenes.diffuse())]
+    else:
+        objects = [(Mesh("soup", *soup(900, 3, 0.2)), scenes.IDENTITY, scenes.diffuse())]
+    scene = scenes.scene(objects)
+    device, flat = wp.get_device(DEVICE), flatten(scene)
+    geometry = upload_geometry(flat, scene, device)
+    built = build_scene_tree(flat, geometry, scene.instances.visibility, name == "instances", device, layout)
+    return built, cut_scene_tree(built, CutRule(size=12), device)
+
+
+def rays_at(path_count: int, built) -> Rays:
+    rng = np.random.default_rng(8)
+    rays = allocate_rays(2 * path_count, wp.get_device(DEVICE))
+    count = 2 * path_count
+    low, high = built.box
+    rays.origin.assign(rng.uniform(low, high, (count, 3)).astype(np.float32))
+    direction = rng.normal(size=(count, 3))
+    rays.direction.assign((direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32))
+    rays.t_max.assign(np.where(np.arange(count) % 3 == 0, rng.uniform(0, 1, count), 1e30).astype(np.float32))
+    rays.visibility.fill_(1)
+    return rays
+
+
+HITS = ("hit_t", "hit_instance", "hit_primitive", "hit_uv")
+
+
+def hits_of(rays: Rays, path_count: int, shadow_kind: RayKind) -> list[np.ndarray]:
+    everything = path_count if shadow_kind == RayKind.OCCLUSION else 2 * path_count
+    hits = [getattr(rays, name).numpy()[:everything].copy() for name in HITS]
+    return [*hits, rays.hit_instance.numpy() >= 0]
+
+
+@functools.cache
+def unbatched_hits(name: str, layout: Layout, path_count: int, shadow_kind: RayKind) -> list[np.ndarray]:
+    built, _ = cut_case(name, layout)
+    rays = rays_at(path_count, built)
+    tracer = UnbatchedTracer(built.tree, rays, tracing_stages(layout, name == "instances", False))
+    tracer.submit(RayKind.CLOSEST, slot_list(np.arange(path_count)))
+    tracer.submit(shadow_kind, slot_list(np.arange(path_count, 2 * path_count)))
+    tracer.advance()
+    return hits_of(rays, path_count, shadow_kind)
+
+
+LAYOUTS = (Layout.QUANTISED, Layout.BOXES) if DEVICE == "cpu" else (Layout.QUANTISED,)
+
+
+def compare(name, layout, shadow_kind, parallel, counters=False, capacity=0, shared=True, rays_few=0, **settings):
+    paths = 400
+    built, cut = cut_case(name, layout)
+    rays, device = rays_at(paths, built), wp.get_device(DEVICE)
+    if shared:
+        rays.hit_t = rays.t_max
+    counts = None
+    if counters:
+        counts = TraceCounts()
+        for field in ("node_steps", "box_tests", "triangle_tests", "treelet_visits", "queued"):
+            setattr(counts, field, wp.full(2 * paths, -99, dtype=int, device=device))
+        counts.lanes = wp.zeros(6, dtype=wp.int64, device=device)
+    timer = StageTimer(clock_of(device))
+    tracer = BatchingTracer(
+        cut,
+        WorkerRays(rays=rays, path_count=paths, shadow_kind=shadow_kind, device=device, timer=timer, counts=counts),
+        RenderSettings(**settings),
+        name == "instances",
+        parallel=parallel,
+        capacity=capacity,
+        rays_few=rays_few,
+    )
+    tracer.submit(RayKind.CLOSEST, slot_list(np.arange(paths)[::-1]))
+    tracer.advance()
+    back = {kind: [] for kind in RayKind}
+    for kind, listed in tracer.take_finished():
+        back[kind] += listed.slots.numpy()[: listed.bound].tolist()
+    tracer.submit(shadow_kind, slot_list(np.arange(paths, 2 * paths)))
+    for kind, slots in drain(tracer).items():
+        back[kind] += slots
+    assert sorted(back[RayKind.CLOSEST]) == list(range(paths))
+    assert sorted(back[shadow_kind]) == list(range(paths, 2 * paths))
+    for mine, theirs in zip(hits_of(rays, paths, shadow_kind), unbatched_hits(name, layout, paths, shadow_kind)):
+        np.testing.assert_array_equal(mine, theirs)
+    totals = tracer.totals()
+    assert totals.rays == totals.finished == 2 * paths
+    assert totals.treelet_visits > paths
+    if counters:
+        assert counts.treelet_visits.numpy().sum() == totals.treelet_visits
+        assert counts.node_steps.numpy().min() >= 0
+        assert counts.queued.numpy().min() >= 0
+    times = timer.totals()
+    assert times["queue"] > 0
+    return totals
+
+
+@pytest.mark.parametrize("parallel", PARALLEL)
+@pytest.mark.parametrize("storage", ["INDIRECT", "DIRECT"])
+@pytest.mark.parametrize("selection", SELECTIONS)
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("name", ["soup", "instances"])
+def test_hits_are_those_of_the_unbatched_tracer(name, layout, selection, storage, parallel):
+    shadow_kind = RayKind.OCCLUSION if selection in ("MOST_FULL", "ALL") else RayKind.TRANSPARENT_SHADOW
+    debug = "ON" if name == "soup" else "OFF"
+    compare(name, layout, shadow_kind, parallel, bucket_selection=selection, ray_storage=storage, debug_checks=debug)
+
+
+@pytest.mark.parametrize("storage", ["INDIRECT", "DIRECT"])
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"queue_size": 1, "queue_count": 1},
+        {"queue_size": 16, "queue_count": 3, "bucket_wait_max": 5},
+        {"capacity": 32},
+        {"rays_few": 10**6},
+        {"rays_few": 8, "bucket_selection": "NEXT"},
+        {"single_lane": "ON"},
+        {"warp_count": 1},
+        {"counters": True},
+        {"top_level_traversal": "INTERLOCKED"},
+        {"block_size": 64, "register_cap": 64},
+        {"shared": False},
+    ],
+    ids=lambda settings: ",".join(map(str, settings)),
+)
+def test_settings_change_no_hit(settings, layout, storage):
+    totals = compare("instances", layout, RayKind.OCCLUSION, PARALLEL[-1], ray_storage=storage, **settings)
+    assert (totals.rays_unbatched > 0) == ("rays_few" in settings)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_kernels_are_known_ahead(layout):
+    device = wp.get_device(DEVICE)
+    for storage in ("INDIRECT", "DIRECT"):
+        kernels = batching_kernels(layout, True, False, RenderSettings(ray_storage=storage), device)
+        assert len({kernel.module.name for kernel in kernels}) > 5
+
+
+def test_memory_of_a_path():
+    assert batching_bytes_per_path(RenderSettings(), False, False, 6, True) <= 12
+    assert batching_bytes_per_path(RenderSettings(), True, True, 6, False) <= 2 * 16
+    assert batching_bytes_per_path(RenderSettings(), True, True, 7, False) > batching_bytes_per_path(
+        RenderSettings(), True, True, 6, False
+    )
+    assert batching_bytes_per_path(RenderSettings(ray_storage="DIRECT"), True, True, 6, True) > 100

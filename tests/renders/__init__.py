@@ -1,0 +1,1 @@
+"""Whole renders: determinism, radiance, rounds, schedules."""

@@ -1,0 +1,1 @@
+"""scripts/convergence.py."""

@@ -1,0 +1,1 @@
+"""Stability cases of geometry, scale and position."""

@@ -1,0 +1,1 @@
+"""Stability cases of materials."""

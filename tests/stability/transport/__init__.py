@@ -1,0 +1,1 @@
+"""Stability cases of light transport, textures, numbers and scheduling."""

@@ -1,0 +1,1 @@
+"""Scenes, devices and commands that tests share."""

@@ -1,0 +1,65 @@
+"""Panels drawn without a window: what they would show is noted."""
+
+import types
+
+import bpy
+
+ENGINE = "RAYBATCH"
+
+
+def own_panels():
+    return [panel for panel in bpy.types.Panel.__subclasses__() if panel.__name__.startswith(f"{ENGINE}_")]
+
+
+def enabled_panels():
+    return {
+        panel.__name__ for panel in bpy.types.Panel.__subclasses__() if ENGINE in getattr(panel, "COMPAT_ENGINES", ())
+    }
+
+
+class Layout:
+    """A layout that notes what is drawn, and only takes properties that exist."""
+
+    def __init__(self, notes=None):
+        self.notes = [] if notes is None else notes
+
+    def column(self, **_options):
+        return Layout(self.notes)
+
+    row = box = column
+
+    def label(self, text="", icon="NONE", icon_value=0):
+        assert icon in bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items
+        self.notes.append(("label", text, icon))
+
+    def template_icon(self, icon_value, scale=1.0):
+        self.notes.append(("icon", icon_value, scale))
+
+    def operator(self, name, text="", emboss=True, icon="NONE", depress=False):
+        assert icon in bpy.types.UILayout.bl_rna.functions["operator"].parameters["icon"].enum_items
+        group, _, each = name.partition(".")
+        known = getattr(getattr(bpy.ops, group), each).get_rna_type().properties.keys()
+        button = types.SimpleNamespace()
+        self.notes.append(("operator", name, text, button, known))
+        return button
+
+    def menu(self, name, text="", icon="NONE"):
+        assert issubclass(getattr(bpy.types, name), bpy.types.Menu)
+        self.notes.append(("menu", name, icon))
+
+    def prop(self, owner, name, **_options):
+        assert name in owner.bl_rna.properties, name
+        self.notes.append(("prop", owner.bl_rna.identifier, name))
+
+
+def drawn(panel, context, draw="draw"):
+    layout = Layout()
+    getattr(panel, draw)(types.SimpleNamespace(layout=layout, group=getattr(panel, "group", None)), context)
+    return layout.notes
+
+
+def context_of(scene, **extra):
+    area = types.SimpleNamespace(width=300, as_pointer=lambda: 1)
+    preferences = types.SimpleNamespace(system=types.SimpleNamespace(ui_scale=1.0))  # it is 0 without a window
+    own = dict(scene=scene, view_layer=scene.view_layers[0], engine=ENGINE, region=area, object=None, light=None)
+    return types.SimpleNamespace(**{**own, "preferences": preferences, **extra})

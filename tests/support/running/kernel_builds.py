@@ -1,0 +1,72 @@
+"""Kernels are compiled once for all processes that run tests side by side, and what that takes is counted."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # not on Windows: processes may compile the same there, as they may anywhere without this
+    fcntl = None
+
+
+@dataclass
+class Builds:
+    """What this process compiled."""
+
+    count: int = 0
+    seconds: float = 0.0  # of processors
+
+
+BUILDS = Builds()
+_counting = threading.Lock()
+
+
+@contextlib.contextmanager
+def sole_owner(path: Path) -> Iterator[None]:
+    """Inside, this thread alone of all threads of all processes holds `path`, a file that is made."""
+    if fcntl is None:
+        yield
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle = os.open(path, os.O_CREAT | os.O_RDWR)  # a lock belongs to the open file: threads exclude each other too
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)  # which gives the lock back; the system does too where a process is killed
+
+
+def build_once() -> None:
+    """Make this process wait while another compiles the module that it needs, and then load what that one wrote.
+
+    Warp looks for a compiled module, compiles it where there is none, and renames a folder in the end: processes that
+    need the same at once each compile it.
+    """
+    import warp as wp
+    from warp._src.context import Module
+
+    build = Module._compile
+    if getattr(build, "is_shared", False):
+        return
+
+    @functools.wraps(build)
+    def built_by_one(module, *arguments, **options):
+        with sole_owner(Path(wp.config.kernel_cache_dir) / ".building" / module.name):
+            start = time.thread_time()
+            is_new = build(module, *arguments, **options)
+            if is_new:
+                with _counting:
+                    BUILDS.count += 1
+                    BUILDS.seconds += time.thread_time() - start
+            return is_new
+
+    built_by_one.is_shared = True
+    Module._compile = built_by_one

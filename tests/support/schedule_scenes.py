@@ -1,0 +1,71 @@
+"""Three small scenes that every schedule renders alike."""
+
+import functools
+
+from checking.films import FilmComparer
+
+from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Scene
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings.settings import RenderSettings
+from tests.support import scenes
+
+PASSES = ("Combined", "Depth", "Normal", "Position")
+
+
+def frame(width: int = 16, height: int = 12) -> Frame:
+    """A small frame with every pass but those that show cost."""
+    return Frame(width, height, passes=PASSES)
+
+
+def open_scene() -> Scene:
+    """A ball on a floor below a sky and a sun: all in one tree, most shadow rays reach their light."""
+    return scenes.scene(
+        [
+            (scenes.sphere("ball", 20, 10), scenes.IDENTITY, scenes.diffuse()),
+            (scenes.plane("floor", 8), scenes.translation(0, 0, -1), scenes.diffuse(0.5)),
+        ],
+        view=scenes.camera(eye=(0.4, -4, 1.2), aspect=4 / 3),
+        frame=frame(),
+        world=(0.3, 0.4, 0.6),
+        lights=[scenes.sun(2.0, 0.05, scenes.look_at((1, -1, 3), (0, 0, 0)))],
+    )
+
+
+def closed_scene() -> Scene:
+    """A room without a way out: instances, and shadow rays that go on through veils."""
+    veil = scenes.material(
+        Closure(ClosureKind.TRANSPARENT, (0.7, 0.6, 0.5)), Closure(ClosureKind.DIFFUSE, (0.1, 0.2, 0.2)), name="veil"
+    )
+    ball, sheet = scenes.sphere("ball", 14, 7), scenes.plane("sheet", 2.5)
+    places = ((-1.4, 0, -1.5), (1.2, 0.5, -1), (0, 1.5, 0.5))
+    return scenes.scene(
+        [
+            (scenes.box("room", 6), scenes.IDENTITY, scenes.diffuse((0.7, 0.7, 0.6))),
+            *((ball, scenes.translation(*place, 0.7), scenes.diffuse((0.6, 0.3, 0.3))) for place in places),
+            *((sheet, scenes.translation(0.3 * z, 0, z), veil) for z in (0.9, 1.4, 1.9)),
+            (scenes.plane("lamp", 1), scenes.translation(0, 0, 2.7), scenes.emitter(8.0)),
+        ],
+        view=scenes.camera(eye=(0, -2.8, 0.2), half_width=0.8, aspect=4 / 3),
+        frame=frame(12, 9),
+        lights=[scenes.area_light(4.0, 0.6, scenes.translation(1, 1, 2.8))],
+    )
+
+
+def mixed_scene() -> Scene:
+    """A bit of everything."""
+    return scenes.mixed(frame())
+
+
+SCENES = {"open": open_scene, "closed": closed_scene, "mixed": mixed_scene}
+
+
+@functools.cache
+def least_budget(device: str, name: str = "mixed") -> int:
+    """The budget that the engine calls enough when it refuses one that is not: with one page at a time [bytes]."""
+    session = Session(device)
+    found = FilmComparer(session, SCENES[name](), RenderSettings(sample_count=1, bounce_max=0), 24).compare(
+        dict(batching="ON", geometry_budget=1)
+    )
+    session.close()
+    assert found.raised == 1 and not found.differs
+    return found.settings["geometry_budget"]

@@ -1,0 +1,1 @@
+"""References in Python and float64 that tests compare with."""
