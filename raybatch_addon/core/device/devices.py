@@ -15,6 +15,7 @@ import warp as wp
 
 from ..errors import DeviceError
 from .kernel import block_size_of
+from .precompiled_header import share_precompiled_header
 
 _warp_lock = threading.Lock()
 # Warp's native code prints a line that begins so where there is no CUDA driver, whatever its log level is. That is no
@@ -48,6 +49,7 @@ def start_warp(cache_folder: str | Path | None = None) -> None:
 def _initialize_warp() -> None:
     with _without_line(_DRIVER_MISSING):
         wp.init()
+    share_precompiled_header()
 
 
 @contextlib.contextmanager
