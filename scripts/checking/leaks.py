@@ -26,6 +26,7 @@ CLEARANCE = 64  # an inner place is so many times the bound away from the surfac
 BALL = 0.9  # of the distance to the surface: rays start in a ball so large
 REFERENCE_RAYS = 10**6
 BALL_INSTANCES = 4
+BALL_RINGS = 160  # 102,000 triangles
 BALL_SIZES = (1.0, 1e-16, 1e16)  # near the limits products of coordinates all but leave float32 [m]
 OFFSET = 20.0  # of generated meshes from the origin, in radii
 MIXED_KINDS = wp.constant(4)  # any direction, at a corner, at an edge, axis-parallel
@@ -137,8 +138,11 @@ def is_closed(positions: np.ndarray, triangles: np.ndarray) -> bool:
     return np.array_equal(np.sort(edges[:, 0] * count + edges[:, 1]), np.sort(edges[:, 1] * count + edges[:, 0]))
 
 
-def bumpy_ball(seed: int, size: float = 1.0, rings: int = 160) -> Mesh:
-    """A closed ball with bumps and slivers, of the radius `size` [m], far from the origin for that."""
+def bumpy_ball(seed: int, size: float = 1.0, rings: int = 0) -> Mesh:
+    """A closed ball with bumps and slivers, of the radius `size` [m], far from the origin for that; of
+    `BALL_RINGS` rings unless `rings` says otherwise.
+    """
+    rings = rings or BALL_RINGS
     generator = np.random.default_rng(seed)
     segments = 2 * rings
     polar = np.pi * np.arange(1, rings)[:, None] / rings
