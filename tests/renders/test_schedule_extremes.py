@@ -12,13 +12,14 @@ from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront import integrator
+from raybatch_addon.core.wavefront.tracers.buckets.policy import Selection
 from tests.support import scenes, schedule_scenes
 from tests.support.under_test import DEVICE
 
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2)
 CHECKED = dict(batching="ON", debug_checks="ON")
 STORAGES = ("INDIRECT", "DIRECT")
-SELECTIONS = ("MOST_FULL", "NEXT", "RANDOM", "ALL")
+SELECTIONS = tuple(Selection.__members__)
 
 
 @pytest.fixture(scope="module")

@@ -26,9 +26,13 @@ class ChannelLayout:
         return 3 + self.transparent + 3 * self.normal
 
     def span(self, name: str) -> slice:
-        """Channels of the pass `name`."""
+        """Channels of the pass `name`; raises `ValueError` for a pass that is not summed."""
         color = 3 + self.transparent
-        return slice(0, color) if name == "Combined" else slice(color, color + 3)
+        if name == "Combined":
+            return slice(0, color)
+        if name == "Normal":
+            return slice(color, color + 3)
+        raise ValueError(f"the pass {name!r} has no channels among the sums of a film: give it some in `ChannelLayout`")
 
 
 def layout_of(passes: tuple[str, ...], transparent: bool) -> ChannelLayout:

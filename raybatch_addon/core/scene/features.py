@@ -234,7 +234,9 @@ def _can_be_met(light) -> bool:
         return light.radius > 0
     if light.kind == LightKind.SUN:
         return light.angle > 0
-    return light.size[0] > 0 and light.size[1] > 0
+    if light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE):
+        return light.size[0] > 0 and light.size[1] > 0
+    raise ValueError(f"there is no rule for whether rays meet lights of kind {light.kind!r}: add one here")
 
 
 def narrow(features: Any, kind: type[T]) -> T:

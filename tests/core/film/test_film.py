@@ -114,6 +114,13 @@ def test_merging_gives_the_bits_of_one_render():
     assert np.all(merged.passes["Combined"][..., 3] == 1)
 
 
+def test_channels_are_asked_for_passes_that_are_summed():
+    layout = layout_of(("Combined", "Normal"), transparent=True)
+    assert layout.span("Combined") == slice(0, 4) and layout.span("Normal") == slice(4, layout.count)
+    with pytest.raises(ValueError, match="'Depth' has no channels"):
+        layout.span("Depth")
+
+
 def test_merging_films_of_different_frames_is_refused():
     with pytest.raises(RayBatchError, match="differ in size"):
         Film.empty(Frame(4, 2)).merge(Film.empty(Frame(2, 4)))

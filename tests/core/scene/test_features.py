@@ -169,6 +169,11 @@ def test_kinds_count_by_node_and_not_by_value():
     assert features.closures == (ClosureKind.DIFFUSE, ClosureKind.GLASS)
 
 
+def test_lights_of_a_kind_without_a_rule_are_refused():
+    with pytest.raises(ValueError, match="no rule for whether rays meet lights of kind 99"):
+        derive_features(with_light(99), SETTINGS)
+
+
 def test_ordinary_features_can_be_rendered():
     for features in ordinary_features():
         assert StageKernels.choose(features).surface is not None and features.camera == CameraKind.PERSPECTIVE

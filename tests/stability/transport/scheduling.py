@@ -13,6 +13,7 @@ from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, Scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.tracers.buckets.policy import Selection
 from tests.stability.bench import Bench
 from tests.stability.case import Outcome, Sweep, case
 from tests.stability.enclosures import (
@@ -34,7 +35,7 @@ SAME = """A film is a function of its samples: a hit is one of the scene and the
 random numbers are keyed by
     pixel, sample and bounce. So no bit may differ from the control's, and rays traced, taken in and finished are one
     number. Measured: the number of mistakes"""
-SELECTIONS = ("MOST_FULL", "NEXT", "RANDOM", "ALL")
+SELECTIONS = tuple(Selection.__members__)
 FINE = dict(batching="ON", treelet_size=1)  # every node of a tree has a bucket
 WAITING = dict(batching="ON", treelet_bytes=4096)
 ESTIMATOR = RenderSettings(sample_count=1, sample_sequence="INDEPENDENT", bounce_max=6, roulette_bounce=2)

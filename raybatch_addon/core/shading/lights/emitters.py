@@ -168,7 +168,9 @@ def _light_power(light: Light, radius_of_scene: float) -> float:
         return strength * 2 * np.pi * (1 - np.cos(np.clip(light.angle, 0, np.pi) / 2))
     if light.kind == LightKind.SUN:
         return strength * np.pi * radius_of_scene**2
-    return strength * np.pi * light_area(light)
+    if light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE):
+        return strength * np.pi * light_area(light)
+    raise ValueError(f"there is no power of lights of kind {light.kind!r}: add one here")
 
 
 def light_area(light: Light) -> float:

@@ -166,8 +166,10 @@ def _fill_record(record: np.ndarray, light: Light) -> None:
         emission = emission * _round_light(record, light)
     elif light.kind == LightKind.SUN:
         emission = emission * _sun(record, light)
-    else:
+    elif light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE):
         emission = emission * _area_light(record, light)
+    else:
+        raise ValueError(f"there is no record of lights of kind {light.kind!r}: add one here")
     # a light of 1e30 W on a speck is beyond float32: the largest finite number stands for it
     record["emission"] = np.clip(emission, 0, _FLOAT.max)
 

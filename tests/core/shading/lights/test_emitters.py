@@ -164,6 +164,12 @@ def test_emission_that_is_not_finite_is_named():
         upload_lights(dataclasses.replace(mesh_scene(), materials=(glow,) * 3), wp.get_device(DEVICE))
 
 
+def test_lights_of_a_kind_without_power_are_refused():
+    unknown = Light("l", 99, facing(LAMP, -LAMP), (1, 1, 1))
+    with pytest.raises(ValueError, match="no power of lights of kind 99"):
+        upload_lights(scene_of(unknown), wp.get_device(DEVICE))
+
+
 def test_scene_radius():
     assert scene_radius(scene_of()) == 1.0
     scene = mesh_scene()

@@ -51,7 +51,7 @@ def test_random_depends_on_the_seed_and_meets_every_bucket():
     assert counts[[0, 1, 2, 4, 5, 6]].min() > 60  # of 100 expected; 5 sigma would be 54
 
 
-@pytest.mark.parametrize("selection", list(Selection)[:3])
+@pytest.mark.parametrize("selection", [each for each in Selection if each != Selection.ALL])
 def test_no_ray_waits_longer_than_it_may(selection):
     """With new rays in front of every step, a queue that is never the fullest is served in time."""
     policy = BucketPolicy(selection, 10, 5, 30)
@@ -81,6 +81,12 @@ def test_the_fullest_bucket_is_drained_when_blocks_ran_out():
     policy = BucketPolicy(Selection.NEXT, 0, 0, 3)
     assert choose(policy, (1, 0), (7, 0), (8, 0), (0, 0), overflowing=1).queue == 4
     assert choose(policy, (1, 0), (7, 0), (8, 0), (0, 0)).queue == 0  # the next again
+
+
+def test_a_selection_without_a_rule_is_refused():
+    policy = BucketPolicy(len(Selection), 0, 0, 1)
+    with pytest.raises(ValueError, match="no rule for the selection"):
+        choose(policy, (1, 0), (0, 0))
 
 
 WAYS = [("cpu", False), ("cpu", True)] + [(device.alias, True) for device in wp.get_cuda_devices()]

@@ -13,11 +13,12 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.rays import RayKind, RayList
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.rays import allocate_rays
+from raybatch_addon.core.wavefront.tracers.buckets.policy import Selection
 from raybatch_addon.core.wavefront.tracers.buckets.tracer import BatchingTracer
 from raybatch_addon.core.wavefront.tracers.worker_rays import WorkerRays
 from tests.support.under_test import DEVICE
 
-SELECTIONS = ("MOST_FULL", "NEXT", "RANDOM", "ALL")
+SELECTIONS = tuple(Selection.__members__)
 PARALLEL = (False, True) if DEVICE == "cpu" else (True,)
 
 

@@ -1,4 +1,6 @@
-"""Which queue is served next: the specification, in plain Python. `policy_device.py` does the same on a device.
+"""Which queue is served next: the specification, in plain Python, which tests hold `policy_device.py` to.
+
+Renders run `policy_device.py` alone, on CPUs and on CUDA.
 
 Bucket b stands for treelet b, and bucket `bucket_count` for the root. Bucket b has the entry queue 2 b and the exit
 queue 2 b + 1. The root's exit queue holds rays that have not begun; its entry queue those that are done, which are
@@ -138,4 +140,6 @@ class BucketPolicy:
             return load
         if selection == Selection.NEXT:
             return (self._last - bucket) % (self._bucket_count + 1)
-        return random_key(self._seed, step, bucket)
+        if selection == Selection.RANDOM:
+            return random_key(self._seed, step, bucket)
+        raise ValueError(f"there is no rule for the selection {selection!r}: add one here and in `policy_device.py`")
