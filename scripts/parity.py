@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Compare every feature of materials, textures and worlds with Cycles. `parity.py --help` says how."""
+"""Compare every feature of materials, textures, lamps and worlds with Cycles. `parity.py --help` says how."""
 
 from __future__ import annotations
 

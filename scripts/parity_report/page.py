@@ -15,17 +15,25 @@ WIDTH = 120  # columns of the page
 _HEAD = """\
 # Parity with Cycles
 
-`scripts/parity.py` makes this page. Each feature of Blender's materials, textures and worlds is built as a small scene
-and rendered by Cycles and by RayBatch on the CPU. Its *difference* is that of its kind:
+`scripts/parity.py` makes this page. Each feature of Blender's materials, textures, lamps and worlds is built as a small
+scene and rendered by Cycles and by RayBatch on the CPU. A feature is a node or a picture:
 
 - A **node** alone is emitted by planes of 32 x 32 points, with coordinates that are the same bits for both. Its
-  difference is the largest one, absolute below 1 and relative above, over all points, outputs and variants; the bound
+  *difference* is the largest one, absolute below 1 and relative above, over all points, outputs and variants; the bound
   is {node:g}.
-- A **picture** is rendered twice by each engine, with different seeds and Cycles made unbiased. Its difference is the
+- A **picture** is rendered twice by each engine, with different seeds and Cycles made unbiased. Its *difference* is the
   largest relative one of a channel's mean (bound {mean:.0%}), with its standard error; σ is the largest one in standard
   errors. *relMSE* is the mean of squared relative differences, less what the noise of both makes of it (bound
-  {rel_mse:g}), with its standard error. *spp* are the samples of a pixel: they double until both can be told from their
-  bounds.
+  {rel_mse:g}), with its standard error. *spp* are the samples of a pixel: {spp} at first, and more where their noise is
+  too large to compare difference and relMSE with their bounds.
+
+The *verdict* is one of these:
+
+- `ok`: the difference is within its bound, and so is relMSE for a picture.
+- `differs`: one of them is beyond its bound.
+- `not supported`: RayBatch warns that it does not support something, or one is beyond its bound and RayBatch warns why.
+- `too noisy`: they are within their bounds, but the noise is too large to be sure of it.
+- `failed`: there was nothing to compare, for example because a render failed.
 
 A feature that is approximated or not supported stays in its table, with its figures. # is the number of its pictures on
 the sheet below the table: Cycles, RayBatch, and the absolute difference {gain} times as bright.
@@ -93,7 +101,7 @@ def counts(results: list) -> dict[str, tuple[int, int]]:
 
 def _family(name: str, results: list, numbers: dict[str, int]) -> list[str]:
     """The section of a family: its table, notes, and its sheet of pictures."""
-    lines = ["", f"## {name}", "", _row(("#", "feature", "", "difference", "σ", "relMSE", "spp"))]
+    lines = ["", f"## {name}", "", _row(("#", "feature", "verdict", "difference", "σ", "relMSE", "spp"))]
     lines.append("|---|---|---|---|---|---|---|")
     for result in results:
         number = numbers.get(result.feature.name)
@@ -110,10 +118,11 @@ def _family(name: str, results: list, numbers: dict[str, int]) -> list[str]:
 
 def page(results: list, numbers: dict[str, int], versions: dict[str, str]) -> str:
     """The Markdown text; `numbers` are those of the features' pictures on the sheets in the folder parity/ beside it."""
-    from tests.blender.features.registry import FAMILIES, all_features
+    from tests.blender.features.registry import FAMILIES, SAMPLES, all_features
     from tests.blender.features.runner import MEAN_TOLERANCE, REL_MSE_TOLERANCE, TOLERANCE
 
-    lines = [_HEAD.format(node=TOLERANCE, mean=MEAN_TOLERANCE, rel_mse=REL_MSE_TOLERANCE, gain=GAIN)]
+    bounds = dict(node=TOLERANCE, mean=MEAN_TOLERANCE, rel_mse=REL_MSE_TOLERANCE)
+    lines = [_HEAD.format(**bounds, spp=2 * SAMPLES, gain=GAIN)]
     lines += [", ".join(f"{name} {version}" for name, version in versions.items()) + ".", ""]
     if missing := len(all_features()) - len(results):
         lines += [f"**{missing} of {len(all_features())} features are not in this table yet.**", ""]

@@ -1,4 +1,4 @@
-"""Write the tables of settings and presets in docs/tuning.md: python scripts/tables/settings_table.py [--check]
+"""Write the settings and presets in docs/tuning.md: python scripts/tables/settings_table.py [--check]
 
 They are made from the metadata of `RenderSettings`, as the panel and the command line are. With --check nothing is
 written, and the exit code is 1 where the file is not up to date.
@@ -7,6 +7,8 @@ written, and the exit code is 1 where the file is not up to date.
 from __future__ import annotations
 
 import sys
+import textwrap
+from collections.abc import Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,6 +21,7 @@ from tables.marked_text import with_part, write_or_check
 MANUAL = ROOT / "docs/tuning.md"
 # what is made here, by the names of the marks around it
 PARTS = ("settings", "presets")
+WIDTH = 120  # columns of the page
 
 
 def _marks(part: str) -> tuple[str, str]:
@@ -41,10 +44,27 @@ def _continued(sentence: str) -> str:
     return sentence[0].lower() + sentence[1:] if sentence[1:2].islower() or sentence[1:2] == " " else sentence
 
 
-def _meaning(info: SettingInfo) -> str:
-    lines = [f"{info.description}."]
-    lines += [f"`{identifier}`: {_continued(about)}." for identifier, _, about in info.choices]
-    return "<br>".join(lines)
+def _item(text: str, indent: str = "") -> list[str]:
+    """`text` as an item of a list, in lines."""
+    return textwrap.wrap(
+        text,
+        WIDTH,
+        initial_indent=f"{indent}- ",
+        subsequent_indent=f"{indent}  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _choices(infos: Iterable[SettingInfo]) -> list[str]:
+    """What the values of those settings mean that have choices; no lines where none has."""
+    lines = []
+    for info in infos:
+        if info.choices:
+            lines.append(f"- `{info.name}`")
+            for identifier, _, about in info.choices:
+                lines += _item(f"`{identifier}`: {_continued(about)}.", "  ")
+    return ["", "What the values mean:", "", *lines] if lines else []
 
 
 def _row(cells: list[str]) -> str:
@@ -57,27 +77,28 @@ def settings_tables() -> str:
     for name, group in GROUPS.items():
         lines += [f"### {group.label}", "", group.description, ""]
         lines += [_row(["setting", "in the panel", "values", "default", "meaning"]), "|---|---|---|---|---|"]
-        for info in SETTINGS.values():
-            if info.group == name:
-                lines.append(_row([f"`{info.name}`", info.label, _values(info), f"`{info.default}`", _meaning(info)]))
-        lines.append("")
+        infos = [info for info in SETTINGS.values() if info.group == name]
+        for info in infos:
+            cells = [f"`{info.name}`", info.label, _values(info), f"`{info.default}`", f"{info.description}."]
+            lines.append(_row(cells))
+        lines += [*_choices(infos), ""]
     return "\n".join(lines).rstrip()
 
 
-def presets_table() -> str:
+def presets_list() -> str:
     """What each preset sets to other than the default."""
-    lines = [_row(["preset", "meaning", "other than the defaults"]), "|---|---|---|"]
+    lines = []
     for name, preset in PRESETS.items():
         changed = [
             f"`{each}={value}`" for each, value in preset_settings(name).items() if value != SETTINGS[each].default
         ]
-        lines.append(_row([f"`{name}`", f"{preset.description}.", ", ".join(changed) or "nothing"]))
+        lines += _item(f"`{name}`: {preset.description}. Other than the defaults: {', '.join(changed) or 'nothing'}.")
     return "\n".join(lines)
 
 
 def updated(text: str) -> str:
     """The manual `text` with both parts as they are now; raises `ValueError` where a mark is missing."""
-    for part, made in zip(PARTS, (settings_tables(), presets_table()), strict=True):
+    for part, made in zip(PARTS, (settings_tables(), presets_list()), strict=True):
         text = with_part(text, *_marks(part), made, MANUAL)
     return text
 

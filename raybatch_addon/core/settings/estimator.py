@@ -48,7 +48,7 @@ class EstimatorSettings:
     error_target: float = setting(
         0.0,
         "Stop at Error",
-        "A render ends when its estimated error is no larger than this: the mean over pixels and channels of the "
+        "A render ends when its estimated error is at most this: the mean over pixels and channels of the "
         "squared error over the squared value (relMSE). It implies Error Estimate; 0 renders all samples",
         group="SAMPLING",
         unit="relMSE",

@@ -13,6 +13,8 @@ def test_every_setting_is_in_it_once():
     text = settings_table.settings_tables()
     for name in SETTINGS:
         assert text.count(f"\n| `{name}` |") == 1
+    for name, info in SETTINGS.items():
+        assert text.count(f"\n- `{name}`\n  - `") == (1 if info.choices else 0)
 
 
 def test_a_manual_that_is_not_up_to_date_is_found_and_mended(tmp_path, monkeypatch, capsys):
