@@ -279,7 +279,7 @@ class Frame:
     height: int
     border: tuple[int, int, int, int] | None = None  # x0, y0, x1, y1: rendered part (end exclusive); None: all
     transparent: bool = False  # the world does not cover the background of the objects: alpha is below 1 there
-    passes: tuple[str, ...] = ("Combined",)  # names of `film.PASSES`
+    passes: tuple[str, ...] = ("Combined",)  # names of `PASSES` in `film/layout.py`
 
     @property
     def region(self) -> tuple[int, int, int, int]:

@@ -13,7 +13,7 @@ from .description import Camera, Frame, Instances, Light, Mesh, Scene, World
 COORDINATE_MAX = 1e18
 # Least size; areas of smaller things leave the normal numbers of float32
 EXTENT_MIN = 1e-18
-# The passes that a film can hold (`film.PASSES`)
+# The passes that a film can hold (`PASSES` in `film/layout.py`)
 PASS_NAMES = (
     "Combined",
     "Depth",

@@ -1,5 +1,5 @@
 // The vertices of a group of triangles of BOXES, by its faces.
-// row 9 of a group names its triangles; rows 0 to 8 are the coordinates of their corners
+// Row 9 of a group names its triangles; rows 0 to 8 are the coordinates of their corners.
 float* rows = (float*)blocks.data + GROUP_WORDS * (long long)i;
 for (int lane = 0; lane < 8; ++lane) {
     const int face = ((const int*)rows)[72 + lane];

@@ -1,5 +1,5 @@
 // What is written about rays that are taken.
-// once, when it is known how many are taken
+// `write_counts` is called once, when it is known how many are taken; `write_ray` for each of them.
 auto write_counts = [&](int first, int second) {
     taken.count.data[0] = first + second;
     taken.count.data[1] = first;

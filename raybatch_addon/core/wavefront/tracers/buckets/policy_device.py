@@ -1,4 +1,7 @@
-"""`policy.py` on a device: every thread looks at some buckets, and the largest key wins."""
+"""Which queue is served next, as renders choose it on any device: by the rules of `policy.py`, in kernels.
+
+Every thread looks at some buckets, and the largest key wins.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,7 @@ class PolicyState:
 
 @wp.func
 def random_word(key: wp.uint32, word: int) -> wp.uint32:
-    """A round of `bucket_policy.random_key`."""
+    """A round of `random_key` in `policy.py`."""
     mixed = (key ^ wp.uint32(word)) * wp.uint32(0x85EBCA6B)
     mixed = mixed ^ (mixed >> wp.uint32(13))
     mixed = mixed * wp.uint32(0xC2B2AE35)
