@@ -48,7 +48,7 @@ def _shared_folder(own_folder: Callable[[], str]) -> str:
             if not any(folder.glob("*.pch")):
                 folder.mkdir(parents=True, exist_ok=True)
                 _compile_nothing(folder)
-    except OSError:
+    except Exception:  # whatever it is, the compiler says it again of the kernel if it matters there
         return own_folder()
     return str(folder)
 

@@ -84,6 +84,7 @@ class ProgramBuilder:
     """Steps of one program, as they are added."""
 
     def __init__(self) -> None:
+        start_warp()  # functions of Warp that ops call when they are folded would do it, and not as quietly
         self._steps: list[_Step] = []
         self._same: dict[tuple, tuple[Value, ...]] = {}  # results by op and operands: each is computed once
         self._constants: list[float] = []
@@ -177,13 +178,31 @@ class ProgramBuilder:
         """The steps that closures depend on, in order; with `seen` without closures that are known to be black."""
         wanted: set[int] = set()
         steps = []
+        black = self._black() if seen else set()
         for step in reversed(self._steps):
-            if seen and step.op.makes_closures and step.inputs[0].constant == (0.0, 0.0, 0.0):
+            if seen and step.op.makes_closures and _is_black(step.inputs[0], black):
                 continue
             if step.op.makes_closures or any(id(each) in wanted for each in step.outputs):
                 wanted.update(id(each) for each in step.inputs if isinstance(each, Value))
                 steps.append(step)
         return steps[::-1]
+
+    def _black(self) -> set[int]:
+        """Ids of values that are black wherever the program runs, since a constant makes them so: emission whose
+        strength is 0, or the share of a shader that a factor leaves out.
+        """
+        black: set[int] = set()
+        for step in self._steps:
+            if step.op.name == "multiply_colors":
+                is_black = [any(_is_black(each, black) for each in step.inputs)]
+            elif step.op.name == "mix_weights":
+                weight, share = step.inputs
+                share = share.constant[0] if share.known else math.nan
+                is_black = [_is_black(weight, black) or share >= 1, _is_black(weight, black) or share <= 0]
+            else:
+                continue
+            black.update(id(each) for each, known in zip(step.outputs, is_black) if known)
+        return black
 
     def _inputs(self, op: Op, operands: Sequence) -> list[Value | int]:
         letters = op.inputs
@@ -215,7 +234,6 @@ class ProgramBuilder:
         stack = [0.0] * offset
         data = SimpleNamespace(code=[0, *words, *outputs], constants=constants)
         try:
-            start_warp()  # functions of Warp that bodies call would do it, and not as quietly
             as_python(op.function)(data, stack, 0, None)
         except (
             ArithmeticError,
@@ -268,6 +286,10 @@ class _Closures(list):
 
 def _is_known(operand: Value | int) -> bool:
     return not isinstance(operand, Value) or operand.known
+
+
+def _is_black(value: Value, black: set[int]) -> bool:
+    return value.constant == (0.0, 0.0, 0.0) or id(value) in black
 
 
 class _Registers:

@@ -35,6 +35,32 @@ def test_black_closures_vanish_where_all_is_constant():
     assert [record.kind for record in builder.constant_closures()] == [ClosureKind.DIFFUSE]
 
 
+def test_closures_that_a_constant_makes_black_are_not_run_and_change_no_kernel():
+    """A Principled BSDF over a texture, without and with emission, metal and glass."""
+
+    def program(strength, metallic, transmission):
+        builder = ProgramBuilder()
+        weight = builder.value("object_coordinates", 0)
+        builder.closure("emission", builder.value("multiply_colors", (strength,) * 3, weight))
+        rest, metal = builder.value("mix_weights", weight, metallic)
+        builder.closure("diffuse", metal, (0.0, 0.0, 0.0))
+        builder.closure("transparent", builder.value("mix_weights", rest, transmission)[1])
+        builder.closure("translucent", builder.value("mix_weights", rest, transmission)[0], (0.0, 0.0, 0.0))
+        return builder.finish()
+
+    def closures(*values):
+        kinds = {"emission", "diffuse", "transparent", "translucent"}
+        return {step.op for step in program(*values).instructions} & kinds
+
+    assert closures(1.0, 0.5, 0.5) == {"emission", "diffuse", "transparent", "translucent"}
+    assert closures(0.0, 0.0, 0.0) == {"translucent"}
+    assert closures(0.0, 0.0, 2.0) == {"transparent"}  # factors are clamped
+    assert closures(0.0, 1.0, 0.5) == {"diffuse"}  # nothing is left to share
+    assert closures(1e-30, 1e-7, 1e-7) == {"emission", "diffuse", "transparent", "translucent"}
+    plain, full = program(0.0, 0.0, 0.0), program(1.0, 0.5, 0.5)
+    assert program_features([plain]) == program_features([full]) and plain.ops == full.ops
+
+
 def test_what_nothing_reads_is_left_out():
     builder = ProgramBuilder()
     position = builder.value("object_coordinates", 0)

@@ -1,12 +1,13 @@
 """Light that programs give: of the world in a direction, of a point on a surface."""
 
 import functools
-import os
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import warp as wp
 
+from ...device.devices import worker_count
 from ...device.kernel import KERNEL_OPTIONS
 from ...programs.point import ShadingPoint
 from ...programs.run import make_run
@@ -159,13 +160,12 @@ def emission_of_triangles(
     """Mean radiance of triangles whose material is a program, float32, shape [n, 3]."""
     kernel = triangle_emission_kernel(features.programs, features.instancing, features.smooth_normals)
     radiance = wp.zeros(len(instance), dtype=wp.vec3, device=device)
-    inputs = [
-        data,
-        wp.array(instance, dtype=int, device=device),
-        wp.array(primitive, dtype=int, device=device),
-        radiance,
-    ]
-    wp.launch(kernel, len(instance), inputs, device=device)
+    arrays = [wp.array(instance, dtype=int, device=device), wp.array(primitive, dtype=int, device=device), radiance]
+
+    def launch(first: int, end: int) -> None:
+        wp.launch(kernel, end - first, [data, *(each[first:end] for each in arrays)], device=device)
+
+    _launch_in_parts(kernel, len(instance), device, launch)
     return radiance.numpy()
 
 
@@ -176,14 +176,18 @@ def world_texels(data: SceneData, features: SceneFeatures, width: int, device: w
     light = wp.zeros(table.width * table.height, dtype=float, device=device)
     kernel = world_texels_kernel(features.world_program)
     points = 1 if width >= _FINE_WIDTH else _TEXEL_POINTS
-    wp.load_module(kernel.module, device=device)
-    # a launch on the CPU runs on one thread
-    threads = 1 if device.is_cuda else min(os.cpu_count() or 1, table.height)
-    rows = [table.height * i // threads for i in range(threads + 1)]
 
     def launch(first: int, end: int) -> None:
         wp.launch(kernel, (end - first) * table.width, [data, table, first, points, light], device=device)
 
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(launch, rows[:-1], rows[1:]))
+    _launch_in_parts(kernel, table.height, device, launch)
     return light.numpy().reshape(table.height, table.width)
+
+
+def _launch_in_parts(kernel: wp.Kernel, count: int, device: wp.Device, launch: Callable[[int, int], None]) -> None:
+    """Call `launch(first, end)` for parts of `count` items, one for each thread: a launch on the CPU runs on one."""
+    wp.load_module(kernel.module, device=device)
+    threads = min(worker_count(device, 0), count)
+    ends = [count * i // max(threads, 1) for i in range(threads + 1)]
+    with ThreadPoolExecutor(max(threads, 1)) as pool:
+        list(pool.map(launch, ends[:-1], ends[1:]))

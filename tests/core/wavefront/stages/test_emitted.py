@@ -1,0 +1,39 @@
+"""The mean emission of triangles whose material is a program."""
+
+import dataclasses
+
+import numpy as np
+
+from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
+from raybatch_addon.core.programs.builder import ProgramBuilder
+from raybatch_addon.core.scene.description import ClosureKind
+from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.scene import device_scene
+from raybatch_addon.core.wavefront.stages import emitted
+from tests.support import scenes
+
+
+def glowing():
+    """A ball that glows with its own coordinates, so that each of its triangles has its own brightness."""
+    builder = ProgramBuilder()
+    builder.closure("emission", builder.value("object_coordinates", 0))
+    glow = scenes.material(kinds=(ClosureKind.EMISSION,))
+    return scenes.scene([(scenes.sphere(), scenes.IDENTITY, dataclasses.replace(glow, program=builder.finish()))])
+
+
+def test_parts_on_several_threads_are_those_of_one(session, monkeypatch):
+    real, found = device_scene.emission_of_triangles, []
+
+    def watched(data, features, device, instance, primitive):
+        for threads in (1, 3, 8):
+            monkeypatch.setattr(emitted, "worker_count", lambda device, wanted, threads=threads: threads)
+            found.append(real(data, features, device, instance, primitive))
+        few = real(data, features, device, instance[:2], primitive[:2])
+        assert np.array_equal(few, found[0][:2])
+        return found[0]
+
+    monkeypatch.setattr(device_scene, "emission_of_triangles", watched)
+    session.render(glowing(), RenderSettings(sample_count=1))
+    one, *others = found
+    assert len(np.unique(one, axis=0)) > len(one) / 4
+    assert all(np.array_equal(one, other) for other in others)
