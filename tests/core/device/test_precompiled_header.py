@@ -1,5 +1,6 @@
 """Threads and processes that compile for the CPU share what was read of Warp's header."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -33,8 +34,11 @@ for thread in threads:
 
 
 def compile_kernels(folder, *names):
-    command = [sys.executable, "-c", COMPILE, str(folder), *names]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    script = folder / "compile.py"  # Warp reads the source of kernels from a file
+    script.write_text(COMPILE, encoding="utf-8")
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(script), str(folder), *names]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
