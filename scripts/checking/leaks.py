@@ -138,11 +138,8 @@ def is_closed(positions: np.ndarray, triangles: np.ndarray) -> bool:
     return np.array_equal(np.sort(edges[:, 0] * count + edges[:, 1]), np.sort(edges[:, 1] * count + edges[:, 0]))
 
 
-def bumpy_ball(seed: int, size: float = 1.0, rings: int = 0) -> Mesh:
-    """A closed ball with bumps and slivers, of the radius `size` [m], far from the origin for that; of
-    `BALL_RINGS` rings unless `rings` says otherwise.
-    """
-    rings = rings or BALL_RINGS
+def bumpy_ball(seed: int, size: float = 1.0, rings: int = BALL_RINGS) -> Mesh:
+    """A closed ball with bumps and slivers, of the radius `size` [m], far from the origin for that."""
     generator = np.random.default_rng(seed)
     segments = 2 * rings
     polar = np.pi * np.arange(1, rings)[:, None] / rings
@@ -244,7 +241,7 @@ def closed_scenes(scene: BenchmarkScene, seed: int) -> list[BenchmarkScene]:
     placed = Instances(one, np.eye(3, 4, dtype=np.float32)[None], one, np.array([int(Visibility.ALL)], np.int32), one)
     made = []
     for size in BALL_SIZES:
-        ball = dataclasses.replace(scene.scene, meshes=(bumpy_ball(seed, size),), instances=placed)
+        ball = dataclasses.replace(scene.scene, meshes=(bumpy_ball(seed, size, BALL_RINGS),), instances=placed)
         made.append(BenchmarkScene(ball.meshes[0].name, ball, scene.settings, flatten(ball), False))
     if scene.instancing:
         return [with_instances(each, BALL_INSTANCES, seed, seen_by_all=True) for each in made]

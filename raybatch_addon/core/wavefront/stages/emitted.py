@@ -187,7 +187,7 @@ def world_texels(data: SceneData, features: SceneFeatures, width: int, device: w
 def _launch_in_parts(kernel: wp.Kernel, count: int, device: wp.Device, launch: Callable[[int, int], None]) -> None:
     """Call `launch(first, end)` for parts of `count` items, one for each thread: a launch on the CPU runs on one."""
     wp.load_module(kernel.module, device=device)
-    threads = min(worker_count(device, 0), count)
-    ends = [count * i // max(threads, 1) for i in range(threads + 1)]
-    with ThreadPoolExecutor(max(threads, 1)) as pool:
+    threads = max(1, min(worker_count(device, 0), count))
+    ends = [count * i // threads for i in range(threads + 1)]
+    with ThreadPoolExecutor(threads) as pool:
         list(pool.map(launch, ends[:-1], ends[1:]))

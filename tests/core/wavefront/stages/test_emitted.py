@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import warp as wp
 
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
@@ -22,12 +23,20 @@ def glowing():
 
 
 def test_parts_on_several_threads_are_those_of_one(session, monkeypatch):
-    real, found = device_scene.emission_of_triangles, []
+    real, launch, found, parts = device_scene.emission_of_triangles, wp.launch, [], []
+
+    def counted(kernel, count, *inputs, **more):
+        parts.append(count)
+        launch(kernel, count, *inputs, **more)
 
     def watched(data, features, device, instance, primitive):
         for threads in (1, 3, 8):
             monkeypatch.setattr(emitted, "worker_count", lambda device, wanted, threads=threads: threads)
+            monkeypatch.setattr(wp, "launch", counted)
             found.append(real(data, features, device, instance, primitive))
+            monkeypatch.setattr(wp, "launch", launch)
+            assert len(parts) == threads and sum(parts) == len(instance)
+            parts.clear()
         few = real(data, features, device, instance[:2], primitive[:2])
         assert np.array_equal(few, found[0][:2])
         return found[0]
