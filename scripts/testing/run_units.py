@@ -15,6 +15,8 @@ from testing.report import ROOT
 from testing.units import Unit
 
 POLL_SECONDS = 0.5
+CALLS_PRINTED = 7  # lines
+PRINTED_LENGTH = 2000  # characters of what a process printed that are kept
 CALL_SECONDS = 10.0  # between calls of `on_change` while nothing ends
 # pytest's exit codes without an error: all passed, some failed (each has its line), nothing was left to run
 _REPORTED_CODES = (0, 1, 5)
@@ -83,8 +85,12 @@ class UnitRun:
         self.state, self.seconds = STOPPED, time.monotonic() - self.started
 
     def printed(self) -> str:
-        """The end of what it printed."""
-        return self.output.read_text(encoding="utf-8", errors="replace")[-2000:] if self.output.exists() else ""
+        """The end of what it printed; where Python died, what it died of and the calls that led there."""
+        text = self.output.read_text(encoding="utf-8", errors="replace") if self.output.exists() else ""
+        dies, calls = text.find("Fatal Python error"), text.find("Current thread")
+        if 0 <= dies < calls:
+            return "\n".join([text[dies:].splitlines()[0], *text[calls:].splitlines()[:CALLS_PRINTED]])
+        return text[-PRINTED_LENGTH:]
 
 
 def run_units(

@@ -36,7 +36,7 @@ for thread in threads:
 def compile_kernels(folder, *names):
     script = folder / "compile.py"  # Warp reads the source of kernels from a file
     script.write_text(COMPILE, encoding="utf-8")
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, str(script), str(folder), *names]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
