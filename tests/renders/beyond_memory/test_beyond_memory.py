@@ -109,7 +109,7 @@ def test_the_number_in_the_message_renders_and_one_less_does_not(session, plain,
 def test_host_memory_that_does_not_hold_the_pages(session, plain, monkeypatch):
     from raybatch_addon.core.bvh.pages import build as page_build
 
-    schedule_scenes.least_budget(session.device.alias)  # is found with the memory that there is, and kept
+    schedule_scenes.least_budget(session.device.alias, "mixed")  # is found with the memory that there is, and kept
     with monkeypatch.context() as patch:
         patch.setattr(page_build, "free_memory", lambda device: 1000)
         with pytest.raises(OutOfMemoryError, match="use DISK"):
