@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from .ahead.change import TierChange, TierChanges
+from .ahead.prepare import Preparation
+from .ahead.request import CompileRequest, GeneralRequest
 from .bvh.build.scene_tree import build_kernels, layout_for
 from .bvh.memory import GeometrySize
 from .device.devices import find_device, free_memory, load_kernels, start_warp, warp_cache_folder, worker_count
@@ -24,14 +26,12 @@ from .measure.hardware import hardware_counters
 from .measure.statistics import render_statistics
 from .observers import Progress, RenderObserver, Tile, call_all
 from .scene.description import Scene
-from .scene.features import SceneFeatures, derive_features, ordinary_features
+from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
 from .settings.settings import RenderSettings
 from .wavefront.integrator import TileIntegrator
-from .wavefront.kernels import StageKernels, tracing_kernels
 from .wavefront.plan.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
-from .wavefront.plan.tracing import Tracing
-from .wavefront.render.rendering import POLL_SECONDS, RenderEvents, Rendering, SnapshotWatcher, snapshot_watchers
+from .wavefront.render.rendering import RenderEvents, Rendering, SnapshotWatcher, snapshot_watchers
 from .wavefront.render.resume import ResumeState, film_to_fill
 from .wavefront.render.rounds import RoundPolicy
 from .wavefront.render.summary import batching_totals, ray_totals, workers_summary
@@ -39,6 +39,7 @@ from .wavefront.render.workers import make_workers
 from .wavefront.scene.device_scene import DeviceScene
 from .wavefront.scene.scene_cache import GeometryRequest, SceneCache
 from .wavefront.scheduler import round_tile_edge, tile_edge
+from .wavefront.tier import TierChoice, choose_tier
 
 
 @dataclass(kw_only=True)
@@ -48,6 +49,7 @@ class _Job:
     scene: Scene
     settings: RenderSettings
     features: SceneFeatures
+    tier: TierChoice
     plan: TracingPlan
     sample_first: int
     on_tile: Callable[[Tile], None]
@@ -62,6 +64,11 @@ class _Job:
     chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open until the scene was read
     path_bytes: int = 0  # device memory of one path alive, with all that grows with their number
     rendering: Rendering | None = None  # from the first ray on
+
+    @property
+    def request(self) -> CompileRequest:
+        """The kernels of the render."""
+        return CompileRequest(self.features, self.settings, self.plan, self.tier.shading)
 
     @property
     def marks(self) -> list[int]:
@@ -90,25 +97,26 @@ class Session:
         self.device = find_device(device or self.settings.device)
         self.layout = layout_for(self.device)  # of trees
         self._cache = SceneCache()
+        self._tier_changes = TierChanges(self.device)
         self._building: Future | None = None  # the last build
 
     def close(self) -> None:
-        """Give back what is cached."""
+        """Give back what is cached, and end what still compiles."""
+        self._tier_changes.close()
         self._cache.clear()
 
     def prewarm(
         self, features: Sequence[SceneFeatures] | None = None, on_progress: Callable[[int, int], None] | None = None
     ) -> list[str]:
-        """Compile ahead for `features` (default: those of ordinary scenes); returns the names of the modules."""
+        """Compile ahead for `features` (default: the general kernels, which render any scene); returns the modules'
+        names.
+        """
         method = {"REFERENCE": Method.REFERENCE, "ON": Method.BATCHED}.get(self.settings.batching, Method.UNBATCHED)
-        plan, kernels = TracingPlan(method), build_kernels(self.device)
-        for each in features or ordinary_features():
-            kernels += self._kernels(each, self.settings, plan)
-        return load_kernels(kernels, self.device, on_progress or (lambda done, total: None))
-
-    def _kernels(self, features: SceneFeatures, settings: RenderSettings, plan: TracingPlan) -> list[wp.Kernel]:
-        tracing = Tracing.of(plan, self.layout, features)
-        return StageKernels.choose(features).all() + tracing_kernels(features, settings, tracing, self.device)
+        requests = [CompileRequest(each, self.settings, TracingPlan(method)) for each in features or ()]
+        kernels = [kernel for each in requests or [GeneralRequest()] for kernel in each.kernels(self.device)]
+        return load_kernels(
+            [*kernels, *build_kernels(self.device)], self.device, on_progress or (lambda done, total: None)
+        )
 
     def render(
         self,
@@ -154,6 +162,8 @@ class Session:
                 )
         film.resume_state = None
         job.settings = job.settings.replace(sample_order=state.sample_order)  # items are numbered by it
+        if job.settings.kernel_tier == "AUTO":
+            job.chosen["kernel_tier"] = Choice("GENERAL" if job.tier.general else "SPECIALISED", job.tier.why)
         device_scene, modules = self._prepare(job)
         integrators: list[TileIntegrator] = []
         if device_scene is not None:
@@ -200,10 +210,15 @@ class Session:
         free = self._cache.free_for_geometry(checked.images, self.device)
         memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
         plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory)
+        features = derive_features(checked, settings)
+        tier = choose_tier(features, settings.kernel_tier, self.device)
+        if settings.kernel_tier == "GENERAL" and not tier.general:
+            warnings.append(f"kernel_tier is GENERAL, but {tier.why}; kernels are specialised on the scene")
         return _Job(
             scene=checked,
             settings=settings,
-            features=derive_features(checked, settings),
+            features=features,
+            tier=tier,
             plan=plan,
             sample_first=sample_first,
             on_tile=call_all(on_tile, [observer.on_tile for observer in observers]),
@@ -226,62 +241,29 @@ class Session:
         return ResumeState.begin(settings, job.scene.frame, edge, job.sample_first, policy)
 
     def _prepare(self, job: _Job) -> tuple[DeviceScene | None, list[str]]:
-        """Build the tree and compile the kernels, side by side: the scene on the device, and the names of the modules.
-        No scene and no names when cancelled meanwhile.
-        """
-        kernels = self._kernels(job.features, job.settings, job.plan)
-        kernels += [add_integers_kernel] * (job.settings.half_count - 1)
-        loaded, load_total = 0, max(1, len(kernels))
-        given_up = threading.Event()  # nobody waits for the build any more
-
-        def note_loaded(done: int, total: int) -> None:
-            nonlocal loaded, load_total
-            loaded, load_total = done, total
-
-        def compile_kernels() -> list[str]:
-            start = time.perf_counter()
-            names = load_kernels(kernels, self.device, note_loaded)
-            job.seconds["compile"] = time.perf_counter() - start
-            return names
+        """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""
+        kernels = job.request.kernels(self.device) + [add_integers_kernel] * (job.settings.half_count - 1)
+        preparation = Preparation(kernels, self.device, self._building)
+        request = GeometryRequest(
+            settings=job.settings,
+            plan=job.plan,
+            layout=self.layout,
+            instancing=job.features.instancing,
+            page_folder=self._page_folder,
+            cancelled=preparation.is_given_up,
+        )
 
         def build() -> DeviceScene:
-            start = time.perf_counter()
-            request = GeometryRequest(
-                settings=job.settings,
-                plan=job.plan,
-                layout=self.layout,
-                instancing=job.features.instancing,
-                page_folder=self._page_folder,
-                cancelled=given_up.is_set,
-            )
-            built = DeviceScene.build(job.scene, job.features, request, self.device, self._cache)
-            wp.synchronize_device(self.device)
-            job.seconds["build"] = time.perf_counter() - start
-            return built
+            return DeviceScene.build(job.scene, job.features, request, self.device, self._cache, job.tier.shading)
 
-        before = self._building  # of a render that was cancelled: it must not touch what this one uses
+        def on_progress(stage: str, fraction: float, message: str) -> None:
+            job.on_progress(self._progress(job, stage, fraction, message))
 
-        def build_in_turn() -> DeviceScene:
-            if before:
-                wait([before])
-            return build()
-
-        pool = ThreadPoolExecutor(max_workers=2)
         try:
-            modules, built = pool.submit(compile_kernels), pool.submit(build_in_turn)
-            self._building = built
-            while not (modules.done() and built.done()):
-                if job.cancelled():
-                    return None, []
-                compiling = built.done() and not modules.done()
-                stage = "compile" if compiling else "build"
-                message = f"Compiling kernels ({loaded} of {load_total})" if compiling else "Building the tree"
-                job.on_progress(self._progress(job, stage, loaded / load_total, message))
-                time.sleep(POLL_SECONDS / 5)
-            return built.result(), modules.result()
+            return preparation.run(build, job.cancelled, on_progress)
         finally:
-            given_up.set()
-            pool.shutdown(wait=False)  # a cancelled render does not wait for the compiler
+            job.seconds.update(preparation.seconds)
+            self._building = preparation.build
 
     def _workers(self, job: _Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
         last = state.end == state.policy.sample_count
@@ -303,6 +285,8 @@ class Session:
             job.on_tile(Tile(tile.x, tile.y, tile.width, tile.height, passes))
 
         def on_progress(fraction: float, samples: float, seconds: float) -> None:
+            nonlocal seconds_left
+            seconds_left = seconds / fraction - seconds if fraction > 0.001 else None
             rays = sum(i.rays.total for i in integrators)
             progress = self._progress(
                 job,
@@ -311,15 +295,29 @@ class Session:
                 "Rendering",
                 samples_done=samples,
                 rays_per_second=rays / seconds if seconds else 0.0,
-                seconds_left=seconds / fraction - seconds if fraction > 0.001 else None,
+                seconds_left=seconds_left,
                 seconds_rendering=seconds,
             )
             job.on_progress(progress)
 
+        seconds_left: float | None = None
         start = time.perf_counter()
         events = RenderEvents(on_tile=on_tile, on_progress=on_progress, cancelled=job.cancelled, watchers=job.watchers)
         job.rendering = Rendering(integrators, state, film, events, job.started)
-        job.rendering.run()
+        change = None
+        if job.tier.general and job.settings.kernel_tier == "AUTO":
+            request = CompileRequest(job.features, job.settings, job.plan)
+            change = TierChange(self._tier_changes, request, integrators, lambda: seconds_left, self.device)
+        try:
+            job.rendering.run()
+        finally:
+            if change:
+                change.close()
+        if change and change.changed_after is not None:
+            why = f"{job.tier.why}; specialised ones took over after {change.changed_after:.1f} s"
+            job.chosen["kernel_tier"] = Choice("GENERAL", why)
+        if change and (complaint := self._tier_changes.complaint(change.request)):
+            job.warnings.append(f"specialised kernels could not be compiled, general ones rendered: {complaint}")
         job.seconds["render"] = time.perf_counter() - start
 
     def _progress(

@@ -156,6 +156,30 @@ def host_memory_peak() -> int:
     return int(peak if sys.platform == "darwin" else peak * 1024)
 
 
+_load_locks: dict[int, threading.Lock] = {}
+
+
+def load_module(kernel: wp.Kernel, device: wp.Device) -> None:
+    """Compile or load the module of `kernel`. Several threads may ask for one module: the first one loads it.
+
+    Raises `DeviceError` where it cannot be compiled.
+    """
+    with _warp_lock:
+        lock = _load_locks.setdefault(id(kernel.module), threading.Lock())  # modules live as long as the process
+    with lock:
+        if kernel.module.load(device, block_size_of(kernel) if device.is_cuda else 1) is None:
+            raise DeviceError(f"a kernel could not be compiled for {device.alias}; see the log above")
+
+
+def is_compiled(kernel: wp.Kernel, device: wp.Device) -> bool:
+    """Whether the module of `kernel` is loaded, or in the cache of compiled kernels."""
+    module, block_size = kernel.module, block_size_of(kernel) if device.is_cuda else 1
+    if (device.context if device.is_cuda else None, block_size) in module.execs:
+        return True
+    name = module._get_compile_output_name(device, block_dim=block_size)
+    return (Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_size) / name).exists()
+
+
 def load_kernels(kernels: Iterable[wp.Kernel], device: wp.Device, on_module: Callable[[int, int], None]) -> list[str]:
     """Compile or load the modules of `kernels`, several at a time; returns the modules' names.
 
@@ -166,12 +190,8 @@ def load_kernels(kernels: Iterable[wp.Kernel], device: wp.Device, on_module: Cal
 
     unique = {kernel.module.name: kernel for kernel in kernels}
     with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
-        tasks = [
-            pool.submit(kernel.module.load, device, block_size_of(kernel) if device.is_cuda else 1)
-            for kernel in unique.values()
-        ]
+        tasks = [pool.submit(load_module, kernel, device) for kernel in unique.values()]
         for done, task in enumerate(as_completed(tasks), 1):
-            if task.result() is None:
-                raise DeviceError(f"a kernel could not be compiled for {device.alias}; see the log above")
+            task.result()
             on_module(done, len(tasks))
     return sorted(unique)

@@ -100,6 +100,18 @@ def op_named(name: str) -> Op:
     return _ops[name]
 
 
+# The number of an op in code is its index in `op_names()` plus this; 0 ends a program
+FIRST_OP = 1
+
+
+@functools.cache
+def op_numbers() -> dict[str, int]:
+    """Numbers of all ops in the code of programs, by name: the same whatever ops a kernel is compiled for."""
+    from . import ops  # noqa: F401 - files of ops register them
+
+    return {name: FIRST_OP + i for i, name in enumerate(op_names())}
+
+
 def op_names() -> list[str]:
     """Names of all ops, sorted."""
     return sorted(_ops)

@@ -7,11 +7,9 @@ import warp as wp
 
 from ..scene.program import ProgramFeatures
 from ..shading.bsdf.materials import ClosureRecord
-from .op import NodeData, op_named
+from .op import NodeData, op_named, op_numbers
 from .point import ShadingPoint
 
-# The number of an op is its index in `ProgramFeatures.ops` plus this
-FIRST_OP = 1
 END = 0
 # The low bits of an instruction are the op, the bits above count its words
 LENGTH_SHIFT = 16
@@ -24,11 +22,12 @@ def make_run(features: ProgramFeatures) -> wp.Function:
     It returns how many closures the program made. `stack` is a local array of `register_count` floats, `closures` one
     of `closure_count` records.
     """
-    ops = [(FIRST_OP + i, op_named(name)) for i, name in enumerate(features.ops)]
+    numbers = op_numbers()
+    ops = [(numbers[name], op_named(name)) for name in features.ops]
     compute = _value_tree([(number, op.function) for number, op in ops if not op.makes_closures])
     make = _closure_tree([(number, op.function) for number, op in ops if op.makes_closures])
 
-    @wp.func
+    @wp.func(inline=False if features.apart else None)
     def run(
         data: NodeData,
         stack: wp.array(dtype=float),

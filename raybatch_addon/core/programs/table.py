@@ -14,17 +14,17 @@ from ..scene.program import Program, ProgramFeatures
 from ..shading.bsdf.albedo import upload_tables
 from ..shading.images.textures import ImageTable
 from .inputs_data import InputData, upload_inputs
-from .op import INPUTS, NodeData, op_named
-from .run import END, FIRST_OP, LENGTH_SHIFT
+from .op import INPUTS, NodeData, op_named, op_numbers
+from .run import END, LENGTH_SHIFT
 
 
 def encode(programs: Sequence[Program | None], ops: Sequence[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Programs as one array of code, one of constants, and the begin of each program (-1 for None).
 
-    A `Program` that occurs several times has its code and constants once: lamps may share it. Ops are numbered by their
-    index in `ops`. Raises `SceneError` for a program that is not valid: unknown ops or operands out of range.
+    A `Program` that occurs several times has its code and constants once: lamps may share it. Raises `SceneError` for a
+    program that is not valid: unknown ops or operands out of range.
     """
-    numbers = {name: FIRST_OP + i for i, name in enumerate(ops)}
+    numbers = {name: number for name, number in op_numbers().items() if name in ops}
     code: list[int] = []
     constants: list[np.ndarray] = []
     first = np.full(len(programs), -1, np.int32)

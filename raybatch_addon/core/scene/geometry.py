@@ -10,6 +10,7 @@ import warp as wp
 
 from ..native.build import native_source
 from .description import Scene
+from .features import needs_instancing
 from .flatten import FlatGeometry
 
 mat34 = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
@@ -31,6 +32,9 @@ class Geometry:
     triangle_slot: wp.array(dtype=int)  # material slot, shape [triangle_count]; no entries when all are in slot 0
     instance_slot_first: wp.array(dtype=int)  # shape [instance_count]
     slot_materials: wp.array(dtype=int)  # material of slot s of an instance: [instance_slot_first + s]
+    instancing: (
+        int  # 1: rays find instances below a top level, and `instance_transform` takes their points to the world
+    )
 
 
 # Kernels run the header, which traversal has too. The bodies are what ops folded on the host run (`as_python`).
@@ -80,6 +84,7 @@ def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device, on_host
     through the bus. There the corners of a triangle lie together, so that it takes two reads instead of five.
     """
     geometry = Geometry()
+    geometry.instancing = int(needs_instancing(scene))
     triangles = [("triangles", flat.triangles, wp.vec3i)]
     if on_host:
         triangles = [("triangles", flat.triangles[:0], wp.vec3i)]

@@ -45,6 +45,7 @@ class ProgramFeatures:
     ops: tuple[str, ...] = ()  # sorted; empty: there is no program
     register_count: int = 1  # size of the stack [floats]
     closure_count: int = 1  # most closures of a material
+    apart: bool = False  # the interpreter is compiled once, for all kernels of the general tier, and called
 
     def __bool__(self) -> bool:
         return bool(self.ops)

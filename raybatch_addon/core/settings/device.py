@@ -33,6 +33,25 @@ class DeviceSettings:
         maximum=1024,
         auto=0,
     )
+    kernel_tier: str = setting(
+        "AUTO",
+        "Kernels",
+        "Which kernels shade: the general ones are compiled once and render any scene, those specialised on the scene "
+        "are faster and are compiled for each new combination of nodes and lights",
+        group="DEVICE",
+        effect="schedule",
+        choices=(
+            (
+                "AUTO",
+                "Auto",
+                "Specialised ones that are compiled already, else the general ones; the specialised ones "
+                "are compiled meanwhile where that pays",
+            ),
+            ("GENERAL", "General", "The general ones, for the whole render"),
+            ("SPECIALISED", "Specialised", "The specialised ones; a render waits until they are compiled"),
+        ),
+        auto="AUTO",
+    )
 
 
 @dataclass(frozen=True)

@@ -134,31 +134,34 @@ def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
         )
         edge_cross = wp.cross(edge_1, edge_2)
         if wp.static(instancing):
-            matrix = geometry.instance_transform[instance]
-            moved = transform_vector(matrix, position)
-            offset = _offset(matrix)
-            # error of carrying the point to the world, and the ray to the object and back
-            error = _row_abs(matrix, error) + wp.static(2.0 * _GAMMA_8) * (
-                _row_abs(matrix, _abs(position)) + _abs(offset)
-            )
-            position = moved + offset
-            edge_cross = _cofactor(matrix, edge_cross)
+            if geometry.instancing != 0:
+                matrix = geometry.instance_transform[instance]
+                moved = transform_vector(matrix, position)
+                offset = _offset(matrix)
+                # error of carrying the point to the world, and the ray to the object and back
+                error = _row_abs(matrix, error) + wp.static(2.0 * _GAMMA_8) * (
+                    _row_abs(matrix, _abs(position)) + _abs(offset)
+                )
+                position = moved + offset
+                edge_cross = _cofactor(matrix, edge_cross)
         surface.position = position
         surface.error = error
         surface.geometric_normal = _unit(edge_cross)
         surface.normal = surface.geometric_normal
         if wp.static(smooth_normals):
-            n = (1.0 - uv[0] - uv[1]) * geometry.corner_normals[3 * triangle]
-            n = (
-                n
-                + uv[0] * geometry.corner_normals[3 * triangle + 1]
-                + uv[1] * geometry.corner_normals[3 * triangle + 2]
-            )
-            if wp.static(instancing):
-                n = _cofactor(geometry.instance_transform[instance], n)
-            n = _unit(n)
-            if wp.dot(n, n) > 0.5:  # normals of flat meshes are 0
-                surface.normal = n
+            if geometry.corner_normals.shape[0] > 0:
+                n = (1.0 - uv[0] - uv[1]) * geometry.corner_normals[3 * triangle]
+                n = (
+                    n
+                    + uv[0] * geometry.corner_normals[3 * triangle + 1]
+                    + uv[1] * geometry.corner_normals[3 * triangle + 2]
+                )
+                if wp.static(instancing):
+                    if geometry.instancing != 0:
+                        n = _cofactor(geometry.instance_transform[instance], n)
+                n = _unit(n)
+                if wp.dot(n, n) > 0.5:  # normals of flat meshes are 0
+                    surface.normal = n
         if wp.dot(surface.normal, surface.geometric_normal) < 0.0:
             surface.normal = -surface.normal
 

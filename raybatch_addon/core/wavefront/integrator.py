@@ -31,6 +31,7 @@ from .scheduler import Rectangle, WaterMarks
 from .stages import generate
 from .stages.generate import TileWork, counted_kernel
 from .stages.limits import half_seed, path_limits
+from .tier import array_features
 from .tracers.choose import make_tracer
 from .tracers.interface import Tracer
 
@@ -69,14 +70,15 @@ class TileIntegrator:
     def __init__(self, scene: DeviceScene, frame: Frame, settings: RenderSettings, marks: WaterMarks):
         features, device, count = scene.features, scene.device, marks.path_count
         self._scene, self._frame, self._settings, self._marks = scene, frame, settings, marks
-        self._kernels = StageKernels.choose(features)
+        self._kernels = StageKernels.choose(features, scene.shading)
+        self._wanted_kernels = self._kernels  # for the next turn
         self._half_limits = [
             path_limits(settings.replace(seed=half_seed(settings.seed, half)), frame.width)
             for half in range(settings.half_count)
         ]
         self._limits = self._half_limits[0]
         self._layout = layout_of(frame.passes, frame.transparent)
-        self._paths = allocate_paths(count, features, device)
+        self._paths = allocate_paths(count, array_features(features, scene.shading), device)
         tracing = scene.tracing
         needs = RayNeeds.of(features, tracing.method is Method.REFERENCE)
         self._rays = allocate_rays(count, device, dataclasses.replace(needs, shadow_rays=scene.shadow_rays))
@@ -127,6 +129,7 @@ class TileIntegrator:
         items = state.tile.pixel_count * sample_count
         done, stopped_at = 0, None
         while True:
+            self._kernels = self._wanted_kernels
             if stopped_at is None and stop():
                 stopped_at = time.perf_counter()
             camera = NO_RAYS
@@ -151,6 +154,10 @@ class TileIntegrator:
             )
         self.invalid_samples += finished.invalid
         return finished
+
+    def use_kernels(self, kernels: StageKernels) -> None:
+        """Go on with `kernels` of another tier, loaded already, from the next turn on. May be called on any thread."""
+        self._wanted_kernels = kernels
 
     # --- the steps, in the order of the loop
 
@@ -229,7 +236,7 @@ class TileIntegrator:
         if kind == RayKind.CLOSEST:
             self._launch_over(self._kernels.settle, back, self._paths, self._rays)
         elif kind == RayKind.OCCLUSION:
-            programs = (self._scene.data, self._limits) if self._scene.features.light_programs else ()
+            programs = (self._scene.data, self._limits) if self._kernels.connect_runs_programs else ()
             self._launch_over(self._kernels.connect, back, *programs, self._paths, self._rays)
         else:
             self._launch_over(

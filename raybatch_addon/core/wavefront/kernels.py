@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import warp as wp
@@ -35,6 +36,7 @@ class StageKernels:
     generate: wp.Kernel
     settle: wp.Kernel
     connect: wp.Kernel | None
+    connect_runs_programs: bool  # `connect` is `connect_program_kernel`
     connect_transparent: wp.Kernel | None
     light_hits: wp.Kernel | None
     walk: wp.Kernel | None
@@ -44,26 +46,28 @@ class StageKernels:
     resolve: wp.Kernel
 
     @staticmethod
-    def choose(features: SceneFeatures) -> StageKernels:
-        """The kernels for a scene with `features`."""
+    def choose(features: SceneFeatures, shading: SceneFeatures | None = None) -> StageKernels:
+        """The kernels for a scene with `features`, those that shade specialised on `shading` (default: the same)."""
         has_light_hits, has_shadow_rays = features.light_hits, features.shadow_rays
-        connect, layout = narrow(features, ConnectFeatures), layout_of(features.passes, features.film_transparent)
-        surface = narrow(features, SurfaceFeatures)
-        connect_plain = connect_program_kernel(connect) if features.light_programs else connect_kernel
+        has_transparent_shadows = has_shadow_rays and features.transparency
+        layout = layout_of(features.passes, features.film_transparent)
+        shading = shading or features
+        begun = dataclasses.replace(shading, camera=features.camera, depth_of_field=features.depth_of_field)
+        connect, surface = narrow(shading, ConnectFeatures), narrow(shading, SurfaceFeatures)
+        connect_plain = connect_program_kernel(connect) if shading.light_programs else connect_kernel
         return StageKernels(
-            generate=generate_kernel(narrow(features, GenerateFeatures)),
+            generate=generate_kernel(narrow(begun, GenerateFeatures)),
             settle=settle_kernel,
             connect=connect_plain if has_shadow_rays else None,
-            connect_transparent=transparent_shadow_kernel(surface, connect)
-            if has_shadow_rays and features.transparency
-            else None,
+            connect_runs_programs=shading.light_programs,
+            connect_transparent=transparent_shadow_kernel(surface, connect) if has_transparent_shadows else None,
             light_hits=light_hit_kernel(
-                narrow(features, LightHitFeatures), features.transparency, features.clamping, features.subsurface
+                narrow(shading, LightHitFeatures), shading.transparency, shading.clamping, shading.subsurface
             )
             if has_light_hits
             else None,
             walk=walk_kernel(narrow(features, WalkFeatures)) if features.subsurface else None,
-            background=background_kernel(narrow(features, BackgroundFeatures)),
+            background=background_kernel(narrow(shading, BackgroundFeatures)),
             surface=surface_kernel(surface) if features.surfaces else None,
             accumulate=accumulate_kernel(layout),
             resolve=resolve_kernel(layout),
@@ -72,10 +76,15 @@ class StageKernels:
     def all(self) -> list[wp.Kernel]:
         """Everything that shading launches."""
         stages = [getattr(self, name) for name in self.__dataclass_fields__]
-        return [kernel for kernel in stages if kernel is not None] + [
+        return [kernel for kernel in stages if isinstance(kernel, wp.Kernel)] + [
             *path_list_kernels(walks=self.walk is not None),
             add_spill_kernel,
         ]
+
+    def shading(self) -> list[wp.Kernel]:
+        """The kernels that differ from tier to tier."""
+        stages = (self.surface, self.connect, self.connect_transparent, self.light_hits, self.background)
+        return [kernel for kernel in stages if kernel is not None]
 
 
 def tracing_kernels(

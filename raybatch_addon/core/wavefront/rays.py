@@ -221,12 +221,13 @@ def allocate_progress(count: int, words: int, instancing: bool, device: wp.Devic
     return progress
 
 
-def bytes_per_path(features: SceneFeatures, reference: bool = False) -> int:
+def bytes_per_path(features: SceneFeatures, reference: bool = False, paths: SceneFeatures | None = None) -> int:
     """Device memory of one path alive: state, its ray slots, and its entries in lists [bytes]. `reference`: Warp's own
-    tree is traced.
+    tree is traced. `paths`: what decides on the arrays of `Paths` (default: `features`).
     """
-    arrays = [Paths.vars[name] for name, is_needed in needed_arrays(features).items() if is_needed]
-    if features.subsurface:
+    paths = paths or features
+    arrays = [Paths.vars[name] for name, is_needed in needed_arrays(paths).items() if is_needed]
+    if paths.subsurface:
         arrays += Walks.vars.values()
     path = sum(wp.types.type_size_in_bytes(array.type.dtype) for array in arrays)
     return path + RayNeeds.of(features, reference).bytes_per_path + LIST_BYTES_PER_PATH

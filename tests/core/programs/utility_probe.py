@@ -11,9 +11,9 @@ import warp as wp
 
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers the ops)
-from raybatch_addon.core.programs.op import NodeData, as_python, op_named
+from raybatch_addon.core.programs.op import NodeData, as_python, op_named, op_numbers
 from raybatch_addon.core.programs.point import ShadingPoint
-from raybatch_addon.core.programs.run import END, FIRST_OP, LENGTH_SHIFT, make_run
+from raybatch_addon.core.programs.run import END, LENGTH_SHIFT, make_run
 from raybatch_addon.core.scene.program import ProgramFeatures
 from raybatch_addon.core.shading.bsdf.materials import ClosureRecord
 from tests.support.under_test import DEVICE
@@ -102,7 +102,7 @@ def on_device(
     assert values.shape[1] == read, name
     data = NodeData()
     data.code = wp.array(
-        [FIRST_OP + OPS.index(name) | (len(words) + 1) << LENGTH_SHIFT, *words, END], dtype=int, device=DEVICE
+        [op_numbers()[name] | (len(words) + 1) << LENGTH_SHIFT, *words, END], dtype=int, device=DEVICE
     )
     data.constants = wp.array(np.asarray(table, np.float32), dtype=float, device=DEVICE)
     out = wp.zeros((len(values), written), dtype=float, device=DEVICE)

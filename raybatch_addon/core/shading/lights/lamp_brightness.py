@@ -5,7 +5,8 @@ import functools
 import numpy as np
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS
+from ...device.devices import load_module
+from ...device.kernel import kernel_options
 from ...programs.op import NodeData
 from ...scene.description import LightKind, Scene
 from ...scene.program import ProgramFeatures
@@ -65,7 +66,7 @@ def lamp_brightness_kernel(programs: ProgramFeatures) -> wp.Kernel:
     """
     lamp_emission = make_lamp_emission(programs)
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.kernel(**kernel_options(programs.apart))
     def lamp_brightness(
         nodes: NodeData,
         table: LightTable,
@@ -108,7 +109,9 @@ def brightness_of_lamps(
         return result
     brightness = wp.zeros(len(lamps), dtype=wp.float64, device=device)
     inputs = [nodes, table, wp.array(lamps, dtype=int, device=device), scene_radius(scene), _POINTS, brightness]
-    wp.launch(lamp_brightness_kernel(features), len(lamps), inputs, device=device)
+    kernel = lamp_brightness_kernel(features)
+    load_module(kernel, device)
+    wp.launch(kernel, len(lamps), inputs, device=device)
     for i, mean in zip(lamps, brightness.numpy()):
         shines = any(step.op == "emission" for step in scene.lights[i].program.instructions)
         result[i] = (mean if mean > 0 else _UNSEEN) if shines else 0.0

@@ -20,6 +20,7 @@ from ..plan.plan import Choice, Method
 from ..rays import bytes_per_path
 from ..scene.device_scene import DeviceScene
 from ..scheduler import paths_a_worker, reduced_path_count, water_marks
+from ..tier import array_features
 from ..tracers.buckets.tracer import selection_of
 from ..tracers.choose import tracer_bytes_per_path
 
@@ -128,7 +129,7 @@ def fewer_alive(ray_count: int, workers: int, areas: Sequence[int], sample_count
 def path_bytes(scene: DeviceScene, frame: Frame, settings: RenderSettings, path_count: int) -> int:
     """Device memory of one of `path_count` paths alive, with all that its tracer and counters keep of it [bytes]."""
     features, tracing = scene.features, scene.tracing
-    size = bytes_per_path(features, tracing.method is Method.REFERENCE) + tracer_bytes_per_path(
-        scene, settings, path_count
-    )
+    arrays = array_features(features, scene.shading)
+    size = bytes_per_path(features, tracing.method is Method.REFERENCE, arrays)
+    size += tracer_bytes_per_path(scene, settings, path_count)
     return size + counter_bytes_per_path(tracing.counters(settings, frame.passes), features.shadow_rays)

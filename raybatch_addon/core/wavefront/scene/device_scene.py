@@ -34,6 +34,7 @@ class DeviceScene:
 
     device: wp.Device
     features: SceneFeatures
+    shading: SceneFeatures  # what kernels that shade are specialised on: `features`, or those of all scenes
     data: SceneData
     camera: CameraData
     tree: Tree | ReferenceTree | None  # None: there is nothing to hit
@@ -48,9 +49,15 @@ class DeviceScene:
 
     @staticmethod
     def build(
-        scene: Scene, features: SceneFeatures, request: GeometryRequest, device: wp.Device, cache: SceneCache
+        scene: Scene,
+        features: SceneFeatures,
+        request: GeometryRequest,
+        device: wp.Device,
+        cache: SceneCache,
+        shading: SceneFeatures | None = None,
     ) -> DeviceScene:
-        """Upload `scene` and build its tree."""
+        """Upload `scene` and build its tree. `shading`: what kernels are specialised on (default: `features`)."""
+        shading = shading or features
         data = SceneData()
         built = treelets = None
         images = cache.images.upload(scene.images, device, cache.image_budget(device))
@@ -70,7 +77,7 @@ class DeviceScene:
             upload_camera_inputs(scene, device),
         )
         data.lamp_nodes = upload_lamp_programs(scene, features.lamp_program, data.geometry, images.table, device)
-        lights = upload_lights(scene, device, *_program_light(data, scene, features, device, cache.world))
+        lights = upload_lights(scene, device, *_program_light(data, scene, features, shading, device, cache.world))
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)
         data.world_visibility = scene.world.visibility
@@ -87,6 +94,7 @@ class DeviceScene:
         return DeviceScene(
             device=device,
             features=features,
+            shading=shading,
             data=data,
             camera=upload_camera(scene.camera, scene.frame.width, scene.frame.height),
             tree=built.tree if built else None,
@@ -111,17 +119,24 @@ class DeviceScene:
         return self.paged is not None and self.device.is_cuda
 
 
-def _program_light(data: SceneData, scene: Scene, features: SceneFeatures, device: wp.Device, worlds: WorldCache):
+def _program_light(
+    data: SceneData,
+    scene: Scene,
+    features: SceneFeatures,
+    shading: SceneFeatures,
+    device: wp.Device,
+    worlds: WorldCache,
+):
     """Functions that compute the emission of triangles by programs and the brightness of lamps, and between them the
-    sampled world; None for each that the scene does not have.
+    sampled world; None for each that the scene does not have. Their kernels are specialised on `shading`.
     """
     emitted = world = lamps = None
     if features.mesh_programs:
-        emitted = functools.partial(emission_of_triangles, data, features, device)
+        emitted = functools.partial(emission_of_triangles, data, shading, device)
     if not features.world_light:
         worlds.clear()
     else:
-        world = worlds.get(scene, device, lambda: world_texels(data, features, scene.world.sampling_size, device))
+        world = worlds.get(scene, device, lambda: world_texels(data, shading, scene.world.sampling_size, device))
     if features.lamp_program:
-        lamps = functools.partial(brightness_of_lamps, scene, data.lamp_nodes, features.lamp_program, device)
+        lamps = functools.partial(brightness_of_lamps, scene, data.lamp_nodes, shading.lamp_program, device)
     return emitted, world, lamps

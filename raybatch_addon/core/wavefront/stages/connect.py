@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS
+from ...device.kernel import KERNEL_OPTIONS, kernel_options
 from ...rays import Rays
 from ...scene.program import ProgramFeatures
 from ...shading.lights.lamp_program import make_lamp_emission
@@ -137,7 +137,7 @@ def connect_program_kernel(features: ConnectFeatures) -> wp.Kernel:
     """Kernel (data, limits, paths, rays, slots, count): as `connect_kernel`, where programs say what light there is."""
     arrived = make_arrived(features)
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.kernel(**kernel_options(features.programs.apart))
     def connect_program(
         data: SceneData,
         limits: PathLimits,

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS
+from ...device.kernel import kernel_options
 from ...rays import Rays
 from ...scene.description import Visibility
 from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
@@ -38,7 +38,7 @@ def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeature
     programs = features.programs
     surface_closures = make_surface_program(programs)
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.kernel(**kernel_options(programs.apart))
     def connect_transparent(
         data: SceneData,
         limits: PathLimits,

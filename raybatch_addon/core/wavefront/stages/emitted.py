@@ -7,8 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import warp as wp
 
-from ...device.devices import worker_count
-from ...device.kernel import KERNEL_OPTIONS
+from ...device.devices import load_module, worker_count
+from ...device.kernel import kernel_options
 from ...programs.point import ShadingPoint
 from ...programs.run import make_run
 from ...scene.description import ClosureKind
@@ -105,7 +105,7 @@ def world_texels_kernel(programs: ProgramFeatures) -> wp.Kernel:
     """
     world_emission = make_world_emission(programs)
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.kernel(**kernel_options(programs.apart))
     def world_texels(data: SceneData, table: WorldTable, row_first: int, points: int, light: wp.array(dtype=float)):
         i = row_first * table.width + wp.tid()
         row = i / table.width
@@ -128,7 +128,7 @@ def triangle_emission_kernel(programs: ProgramFeatures, instancing: bool, smooth
     surface_emission = make_surface_emission(programs, instancing, smooth_normals)
     surface_point = make_surface(instancing, smooth_normals).point
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.kernel(**kernel_options(programs.apart))
     def triangle_emission(
         data: SceneData,
         instance: wp.array(dtype=int),
@@ -186,7 +186,7 @@ def world_texels(data: SceneData, features: SceneFeatures, width: int, device: w
 
 def _launch_in_parts(kernel: wp.Kernel, count: int, device: wp.Device, launch: Callable[[int, int], None]) -> None:
     """Call `launch(first, end)` for parts of `count` items, one for each thread: a launch on the CPU runs on one."""
-    wp.load_module(kernel.module, device=device)
+    load_module(kernel, device)
     threads = max(1, min(worker_count(device, 0), count))
     ends = [count * i // threads for i in range(threads + 1)]
     with ThreadPoolExecutor(threads) as pool:

@@ -170,9 +170,11 @@ def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
         if wp.static(features.path_history):
             paths.history[path] = 0
         if wp.static(features.film_transparent):
-            paths.alpha[path] = 1.0
+            if paths.alpha.shape[0] > 0:
+                paths.alpha[path] = 1.0
         if wp.static(features.normal_pass):
-            paths.normal[path] = wp.vec3(0.0, 0.0, 0.0)
+            if paths.normal.shape[0] > 0:
+                paths.normal[path] = wp.vec3(0.0, 0.0, 0.0)
         paths.status[path] = wp.static(NEW_PATH)
 
     return generate

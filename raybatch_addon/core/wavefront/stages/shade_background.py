@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS
+from ...device.kernel import kernel_options
 from ...film.tile import FilmTile
 from ...rays import Rays
 from ...scene.program import ProgramFeatures
@@ -47,7 +47,7 @@ def light_hit_kernel(
     """Kernel (data, limits, paths, rays, slots, count): lights that rays met on their way."""
     intersect, miss = make_light_hits(features)
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.kernel(**kernel_options(features.lamp_program.apart))
     def light_hits(
         data: SceneData,
         limits: PathLimits,
@@ -99,7 +99,7 @@ def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
     world_emission = make_world_emission(features.world_program) if has_program else None
     hit_weight = light_weights(features.mis)[1]
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.kernel(**kernel_options(features.world_program.apart))
     def background(
         data: SceneData,
         work: TileWork,
@@ -122,34 +122,34 @@ def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
         throughput = paths.throughput[path]
         shows_world = bool(True)
         if wp.static(features.film_transparent):
-            if bounce == 0:
+            if bounce == 0 and paths.alpha.shape[0] > 0:
                 shows_world = False
                 paths.alpha[path] = paths.alpha[path] - (throughput[0] + throughput[1] + throughput[2]) / 3.0
         if wp.static(features.world):
             if shows_world and (data.world_visibility & visibility_of(status)) != 0:
+                light = wp.cw_mul(throughput, data.world)
                 if wp.static(has_program):
-                    passed = int(0)
-                    if paths.passed.shape[0] > 0:
-                        passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
-                    direction = rays.direction[path]
-                    light = wp.cw_mul(
-                        throughput,
-                        world_emission(data, rays.origin[path], direction, visibility_of(status), bounce, passed),
-                    )
-                    if wp.static(features.world_light):
-                        pdf = paths.pdf[path]
-                        if pdf > 0.0 and data.lights.world_emitter >= 0:
-                            if is_lit_in_part(data.lights.world_visibility):
-                                light = wp.vec3(0.0)  # found by light sampling alone
-                            else:
-                                light = hit_weight(pdf, world_light_pdf(data.lights, direction)) * light
-                else:
-                    light = wp.cw_mul(throughput, data.world)
+                    if data.world_nodes.program_first.shape[0] > 0:
+                        passed = int(0)
+                        if paths.passed.shape[0] > 0:
+                            passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
+                        direction = rays.direction[path]
+                        light = wp.cw_mul(
+                            throughput,
+                            world_emission(data, rays.origin[path], direction, visibility_of(status), bounce, passed),
+                        )
+                        if wp.static(features.world_light):
+                            pdf = paths.pdf[path]
+                            if pdf > 0.0 and data.lights.world_emitter >= 0:
+                                if is_lit_in_part(data.lights.world_visibility):
+                                    light = wp.vec3(0.0)  # found by light sampling alone
+                                else:
+                                    light = hit_weight(pdf, world_light_pdf(data.lights, direction)) * light
                 if wp.static(features.clamping):
                     light = clamped(limits, light, bounce)
                 paths.radiance[path] = paths.radiance[path] + light
         if wp.static(features.depth_pass):
-            if bounce == 0:
+            if bounce == 0 and film.depth.shape[0] > 0:
                 where = pixel_sample(work, paths.item[path])
                 if where.sample == wp.uint32(0) and film.depth[where.pixel] == 0.0:
                     film.depth[where.pixel] = wp.static(DEPTH_OF_NOTHING)

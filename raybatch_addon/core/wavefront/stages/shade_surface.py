@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS
+from ...device.kernel import kernel_options
 from ...film.tile import FilmTile
 from ...rays import Rays
 from ...scene.description import ClosureKind, Visibility
@@ -66,7 +66,7 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     surface_closures = make_surface_program(programs)
     begin_walk = make_walk_begin(features.sample_sequence)
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.kernel(**kernel_options(programs.apart))
     def shade(
         data: SceneData,
         work: TileWork,
@@ -143,15 +143,18 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
 
         if bounce == 0 and passed == 0 and not comes_out:
             if wp.static("Normal" in features.passes):
-                paths.normal[path] = frame.normal
+                if paths.normal.shape[0] > 0:
+                    paths.normal[path] = frame.normal
             if sample == wp.uint32(0):
                 if wp.static("Depth" in features.passes):
-                    film.depth[where.pixel] = wp.dot(surface.position - data.view_origin, data.view_axis)
+                    if film.depth.shape[0] > 0:
+                        film.depth[where.pixel] = wp.dot(surface.position - data.view_origin, data.view_axis)
                 if wp.static("Position" in features.passes):
-                    film.position[where.pixel] = surface.position
+                    if film.position.shape[0] > 0:
+                        film.position[where.pixel] = surface.position
 
         if wp.static(features.film_holes):
-            if bounce == 0:
+            if bounce == 0 and paths.alpha.shape[0] > 0:
                 carried = paths.throughput[path]
                 seen = (carried[0] + carried[1] + carried[2]) / 3.0
                 paths.alpha[path] = paths.alpha[path] - seen * bsdf_holdout(closures, first, end)

@@ -87,7 +87,9 @@ def make_surface_program(features: ProgramFeatures) -> wp.Function:
     def surface_closures(
         data: SceneData, material: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord)
     ) -> int:
-        first = data.nodes.program_first[material]
+        first = int(-1)
+        if data.nodes.program_first.shape[0] > 0:  # the general kernels shade scenes without programs too
+            first = data.nodes.program_first[material]
         if first >= 0:
             stack = wp.zeros(wp.static(features.register_count), dtype=float)
             if wp.static(bumps):

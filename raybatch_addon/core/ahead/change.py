@@ -1,0 +1,118 @@
+"""From general to specialised kernels, while a render goes on."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+import warp as wp
+
+from ..device.devices import load_kernels, worker_count
+from ..scene.features import SceneFeatures
+from ..wavefront.integrator import TileIntegrator
+from ..wavefront.kernels import StageKernels
+from .process import CompileProcess
+from .request import CompileRequest
+
+# Share of their time that general kernels lose to specialised ones (on a CPU: 0.23 to 0.31)
+_LOSS = 0.25
+_POLL_SECONDS = 0.1
+
+
+def pays(request: CompileRequest, spent: float, left: float | None, device: wp.Device) -> bool:
+    """Whether it is time to compile the specialised kernels.
+
+    To compile takes processors away from a render on the CPU, and pays where what is `left` of it [s] loses more by
+    general kernels than that. Where it is short, nobody knows how many more renders of the kind there will be: then it
+    is time when those so far have lost as much as compiling costs, which takes twice as long as the best choice at most
+    (the ski rental problem; Karlin et al. 1988).
+
+    Args:
+        spent: how long general kernels have rendered such scenes [s].
+        left: of this render, if known [s].
+    """
+    seconds = request.expected_seconds
+    cost = seconds / worker_count(device, request.settings.thread_count)
+    worth_it = left is not None and left > seconds and (left - seconds) * _LOSS > cost
+    return worth_it or spent * _LOSS > cost
+
+
+class TierChanges:
+    """Compiles specialised kernels for the renders of one session that general ones begin."""
+
+    def __init__(self, device: wp.Device):
+        self._device = device
+        self._spent: dict[SceneFeatures, float] = {}
+        self._process: CompileProcess | None = None
+        self._features: SceneFeatures | None = None  # that it compiles for
+        self._failed: dict[SceneFeatures, str] = {}
+
+    def close(self) -> None:
+        """End what still compiles."""
+        if self._process:
+            self._process.stop()
+
+    def spend(self, request: CompileRequest, seconds: float) -> None:
+        """Note that general kernels rendered for `seconds`."""
+        self._spent[request.features] = self._spent.get(request.features, 0.0) + seconds
+
+    def poll(self, request: CompileRequest, left: float | None) -> bool:
+        """Begin to compile if it pays; whether specialised kernels are in the cache."""
+        process = self._process
+        if process is not None and process.is_running:
+            return False
+        if process is not None and self._features == request.features:
+            if complaint := process.complaint():
+                self._failed[request.features] = complaint
+            else:
+                return True
+        spent = self._spent.get(request.features, 0.0)
+        if request.features not in self._failed and pays(request, spent, left, self._device):
+            try:
+                self._process, self._features = CompileProcess(request, self._device), request.features
+            except OSError as error:
+                self._failed[request.features] = str(error)
+        return False
+
+    def complaint(self, request: CompileRequest) -> str:
+        """Why the kernels of `request` could not be compiled; empty where nothing failed."""
+        return self._failed.get(request.features, "")
+
+
+class TierChange:
+    """Watches one render, which general kernels began, and hands it the specialised ones when they are there."""
+
+    def __init__(
+        self,
+        changes: TierChanges,
+        request: CompileRequest,
+        integrators: Sequence[TileIntegrator],
+        left: Callable[[], float | None],
+        device: wp.Device,
+    ):
+        """Begins at once. `left`: how long the render will take from now on, if known [s]."""
+        self.changed_after: float | None = None  # seconds from here
+        self.request = request
+        self._changes, self._integrators = changes, integrators
+        self._left, self._device = left, device
+        self._over, self._begun = threading.Event(), time.perf_counter()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """The render is over."""
+        self._over.set()
+        self._thread.join()
+        seconds = time.perf_counter() - self._begun if self.changed_after is None else self.changed_after
+        self._changes.spend(self.request, seconds)
+
+    def _watch(self) -> None:
+        while not self._over.wait(_POLL_SECONDS):
+            if self._changes.poll(self.request, self._left()):
+                load_kernels(self.request.kernels(self._device), self._device, lambda done, total: None)
+                kernels = StageKernels.choose(self.request.features)
+                for integrator in self._integrators:
+                    integrator.use_kernels(kernels)
+                self.changed_after = time.perf_counter() - self._begun
+                return

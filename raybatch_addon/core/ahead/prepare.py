@@ -1,0 +1,78 @@
+"""Before the first ray: kernels are compiled or loaded while the scene is built."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+
+import warp as wp
+
+from ..device.devices import load_kernels
+from ..wavefront.scene.device_scene import DeviceScene
+
+POLL_SECONDS = 0.02
+
+
+class Preparation:
+    """Builds a scene and loads kernels, side by side."""
+
+    def __init__(self, kernels: Sequence[wp.Kernel], device: wp.Device, before: Future | None):
+        """`before`: an earlier build that may still run, of a render that was cancelled. It must not touch what this
+        one uses.
+        """
+        self._kernels, self._device, self._before = kernels, device, before
+        self.seconds: dict[str, float] = {}  # by stage
+        self.build: Future | None = None
+        self._loaded, self._total = 0, 1
+        self._given_up = threading.Event()  # nobody waits for the build any more
+
+    def is_given_up(self) -> bool:
+        """Whether the build should end."""
+        return self._given_up.is_set()
+
+    def run(
+        self,
+        build: Callable[[], DeviceScene],
+        cancelled: Callable[[], bool],
+        on_progress: Callable[[str, float, str], None],
+    ) -> tuple[DeviceScene | None, list[str]]:
+        """What `build` returned, and the names of the modules; nothing when cancelled meanwhile.
+
+        `on_progress` is told a stage, the share of the kernels that are there, and a message.
+        """
+        pool = ThreadPoolExecutor(max_workers=2)
+        try:
+            modules, built = pool.submit(self._load), pool.submit(self._build, build)
+            self.build = built
+            while not (modules.done() and built.done()):
+                if cancelled():
+                    return None, []
+                compiling = built.done() and not modules.done()
+                message = f"Compiling kernels ({self._loaded} of {self._total})" if compiling else "Building the tree"
+                on_progress("compile" if compiling else "build", self._loaded / self._total, message)
+                time.sleep(POLL_SECONDS)
+            return built.result(), modules.result()
+        finally:
+            self._given_up.set()
+            pool.shutdown(wait=False)  # a cancelled render does not wait for the compiler
+
+    def _load(self) -> list[str]:
+        start = time.perf_counter()
+
+        def note(done: int, total: int) -> None:
+            self._loaded, self._total = done, max(1, total)
+
+        names = load_kernels(self._kernels, self._device, note)
+        self.seconds["compile"] = time.perf_counter() - start
+        return names
+
+    def _build(self, build: Callable[[], DeviceScene]) -> DeviceScene:
+        if self._before:
+            wait([self._before])
+        start = time.perf_counter()
+        built = build()
+        wp.synchronize_device(self._device)
+        self.seconds["build"] = time.perf_counter() - start
+        return built

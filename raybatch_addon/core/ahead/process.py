@@ -1,0 +1,103 @@
+"""A process that compiles kernels into the cache, at low priority: the render beside it keeps Python to itself, and
+may end without waiting for a compiler.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import os
+import subprocess
+import sys
+import weakref
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+from .request import Request, decode_request, encode_request
+
+_CORE_FOLDER = Path(__file__).resolve().parents[1]
+_CHILD = "import sys; sys.path[:0] = [sys.argv[1]]; from core.ahead.process import compile_as_asked; compile_as_asked()"
+_NICENESS = 10
+_COMPLAINT_LENGTH = 500
+_running: weakref.WeakSet[CompileProcess] = weakref.WeakSet()
+
+
+class CompileProcess:
+    """Compiles what a request asks for; begins at once, and ends with this process at the latest."""
+
+    def __init__(self, request: Request, device: wp.Device):
+        """Raises `OSError` where no process can be started."""
+        self._complaint = ""
+        order = {
+            "paths": [path for path in sys.path if path],
+            "cache": str(Path(wp.config.kernel_cache_dir).parent),
+            "device": device.alias,
+        }
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", _CHILD, str(_CORE_FOLDER.parent)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
+        with self._process.stdin as pipe:
+            pipe.write(json.dumps(order).encode() + b"\n" + encode_request(request))
+        _running.add(self)
+
+    @property
+    def is_running(self) -> bool:
+        """Whether it still compiles."""
+        return self._process.poll() is None
+
+    def complaint(self) -> str:
+        """Why it failed, in a line; empty where it did not, or has not ended."""
+        if self._process.poll() in (None, 0):
+            return ""
+        if not self._complaint:
+            with self._process.stderr as pipe:
+                lines = pipe.read().decode("utf-8", "replace").strip().splitlines()
+            self._complaint = lines[-1] if lines else f"it ended with code {self._process.returncode}"
+        return self._complaint
+
+    def wait(self) -> None:
+        """Until it has ended."""
+        self._process.wait()
+
+    def stop(self) -> None:
+        """End it, however far it is."""
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+
+
+def stop_all() -> None:
+    """End all processes that still compile."""
+    for each in list(_running):
+        each.stop()
+
+
+atexit.register(stop_all)
+
+
+def compile_as_asked() -> None:
+    """The other process: compile what standard input asks for."""
+    if hasattr(os, "nice"):
+        os.nice(_NICENESS)
+    # compilers may write more than a pipe holds that nobody reads: what went wrong is one line
+    told = os.fdopen(os.dup(2), "w")
+    with open(os.devnull, "wb") as nothing:
+        os.dup2(nothing.fileno(), 2)
+    try:
+        line, _, data = sys.stdin.buffer.read().partition(b"\n")
+        order: dict[str, Any] = json.loads(line)
+        sys.path += [path for path in order["paths"] if path not in sys.path]
+        from ..device.devices import find_device, load_kernels, start_warp
+
+        start_warp(order["cache"])
+        device = find_device(order["device"])
+        load_kernels(decode_request(data).kernels(device), device, lambda done, total: None)
+    except Exception as error:  # whatever it is, the render goes on with general kernels, and says so
+        told.write(f"{type(error).__name__}: {error}".replace("\n", " ")[:_COMPLAINT_LENGTH])
+        told.close()
+        sys.exit(1)

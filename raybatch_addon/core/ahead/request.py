@@ -1,0 +1,99 @@
+"""What is to be compiled, as it is told to another process."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import pickle
+import re
+from dataclasses import dataclass
+
+import warp as wp
+
+from ..bvh.build.scene_tree import build_kernels, layout_for
+from ..scene.description import CameraKind, ClosureKind
+from ..scene.features import SCATTERING, SceneFeatures
+from ..settings.settings import RenderSettings
+from ..wavefront.kernels import StageKernels, tracing_kernels
+from ..wavefront.plan.plan import Method, TracingPlan
+from ..wavefront.plan.tracing import Tracing
+from ..wavefront.tier import general_features, general_kernels
+
+# Seconds of a processor that a kernel takes to compile for a CPU, and each op in each interpreter (measured: 131 ops in
+# one interpreter take 33)
+_KERNELS_SECONDS = 5.0
+_OP_SECONDS = 0.25
+
+
+@dataclass(frozen=True)
+class CompileRequest:
+    """The kernels of a render."""
+
+    features: SceneFeatures
+    settings: RenderSettings
+    plan: TracingPlan
+    shading: SceneFeatures | None = None  # what those that shade are specialised on; None: `features`
+
+    def kernels(self, device: wp.Device) -> list[wp.Kernel]:
+        """All of them, but for those that build trees."""
+        tracing = Tracing.of(self.plan, layout_for(device), self.features)
+        stages = StageKernels.choose(self.features, self.shading)
+        return stages.all() + tracing_kernels(self.features, self.settings, tracing, device)
+
+    @property
+    def expected_seconds(self) -> float:
+        """About how long a processor compiles the kernels that shade, where they are specialised [s]."""
+        each = self.features
+        materials, world, lamps = (len(p.ops) for p in (each.programs, each.world_program, each.lamp_program))
+        ops = materials * (1 + each.transparency + each.mesh_programs) + world * (1 + each.world_light)
+        return _KERNELS_SECONDS + _OP_SECONDS * (ops + lamps * 3)
+
+
+@dataclass(frozen=True)
+class GeneralRequest:
+    """The kernels that any scene can begin with: the general tier, trees, and tracing without queues."""
+
+    def kernels(self, device: wp.Device) -> list[wp.Kernel]:
+        """All of them."""
+        general = general_features()
+        found = [*general_kernels(), *build_kernels(device)]
+        # what differs from scene to scene in the other kernels is few, or compiled in no time
+        scenes = [
+            dataclasses.replace(general, instancing=instancing, passes=("Combined",), film_transparent=transparent)
+            for instancing in (False, True)
+            for transparent in (False, True)
+        ]
+        scenes += [
+            dataclasses.replace(scenes[0], camera=camera, depth_of_field=depth_of_field)
+            for camera in CameraKind
+            for depth_of_field in (False, True)
+        ]
+        # shadow rays ask for closest hits only where surfaces are transparent
+        opaque = tuple(kind for kind in SCATTERING if kind != ClosureKind.SUBSURFACE)
+        scenes += [dataclasses.replace(scene, closures=opaque) for scene in scenes[:4]]
+        for features in scenes:
+            found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), general).kernels(device)
+        return found
+
+
+Request = CompileRequest | GeneralRequest
+
+
+def encode_request(request: Request) -> bytes:
+    """`request` for another process."""
+    return pickle.dumps(request)
+
+
+class _Unpickler(pickle.Unpickler):
+    """Finds classes of the core whatever package it lies in: Blender's extensions have names of their own."""
+
+    def find_class(self, module: str, name: str):
+        return super().find_class(re.sub(r"^.*?\.core\.", _CORE, module), name)
+
+
+_CORE = __name__.removesuffix("ahead.request")
+
+
+def decode_request(data: bytes) -> Request:
+    """What `encode_request` encoded; only for data of a process of one's own."""
+    return _Unpickler(io.BytesIO(data)).load()

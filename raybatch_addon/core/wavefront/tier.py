@@ -1,0 +1,131 @@
+"""Tiers of kernels: general ones, which shade any scene, and ones that are specialised on a scene.
+
+The general kernels are compiled once, ahead; a scene whose specialised kernels are not there yet is rendered by them at
+once. Both tiers compute the same bits: a feature that a scene lacks is left out of its specialised kernels, and has
+nothing to do in the general ones.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from dataclasses import dataclass
+
+import warp as wp
+
+from ..device.devices import is_compiled
+from ..programs.op import op_numbers
+from ..scene.description import ClosureKind, LightKind
+from ..scene.features import SceneFeatures, narrow
+from ..scene.program import ProgramFeatures
+from ..shading.lights.lamp_brightness import lamp_brightness_kernel
+from ..shading.lights.light_hits import LightHitFeatures
+from .kernels import StageKernels
+from .stages.connect import ConnectFeatures, connect_program_kernel
+from .stages.connect_transparent import transparent_shadow_kernel
+from .stages.emitted import triangle_emission_kernel, world_texels_kernel
+from .stages.shade_background import BackgroundFeatures, background_kernel, light_hit_kernel
+from .stages.shade_surface import surface_kernel
+from .stages.surface_features import SurfaceFeatures
+
+# Programs that need more registers or closures are left to specialised kernels. Of 117 files none has as many
+REGISTERS_MOST, CLOSURES_MOST = 64, 16
+
+
+@functools.cache
+def general_features() -> SceneFeatures:
+    """The features of all scenes together, as far as kernels of stages depend on them."""
+    programs = ProgramFeatures(tuple(op_numbers()), REGISTERS_MOST, CLOSURES_MOST, apart=True)
+    return SceneFeatures(
+        closures=tuple(sorted(ClosureKind)),
+        programs=programs,
+        world_program=programs,
+        lamp_program=programs,
+        lights=tuple(sorted(LightKind)),
+        light_sphere=True,
+        light_hits=True,
+        mesh_lights=True,
+        mesh_programs=True,
+        world_light=True,
+        world=True,
+        depth_of_field=True,
+        surfaces=True,
+        instancing=True,
+        smooth_normals=True,
+        film_transparent=True,
+        passes=("Combined", "Depth", "Position", "Normal"),
+        clamping=True,
+    )
+
+
+def why_not_general(features: SceneFeatures) -> str:
+    """Why the general kernels cannot shade a scene with `features`; empty where they can."""
+    general = general_features()
+    if features.mis != general.mis:
+        return "mis is OFF"
+    if features.sample_sequence != general.sample_sequence:
+        return f"sample_sequence is {features.sample_sequence}"
+    for programs in (features.programs, features.world_program, features.lamp_program):
+        if programs.register_count > REGISTERS_MOST:
+            return f"a shader graph needs more than {REGISTERS_MOST} registers"
+        if programs.closure_count > CLOSURES_MOST:
+            return f"a material has more than {CLOSURES_MOST} closures"
+    return ""
+
+
+def array_features(features: SceneFeatures, shading: SceneFeatures) -> SceneFeatures:
+    """What decides which arrays the paths of a scene with `features` have, where kernels are specialised on
+    `shading`.
+    """
+    if shading == features:
+        return features
+    closures = tuple(kind for kind in shading.closures if kind != ClosureKind.SUBSURFACE or features.subsurface)
+    return dataclasses.replace(
+        shading, closures=closures, film_transparent=features.film_transparent, passes=features.passes
+    )
+
+
+@dataclass(frozen=True)
+class TierChoice:
+    """Which kernels shade a render."""
+
+    shading: SceneFeatures  # what they are specialised on
+    general: bool
+    why: str
+
+
+def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> TierChoice:
+    """The tier for a scene with `features`. `setting`: that of `kernel_tier`."""
+    specialised = TierChoice(features, False, "as set" if setting == "SPECIALISED" else "")
+    general = TierChoice(general_features(), True, "as set" if setting == "GENERAL" else "")
+    why = why_not_general(features)
+    if setting == "SPECIALISED":
+        return specialised
+    if why:
+        return dataclasses.replace(specialised, why=f"{why}, which the general kernels have no code for")
+    if setting == "GENERAL":
+        return general
+    if all(is_compiled(kernel, device) for kernel in StageKernels.choose(features).shading()):
+        return dataclasses.replace(specialised, why="they were compiled before")
+    if is_compiled(general_kernels()[0], device):
+        return dataclasses.replace(general, why="they are ready, and the specialised ones are not")
+    return dataclasses.replace(specialised, why="no others were compiled ahead")
+
+
+@functools.cache
+def general_kernels() -> tuple[wp.Kernel, ...]:
+    """All kernels of the general tier: one module, so all of them are made before it is compiled or loaded."""
+    features = general_features()
+    surface, connect = narrow(features, SurfaceFeatures), narrow(features, ConnectFeatures)
+    return (
+        surface_kernel(surface),
+        connect_program_kernel(connect),
+        transparent_shadow_kernel(surface, connect),
+        light_hit_kernel(
+            narrow(features, LightHitFeatures), features.transparency, features.clamping, features.subsurface
+        ),
+        background_kernel(narrow(features, BackgroundFeatures)),
+        triangle_emission_kernel(features.programs, features.instancing, features.smooth_normals),
+        world_texels_kernel(features.world_program),
+        lamp_brightness_kernel(features.lamp_program),
+    )
