@@ -26,6 +26,9 @@ native_headers = $(shell find raybatch_addon/core/native -name '*.h' 2>/dev/null
 # files, the longest first, go to processes as these get ready
 pytest := $(venv_python) -m pytest -n $(TEST_JOBS) --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
+# what the environment compiles ahead serves the tests
+check test test-all: export RAYBATCH_KERNEL_CACHE ?= $(CURDIR)/.cache/kernels
+
 .PHONY: help environment render lint format check test test-all test-gpu package clean
 
 help:

@@ -17,6 +17,8 @@ ALSO_FAST = ("test_architecture.py",)  # takes longer, but fails for what is eas
 _KERNELS = Path(__file__).resolve().parents[1] / ".cache" / "kernels"
 os.environ.setdefault("WARP_CACHE_PATH", str(_KERNELS))
 os.environ.setdefault("RAYBATCH_KERNEL_CACHE", str(_KERNELS))
+# Which kernels render does not depend on what other tests compiled
+os.environ.setdefault("RAYBATCH_KERNEL_TIER", "SPECIALISED")
 
 
 def pytest_addoption(parser):

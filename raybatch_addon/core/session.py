@@ -254,7 +254,9 @@ class Session:
         )
 
         def build() -> DeviceScene:
-            return DeviceScene.build(job.scene, job.features, request, self.device, self._cache, job.tier.shading)
+            return DeviceScene.build(
+                job.scene, job.features, request, self.device, self._cache, job.tier.shading, preparation.note_stage
+            )
 
         def on_progress(stage: str, fraction: float, message: str) -> None:
             job.on_progress(self._progress(job, stage, fraction, message))

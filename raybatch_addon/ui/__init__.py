@@ -2,9 +2,29 @@
 
 from __future__ import annotations
 
-from . import builtin_panels, choices, convergence, data_panels, last_render, presets, properties, render_panels
+from . import (
+    builtin_panels,
+    choices,
+    convergence,
+    data_panels,
+    last_render,
+    preferences,
+    presets,
+    properties,
+    render_panels,
+)
 
-_parts = (properties, choices, presets, render_panels, data_panels, last_render, convergence, builtin_panels)
+_parts = (
+    properties,
+    choices,
+    presets,
+    render_panels,
+    data_panels,
+    last_render,
+    convergence,
+    builtin_panels,
+    preferences,
+)
 
 
 def register() -> None:

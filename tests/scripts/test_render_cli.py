@@ -246,16 +246,8 @@ def test_a_failed_render_keeps_the_old_picture(sheet, tmp_path, monkeypatch, cap
     assert capfd.readouterr().err == "render.py: error: no memory for this\n"
 
 
-# of two sets of kernels that differ in smooth normals alone, those that have them
-EVERY_OTHER = """
-import raybatch_addon.core.session as session
-ordinary = session.ordinary_features()
-session.ordinary_features = lambda: ordinary[::2]
-"""
-
-
 def test_prewarm_fills_the_cache_folder():
-    done = run_script("render.py", "--prewarm", "--device", "cpu", before=HIDE_BPY + EVERY_OTHER)
+    done = run_script("render.py", "--prewarm", "--device", "cpu", before=HIDE_BPY)
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""
     folder = Path(done.stderr.strip().splitlines()[-1].partition("ready in ")[2])

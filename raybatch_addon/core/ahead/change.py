@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import warp as wp
 
-from ..device.devices import load_kernels, worker_count
+from ..device.devices import load_kernels, warp_cache_folder, worker_count
 from ..scene.features import SceneFeatures
 from ..wavefront.integrator import TileIntegrator
 from ..wavefront.kernels import StageKernels
@@ -70,7 +70,10 @@ class TierChanges:
         spent = self._spent.get(request.features, 0.0)
         if request.features not in self._failed and pays(request, spent, left, self._device):
             try:
-                self._process, self._features = CompileProcess(request, self._device), request.features
+                self._process, self._features = (
+                    CompileProcess(self._device.alias, warp_cache_folder(), request),
+                    request.features,
+                )
             except OSError as error:
                 self._failed[request.features] = str(error)
         return False

@@ -13,6 +13,13 @@ from ..device.devices import load_kernels
 from ..wavefront.scene.device_scene import DeviceScene
 
 POLL_SECONDS = 0.02
+# Messages by stage of the build (`DeviceScene.build`)
+_MESSAGES = {
+    "images": "Uploading images",
+    "tree": "Building the tree",
+    "materials": "Uploading materials",
+    "lights": "Measuring lights",
+}
 
 
 class Preparation:
@@ -26,11 +33,18 @@ class Preparation:
         self.seconds: dict[str, float] = {}  # by stage
         self.build: Future | None = None
         self._loaded, self._total = 0, 1
+        self._stage, self._stage_begun = "images", time.perf_counter()
         self._given_up = threading.Event()  # nobody waits for the build any more
 
     def is_given_up(self) -> bool:
         """Whether the build should end."""
         return self._given_up.is_set()
+
+    def note_stage(self, stage: str) -> None:
+        """The next stage of the build begins."""
+        now = time.perf_counter()
+        self.seconds[self._stage] = self.seconds.get(self._stage, 0.0) + now - self._stage_begun
+        self._stage, self._stage_begun = stage, now
 
     def run(
         self,
@@ -50,7 +64,9 @@ class Preparation:
                 if cancelled():
                     return None, []
                 compiling = built.done() and not modules.done()
-                message = f"Compiling kernels ({self._loaded} of {self._total})" if compiling else "Building the tree"
+                message = (
+                    f"Compiling kernels ({self._loaded} of {self._total})" if compiling else _MESSAGES[self._stage]
+                )
                 on_progress("compile" if compiling else "build", self._loaded / self._total, message)
                 time.sleep(POLL_SECONDS)
             return built.result(), modules.result()
@@ -71,8 +87,9 @@ class Preparation:
     def _build(self, build: Callable[[], DeviceScene]) -> DeviceScene:
         if self._before:
             wait([self._before])
-        start = time.perf_counter()
+        start = self._stage_begun = time.perf_counter()
         built = build()
         wp.synchronize_device(self._device)
+        self.note_stage(self._stage)
         self.seconds["build"] = time.perf_counter() - start
         return built

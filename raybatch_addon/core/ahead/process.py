@@ -11,13 +11,12 @@ import subprocess
 import sys
 import weakref
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import warp as wp
+if TYPE_CHECKING:
+    from .request import Request
 
-from .request import Request, decode_request, encode_request
-
-_CORE_FOLDER = Path(__file__).resolve().parents[1]
+_PACKAGE_FOLDER = Path(__file__).resolve().parents[2]
 _CHILD = "import sys; sys.path[:0] = [sys.argv[1]]; from core.ahead.process import compile_as_asked; compile_as_asked()"
 _NICENESS = 10
 _COMPLAINT_LENGTH = 500
@@ -25,25 +24,31 @@ _running: weakref.WeakSet[CompileProcess] = weakref.WeakSet()
 
 
 class CompileProcess:
-    """Compiles what a request asks for; begins at once, and ends with this process at the latest."""
+    """Compiles kernels; begins at once, and ends with this process at the latest. Warp need not be there yet."""
 
-    def __init__(self, request: Request, device: wp.Device):
-        """Raises `OSError` where no process can be started."""
+    def __init__(self, device: str, cache_folder: str | Path, request: Request | None = None):
+        """For `device` (AUTO, cpu or cuda:N) into `cache_folder`. `request`: what to compile (default: the general
+        kernels). Raises `OSError` where no process can be started.
+        """
         self._complaint = ""
-        order = {
-            "paths": [path for path in sys.path if path],
-            "cache": str(Path(wp.config.kernel_cache_dir).parent),
-            "device": device.alias,
-        }
+        order = {"paths": [path for path in sys.path if path], "cache": str(cache_folder), "device": device}
+        data = b""
+        if request is not None:
+            from .request import encode_request
+
+            data = encode_request(request)
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _CHILD, str(_CORE_FOLDER.parent)],
+            [sys.executable, "-c", _CHILD, str(_PACKAGE_FOLDER)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
         )
-        with self._process.stdin as pipe:
-            pipe.write(json.dumps(order).encode() + b"\n" + encode_request(request))
         _running.add(self)
+        try:
+            with self._process.stdin as pipe:
+                pipe.write(json.dumps(order).encode() + b"\n" + data)
+        except BrokenPipeError:
+            pass  # it has ended: `complaint` says why
 
     @property
     def is_running(self) -> bool:
@@ -93,11 +98,13 @@ def compile_as_asked() -> None:
         order: dict[str, Any] = json.loads(line)
         sys.path += [path for path in order["paths"] if path not in sys.path]
         from ..device.devices import find_device, load_kernels, start_warp
+        from .request import GeneralRequest, decode_request
 
         start_warp(order["cache"])
         device = find_device(order["device"])
-        load_kernels(decode_request(data).kernels(device), device, lambda done, total: None)
-    except Exception as error:  # whatever it is, the render goes on with general kernels, and says so
+        request = decode_request(data) if data else GeneralRequest()
+        load_kernels(request.kernels(device), device, lambda done, total: None)
+    except Exception as error:  # whatever it is, who asked goes on without, and says so
         told.write(f"{type(error).__name__}: {error}".replace("\n", " ")[:_COMPLAINT_LENGTH])
         told.close()
         sys.exit(1)

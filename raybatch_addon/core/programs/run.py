@@ -23,7 +23,7 @@ def make_run(features: ProgramFeatures) -> wp.Function:
     of `closure_count` records.
     """
     numbers = op_numbers()
-    ops = [(numbers[name], op_named(name)) for name in features.ops]
+    ops = [(numbers[name], op_named(name)) for name in sorted(features.ops)]
     compute = _value_tree([(number, op.function) for number, op in ops if not op.makes_closures])
     make = _closure_tree([(number, op.function) for number, op in ops if op.makes_closures])
 

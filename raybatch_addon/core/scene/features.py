@@ -178,44 +178,6 @@ def _material_programs(scene: Scene) -> ProgramFeatures:
     )
 
 
-# kinds that Blender's Principled BSDF can become
-PRINCIPLED = (
-    ClosureKind.LAYERED_DIFFUSE,
-    ClosureKind.METAL,
-    ClosureKind.DIELECTRIC,
-    ClosureKind.GLASS,
-    ClosureKind.TRANSPARENT,
-    ClosureKind.EMISSION,
-)
-
-
-def ordinary_features() -> list[SceneFeatures]:
-    """Features of the scenes that most people render first, for which kernels are compiled ahead.
-
-    They are Blender's materials under each kind of light, with flat and smooth meshes, and bare geometry under sun and
-    sky.
-    """
-    kernels_ahead = [
-        SceneFeatures(
-            closures=(ClosureKind.DIFFUSE,), lights=(LightKind.SUN,), light_hits=True, world=True, surfaces=True
-        )
-    ]
-    for kind in LightKind:
-        for smooth in (False, True):
-            kernels_ahead.append(
-                SceneFeatures(
-                    closures=PRINCIPLED,
-                    lights=(kind,),
-                    light_hits=True,
-                    mesh_lights=True,
-                    world=True,
-                    surfaces=True,
-                    smooth_normals=smooth,
-                )
-            )
-    return kernels_ahead
-
-
 def needs_instancing(scene: Scene) -> bool:
     """Whether rays need a tree over several mesh trees: a mesh used twice, or objects that some rays do not see."""
     instances = scene.instances

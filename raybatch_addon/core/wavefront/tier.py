@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import os
 from dataclasses import dataclass
 
 import warp as wp
@@ -28,6 +29,7 @@ from .stages.shade_background import BackgroundFeatures, background_kernel, ligh
 from .stages.shade_surface import surface_kernel
 from .stages.surface_features import SurfaceFeatures
 
+VARIABLE = "RAYBATCH_KERNEL_TIER"
 # Programs that need more registers or closures are left to specialised kernels. Of 117 files none has as many
 REGISTERS_MOST, CLOSURES_MOST = 64, 16
 
@@ -95,7 +97,12 @@ class TierChoice:
 
 
 def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> TierChoice:
-    """The tier for a scene with `features`. `setting`: that of `kernel_tier`."""
+    """The tier for a scene with `features`.
+
+    `setting`: that of `kernel_tier`; where it is AUTO, the environment variable `RAYBATCH_KERNEL_TIER` takes its place.
+    """
+    if setting == "AUTO":
+        setting = os.environ.get(VARIABLE, setting)
     specialised = TierChoice(features, False, "as set" if setting == "SPECIALISED" else "")
     general = TierChoice(general_features(), True, "as set" if setting == "GENERAL" else "")
     why = why_not_general(features)

@@ -101,9 +101,7 @@ def on_device(
     words, read, written = _layout(name, immediates)
     assert values.shape[1] == read, name
     data = NodeData()
-    data.code = wp.array(
-        [op_numbers()[name] | (len(words) + 1) << LENGTH_SHIFT, *words, END], dtype=int, device=DEVICE
-    )
+    data.code = wp.array([op_numbers()[name] | (len(words) + 1) << LENGTH_SHIFT, *words, END], dtype=int, device=DEVICE)
     data.constants = wp.array(np.asarray(table, np.float32), dtype=float, device=DEVICE)
     out = wp.zeros((len(values), written), dtype=float, device=DEVICE)
     wp.launch(_kernel(), len(values), [data, length, wp.array(values, dtype=float, device=DEVICE), out], device=DEVICE)

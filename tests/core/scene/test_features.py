@@ -9,8 +9,8 @@ import pytest
 from raybatch_addon.core.bvh.build.scene_tree import layout_for
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.device.devices import find_device
-from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame, Light, LightKind, Visibility
-from raybatch_addon.core.scene.features import SceneFeatures, derive_features, ordinary_features
+from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Light, LightKind, Visibility
+from raybatch_addon.core.scene.features import SceneFeatures, derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.kernels import StageKernels, tracing_kernels
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
@@ -172,11 +172,6 @@ def test_kinds_count_by_node_and_not_by_value():
 def test_lights_of_a_kind_without_a_rule_are_refused():
     with pytest.raises(ValueError, match="no rule for whether rays meet lights of kind 99"):
         derive_features(with_light(99), SETTINGS)
-
-
-def test_ordinary_features_can_be_rendered():
-    for features in ordinary_features():
-        assert StageKernels.choose(features).surface is not None and features.camera == CameraKind.PERSPECTIVE
 
 
 def test_a_render_without_surfaces_shows_the_world(session):

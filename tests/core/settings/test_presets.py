@@ -13,6 +13,7 @@ def test_a_preset_sets_the_whole_schedule_and_nothing_else(name):
     assert set(settings) == {info.name for info in SETTINGS.values() if info.effect == "schedule"} - {
         "device",
         "thread_count",
+        "kernel_tier",
     }
     before = RenderSettings(sample_count=7, device="cpu", warp_count=3, queue_size=9, geometry_budget=5)
     after = before.replace(**settings)

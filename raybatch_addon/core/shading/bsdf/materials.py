@@ -17,6 +17,7 @@ from .albedo import AlbedoTables, upload_tables
 
 # Kind of a record that is no closure: its `normal` is the surface's normal
 SURFACE_NORMAL = 64
+_MODEL_BITS = 31  # kinds of models are below
 
 # Events of a sampled path (bits)
 DIFFUSE = 1  # reflected by a Lambertian closure
@@ -77,15 +78,15 @@ class ClosureFeatures:
 
 @functools.cache
 def _kind_test(kinds: tuple[int, ...]) -> wp.Function:
-    count = len(kinds)
+    # Bits, and no loop: where `wp.static` holds a loop's variable Warp generates code anew at each load, and has other
+    # names for kernels from then on
+    bits = sum(1 << kind for kind in kinds)
+    if bits >= 1 << _MODEL_BITS:
+        raise ValueError(f"kinds of closures are below {_MODEL_BITS}, not {kinds}")
 
     @wp.func
     def is_one(kind: int) -> bool:
-        found = bool(False)
-        for i in range(wp.static(count)):
-            if kind == wp.static(kinds[i]):
-                found = True
-        return found
+        return kind < wp.static(_MODEL_BITS) and ((wp.static(bits) >> kind) & 1) != 0
 
     return is_one
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,14 +56,22 @@ class DeviceScene:
         device: wp.Device,
         cache: SceneCache,
         shading: SceneFeatures | None = None,
+        on_stage: Callable[[str], None] = lambda stage: None,
     ) -> DeviceScene:
-        """Upload `scene` and build its tree. `shading`: what kernels are specialised on (default: `features`)."""
+        """Upload `scene` and build its tree.
+
+        `shading`: what kernels are specialised on (default: `features`). `on_stage` is told what begins: `images`,
+        `tree`, `materials`, `lights`.
+        """
         shading = shading or features
+        on_stage("images")
         data = SceneData()
         built = treelets = None
         images = cache.images.upload(scene.images, device, cache.image_budget(device))
         if features.surfaces:
+            on_stage("tree")
             kept = cache.get(scene, request, device)
+            on_stage("materials")
             data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
             programs = [material.program for material in scene.materials]
@@ -77,6 +86,7 @@ class DeviceScene:
             upload_camera_inputs(scene, device),
         )
         data.lamp_nodes = upload_lamp_programs(scene, features.lamp_program, data.geometry, images.table, device)
+        on_stage("lights")
         lights = upload_lights(scene, device, *_program_light(data, scene, features, shading, device, cache.world))
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)

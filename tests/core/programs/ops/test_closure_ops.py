@@ -9,7 +9,7 @@ import warp as wp
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
-from raybatch_addon.core.programs.op import NodeData, op_named
+from raybatch_addon.core.programs.op import NodeData, op_named, op_numbers
 from raybatch_addon.core.programs.point import ShadingPoint
 from raybatch_addon.core.programs.run import make_run
 from raybatch_addon.core.programs.table import encode, upload_programs
@@ -125,7 +125,7 @@ def run_layer(name, *operands, cosine=0.8):
             at += width
         else:
             words.append(int(operands.pop(0)))
-    code = [OPS.index(name) + 1 | (len(words) + 1) << 16, *words, 0]
+    code = [op_numbers()[name] | (len(words) + 1) << 16, *words, 0]
     stack = on_device(code, constants, cosine)[1]
     return [stack[register] for register in outputs]
 
@@ -173,7 +173,7 @@ def test_closures_are_valid_whatever_the_inputs(name):
             else:
                 words.append(-1 - len(constants))
                 constants += np.atleast_1d(np.asarray(operand, np.float32)).tolist()
-        made, _ = on_device([CLOSURES.index(name) + 1 | (len(words) + 1) << 16, *words, 0], constants)
+        made, _ = on_device([op_numbers()[name] | (len(words) + 1) << 16, *words, 0], constants)
         for record in made:
             for field in record.dtype.names:
                 assert np.isfinite(record[field]).all(), (field, operands)

@@ -1,0 +1,68 @@
+"""The add-on's preferences: the general kernels."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..blender import general_kernels
+
+PACKAGE = __package__.rpartition(".")[0]
+
+
+class RAYBATCH_OT_compile_general_kernels(bpy.types.Operator):
+    """Compile the general kernels in the background, about a minute of one processor: any scene can begin with them"""
+
+    bl_idname = "raybatch.compile_general_kernels"
+    bl_label = "Compile General Kernels"
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, _context):
+        return not general_kernels.is_compiling()
+
+    def execute(self, _context):
+        _compile()
+        return {"FINISHED"}
+
+
+class RayBatchPreferences(bpy.types.AddonPreferences):
+    """Shown where add-ons are enabled."""
+
+    bl_idname = PACKAGE
+
+    def draw(self, _context):
+        column = self.layout.column()
+        column.label(text=f"General kernels: {general_kernels.state()}")
+        column.operator(RAYBATCH_OT_compile_general_kernels.bl_idname)
+
+
+_classes = (RAYBATCH_OT_compile_general_kernels, RayBatchPreferences)
+
+
+def register() -> None:
+    """Add the preferences; where there is a window, general kernels are compiled once it is there."""
+    for each in _classes:
+        bpy.utils.register_class(each)
+    if not bpy.app.background and not bpy.app.module:
+        bpy.app.timers.register(_compile, first_interval=1.0)
+
+
+def unregister() -> None:
+    """Remove them, and end what still compiles."""
+    if bpy.app.timers.is_registered(_compile):
+        bpy.app.timers.unregister(_compile)
+    general_kernels.stop()
+    for each in reversed(_classes):
+        bpy.utils.unregister_class(each)
+
+
+def _compile() -> None:
+    general_kernels.start()
+    bpy.app.timers.register(general_kernels.watch(_redraw), first_interval=1.0)
+
+
+def _redraw() -> None:
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "PREFERENCES":
+                area.tag_redraw()

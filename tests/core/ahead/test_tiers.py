@@ -1,0 +1,220 @@
+"""General kernels give the films of specialised ones, bit for bit, also where these take over in the middle."""
+
+import gc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import warp as wp
+from warp._src.codegen import Adjoint
+
+from raybatch_addon.core import session as session_module
+from raybatch_addon.core.ahead import change
+from raybatch_addon.core.ahead.change import TierChanges, pays
+from raybatch_addon.core.ahead.process import CompileProcess
+from raybatch_addon.core.ahead.request import CompileRequest, GeneralRequest, decode_request, encode_request
+from raybatch_addon.core.device.devices import is_compiled, warp_cache_folder
+from raybatch_addon.core.scene.description import Frame
+from raybatch_addon.core.scene.features import derive_features
+from raybatch_addon.core.scene.program import ProgramFeatures
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.integrator import TileIntegrator
+from raybatch_addon.core.wavefront.kernels import StageKernels
+from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
+from raybatch_addon.core.wavefront.tier import (
+    CLOSURES_MOST,
+    VARIABLE,
+    choose_tier,
+    general_features,
+    general_kernels,
+    why_not_general,
+)
+from tests.support import scenes, schedule_scenes
+from tests.support.under_test import DEVICE
+
+SETTINGS = RenderSettings(sample_count=4, bounce_max=5, roulette_bounce=2)
+
+
+@pytest.fixture(autouse=True)
+def choice_is_free(monkeypatch):
+    """Tiers are chosen as for a user."""
+    monkeypatch.delenv(VARIABLE)
+
+
+SCENES = {**schedule_scenes.SCENES, "plain": scenes.mixed}
+
+
+def films(scene, **changes):
+    """The film by specialised and by general kernels."""
+    return [
+        Session(DEVICE).render(scene, SETTINGS.replace(kernel_tier=tier, **changes))
+        for tier in ("SPECIALISED", "GENERAL")
+    ]
+
+
+def assert_same(film, expected):
+    assert film.passes.keys() == expected.passes.keys()
+    for name, values in expected.passes.items():
+        assert np.array_equal(film.passes[name], values, equal_nan=True), name
+    assert np.isfinite(expected.passes["Combined"]).all() and expected.passes["Combined"][..., :3].std() > 0
+
+
+@pytest.mark.parametrize("name", list(SCENES))
+def test_tiers_give_the_same_film(name):
+    specialised, general = films(SCENES[name]())
+    assert_same(general, specialised)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        Frame(24, 20, transparent=True),
+        Frame(24, 20, passes=("Combined", "Normal")),
+        Frame(24, 20, passes=("Combined", "Depth", "Position"), transparent=True),
+    ],
+    ids=["transparent", "normal", "depth and position"],
+)
+def test_frames_have_what_they_ask_for_and_no_more(frame):
+    specialised, general = films(replace(scenes.mixed(), frame=frame))
+    assert_same(general, specialised)
+    assert set(general.passes) == set(frame.passes)
+
+
+@pytest.mark.parametrize(
+    "changes", [dict(nee="OFF"), dict(nee="HALF"), dict(clamp_indirect=0.5), dict(roulette_bounce=99)], ids=str
+)
+def test_settings_count_in_both_tiers(changes):
+    specialised, general = films(scenes.mixed(), **changes)
+    assert_same(general, specialised)
+
+
+@pytest.mark.parametrize("name", list(SCENES))
+def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
+    scene = SCENES[name]()
+    features = derive_features(scene, SETTINGS)
+    expected = Session(DEVICE).render(scene, SETTINGS.replace(kernel_tier="SPECIALISED"))
+    turns, finish = [], TileIntegrator._finish_paths
+
+    def finish_and_change(self, *arguments):
+        turns.append(self._kernels)
+        if len(turns) == 3:
+            self.use_kernels(StageKernels.choose(features))
+        return finish(self, *arguments)
+
+    monkeypatch.setattr(TileIntegrator, "_finish_paths", finish_and_change)
+    film = Session(DEVICE).render(scene, SETTINGS.replace(kernel_tier="GENERAL", thread_count=1))
+    assert_same(film, expected)
+    assert turns[2] != turns[3] == StageKernels.choose(features)
+
+
+def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
+    """What is compiled meanwhile is used, and statistics say so."""
+    scene, asked = scenes.mixed(Frame(64, 64)), []
+    settings = SETTINGS.replace(sample_count=512, tile_size=16)
+    Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED", sample_count=1))
+
+    def compiled(_self, request, _left):
+        asked.append(request.features)
+        return True
+
+    monkeypatch.setattr(change.TierChanges, "poll", compiled)
+    monkeypatch.setattr(
+        session_module,
+        "choose_tier",
+        lambda features, setting, device: choose_tier(features, setting.replace("AUTO", "GENERAL"), device),
+    )
+    session = Session(DEVICE)
+    film = session.render(scene, settings)
+    assert asked == [derive_features(scene, settings)]
+    chosen = film.statistics["auto"]["kernel_tier"]
+    assert chosen["value"] == "GENERAL" and "took over after" in chosen["why"]
+    assert_same(film, Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED")))
+
+
+def test_auto_takes_what_is_compiled():
+    device, scene = wp.get_device(DEVICE), scenes.mixed()
+    features = derive_features(scene, SETTINGS)
+    films(scene)
+    assert not choose_tier(features, "AUTO", device).general, "specialised kernels are there"
+    rare = replace(features, lights=(), mesh_lights=False, smooth_normals=False, clamping=True, roulette=False)
+    assert not is_compiled(StageKernels.choose(rare).surface, device)
+    choice = choose_tier(rare, "AUTO", device)
+    assert choice.general and choice.shading == general_features()
+    assert not choose_tier(rare, "SPECIALISED", device).general
+
+
+def test_what_general_kernels_cannot_do_is_said():
+    features = derive_features(scenes.mixed(), SETTINGS)
+    assert why_not_general(features) == ""
+    assert why_not_general(replace(features, mis=False)) == "mis is OFF"
+    assert "RANDOM" in why_not_general(replace(features, sample_sequence="RANDOM"))
+    large = ProgramFeatures(("emission",), 16, 2 * CLOSURES_MOST)
+    assert "closures" in why_not_general(replace(features, world_program=large))
+    film = Session(DEVICE).render(scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL", mis="OFF", sample_count=1))
+    assert any("kernel_tier is GENERAL, but mis is OFF" in warning for warning in film.statistics["warnings"])
+
+
+def test_when_compiling_pays():
+    device = wp.get_device("cpu")
+    features = derive_features(scenes.mixed(), SETTINGS)
+    request = CompileRequest(features, SETTINGS.replace(thread_count=1), TracingPlan(Method.UNBATCHED))
+    seconds = request.expected_seconds
+    assert seconds > 0
+    assert not pays(request, 0.0, None, device) and not pays(request, 0.0, seconds, device)
+    assert pays(request, 0.0, 6 * seconds, device), "a long render"
+    assert not pays(request, 3 * seconds, 1.0, device) and pays(request, 5 * seconds, 1.0, device), "many short ones"
+
+
+def test_a_request_reaches_another_process_whole():
+    features = derive_features(schedule_scenes.SCENES["mixed"](), SETTINGS)
+    for request in (GeneralRequest(), CompileRequest(features, SETTINGS, TracingPlan(Method.UNBATCHED))):
+        data = encode_request(request)
+        assert decode_request(data) == request
+        assert decode_request(data.replace(b"raybatch_addon.core", b"bl_ext.someone.core")) == request
+
+
+def test_a_process_compiles_what_is_found_here():
+    """Kernels have the same names whatever the package is called that they are in."""
+    features = derive_features(scenes.mixed(), SETTINGS)
+    features = replace(features, lights=(), mesh_lights=False, world=False, smooth_normals=False, instancing=False)
+    request = CompileRequest(features, SETTINGS, TracingPlan(Method.UNBATCHED))
+    device = wp.get_device(DEVICE)
+    kernels = StageKernels.choose(features).shading()
+    process = CompileProcess(DEVICE, warp_cache_folder(), request)
+    process.wait()
+    assert process.complaint() == "" and not process.is_running
+    assert [kernel.module.name for kernel in kernels if not is_compiled(kernel, device)] == []
+
+
+def test_a_process_that_fails_says_why_in_a_line(tmp_path, monkeypatch):
+    process = CompileProcess("cuda:77", tmp_path)
+    process.wait()
+    complaint = process.complaint()
+    assert complaint.startswith("DeviceError: there is no device 'cuda:77'") and "\n" not in complaint
+    # the render goes on, and does not try again
+    changes = TierChanges(wp.get_device(DEVICE))
+    request = CompileRequest(derive_features(scenes.mixed(), SETTINGS), SETTINGS, TracingPlan(Method.UNBATCHED))
+    started = []
+    monkeypatch.setattr(change, "pays", lambda *_: True)
+    monkeypatch.setattr(change, "CompileProcess", lambda *_: started.append(1) or process)
+    assert not changes.poll(request, None) and not changes.poll(request, None) and not changes.poll(request, None)
+    assert started == [1] and "cuda:77" in changes.complaint(request)
+
+
+def test_a_process_can_be_stopped(tmp_path):
+    process = CompileProcess(DEVICE, tmp_path)
+    assert process.is_running and process.complaint() == ""
+    process.stop()
+    assert not process.is_running
+
+
+def test_names_of_kernels_do_not_depend_on_what_was_compiled_before():
+    """Where Warp defers static expressions to the generation of code, a kernel has another name afterwards."""
+    general_kernels()
+    deferred = {
+        f"{adjoint.filename}:{adjoint.fun_lineno}"
+        for adjoint in gc.get_objects()
+        if isinstance(adjoint, Adjoint) and adjoint.has_unresolved_static_expressions and "raybatch" in adjoint.filename
+    }
+    assert not deferred
