@@ -213,7 +213,7 @@ class Session:
         features = derive_features(checked, settings)
         tier = choose_tier(features, settings.kernel_tier, self.device)
         if settings.kernel_tier == "GENERAL" and not tier.general:
-            warnings.append(f"kernel_tier is GENERAL, but {tier.why}; kernels are specialised on the scene")
+            warnings.append(f"kernel_tier is GENERAL, but kernels are specialised on the scene: {tier.why}")
         return _Job(
             scene=checked,
             settings=settings,

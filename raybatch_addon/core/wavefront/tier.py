@@ -60,18 +60,20 @@ def general_features() -> SceneFeatures:
     )
 
 
-def why_not_general(features: SceneFeatures) -> str:
-    """Why the general kernels cannot shade a scene with `features`; empty where they can."""
+def why_not_general(features: SceneFeatures, device: wp.Device) -> str:
+    """Why the general kernels cannot shade a scene with `features` on `device`; empty where they can."""
     general = general_features()
+    if device.is_cuda:
+        return "CUDA's compiler takes more than four minutes for the general kernels, so there are none"
     if features.mis != general.mis:
-        return "mis is OFF"
+        return "general kernels have no code for mis OFF"
     if features.sample_sequence != general.sample_sequence:
-        return f"sample_sequence is {features.sample_sequence}"
+        return f"general kernels have no code for sample_sequence {features.sample_sequence}"
     for programs in (features.programs, features.world_program, features.lamp_program):
         if programs.register_count > REGISTERS_MOST:
-            return f"a shader graph needs more than {REGISTERS_MOST} registers"
+            return f"general kernels have {REGISTERS_MOST} registers, and a shader graph needs more"
         if programs.closure_count > CLOSURES_MOST:
-            return f"a material has more than {CLOSURES_MOST} closures"
+            return f"general kernels have room for {CLOSURES_MOST} closures, and a material has more"
     return ""
 
 
@@ -105,11 +107,11 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
         setting = os.environ.get(VARIABLE, setting)
     specialised = TierChoice(features, False, "as set" if setting == "SPECIALISED" else "")
     general = TierChoice(general_features(), True, "as set" if setting == "GENERAL" else "")
-    why = why_not_general(features)
+    why = why_not_general(features, device)
     if setting == "SPECIALISED":
         return specialised
     if why:
-        return dataclasses.replace(specialised, why=f"{why}, which the general kernels have no code for")
+        return dataclasses.replace(specialised, why=why)
     if setting == "GENERAL":
         return general
     if all(is_compiled(kernel, device) for kernel in StageKernels.choose(features).shading()):
