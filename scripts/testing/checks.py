@@ -52,9 +52,10 @@ def stability_counts(work: Path) -> Counts:
 
 
 def parity_counts(work: Path) -> Counts:
-    """Of features; those out of bounds failed."""
-    total = _read(work / "parity.json")["counts"]["all"]
-    return _counts(total["ok"], [f"{total['total'] - total['ok']} features"] * (total["total"] - total["ok"]))
+    """Of features; those out of bounds, or not supported, failed."""
+    report = _read(work / "parity.json")
+    failures = [f"{each['name']}: {each['status']}" for each in report["features"] if each["status"] != "ok"]
+    return _counts(report["counts"]["all"]["ok"], failures)
 
 
 def tracing_counts(work: Path) -> Counts:
