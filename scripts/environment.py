@@ -56,9 +56,8 @@ def compile_kernels(python: Path) -> None:
     """Compile what any scene can begin with, so that the first render need not wait for it."""
     print("RayBatch: compiling the kernels that any scene can begin with; this takes about a minute", file=sys.stderr)
     script = Path(__file__).resolve().parent / "render.py"
-    done = subprocess.run(
-        [str(python), str(script), "--prewarm"], stdin=subprocess.DEVNULL, capture_output=True, text=True
-    )
+    command = [str(python), str(script), "--prewarm", "--device", "cpu"]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True)
     if done.returncode:  # renders compile what they need
         print(f"RayBatch: they could not be compiled: {done.stderr.strip()[-300:]}", file=sys.stderr)
 

@@ -142,7 +142,7 @@ def argument_parser() -> argparse.ArgumentParser:
     add(
         "--prewarm",
         action="store_true",
-        help="compile the kernels of ordinary scenes ahead, and stop; takes no FILE.\n"
+        help="compile ahead what any scene can begin with, and stop; takes no FILE.\n"
         "The cache is that of the installed Blender extension, if there is one",
     )
     add("--verbose", action="store_true", help="pass on what Blender and Warp print, to standard error")
@@ -186,7 +186,7 @@ def request_from(options: argparse.Namespace) -> Request:
 
 
 def prewarm(device: str | None) -> None:
-    """Compile ahead what ordinary scenes need."""
+    """Compile ahead what any scene can begin with."""
     from raybatch_addon.blender.kernel_cache import kernel_cache_folder
     from raybatch_addon.core.session import Session
 
@@ -229,7 +229,7 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
     """The exit code; raises `RayBatchError`."""
     if options.prewarm:
         if options.file is not None:
-            raise UsageError("--prewarm takes no FILE: it compiles what ordinary scenes need")
+            raise UsageError("--prewarm takes no FILE: it compiles what any scene can begin with")
         prewarm(options.device)
     else:
         render(request_from(options), folders, standard_output)

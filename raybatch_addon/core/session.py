@@ -108,15 +108,14 @@ class Session:
     def prewarm(
         self, features: Sequence[SceneFeatures] | None = None, on_progress: Callable[[int, int], None] | None = None
     ) -> list[str]:
-        """Compile ahead for `features` (default: the general kernels, which render any scene); returns the modules'
-        names.
+        """Compile ahead for `features`; returns the modules' names.
+
+        Default: what any scene can begin with: trees, tracing without queues, and on a CPU the general kernels.
         """
-        method = {"REFERENCE": Method.REFERENCE, "ON": Method.BATCHED}.get(self.settings.batching, Method.UNBATCHED)
-        requests = [CompileRequest(each, self.settings, TracingPlan(method)) for each in features or ()]
+        plan = TracingPlan(Method.UNBATCHED)
+        requests = [CompileRequest(each, self.settings, plan) for each in features or ()]
         kernels = [kernel for each in requests or [GeneralRequest()] for kernel in each.kernels(self.device)]
-        return load_kernels(
-            [*kernels, *build_kernels(self.device)], self.device, on_progress or (lambda done, total: None)
-        )
+        return load_kernels([*kernels, *build_kernels(self.device)], self.device, on_progress or (lambda *_: None))
 
     def render(
         self,
@@ -212,8 +211,8 @@ class Session:
         plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory)
         features = derive_features(checked, settings)
         tier = choose_tier(features, settings.kernel_tier, self.device)
-        if settings.kernel_tier == "GENERAL" and not tier.general:
-            warnings.append(f"kernel_tier is GENERAL, but kernels are specialised on the scene: {tier.why}")
+        if tier.complaint:
+            warnings.append(f"kernels are specialised on the scene, not GENERAL: {tier.complaint}")
         return _Job(
             scene=checked,
             settings=settings,
@@ -307,7 +306,7 @@ class Session:
         events = RenderEvents(on_tile=on_tile, on_progress=on_progress, cancelled=job.cancelled, watchers=job.watchers)
         job.rendering = Rendering(integrators, state, film, events, job.started)
         change = None
-        if job.tier.general and job.settings.kernel_tier == "AUTO":
+        if job.tier.general and job.tier.asked == "AUTO":
             request = CompileRequest(job.features, job.settings, job.plan)
             change = TierChange(self._tier_changes, request, integrators, lambda: seconds_left, self.device)
         try:

@@ -44,13 +44,14 @@ def register() -> None:
     for each in _classes:
         bpy.utils.register_class(each)
     if not bpy.app.background and not bpy.app.module:
-        bpy.app.timers.register(_compile, first_interval=1.0)
+        bpy.app.timers.register(_compile, first_interval=1.0, persistent=True)
 
 
 def unregister() -> None:
     """Remove them, and end what still compiles."""
-    if bpy.app.timers.is_registered(_compile):
-        bpy.app.timers.unregister(_compile)
+    for timer in (_compile, _look):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
     general_kernels.stop()
     for each in reversed(_classes):
         bpy.utils.unregister_class(each)
@@ -58,11 +59,14 @@ def unregister() -> None:
 
 def _compile() -> None:
     general_kernels.start()
-    bpy.app.timers.register(general_kernels.watch(_redraw), first_interval=1.0)
+    if not bpy.app.timers.is_registered(_look):
+        bpy.app.timers.register(_look, first_interval=1.0, persistent=True)
 
 
-def _redraw() -> None:
+def _look() -> float | None:
+    """Show how far they are; the seconds until the next look."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "PREFERENCES":
                 area.tag_redraw()
+    return 1.0 if general_kernels.is_compiling() else None

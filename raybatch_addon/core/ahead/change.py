@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 
 import warp as wp
 
-from ..device.devices import load_kernels, warp_cache_folder, worker_count
+from ..device.devices import is_compiled, load_kernels, warp_cache_folder, worker_count
+from ..errors import RayBatchError
 from ..scene.features import SceneFeatures
 from ..wavefront.integrator import TileIntegrator
 from ..wavefront.kernels import StageKernels
@@ -39,48 +40,60 @@ def pays(request: CompileRequest, spent: float, left: float | None, device: wp.D
 
 
 class TierChanges:
-    """Compiles specialised kernels for the renders of one session that general ones begin."""
+    """Compiles specialised kernels for the renders of one session that general ones begin, for one scene at a time."""
 
     def __init__(self, device: wp.Device):
         self._device = device
         self._spent: dict[SceneFeatures, float] = {}
+        self._failed: dict[SceneFeatures, str] = {}
         self._process: CompileProcess | None = None
         self._features: SceneFeatures | None = None  # that it compiles for
-        self._failed: dict[SceneFeatures, str] = {}
+        self._closed = False
 
     def close(self) -> None:
-        """End what still compiles."""
+        """End what still compiles, and begin nothing more."""
+        self._closed = True
         if self._process:
             self._process.stop()
+        self._process = None
 
     def spend(self, request: CompileRequest, seconds: float) -> None:
         """Note that general kernels rendered for `seconds`."""
         self._spent[request.features] = self._spent.get(request.features, 0.0) + seconds
 
-    def poll(self, request: CompileRequest, left: float | None) -> bool:
-        """Begin to compile if it pays; whether specialised kernels are in the cache."""
-        process = self._process
-        if process is not None and process.is_running:
-            return False
-        if process is not None and self._features == request.features:
-            if complaint := process.complaint():
-                self._failed[request.features] = complaint
-            else:
-                return True
-        spent = self._spent.get(request.features, 0.0)
-        if request.features not in self._failed and pays(request, spent, left, self._device):
-            try:
-                self._process, self._features = (
-                    CompileProcess(self._device.alias, warp_cache_folder(), request),
-                    request.features,
-                )
-            except OSError as error:
-                self._failed[request.features] = str(error)
-        return False
+    def fail(self, features: SceneFeatures, complaint: str) -> None:
+        """Note why there are no specialised kernels for `features`; they are not tried again."""
+        self._failed[features] = complaint
 
     def complaint(self, request: CompileRequest) -> str:
         """Why the kernels of `request` could not be compiled; empty where nothing failed."""
         return self._failed.get(request.features, "")
+
+    def poll(self, request: CompileRequest, left: float | None) -> bool:
+        """Begin to compile if it pays; whether specialised kernels were compiled and can be loaded.
+
+        `left`: of the render, if known [s].
+        """
+        ours = self._features == request.features
+        if self._process is not None and not self._process.is_running:
+            if complaint := self._process.complaint():
+                self.fail(self._features, complaint)
+            self._process = None
+            if ours and not complaint:
+                if all(is_compiled(kernel, self._device) for kernel in request.kernels(self._device)):
+                    return True
+                self.fail(request.features, "what was compiled is not in the folder for kernels")
+        if (self._process is not None and ours) or self._closed or request.features in self._failed:
+            return False
+        if pays(request, self._spent.get(request.features, 0.0), left, self._device):
+            if self._process is not None:
+                self._process.stop()  # for a scene that is not rendered now
+            self._process, self._features = None, request.features
+            try:
+                self._process = CompileProcess(self._device.alias, warp_cache_folder(), request)
+            except OSError as error:
+                self.fail(request.features, f"no process could be started: {error}")
+        return False
 
 
 class TierChange:
@@ -95,8 +108,8 @@ class TierChange:
         device: wp.Device,
     ):
         """Begins at once. `left`: how long the render will take from now on, if known [s]."""
-        self.changed_after: float | None = None  # seconds from here
         self.request = request
+        self.changed_after: float | None = None  # seconds from here
         self._changes, self._integrators = changes, integrators
         self._left, self._device = left, device
         self._over, self._begun = threading.Event(), time.perf_counter()
@@ -111,11 +124,17 @@ class TierChange:
         self._changes.spend(self.request, seconds)
 
     def _watch(self) -> None:
-        while not self._over.wait(_POLL_SECONDS):
-            if self._changes.poll(self.request, self._left()):
-                load_kernels(self.request.kernels(self._device), self._device, lambda done, total: None)
-                kernels = StageKernels.choose(self.request.features)
-                for integrator in self._integrators:
-                    integrator.use_kernels(kernels)
-                self.changed_after = time.perf_counter() - self._begun
-                return
+        try:
+            while not self._over.wait(_POLL_SECONDS):
+                if self._changes.poll(self.request, self._left()):
+                    self._take_over()
+                    return
+        except (RayBatchError, RuntimeError, OSError, ValueError) as error:  # the render goes on as it began
+            self._changes.fail(self.request.features, str(error))
+
+    def _take_over(self) -> None:
+        load_kernels(self.request.kernels(self._device), self._device, lambda done, total: None)
+        kernels = StageKernels.choose(self.request.features)
+        for integrator in self._integrators:
+            integrator.use_kernels(kernels)
+        self.changed_after = time.perf_counter() - self._begun

@@ -5,13 +5,15 @@ may end without waiting for a compiler.
 from __future__ import annotations
 
 import atexit
+import contextlib
 import json
 import os
+import struct
 import subprocess
 import sys
-import weakref
+import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 if TYPE_CHECKING:
     from .request import Request
@@ -20,7 +22,8 @@ _PACKAGE_FOLDER = Path(__file__).resolve().parents[2]
 _CHILD = "import sys; sys.path[:0] = [sys.argv[1]]; from core.ahead.process import compile_as_asked; compile_as_asked()"
 _NICENESS = 10
 _COMPLAINT_LENGTH = 500
-_running: weakref.WeakSet[CompileProcess] = weakref.WeakSet()
+_LENGTHS = "<QQ"  # of the order and of the request, before both
+_running: list[CompileProcess] = []  # and some that have ended
 
 
 class CompileProcess:
@@ -31,24 +34,33 @@ class CompileProcess:
         kernels). Raises `OSError` where no process can be started.
         """
         self._complaint = ""
-        order = {"paths": [path for path in sys.path if path], "cache": str(cache_folder), "device": device}
+        order = {
+            "paths": [path for path in sys.path if path],
+            "cache": str(cache_folder),
+            "device": device,
+            "core": __name__.removesuffix("ahead.process"),
+        }
         data = b""
         if request is not None:
             from .request import encode_request
 
             data = encode_request(request)
+        head = json.dumps(order).encode()
+        flags = 0
+        if sys.platform == "win32":
+            flags = subprocess.CREATE_NO_WINDOW | subprocess.BELOW_NORMAL_PRIORITY_CLASS
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _CHILD, str(_PACKAGE_FOLDER)],
+            [sys.executable, "-P", "-c", _CHILD, str(_PACKAGE_FOLDER)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
+            creationflags=flags,
         )
-        _running.add(self)
-        try:
-            with self._process.stdin as pipe:
-                pipe.write(json.dumps(order).encode() + b"\n" + data)
-        except BrokenPipeError:
-            pass  # it has ended: `complaint` says why
+        _running[:] = [each for each in _running if each.is_running] + [self]
+        with contextlib.suppress(OSError):  # it has ended: `complaint` says why
+            # the pipe stays open: its end tells the other process that this one is gone
+            self._process.stdin.write(struct.pack(_LENGTHS, len(head), len(data)) + head + data)
+            self._process.stdin.flush()
 
     @property
     def is_running(self) -> bool:
@@ -78,7 +90,7 @@ class CompileProcess:
 
 def stop_all() -> None:
     """End all processes that still compile."""
-    for each in list(_running):
+    for each in _running:
         each.stop()
 
 
@@ -94,17 +106,27 @@ def compile_as_asked() -> None:
     with open(os.devnull, "wb") as nothing:
         os.dup2(nothing.fileno(), 2)
     try:
-        line, _, data = sys.stdin.buffer.read().partition(b"\n")
-        order: dict[str, Any] = json.loads(line)
+        pipe = sys.stdin.buffer
+        head_length, data_length = struct.unpack(_LENGTHS, pipe.read(struct.calcsize(_LENGTHS)))
+        order: dict[str, Any] = json.loads(pipe.read(head_length))
+        data = pipe.read(data_length)
+        threading.Thread(target=_end_with, args=(pipe,), daemon=True).start()
         sys.path += [path for path in order["paths"] if path not in sys.path]
         from ..device.devices import find_device, load_kernels, start_warp
         from .request import GeneralRequest, decode_request
 
         start_warp(order["cache"])
         device = find_device(order["device"])
-        request = decode_request(data) if data else GeneralRequest()
+        request = decode_request(data, order["core"]) if data else GeneralRequest()
         load_kernels(request.kernels(device), device, lambda done, total: None)
     except Exception as error:  # whatever it is, who asked goes on without, and says so
         told.write(f"{type(error).__name__}: {error}".replace("\n", " ")[:_COMPLAINT_LENGTH])
         told.close()
-        sys.exit(1)
+        os._exit(1)
+    os._exit(0)  # a thread still reads the pipe
+
+
+def _end_with(pipe: BinaryIO) -> None:
+    """End this process when nobody holds the other end of `pipe` any more."""
+    pipe.read()
+    os._exit(1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import io
 import pickle
-import re
 from dataclasses import dataclass
 
 import warp as wp
@@ -82,21 +81,27 @@ class GeneralRequest:
 Request = CompileRequest | GeneralRequest
 
 
+CORE = __name__.removesuffix("ahead.request")  # the core's name here, with a dot; Blender's extensions have others
+
+
 def encode_request(request: Request) -> bytes:
     """`request` for another process."""
     return pickle.dumps(request)
 
 
 class _Unpickler(pickle.Unpickler):
-    """Finds classes of the core whatever package it lies in: Blender's extensions have names of their own."""
+    """Finds classes of the core, which had another name where they were pickled."""
+
+    def __init__(self, data: bytes, core: str):
+        super().__init__(io.BytesIO(data))
+        self._core = core
 
     def find_class(self, module: str, name: str):
-        return super().find_class(re.sub(r"^.*?\.core\.", _CORE, module), name)
+        if module.startswith(self._core):
+            module = CORE + module.removeprefix(self._core)
+        return super().find_class(module, name)
 
 
-_CORE = __name__.removesuffix("ahead.request")
-
-
-def decode_request(data: bytes) -> Request:
-    """What `encode_request` encoded; only for data of a process of one's own."""
-    return _Unpickler(io.BytesIO(data)).load()
+def decode_request(data: bytes, core: str) -> Request:
+    """What `encode_request` encoded where `CORE` was `core`; only for data of a process of one's own."""
+    return _Unpickler(data, core).load()

@@ -27,6 +27,7 @@ class SceneFeatures:
     """Features that kernels are specialised on."""
 
     closures: tuple[ClosureKind, ...] = ()  # sorted
+    closure_count: int = 0  # most closures of a material without program
     programs: ProgramFeatures = ProgramFeatures()  # needs of the materials' shader graphs
     world_program: ProgramFeatures = ProgramFeatures()
     lamp_program: ProgramFeatures = ProgramFeatures()  # needs of the shader graphs of lights without mesh
@@ -139,6 +140,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
                 kinds.update(closure.needs)
     return SceneFeatures(
         closures=tuple(sorted(kinds)),
+        closure_count=max((len(material.closures) for material in scene.materials), default=0) if surfaces else 0,
         programs=_material_programs(scene) if surfaces else ProgramFeatures(),
         world_program=program_features([scene.world.program]),
         lamp_program=program_features([light.program for light in scene.lights]),

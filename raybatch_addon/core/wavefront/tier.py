@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from ..device.devices import is_compiled
+from ..errors import SettingsError
 from ..programs.op import op_numbers
 from ..scene.description import ClosureKind, LightKind
 from ..scene.features import SceneFeatures, narrow
@@ -30,6 +31,7 @@ from .stages.shade_surface import surface_kernel
 from .stages.surface_features import SurfaceFeatures
 
 VARIABLE = "RAYBATCH_KERNEL_TIER"
+TIERS = ("AUTO", "GENERAL", "SPECIALISED")
 # Programs that need more registers or closures are left to specialised kernels. Of 117 files none has as many
 REGISTERS_MOST, CLOSURES_MOST = 64, 16
 
@@ -69,11 +71,13 @@ def why_not_general(features: SceneFeatures, device: wp.Device) -> str:
         return "general kernels have no code for mis OFF"
     if features.sample_sequence != general.sample_sequence:
         return f"general kernels have no code for sample_sequence {features.sample_sequence}"
+    closure_count = features.closure_count
     for programs in (features.programs, features.world_program, features.lamp_program):
+        closure_count = max(closure_count, programs.closure_count)
         if programs.register_count > REGISTERS_MOST:
             return f"general kernels have {REGISTERS_MOST} registers, and a shader graph needs more"
-        if programs.closure_count > CLOSURES_MOST:
-            return f"general kernels have room for {CLOSURES_MOST} closures, and a material has more"
+    if closure_count > CLOSURES_MOST:
+        return f"general kernels have room for {CLOSURES_MOST} closures, and a material has more"
     return ""
 
 
@@ -95,30 +99,44 @@ class TierChoice:
 
     shading: SceneFeatures  # what they are specialised on
     general: bool
+    asked: str  # AUTO, GENERAL or SPECIALISED
     why: str
+
+    @property
+    def complaint(self) -> str:
+        """Why it is not the tier that was asked for; empty where it is."""
+        return self.why if self.asked == "GENERAL" and not self.general else ""
 
 
 def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> TierChoice:
     """The tier for a scene with `features`.
 
     `setting`: that of `kernel_tier`; where it is AUTO, the environment variable `RAYBATCH_KERNEL_TIER` takes its place.
+    Raises `SettingsError` where that has another value.
     """
-    if setting == "AUTO":
-        setting = os.environ.get(VARIABLE, setting)
-    specialised = TierChoice(features, False, "as set" if setting == "SPECIALISED" else "")
-    general = TierChoice(general_features(), True, "as set" if setting == "GENERAL" else "")
-    why = why_not_general(features, device)
+    if setting == "AUTO" and (asked := os.environ.get(VARIABLE)):
+        if asked not in TIERS:
+            raise SettingsError(f"{VARIABLE} is {asked!r}; set it to one of {', '.join(TIERS)}, or not at all")
+        setting = asked
+
+    def specialised(why: str) -> TierChoice:
+        return TierChoice(features, False, setting, why)
+
+    def general(why: str) -> TierChoice:
+        general_kernels()  # all of them, before any is compiled or loaded
+        return TierChoice(general_features(), True, setting, why)
+
     if setting == "SPECIALISED":
-        return specialised
-    if why:
-        return dataclasses.replace(specialised, why=why)
+        return specialised("as set")
+    if why := why_not_general(features, device):
+        return specialised(why)
     if setting == "GENERAL":
-        return general
+        return general("as set")
     if all(is_compiled(kernel, device) for kernel in StageKernels.choose(features).shading()):
-        return dataclasses.replace(specialised, why="they were compiled before")
+        return specialised("they were compiled before")
     if is_compiled(general_kernels()[0], device):
-        return dataclasses.replace(general, why="they are ready, and the specialised ones are not")
-    return dataclasses.replace(specialised, why="no others were compiled ahead")
+        return general("they are ready, and the specialised ones are not")
+    return specialised("no others were compiled ahead")
 
 
 @functools.cache

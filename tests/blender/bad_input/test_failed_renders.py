@@ -14,6 +14,7 @@ bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import reports, sessions  # noqa: E402
 from raybatch_addon.core import session as core_session  # noqa: E402
+from raybatch_addon.core.ahead import prepare  # noqa: E402
 from raybatch_addon.core.wavefront import integrator  # noqa: E402
 from raybatch_addon.core.wavefront.render import workers  # noqa: E402
 from tests.blender.bad_input.outcomes import BACKGROUND, assert_fails, assert_picture, render  # noqa: E402
@@ -67,7 +68,7 @@ def fail(*_args, **_options):
 
 PLACES = {
     "build": (core_session.DeviceScene, "build"),
-    "compile": (core_session, "load_kernels"),
+    "compile": (prepare, "load_kernels"),
     "worker": (integrator.TileIntegrator, "_shade"),
     "film": (integrator, "FinishedTile"),
     "result": (None, "begin_result"),
@@ -144,7 +145,7 @@ def test_a_process_whose_render_fails_ends_by_its_own_will(tmp_path):
 def test_a_cancel_does_not_wait_for_compiling_or_building(lit, monkeypatch, films, stage):
     """Work that is under way goes on by itself; the render does not wait for it."""
     entered, release, finished = threading.Event(), threading.Event(), threading.Event()
-    owner = core_session.DeviceScene if stage == "build" else core_session
+    owner = core_session.DeviceScene if stage == "build" else prepare
 
     def endless(*_args):
         entered.set()

@@ -1,7 +1,12 @@
 """General kernels give the films of specialised ones, bit for bit, also where these take over in the middle."""
 
 import gc
+import os
+import subprocess
+import sys
+import time
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +17,9 @@ from raybatch_addon.core import session as session_module
 from raybatch_addon.core.ahead import change
 from raybatch_addon.core.ahead.change import TierChanges, pays
 from raybatch_addon.core.ahead.process import CompileProcess
-from raybatch_addon.core.ahead.request import CompileRequest, GeneralRequest, decode_request, encode_request
+from raybatch_addon.core.ahead.request import CORE, CompileRequest, GeneralRequest, decode_request, encode_request
 from raybatch_addon.core.device.devices import is_compiled, warp_cache_folder
+from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.scene.program import ProgramFeatures
@@ -33,6 +39,7 @@ from raybatch_addon.core.wavefront.tier import (
 from tests.support import scenes, schedule_scenes
 from tests.support.under_test import DEVICE
 
+ROOT = Path(__file__).resolve().parents[3]
 ON_CPU = pytest.mark.skipif(DEVICE != "cpu", reason="on the CPU alone")
 SETTINGS = RenderSettings(sample_count=4, bounce_max=5, roulette_bounce=2)
 
@@ -117,7 +124,7 @@ def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
 def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
     """What is compiled meanwhile is used, and statistics say so."""
     scene, asked = scenes.mixed(Frame(64, 64)), []
-    settings = SETTINGS.replace(sample_count=512, tile_size=16)
+    settings = SETTINGS.replace(sample_count=2048, tile_size=16)
     Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED", sample_count=1))
 
     def compiled(_self, request, _left):
@@ -128,7 +135,9 @@ def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
     monkeypatch.setattr(
         session_module,
         "choose_tier",
-        lambda features, setting, device: choose_tier(features, setting.replace("AUTO", "GENERAL"), device),
+        lambda features, setting, device: replace(
+            choose_tier(features, setting.replace("AUTO", "GENERAL"), device), asked=setting
+        ),
     )
     session = Session(DEVICE)
     film = session.render(scene, settings)
@@ -157,12 +166,44 @@ def test_what_general_kernels_cannot_do_is_said():
     assert why_not_general(features, cpu) == ""
     assert "mis OFF" in why_not_general(replace(features, mis=False), cpu)
     assert "RANDOM" in why_not_general(replace(features, sample_sequence="RANDOM"), cpu)
+    assert "closures" in why_not_general(replace(features, closure_count=CLOSURES_MOST + 1), cpu), "without programs"
     large = ProgramFeatures(("emission",), 16, 2 * CLOSURES_MOST)
     assert "closures" in why_not_general(replace(features, world_program=large), cpu)
     film = Session(DEVICE).render(scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL", mis="OFF", sample_count=1))
     assert any(
-        "kernel_tier is GENERAL, but kernels are specialised" in warning for warning in film.statistics["warnings"]
+        "not GENERAL: general kernels have no code for mis" in warning for warning in film.statistics["warnings"]
     )
+
+
+def test_the_environment_chooses_where_the_setting_does_not(monkeypatch):
+    device, features = wp.get_device("cpu"), derive_features(scenes.mixed(), SETTINGS)
+    monkeypatch.setenv(VARIABLE, "GENERAL")
+    choice = choose_tier(features, "AUTO", device)
+    assert choice.general and choice.asked == "GENERAL" and not choice.complaint
+    assert not choose_tier(features, "SPECIALISED", device).general
+    monkeypatch.setenv(VARIABLE, "general")
+    with pytest.raises(SettingsError, match="RAYBATCH_KERNEL_TIER is 'general'; set it to one of AUTO, GENERAL"):
+        choose_tier(features, "AUTO", device)
+
+
+ALL_OF_THE_MODULE = """
+import warp as wp
+from raybatch_addon.core.device.kernel import GENERAL_MODULE
+from raybatch_addon.core.scene.features import SceneFeatures
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.wavefront.tier import choose_tier
+
+device = Session("cpu").device
+choose_tier(SceneFeatures(surfaces=True), "GENERAL", device)
+print(len(wp.get_module(GENERAL_MODULE).kernels))
+"""
+
+
+def test_general_kernels_are_one_module_whatever_a_scene_needs_of_it():
+    """A module with fewer kernels has another hash: it would be compiled although the whole one is there."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    done = subprocess.run([sys.executable, "-c", ALL_OF_THE_MODULE], env=environment, capture_output=True, text=True)
+    assert (done.stdout.strip(), done.stderr) == (str(len(general_kernels())), "")
 
 
 def test_when_compiling_pays():
@@ -180,8 +221,9 @@ def test_a_request_reaches_another_process_whole():
     features = derive_features(schedule_scenes.SCENES["mixed"](), SETTINGS)
     for request in (GeneralRequest(), CompileRequest(features, SETTINGS, TracingPlan(Method.UNBATCHED))):
         data = encode_request(request)
-        assert decode_request(data) == request
-        assert decode_request(data.replace(b"raybatch_addon.core", b"bl_ext.someone.core")) == request
+        assert decode_request(data, CORE) == request
+        elsewhere = data.replace(b"raybatch_addon.core", b"bl_ext.someone.core")
+        assert decode_request(elsewhere, "bl_ext.someone.core.") == request
 
 
 def test_a_process_compiles_what_is_found_here():
@@ -210,6 +252,32 @@ def test_a_process_that_fails_says_why_in_a_line(tmp_path, monkeypatch):
     monkeypatch.setattr(change, "CompileProcess", lambda *_: started.append(1) or process)
     assert not changes.poll(request, None) and not changes.poll(request, None) and not changes.poll(request, None)
     assert started == [1] and "cuda:77" in changes.complaint(request)
+
+
+ABANDONED = """
+import os, sys
+from raybatch_addon.core.ahead.process import CompileProcess
+print(CompileProcess("cpu", sys.argv[1])._process.pid, flush=True)
+os._exit(0)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="the system does not tell which processes there are")
+def test_a_process_ends_with_the_one_that_asked(tmp_path):
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    command = [sys.executable, "-c", ABANDONED, str(tmp_path)]
+    done = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True)
+    end = time.monotonic() + 20
+    while _is_alive(int(done.stdout)):
+        assert time.monotonic() < end, "it goes on compiling for nobody"
+        time.sleep(0.05)
+
+
+def _is_alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def test_a_process_can_be_stopped(tmp_path):

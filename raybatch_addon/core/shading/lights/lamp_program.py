@@ -166,6 +166,8 @@ def make_lamp_emission(programs: ProgramFeatures) -> wp.Function:
         bounce: int,
         passed: int,
     ) -> wp.vec3:
+        if nodes.program_first.shape[0] == 0:  # no program of a lamp has an instruction
+            return wp.vec3(1.0)
         light = table.lights[lamp]
         point = lamp_point(light, nodes.inputs.to_object[lamp], lamp, position, direction, distance)
         point.bounce = bounce
