@@ -12,7 +12,7 @@ import warp as wp
 from ..device.devices import load_kernels
 from ..wavefront.scene.device_scene import DeviceScene
 
-POLL_SECONDS = 0.02
+_POLL_SECONDS = 0.02
 # Messages by stage of the build (`DeviceScene.build`)
 _MESSAGES = {
     "images": "Uploading images",
@@ -68,7 +68,7 @@ class Preparation:
                     f"Compiling kernels ({self._loaded} of {self._total})" if compiling else _MESSAGES[self._stage]
                 )
                 on_progress("compile" if compiling else "build", self._loaded / self._total, message)
-                time.sleep(POLL_SECONDS)
+                time.sleep(_POLL_SECONDS)
             return built.result(), modules.result()
         finally:
             self._given_up.set()

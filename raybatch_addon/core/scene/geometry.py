@@ -32,9 +32,7 @@ class Geometry:
     triangle_slot: wp.array(dtype=int)  # material slot, shape [triangle_count]; no entries when all are in slot 0
     instance_slot_first: wp.array(dtype=int)  # shape [instance_count]
     slot_materials: wp.array(dtype=int)  # material of slot s of an instance: [instance_slot_first + s]
-    instancing: (
-        int  # 1: rays find instances below a top level, and `instance_transform` takes their points to the world
-    )
+    instancing: int  # 1: `instance_transform` takes points to the world, which are in it already where this is 0
 
 
 # Kernels run the header, which traversal has too. The bodies are what ops folded on the host run (`as_python`).

@@ -18,21 +18,15 @@ from ..device.devices import is_compiled
 from ..errors import SettingsError
 from ..programs.op import op_numbers
 from ..scene.description import ClosureKind, LightKind
-from ..scene.features import SceneFeatures, narrow
+from ..scene.features import SceneFeatures
 from ..scene.program import ProgramFeatures
 from ..shading.lights.lamp_brightness import lamp_brightness_kernel
-from ..shading.lights.light_hits import LightHitFeatures
 from .kernels import StageKernels
-from .stages.connect import ConnectFeatures, connect_program_kernel
-from .stages.connect_transparent import transparent_shadow_kernel
 from .stages.emitted import triangle_emission_kernel, world_texels_kernel
-from .stages.shade_background import BackgroundFeatures, background_kernel, light_hit_kernel
-from .stages.shade_surface import surface_kernel
-from .stages.surface_features import SurfaceFeatures
 
 VARIABLE = "RAYBATCH_KERNEL_TIER"
 TIERS = ("AUTO", "GENERAL", "SPECIALISED")
-# Programs that need more registers or closures are left to specialised kernels. Of 117 files none has as many
+# Programs that need more registers or closures are left to specialised kernels
 REGISTERS_MOST, CLOSURES_MOST = 64, 16
 
 
@@ -143,15 +137,8 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
 def general_kernels() -> tuple[wp.Kernel, ...]:
     """All kernels of the general tier: one module, so all of them are made before it is compiled or loaded."""
     features = general_features()
-    surface, connect = narrow(features, SurfaceFeatures), narrow(features, ConnectFeatures)
     return (
-        surface_kernel(surface),
-        connect_program_kernel(connect),
-        transparent_shadow_kernel(surface, connect),
-        light_hit_kernel(
-            narrow(features, LightHitFeatures), features.transparency, features.clamping, features.subsurface
-        ),
-        background_kernel(narrow(features, BackgroundFeatures)),
+        *StageKernels.choose(features).shading(),
         triangle_emission_kernel(features.programs, features.instancing, features.smooth_normals),
         world_texels_kernel(features.world_program),
         lamp_brightness_kernel(features.lamp_program),

@@ -18,7 +18,8 @@ from raybatch_addon.core.ahead import change
 from raybatch_addon.core.ahead.change import TierChanges, pays
 from raybatch_addon.core.ahead.process import CompileProcess
 from raybatch_addon.core.ahead.request import CORE, CompileRequest, GeneralRequest, decode_request, encode_request
-from raybatch_addon.core.device.devices import is_compiled, warp_cache_folder
+from raybatch_addon.core.device.devices import is_compiled
+from raybatch_addon.core.device.kernel import block_size_of
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.scene.features import derive_features
@@ -226,17 +227,19 @@ def test_a_request_reaches_another_process_whole():
         assert decode_request(elsewhere, "bl_ext.someone.core.") == request
 
 
-def test_a_process_compiles_what_is_found_here():
+def test_a_process_compiles_what_is_found_here(tmp_path):
     """Kernels have the same names whatever the package is called that they are in."""
     features = derive_features(scenes.mixed(), SETTINGS)
     features = replace(features, lights=(), mesh_lights=False, world=False, smooth_normals=False, instancing=False)
     request = CompileRequest(features, SETTINGS, TracingPlan(Method.UNBATCHED))
-    device = wp.get_device(DEVICE)
-    kernels = StageKernels.choose(features).shading()
-    process = CompileProcess(DEVICE, warp_cache_folder(), request)
+    process = CompileProcess(DEVICE, tmp_path, request)
     process.wait()
     assert process.complaint() == "" and not process.is_running
-    assert [kernel.module.name for kernel in kernels if not is_compiled(kernel, device)] == []
+    block_sizes = {
+        kernel: block_size_of(kernel) if DEVICE != "cpu" else 1 for kernel in request.kernels(wp.get_device(DEVICE))
+    }
+    names = {kernel.module.get_module_identifier(size) for kernel, size in block_sizes.items()}
+    assert names <= {path.name for path in (tmp_path / wp.config.version).iterdir()}
 
 
 def test_a_process_that_fails_says_why_in_a_line(tmp_path, monkeypatch):
