@@ -32,6 +32,8 @@ class NodeData:
     images: ImageTable
     inputs: InputData
     albedo: AlbedoTables  # albedos for layers; arrays that no program needs are empty
+    # address of this struct in the device's memory, where ops of the general tier read it; 0: it is not there
+    stored: wp.uint64
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,15 @@ def upload_programs(
     return data
 
 
+def store_programs(*tables: NodeData, device: wp.Device) -> list[wp.array]:
+    """Write each of `tables` into the device's memory, where ops out of line read it; the arrays have to be kept."""
+    kept = []
+    for table in tables:
+        kept.append(wp.array([table], dtype=NodeData, device=device))
+        table.stored = kept[-1].ptr
+    return kept
+
+
 def _checked(instruction, program: Program, numbers: dict[str, int], constant_first: int) -> list[int]:
     """Words of `instruction`, with constants counted from the first constant of all programs."""
     if instruction.op not in numbers:

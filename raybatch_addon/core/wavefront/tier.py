@@ -60,7 +60,7 @@ def why_not_general(features: SceneFeatures, device: wp.Device) -> str:
     """Why the general kernels cannot shade a scene with `features` on `device`; empty where they can."""
     general = general_features()
     if device.is_cuda:
-        return "CUDA's compiler takes more than four minutes for the general kernels, so there are none"
+        return "CUDA's compiler takes more than five minutes for the general kernels, so there are none"
     if features.mis != general.mis:
         return "general kernels have no code for mis OFF"
     if features.sample_sequence != general.sample_sequence:

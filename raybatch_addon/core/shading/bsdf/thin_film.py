@@ -161,7 +161,8 @@ def _film_index(thickness: float, index: float) -> float:
     return index
 
 
-@wp.func
+# Films are long and called from many places of a kernel: inlined, they were three quarters of a surface's code
+@wp.func(inline=False)
 def film_on_dielectric(
     table: wp.array3d(dtype=float), thickness: float, index: float, eta: float, tint: wp.vec3, cosine: float
 ) -> wp.vec3:
@@ -189,7 +190,7 @@ def film_on_dielectric(
     return reflectance
 
 
-@wp.func
+@wp.func(inline=False)
 def film_on_conductor(
     table: wp.array3d(dtype=float), thickness: float, index: float, n: wp.vec3, k: wp.vec3, cosine: float
 ) -> wp.vec3:
@@ -206,7 +207,7 @@ def film_on_conductor(
     return reflectance
 
 
-@wp.func
+@wp.func(inline=False)
 def film_on_f82(
     table: wp.array3d(dtype=float), thickness: float, index: float, f0: wp.vec3, tint: wp.vec3, cosine: float
 ) -> wp.vec3:

@@ -13,7 +13,7 @@ from ...bvh.traverse.reference import ReferenceTree
 from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
 from ...programs.inputs_data import upload_camera_inputs
-from ...programs.table import upload_programs
+from ...programs.table import store_programs, upload_programs
 from ...scene.description import ClosureKind, Scene
 from ...scene.features import SceneFeatures
 from ...shading.bsdf.bsdf import ClosureFeatures, upload_materials
@@ -47,6 +47,7 @@ class DeviceScene:
     shadow_rays: bool  # there is an emitter to aim at, not only code for it
     built: BuiltGeometry | None
     images: UploadedImages  # keeps them alive
+    stored: list[wp.array]  # the programs in memory, for kernels that read them there
 
     @staticmethod
     def build(
@@ -86,6 +87,9 @@ class DeviceScene:
             upload_camera_inputs(scene, device),
         )
         data.lamp_nodes = upload_lamp_programs(scene, features.lamp_program, data.geometry, images.table, device)
+        stored = []
+        if shading.programs.apart:
+            stored = store_programs(data.nodes, data.world_nodes, data.lamp_nodes, device=device)
         on_stage("lights")
         lights = upload_lights(scene, device, *_program_light(data, scene, features, shading, device, cache.world))
         data.lights = lights.table
@@ -116,6 +120,7 @@ class DeviceScene:
             shadow_rays=features.shadow_rays and lights.emitter_count > 0,
             built=built,
             images=images,
+            stored=stored,
         )
 
     @property
