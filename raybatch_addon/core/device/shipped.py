@@ -57,21 +57,22 @@ def shipped_files(module: wp.Module, device: wp.Device, block_size: int) -> Kern
         if module.name == GENERAL_MODULE:
             note(f"the shipped general kernels belong to other code than this RayBatch; {_CURE}")
         return None
-    fitting = fitting_targets(device)
-    version = compiler_version()
-    for target in fitting:
+    complaints = []
+    for target in fitting_targets(device):
         binary = entry["binaries"].get(target)
         if binary is None:
             continue
-        if index["targets"][target] != version:
-            note(f"the shipped kernels for {target} are for another compiler or system than this Warp has; {_CURE}")
-            continue
         files = KernelFiles(FOLDER / target / binary["file"], FOLDER / entry["meta"]["file"], target)
-        if _is_sound(files, binary["sum"], entry["meta"]["sum"]):
+        if index["targets"][target] != compiler_version():
+            complaints.append(f"the shipped kernels for {target} are for another compiler or system than this Warp has")
+        elif not _is_sound(files, binary["sum"], entry["meta"]["sum"]):
+            complaints.append(f"the shipped kernel {files.binary} is damaged (install the extension again)")
+        else:
+            for complaint in complaints:
+                note(f"{complaint}; that for {target} takes its place")
             return files
-        note(f"the shipped kernel {files.binary} is damaged; {_CURE}; install the extension again")
-    if not fitting:
-        note(f"the shipped kernels need a processor with more instructions ({list(LEVELS)[-1]} at least); {_CURE}")
+    for complaint in complaints or [f"the shipped kernels need a processor of at least {list(LEVELS)[-1]}"]:
+        note(f"{complaint}; {_CURE}")
     return None
 
 
