@@ -2,7 +2,9 @@
 """Build the Blender extension: one zip a platform, with the Warp wheel inside, through Blender's own extension builder.
 
 `package.py` builds all platforms into dist/; `package.py linux-x64` only that one. Wheels are downloaded with pip
-and kept in build/wheels. Exit codes: 0; 3 when a wheel could not be downloaded; 1 for anything else.
+and kept in build/wheels. The zip for linux-x64 has compiled kernels in it if it is built on such a machine: about four
+minutes the first time, and kept in build/kernels; on other machines, and in other zips, there are none, and they are
+compiled when the extension is enabled. Exit codes: 0; 3 when a wheel could not be downloaded; 1 for anything else.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
 MANIFEST = "blender_manifest.toml"
 STATISTICS = "raybatch_addon/core/measure/statistics.py"
 # the name of pip's platform, by Blender's. Warp's wheels are the same for every Python 3.
@@ -140,8 +143,29 @@ def stage(folder: Path, platform: str, wheel: Path) -> None:
     (folder / MANIFEST).write_text("\n".join(kept) + "\n", encoding="utf-8")
 
 
-def build(platform: str, out: Path, wheels: Path) -> Path:
-    """The zip of `platform`, in the folder `out`; raises `PackageError`."""
+def add_kernels(folder: Path, platform: str, kept: Path) -> None:
+    """Put compiled kernels into the laid out extension; what was compiled before is in `kept`."""
+    try:
+        from lib.shipped_kernels import can_be_made, make_kernels
+    except ImportError as error:
+        raise PackageError(
+            f"kernels cannot be compiled ({error}): run this with the environment that `make environment` makes, or "
+            "with --no-kernels"
+        ) from None
+    if not can_be_made(platform):
+        print(f"{platform}: without compiled kernels", file=sys.stderr)
+        return
+    try:
+        make_kernels(folder / "kernels", kept, on_progress=lambda line: print(line, file=sys.stderr, flush=True))
+    except Exception as error:  # Warp raises whatever it likes
+        raise PackageError(f"kernels could not be compiled: {type(error).__name__}: {error}") from error
+
+
+def build(platform: str, out: Path, wheels: Path, kernels: Path | None = None) -> Path:
+    """The zip of `platform`, in the folder `out`; raises `PackageError`.
+
+    `kernels`: where compiled kernels are kept between builds; None for a zip without any.
+    """
     version = project_version()
     wheel = fetch_wheel(platform, wheels)
     target = out / f"raybatch-{version}-{platform.replace('-', '_')}.zip"
@@ -150,6 +174,8 @@ def build(platform: str, out: Path, wheels: Path) -> Path:
     with tempfile.TemporaryDirectory(dir=wheels.parent, prefix="stage-") as temporary:
         source = Path(temporary) / "raybatch"
         stage(source, platform, wheel)
+        if kernels:
+            add_kernels(source, platform, kernels)
         half = Path(temporary) / target.name
         for command in (
             ["build", "--source-dir", str(source), "--output-filepath", str(half)],
@@ -178,12 +204,20 @@ def main() -> int:
         default=ROOT / "build" / "wheels",
         help="folder where wheels are kept (default: build/wheels)",
     )
+    parser.add_argument(
+        "--kernels",
+        type=Path,
+        default=ROOT / "build" / "kernels",
+        help="folder where compiled kernels are kept (default: build/kernels)",
+    )
+    parser.add_argument("--no-kernels", action="store_true", help="leave compiled kernels out of all zips")
     options = parser.parse_args()
     if unknown := set(options.platforms) - set(PIP_PLATFORMS):
         parser.error(f"unknown platform {', '.join(sorted(unknown))}; choose from {', '.join(PIP_PLATFORMS)}")
     try:
         for platform in options.platforms or PIP_PLATFORMS:
-            print(build(platform, options.out.absolute(), options.wheels.absolute()))
+            kernels = None if options.no_kernels else options.kernels.absolute()
+            print(build(platform, options.out.absolute(), options.wheels.absolute(), kernels), flush=True)
     except (PackageError, OSError) as error:
         print(f"package.py: error: {error}", file=sys.stderr)
         return 3 if isinstance(error, DownloadError) else 1

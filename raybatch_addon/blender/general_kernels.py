@@ -1,5 +1,5 @@
-"""The general kernels, with which any scene can begin on a CPU: compiled in a process of their own once RayBatch is
-enabled.
+"""The general kernels, with which any scene can begin on a CPU: where none that fit were shipped, they are compiled
+in a process of their own once RayBatch is enabled.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ _failure = ""
 
 
 def start() -> None:
-    """Compile those that are not in the cache; nothing if that is under way."""
+    """Compile those that were neither shipped nor compiled before; nothing if that is under way."""
     global _process, _failure
     if is_compiling():
         return
@@ -34,7 +34,10 @@ def state() -> str:
         return "being compiled in the background; renders compile what they need until then"
     if failure := _failure or (_process.complaint() if _process else ""):
         return f"could not be compiled: {failure}"
-    return "ready: on the CPU a scene's first render waits for no compiler" if _process else "not looked for yet"
+    if not _process:
+        return "not looked for yet"
+    notes = _process.notes()
+    return f"ready: on the CPU a scene's first render waits for no compiler{'; ' if notes else ''}{notes}"
 
 
 def stop() -> None:

@@ -242,7 +242,7 @@ class Session:
     def _prepare(self, job: _Job) -> tuple[DeviceScene | None, list[str]]:
         """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""
         kernels = job.request.kernels(self.device) + [add_integers_kernel] * (job.settings.half_count - 1)
-        preparation = Preparation(kernels, self.device, self._building)
+        preparation = Preparation(kernels, self.device, self._building, self._tier_changes.is_closed)
         request = GeometryRequest(
             settings=job.settings,
             plan=job.plan,
@@ -264,6 +264,7 @@ class Session:
             return preparation.run(build, job.cancelled, on_progress)
         finally:
             job.seconds.update(preparation.seconds)
+            job.warnings += preparation.warnings
             self._building = preparation.build
 
     def _workers(self, job: _Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:

@@ -1,5 +1,6 @@
 """The extension's zip: its contents, and that a Blender without Warp renders with it."""
 
+import json
 import os
 import subprocess
 import sys
@@ -10,12 +11,15 @@ from pathlib import Path
 
 import package
 import pytest
+from lib.shipped_kernels import can_be_made
 from PIL import Image
 
+from raybatch_addon.core.device.shipped import LEVELS
 from raybatch_addon.core.measure.statistics import VERSION
 from tests.support.command_line import ROOT, run_python, run_script
 
 pytest.importorskip("bpy")
+ZIP_BYTES_MOST = 220 << 20
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="the zip for Linux is installed")
 
 # Installs the zip sys.argv[1] into a fresh Blender where Warp can come from the extension's wheel only, and renders to
@@ -61,6 +65,7 @@ scene.raybatch.device, scene.raybatch.sample_count = "cpu", 2
 scene.render.filepath = sys.argv[2]
 bpy.ops.render.render(write_still=True)
 reports = sys.modules["bl_ext.user_default.raybatch.blender.reports"]
+print("tier", [each["auto"].get("kernel_tier") for each in reports.last().statistics.values()])
 print("left", reports.last().errors, reports.last().warnings)
 assert not available("raybatch_addon")
 
@@ -102,17 +107,57 @@ def offline() -> bool:
         return subprocess.run([*command, "--dest", folder, "tqdm"], capture_output=True).returncode != 0
 
 
-@pytest.fixture(scope="module")
-def linux_zip(tmp_path_factory) -> Path:
-    """The zip for Linux; wheels are kept in the clone, so that they are downloaded once."""
-    out = tmp_path_factory.mktemp("dist")
-    done = run_script("package.py", "linux-x64", "--out", out)
+def linux_zip_of(out: Path, *arguments: str) -> Path:
+    """The zip for Linux in `out`; wheels and kernels are kept in the clone, so that they are had once."""
+    done = run_script("package.py", "linux-x64", "--out", out, *arguments)
     if done.returncode == 3 and offline():
         pytest.skip(f"no network, and no wheel kept from before: {done.stderr.strip()}")
     assert done.returncode == 0, done.stderr
     (made,) = out.iterdir()
     assert done.stdout.split() == [str(made)]
     return made
+
+
+@pytest.fixture(scope="module")
+def linux_zip(tmp_path_factory) -> Path:
+    """A zip without compiled kernels, as those for other systems are."""
+    return linux_zip_of(tmp_path_factory.mktemp("dist"), "--no-kernels")
+
+
+@pytest.fixture(scope="module")
+def zip_with_kernels(tmp_path_factory) -> Path:
+    """The zip as users get it."""
+    if not can_be_made("linux-x64"):
+        pytest.skip("kernels are shipped for x86-64")
+    return linux_zip_of(tmp_path_factory.mktemp("dist"))
+
+
+def test_the_zip_with_kernels_is_not_too_large(zip_with_kernels):
+    assert zip_with_kernels.stat().st_size < ZIP_BYTES_MOST
+    with zipfile.ZipFile(zip_with_kernels) as file:
+        index = json.loads(file.read("kernels/index.json"))
+        names = set(file.namelist())
+    assert set(index["targets"]) == set(LEVELS) and any("raybatch_general" in name for name in index["modules"])
+    for entry in index["modules"].values():
+        for target, binary in entry["binaries"].items():
+            assert f"kernels/{target}/{binary['file']}" in names
+
+
+def test_the_first_render_uses_the_shipped_kernels(zip_with_kernels, linux_zip, tmp_path):
+    """They are read where they are installed, a folder that nobody need write; nothing that shades is compiled, and
+    the picture is that of a zip without any.
+    """
+    pictures = {}
+    for name, made in {"with": zip_with_kernels, "without": linux_zip}.items():
+        out, home = tmp_path / f"{name}.png", tmp_path / name
+        environment = {"BLENDER_USER_RESOURCES": home, "RAYBATCH_KERNEL_CACHE": "", "RAYBATCH_KERNEL_TIER": "AUTO"}
+        done = run_python(INSTALL_AND_RENDER, made, out, ROOT, **environment)
+        assert done.returncode == 0 and "left [] []" in done.stdout, done.stderr
+        kept = list((home / "extensions/.user/user_default/raybatch/kernels").rglob("wp_*.o"))
+        assert bool(kept) == (name == "without"), kept
+        assert ("shipped for x86-64" in done.stdout) == (name == "with"), done.stdout
+        pictures[name] = Image.open(out).tobytes()
+    assert pictures["with"] == pictures["without"]
 
 
 def test_the_zip_holds_the_addon_its_manifest_and_warp(linux_zip):

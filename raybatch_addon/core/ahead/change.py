@@ -57,6 +57,10 @@ class TierChanges:
             self._process.stop()
         self._process = None
 
+    def is_closed(self) -> bool:
+        """Whether the session is closed: nobody wants what compiles."""
+        return self._closed
+
     def spend(self, request: CompileRequest, seconds: float) -> None:
         """Note that general kernels rendered for `seconds`."""
         self._spent[request.features] = self._spent.get(request.features, 0.0) + seconds

@@ -9,7 +9,9 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 import warp as wp
 
+from ..device.compiler import given_up_when
 from ..device.devices import load_kernels
+from ..device.notes import take_notes
 from ..wavefront.scene.device_scene import DeviceScene
 
 _POLL_SECONDS = 0.02
@@ -25,11 +27,18 @@ _MESSAGES = {
 class Preparation:
     """Builds a scene and loads kernels, side by side."""
 
-    def __init__(self, kernels: Sequence[wp.Kernel], device: wp.Device, before: Future | None):
-        """`before`: an earlier build that may still run, of a render that was cancelled. It must not touch what this
-        one uses.
+    def __init__(
+        self, kernels: Sequence[wp.Kernel], device: wp.Device, before: Future | None, closed: Callable[[], bool]
+    ):
         """
-        self._kernels, self._device, self._before = kernels, device, before
+        Args:
+            before: an earlier build that may still run, of a render that was cancelled. It must not touch what this
+                one uses.
+            closed: whether nobody will want the kernels any more. Those that a cancelled render began to compile are
+                finished, for the next one.
+        """
+        self._kernels, self._device, self._before, self._closed = kernels, device, before, closed
+        self.warnings: list[str] = []
         self.seconds: dict[str, float] = {}  # by stage
         self.build: Future | None = None
         self._loaded, self._total = 0, 1
@@ -80,7 +89,8 @@ class Preparation:
         def note(done: int, total: int) -> None:
             self._loaded, self._total = done, max(1, total)
 
-        names = load_kernels(self._kernels, self._device, note)
+        names = load_kernels(self._kernels, self._device, note, self._closed)
+        self.warnings = take_notes()
         self.seconds["compile"] = time.perf_counter() - start
         return names
 
@@ -88,7 +98,8 @@ class Preparation:
         if self._before:
             wait([self._before])
         start = self._stage_begun = time.perf_counter()
-        built = build()
+        with given_up_when(self._closed):  # it launches kernels that build trees
+            built = build()
         wp.synchronize_device(self._device)
         self.note_stage(self._stage)
         self.seconds["build"] = time.perf_counter() - start

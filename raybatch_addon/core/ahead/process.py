@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _PACKAGE_FOLDER = Path(__file__).resolve().parents[2]
 _CHILD = "import sys; sys.path[:0] = [sys.argv[1]]; from core.ahead.process import compile_as_asked; compile_as_asked()"
 _NICENESS = 10
-_COMPLAINT_LENGTH = 500
+_COMPLAINT_LENGTH = 1000
 _LENGTHS = "<QQ"  # of the order and of the request, before both
 _running: list[CompileProcess] = []  # and some that have ended
 
@@ -33,7 +33,7 @@ class CompileProcess:
         """For `device` (AUTO, cpu or cuda:N) into `cache_folder`. `request`: what to compile (default: the general
         kernels). Raises `OSError` where no process can be started.
         """
-        self._complaint = ""
+        self._last_line = ""
         order = {
             "paths": [path for path in sys.path if path],
             "cache": str(cache_folder),
@@ -71,11 +71,18 @@ class CompileProcess:
         """Why it failed, in a line; empty where it did not, or has not ended."""
         if self._process.poll() in (None, 0):
             return ""
-        if not self._complaint:
+        return self._told() or f"it ended with code {self._process.returncode}"
+
+    def notes(self) -> str:
+        """What is to be known of it although it did not fail, in a line; empty as long as it compiles."""
+        return self._told() if self._process.poll() == 0 else ""
+
+    def _told(self) -> str:
+        if not self._process.stderr.closed:
             with self._process.stderr as pipe:
                 lines = pipe.read().decode("utf-8", "replace").strip().splitlines()
-            self._complaint = lines[-1] if lines else f"it ended with code {self._process.returncode}"
-        return self._complaint
+            self._last_line = lines[-1] if lines else ""
+        return self._last_line
 
     def wait(self) -> None:
         """Until it has ended."""
@@ -113,12 +120,18 @@ def compile_as_asked() -> None:
         threading.Thread(target=_end_with, args=(pipe,), daemon=True).start()
         sys.path += [path for path in order["paths"] if path not in sys.path]
         from ..device.devices import find_device, load_kernels, start_warp
+        from ..device.kept_kernels import keep_or_fail, remove_abandoned
+        from ..device.notes import take_notes
         from .request import GeneralRequest, decode_request
 
+        keep_or_fail()
         start_warp(order["cache"])
+        remove_abandoned()
         device = find_device(order["device"])
         request = decode_request(data, order["core"]) if data else GeneralRequest()
         load_kernels(request.kernels(device), device, lambda done, total: None)
+        told.write("; ".join(take_notes()))
+        told.close()
     except Exception as error:  # whatever it is, who asked goes on without, and says so
         told.write(f"{type(error).__name__}: {error}".replace("\n", " ")[:_COMPLAINT_LENGTH])
         told.close()

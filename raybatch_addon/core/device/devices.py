@@ -14,7 +14,10 @@ from pathlib import Path
 import warp as wp
 
 from ..errors import DeviceError
+from .compiler import compile_apart
+from .kept_kernels import folders, spare_folder
 from .kernel import block_size_of
+from .loading import find_files, is_loaded, load, load_here_what_is_launched
 from .precompiled_header import share_precompiled_header
 
 _warp_lock = threading.Lock()
@@ -27,7 +30,8 @@ def start_warp(cache_folder: str | Path | None = None) -> None:
     """Initialise Warp once, without a word on standard output, nor on standard error about a missing CUDA driver;
     kernels are cached in `cache_folder`.
 
-    Raises `DeviceError` for a folder that cannot be made.
+    Where that folder cannot be made they are kept in a temporary one, and a note says so. Raises `DeviceError` where
+    there is none either.
     """
     with _warp_lock:
         wp.config.log_level = wp.LOG_ERROR
@@ -38,10 +42,7 @@ def start_warp(cache_folder: str | Path | None = None) -> None:
             try:
                 folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise DeviceError(
-                    f"compiled kernels cannot be kept in {cache_folder} ({error.strerror}); make it writable, or set "
-                    "RAYBATCH_KERNEL_CACHE to a folder that is"
-                ) from error
+                folder = spare_folder(folder, error)
             wp.config.kernel_cache_dir = str(folder)
 
 
@@ -49,7 +50,9 @@ def start_warp(cache_folder: str | Path | None = None) -> None:
 def _initialize_warp() -> None:
     with _without_line(_DRIVER_MISSING):
         wp.init()
+    compile_apart()
     share_precompiled_header()
+    load_here_what_is_launched()
 
 
 @contextlib.contextmanager
@@ -86,7 +89,7 @@ def _flush_standard_error() -> None:
 
 def warp_cache_folder() -> Path:
     """Where compiled kernels are kept, of every version of Warp."""
-    return Path(wp.config.kernel_cache_dir).parent
+    return folders()[-1].parent
 
 
 def find_device(name: str) -> wp.Device:
@@ -156,41 +159,42 @@ def host_memory_peak() -> int:
     return int(peak if sys.platform == "darwin" else peak * 1024)
 
 
-_load_locks: dict[int, threading.Lock] = {}
-
-
-def load_module(kernel: wp.Kernel, device: wp.Device) -> None:
+def load_module(kernel: wp.Kernel, device: wp.Device, given_up: Callable[[], bool] | None = None) -> None:
     """Compile or load the module of `kernel`. Several threads may ask for one module: the first one loads it.
 
-    Raises `DeviceError` where it cannot be compiled.
+    Raises `DeviceError` where it cannot be compiled, and `CompileStoppedError` where `given_up` said so meanwhile.
     """
-    with _warp_lock:
-        lock = _load_locks.setdefault(id(kernel.module), threading.Lock())  # modules live as long as the process
-    with lock:
-        if kernel.module.load(device, block_size_of(kernel) if device.is_cuda else 1) is None:
-            raise DeviceError(f"a kernel could not be compiled for {device.alias}; see the log above")
+    load(kernel.module, device, block_size_of(kernel) if device.is_cuda else 1, given_up)
 
 
 def is_compiled(kernel: wp.Kernel, device: wp.Device) -> bool:
-    """Whether the module of `kernel` is loaded, or in the cache of compiled kernels."""
+    """Whether the module of `kernel` is loaded, was shipped, or is in the cache of compiled kernels."""
     module, block_size = kernel.module, block_size_of(kernel) if device.is_cuda else 1
-    if (device.context if device.is_cuda else None, block_size) in module.execs:
-        return True
-    name = module._get_compile_output_name(device, block_dim=block_size)
-    return (Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_size) / name).exists()
+    return is_loaded(module, device, block_size) or find_files(module, device, block_size) is not None
 
 
-def load_kernels(kernels: Iterable[wp.Kernel], device: wp.Device, on_module: Callable[[int, int], None]) -> list[str]:
+def shipped_target(kernel: wp.Kernel, device: wp.Device) -> str:
+    """The target that the module of `kernel` was shipped for; empty where it is not a shipped one that is found."""
+    files = find_files(kernel.module, device, block_size_of(kernel) if device.is_cuda else 1)
+    return files.target if files else ""
+
+
+def load_kernels(
+    kernels: Iterable[wp.Kernel],
+    device: wp.Device,
+    on_module: Callable[[int, int], None],
+    given_up: Callable[[], bool] | None = None,
+) -> list[str]:
     """Compile or load the modules of `kernels`, several at a time; returns the modules' names.
 
     Done before worker threads start, because a launch must find its module loaded.
-    `on_module(done, all)` is called after each.
+    `on_module(done, all)` is called after each. Raises as `load_module` does.
     """
     from concurrent.futures import ThreadPoolExecutor, as_completed
 
     unique = {kernel.module.name: kernel for kernel in kernels}
     with ThreadPoolExecutor(max_workers=min(4, os.cpu_count() or 1)) as pool:
-        tasks = [pool.submit(load_module, kernel, device) for kernel in unique.values()]
+        tasks = [pool.submit(load_module, kernel, device, given_up) for kernel in unique.values()]
         for done, task in enumerate(as_completed(tasks), 1):
             task.result()
             on_module(done, len(tasks))

@@ -8,6 +8,7 @@ kernels, for whoever compiles next.
 from __future__ import annotations
 
 import hashlib
+import shutil
 import tempfile
 import threading
 from collections.abc import Callable
@@ -15,6 +16,8 @@ from pathlib import Path
 
 import warp as wp
 
+from .compiler import CompileError
+from .kept_kernels import folders, spare_folder
 from .kernel import MODULE_OPTIONS
 
 _lock = threading.Lock()  # while one thread reads the header, others wait for it
@@ -43,14 +46,29 @@ def _shared_folder(own_folder: Callable[[], str]) -> str:
     try:
         # another copy of Warp, or the same installed again, may not use it
         key = hashlib.sha256(f"{header} {header.stat().st_mtime_ns}".encode()).hexdigest()[:16]
-        folder = Path(wp.config.kernel_cache_dir) / f"header-{key}"
         with _lock:
-            if not any(folder.glob("*.pch")):
-                folder.mkdir(parents=True, exist_ok=True)
-                _compile_nothing(folder)
+            found = [each for each in (folder / f"header-{key}" for folder in folders()) if any(each.glob("*.pch"))]
+            return str(found[0] if found else _make(f"header-{key}"))
     except Exception:  # whatever it is, the compiler says it again of the kernel if it matters there
         return own_folder()
-    return str(folder)
+
+
+def _make(name: str) -> Path:
+    """The folder `name`, with the header parsed in it."""
+    folder = folders()[-1] / name
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _compile_nothing(folder)
+        return folder
+    except (OSError, CompileError) as error:
+        shutil.rmtree(folder, ignore_errors=True)
+        lack = error if isinstance(error, OSError) else error.lack_of_room
+        if lack is None or (spare := spare_folder(folder.parent, lack)) == folder.parent:
+            raise
+        folder = spare / name
+        folder.mkdir(parents=True, exist_ok=True)
+        _compile_nothing(folder)
+        return folder
 
 
 def _compile_nothing(folder: Path) -> None:

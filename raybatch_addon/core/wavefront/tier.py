@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ..device.devices import is_compiled
+from ..device.devices import is_compiled, shipped_target
 from ..errors import SettingsError
 from ..programs.op import op_numbers
 from ..scene.description import ClosureKind, LightKind
@@ -129,7 +129,9 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
     if all(is_compiled(kernel, device) for kernel in StageKernels.choose(features).shading()):
         return specialised("they were compiled before")
     if is_compiled(general_kernels()[0], device):
-        return general("they are ready, and the specialised ones are not")
+        target = shipped_target(general_kernels()[0], device)
+        shipped = f" (shipped for {target})" if target else ""
+        return general(f"they are ready{shipped}, and the specialised ones are not")
     return specialised("no others were compiled ahead")
 
 

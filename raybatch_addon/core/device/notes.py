@@ -1,0 +1,25 @@
+"""What a user should know of compiled kernels, kept until a render's report tells it."""
+
+from __future__ import annotations
+
+import threading
+
+_lock = threading.Lock()
+_notes: list[str] = []
+_told: set[str] = set()
+
+
+def note(text: str) -> None:
+    """Tell `text` with the next report; the same text is told once."""
+    with _lock:
+        if text not in _told:
+            _told.add(text)
+            _notes.append(text)
+
+
+def take_notes() -> list[str]:
+    """What was noted since the last time."""
+    with _lock:
+        taken = list(_notes)
+        _notes.clear()
+    return taken

@@ -1,0 +1,104 @@
+"""Kernels that were compiled when the extension was packed, for processors of several levels.
+
+`index.json` in their folder lists them by module. They are loaded from where they are installed, which may be a folder
+that nobody can write. Without the folder, as in a clone, there are none.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+from pathlib import Path
+from typing import Any
+
+import warp as wp
+
+from .kept_kernels import KernelFiles, digest
+from .kernel import GENERAL_MODULE
+from .notes import note
+
+FOLDER = Path(__file__).resolve().parents[2] / "kernels"
+INDEX = "index.json"
+FORMAT = 1
+_CURE = "kernels are compiled here instead"
+
+# The levels of x86-64 as compilers know them, best first, and what each adds. Blender itself needs the last one.
+LEVELS = {
+    "x86-64-v4": ("avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"),
+    "x86-64-v3": ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "xsave"),
+    "x86-64-v2": ("cx16", "sahf", "popcnt", "sse3", "sse4.1", "sse4.2", "ssse3"),
+}
+
+
+def compiler_version() -> dict[str, str]:
+    """What compiled kernels for a CPU depend on, beside its level."""
+    context = wp._src.context
+    return {"llvm": context._get_cpu_toolchain_version(), "triple": context._get_cpu_target_triple()}
+
+
+def fitting_targets(device: wp.Device) -> list[str]:
+    """The targets whose kernels run on `device`, best first."""
+    if device.is_cuda:
+        return []
+    has = wp._src.context._get_cpu_feature_set()
+    levels = list(LEVELS)
+    return [
+        level for i, level in enumerate(levels) if all(each in has for below in levels[i:] for each in LEVELS[below])
+    ]
+
+
+def shipped_files(module: wp.Module, device: wp.Device, block_size: int) -> KernelFiles | None:
+    """The shipped `module`, if it fits `device` and is sound; where there should be one, a note says why not."""
+    if not device.is_cpu or not (index := _index(FOLDER)):
+        return None
+    identifier = module.get_module_identifier(block_size)
+    entry = index["modules"].get(identifier)
+    if entry is None or entry["hash"] != module.get_module_hash(block_size).hex():
+        if module.name == GENERAL_MODULE:
+            note(f"the shipped general kernels belong to other code than this RayBatch; {_CURE}")
+        return None
+    complaints = []
+    for target in fitting_targets(device):
+        binary = entry["binaries"].get(target)
+        if binary is None:
+            continue
+        files = KernelFiles(FOLDER / target / binary["file"], FOLDER / entry["meta"]["file"], target)
+        if index["targets"][target] != compiler_version():
+            complaints.append(f"the shipped kernels for {target} are for another compiler or system than this Warp has")
+        elif not _is_sound(files, binary["sum"], entry["meta"]["sum"]):
+            complaints.append(f"the shipped kernel {files.binary} is damaged (install the extension again)")
+        else:
+            for complaint in complaints:
+                note(f"{complaint}; that for {target} takes its place")
+            return files
+    for complaint in complaints or [f"the shipped kernels need a processor of at least {list(LEVELS)[-1]}"]:
+        note(f"{complaint}; {_CURE}")
+    return None
+
+
+@functools.lru_cache(maxsize=4)
+def _index(folder: Path) -> dict[str, Any]:
+    """The list of what is in `folder`; nothing where that cannot be used."""
+    path = folder / INDEX
+    try:
+        index = json.loads(path.read_text(encoding="utf-8"))
+        if index["format"] != FORMAT or index["warp"] != wp.config.version:
+            note(f"the shipped kernels are for Warp {index['warp']}, and this is {wp.config.version}; {_CURE}")
+            return {}
+        for entry in index["modules"].values():
+            _ = (entry["hash"], entry["meta"]["file"], entry["meta"]["sum"])
+            _ = [(index["targets"][target], each["file"], each["sum"]) for target, each in entry["binaries"].items()]
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        note(f"the list of shipped kernels {path} is damaged ({type(error).__name__}); {_CURE}; install it again")
+        return {}
+    return index
+
+
+@functools.lru_cache(maxsize=256)
+def _is_sound(files: KernelFiles, binary_sum: str, meta_sum: str) -> bool:
+    try:
+        return digest(files.binary.read_bytes()) == binary_sum and digest(files.meta.read_bytes()) == meta_sum
+    except OSError:
+        return False

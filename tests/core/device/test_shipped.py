@@ -1,0 +1,239 @@
+"""Shipped kernels: bits do not depend on the processor's level, and what does not fit is said and compiled."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+from lib.shipped_kernels import can_be_made, compile_source, make_kernels, source_of
+
+from raybatch_addon.core.device import shipped
+from raybatch_addon.core.device.devices import is_compiled, shipped_target, start_warp
+from raybatch_addon.core.device.kernel import GENERAL_MODULE, KERNEL_OPTIONS
+from raybatch_addon.core.device.notes import take_notes
+from raybatch_addon.core.device.shipped import INDEX, LEVELS, fitting_targets
+from tests.core.device.small_kernels import ROOT, files_of, forget, small_kernel, works
+
+pytestmark = pytest.mark.skipif(not can_be_made("linux-x64"), reason="kernels are shipped for Linux on x86-64")
+KEPT = ROOT / "build" / "kernels"  # as `package.py` keeps them
+BEST = "x86-64-v2"  # every processor has it
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    """A folder for shipped kernels that is not there yet, and an empty one for those that are compiled."""
+    start_warp()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "kept"))
+    monkeypatch.setattr(shipped, "FOLDER", tmp_path / "shipped")
+    shipped._index.cache_clear()
+    shipped._is_sound.cache_clear()
+    take_notes()
+    yield tmp_path / "shipped"
+    shipped._index.cache_clear()
+
+
+@pytest.fixture
+def kernel(folder, tmp_path) -> wp.Kernel:
+    """A kernel that was shipped for the lowest level."""
+    kernel = small_kernel()
+    make_kernels(folder, tmp_path / "made", [kernel], [BEST])
+    return kernel
+
+
+def compiled_here(kernel: wp.Kernel) -> bool:
+    return files_of(kernel).binary.exists()
+
+
+def test_a_shipped_kernel_is_loaded_from_where_it_is(kernel):
+    device = wp.get_device("cpu")
+    assert shipped_target(kernel, device) == BEST and is_compiled(kernel, device)
+    assert works(kernel) and not compiled_here(kernel) and take_notes() == []
+
+
+def test_what_was_compiled_here_comes_first(folder, tmp_path):
+    kernel = small_kernel()
+    assert works(kernel)
+    make_kernels(folder, tmp_path / "made", [kernel], [BEST])
+    forget(kernel)
+    assert shipped_target(kernel, wp.get_device("cpu")) == "" and works(kernel)
+
+
+def change(folder: Path, **changes) -> None:
+    index = json.loads((folder / INDEX).read_text())
+    (folder / INDEX).write_text(json.dumps(index | changes))
+
+
+def flip(path: Path) -> None:
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 255
+    path.write_bytes(data)
+
+
+SPOILT = {
+    "object": (lambda folder: flip(next(folder.glob("*/*.o"))), "the shipped kernel .* is damaged .install"),
+    "cut object": (lambda folder: next(folder.glob("*/*.o")).write_bytes(b""), "is damaged"),
+    "no object": (lambda folder: next(folder.glob("*/*.o")).unlink(), "is damaged"),
+    "meta": (lambda folder: flip(next(folder.glob("*.meta"))), "is damaged"),
+    "index": (lambda folder: (folder / INDEX).write_text('{"format": 1, "wa'), "list of shipped kernels .* is damaged"),
+    "index of garbage": (lambda folder: (folder / INDEX).write_bytes(bytes(range(256))), "list .* is damaged"),
+    "index without hashes": (
+        lambda folder: change(folder, modules={"wp_a_1234567": {}}),
+        "list of shipped kernels .* is damaged",
+    ),
+    "Warp": (lambda folder: change(folder, warp="1.18.0"), "are for Warp 1.18.0, and this is"),
+    "compiler": (
+        lambda folder: change(folder, targets={BEST: {"llvm": "21.0", "triple": "x86_64-unknown-linux-gnu"}}),
+        f"for {BEST} are for another compiler or system",
+    ),
+}
+
+
+@pytest.mark.parametrize("which", SPOILT)
+def test_what_does_not_fit_is_said_and_compiled(kernel, folder, which):
+    spoil, said = SPOILT[which]
+    spoil(folder)
+    assert not is_compiled(kernel, wp.get_device("cpu"))
+    assert works(kernel) and compiled_here(kernel)
+    (note,) = take_notes()
+    assert "kernels are compiled here instead" in note
+    assert re.search(said, note), note
+
+
+def test_a_lower_level_takes_the_place_of_what_is_damaged(folder, tmp_path):
+    kernel, levels = small_kernel(), fitting()[-2:]
+    if len(levels) < 2:
+        pytest.skip("this processor has one level alone")
+    make_kernels(folder, tmp_path / "made", [kernel], levels)
+    flip(next((folder / levels[0]).glob("*.o")))
+    assert works(kernel) and not compiled_here(kernel)
+    (note,) = take_notes()
+    assert "is damaged" in note and note.endswith(f"that for {BEST} takes its place")
+
+
+def test_a_processor_with_too_few_instructions_compiles(kernel, monkeypatch):
+    monkeypatch.setattr(wp._src.context, "_get_cpu_feature_set", lambda: frozenset({"sse2", "sse3"}))
+    assert works(kernel) and compiled_here(kernel)
+    (note,) = take_notes()
+    assert "need a processor of at least x86-64-v2; kernels are compiled here instead" in note
+
+
+def test_general_kernels_of_other_code_are_said(folder, tmp_path):
+    make_kernels(folder, tmp_path / "made", [small_kernel()], [BEST])
+    module = wp.get_module(GENERAL_MODULE)
+    assert shipped.shipped_files(module, wp.get_device("cpu"), 1) is None
+    assert "belong to other code than this RayBatch" in take_notes()[0]
+
+
+def test_levels_are_chosen_by_what_the_processor_has(monkeypatch):
+    device, has = wp.get_device("cpu"), set()
+    for level in reversed(LEVELS):
+        assert level not in fitting_targets(device) or not has
+        has |= set(LEVELS[level])
+        monkeypatch.setattr(wp._src.context, "_get_cpu_feature_set", lambda: frozenset(has))
+        assert fitting_targets(device)[0] == level
+    has.remove("sse4.2")
+    assert fitting_targets(device) == []
+
+
+def fitting() -> list[str]:
+    start_warp()
+    return fitting_targets(wp.get_device("cpu"))
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def many_functions(values: wp.array(dtype=float), found: wp.array2d(dtype=float)):
+    i = wp.tid()
+    x = values[i]
+    y = values[(i * 7 + 3) % values.shape[0]]
+    v = wp.vec3(x, y, x * y)
+    m = wp.matrix_from_rows(v, wp.vec3(y, x, 1.0), wp.vec3(1.0, x + y, y))
+    found[i, 0] = wp.sin(x) * wp.cos(y) + wp.tan(x)
+    found[i, 1] = wp.exp(-wp.abs(x)) + wp.log(wp.abs(y) + 1.0)
+    found[i, 2] = wp.pow(wp.abs(x), y * 0.1)
+    found[i, 3] = wp.sqrt(wp.abs(x)) / (1.0 + y * y)
+    found[i, 4] = wp.atan2(x, y) + wp.asin(wp.clamp(x, -1.0, 1.0)) + wp.acos(wp.clamp(y, -1.0, 1.0))
+    found[i, 5] = wp.floor(x) + wp.ceil(y) + wp.round(x * 3.0) + wp.mod(x, 0.7)
+    found[i, 6] = wp.dot(m * v, wp.normalize(v)) + wp.length(wp.cross(v, m * v))
+    found[i, 7] = x * y + x * y + x - y * x + wp.sinh(x * 0.1) + wp.erf(y)
+    total = float(0.0)
+    for k in range(32):  # loops that a compiler may turn into vectors
+        total += values[(i + k) % values.shape[0]] * values[(i + 2 * k) % values.shape[0]]
+    found[i, 8] = total + wp.determinant(m)
+
+
+def test_levels_and_optimisation_give_the_same_bits(tmp_path, monkeypatch):
+    start_warp()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "kept"))
+    device, module = wp.get_device("cpu"), many_functions.module
+    source, meta = source_of(module)
+    values = np.random.default_rng(7).normal(scale=3.0, size=20011).astype(np.float32)
+    results = {}
+    for level, optimisation in [("native", 2), *((level, 2) for level in fitting()), ("native", 0), ("x86-64-v2", 3)]:
+        name = f"{level}-{optimisation}"
+        compile_source(source, level, tmp_path / f"{name}.o", optimisation)
+        (tmp_path / "module.meta").write_bytes(meta)
+        module.unload()
+        module.load(device, 1, binary_path=tmp_path / f"{name}.o", meta_path=tmp_path / "module.meta")
+        found = wp.zeros((len(values), 9), dtype=float, device=device)
+        wp.launch(many_functions, len(values), [wp.array(values, dtype=float, device=device), found], device=device)
+        results[name] = found.numpy()
+    module.unload()
+    expected = results["native-2"]
+    assert np.isfinite(expected).all() and len(results) >= 4
+    assert all(np.array_equal(result, expected) for result in results.values())
+
+
+# Renders scenes by general kernels of the level sys.argv[3] out of the folder sys.argv[2] to the file sys.argv[1]
+RENDER = """
+import sys
+from pathlib import Path
+sys.path[:0] = sys.argv[4:]
+import numpy as np
+from raybatch_addon.core.device import shipped
+shipped.FOLDER = Path(sys.argv[2])
+from raybatch_addon.core.session import Session
+from tests.core.ahead.test_tiers import SCENES, SETTINGS
+session, level = Session("cpu"), sys.argv[3]
+shipped.fitting_targets = lambda device: [level]
+films = {}
+for name, make in SCENES.items():
+    film = session.render(make(), SETTINGS.replace(kernel_tier="AUTO", batching="OFF"))
+    assert level in film.statistics["auto"]["kernel_tier"]["why"], film.statistics["auto"]
+    assert not film.statistics["warnings"], film.statistics["warnings"]
+    films |= {f"{name} {each}": values for each, values in film.passes.items()}
+np.savez(sys.argv[1], **films)
+"""
+
+
+@pytest.fixture(scope="module")
+def general_folder(tmp_path_factory) -> Path:
+    """All that is shipped, for the levels of this processor; compiled once a clone."""
+    folder = tmp_path_factory.mktemp("shipped") / "kernels"
+    make_kernels(folder, KEPT, levels=fitting())
+    return folder
+
+
+@pytest.mark.parametrize("level", LEVELS)
+def test_shipped_general_kernels_give_the_films_of_specialised_ones(level, general_folder, tmp_path):
+    from raybatch_addon.core.session import Session
+    from tests.core.ahead.test_tiers import SCENES, SETTINGS
+
+    if level not in fitting():
+        pytest.skip(f"this processor does not have all of {level}")
+    kept = {"RAYBATCH_KERNEL_CACHE": str(tmp_path / "kept"), "WARP_CACHE_PATH": str(tmp_path / "kept")}
+    environment = os.environ | kept | {"RAYBATCH_KERNEL_TIER": "AUTO"}
+    command = [sys.executable, "-c", RENDER, tmp_path / "films.npz", general_folder, level, ROOT, ROOT / "scripts"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    films = np.load(tmp_path / "films.npz")
+    for name, make in SCENES.items():
+        expected = Session("cpu").render(make(), SETTINGS.replace(kernel_tier="SPECIALISED", batching="OFF"))
+        for each, values in expected.passes.items():
+            assert np.array_equal(films[f"{name} {each}"], values, equal_nan=True), (name, each)
+    # a scene's own small kernels are compiled, as far as they are not shipped; never one that shades
+    assert not list((tmp_path / "kept").glob("*/wp_raybatch_general*"))
