@@ -20,6 +20,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Image, ImageEncoding
+from ...core.scene.frozen import freeze
 from .color_spaces import CannotConvertNow, SpaceKind, space_kind, to_scene_linear, working_space
 from .files import frame_number, sequence_path, stored_pixels, tile_path
 
@@ -67,6 +68,9 @@ def export_image(image: bpy.types.Image | None, user: Any, frame: int) -> tuple[
             )
         if kept is not None and _same(kept.image, exported):
             exported = kept.image  # the device has it already
+        for pixels in [exported.pixels] if exported.tiles is None else [pixels for _, pixels in exported.tiles]:
+            if pixels is not None:
+                freeze(pixels)
         for old in [each for each, what in _kept.items() if now - what.used > KEPT_SECONDS]:
             del _kept[old]
         kept = _kept[key] = _Kept(signature, exported, notes, now)

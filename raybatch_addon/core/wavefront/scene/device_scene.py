@@ -12,13 +12,14 @@ import warp as wp
 from ...bvh.traverse.reference import ReferenceTree
 from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
-from ...programs.inputs_data import upload_camera_inputs
+from ...programs.inputs_data import upload_camera_inputs, upload_inputs
 from ...programs.table import upload_programs
 from ...scene.description import ClosureKind, Scene
 from ...scene.features import SceneFeatures
 from ...shading.bsdf.bsdf import ClosureFeatures, upload_materials
 from ...shading.camera import CameraData, upload_camera
 from ...shading.images.image_upload import UploadedImages
+from ...shading.lights.emitters import emits_light, find_emissive_triangles
 from ...shading.lights.lamp_brightness import brightness_of_lamps
 from ...shading.lights.lamp_program import upload_lamp_programs
 from ...shading.lights.light_table import UploadedLights, upload_lights
@@ -26,6 +27,7 @@ from ..plan.tracing import Tracing
 from ..stages.emitted import emission_of_triangles, world_texels
 from .scene_cache import BuiltGeometry, GeometryRequest, PagedTree, SceneCache
 from .scene_data import SceneData
+from .unchanged import emission_key, inputs_key
 from .world_cache import WorldCache
 
 
@@ -75,7 +77,14 @@ class DeviceScene:
             data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
             programs = [material.program for material in scene.materials]
-            data.nodes = upload_programs(programs, features.programs, scene, data.geometry, images.table, device)
+            inputs = None
+            if features.programs:
+                ops = features.programs.ops
+                key = inputs_key(scene, ops, device.alias)
+                inputs = cache.inputs.get(key, functools.partial(upload_inputs, scene, ops, device))
+            data.nodes = upload_programs(
+                programs, features.programs, scene, data.geometry, images.table, device, inputs
+            )
         data.world_nodes = upload_programs(
             [scene.world.program],
             features.world_program,
@@ -87,7 +96,13 @@ class DeviceScene:
         )
         data.lamp_nodes = upload_lamp_programs(scene, features.lamp_program, data.geometry, images.table, device)
         on_stage("lights")
-        lights = upload_lights(scene, device, *_program_light(data, scene, features, shading, device, cache.world))
+        emitted, world, lamps = _program_light(data, scene, features, shading, device, cache.world)
+        emits = [emits_light(material, emitted is not None) for material in scene.materials]
+        triangles = cache.emissive.get(
+            emission_key(scene, emits, features.programs.ops, device.alias),
+            lambda: find_emissive_triangles(scene, emitted),
+        )
+        lights = upload_lights(scene, device, triangles=triangles, world=world, lamps=lamps)
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)
         data.world_visibility = scene.world.visibility
