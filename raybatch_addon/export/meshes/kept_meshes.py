@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -19,6 +19,7 @@ from ...core.device.devices import free_memory
 from ...core.scene.description import Attribute, Mesh
 from ...core.scene.frozen import freeze
 from .attributes import mesh_attributes
+from .mesh_arrays import MeshArrays
 from .meshes import export_mesh
 
 # A mesh that this many exports have not used is dropped
@@ -55,18 +56,40 @@ _STORED = {
 }
 
 
-@dataclass
 class _Kept:
-    mesh: Mesh  # without attributes
-    attributes: dict[tuple[bytes, str, str], Attribute]  # by digest of all attributes, kind and name
-    used: int  # number of the export that last used it
+    """A mesh, and what more of it the last two exports asked for.
+
+    UV coordinates are apart from the mesh: modifiers round them differently from one evaluation to the next.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = replace(mesh, corner_uvs=None)  # without attributes
+        self.used = _export_count  # number of the export that last used it
+        self._now: dict[tuple, Attribute] = {}
+        self._before: dict[tuple, Attribute] = {}
 
     @property
     def bytes(self) -> int:
         """Memory that it takes on the host [bytes]."""
-        return sum(
-            array.nbytes for array in mesh_arrays(replace(self.mesh, attributes=tuple(self.attributes.values())))
-        )
+        more = {id(each): each.values.nbytes for each in (*self._now.values(), *self._before.values())}
+        return sum(array.nbytes for array in mesh_arrays(self.mesh)) + sum(more.values())
+
+    def use(self) -> None:
+        """The present export uses it."""
+        if self.used != _export_count:
+            self.used, self._before, self._now = _export_count, self._now, {}
+
+    def part(self, key: tuple) -> Attribute | None:
+        """What was kept by `key`."""
+        found = self._now.get(key) or self._before.get(key)
+        if found is not None:
+            self._now[key] = found
+        return found
+
+    def keep(self, key: tuple, part: Attribute) -> None:
+        """Keep `part`, whose values nobody may change any more."""
+        freeze(part.values)
+        self._now[key] = part
 
 
 _kept: dict[bytes, _Kept] = {}  # by digest of the shape
@@ -105,7 +128,8 @@ class MeshSource:
         """Messages call the mesh by its object `user`; `warnings` gets them."""
         self._mesh, self._user, self._warnings = mesh, user, warnings
         mesh.calc_loop_triangles()
-        self._shape = _digest(mesh, _is_of_shape(mesh))
+        self._layer = next((layer for layer in mesh.uv_layers if layer.active_render and len(layer.uv)), None)
+        self._shape = _digest(mesh, self._layer, lambda attribute: attribute.name in _OF_SHAPE)
         self._all: bytes | None = None
 
     def exported(self) -> Mesh | None:
@@ -118,38 +142,47 @@ class MeshSource:
                 return mesh
             for array in mesh_arrays(mesh):
                 freeze(array)
-            kept = _kept[self._shape] = _Kept(mesh, {}, _export_count)
-        kept.used = _export_count
-        return kept.mesh
+            kept = _kept[self._shape] = _Kept(mesh)
+            if mesh.corner_uvs is not None:
+                kept.keep((self._uv_digest(),), Attribute("UV", "", mesh.corner_uvs))
+        kept.use()
+        return replace(kept.mesh, corner_uvs=self._uvs(kept) if self._layer is not None else None)
+
+    def _uvs(self, kept: _Kept) -> np.ndarray:
+        key = (self._uv_digest(),)
+        part = kept.part(key)
+        if part is None:
+            part = Attribute("UV", "", MeshArrays(self._mesh).uvs(self._layer))
+            kept.keep(key, part)
+        return part.values
+
+    def _uv_digest(self) -> bytes:
+        digest = hashlib.sha1(usedforsecurity=False)
+        _add(digest, self._layer.uv, "vector", np.float32, 2)
+        return digest.digest()
 
     def attributes(self, asked: Iterable[tuple[str, str]]) -> list[Attribute]:
         """Attributes of kind and name `asked`, as far as the mesh has them."""
         asked, found = list(asked), []
         kept = _kept.get(self._shape)
         if asked and kept is not None and self._all is None:
-            self._all = _digest(self._mesh, lambda attribute: True)
-        for kind, name in asked:
-            attribute = kept and kept.attributes.get((self._all, kind, name))
-            if attribute:
-                found.append(attribute)
+            self._all = _digest(self._mesh, self._layer, lambda attribute: True)
+        for key in [(self._all, *each) for each in asked]:
+            part = kept and kept.part(key)
+            if part:
+                found.append(part)
                 continue
             before = len(self._warnings)
-            read = mesh_attributes(self._mesh, [(kind, name)], self._user, self._warnings)
+            read = mesh_attributes(self._mesh, [key[1:]], self._user, self._warnings)
             if kept is not None and len(self._warnings) == before:
                 for each in read:
-                    freeze(each.values)
-                    kept.attributes[self._all, kind, name] = each
+                    kept.keep(key, each)
             found += read
         return found
 
 
-def _is_of_shape(mesh: bpy.types.Mesh) -> Callable[[bpy.types.Attribute], bool]:
-    layer = next((layer.name for layer in mesh.uv_layers if layer.active_render), None)
-    return lambda attribute: attribute.name in _OF_SHAPE or attribute.name == layer
-
-
-def _digest(mesh: bpy.types.Mesh, is_wanted: Callable[[bpy.types.Attribute], bool]) -> bytes:
-    """Equal for equal meshes only, as far as the attributes go that `is_wanted`."""
+def _digest(mesh: bpy.types.Mesh, layer, is_wanted: Callable[[bpy.types.Attribute], bool]) -> bytes:
+    """Equal for equal meshes only, as far as the attributes go that `is_wanted`. `layer`: the UV map of renders."""
     digest = hashlib.sha1(usedforsecurity=False)
     render_color = mesh.color_attributes.render_color_index
     names = (
@@ -159,7 +192,7 @@ def _digest(mesh: bpy.types.Mesh, is_wanted: Callable[[bpy.types.Attribute], boo
         tuple(mesh.texspace_size),
         mesh.normals_domain,
         mesh.has_custom_normals,
-        next((layer.name for layer in mesh.uv_layers if layer.active_render), None),
+        None if layer is None else layer.name,
         mesh.color_attributes[render_color].name if 0 <= render_color < len(mesh.color_attributes) else None,
     )
     digest.update(repr(names).encode())
