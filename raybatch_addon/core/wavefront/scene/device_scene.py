@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ...bvh.build.scene_tree import BuiltTree
 from ...bvh.traverse.reference import ReferenceTree
 from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
@@ -49,6 +50,7 @@ class DeviceScene:
     shadow_rays: bool  # there is an emitter to aim at, not only code for it
     built: BuiltGeometry | None
     images: UploadedImages  # keeps them alive
+    splits_kept: bool = False  # the tree splits triangles, which was planned for an earlier render and not for this one
 
     @staticmethod
     def build(
@@ -131,6 +133,7 @@ class DeviceScene:
             shadow_rays=features.shadow_rays and lights.emitter_count > 0,
             built=built,
             images=images,
+            splits_kept=isinstance(built, BuiltTree) and built.splits and not request.plan.splits,
         )
 
     @property

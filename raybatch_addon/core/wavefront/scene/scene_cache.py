@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from ...bvh.build.mesh_tree import mesh_parts
-from ...bvh.build.scene_tree import BuiltTree, build_scene_tree, refit_scene_tree, splits_triangles
+from ...bvh.build.scene_tree import BuiltTree, build_scene_tree, refit_scene_tree
 from ...bvh.memory import GeometrySize, check_counts, check_memory, explained_memory_errors
 from ...bvh.node import Layout
 from ...bvh.pages.build import PagedScene, build_paged_scene
@@ -214,7 +214,11 @@ class SceneCache:
             with self._lock:
                 # nothing is kept until the new one is whole: not what an error left half done, nor two of them
                 last, self._last = self._last, None
-                if last is None or not _follow(last, fingerprint, flat, scene, device):
+                if (
+                    last is None
+                    or not _serves(last.built, request.plan)
+                    or not _follow(last, fingerprint, flat, scene, device)
+                ):
                     del last
                     if whole:
                         check_memory(size, request.layout, device, all_of_it=False)
@@ -231,7 +235,7 @@ class SceneCache:
             last = self._last
             if last is None or last.shown is None or not last.shown.holds(*_geometry_of(scene, request)):
                 return None
-            if isinstance(last.built, PagedTree) and last.built.residency.has_failed:
+            if not _serves(last.built, request.plan):
                 return None
             if isinstance(last.built, BuiltTree):
                 last.built.note(0, 0, start)
@@ -253,13 +257,18 @@ def _geometry_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarra
     return meshes, (placed, request.kind(), request.plan.method, cut)
 
 
+def _serves(built: BuiltGeometry, plan: TracingPlan) -> bool:
+    """Whether a tree is as good as one that is built for `plan`; one that splits triangles serves short renders too."""
+    if isinstance(built, PagedTree):
+        return not built.residency.has_failed  # its file is no good; a new one may be
+    return not isinstance(built, BuiltTree) or built.splits or not plan.splits
+
+
 def _follow(last: Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, device: wp.Device) -> bool:
     """Make `last` show the frame; False where it cannot."""
     start = time.perf_counter()
     before, last.fingerprint = last.fingerprint, fingerprint
     own = isinstance(last.built, BuiltTree)
-    if isinstance(last.built, PagedTree) and last.built.residency.has_failed:
-        return False  # its file is no good; a new one may be
     if fingerprint != before:
         if not own or fingerprint.topology != before.topology:
             return False
@@ -298,9 +307,8 @@ def _build(
         return Kept(fingerprint, geometry, PagedTree(paged, Residency(paged, plan.geometry_budget, device)))
     if plan.method is Method.REFERENCE:
         return Kept(fingerprint, geometry, build_reference(flat, visibility, request.instancing, device))
-    splits = splits_triangles(settings.spatial_splits, layout)
     built = build_scene_tree(
-        flat, geometry, visibility, request.instancing, device, layout, splits, settings.spatial_splits == "ON"
+        flat, geometry, visibility, request.instancing, device, layout, plan.splits, settings.spatial_splits == "ON"
     )
     return Kept(fingerprint, geometry, built)
 
