@@ -208,7 +208,8 @@ class Session:
         size = GeometrySize.of(checked)
         free = self._cache.free_for_geometry(checked.images, self.device)
         memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
-        plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory)
+        samples = settings.sample_count * checked.frame.pixel_count
+        plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory, samples)
         features = derive_features(checked, settings)
         tier = choose_tier(features, settings.kernel_tier, self.device)
         if tier.complaint:

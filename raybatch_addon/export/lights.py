@@ -120,7 +120,7 @@ def _lamp_graph(light: bpy.types.Light, collections: Collections) -> LampGraph:
     output = light.node_tree.get_output_node("CYCLES") or light.node_tree.get_output_node("ALL")
     if output is None:
         return LampGraph(np.zeros(3), None)
-    collections.asked.clear()
+    collections.begin()
     compiled = compile_graph(output.inputs["Surface"], light, collections)
     asked = frozenset(collections.asked)
     if compiled.program is not None:

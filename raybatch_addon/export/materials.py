@@ -8,6 +8,7 @@ import bpy
 
 from ..core.programs.builder import Value
 from ..core.scene.description import Closure, ClosureKind, Material
+from .kept_materials import KeptMaterials
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph
 from .nodes.graph import find_source
@@ -25,6 +26,7 @@ class ExportedMaterials:
 
     def __init__(self, collections: Collections | None = None) -> None:
         self.collections = collections or Collections()
+        self._kept = KeptMaterials(self.collections)
         self.materials: list[Material] = []
         # for each material: kind and name of the attributes that it reads
         self.asked: list[frozenset[tuple[str, str]]] = []
@@ -37,8 +39,7 @@ class ExportedMaterials:
         key = None if material is None else material.original.as_pointer()
         if key not in self._index:
             self._index[key] = len(self.materials)
-            self.collections.asked.clear()
-            exported, notes = export_material(material, self.collections)
+            exported, notes = self._export(material)
             self.materials.append(exported)
             self.asked.append(frozenset(self.collections.asked))
             if notes:
@@ -49,6 +50,17 @@ class ExportedMaterials:
             if user not in users:
                 users.append(user)
         return index
+
+    def _export(self, material: bpy.types.Material | None) -> tuple[Material, list[str]]:
+        self.collections.begin()
+        signature = self._kept.signature(material)
+        found = self._kept.find(material, signature) if signature is not None else None
+        if found is None:
+            self.collections.begin()
+            found = export_material(material, self.collections)
+            if signature is not None:
+                self._kept.keep(material, signature, *found)
+        return found
 
     def warnings(self) -> list[str]:
         """One line for each material that is not rendered as it is: its name, its nodes, its objects."""

@@ -77,7 +77,7 @@ class Preparation:
                     f"Compiling kernels ({self._loaded} of {self._total})" if compiling else _MESSAGES[self._stage]
                 )
                 on_progress("compile" if compiling else "build", self._loaded / self._total, message)
-                time.sleep(_POLL_SECONDS)
+                wait([each for each in (modules, built) if not each.done()], _POLL_SECONDS)
             return built.result(), modules.result()
         finally:
             self._given_up.set()

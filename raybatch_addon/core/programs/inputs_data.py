@@ -94,6 +94,12 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
     return inputs
 
 
+def bytes_of(inputs: InputData) -> int:
+    """Memory that `inputs` take on their device [bytes]."""
+    values = (getattr(inputs, name) for name in InputData.vars)
+    return sum(int(each.capacity) for each in values if isinstance(each, wp.array))
+
+
 def upload_camera_inputs(scene: Scene, device: wp.Device) -> InputData:
     """Inputs of programs without instances, as those of the world: only those of the camera."""
     return upload_inputs(Scene(scene.camera, scene.frame, instances=Instances.empty()), (), device)

@@ -282,6 +282,12 @@ class Frame:
     passes: tuple[str, ...] = ("Combined",)  # names of `PASSES` in `film/layout.py`
 
     @property
+    def pixel_count(self) -> int:
+        """Pixels that are rendered."""
+        x0, y0, x1, y1 = self.region
+        return (x1 - x0) * (y1 - y0)
+
+    @property
     def region(self) -> tuple[int, int, int, int]:
         """x0, y0, x1, y1 of the rendered part [pixels]."""
         return self.border or (0, 0, self.width, self.height)

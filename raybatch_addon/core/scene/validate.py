@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import SceneError
 from .description import Camera, Frame, Instances, Light, Mesh, Scene, World
+from .frozen import fact
 
 # Largest coordinate; squares of larger ones leave float32
 COORDINATE_MAX = 1e18
@@ -102,7 +103,7 @@ def _check_indices(scene: Scene) -> None:
         raise SceneError("a material slot names a material that does not exist; export the scene again")
     slot_counts = np.array(
         [
-            1 if mesh.triangle_slot is None or not len(mesh.triangle_slot) else int(mesh.triangle_slot.max()) + 1
+            1 if mesh.triangle_slot is None or not len(mesh.triangle_slot) else fact(mesh.triangle_slot, _range)[1] + 1
             for mesh in scene.meshes
         ]
     )
@@ -157,14 +158,15 @@ def _checked_mesh(mesh: Mesh, warnings: list[str]) -> Mesh:
     """`mesh`, or one without triangles in its place."""
     reason = None
     if len(mesh.triangles):
-        if mesh.triangles.min() < 0 or mesh.triangles.max() >= len(mesh.positions):
+        first, last = fact(mesh.triangles, _range)
+        if first < 0 or last >= len(mesh.positions):
             reason = "has faces with vertices that do not exist"
-        elif not np.isfinite(mesh.positions).all():
+        elif not fact(mesh.positions, _is_finite):
             reason = "has vertices that are not finite"
-        elif np.abs(mesh.positions).max() > COORDINATE_MAX:
+        elif np.abs(fact(mesh.positions, box_of)).max() > COORDINATE_MAX:
             reason = f"has coordinates beyond {COORDINATE_MAX:g} m"
         elif mesh.triangle_slot is not None and (
-            mesh.triangle_slot.shape != (len(mesh.triangles),) or mesh.triangle_slot.min() < 0
+            mesh.triangle_slot.shape != (len(mesh.triangles),) or fact(mesh.triangle_slot, _range)[0] < 0
         ):
             reason = "has material slots that do not belong to its faces"
         elif mesh.corner_normals is not None and mesh.corner_normals.shape != (len(mesh.triangles), 3, 3):
@@ -180,11 +182,20 @@ def _checked_mesh(mesh: Mesh, warnings: list[str]) -> Mesh:
 def _belongs(values: np.ndarray, triangle_count: int) -> bool:
     """Whether an attribute's values are finite, one for each triangle or each of its corners, of 1 to 4 numbers."""
     shape = values.shape
-    return (
-        shape[:-1] in ((triangle_count,), (triangle_count, 3))
-        and 1 <= shape[-1] <= 4
-        and bool(np.isfinite(values).all())
-    )
+    return shape[:-1] in ((triangle_count,), (triangle_count, 3)) and 1 <= shape[-1] <= 4 and fact(values, _is_finite)
+
+
+def box_of(points: np.ndarray) -> np.ndarray:
+    """Least and greatest coordinates of `points`, shape [n, 3] with n >= 1: shape [2, 3]."""
+    return np.stack([points.min(0), points.max(0)])
+
+
+def _range(indices: np.ndarray) -> tuple[int, int]:
+    return int(indices.min()), int(indices.max())
+
+
+def _is_finite(values: np.ndarray) -> bool:
+    return bool(np.isfinite(values).all())
 
 
 def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
@@ -238,6 +249,6 @@ def _mesh_extents(meshes: tuple[Mesh, ...]) -> tuple[np.ndarray, np.ndarray]:
     extents = np.zeros((2, len(meshes)))
     for index, mesh in enumerate(meshes):
         if len(mesh.triangles):
-            low, high = mesh.positions.min(0).astype(np.float64), mesh.positions.max(0).astype(np.float64)
+            low, high = fact(mesh.positions, box_of).astype(np.float64)
             extents[:, index] = np.abs([low, high]).max(), (high - low).max()
     return extents[0], extents[1]

@@ -70,8 +70,9 @@ class TracingSettings:
             (
                 "AUTO",
                 "Automatic",
-                "On the CPU, but for meshes that move from frame to frame: their trees follow them. On CUDA trees are "
-                "built on the device, without splits",
+                "On the CPU in renders of so many samples that faster rays save more than the build takes, but for "
+                "meshes that move from frame to frame: their trees follow them. On CUDA trees are built on the "
+                "device, without splits",
             ),
             ("OFF", "Off", "Each triangle is in one box"),
             ("ON", "On", "Triangles may be in several boxes (Stich et al. 2009). On CUDA the CPU builds the tree then"),

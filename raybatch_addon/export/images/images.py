@@ -20,11 +20,13 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Image, ImageEncoding
+from ...core.scene.frozen import freeze
 from .color_spaces import CannotConvertNow, SpaceKind, space_kind, to_scene_linear, working_space
 from .files import frame_number, sequence_path, stored_pixels, tile_path
 
 KEPT_SECONDS = 600.0  # images that no export has used for this long are dropped
 _HALF_MAX = 65504.0
+_ROWS = 16  # of an image that are worked on at a time
 
 
 @dataclass
@@ -67,6 +69,9 @@ def export_image(image: bpy.types.Image | None, user: Any, frame: int) -> tuple[
             )
         if kept is not None and _same(kept.image, exported):
             exported = kept.image  # the device has it already
+        for pixels in [exported.pixels] if exported.tiles is None else [pixels for _, pixels in exported.tiles]:
+            if pixels is not None:
+                freeze(pixels)
         for old in [each for each, what in _kept.items() if now - what.used > KEPT_SECONDS]:
             del _kept[old]
         kept = _kept[key] = _Kept(signature, exported, notes, now)
@@ -201,11 +206,11 @@ def _picture(
         if image.alpha_mode == "PREMUL" and from_file and kind is not SpaceKind.DATA:
             raw, _ = read(raw=True)  # with the colours that Blender has divided out
             pixels = pixels if raw is None else raw
-        own = np.rint(pixels * 255.0).astype(np.uint8)
+        own = _as_bytes(pixels)
         if kind is SpaceKind.OTHER:
             return _compact(_converted(own, image), image), ImageEncoding.LINEAR
         if straight:
-            own[..., :3] = own[..., :3].astype(np.uint16) * own[..., 3:] // 255
+            _multiply_bytes(own)
         return _compact(own, image), encoding
     if not from_file:
         if straight and pixels.shape[2] == 4:
@@ -218,6 +223,29 @@ def _picture(
                 raw = _multiplied(raw, image.file_format == "PNG")
             return _compact(raw, image), encoding
     return _compact(pixels, image), ImageEncoding.LINEAR
+
+
+def _as_bytes(pixels: np.ndarray) -> np.ndarray:
+    """Numbers from 0 to 1 as bytes; overwrites `pixels`, block by block, so that they are in the cache meanwhile."""
+    own = np.empty(pixels.shape, np.uint8)
+    for first in range(0, len(pixels), _ROWS):
+        block = pixels[first : first + _ROWS]
+        np.multiply(block, np.float32(255.0), out=block)
+        np.rint(block, out=block)
+        own[first : first + _ROWS] = block
+    return own
+
+
+def _multiply_bytes(pixels: np.ndarray) -> None:
+    """Multiply alpha into the colours of bytes, rounded down; opaque rows stay as they are."""
+    for first in range(0, len(pixels), _ROWS):
+        block = pixels[first : first + _ROWS]
+        alpha = block[..., 3:]
+        if alpha.min(initial=255) == 255:
+            continue
+        product = block[..., :3] * alpha.astype(np.uint16)
+        # product // 255 for products of two bytes, without a division
+        block[..., :3] = (product + np.uint16(1) + (product >> np.uint16(8))) >> np.uint16(8)
 
 
 def _multiplied(pixels: np.ndarray, sixteen_bit: bool) -> np.ndarray:

@@ -13,9 +13,10 @@ from ...core.scene.description import Instances, Light, Mesh, Visibility
 from ..lights import LampGraphs, export_light
 from ..materials import ExportedMaterials
 from ..nodes.collections import OF_INSTANCER
-from .attributes import mesh_attributes, object_value
+from .attributes import object_value
+from .kept_meshes import MeshSource, end_export
 from .mesh_shape import hashed
-from .meshes import export_mesh, slot_count
+from .meshes import slot_count
 
 # Instances between two checks for a cancelled export
 _CANCEL_INTERVAL = 256
@@ -229,6 +230,7 @@ class _Collector:
 
     def finish(self) -> Placements:
         """All placements, with the warnings that need the whole list."""
+        end_export()
         placements = self.placements
         placements.lights = [
             _with_attributes(light, values, placements) for light, values in zip(placements.lights, self._light_values)
@@ -284,17 +286,18 @@ class _Collector:
             return index
         # A mesh that is being edited has its triangles elsewhere, until it is asked for as a mesh
         edited = data.is_editmode
-        mesh = obj.to_mesh() if edited else data
-        meshes, warnings = self.placements.meshes, self.placements.warnings
+        meshes = self.placements.meshes
+        source = MeshSource(obj.to_mesh() if edited else data, obj.name, self.placements.warnings)
         if not known:
-            exported = export_mesh(mesh, obj.name, warnings)
+            exported = source.exported()
             index = self._meshes[key] = None if exported is None else len(meshes)
             if exported is not None:
                 meshes.append(exported)
         if index is not None:
             seen = self._attributes_seen.setdefault(key, set())
-            added = mesh_attributes(mesh, [each for each in asked if each not in seen], obj.name, warnings)
-            meshes[index] = replace(meshes[index], attributes=(*meshes[index].attributes, *added))
+            added = source.attributes(each for each in asked if each not in seen)
+            if added:
+                meshes[index] = replace(meshes[index], attributes=(*meshes[index].attributes, *added))
             seen.update(asked)
         if edited:
             obj.to_mesh_clear()

@@ -21,25 +21,44 @@ class Collections:
         self._attribute_places: dict[tuple[str, str], int] = {}
         self._object_attribute_places: dict[tuple[str, str], int] = {}
         self.asked: set[tuple[str, str]] = set()  # attributes that the current graph reads
+        # what the current graph asked for: `image` with its key, `attribute` and `object_attribute` with their
+        # arguments, and the answers; None: it depends on more than its nodes and these answers
+        self.record: list[tuple[str, tuple, int]] | None = []
         self.view_layer: Any = None  # Blender's, whose properties graphs may read
         self.scene: Any = None
+
+    def begin(self) -> None:
+        """The next graph begins to ask."""
+        self.asked.clear()
+        self.record = []
+
+    def note_lookup(self) -> None:
+        """The current graph depends on something that is neither in its nodes nor asked for here."""
+        self.record = None
 
     def image(self, key: Any, make) -> int:
         """Index of the image known as `key`, which `make()` exports at the first request."""
         if key not in self._image_places:
             self._image_places[key] = len(self.images)
             self.images.append(make())
-        return self._image_places[key]
+        return self._noted("image", key, self._image_places[key])
 
     def attribute(self, kind: str, name: str) -> int:
         """Index of an attribute of meshes; for `kind` see `export/meshes/attributes.py`."""
         self.asked.add((kind, name))
-        return self._attribute_places.setdefault((kind, name), len(self._attribute_places))
+        place = self._attribute_places.setdefault((kind, name), len(self._attribute_places))
+        return self._noted("attribute", (kind, name), place)
 
     def object_attribute(self, kind: str, name: str) -> int:
         """Index of an attribute of objects (`kind` OBJECT), or of the objects that place them (INSTANCER)."""
         self.asked.add((kind, name))
-        return self._object_attribute_places.setdefault((kind, name), len(self._object_attribute_places))
+        place = self._object_attribute_places.setdefault((kind, name), len(self._object_attribute_places))
+        return self._noted("object_attribute", (kind, name), place)
+
+    def _noted(self, kind: str, what: tuple, place: int) -> int:
+        if self.record is not None:
+            self.record.append((kind, what, place))
+        return place
 
     @property
     def attributes(self) -> list[tuple[str, str]]:

@@ -37,6 +37,7 @@ class BuiltTree:
     layout: Layout
     instancing: bool
     splits_moving: bool  # whether triangles are split in trees that are built anew because vertices moved
+    splits: bool  # whether triangles were split when it was built
     meshes: list[MeshTree] = field(repr=False)  # their blocks are parts of the tree's arrays
     box: np.ndarray | None = None  # two corners that hold all surfaces [m], float64, shape [2, 3]
     top_room: int = 0  # vectors behind the mesh trees' nodes, for the nodes of the top level
@@ -74,7 +75,9 @@ def build_scene_tree(
     """
     start = time.perf_counter()
     trees = MeshTrees(flat, geometry, device, layout, spatial_splits, on_device)
-    built = BuiltTree(Tree(), layout, instancing, splits_moving, [trees.build(part) for part in mesh_parts(flat)])
+    built = BuiltTree(
+        Tree(), layout, instancing, splits_moving, spatial_splits, [trees.build(part) for part in mesh_parts(flat)]
+    )
     _assemble(built, entries_of(flat, visibility), device, fresh=True)
     built.note(len(built.meshes), 0, start)
     return built
@@ -122,7 +125,7 @@ def build_kernels(device: wp.Device) -> list[wp.Kernel]:
 
 
 def splits_triangles(spatial_splits: str, layout: Layout) -> bool:
-    """Whether trees of this layout split triangles under the setting `spatial_splits`."""
+    """Whether trees of this layout split triangles under the setting `spatial_splits`, where there is time for it."""
     return spatial_splits == "ON" or (spatial_splits == "AUTO" and layout is Layout.BOXES)
 
 

@@ -13,6 +13,8 @@ import numpy as np
 
 from ...errors import SceneError
 from ...scene.description import ClosureKind, Light, LightKind, Material, Scene, Visibility
+from ...scene.frozen import fact
+from ...scene.validate import box_of
 
 # Kinds of rays that leave surfaces, where lights are sampled; an emitter that none of them sees lights nothing
 _LIT = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
@@ -47,28 +49,32 @@ def find_emissive_triangles(
     instances = scene.instances
     emission = _material_emission(scene)
     by_program = np.array([emitted is not None and _may_emit(material) for material in scene.materials], bool)
+    emits = emission.any(1) | by_program
     chunks: list[tuple[np.ndarray, ...]] = []
-    candidates = np.flatnonzero(instances.visibility & _LIT) if emission.any() or by_program.any() else np.zeros(0, int)
+    candidates = np.flatnonzero(instances.visibility & _LIT) if emits.any() else np.zeros(0, int)
     for mesh_index in np.unique(instances.mesh[candidates]).tolist():
         mesh = scene.meshes[mesh_index]
         if len(mesh.triangles) == 0:
             continue
-        slot = np.zeros(len(mesh.triangles), np.int32) if mesh.triangle_slot is None else mesh.triangle_slot
         placed = candidates[instances.mesh[candidates] == mesh_index]
-        corners = mesh.positions.astype(np.float64)[mesh.triangles]
-        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+        slots = 1 if mesh.triangle_slot is None else fact(mesh.triangle_slot, _most) + 1
         # instances that share their first slot share their materials
         for slot_first in np.unique(instances.slot_first[placed]).tolist():
+            if not emits[scene.slot_materials[slot_first : slot_first + slots]].any():
+                continue
+            slot = np.zeros(len(mesh.triangles), np.int32) if mesh.triangle_slot is None else mesh.triangle_slot
             material = scene.slot_materials[slot_first + slot]
-            radiance, program = emission[material], by_program[material]
-            primitive = np.flatnonzero(radiance.any(1) | program).astype(np.int32)
+            primitive = np.flatnonzero(emits[material]).astype(np.int32)
             if len(primitive) == 0:
                 continue
+            radiance, program = emission[material], by_program[material]
+            corners = mesh.positions.astype(np.float64)[mesh.triangles[primitive]]
+            normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
             members = placed[instances.slot_first[placed] == slot_first]
             step = max(1, _BLOCK // len(primitive))
             for first in range(0, len(members), step):
                 some = members[first : first + step]
-                area = _instanced_areas(instances.transform[some], normal[primitive])
+                area = _instanced_areas(instances.transform[some], normal)
                 which, triangle = np.nonzero(area > 0)
                 chosen = primitive[triangle]
                 chunks.append(
@@ -138,7 +144,7 @@ def scene_radius(scene: Scene) -> float:
     boxes = np.full((len(scene.meshes), 2, 3), np.nan)
     for i, mesh in enumerate(scene.meshes):
         if len(mesh.positions):
-            boxes[i] = mesh.positions.min(0), mesh.positions.max(0)
+            boxes[i] = fact(mesh.positions, box_of)
     points = [np.asarray(light.transform, np.float64)[:, 3] for light in scene.lights if light.kind != LightKind.SUN]
     low, high = [np.array(points).reshape(-1, 3)], [np.array(points).reshape(-1, 3)]
     if len(scene.instances):
@@ -177,6 +183,15 @@ def light_area(light: Light) -> float:
     """Area of a RECTANGLE or ELLIPSE [m²]."""
     area = abs(float(light.size[0]) * float(light.size[1]))
     return area * np.pi / 4 if light.kind == LightKind.ELLIPSE else area
+
+
+def _most(values: np.ndarray) -> int:
+    return int(values.max())
+
+
+def emits_light(material: Material, programs: bool) -> bool:
+    """Whether `material` may emit; with `programs` also by a program."""
+    return any(each.kind == ClosureKind.EMISSION for each in material.closures) or (programs and _may_emit(material))
 
 
 def _may_emit(material: Material) -> bool:

@@ -9,7 +9,14 @@ import numpy as np
 import warp as wp
 
 from ...scene.description import Light, LightKind, Scene
-from .emitters import emitter_powers, find_emissive_triangles, fixed_point_cdf, light_area, world_power
+from .emitters import (
+    EmissiveTriangles,
+    emitter_powers,
+    find_emissive_triangles,
+    fixed_point_cdf,
+    light_area,
+    world_power,
+)
 from .world import SampledWorld, WorldTable
 
 _FLOAT = np.finfo(np.float32)
@@ -94,6 +101,7 @@ def upload_lights(
     emitted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None,
     world: SampledWorld | None = None,
     lamps: Callable[[LightTable], np.ndarray] | None = None,
+    triangles: EmissiveTriangles | None = None,
 ) -> UploadedLights:
     """The emitters of `scene` on `device`; raises `SceneError` for emission that is not finite.
 
@@ -103,8 +111,10 @@ def upload_lights(
         world: the world, if it is sampled.
         lamps: computes the factor by which programs change the brightness of each light, float64, shape [light_count],
             from a table that holds lights alone.
+        triangles: the emissive triangles, where they are known.
     """
-    triangles = find_emissive_triangles(scene, emitted)
+    if triangles is None:
+        triangles = find_emissive_triangles(scene, emitted)
     power = emitter_powers(scene, triangles)
     if world is not None:
         power = np.append(power, world_power(scene, world.brightness))

@@ -44,3 +44,16 @@ def batching_cost(costs: RayCosts, tree_bytes: float, treelet_bytes: float) -> f
     count = max(1.0, tree_bytes / treelet_bytes)
     visits = costs.visits_one + costs.visits_doubling * math.log2(count)
     return unbatched_cost(costs, min(tree_bytes, treelet_bytes)) + visits * costs.visit_ns
+
+
+# On CPUs, of one processor. Splits took 2 to 3 microseconds a triangle in files with 0.2 to 0.5 million; they saved
+# 60 ns of a bounced ray in Sponza (docs/experiments/traversal.md), and nothing to speak of in a car, a smithy and a
+# living room
+SPLIT_NS = 2500.0  # a triangle
+SPLIT_SAVED_NS = 30.0  # a ray
+RAYS_A_SAMPLE = 4.0  # in those files two to four: camera ray, bounces and shadow rays
+
+
+def split_seconds(triangles: int, samples: float) -> tuple[float, float]:
+    """What spatial splits of a tree are expected to cost, and to save in a render of so many samples [s]."""
+    return triangles * SPLIT_NS * 1e-9, samples * RAYS_A_SAMPLE * SPLIT_SAVED_NS * 1e-9

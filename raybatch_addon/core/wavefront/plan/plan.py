@@ -8,15 +8,17 @@ before memory is asked for, from counts of the scene, the memory that is free, a
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from ...bvh.build.scene_tree import splits_triangles
 from ...bvh.memory import GeometrySize
 from ...bvh.node import Layout
 from ...bvh.treelets.cut import CutRule
 from ...measure.memory import size_text
 from ...settings.settings import RenderSettings
-from .cost_model import batching_cost, costs_of, unbatched_cost
+from .cost_model import batching_cost, costs_of, split_seconds, unbatched_cost
 
 # Bytes of tree and triangles for each triangle, from above: what must fit a budget is counted so
 TREE_BYTES_MOST = {Layout.BOXES: 90, Layout.QUANTISED: 64}
@@ -57,6 +59,7 @@ class TracingPlan:
     treelet_bytes: int = 0  # BATCHED: most of a treelet's; 0: no limit
     treelet_size: int = 0  # most nodes of a treelet; 0: no limit
     choices: dict[str, Choice] = field(default_factory=dict)  # by setting
+    splits: bool = False  # whether a tree that is built for this render splits triangles
 
 
 def report_of(choices: dict[str, Choice]) -> dict[str, dict[str, Any]]:
@@ -79,9 +82,32 @@ class Memory:
 
 
 def plan_tracing(
+    settings: RenderSettings,
+    size: GeometrySize,
+    layout: Layout,
+    is_cuda: bool,
+    memory: Memory,
+    samples: float = math.inf,
+) -> TracingPlan:
+    """The plan for a scene of `size`, of which `samples` are taken in all pixels together."""
+    plan = _plan_of_rays(settings, size, layout, is_cuda, memory)
+    if plan.method is Method.REFERENCE or settings.spatial_splits != "AUTO":
+        return replace(plan, splits=settings.spatial_splits == "ON")
+    if not splits_triangles("AUTO", layout) or plan.method is Method.PAGED:
+        choice = Choice("OFF", "the builder that is used here is faster without")
+    else:
+        cost, gain = split_seconds(size.triangles, samples)
+        choice = Choice(
+            "ON" if gain >= cost else "OFF",
+            f"to split triangles is expected to take {cost:.2g} s of processors, and to save "
+            + (f"{gain:.2g} s of rays" if math.isfinite(gain) else "more"),
+        )
+    return replace(plan, splits=choice.value == "ON", choices={**plan.choices, "spatial_splits": choice})
+
+
+def _plan_of_rays(
     settings: RenderSettings, size: GeometrySize, layout: Layout, is_cuda: bool, memory: Memory
 ) -> TracingPlan:
-    """The plan for a scene of `size`."""
     mode = settings.batching
     if mode == "REFERENCE":
         return TracingPlan(Method.REFERENCE)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from ...bvh.build.scene_tree import splits_triangles
 from ...device.devices import free_memory, worker_count
 from ...errors import OutOfMemoryError
 from ...film import layout_of
@@ -91,12 +90,8 @@ def make_workers(
             selection_of(settings, device.is_cuda).name,
             "every launch is large" if device.is_cuda else "a step costs little, and fuller buckets save more",
         )
-    if settings.spatial_splits == "AUTO" and scene.built and scene.tracing.method is not Method.REFERENCE:
-        splits = splits_triangles("AUTO", scene.tracing.layout) and not paged
-        made.chosen["spatial_splits"] = Choice(
-            "ON" if splits else "OFF",
-            "faster rays for a slower build" if splits else "the builder that is used here is faster without",
-        )
+    if settings.spatial_splits == "AUTO" and scene.splits_kept:
+        made.chosen["spatial_splits"] = Choice("ON", "the tree of an earlier render has them")
     if count < asked and not (paged and not settings.ray_count):
         made.warnings.append(
             f"ray_count was reduced from {asked * workers:,} to {count * workers:,}: {device.alias} has not enough "

@@ -9,16 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ...bvh.build.scene_tree import BuiltTree
 from ...bvh.traverse.reference import ReferenceTree
 from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
-from ...programs.inputs_data import upload_camera_inputs
+from ...programs.inputs_data import upload_camera_inputs, upload_inputs
 from ...programs.table import store_programs, upload_programs
 from ...scene.description import ClosureKind, Scene
 from ...scene.features import SceneFeatures
 from ...shading.bsdf.bsdf import ClosureFeatures, upload_materials
 from ...shading.camera import CameraData, upload_camera
 from ...shading.images.image_upload import UploadedImages
+from ...shading.lights.emitters import emits_light, find_emissive_triangles
 from ...shading.lights.lamp_brightness import brightness_of_lamps
 from ...shading.lights.lamp_program import upload_lamp_programs
 from ...shading.lights.light_table import UploadedLights, upload_lights
@@ -26,6 +28,7 @@ from ..plan.tracing import Tracing
 from ..stages.emitted import emission_of_triangles, world_texels
 from .scene_cache import BuiltGeometry, GeometryRequest, PagedTree, SceneCache
 from .scene_data import SceneData
+from .unchanged import emission_key, inputs_key
 from .world_cache import WorldCache
 
 
@@ -48,6 +51,7 @@ class DeviceScene:
     built: BuiltGeometry | None
     images: UploadedImages  # keeps them alive
     stored: list[wp.array]  # the programs in memory, for kernels that read them there
+    splits_kept: bool = False  # the tree splits triangles, which was planned for an earlier render and not for this one
 
     @staticmethod
     def build(
@@ -76,7 +80,14 @@ class DeviceScene:
             data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
             programs = [material.program for material in scene.materials]
-            data.nodes = upload_programs(programs, features.programs, scene, data.geometry, images.table, device)
+            inputs = None
+            if features.programs:
+                ops = features.programs.ops
+                key = inputs_key(scene, ops, device.alias)
+                inputs = cache.inputs.get(key, functools.partial(upload_inputs, scene, ops, device))
+            data.nodes = upload_programs(
+                programs, features.programs, scene, data.geometry, images.table, device, inputs
+            )
         data.world_nodes = upload_programs(
             [scene.world.program],
             features.world_program,
@@ -91,7 +102,13 @@ class DeviceScene:
         if shading.programs.apart:
             stored = store_programs(data.nodes, data.world_nodes, data.lamp_nodes, device=device)
         on_stage("lights")
-        lights = upload_lights(scene, device, *_program_light(data, scene, features, shading, device, cache.world))
+        emitted, world, lamps = _program_light(data, scene, features, shading, device, cache.world)
+        emits = [emits_light(material, emitted is not None) for material in scene.materials]
+        triangles = cache.emissive.get(
+            emission_key(scene, emits, features.programs.ops, device.alias),
+            lambda: find_emissive_triangles(scene, emitted),
+        )
+        lights = upload_lights(scene, device, triangles=triangles, world=world, lamps=lamps)
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)
         data.world_visibility = scene.world.visibility
@@ -121,6 +138,7 @@ class DeviceScene:
             built=built,
             images=images,
             stored=stored,
+            splits_kept=isinstance(built, BuiltTree) and built.splits and not request.plan.splits,
         )
 
     @property

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from ...bvh.build.mesh_tree import mesh_parts
-from ...bvh.build.scene_tree import BuiltTree, build_scene_tree, refit_scene_tree, splits_triangles
+from ...bvh.build.scene_tree import BuiltTree, build_scene_tree, refit_scene_tree
 from ...bvh.memory import GeometrySize, check_counts, check_memory, explained_memory_errors
 from ...bvh.node import Layout
 from ...bvh.pages.build import PagedScene, build_paged_scene
@@ -24,12 +23,16 @@ from ...bvh.tree import Tree
 from ...bvh.treelets.cut import CutRule
 from ...bvh.treelets.tree import TreeletTree, cut_scene_tree
 from ...device.devices import free_memory
+from ...programs.inputs_data import InputData, bytes_of
 from ...scene.description import Image, Scene
 from ...scene.flatten import FlatGeometry, flatten
+from ...scene.frozen import Same
 from ...scene.geometry import Geometry, update_geometry, upload_geometry
 from ...settings.settings import RenderSettings
 from ...shading.images.image_upload import ImageCache, device_bytes_of
+from ...shading.lights.emitters import EmissiveTriangles
 from ..plan.plan import Method, TracingPlan, cut_rule
+from .unchanged import Last, digest
 from .world_cache import WorldCache
 
 # Of a device's free memory, what images may take: geometry, rays and the film need the rest
@@ -63,20 +66,11 @@ class _Fingerprint:
         parts = [flat.positions[part.vertex_first : part.vertex_first + part.vertex_count] for part in mesh_parts(flat)]
         surface = [flat.corner_normals, flat.triangle_slot, scene.instances.slot_first, scene.slot_materials]
         return _Fingerprint(
-            _digest(topology),
-            tuple(_digest([part]) for part in parts),
-            _digest([flat.instance_transform]),
-            _digest(surface),
+            digest(topology),
+            tuple(digest([part]) for part in parts),
+            digest([flat.instance_transform]),
+            digest(surface),
         )
-
-
-def _digest(arrays: Iterable[np.ndarray]) -> bytes:
-    """Equal for equal arrays only."""
-    digest = hashlib.sha1(usedforsecurity=False)  # twice as fast as others where processors have instructions for it
-    for array in arrays:
-        digest.update(str((array.dtype, array.shape)).encode())
-        digest.update(np.ascontiguousarray(array))
-    return digest.digest()
 
 
 @dataclass
@@ -114,6 +108,7 @@ class Kept:
     built: BuiltGeometry
     treelets: TreeletTree | None = None  # of `built`, where rays wait at treelets in memory
     cut: CutRule | None = None  # that they were cut by
+    shown: Same | None = None  # what of the scene it was made of
 
     @property
     def device_bytes(self) -> int:
@@ -160,6 +155,8 @@ class SceneCache:
     def __init__(self):
         self.images = ImageCache()
         self.world = WorldCache()
+        self.inputs: Last[InputData] = Last()  # what programs of surfaces read of the scene
+        self.emissive: Last[EmissiveTriangles] = Last()
         self._last: Kept | None = None
         self._lock = threading.Lock()  # the build of a cancelled render may still be going on
 
@@ -167,13 +164,17 @@ class SceneCache:
         """Forget it."""
         self.images.clear()
         self.world.clear()
+        self.inputs.clear()
+        self.emissive.clear()
         self._last = None
 
     @property
     def device_bytes(self) -> int:
-        """Memory that the last frame's tree holds on the device, and the next one's may have [bytes]."""
-        last = self._last
-        return last.device_bytes if last else 0
+        """Memory that the last frame's tree and its programs' inputs hold on the device, and the next one's may have
+        [bytes].
+        """
+        last, inputs = self._last, self.inputs.made
+        return (last.device_bytes if last else 0) + (bytes_of(inputs) if inputs else 0)
 
     def image_budget(self, device: wp.Device) -> int | None:
         """What images may take of the memory of `device` [bytes]; None: they lie where they are.
@@ -199,6 +200,9 @@ class SceneCache:
         Raises `SceneError` for too large a scene, `OutOfMemoryError` for one that does not fit, before or where memory
         is asked for; `BuildCancelledError`.
         """
+        kept = self._unchanged(scene, request)
+        if kept is not None:
+            return kept
         size = GeometrySize.of(scene)
         check_counts(size)
         whole = request.plan.method is not Method.PAGED
@@ -210,14 +214,54 @@ class SceneCache:
             with self._lock:
                 # nothing is kept until the new one is whole: not what an error left half done, nor two of them
                 last, self._last = self._last, None
-                if last is None or not _follow(last, fingerprint, flat, scene, device):
+                if (
+                    last is None
+                    or not _serves(last.built, request.plan)
+                    or not _follow(last, fingerprint, flat, scene, device)
+                ):
                     del last
                     if whole:
                         check_memory(size, request.layout, device, all_of_it=False)
                     last = _build(fingerprint, flat, scene, request, device)
                 _cut(last, request, device)
+                last.shown = Same(*_geometry_of(scene, request))
                 self._last = last
                 return last
+
+    def _unchanged(self, scene: Scene, request: GeometryRequest) -> Kept | None:
+        """What is kept, where `scene` has the same frozen arrays: then there is nothing to look at."""
+        start = time.perf_counter()
+        with self._lock:
+            last = self._last
+            if last is None or last.shown is None or not last.shown.holds(*_geometry_of(scene, request)):
+                return None
+            if not _serves(last.built, request.plan):
+                return None
+            if isinstance(last.built, BuiltTree):
+                last.built.note(0, 0, start)
+            return last
+
+
+def _geometry_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarray | None], tuple]:
+    """Arrays and values that geometry, tree and treelets of `scene` follow from."""
+    meshes = [
+        array
+        for mesh in scene.meshes
+        for array in (mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_normals)
+    ]
+    instances = scene.instances
+    placed = digest(
+        [instances.mesh, instances.transform, instances.visibility, instances.slot_first, scene.slot_materials]
+    )
+    cut = cut_rule(request.plan, request.settings) if request.plan.method is Method.BATCHED else None
+    return meshes, (placed, request.kind(), request.plan.method, cut)
+
+
+def _serves(built: BuiltGeometry, plan: TracingPlan) -> bool:
+    """Whether a tree is as good as one that is built for `plan`; one that splits triangles serves short renders too."""
+    if isinstance(built, PagedTree):
+        return not built.residency.has_failed  # its file is no good; a new one may be
+    return not isinstance(built, BuiltTree) or built.splits or not plan.splits
 
 
 def _follow(last: Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, device: wp.Device) -> bool:
@@ -225,8 +269,6 @@ def _follow(last: Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Sc
     start = time.perf_counter()
     before, last.fingerprint = last.fingerprint, fingerprint
     own = isinstance(last.built, BuiltTree)
-    if isinstance(last.built, PagedTree) and last.built.residency.has_failed:
-        return False  # its file is no good; a new one may be
     if fingerprint != before:
         if not own or fingerprint.topology != before.topology:
             return False
@@ -265,9 +307,8 @@ def _build(
         return Kept(fingerprint, geometry, PagedTree(paged, Residency(paged, plan.geometry_budget, device)))
     if plan.method is Method.REFERENCE:
         return Kept(fingerprint, geometry, build_reference(flat, visibility, request.instancing, device))
-    splits = splits_triangles(settings.spatial_splits, layout)
     built = build_scene_tree(
-        flat, geometry, visibility, request.instancing, device, layout, splits, settings.spatial_splits == "ON"
+        flat, geometry, visibility, request.instancing, device, layout, plan.splits, settings.spatial_splits == "ON"
     )
     return Kept(fingerprint, geometry, built)
 

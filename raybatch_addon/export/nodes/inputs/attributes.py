@@ -41,6 +41,7 @@ def attribute(node: Node) -> dict[str, Value]:
 def _of_view_layer(node: Node, name: str) -> dict[str, Value]:
     """An attribute of the view layer, a constant."""
     collections = node.graph.collections
+    collections.note_lookup()
     from ...meshes.attributes import view_layer_value  # imports Blender, without which graphs can be built
 
     value = None if collections.scene is None else view_layer_value(collections.scene, collections.view_layer, name)

@@ -20,6 +20,7 @@ _WITHOUT = f"it gives {WITHOUT_PROFILE:g} times its strength everywhere, as in C
 def ies_texture(node: Node) -> Value:
     """Intensity in a direction; without link that of the light that leaves, in object space."""
     settings = node.node
+    node.graph.collections.note_lookup()
     direction = node.vector("Vector") if node.linked("Vector") else _outgoing(node)
     strength = node.number("Strength")
     try:

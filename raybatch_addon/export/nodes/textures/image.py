@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from ....core.programs.ops.textures.environment import EnvironmentProjection
 from ....core.programs.ops.textures.image import Projection
 from ....core.shading.images.textures import Extension, Interpolation
+from ..collections import Collections
 from ..graph import node_label
 from ..node import Node, Value
 from ..registry import values
@@ -58,17 +61,22 @@ def environment_texture(node: Node) -> dict[str, Value]:
 def _image_of(node: Node) -> tuple[int, int]:
     """Index of the node's image, and whether alpha is divided out of its colours (only if alpha is used)."""
     # imports Blender, without which graphs can be built
-    from ...images.images import divides_alpha, export_image, image_key
+    from ...images.images import divides_alpha
 
-    collections, texture = node.graph.collections, node.node
-    arguments = (texture.image, texture.image_user, collections.frame)
-
-    def make():
-        image, notes = export_image(*arguments)
-        collections.warnings += notes
-        return image
-
-    index = collections.image(image_key(*arguments), make)
+    texture = node.node
+    index = exported_image(node.graph.collections, texture.image, texture.image_user)
     if texture.image is None:
         node.graph.note(f"{node_label(texture)} has no image: it is magenta")
     return index, int(node.wants("Alpha") and divides_alpha(texture.image))
+
+
+def exported_image(collections: Collections, image: Any, user: Any) -> int:
+    """Index of Blender's `image` at the frame of `collections`; `user` is the node's `ImageUser`."""
+    from ...images.images import export_image, image_key  # imports Blender
+
+    def make():
+        exported, notes = export_image(image, user, collections.frame)
+        collections.warnings += notes
+        return exported
+
+    return collections.image(image_key(image, user, collections.frame), make)

@@ -31,6 +31,7 @@ def sky(node: Node) -> Value:
     Without link the direction is that of the ray into the world, and generated coordinates on surfaces.
     """
     settings = node.node
+    node.graph.collections.note_lookup()  # its picture is made of the node, and is not found by Blender's images
     # with the sun's disc there is no input, and an old link to it does not count
     shines = settings.sun_disc and settings.sky_type in _MODELS
     direction = mapped(node, node.coordinates()) if shines else texture_coordinates(node)

@@ -8,6 +8,7 @@ import pytest
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.scene.description import Mesh
 from raybatch_addon.core.session import Session
+from raybatch_addon.core.wavefront.plan import cost_model
 from tests.core.bvh.build.refit_scenes import (
     FLOOR,
     FRAME,
@@ -118,8 +119,14 @@ def test_a_tree_that_became_bad_is_built_anew(layout, copies):
     assert_same(film, opened(layout).render(soup_scene(mixed, triangles, copies)))
 
 
+@pytest.fixture
+def splits_pay(monkeypatch):
+    """Splits are worth it however short the render is."""
+    monkeypatch.setattr(cost_model, "SPLIT_NS", 0.0)
+
+
 @pytest.mark.skipif(DEVICE != "cpu", reason="boxes are for CPUs")
-def test_what_moves_is_built_without_splits_once_and_followed_from_then_on():
+def test_what_moves_is_built_without_splits_once_and_followed_from_then_on(splits_pay):
     positions, triangles = wide_trees.needles(500)
     session = opened(Layout.BOXES)
     session.settings = SETTINGS.replace(spatial_splits="AUTO")
@@ -145,3 +152,19 @@ def test_split_triangles_are_split_anew():
     assert counts(tree) == (1, 0) and tree["sah"] == pytest.approx(first["sah"], rel=0.05)
     assert_same(film, Session(DEVICE, SETTINGS).render(shaken))
     assert counts(session.render(shaken).statistics["tree"]) == (0, 0)
+
+
+@pytest.mark.skipif(DEVICE != "cpu", reason="boxes are for CPUs")
+def test_a_tree_without_splits_is_for_short_renders_and_one_with_splits_for_all(monkeypatch):
+    positions, triangles = wide_trees.needles(500)
+    scene = soup_scene(positions, triangles)
+    session = opened(Layout.BOXES)
+    session.settings = SETTINGS.replace(spatial_splits="AUTO")
+    done = []
+    for nanoseconds in (1e9, 1e9, 0.0, 1e9):  # a triangle: renders are short, short, long, short
+        monkeypatch.setattr(cost_model, "SPLIT_NS", nanoseconds)
+        film = session.render(scene)
+        done.append((counts(film.statistics["tree"]), film.statistics["auto"]["spatial_splits"]["value"]))
+        assert_same(film, opened(Layout.BOXES).render(scene))
+    assert done == [((1, 0), "OFF"), ((0, 0), "OFF"), ((1, 0), "ON"), ((0, 0), "ON")]
+    assert "earlier render" in film.statistics["auto"]["spatial_splits"]["why"]

@@ -2,6 +2,7 @@
 reason.
 """
 
+import math
 import re
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from raybatch_addon.core.bvh.memory import GeometrySize
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.plan.cost_model import split_seconds
 from raybatch_addon.core.wavefront.plan.plan import (
     PAGED_SHARE,
     TREE_BYTES_MOST,
@@ -35,13 +37,14 @@ def plan_of(
 @pytest.mark.parametrize(("layout", "is_cuda"), LAYOUTS)
 def test_what_is_asked_for_is_done(layout, is_cuda):
     assert plan_of(layout, is_cuda, batching="REFERENCE") == TracingPlan(Method.REFERENCE)
-    assert plan_of(layout, is_cuda, needed=200 * GB, batching="OFF") == TracingPlan(Method.UNBATCHED)
+    off = plan_of(layout, is_cuda, needed=200 * GB, batching="OFF", spatial_splits="OFF")
+    assert off == TracingPlan(Method.UNBATCHED)
     batched = plan_of(layout, is_cuda, batching="ON")
     assert (
         batched.method is Method.BATCHED
         and batched.treelet_bytes == TREELET_BYTES[layout] == batched.choices["treelet_bytes"].value
     )
-    own = plan_of(layout, is_cuda, batching="ON", treelet_size=800)
+    own = plan_of(layout, is_cuda, batching="ON", treelet_size=800, spatial_splits="OFF")
     assert (own.treelet_size, own.treelet_bytes, own.choices) == (800, 0, {})
 
 
@@ -88,3 +91,22 @@ def test_inside_memory_rays_go_alone_and_it_is_told_why(layout, is_cuda):
     why = report_of(plan.choices)["batching"]["why"]
     assert "3.00 GB, and the " in why and "has 100 GB free" in why
     assert len(re.findall(r"\b[\d,]+(?:\.\d+)? ns\b", why)) == 2 and "e+" not in why
+
+
+def split_plan(layout=Layout.BOXES, samples=math.inf, **settings):
+    size = GeometrySize(10**6, 10**6, 10**6, smooth=True)
+    return plan_tracing(RenderSettings(**settings), size, layout, False, Memory(GB, 100 * GB, 100 * GB), samples)
+
+
+def test_trees_split_triangles_where_the_render_is_long_enough():
+    cost, gain = split_seconds(10**6, 10**6)
+    break_even = math.ceil(10**6 * cost / gain)
+    short, long, endless = (split_plan(samples=count) for count in (break_even - 1, break_even + 1, math.inf))
+    assert [plan.splits for plan in (short, long, endless)] == [False, True, True]
+    assert [plan.choices["spatial_splits"].value for plan in (short, long)] == ["OFF", "ON"]
+    assert "2.5 s of processors" in short.choices["spatial_splits"].why
+    assert not split_plan(Layout.QUANTISED).splits, "built on the device"
+    assert split_plan(samples=1, spatial_splits="ON").splits and not split_plan(spatial_splits="OFF").splits
+    assert "spatial_splits" not in split_plan(samples=1, spatial_splits="ON").choices
+    paged = split_plan(geometry_budget=10**6)
+    assert paged.method is Method.PAGED and not paged.splits

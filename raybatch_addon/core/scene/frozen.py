@@ -1,0 +1,79 @@
+"""Arrays that nobody changes: what is known of one stays true, and one that is the same object holds the same numbers.
+
+Whoever makes a scene may freeze its arrays. Then what follows from them is computed once and not for every render.
+Other arrays work as well: they are looked at anew each time.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+import numpy as np
+
+Fact = TypeVar("Fact")
+
+# By identity of the array and what computes the fact: the array, as long as it lives, and the fact
+_facts: dict[tuple[int, Callable], tuple[weakref.ref, object]] = {}
+
+
+def freeze(array: np.ndarray) -> np.ndarray:
+    """`array`, which cannot be written any more, nor can what it is a view of."""
+    part = array
+    while isinstance(part, np.ndarray):
+        part.flags.writeable = False
+        part = part.base
+    return array
+
+
+def is_frozen(array: np.ndarray) -> bool:
+    """Whether neither `array` nor what it is a view of can be written."""
+    part = array
+    while isinstance(part, np.ndarray):
+        if part.flags.writeable:
+            return False
+        part = part.base
+    return part is None  # memory of others may change
+
+
+def fact(array: np.ndarray, compute: Callable[[np.ndarray], Fact]) -> Fact:
+    """`compute(array)`, computed once for a frozen array. `compute` is a function of a module: it is a key."""
+    if not is_frozen(array):
+        return compute(array)
+    key = (id(array), compute)
+    known = _facts.get(key)
+    if known is None or known[0]() is not array:
+        reference = weakref.ref(array, lambda gone: _forget(key, gone))
+        known = _facts[key] = reference, compute(array)
+    return known[1]
+
+
+def _forget(key: tuple[int, Callable], gone: weakref.ref) -> None:
+    known = _facts.get(key)
+    if known is not None and known[0] is gone:  # not another array's in the same place
+        del _facts[key]
+
+
+class Same:
+    """Remembers arrays and plain values, to tell whether others are the same. It keeps no array alive."""
+
+    def __init__(self, arrays: Iterable[np.ndarray | None], values: object) -> None:
+        """`values` are compared by `==`."""
+        self._values = values
+        self._references = [None if each is None else weakref.ref(each) for each in arrays]
+
+    def holds(self, arrays: Iterable[np.ndarray | None], values: object) -> bool:
+        """Whether `values` are equal and `arrays` are the same objects, all of them frozen."""
+        given = list(arrays)
+        return (
+            len(given) == len(self._references)
+            and values == self._values
+            and all(map(_is_same, self._references, given))
+        )
+
+
+def _is_same(reference: weakref.ref | None, array: np.ndarray | None) -> bool:
+    if reference is None or array is None:
+        return reference is None and array is None
+    return reference() is array and is_frozen(array)

@@ -1,0 +1,90 @@
+"""What follows from a scene's frozen arrays, kept for the next render where it has the same ones."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable, Sequence
+from typing import Generic, TypeVar
+
+import numpy as np
+
+from ...scene.description import Image, Material, Scene
+from ...scene.frozen import Same
+
+Made = TypeVar("Made")
+
+
+class Last(Generic[Made]):
+    """The last thing that was made of arrays and values."""
+
+    def __init__(self) -> None:
+        self.made: Made | None = None
+        self._same: Same | None = None
+
+    def get(self, key: tuple[list[np.ndarray | None], object], make: Callable[[], Made]) -> Made:
+        """What `make()` returns, which is called unless `key` has the values and frozen arrays of the last call."""
+        if self._same is None or not self._same.holds(*key):
+            self.clear()  # before there are two of them
+            self.made = make()
+            self._same = Same(*key)
+        return self.made
+
+    def clear(self) -> None:
+        """Forget it."""
+        self.made = self._same = None
+
+
+def digest(arrays: Iterable[np.ndarray]) -> bytes:
+    """Equal for equal arrays only."""
+    made = hashlib.sha1(usedforsecurity=False)  # twice as fast as others where processors have instructions for it
+    for array in arrays:
+        made.update(str((array.dtype, array.shape)).encode())
+        made.update(np.ascontiguousarray(array))
+    return made.digest()
+
+
+def inputs_key(scene: Scene, ops: Sequence[str], device: str) -> tuple[list[np.ndarray | None], tuple]:
+    """What the inputs of programs with `ops` follow from (`upload_inputs`): arrays and values."""
+    arrays: list[np.ndarray | None] = []
+    for mesh in scene.meshes:
+        arrays += [mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_uvs]
+        arrays += [attribute.values for attribute in mesh.attributes]
+    instances, camera, frame = scene.instances, scene.camera, scene.frame
+    placed = [instances.mesh, instances.transform, instances.slot_first, scene.slot_materials]
+    placed += [each for each in (instances.info, instances.attributes) if each is not None]
+    values = (
+        device,
+        tuple(ops),
+        digest(placed),
+        (instances.info is None, instances.attributes is None),
+        tuple((mesh.texture_space, tuple((each.kind, each.name) for each in mesh.attributes)) for mesh in scene.meshes),
+        tuple(scene.attributes),
+        tuple(
+            material.program is not None and any(step.op == "generated" for step in material.program.instructions)
+            for material in scene.materials
+        ),
+        (int(camera.kind), np.asarray(camera.transform, np.float64).tobytes(), tuple(camera.window)),
+        (frame.width, frame.height),
+    )
+    return arrays, values
+
+
+def emission_key(
+    scene: Scene, emits: Sequence[bool], ops: Sequence[str], device: str
+) -> tuple[list[np.ndarray | None], tuple]:
+    """What the emissive triangles follow from: arrays and values. `emits`: whether each material may emit."""
+    arrays, values = inputs_key(scene, ops, device)
+    arrays += [mesh.corner_normals for mesh in scene.meshes]
+    pictures = [pixels for image in scene.images for pixels in _pictures(image)]
+    kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in scene.images)
+    materials = tuple(_light_of(material) if emitting else None for material, emitting in zip(scene.materials, emits))
+    return arrays + pictures, (values, kinds, materials, digest([scene.instances.visibility]))
+
+
+def _pictures(image: Image) -> list[np.ndarray | None]:
+    return [image.pixels] if image.tiles is None else [pixels for _, pixels in image.tiles]
+
+
+def _light_of(material: Material) -> tuple:
+    program = material.program
+    return (material.closures, program and (program.instructions, program.constants.tobytes()))

@@ -1,0 +1,218 @@
+"""Meshes of earlier exports, found again by digests of what Blender stores of a mesh.
+
+Blender evaluates a scene anew for every render, so that meshes have other addresses each time. Their numbers tell
+whether they are the same. Attributes as Blender stores them are copied a hundred times as fast as triangles, normals
+and what else it derives from them. The arrays of a kept mesh are frozen: what the core made of them may be kept too.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import warp as wp
+
+from ...core.device.devices import free_memory
+from ...core.scene.description import Attribute, Mesh
+from ...core.scene.frozen import freeze
+from .attributes import mesh_attributes
+from .mesh_arrays import MeshArrays
+from .meshes import export_mesh
+
+# A mesh that this many exports have not used is dropped
+_EXPORTS_KEPT = 2
+# Of the host's free memory, what kept meshes may take
+_MEMORY_SHARE = 0.25
+
+# Attributes that triangles, normals and materials follow from, wherever a mesh has them
+_OF_SHAPE = frozenset(
+    {
+        "position",
+        ".edge_verts",
+        ".corner_vert",
+        ".corner_edge",
+        "sharp_face",
+        "sharp_edge",
+        "custom_normal",
+        "material_index",
+    }
+)
+# By Blender's type of an attribute: the property that `foreach_get` copies, and the type and count of its numbers
+_STORED = {
+    "FLOAT": ("value", np.float32, 1),
+    "INT": ("value", np.int32, 1),
+    "INT8": ("value", np.int8, 1),
+    "BOOLEAN": ("value", bool, 1),
+    "FLOAT2": ("vector", np.float32, 2),
+    "FLOAT_VECTOR": ("vector", np.float32, 3),
+    "FLOAT_COLOR": ("color", np.float32, 4),
+    "BYTE_COLOR": ("color", np.float32, 4),
+    "QUATERNION": ("value", np.float32, 4),
+    "INT32_2D": ("value", np.int32, 2),
+    "INT16_2D": ("value", np.int16, 2),
+}
+
+
+class _Kept:
+    """A mesh, and what more of it the last two exports asked for.
+
+    UV coordinates are apart from the mesh: modifiers round them differently from one evaluation to the next.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = replace(mesh, corner_uvs=None)  # without attributes
+        self.used = _export_count  # number of the export that last used it
+        self._now: dict[tuple, Attribute] = {}
+        self._before: dict[tuple, Attribute] = {}
+
+    @property
+    def bytes(self) -> int:
+        """Memory that it takes on the host [bytes]."""
+        more = {id(each): each.values.nbytes for each in (*self._now.values(), *self._before.values())}
+        return sum(array.nbytes for array in mesh_arrays(self.mesh)) + sum(more.values())
+
+    def use(self) -> None:
+        """The present export uses it."""
+        if self.used != _export_count:
+            self.used, self._before, self._now = _export_count, self._now, {}
+
+    def part(self, key: tuple) -> Attribute | None:
+        """What was kept by `key`."""
+        found = self._now.get(key) or self._before.get(key)
+        if found is not None:
+            self._now[key] = found
+        return found
+
+    def keep(self, key: tuple, part: Attribute) -> None:
+        """Keep `part`, whose values nobody may change any more."""
+        freeze(part.values)
+        self._now[key] = part
+
+
+_kept: dict[bytes, _Kept] = {}  # by digest of the shape
+_export_count = 0
+
+
+def mesh_arrays(mesh: Mesh) -> list[np.ndarray]:
+    """All arrays of `mesh`."""
+    own = (mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_normals, mesh.corner_uvs)
+    return [each for each in own if each is not None] + [each.values for each in mesh.attributes]
+
+
+def forget_meshes() -> None:
+    """Drop all meshes that are kept."""
+    _kept.clear()
+
+
+def end_export() -> None:
+    """An export has ended: drop meshes that are not used any more, and the longest unused where they take too much."""
+    global _export_count
+    for digest in [digest for digest, each in _kept.items() if each.used <= _export_count - _EXPORTS_KEPT]:
+        del _kept[digest]
+    sizes = {digest: each.bytes for digest, each in _kept.items()}
+    room = _MEMORY_SHARE * (free_memory(wp.get_device("cpu")) + sum(sizes.values()))
+    for digest in sorted(sizes, key=lambda each: _kept[each].used):
+        if sum(sizes.values()) <= room:
+            break
+        del _kept[digest], sizes[digest]
+    _export_count += 1
+
+
+class MeshSource:
+    """A mesh of Blender's, evaluated, as often as the export asks for it or for more of its attributes."""
+
+    def __init__(self, mesh: bpy.types.Mesh, user: str, warnings: list[str]) -> None:
+        """Messages call the mesh by its object `user`; `warnings` gets them."""
+        self._mesh, self._user, self._warnings = mesh, user, warnings
+        mesh.calc_loop_triangles()
+        self._layer = next((layer for layer in mesh.uv_layers if layer.active_render and len(layer.uv)), None)
+        self._shape = _digest(mesh, self._layer, lambda attribute: attribute.name in _OF_SHAPE)
+        self._all: bytes | None = None
+
+    def exported(self) -> Mesh | None:
+        """The mesh without attributes; None if it has no triangles."""
+        kept = _kept.get(self._shape)
+        if kept is None:
+            before = len(self._warnings)
+            mesh = export_mesh(self._mesh, self._user, self._warnings)
+            if mesh is None or len(self._warnings) > before:  # messages are those of this object
+                return mesh
+            for array in mesh_arrays(mesh):
+                freeze(array)
+            kept = _kept[self._shape] = _Kept(mesh)
+            if mesh.corner_uvs is not None:
+                kept.keep((self._uv_digest(),), Attribute("UV", "", mesh.corner_uvs))
+        kept.use()
+        return replace(kept.mesh, corner_uvs=self._uvs(kept) if self._layer is not None else None)
+
+    def _uvs(self, kept: _Kept) -> np.ndarray:
+        key = (self._uv_digest(),)
+        part = kept.part(key)
+        if part is None:
+            part = Attribute("UV", "", MeshArrays(self._mesh).uvs(self._layer))
+            kept.keep(key, part)
+        return part.values
+
+    def _uv_digest(self) -> bytes:
+        digest = hashlib.sha1(usedforsecurity=False)
+        _add(digest, self._layer.uv, "vector", np.float32, 2)
+        return digest.digest()
+
+    def attributes(self, asked: Iterable[tuple[str, str]]) -> list[Attribute]:
+        """Attributes of kind and name `asked`, as far as the mesh has them."""
+        asked, found = list(asked), []
+        kept = _kept.get(self._shape)
+        if asked and kept is not None and self._all is None:
+            self._all = _digest(self._mesh, self._layer, lambda attribute: True)
+        for key in [(self._all, *each) for each in asked]:
+            part = kept and kept.part(key)
+            if part:
+                found.append(part)
+                continue
+            before = len(self._warnings)
+            read = mesh_attributes(self._mesh, [key[1:]], self._user, self._warnings)
+            if kept is not None and len(self._warnings) == before:
+                for each in read:
+                    kept.keep(key, each)
+            found += read
+        return found
+
+
+def _digest(mesh: bpy.types.Mesh, layer, is_wanted: Callable[[bpy.types.Attribute], bool]) -> bytes:
+    """Equal for equal meshes only, as far as the attributes go that `is_wanted`. `layer`: the UV map of renders."""
+    digest = hashlib.sha1(usedforsecurity=False)
+    render_color = mesh.color_attributes.render_color_index
+    names = (
+        mesh.name,
+        len(mesh.materials),
+        tuple(mesh.texspace_location),
+        tuple(mesh.texspace_size),
+        mesh.normals_domain,
+        mesh.has_custom_normals,
+        None if layer is None else layer.name,
+        mesh.color_attributes[render_color].name if 0 <= render_color < len(mesh.color_attributes) else None,
+    )
+    digest.update(repr(names).encode())
+    # how many corners each face has shows in its triangles
+    _add(digest, mesh.loop_triangle_polygons, "value", np.int32, 1)
+    stored = False
+    for attribute in mesh.attributes:
+        if not is_wanted(attribute):
+            continue
+        digest.update(repr((attribute.name, attribute.domain, attribute.data_type)).encode())
+        if attribute.data_type in _STORED:
+            _add(digest, attribute.data, *_STORED[attribute.data_type])
+            stored |= attribute.name == "custom_normal"
+    if mesh.has_custom_normals and not stored:  # Blender keeps them elsewhere
+        _add(digest, mesh.corner_normals, "vector", np.float32, 3)
+    return digest.digest()
+
+
+def _add(digest, collection, attribute: str, dtype, width: int) -> None:
+    values = np.empty(len(collection) * width, dtype)
+    collection.foreach_get(attribute, values)
+    digest.update(str(values.shape).encode())
+    digest.update(values)

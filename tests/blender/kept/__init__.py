@@ -1,0 +1,1 @@
+"""What exports keep of earlier ones, and find again."""

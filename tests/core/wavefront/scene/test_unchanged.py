@@ -1,0 +1,130 @@
+"""What a session does again for a scene with the same frozen arrays: nothing of its geometry."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
+from raybatch_addon.core.programs.builder import ProgramBuilder
+from raybatch_addon.core.scene.description import ClosureKind, Frame, Image, Material
+from raybatch_addon.core.scene.frozen import freeze
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.scene import device_scene, scene_cache
+from tests.support import scenes
+from tests.support.under_test import DEVICE
+
+SETTINGS = RenderSettings(device=DEVICE, sample_count=2, bounce_max=2)
+PIXELS = freeze(np.random.default_rng(3).random((8, 8, 4)).astype(np.float32))
+
+
+def shining(strength=2.0):
+    """A material that emits an image at generated coordinates."""
+    builder = ProgramBuilder()
+    color, _ = builder.value("image", 0, 1, 0, 0, 0, builder.value("generated", 0))
+    builder.closure("emission", builder.value("multiply_colors", color, (strength,) * 3))
+    return Material("shining", (), (ClosureKind.EMISSION,), builder.finish())
+
+
+def scene_of(material=None, place=0.0):
+    made = scenes.scene(
+        [
+            (scenes.box(), scenes.translation(place, 0, 0), material or shining()),
+            (scenes.box(), scenes.translation(0, 3, -2), scenes.diffuse()),
+        ],
+        view=scenes.camera(eye=(0, -4, 1)),
+        frame=Frame(8, 8),
+    )
+    return replace(made, images=(Image("picture", PIXELS),))
+
+
+def frozen(scene):
+    """`scene` with meshes whose arrays nobody can change."""
+    for mesh in scene.meshes:
+        for array in (mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_normals, mesh.corner_uvs):
+            if array is not None:
+                freeze(array)
+    return scene
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """What was made, by name, in order."""
+    calls = []
+
+    def count(module, name):
+        real = getattr(module, name)
+
+        def counted(*args, **kwargs):
+            calls.append(name)
+            return real(*args, **kwargs)
+
+        monkeypatch.setattr(module, name, counted)
+
+    count(scene_cache, "flatten")
+    count(device_scene, "upload_inputs")
+    count(device_scene, "find_emissive_triangles")
+    count(device_scene, "emission_of_triangles")
+    return calls
+
+
+def pixels(scene, session=None):
+    return (session or Session(DEVICE)).render(scene, SETTINGS).passes["Combined"].tobytes()
+
+
+EVERYTHING = ["flatten", "upload_inputs", "find_emissive_triangles", "emission_of_triangles"]
+
+
+def test_nothing_is_made_again_of_the_same_arrays(made):
+    session, scene = Session(DEVICE), frozen(scene_of())
+    first = pixels(scene, session)
+    assert made == EVERYTHING
+    # as an exporter has it: other objects, the same arrays
+    again = replace(scene, meshes=tuple(replace(mesh) for mesh in scene.meshes), materials=tuple(scene.materials))
+    assert pixels(again, session) == first
+    assert made == EVERYTHING, "nothing was made again"
+
+
+def test_arrays_that_may_change_are_looked_at(made):
+    session, scene = Session(DEVICE), scene_of()
+    first = pixels(scene, session)
+    scene.meshes[0].positions[:] *= np.float32(0.5)
+    second = pixels(scene, session)
+    assert made == 2 * EVERYTHING
+    assert second != first and second == pixels(scene)
+
+
+@pytest.mark.parametrize(
+    "change, again",
+    [
+        ("material", EVERYTHING[2:]),
+        ("place", EVERYTHING),
+        ("mesh", EVERYTHING),
+        ("image", EVERYTHING[2:]),
+        ("camera", EVERYTHING[1:]),
+        ("world", []),
+    ],
+)
+def test_what_changes_is_made_again_and_the_film_is_that_of_a_new_session(made, change, again):
+    session, scene = Session(DEVICE), frozen(scene_of())
+    pixels(scene, session)
+    if change == "material":
+        other = replace(scene, materials=(shining(3.0), *scene.materials[1:]))
+    elif change == "place":
+        other = replace(scene, instances=scene_of(place=0.5).instances)
+    elif change == "mesh":
+        box = scene.meshes[0]
+        other = replace(
+            scene, meshes=(replace(box, positions=freeze(box.positions * np.float32(0.5))), *scene.meshes[1:])
+        )
+    elif change == "image":
+        other = replace(scene, images=(Image("picture", freeze(PIXELS * np.float32(0.5))),))
+    elif change == "camera":
+        other = replace(scene, camera=scenes.camera(eye=(1, -4, 1)))
+    else:
+        other = replace(scene, world=replace(scene.world, radiance=(0.5, 0.25, 1.0)))
+    made.clear()
+    film = pixels(other, session)
+    assert made == again
+    assert film == pixels(other), "as a session renders it that has nothing to keep"
