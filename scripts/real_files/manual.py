@@ -13,6 +13,7 @@ from typing import Any
 
 from lib.output import json_text, write_whole
 
+from real_files.judging import NAMES
 from real_files.listing import may_be_shown, read_listing
 from real_files.pictures import GAIN, side_by_side, write_png
 from real_files.records import Record
@@ -101,8 +102,9 @@ def _section(row: dict[str, Any], entry: dict[str, Any]) -> list[str]:
         lines += _wrapped(f"{kind}Licence: {entry['licence']}.")
     finding = entry.get("finding", {})
     if row["verdict"] == DIFFERS:
-        judged = row.get("superposition", {}).get("right", "not known yet")
-        right, why = finding.get("right", judged), finding.get("why", "")
+        judged = row.get("superposition", {}).get("right")
+        right = finding.get("right", judged if judged in NAMES.values() else "not known yet")
+        why = finding.get("why", "")
         lines += ["", *_wrapped(f"**Right: {right}.**{' ' if why else ''}{why}")]
     elif finding.get("why"):
         lines += ["", *_wrapped(finding["why"])]

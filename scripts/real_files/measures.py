@@ -17,7 +17,7 @@ BLOCK = 4  # pixels of the edge of a block: pictures are compared by means of bl
 # Two pictures are the same where relMSE is at most SAME_RELMSE + SAME_NOISE x the relMSE that noise alone makes, and
 # their means differ by less than SAME_BIAS beyond SIGMAS standard errors
 SAME_RELMSE, SAME_NOISE, SAME_BIAS, SIGMAS = 0.01, 1.6, 0.02, 2.0
-NOISE_MOST = 10.0  # of a pixel and channel: a single firefly does not decide how noisy a picture is
+NOISE_MOST = 10.0  # relative, of a pixel or block and channel: a single firefly does not decide all
 DARK = 1e-4  # added to squares, so that what is darker than 1 % of white counts as black
 LIT = 0.01  # of the mean: a darker block tells nothing of brightness
 RESAMPLES = 10_000
@@ -114,14 +114,15 @@ def agreement(picture: Pair, other: Pair) -> Agreement:
         raise RayBatchError(f"one engine wrote {sizes[0]} pixels and the other {sizes[1]}: they cannot be compared")
     ours, theirs = picture.in_blocks(), other.in_blocks()
     scale = relative_to(theirs.mean)
-    noise = (ours.variance + theirs.variance) / scale
+    apart = np.minimum(np.square(ours.mean - theirs.mean) / scale, NOISE_MOST)
+    noise = np.minimum((ours.variance + theirs.variance) / scale, NOISE_MOST)
     bright_ours, bright_theirs = (np.maximum(each.mean.mean(-1), 0.0) for each in (ours, theirs))
     least = max(LIT * max(bright_ours.mean(), bright_theirs.mean()), math.sqrt(DARK) * 0.01)
     lit = np.maximum(bright_ours, bright_theirs) > least
     steps = np.log2((bright_ours[lit] + least) / (bright_theirs[lit] + least))
     ratio, error = _ratio(picture, other)
     return Agreement(
-        relmse=float((np.square(ours.mean - theirs.mean) / scale).mean()),
+        relmse=float(apart.mean()),
         noise=float(noise.mean()),
         ratio=ratio,
         ratio_error=error,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,8 @@ from real_files.records import ENGINES, Record
 from real_files.worker import PICTURES, SEEDS, SOURCES
 
 SAME, DIFFERS, BLACK, FAILED = "same", "differs", "both black", "not compared"
-NOISY = 0.02  # relative standard error of the ratio of means from which it is told
+# Noise that is told: relative standard error of the ratio of means, and the part of relMSE that noise makes
+NOISY, NOISY_BLOCKS = 0.02, 0.04
 ALPHA_MOST = 0.02  # mean difference of alpha at which pictures are still the same
 # Times that are told, by the step that they are of
 TIMES = {"first": "first picture", "again": "picture again", "small": "16 x 16 pixels", "all-2": "all samples"}
@@ -72,9 +74,10 @@ def _compare(row: dict[str, Any], record: Record, pairs: dict) -> None:
         if pixels:
             row["notes"].append(f"{pixels} pixels of {engine} are not finite, and count as black")
     relative = found.ratio_error / max(1.0, found.ratio)
-    if relative > NOISY:
+    if relative > NOISY or found.noise > NOISY_BLOCKS:
         row["notes"].append(
-            f"noise hides differences in brightness of less than {SIGMAS * relative:.0%}: render more samples"
+            f"noise hides differences of less than {SIGMAS * relative:.0%} in the mean and "
+            f"{math.sqrt(found.noise):.0%} in a block: render more samples"
         )
     alone = {engine: record.sources(engine) for engine in ENGINES}
     if all(alone.values()):
