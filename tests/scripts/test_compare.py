@@ -351,6 +351,34 @@ def test_pictures_are_shown_only_where_the_licence_allows_it(licence, shown):
     assert may_be_shown({"licence": licence}) == shown
 
 
+def test_the_manual_has_files_of_the_list_alone_and_pictures_of_those_that_may_be_shown(
+    rendered, blends, tmp_path, monkeypatch
+):
+    folder = tmp_path / "some+one"
+    folder.mkdir()
+    entries = []
+    for name, licence in (("free.blend", "CC-BY-4.0"), ("closed.blend", "not stated")):
+        (folder / name).write_bytes(BLEND)
+        md5 = RealFile(folder / name, name).md5()
+        about = {"repository": "some/one", "commit": "0" * 40, "path": name, "md5": md5, "licence": licence}
+        entries.append(about | {"credit": "by Some One", "finding": {"why": "There is fog."}})
+    root = tmp_path / "root"
+    (root / "docs").mkdir(parents=True)
+    (root / manual.LISTING).write_text(json.dumps({"files": entries}))
+    (root / "docs/real-files").mkdir()
+    (root / "docs/real-files/gone.png").write_bytes(b"")
+    monkeypatch.setattr("compare.ROOT", root)
+    listed = ["--list", str(root / manual.LISTING), "--folder", str(tmp_path)]
+    assert main([*blends, *listed, "--out", str(tmp_path / "out")]) == 0
+    assert not (root / manual.PAGE).exists()
+    assert main(["--out", str(tmp_path / "out"), "--table"]) == 0
+    text = (root / manual.PAGE).read_text(encoding="utf-8")
+    assert text == manual.stored_page(root) and "There is fog." in text and "by Some One" in text
+    assert "a.blend" not in text and str(tmp_path) not in text
+    (picture,) = (root / manual.FOLDER).glob("*.png")
+    assert picture.name.startswith("some-one-free-blend-") and text.count("![") == 1
+
+
 def test_the_list_names_each_file_once_and_gives_credit_where_pictures_are_shown():
     entries = read_listing(ROOT / manual.LISTING)
     assert len({(each["repository"], each["path"]) for each in entries}) == len(entries)
