@@ -65,9 +65,28 @@ def _name(item) -> str:
 
 
 def _lamps(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Lamps of the scene, and those that no scene has: instances of collections may show them."""
-    lamps = [each for each in bpy.data.objects if each.type == "LIGHT" and not each.hide_render]
-    return sorted((each for each in lamps if scene in each.users_scene or not each.users_scene), key=_name)
+    """Lamps that the scene renders, and those that no scene has: instances of collections may show them."""
+    shown = set()
+    for layer in scene.view_layers:
+        if layer.use:
+            shown |= _rendered_collections(layer.layer_collection)
+    return sorted(
+        (
+            each
+            for each in bpy.data.objects
+            if each.type == "LIGHT"
+            and not each.hide_render
+            and (not each.users_scene or not shown.isdisjoint(each.users_collection))
+        ),
+        key=_name,
+    )
+
+
+def _rendered_collections(layer: bpy.types.LayerCollection) -> set[bpy.types.Collection]:
+    """The collection of `layer` and those in it, without those that are not rendered."""
+    if layer.exclude or layer.collection.hide_render:
+        return set()
+    return {layer.collection}.union(*(_rendered_collections(child) for child in layer.children))
 
 
 def _hide(lamp: bpy.types.Object) -> None:

@@ -17,7 +17,7 @@ SMALL = ("--width", "32", "--samples", "16", "--threads", "1")
 
 @pytest.fixture
 def blend(scene, tmp_path):
-    """A white floor under two lamps and a world, with a square that emits."""
+    """A white floor under two lamps and a world, with a square that emits, and a lamp that is hidden."""
     tree, surface = node_tree(material_of(add_grid("Floor", 4)))
     tree.links.new(tree.nodes.new("ShaderNodeBsdfDiffuse").outputs[0], surface)
     glowing = add_grid("Glowing", 1)
@@ -28,6 +28,10 @@ def blend(scene, tmp_path):
         lamp = bpy.data.lights.new(name, "SUN")
         lamp.energy = 2
         add_object(name, lamp).rotation_euler = (0, place, 0)
+    hidden = bpy.data.collections.new("Hidden")
+    scene.collection.children.link(hidden)
+    hidden.hide_render = True
+    hidden.objects.link(bpy.data.objects.new("Unseen", bpy.data.lights.new("Unseen", "POINT")))
     world = bpy.data.worlds.new("World")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # needed up to 4.5, always on from 5.0
