@@ -30,7 +30,8 @@ Files that other people made and published, rendered by Cycles and by RayBatch: 
 long does it take? `scripts/compare.py` makes this page; on your own files it answers the same questions.
 
 None of the files is a part of this project. [real-files.json](real-files.json) says of each where it is: repository,
-commit, path, MD5 and licence. With the files in a folder, as OWNER/NAME/PATH, anyone can repeat it:
+commit, path, MD5 and licence; “companions” are textures and libraries that lie beside it. With the files in a folder,
+as OWNER/NAME/PATH, anyone can repeat it:
 
 ```
 python scripts/compare.py --list docs/real-files.json --folder FOLDER --out out/compare --superposition
@@ -53,8 +54,9 @@ sampling and denoising, each in a process of its own. {versions}.
 {explained}
 
 Which engine is right is judged by superposition: the picture of all sources of light is the sum of the pictures of each
-lamp, of the world, and of all surfaces that emit. An engine whose pictures do not add up is wrong. RayBatch's own sums
-are the case “overlapping lamps” in [stability.md](stability.md).
+lamp, of the world, and of all surfaces that emit. An engine whose pictures do not add up is wrong. Where both add up,
+the sources whose pictures differ are named, and a person looked for the reason. RayBatch's own sums are the case
+“overlapping lamps” in [stability.md](stability.md).
 """
 
 
