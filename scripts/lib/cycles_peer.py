@@ -21,7 +21,7 @@ class CyclesPeer:
     def __init__(self, scene, device: wp.Device, settings: RenderSettings, thread_count: int):
         """`scene` is Blender's; samples, bounces and filter are those of `settings`. Raises `UsageError`."""
         self._scene, self._samples = scene, settings.sample_count
-        self._unbiased(settings)
+        make_unbiased(scene, settings)
         if thread_count:
             scene.render.threads_mode, scene.render.threads = "FIXED", thread_count
         else:
@@ -66,31 +66,34 @@ class CyclesPeer:
             bpy.data.images.remove(loaded)
         return pixels.reshape(height, width, -1)[..., :3].astype(np.float64)
 
-    def _unbiased(self, settings: RenderSettings) -> None:
-        """Leave Cycles without shortcuts: what is left is noise. It renders the view layer that RayBatch does, and
-        shows it as it is.
-        """
-        import bpy
 
-        render, cycles = self._scene.render, self._scene.cycles
-        render.use_compositing = render.use_sequencer = render.use_freestyle = False
-        for layer in self._scene.view_layers:
-            layer.use = layer == bpy.context.view_layer
-            layer.samples = 0  # of its own: none
-        if hasattr(cycles, "use_sample_subset"):
-            cycles.use_sample_subset = False
-        cycles.film_exposure = 1
-        cycles.samples = settings.sample_count
-        cycles.use_adaptive_sampling = cycles.use_denoising = False
-        cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
-        cycles.blur_glossy = cycles.light_sampling_threshold = 0
-        cycles.caustics_reflective = cycles.caustics_refractive = True
-        cycles.use_fast_gi = False
-        cycles.time_limit = 0
-        cycles.pixel_filter_type, cycles.filter_width = settings.pixel_filter, settings.filter_width
-        for name in ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces"):
-            setattr(cycles, name, settings.bounce_max)
-        cycles.transparent_max_bounces = settings.transparent_bounce_max
+def make_unbiased(scene, settings: RenderSettings) -> None:
+    """Leave Cycles without shortcuts in `scene`: what is left is noise. It renders the view layer that RayBatch does,
+    with the samples, bounces and filter of `settings`, and shows it as it is.
+    """
+    import bpy
+
+    render, cycles = scene.render, scene.cycles
+    render.use_compositing = render.use_sequencer = render.use_freestyle = False
+    for layer in scene.view_layers:
+        layer.use = layer == bpy.context.view_layer
+        layer.samples = 0  # of its own: none
+    if hasattr(cycles, "use_sample_subset"):
+        cycles.use_sample_subset = False
+    cycles.film_exposure = 1
+    cycles.samples = settings.sample_count
+    cycles.use_adaptive_sampling = cycles.use_denoising = cycles.use_guiding = False
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0
+    cycles.blur_glossy = cycles.light_sampling_threshold = 0
+    cycles.caustics_reflective = cycles.caustics_refractive = True
+    cycles.use_fast_gi = False
+    cycles.texture_limit_render = "OFF"
+    cycles.time_limit = 0
+    cycles.pixel_filter_type, cycles.filter_width = settings.pixel_filter, settings.filter_width
+    cycles.min_light_bounces = cycles.min_transparent_bounces = 0
+    for name in ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces", "volume_bounces"):
+        setattr(cycles, name, settings.bounce_max)
+    cycles.transparent_max_bounces = settings.transparent_bounce_max
 
 
 def use_device(scene, device: wp.Device) -> str:

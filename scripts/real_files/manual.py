@@ -1,0 +1,155 @@
+"""docs/real-files.md: the table of the files of docs/real-files.json, and what is known of those that differ.
+
+Figures are those of the last comparison, which docs/real-files/results.json keeps; what is known of a file (its
+“finding”) stands in the list, beside where it comes from. Pictures are shown only where the file's licence allows it.
+"""
+
+from __future__ import annotations
+
+import json
+import textwrap
+from pathlib import Path
+from typing import Any
+
+from lib.output import json_text, write_whole
+
+from real_files.judging import NAMES
+from real_files.listing import may_be_shown, read_listing
+from real_files.pictures import GAIN, side_by_side, write_png
+from real_files.records import Record
+from real_files.rows import DIFFERS, summary_of
+from real_files.tables import EXPLAINED, HEADS, SUMMARY_HEADS, cells, counted, remarks, summary_rows
+
+WIDTH = 120  # columns of the page
+LISTING, PAGE, FOLDER = "docs/real-files.json", "docs/real-files.md", "docs/real-files"
+_WHOLE_WORDS = {"break_long_words": False, "break_on_hyphens": False}
+_HEAD = """\
+# Real files
+
+Files that other people made and published, rendered by Cycles and by RayBatch: do they show the same picture, and how
+long does it take? `scripts/compare.py` makes this page; on your own files it answers the same questions.
+
+None of the files is a part of this project. [real-files.json](real-files.json) says of each where it is: repository,
+commit, path, MD5 and licence; “companions” are textures and libraries that lie beside it. With the files in a folder,
+as OWNER/NAME/PATH, anyone can repeat it:
+
+```
+python scripts/compare.py --list docs/real-files.json --folder FOLDER --out out/compare --superposition
+python scripts/compare.py --out out/compare --table     # writes this page from what is there
+```
+
+Both engines render {width} pixels wide with {samples} samples on the CPU, at most 8 bounces, without clamping, adaptive
+sampling and denoising, each in a process of its own. {versions}.
+
+## All files together
+
+{counted}.
+
+{summary}
+
+## Each file
+
+{files}
+
+{explained}
+
+Which engine is right is judged by superposition: the picture of all sources of light is the sum of the pictures of each
+lamp, of the world, and of all surfaces that emit. An engine whose pictures do not add up is wrong. Where both add up,
+the sources whose pictures differ are named, and a person looked for the reason. RayBatch's own sums are the case
+“overlapping lamps” in [stability.md](stability.md).
+"""
+
+
+def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
+    """The page's text, from a report as `results.json` keeps it and the list."""
+    about = {f"{entry['repository']}/{entry['path']}": entry for entry in listing}
+    versions = ", ".join(f"{name} {value}" for name, value in report["versions"].items())
+    lines = [
+        _HEAD.format(
+            width=report["request"]["width"],
+            samples=report["request"]["samples"],
+            versions=versions,
+            counted=counted(report["summary"]),
+            summary=_table(SUMMARY_HEADS, summary_rows(report["summary"])),
+            files=_table(HEADS, [cells(row) for row in report["files"]]),
+            explained=EXPLAINED,
+        )
+    ]
+    missing = [name for name in about if name not in {row["name"] for row in report["files"]}]
+    if missing:
+        lines += _wrapped(f"Of the list, not rendered yet: {'; '.join(missing)}.")
+    for title, some in (
+        ("Files that differ", [row for row in report["files"] if row["verdict"] == DIFFERS]),
+        ("Other files", [row for row in report["files"] if row["verdict"] != DIFFERS]),
+    ):
+        lines += ["", f"## {title}"]
+        for row in some:
+            lines += _section(row, about.get(row["name"], {}))
+    return "\n".join(lines) + "\n"
+
+
+def _table(heads: tuple[str, ...], rows: list[list[str]]) -> str:
+    made = [heads, ["---"] * len(heads), *rows]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in made)
+
+
+def _wrapped(text: str, indent: str = "") -> list[str]:
+    return textwrap.wrap(text, WIDTH, subsequent_indent=indent, **_WHOLE_WORDS)
+
+
+def _section(row: dict[str, Any], entry: dict[str, Any]) -> list[str]:
+    lines = ["", f"### {row['name']}", ""]
+    if entry:
+        kind = f"{entry['kind'][:1].upper()}{entry['kind'][1:]}. " if entry.get("kind") else ""
+        lines += _wrapped(f"{kind}Licence: {entry['licence']}.")
+    finding = entry.get("finding", {})
+    if row["verdict"] == DIFFERS:
+        judged = row.get("superposition", {}).get("right")
+        right = finding.get("right", judged if judged in NAMES.values() else "not known yet")
+        why = finding.get("why", "")
+        lines += ["", *_wrapped(f"**Right: {right}.**{' ' if why else ''}{why}")]
+    elif finding.get("why"):
+        lines += ["", *_wrapped(finding["why"])]
+    told = [f"- {kind}: {text}" for kind, text in remarks(row)]
+    lines += [""] * bool(told) + [line for text in told for line in _wrapped(text, "  ")]
+    if row.get("picture"):
+        credit = f"; {entry['credit']}" if entry.get("credit") else ""
+        lines += ["", f"![Cycles, RayBatch and their difference](real-files/{row['picture']})", ""]
+        lines += _wrapped(f"Cycles, RayBatch, and their absolute difference {GAIN} times as bright{credit}.")
+    return lines
+
+
+def write_manual(root: Path, report: dict[str, Any], records: list[Record], slugs: dict[str, str]) -> None:
+    """Write the page, its pictures and its results; `slugs` are names of files for rows."""
+    listing = read_listing(root / LISTING)
+    about = {f"{entry['repository']}/{entry['path']}": entry for entry in listing}
+    folder = root / FOLDER
+    folder.mkdir(exist_ok=True)
+    by_name = {record.name: record for record in records}
+    rows, pictures = [], set()
+    for row in report["files"]:
+        if row["name"] not in about:
+            continue  # somebody's own file: not for the manual
+        row = dict(row)
+        pairs = [by_name[row["name"]].pair(engine) for engine in ("CYCLES", "RAYBATCH")]
+        if may_be_shown(about[row["name"]]) and all(pairs) and pairs[0].mean.shape == pairs[1].mean.shape:
+            row["picture"] = f"{slugs[row['name']]}.png"
+            pictures.add(row["picture"])
+            write_png(folder / row["picture"], side_by_side(*pairs))
+        rows.append(row)
+    for path in folder.glob("*.png"):
+        if path.name not in pictures:
+            path.unlink()  # of a file that is there no more
+    kept = report | {"files": rows, "summary": summary_of(rows)}
+    _write(folder / "results.json", json_text(kept) + "\n")
+    _write(root / PAGE, with_findings(kept, listing))
+
+
+def stored_page(root: Path) -> str:
+    """The page as the stored results and the list make it."""
+    report = json.loads((root / FOLDER / "results.json").read_text(encoding="utf-8"))
+    return with_findings(report, read_listing(root / LISTING))
+
+
+def _write(path: Path, text: str) -> None:
+    write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))

@@ -1,0 +1,124 @@
+"""What is told of each file, and of all of them together."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from raybatch_addon.core.errors import RayBatchError
+from real_files.judging import judge
+from real_files.measures import SIGMAS, Agreement, Spread, agreement, equal_error, noise_of, short
+from real_files.process import DONE
+from real_files.records import ENGINES, Record
+from real_files.worker import PICTURES, SEEDS, SOURCES
+
+SAME, DIFFERS, BLACK, FAILED = "same", "differs", "both black", "not compared"
+# Noise that is told: relative standard error of the ratio of means, and the part of relMSE that noise makes
+NOISY, NOISY_BLOCKS = 0.02, 0.04
+ALPHA_MOST = 0.02  # mean difference of alpha at which pictures are still the same
+# Times that are told, by the step that they are of
+TIMES = {"first": "first picture", "again": "picture again", "small": "16 x 16 pixels", "all-2": "all samples"}
+EQUAL = "equal error"
+
+
+def row_of(record: Record) -> dict[str, Any]:
+    """Everything that is known of a file, as JSON holds it."""
+    ours = record.tasks.get(f"RAYBATCH/{PICTURES}", {})
+    steps = ours.get("steps", [])
+    last = steps[-1] if steps else {}
+    row: dict[str, Any] = {
+        "name": record.name,
+        "md5": record.md5,
+        "verdict": FAILED,
+        "errors": _errors(record),
+        "seconds": {engine: record.seconds(engine) for engine in ENGINES},
+        "ratios": {},
+        "left_out": last.get("warnings", []),
+        "missing": ours.get("missing", []),
+        "invalid_samples": max((each.get("invalid_samples", 0) for each in steps), default=0),
+        "triangles": last.get("triangles", 0),
+        "notes": [],
+    }
+    row["ratios"] = {
+        name: short(row["seconds"]["RAYBATCH"][name] / row["seconds"]["CYCLES"][name])
+        for name in TIMES
+        if name in row["seconds"]["RAYBATCH"] and row["seconds"]["CYCLES"].get(name)
+    }
+    pairs = {engine: record.pair(engine) for engine in ENGINES}
+    if any(pair is None for pair in pairs.values()):
+        return row
+    try:
+        _compare(row, record, pairs)
+    except RayBatchError as error:
+        row["errors"].append(str(error))
+    return row
+
+
+def _compare(row: dict[str, Any], record: Record, pairs: dict) -> None:
+    found = agreement(pairs["RAYBATCH"], pairs["CYCLES"])
+    row["agreement"] = found.data()
+    row["means"] = {engine: [short(value) for value in pair.mean.mean((0, 1))] for engine, pair in pairs.items()}
+    row["alpha"] = short(_alpha_apart(record))
+    row["verdict"] = SAME if found.same and row["alpha"] <= ALPHA_MOST else DIFFERS
+    shown = (pairs["RAYBATCH"].mean + pairs["CYCLES"].mean) / 2
+    row["noise"] = {engine: short(noise_of(pair, shown)) for engine, pair in pairs.items()}
+    times = [(row["seconds"][engine].get("all-2", 0.0), row["noise"][engine]) for engine in ("RAYBATCH", "CYCLES")]
+    if (equal := equal_error(*times)) is not None:
+        row["ratios"][EQUAL] = short(equal)
+    if not shown.any():
+        row["verdict"] = BLACK
+    for engine, key in (("Cycles", "CYCLES"), ("RayBatch", "RAYBATCH")):
+        pixels = sum(int((~np.isfinite(record.pictures[f"{key}/all-{seed}"])).any(-1).sum()) for seed in SEEDS)
+        if pixels:
+            row["notes"].append(f"{pixels} pixels of {engine} are not finite, and count as black")
+    relative = found.ratio_error / max(1.0, found.ratio)
+    if relative > NOISY or found.noise > NOISY_BLOCKS:
+        row["notes"].append(
+            f"noise hides differences of less than {SIGMAS * relative:.0%} in the mean and "
+            f"{math.sqrt(found.noise):.0%} in a block: render more samples"
+        )
+    alone = {engine: record.sources(engine) for engine in ENGINES}
+    if all(alone.values()):
+        row["superposition"] = judge(pairs, alone).data()
+
+
+def _alpha_apart(record: Record) -> float:
+    alphas = [
+        sum(np.nan_to_num(record.pictures[f"{engine}/all-{seed}"][..., 3].astype(np.float64)) for seed in SEEDS) / 2
+        for engine in ENGINES
+    ]
+    return float(np.abs(alphas[0] - alphas[1]).mean())
+
+
+def _errors(record: Record) -> list[str]:
+    told = [record.complaint] if record.complaint else []
+    for key, task in record.tasks.items():
+        if task["status"] != DONE and task["error"] not in told:
+            told.append(task["error"] + (" (its sources alone)" if key.endswith(SOURCES) else ""))
+    return told
+
+
+def agreement_in(row: dict[str, Any]) -> Agreement | None:
+    """How the file's pictures agree; None if there was nothing to compare."""
+    return Agreement.of_data(row["agreement"]) if "agreement" in row else None
+
+
+def summary_of(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Counts by verdict, and of each ratio of times, RayBatch over Cycles, its median and its worst over all files."""
+    spreads = {}
+    for name, title in (TIMES | {EQUAL: EQUAL}).items():
+        spread = Spread.of({row["name"]: row["ratios"][name] for row in rows if row["ratios"].get(name)})
+        if spread:
+            spreads[title] = spread.data()
+    medians = {}
+    for engine in ENGINES:
+        for name, title in TIMES.items():
+            spread = Spread.of(
+                {row["name"]: row["seconds"][engine][name] for row in rows if name in row["seconds"][engine]}
+            )
+            if spread:
+                medians.setdefault(title, {})[engine] = spread.data()
+    counts = {verdict: sum(row["verdict"] == verdict for row in rows) for verdict in (SAME, DIFFERS, BLACK, FAILED)}
+    return {"files": len(rows), "counts": counts, "ratios": spreads, "seconds": medians}

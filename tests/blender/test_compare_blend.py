@@ -1,0 +1,77 @@
+"""scripts/compare.py on .blend files, with Cycles."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+
+from tests.support.command_line import run_script
+
+bpy = pytest.importorskip("bpy")
+
+from tests.support.blender_builders import add_grid, add_object, material_of, node_tree  # noqa: E402
+
+SMALL = ("--width", "32", "--samples", "16", "--threads", "1")
+
+
+@pytest.fixture
+def blend(scene, tmp_path):
+    """A white floor under two lamps and a world, with a square that emits, and a lamp that is hidden."""
+    tree, surface = node_tree(material_of(add_grid("Floor", 4)))
+    tree.links.new(tree.nodes.new("ShaderNodeBsdfDiffuse").outputs[0], surface)
+    glowing = add_grid("Glowing", 1)
+    glowing.location, glowing.scale = (0.6, 0.6, 0.2), (0.1, 0.1, 0.1)
+    tree, surface = node_tree(material_of(glowing, "Glow"))
+    tree.links.new(tree.nodes.new("ShaderNodeEmission").outputs[0], surface)
+    for name, place in (("Left", -0.3), ("Right", 0.3)):
+        lamp = bpy.data.lights.new(name, "SUN")
+        lamp.energy = 2
+        add_object(name, lamp).rotation_euler = (0, place, 0)
+    hidden = bpy.data.collections.new("Hidden")
+    scene.collection.children.link(hidden)
+    hidden.hide_render = True
+    hidden.objects.link(bpy.data.objects.new("Unseen", bpy.data.lights.new("Unseen", "POINT")))
+    world = bpy.data.worlds.new("World")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # needed up to 4.5, always on from 5.0
+        world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.5
+    scene.world = world
+    camera = scene.camera
+    camera.location, camera.rotation_euler = (0, 0, 3), (0, 0, 0)
+    scene.cycles.sample_clamp_indirect = 0.01  # which the comparison takes away
+    path = tmp_path / "floor.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+def test_a_file_is_rendered_by_both_and_judged_by_its_sources(blend, tmp_path):
+    out = tmp_path / "out"
+    done = run_script("compare.py", blend, *SMALL, "--superposition-of-all", "--out", out)
+    report = json.loads((out / "results.json").read_text())
+    (row,) = report["files"]
+    assert done.returncode == 0 and not row["errors"], (done.stderr, row)
+    assert row["verdict"] == "same", row
+    assert set(row["ratios"]) == {"first", "again", "small", "all-2", "equal error"}
+    assert report["versions"]["Blender"] == bpy.app.version_string
+    names = {"lamp “Left”", "lamp “Right”", "the world", "surfaces that emit"}
+    assert set(row["superposition"]["sources"]) == names
+    for each in row["superposition"]["engines"].values():
+        assert each["ratio"] == pytest.approx(1, abs=max(0.01, 5 * each["ratio_error"]))
+    with np.load(next((out / "files").glob("*.npz"))) as pictures:
+        alone = [pictures[f"RAYBATCH/source-{number}-1"][..., :3].mean() for number in range(4)]
+        assert pictures["RAYBATCH/all-1"].shape == (24, 32, 4) and min(alone) > 0
+
+
+def test_a_scene_without_a_camera_is_a_row_that_says_so(blend, tmp_path, scene):
+    scene.camera = None
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    done = run_script("compare.py", blend, *SMALL, "--out", tmp_path / "out")
+    assert done.returncode == 1 and "has no camera: add one" in done.stderr
+
+
+def test_a_damaged_file_is_a_row_that_says_so(blend, tmp_path):
+    blend.write_bytes(blend.read_bytes()[:100])
+    done = run_script("compare.py", blend, *SMALL, "--out", tmp_path / "out")
+    assert done.returncode == 1 and "cannot open it" in done.stderr, done.stderr

@@ -1,0 +1,398 @@
+"""scripts/compare.py without Blender: its mathematics, its judgement, what it keeps, and what it says of bad files."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from compare import main
+from real_files import comparison, manual, measures
+from real_files.judging import TOO_NOISY, UNDECIDED, judge
+from real_files.listing import RealFile, files_named, may_be_shown, read_listing
+from real_files.measures import Pair, Spread, agreement, equal_error, noise_of
+from real_files.process import COLD, CRASHED, DONE, FAILED, TIMED_OUT, Outcome, run_process
+from real_files.tables import alike
+from real_files.worker import PICTURES
+
+from tests.support.command_line import HIDE_BPY, ROOT, error_line, run_script
+
+SIZE = (64, 96, 3)
+BLEND = b"BLENDER-v500"
+
+
+def pair(seed: int, value=0.5, noise: float = 0.0) -> Pair:
+    """Two pictures of `value`, each with normal noise of its own."""
+    rng = np.random.default_rng(seed)
+    return Pair(*(value + noise * rng.standard_normal(SIZE) for _ in range(2)))
+
+
+# --- mathematics
+
+
+def test_noise_alone_is_the_same_picture_and_explains_all_of_relmse():
+    found = agreement(pair(1, noise=0.3), pair(2, noise=0.3))
+    assert found.same and found.relmse == pytest.approx(found.noise, rel=0.3)
+    assert abs(found.ratio - 1) < 4 * found.ratio_error < 0.02
+
+
+def test_three_percent_of_brightness_or_a_wrong_corner_is_another_picture():
+    assert not agreement(pair(1, 0.515, 0.01), pair(2, 0.5, 0.01)).same
+    wrong = np.full(SIZE, 0.5)
+    wrong[:16, :16] = 0.0
+    found = agreement(Pair(wrong, wrong), pair(2, noise=0.01))
+    assert found.relmse > found.relmse_most and not found.same
+    assert found.share_off == pytest.approx(16 * 16 / (64 * 96), rel=0.01)
+
+
+def test_what_surrounds_an_object_in_the_dark_does_not_hide_that_it_is_darker():
+    lit = np.zeros(SIZE)
+    lit[:20, :20] = 0.5
+    found = agreement(Pair(lit * 0.95, lit * 0.95), Pair(lit, lit))
+    assert found.typical == pytest.approx(0.95, abs=2e-3) and found.bias == pytest.approx(0.05) and not found.same
+
+
+def test_noise_that_is_skewed_is_no_bias():
+    rng = np.random.default_rng(4)
+    rare = Pair(*(0.5 * 20 * (rng.random(SIZE) < 0.05) for _ in range(2)))
+    found = agreement(rare, pair(5, 0.5, 0.05))
+    assert abs(found.typical - 1) > 0.02 and found.bias == 0.0
+
+
+def test_black_pictures_are_the_same_and_have_no_ratio():
+    black = Pair(np.zeros(SIZE), np.zeros(SIZE))
+    found = agreement(black, black)
+    assert found.same and math.isnan(found.ratio) and found.data()["ratio"] is None
+    assert math.isnan(measures.Agreement.of_data(found.data()).ratio)
+
+
+def test_the_standard_error_of_the_ratio_is_that_of_many_renders():
+    found = [agreement(pair(2 * i, noise=0.2), pair(2 * i + 1, noise=0.2)) for i in range(200)]
+    spread = np.std([each.ratio for each in found])
+    # channels are independent here
+    assert np.mean([each.ratio_error for each in found]) == pytest.approx(spread, rel=0.2)
+
+
+def test_noise_is_the_relative_variance_of_one_picture_and_fireflies_are_cut():
+    noisy = pair(1, noise=0.1)
+    shown = np.full(SIZE, 0.5)
+    assert noise_of(noisy, shown) == pytest.approx(0.01 / (0.25 * 1.01), rel=0.05)
+    noisy.first[0, 0] = 1e9
+    assert noise_of(noisy, shown) < 0.05
+
+
+def test_time_at_equal_error_weighs_seconds_by_noise():
+    assert equal_error((2.0, 0.1), (1.0, 0.4)) == pytest.approx(0.5)
+    assert equal_error((2.0, 0.1), (1.0, 0.0)) is None
+
+
+def test_the_interval_of_a_median_holds_the_true_one_as_often_as_it_says():
+    rng = np.random.default_rng(3)
+    drawn = [Spread.of({str(i): x for i, x in enumerate(rng.lognormal(size=41))}) for _ in range(60)]
+    assert sum(each.low <= 1 <= each.high for each in drawn) >= 52
+    assert all(each.low <= each.median <= each.high <= each.worst for each in drawn)
+    assert Spread.of({}) is None and Spread.of({"a": 1.0, "b": 3.0}).worst_of == "b"
+
+
+# --- superposition
+
+
+def pictures(engine_loss: float = 0.0, lamp: float = 1.0, noise: float = 0.01, seed: int = 0):
+    """Pictures of all sources and of each alone by an engine that loses a share of the light of all."""
+    alone = {"lamp “A”": pair(seed + 1, 0.3 * lamp, noise), "the world": pair(seed + 2, 0.2, noise)}
+    everything = pair(seed + 3, (0.3 * lamp + 0.2) * (1 - engine_loss), noise)
+    return everything, alone
+
+
+def judged(cycles, raybatch):
+    return judge({"CYCLES": cycles[0], "RAYBATCH": raybatch[0]}, {"CYCLES": cycles[1], "RAYBATCH": raybatch[1]})
+
+
+@pytest.mark.parametrize("right, losses", [("RayBatch", (0.13, 0.0)), ("Cycles", (0.0, 0.13))])
+def test_an_engine_that_loses_light_where_lamps_overlap_is_wrong(right, losses):
+    found = judged(pictures(losses[0]), pictures(losses[1], seed=10))
+    assert found.right == right and "0.870 ±" in found.why and "alone, all sources look the same" in found.why
+    assert all(each.same for each in found.sources.values())
+
+
+def test_where_both_add_up_the_source_that_differs_is_named():
+    found = judged(pictures(), pictures(lamp=0.8, seed=10))
+    assert found.right == UNDECIDED and "what differs is in the pictures of lamp “A” alone" in found.why
+    assert judged(pictures(), pictures(seed=10)).why.startswith("both engines' pictures add up, and show the same")
+
+
+def test_where_neither_adds_up_or_noise_hides_it_nobody_is_right():
+    assert judged(pictures(0.1), pictures(0.2, seed=10)).right == UNDECIDED
+    assert judged(pictures(noise=6.0), pictures(noise=6.0, seed=10)).right == TOO_NOISY
+
+
+# --- processes
+
+STUB = """
+import json, os, sys, time
+from pathlib import Path
+folder = Path(sys.argv[2]).parent
+state = {"doing": "open", "steps": [{"name": "open", "seconds": 0.1}], "error": ""}
+(folder / "steps.json").write_text(json.dumps(state))
+"""
+
+
+@pytest.mark.parametrize(
+    "end, status, part",
+    [
+        ("time.sleep(60)", TIMED_OUT, "in the step “open”, which took more than 2 s: raise --limit"),
+        ("os.abort()", CRASHED, "signal 6 (SIGABRT) in the step “open” of Cycles; it said last: going down"),
+        (
+            "state['error'] = 'no camera'; (folder / 'steps.json').write_text(json.dumps(state)); sys.exit(1)",
+            FAILED,
+            "no camera",
+        ),
+        ("pass", DONE, ""),
+    ],
+)
+def test_what_becomes_of_a_process_is_told_and_its_steps_are_kept(tmp_path, end, status, part):
+    script = tmp_path / "stub.py"
+    script.write_text(f"{STUB}\nprint('going down', flush=True)\n{end}\n")
+    outcome = run_process(script, {"engine": "CYCLES", "kind": PICTURES}, 2.0, None)
+    assert outcome.status == status and part in outcome.error
+    assert [each["name"] for each in outcome.state["steps"]] == ["open"]
+
+
+@pytest.mark.parametrize("cache", [COLD, "warm"])
+def test_each_file_begins_with_the_same_kernels(tmp_path, cache):
+    warm = tmp_path / "warm"
+    warm.mkdir()
+    (warm / "kernel").write_text("")
+    script = tmp_path / "stub.py"
+    script.write_text(
+        "import json, os, sys\nfrom pathlib import Path\nhere = Path(os.environ['RAYBATCH_KERNEL_CACHE'])\n"
+        "found = [each.name for each in here.iterdir()]\n(here / 'new').write_text('')\n"
+        "Path(sys.argv[2]).with_name('steps.json').write_text(json.dumps({'steps': [], 'found': found}))\n"
+    )
+    for _ in range(2):
+        outcome = run_process(script, {"engine": "RAYBATCH"}, 20.0, COLD if cache == COLD else str(warm))
+        assert outcome.state["found"] == ([] if cache == COLD else ["kernel"])
+
+
+# --- what is kept
+
+
+@pytest.fixture
+def rendered(monkeypatch):
+    """Processes that only tell which they are; RayBatch's fails while `failing` is set."""
+    calls = []
+
+    def run(script, request, limit, kernel_cache):
+        calls.append(f"{request['engine']} {Path(request['file']).name}")
+        if request["engine"] == "RAYBATCH" and run.failing:
+            return Outcome(CRASHED, error="it crashed")
+        images = {
+            f"all-{seed}": np.full((16, 16, 4), 0.5 + seed * 1e-3 * (len(calls) % 3), np.float32) for seed in (1, 2)
+        }
+        steps = [
+            {"name": name, "seconds": 0.5, "warnings": ["volume “fog” is left out"]} for name in ("first", "all-2")
+        ]
+        return Outcome(DONE, {"steps": steps, "versions": {"RayBatch": "1"}}, pictures=images)
+
+    run.failing = False
+    run.calls = calls
+    monkeypatch.setattr(comparison, "run_process", run)
+    return run
+
+
+@pytest.fixture
+def blends(tmp_path):
+    """Two files that begin as a .blend does."""
+    paths = [tmp_path / name for name in ("a.blend", "b.blend")]
+    for path in paths:
+        path.write_bytes(BLEND + path.name.encode())
+    return [str(path) for path in paths]
+
+
+def report_in(folder: Path) -> dict:
+    return json.loads((folder / "results.json").read_text())
+
+
+def test_a_second_run_renders_what_is_missing_or_failed_and_no_more(rendered, blends, tmp_path):
+    out = tmp_path / "out"
+    rendered.failing = True
+    assert main([*blends[:1], "--out", str(out)]) == 1
+    (row,) = report_in(out)["files"]
+    assert row["verdict"] == "not compared" and row["errors"] == ["it crashed"]
+    rendered.failing = False
+    rendered.calls.clear()
+    assert main([*blends, "--out", str(out)]) == 0
+    assert rendered.calls == ["RAYBATCH a.blend", "CYCLES b.blend", "RAYBATCH b.blend"]
+    assert [row["verdict"] for row in report_in(out)["files"]] == ["same", "same"]
+    assert report_in(out)["files"][0]["left_out"] == ["volume “fog” is left out"]
+    rendered.calls.clear()
+    assert main([*blends, "--out", str(out)]) == 0 and not rendered.calls
+    assert main([*blends[:1], "--out", str(out), "--again"]) == 0 and len(rendered.calls) == 2
+
+
+def test_another_size_or_another_version_of_a_file_is_rendered_anew(rendered, blends, tmp_path):
+    out = str(tmp_path / "out")
+    main([*blends, "--out", out])
+    rendered.calls.clear()
+    main([*blends[:1], "--out", out, "--samples", "8"])
+    assert len(rendered.calls) == 2
+    assert len(report_in(tmp_path / "out")["files"]) == 1  # those of other samples are not mixed with it
+    Path(blends[1]).write_bytes(BLEND + b"changed")
+    rendered.calls.clear()
+    main([blends[1], "--out", out, "--samples", "8"])
+    assert rendered.calls == ["CYCLES b.blend", "RAYBATCH b.blend"]
+
+
+def test_a_damaged_record_is_rendered_anew(rendered, blends, tmp_path):
+    out = tmp_path / "out"
+    main([*blends, "--out", str(out)])
+    (record,) = (out / "files").glob("a-blend-*.npz")
+    record.write_bytes(b"half")
+    rendered.calls.clear()
+    assert main([*blends, "--out", str(out)]) == 0
+    assert rendered.calls == ["CYCLES a.blend", "RAYBATCH a.blend"]
+
+
+def test_the_page_stands_alone_and_shows_pictures(rendered, blends, tmp_path):
+    main([*blends, "--out", str(tmp_path / "out")])
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 2 and "volume “fog” is left out" in page and "equal error" in page
+
+
+def test_what_is_alike_but_for_names_is_told_once():
+    texts = [f"material “m{i}” of “a”, “b” and {i} more: Filter Width (0.1 pixels instead)" for i in range(2, 5)]
+    assert alike([*texts, "image “x” is magenta"]) == [f"{texts[0]} (2 more like it)", "image “x” is magenta"]
+
+
+def test_results_do_not_tell_where_files_lie(blends, tmp_path, monkeypatch):
+    places = Outcome(FAILED, {"missing": [f"{tmp_path}/textures/wood.png"]}, f"{blends[0]} is bad")
+    monkeypatch.setattr(comparison, "run_process", lambda *_: places)
+    main([blends[0], "--out", str(tmp_path / "out")])
+    (row,) = report_in(tmp_path / "out")["files"]
+    assert row["errors"] == ["//a.blend is bad"] and row["missing"] == ["//textures/wood.png"]
+
+
+# --- bad input
+
+
+def test_bad_files_are_rows_that_name_the_thing_and_the_remedy(tmp_path):
+    (tmp_path / "text.blend").write_text("hello")
+    (tmp_path / "pointer.blend").write_text("version https://git-lfs.github.com/spec/v1\n")
+    (tmp_path / "folder.blend").mkdir()
+    names = ("none", "text", "pointer", "folder")
+    done = run_script(
+        "compare.py", *(tmp_path / f"{name}.blend" for name in names), "--out", tmp_path / "out", before=HIDE_BPY
+    )
+    assert done.returncode == 1
+    for part in ("check the name", "is not a .blend file: save it", "`git lfs pull`", "is a folder: name the .blend"):
+        assert part in done.stderr
+    rows = report_in(tmp_path / "out")["files"]
+    assert len(rows) == 4 and all(row["verdict"] == "not compared" and len(row["errors"]) == 1 for row in rows)
+
+
+def test_without_bpy_every_row_says_so(blends, tmp_path):
+    done = run_script("compare.py", blends[0], "--out", tmp_path / "out", before=HIDE_BPY, PYTHONPATH=_no_bpy(tmp_path))
+    (row,) = report_in(tmp_path / "out")["files"]
+    assert done.returncode == 1 and "no bpy in this Python: use the project's environment" in row["errors"][0]
+
+
+def _no_bpy(folder: Path) -> Path:
+    """A folder in which `bpy` cannot be imported."""
+    (folder / "path").mkdir()
+    (folder / "path" / "bpy.py").write_text("raise ModuleNotFoundError('no bpy here', name='bpy')\n")
+    return folder / "path"
+
+
+@pytest.mark.parametrize(
+    "arguments, part",
+    [
+        ((), "name .blend FILEs"),
+        (("--list", ROOT / "docs/real-files.json"), "--list needs --folder"),
+        (("a.blend", "--only", "x"), "go with --list"),
+        (("--list", "none.json", "--folder", "."), "cannot be read"),
+        (("--list", ROOT / "docs/testing.json", "--folder", "."), "is no list of files"),
+        (("--list", ROOT / "docs/real-files.json", "--folder", ".", "--only", "zzz"), "no file of"),
+        (("a.blend", "--kernel-cache", "none"), "is no folder"),
+        (("--table",), "render files first"),
+    ],
+)
+def test_what_does_not_go_together_is_one_line(tmp_path, arguments, part):
+    done = run_script("compare.py", *arguments, "--out", tmp_path / "out", before=HIDE_BPY)
+    assert part in error_line(done) and done.returncode == 1
+
+
+def test_a_listed_file_that_is_missing_or_of_another_version_says_where_to_get_it(tmp_path):
+    entry = {
+        "repository": "some/one",
+        "commit": "0123456789abcdef",
+        "path": "in/it.blend",
+        "md5": "0",
+        "licence": "MIT",
+    }
+    file = RealFile(tmp_path / "it.blend", "some/one/in/it.blend", entry)
+    assert "get in/it.blend of commit 0123456789ab of https://github.com/some/one" in file.complaint()
+    file.path.write_bytes(BLEND)
+    assert "is another version than the list means" in file.complaint()
+
+
+def test_files_of_one_name_are_told_apart(tmp_path):
+    names = [each.name for each in files_named(["x/room.blend", "y/room.blend", "hall.blend", "x/room.blend"])]
+    assert names == ["x/room.blend", "y/room.blend", "hall.blend"]
+
+
+# --- the manual
+
+
+@pytest.mark.parametrize(
+    "licence, shown",
+    [("CC0-1.0", True), ("CC-BY-4.0", True), ("CC-BY-NC-4.0", False), ("not stated", False), ("MIT", False)],
+)
+def test_pictures_are_shown_only_where_the_licence_allows_it(licence, shown):
+    assert may_be_shown({"licence": licence}) == shown
+
+
+def test_the_manual_has_files_of_the_list_alone_and_pictures_of_those_that_may_be_shown(
+    rendered, blends, tmp_path, monkeypatch
+):
+    folder = tmp_path / "some+one"
+    folder.mkdir()
+    entries = []
+    for name, licence in (("free.blend", "CC-BY-4.0"), ("closed.blend", "not stated")):
+        (folder / name).write_bytes(BLEND)
+        md5 = RealFile(folder / name, name).md5()
+        about = {"repository": "some/one", "commit": "0" * 40, "path": name, "md5": md5, "licence": licence}
+        entries.append(about | {"credit": "by Some One", "finding": {"why": "There is fog."}})
+    root = tmp_path / "root"
+    (root / "docs").mkdir(parents=True)
+    (root / manual.LISTING).write_text(json.dumps({"files": entries}))
+    (root / "docs/real-files").mkdir()
+    (root / "docs/real-files/gone.png").write_bytes(b"")
+    monkeypatch.setattr("compare.ROOT", root)
+    listed = ["--list", str(root / manual.LISTING), "--folder", str(tmp_path)]
+    assert main([*blends, *listed, "--out", str(tmp_path / "out")]) == 0
+    assert not (root / manual.PAGE).exists()
+    assert main(["--out", str(tmp_path / "out"), "--table"]) == 0
+    text = (root / manual.PAGE).read_text(encoding="utf-8")
+    assert text == manual.stored_page(root) and "There is fog." in text and "by Some One" in text
+    assert "a.blend" not in text and str(tmp_path) not in text
+    (picture,) = (root / manual.FOLDER).glob("*.png")
+    assert picture.name.startswith("some-one-free-blend-") and text.count("![") == 1
+
+
+def test_the_list_names_each_file_once_and_gives_credit_where_pictures_are_shown():
+    entries = read_listing(ROOT / manual.LISTING)
+    assert len({(each["repository"], each["path"]) for each in entries}) == len(entries)
+    assert all(len(each["md5"]) == 32 and len(each["commit"]) == 40 for each in entries)
+    assert all(each.get("credit") for each in entries if may_be_shown(each))
+
+
+def test_the_manual_is_that_of_its_results_and_shows_no_picture_without_a_licence():
+    page = ROOT / manual.PAGE
+    assert page.read_text(encoding="utf-8") == manual.stored_page(ROOT), (
+        "docs/real-files.md is not up to date: run python scripts/compare.py --out DIR --table"
+    )
+    about = {f"{each['repository']}/{each['path']}": each for each in read_listing(ROOT / manual.LISTING)}
+    rows = json.loads((ROOT / manual.FOLDER / "results.json").read_text())["files"]
+    pictures = {row["picture"] for row in rows if "picture" in row}
+    assert all(may_be_shown(about[row["name"]]) for row in rows if "picture" in row)
+    assert {each.name for each in (ROOT / manual.FOLDER).glob("*.png")} == pictures
