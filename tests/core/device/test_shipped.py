@@ -212,19 +212,17 @@ np.savez(sys.argv[1], **films)
 
 @pytest.fixture(scope="module")
 def general_folder(tmp_path_factory) -> Path:
-    """All that is shipped, for the levels of this processor; compiled once a clone."""
+    """All that is shipped for the lowest level; compiled once a clone."""
     folder = tmp_path_factory.mktemp("shipped") / "kernels"
-    make_kernels(folder, KEPT, levels=fitting())
+    make_kernels(folder, KEPT, levels=fitting()[-1:])
     return folder
 
 
-@pytest.mark.parametrize("level", LEVELS)
-def test_shipped_general_kernels_give_the_films_of_specialised_ones(level, general_folder, tmp_path):
+def test_shipped_general_kernels_give_the_films_of_specialised_ones(general_folder, tmp_path):
     from raybatch_addon.core.session import Session
     from tests.core.ahead.test_tiers import SCENES, SETTINGS
 
-    if level not in fitting():
-        pytest.skip(f"this processor does not have all of {level}")
+    level = fitting()[-1]  # the least like native instructions; other levels are a minute of compiling each
     kept = {"RAYBATCH_KERNEL_CACHE": str(tmp_path / "kept"), "WARP_CACHE_PATH": str(tmp_path / "kept")}
     environment = os.environ | kept | {"RAYBATCH_KERNEL_TIER": "AUTO"}
     command = [sys.executable, "-c", RENDER, tmp_path / "films.npz", general_folder, level, ROOT, ROOT / "scripts"]

@@ -32,7 +32,7 @@ from ...settings.settings import RenderSettings
 from ...shading.images.image_upload import ImageCache, device_bytes_of
 from ...shading.lights.emitters import EmissiveTriangles
 from ..plan.plan import Method, TracingPlan, cut_rule
-from .unchanged import Last, digest
+from .unchanged import Last, digest_of
 from .world_cache import WorldCache
 
 # Of a device's free memory, what images may take: geometry, rays and the film need the rest
@@ -66,10 +66,10 @@ class _Fingerprint:
         parts = [flat.positions[part.vertex_first : part.vertex_first + part.vertex_count] for part in mesh_parts(flat)]
         surface = [flat.corner_normals, flat.triangle_slot, scene.instances.slot_first, scene.slot_materials]
         return _Fingerprint(
-            digest(topology),
-            tuple(digest([part]) for part in parts),
-            digest([flat.instance_transform]),
-            digest(surface),
+            digest_of(topology),
+            tuple(digest_of([part]) for part in parts),
+            digest_of([flat.instance_transform]),
+            digest_of(surface),
         )
 
 
@@ -250,7 +250,7 @@ def _geometry_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarra
         for array in (mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_normals)
     ]
     instances = scene.instances
-    placed = digest(
+    placed = digest_of(
         [instances.mesh, instances.transform, instances.visibility, instances.slot_first, scene.slot_materials]
     )
     cut = cut_rule(request.plan, request.settings) if request.plan.method is Method.BATCHED else None

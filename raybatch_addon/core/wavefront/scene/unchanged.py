@@ -34,7 +34,7 @@ class Last(Generic[Made]):
         self.made = self._same = None
 
 
-def digest(arrays: Iterable[np.ndarray]) -> bytes:
+def digest_of(arrays: Iterable[np.ndarray]) -> bytes:
     """Equal for equal arrays only."""
     made = hashlib.sha1(usedforsecurity=False)  # twice as fast as others where processors have instructions for it
     for array in arrays:
@@ -55,7 +55,7 @@ def inputs_key(scene: Scene, ops: Sequence[str], device: str) -> tuple[list[np.n
     values = (
         device,
         tuple(ops),
-        digest(placed),
+        digest_of(placed),
         (instances.info is None, instances.attributes is None),
         tuple((mesh.texture_space, tuple((each.kind, each.name) for each in mesh.attributes)) for mesh in scene.meshes),
         tuple(scene.attributes),
@@ -78,7 +78,7 @@ def emission_key(
     pictures = [pixels for image in scene.images for pixels in _pictures(image)]
     kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in scene.images)
     materials = tuple(_light_of(material) if emitting else None for material, emitting in zip(scene.materials, emits))
-    return arrays + pictures, (values, kinds, materials, digest([scene.instances.visibility]))
+    return arrays + pictures, (values, kinds, materials, digest_of([scene.instances.visibility]))
 
 
 def _pictures(image: Image) -> list[np.ndarray | None]:
