@@ -101,7 +101,7 @@ class Session:
         self._building: Future | None = None  # the last build
 
     def close(self) -> None:
-        """Give back what is cached, and end what still compiles."""
+        """Give back what is cached, and end what still compiles; a session that renders again begins anew."""
         self._tier_changes.close()
         self._cache.clear()
 
@@ -146,6 +146,7 @@ class Session:
         Raises:
             RayBatchError: what the user can mend; the message says how.
         """
+        self._tier_changes.open()
         job = self._job(scene, settings or self.settings, sample_first, on_tile, on_progress, cancelled, observers)
         film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume, self.device)
         state = film.resume_state

@@ -57,6 +57,10 @@ class TierChanges:
             self._process.stop()
         self._process = None
 
+    def open(self) -> None:
+        """A render begins: what it needs may be compiled, also after `close`."""
+        self._closed = False
+
     def is_closed(self) -> bool:
         """Whether the session is closed: nobody wants what compiles."""
         return self._closed

@@ -170,10 +170,10 @@ def test_what_general_kernels_cannot_do_is_said():
     assert "closures" in why_not_general(replace(features, closure_count=CLOSURES_MOST + 1), cpu), "without programs"
     large = ProgramFeatures(("emission",), 16, 2 * CLOSURES_MOST)
     assert "closures" in why_not_general(replace(features, world_program=large), cpu)
-    film = Session(DEVICE).render(scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL", mis="OFF", sample_count=1))
-    assert any(
-        "not GENERAL: general kernels have no code for mis" in warning for warning in film.statistics["warnings"]
-    )
+    session = Session(DEVICE)
+    film = session.render(scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL", mis="OFF", sample_count=1))
+    why = why_not_general(replace(features, mis=False), session.device)
+    assert any(f"not GENERAL: {why}" in warning for warning in film.statistics["warnings"])
 
 
 def test_the_environment_chooses_where_the_setting_does_not(monkeypatch):

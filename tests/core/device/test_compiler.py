@@ -141,6 +141,8 @@ def test_a_session_that_is_closed_compiles_no_longer():
     while compiler._running:
         assert time.monotonic() < end
         time.sleep(0.05)
+    plain = scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse())], world=1.0)
+    assert session.render(plain, RenderSettings(sample_count=1)).complete, "it opens again"
 
 
 ENDS = """
