@@ -138,8 +138,11 @@ def total_memory(device: wp.Device) -> int:
 
 def free_memory(device: wp.Device) -> int:
     """Memory that a render may still take on `device` [bytes]."""
-    if device.is_cuda:
-        return int(device.free_memory)
+    return int(device.free_memory) if device.is_cuda else host_memory_free()
+
+
+def host_memory_free() -> int:
+    """Memory that this process may still take [bytes]; a very large number where the system does not say."""
     try:
         # what the kernel could free counts too
         with open("/proc/meminfo", encoding="ascii") as file:

@@ -13,9 +13,8 @@ from dataclasses import replace
 
 import bpy
 import numpy as np
-import warp as wp
 
-from ...core.device.devices import free_memory
+from ...core.device.devices import host_memory_free
 from ...core.scene.description import Attribute, Mesh
 from ...core.scene.frozen import freeze
 from .attributes import mesh_attributes
@@ -113,7 +112,7 @@ def end_export() -> None:
     for digest in [digest for digest, each in _kept.items() if each.used <= _export_count - _EXPORTS_KEPT]:
         del _kept[digest]
     sizes = {digest: each.bytes for digest, each in _kept.items()}
-    room = _MEMORY_SHARE * (free_memory(wp.get_device("cpu")) + sum(sizes.values()))
+    room = _MEMORY_SHARE * (host_memory_free() + sum(sizes.values()))
     for digest in sorted(sizes, key=lambda each: _kept[each].used):
         if sum(sizes.values()) <= room:
             break
