@@ -1,9 +1,12 @@
 """Fixtures of Blender's tests, which are skipped as a whole where bpy cannot be imported."""
 
 import importlib.util
+import os
 import sys
 
 import pytest
+
+from raybatch_addon.core.wavefront.tier import VARIABLE
 
 HAS_BPY = importlib.util.find_spec("bpy") is not None
 collect_ignore_glob = [] if HAS_BPY else ["test_*.py"]
@@ -12,6 +15,21 @@ collect_ignore_glob = [] if HAS_BPY else ["test_*.py"]
 def pytest_report_header():
     """A line in the report when Blender's tests are left out."""
     return [] if HAS_BPY else ["Blender's tests are left out: bpy cannot be imported"]
+
+
+@pytest.fixture(scope="package", autouse=True)
+def general_kernels():
+    """Renders are by general kernels: to compile specialised ones would take most of the time of these tests.
+
+    Other tests render by specialised kernels, and tests/core/ahead compares the films of both.
+    """
+    before = os.environ.get(VARIABLE)
+    os.environ[VARIABLE] = "GENERAL"
+    yield
+    if before is None:
+        del os.environ[VARIABLE]
+    else:
+        os.environ[VARIABLE] = before
 
 
 @pytest.fixture(scope="session")
