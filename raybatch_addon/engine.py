@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from .blender import warm_up
 from .blender.result import register_passes
 
 
@@ -24,6 +25,7 @@ class RayBatchRenderEngine(bpy.types.RenderEngine):
         register_passes(self, scene, renderlayer)
 
     def render(self, depsgraph):
+        warm_up.wait()
         from .blender.frame import render_view_layer  # brings in Warp, which opening Blender should not wait for
 
         render_view_layer(self, depsgraph)

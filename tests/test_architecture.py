@@ -46,6 +46,7 @@ ROOMS = (
     "blender/kernel_cache.py",
     "blender/general_kernels.py",
     "blender/sessions.py",
+    "blender/warm_up.py",
     "blender/result.py",
     "ui",
     "blender/frame.py",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..blender import general_kernels
+from ..blender import general_kernels, warm_up
+from .panel import ENGINE
 
 PACKAGE = __package__.rpartition(".")[0]
 
@@ -40,19 +41,23 @@ _classes = (RAYBATCH_OT_compile_general_kernels, RayBatchPreferences)
 
 
 def register() -> None:
-    """Add the preferences; where there is a window, general kernels are compiled once it is there."""
+    """Add the preferences; where there is a window, general kernels are compiled once it is there, and what a first
+    render needs is made once a scene is RayBatch's.
+    """
     for each in _classes:
         bpy.utils.register_class(each)
     if not bpy.app.background and not bpy.app.module:
         bpy.app.timers.register(_compile, first_interval=1.0, persistent=True)
+        bpy.app.timers.register(_warm_up, first_interval=1.0, persistent=True)
 
 
 def unregister() -> None:
     """Remove them, and end what still compiles."""
-    for timer in (_compile, _look):
+    for timer in (_compile, _look, _warm_up):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
     general_kernels.stop()
+    warm_up.wait()
     for each in reversed(_classes):
         bpy.utils.unregister_class(each)
 
@@ -61,6 +66,14 @@ def _compile() -> None:
     general_kernels.start()
     if not bpy.app.timers.is_registered(_look):
         bpy.app.timers.register(_look, first_interval=1.0, persistent=True)
+
+
+def _warm_up() -> float | None:
+    """Begin once a scene is RayBatch's; the seconds until the next look."""
+    if all(scene.render.engine != ENGINE for scene in bpy.data.scenes):
+        return 1.0
+    warm_up.begin()
+    return None
 
 
 def _look() -> float | None:

@@ -1,0 +1,38 @@
+"""What each first render needs whatever its scene is, made before: the core is imported and general kernels declared.
+
+That takes one to two seconds of Python. In a Blender with a window it happens in a thread, once a scene of the file has
+RayBatch as its engine; other files never pay for it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+
+_thread: threading.Thread | None = None
+
+
+def begin() -> None:
+    """Start it; nothing where that was done before."""
+    global _thread
+    if _thread is None:
+        _thread = threading.Thread(target=_make, name="RayBatch warm-up")
+        _thread.start()
+
+
+def wait() -> None:
+    """Return once it is done, if it was begun. Each render waits: two threads must not declare one kernel."""
+    if _thread is not None:
+        _thread.join()
+
+
+def _make() -> None:
+    with contextlib.suppress(Exception):  # whatever it is, the render meets it again and says it
+        from ..core.device.devices import find_device, is_compiled, start_warp
+        from ..core.wavefront.tier import general_kernels
+        from ..export import scene  # noqa: F401 - renders begin with it
+        from . import sessions  # noqa: F401
+        from .kernel_cache import kernel_cache_folder
+
+        start_warp(kernel_cache_folder())
+        is_compiled(general_kernels()[0], find_device("cpu"))  # makes the names of all of them
