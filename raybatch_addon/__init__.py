@@ -36,9 +36,13 @@ def unregister() -> None:
     sessions = sys.modules.get(f"{__name__}.blender.sessions")  # there if something was rendered
     if sessions is not None:
         sessions.close_all()
-    images = sys.modules.get(f"{__name__}.export.images.images")
-    if images is not None:
-        images.forget_images()
+    for module, forget in (
+        ("images.images", "forget_images"),
+        ("meshes.kept_meshes", "forget_meshes"),
+        ("kept_materials", "forget_materials"),
+    ):
+        if (kept := sys.modules.get(f"{__name__}.export.{module}")) is not None:
+            getattr(kept, forget)()
     reports.clear()
 
 

@@ -25,7 +25,7 @@ class RayBatchRenderEngine(bpy.types.RenderEngine):
         register_passes(self, scene, renderlayer)
 
     def render(self, depsgraph):
-        warm_up.wait()
+        warm_up.finish_warm_up()
         from .blender.frame import render_view_layer  # brings in Warp, which opening Blender should not wait for
 
         render_view_layer(self, depsgraph)

@@ -12,7 +12,7 @@ import threading
 _thread: threading.Thread | None = None
 
 
-def begin() -> None:
+def warm_up() -> None:
     """Start it; nothing where that was done before."""
     global _thread
     if _thread is None:
@@ -20,7 +20,7 @@ def begin() -> None:
         _thread.start()
 
 
-def wait() -> None:
+def finish_warm_up() -> None:
     """Return once it is done, if it was begun. Each render waits: two threads must not declare one kernel."""
     if _thread is not None:
         _thread.join()

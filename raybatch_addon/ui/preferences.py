@@ -57,7 +57,7 @@ def unregister() -> None:
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
     general_kernels.stop()
-    warm_up.wait()
+    warm_up.finish_warm_up()
     for each in reversed(_classes):
         bpy.utils.unregister_class(each)
 
@@ -72,7 +72,7 @@ def _warm_up() -> float | None:
     """Begin once a scene is RayBatch's; the seconds until the next look."""
     if all(scene.render.engine != ENGINE for scene in bpy.data.scenes):
         return 1.0
-    warm_up.begin()
+    warm_up.warm_up()
     return None
 
 

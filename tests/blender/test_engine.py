@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 import types
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -390,29 +389,3 @@ def test_the_engine_in_a_fresh_process_starts_warp_only_when_it_renders():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=os.getcwd())
     assert "fine" in done.stdout, done.stderr
-
-
-WARMED_UP = """
-import sys
-import bpy
-sys.path.insert(0, sys.argv[1])
-import raybatch_addon
-raybatch_addon.register()
-from raybatch_addon.blender import warm_up
-from raybatch_addon.ui import preferences
-scene = bpy.context.scene
-assert preferences._warm_up() == 1.0 and "warp" not in sys.modules, "the scene is another engine's"
-scene.render.engine = "RAYBATCH"
-assert preferences._warm_up() is None
-scene.render.resolution_x, scene.render.resolution_y, scene.raybatch.sample_count = 8, 8, 1
-bpy.ops.render.render()  # while that is under way
-from raybatch_addon.core.wavefront import tier
-assert tier.general_kernels.cache_info().misses == 1, "made once"
-from raybatch_addon.blender import reports
-assert not reports.last().warnings and not reports.last().errors
-"""
-
-
-def test_a_render_finds_what_was_made_before_it():
-    done = subprocess.run([sys.executable, "-c", WARMED_UP, str(Path.cwd())], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")

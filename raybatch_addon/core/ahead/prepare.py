@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 import warp as wp
 
-from ..device.compiler import given_up_when
+from ..device.compiler import CompileStoppedError, given_up_when
 from ..device.devices import load_kernels
 from ..device.notes import take_notes
 from ..wavefront.scene.device_scene import DeviceScene
@@ -79,6 +79,8 @@ class Preparation:
                 on_progress("compile" if compiling else "build", self._loaded / self._total, message)
                 wait([each for each in (modules, built) if not each.done()], _POLL_SECONDS)
             return built.result(), modules.result()
+        except CompileStoppedError:  # the session was closed
+            return None, []
         finally:
             self._given_up.set()
             pool.shutdown(wait=False)  # a cancelled render does not wait for the compiler

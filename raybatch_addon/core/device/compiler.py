@@ -56,11 +56,11 @@ processor_seconds = 0.0  # that compilers took so far
 
 
 class CompileError(Exception):
-    """A compiler that failed; `log` is what it wrote."""
+    """A compiler that failed; `log` is what it wrote, `code` its exit code: below 0 where a signal ended it."""
 
-    def __init__(self, summary: str, log: str):
+    def __init__(self, summary: str, log: str, code: int = 1):
         super().__init__(summary)
-        self.log = log
+        self.log, self.code = log, code
 
     @property
     def lack_of_room(self) -> OSError | None:
@@ -89,13 +89,6 @@ def given_up_now() -> Callable[[], bool] | None:
     return getattr(_local, "given_up", None)
 
 
-def stop_compilers() -> None:
-    """End all that run; those that wait for them get `CompileStoppedError`."""
-    with _lock:
-        for process in _running:
-            process.kill()
-
-
 def compile_apart() -> None:
     """Let Warp compile for the CPU in processes of their own from now on; called after `wp.init`."""
     library = wp._src.context.runtime.llvm
@@ -109,11 +102,11 @@ def compile_apart() -> None:
             log_file = tempfile.TemporaryFile()  # noqa: SIM115 (closed below)
         except OSError:
             log_file = None  # no room for a log: it is compiled all the same
-        try:
-            process = _start(log_file)
-        except OSError:  # no process can be had
-            return within(*arguments)
         with log_file or contextlib.nullcontext():
+            try:
+                process = _start(log_file)
+            except OSError:  # no process can be had
+                return within(*arguments)
             _finish(process, call)
             if process.returncode == 0:
                 return 0
@@ -121,7 +114,7 @@ def compile_apart() -> None:
             if log_file:
                 log_file.seek(0)
                 log = log_file.read().decode("utf-8", "replace")
-            raise CompileError(_summary(log, process.returncode), log)
+            raise CompileError(_summary(log, process.returncode), log, process.returncode)
 
     compile_cpp.is_apart = True
     library.wp_compile_cpp = compile_cpp
@@ -178,7 +171,9 @@ def _finish(process: subprocess.Popen, call: bytes) -> None:
 def _end() -> None:
     global _ending
     _ending = True
-    stop_compilers()
+    with _lock:
+        for process in _running:
+            process.kill()
 
 
 def _encoded(value: Any) -> Any:

@@ -105,6 +105,15 @@ def files_in(folder: Path, module: wp.Module, device: wp.Device, block_size: int
     return KernelFiles(inside / name, inside / module._get_meta_name(block_dim=block_size))
 
 
+def is_as_written(files: KernelFiles) -> bool:
+    """Whether sums say so that were written with the files, which are read again."""
+    try:
+        sums = files.sum.read_text(encoding="ascii", errors="replace")
+        return sums == _sums(files.binary.read_bytes(), files.meta.read_bytes())
+    except OSError:
+        return False
+
+
 def is_sound(files: KernelFiles) -> bool:
     """Whether both files are as they were written. What has no sums, as from another program, has to be complete."""
     try:

@@ -19,6 +19,7 @@ from .kept_kernels import (
     cannot_be_kept,
     files_in,
     folders,
+    is_as_written,
     kept_files,
     remove,
     remove_half_compiled,
@@ -98,7 +99,7 @@ def _load(module: wp.Module, device: wp.Device, block_size: int, given_up: Calla
             )
             return
         except Exception as error:  # Warp raises nothing better where a file cannot be read
-            if not left or files.target:
+            if not left or files.target or is_as_written(files):
                 raise DeviceError(f"the compiled kernel {files.binary} cannot be loaded: {error}") from error
             remove(files)
 
@@ -140,6 +141,11 @@ def _compile_into(folder: Path, module: wp.Module, device: wp.Device, block_size
         if isinstance(error, CompileError) and (lack := error.lack_of_room):
             raise lack from error
         half = Path(f"{files.binary.parent}_p{os.getpid()}_t{threading.get_ident()}")
+        if isinstance(error, CompileError) and error.code < 0:  # it may go well the next time
+            raise DeviceError(
+                f"the system ended a compiler of kernels (signal {-error.code}), probably for lack of memory; close "
+                "other programs and render again"
+            ) from error
         complaint = complaint_of(module, device, error, half / f"{identifier}.cpp", folder)
         _failed[identifier, device.alias] = complaint
         raise DeviceError(complaint) from error

@@ -71,7 +71,10 @@ def shipped_files(module: wp.Module, device: wp.Device, block_size: int) -> Kern
             for complaint in complaints:
                 note(f"{complaint}; that for {target} takes its place")
             return files
-    for complaint in complaints or [f"the shipped kernels need a processor of at least {list(LEVELS)[-1]}"]:
+    lacks = "there are no shipped kernels for this processor"
+    if not fitting_targets(device):
+        lacks = f"the shipped kernels need a processor of at least {list(LEVELS)[-1]}"
+    for complaint in complaints or [lacks]:
         note(f"{complaint}; {_CURE}")
     return None
 

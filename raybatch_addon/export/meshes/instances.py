@@ -160,11 +160,14 @@ def is_singular(transform: np.ndarray) -> np.ndarray:
 def collect_placements(depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool]) -> Placements:
     """One pass over the objects and instances of `depsgraph`. Raises `Cancelled`."""
     collector = _Collector(depsgraph)
-    for count, placed in enumerate(depsgraph.object_instances):
-        if count % _CANCEL_INTERVAL == 0 and cancelled():
-            raise Cancelled
-        collector.add(placed, cancelled)
-    return collector.finish()
+    try:
+        for count, placed in enumerate(depsgraph.object_instances):
+            if count % _CANCEL_INTERVAL == 0 and cancelled():
+                raise Cancelled
+            collector.add(placed, cancelled)
+        return collector.finish()
+    finally:
+        end_export()
 
 
 class _Collector:
@@ -230,7 +233,6 @@ class _Collector:
 
     def finish(self) -> Placements:
         """All placements, with the warnings that need the whole list."""
-        end_export()
         placements = self.placements
         placements.lights = [
             _with_attributes(light, values, placements) for light, values in zip(placements.lights, self._light_values)

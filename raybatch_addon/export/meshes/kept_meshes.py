@@ -25,6 +25,8 @@ from .meshes import export_mesh
 _EXPORTS_KEPT = 2
 # Of the host's free memory, what kept meshes may take
 _MEMORY_SHARE = 0.25
+# What counts as free at most, as where the system does not say [bytes]
+_FREE_MOST = 64 << 30
 
 # Attributes that triangles, normals and materials follow from, wherever a mesh has them
 _OF_SHAPE = frozenset(
@@ -112,7 +114,7 @@ def end_export() -> None:
     for digest in [digest for digest, each in _kept.items() if each.used <= _export_count - _EXPORTS_KEPT]:
         del _kept[digest]
     sizes = {digest: each.bytes for digest, each in _kept.items()}
-    room = _MEMORY_SHARE * (host_memory_free() + sum(sizes.values()))
+    room = _MEMORY_SHARE * (min(host_memory_free(), _FREE_MOST) + sum(sizes.values()))
     for digest in sorted(sizes, key=lambda each: _kept[each].used):
         if sum(sizes.values()) <= room:
             break

@@ -81,7 +81,9 @@ class DeviceScene:
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
             programs = [material.program for material in scene.materials]
             inputs = None
-            if features.programs:
+            if not features.programs:
+                cache.inputs.clear()
+            else:
                 ops = features.programs.ops
                 key = inputs_key(scene, ops, device.alias)
                 inputs = cache.inputs.get(key, functools.partial(upload_inputs, scene, ops, device))
@@ -104,10 +106,12 @@ class DeviceScene:
         on_stage("lights")
         emitted, world, lamps = _program_light(data, scene, features, shading, device, cache.world)
         emits = [emits_light(material, emitted is not None) for material in scene.materials]
-        triangles = cache.emissive.get(
-            emission_key(scene, emits, features.programs.ops, device.alias),
-            lambda: find_emissive_triangles(scene, emitted),
-        )
+        if any(emits):
+            key = emission_key(scene, emits, features.programs.ops, device.alias)
+            triangles = cache.emissive.get(key, lambda: find_emissive_triangles(scene, emitted))
+        else:
+            cache.emissive.clear()
+            triangles = find_emissive_triangles(scene, emitted)
         lights = upload_lights(scene, device, triangles=triangles, world=world, lamps=lamps)
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)

@@ -220,6 +220,7 @@ class SceneCache:
                     or not _follow(last, fingerprint, flat, scene, device)
                 ):
                     del last
+                    self.inputs.clear()  # of triangles that are there no more
                     if whole:
                         check_memory(size, request.layout, device, all_of_it=False)
                     last = _build(fingerprint, flat, scene, request, device)
