@@ -81,6 +81,9 @@ def argument_parser() -> argparse.ArgumentParser:
         action="store_true",
         help="write docs/real-files.md from what is in --out; without files nothing is rendered",
     )
+    add(
+        "--note", default="", metavar="TEXT", help="a sentence for the page: what a reader has to know of these results"
+    )
     add("--worker", type=Path, help=argparse.SUPPRESS)  # one process of many: its request
     return parser
 

@@ -40,7 +40,7 @@ def compare(options: argparse.Namespace, root: Path, script: Path, standard_outp
         "threads": options.threads,
         "kernel_cache": "the user's" if kernel_cache is None else COLD if kernel_cache == COLD else "a copy",
     }
-    reporter = _Reporter(records, root, request if files else _kept_request(records.folder.parent))
+    reporter = _Reporter(records, root, request if files else _kept_request(records.folder.parent), options.note)
     for number, file in enumerate(files):
         start = time.monotonic()
         record = _compared(file, records, request, options, script, kernel_cache)
@@ -128,8 +128,8 @@ def _to_be_judged(record: Record, options: argparse.Namespace) -> bool:
 class _Reporter:
     """Writes what there is, whole, after every file."""
 
-    def __init__(self, records: Records, root: Path, request: dict[str, Any]):
-        self._records, self._root, self._request = records, root, request
+    def __init__(self, records: Records, root: Path, request: dict[str, Any], note: str):
+        self._records, self._root, self._request, self._note = records, root, request, note
 
     def _known(self) -> list[Record]:
         """Records of the same request: others were rendered in another size, or with other samples."""
@@ -141,6 +141,7 @@ class _Reporter:
         report = {
             "request": self._request,
             "versions": _versions(known),
+            "note": self._note,
             "summary": {},
             "files": [row_of(record) for record in known],
         }

@@ -23,6 +23,8 @@ from real_files.tables import EXPLAINED, HEADS, SUMMARY_HEADS, cells, counted, r
 WIDTH = 120  # columns of the page
 LISTING, PAGE, FOLDER = "docs/real-files.json", "docs/real-files.md", "docs/real-files"
 _WHOLE_WORDS = {"break_long_words": False, "break_on_hyphens": False}
+# The option of the command line, by the word for it in a request
+_KERNEL_CACHES = {"the user's": "", "cold": " --kernel-cache cold", "a copy": " --kernel-cache FOLDER-WITH-KERNELS"}
 _HEAD = """\
 # Real files
 
@@ -34,12 +36,13 @@ commit, path, MD5 and licence; “companions” are textures and libraries that 
 as OWNER/NAME/PATH, anyone can repeat it:
 
 ```
-python scripts/compare.py --list docs/real-files.json --folder FOLDER --out out/compare --superposition
+python scripts/compare.py --list docs/real-files.json --folder FOLDER --out out/compare --superposition \\
+    --width {width} --samples {samples}{kernel_cache}
 python scripts/compare.py --out out/compare --table     # writes this page from what is there
 ```
 
 Both engines render {width} pixels wide with {samples} samples on the CPU, at most 8 bounces, without clamping, adaptive
-sampling and denoising, each in a process of its own. {versions}.
+sampling and denoising, each in a process of its own. {versions}.{note}
 
 ## All files together
 
@@ -68,6 +71,8 @@ def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
         _HEAD.format(
             width=report["request"]["width"],
             samples=report["request"]["samples"],
+            kernel_cache=_KERNEL_CACHES[report["request"]["kernel_cache"]],
+            note="\n\n" + "\n".join(_wrapped(note)) if (note := report.get("note")) else "",
             versions=versions,
             counted=counted(report["summary"]),
             summary=_table(SUMMARY_HEADS, summary_rows(report["summary"])),

@@ -8,8 +8,8 @@ import warp as wp
 # Fused multiply-adds and fast math would make results depend on the compiler's choices, and adjoints
 # are never needed. A kernel with `module="unique"` ignores its file's `set_module_options`, so each
 # kernel is declared as `@wp.kernel(**KERNEL_OPTIONS)`; a test looks at every loaded module.
-# On the CPU every function is inlined: Warp passes structs of arrays by value, and each call that is left copies some
-# thousand bytes.
+# On the CPU every function is inlined but those that are out of line by name: Warp passes structs of arrays by value,
+# and each call that is left copies some thousand bytes.
 MODULE_OPTIONS: dict[str, Any] = {
     "enable_backward": False,
     "fuse_fp": False,
@@ -18,9 +18,8 @@ MODULE_OPTIONS: dict[str, Any] = {
 }
 KERNEL_OPTIONS: dict[str, Any] = {"module": "unique", "module_options": MODULE_OPTIONS, "enable_backward": False}
 
-# The kernels of the general tier are one module, in which the interpreter of programs is compiled once for all of them:
-# 55 seconds of a processor instead of 320. Without inlining elsewhere that is 22 to 29 seconds, and the kernels take
-# twice as long.
+# The kernels of the general tier are one module, in which the interpreter of programs is compiled once for all of them
+# and each op is a function out of line.
 GENERAL_MODULE = "raybatch_general"
 
 _BLOCK_SIZES: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
