@@ -374,8 +374,7 @@ class Session:
             device=self.device,
             settings=job.settings,
             features=job.features,
-            frame={name: getattr(film, name) for name in ("width", "height")}
-            | {"region": list(film.region), "passes": list(film.pass_names)},
+            frame={"width": film.width, "height": film.height, "region": [*film.region], "passes": [*film.pass_names]},
             seconds={"build": 0.0, "compile": 0.0, "render": 0.0, **job.seconds},
             rays=ray_totals(integrators),
             samples=film.sample_total,

@@ -1,7 +1,6 @@
 """Fixtures of Blender's tests, which are skipped as a whole where bpy cannot be imported."""
 
 import importlib.util
-import os
 import sys
 
 import pytest
@@ -23,13 +22,9 @@ def general_kernels():
 
     Other tests render by specialised kernels, and tests/core/ahead compares the films of both.
     """
-    before = os.environ.get(VARIABLE)
-    os.environ[VARIABLE] = "GENERAL"
-    yield
-    if before is None:
-        del os.environ[VARIABLE]
-    else:
-        os.environ[VARIABLE] = before
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(VARIABLE, "GENERAL")
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -71,8 +71,12 @@ def load_here_what_is_launched() -> None:
         device = wp.get_device(device)
         size = module.options["block_dim"] if block_dim is None else block_dim
         key = (device.context if device.is_cuda else None, size)
-        is_ours = module.options["cpu_compiler_flags"] == MODULE_OPTIONS["cpu_compiler_flags"]
-        if not is_ours or binary_path is not None or options or key in module.execs:
+        if (
+            key in module.execs  # first: each launch comes by here
+            or binary_path is not None
+            or options
+            or module.options["cpu_compiler_flags"] != MODULE_OPTIONS["cpu_compiler_flags"]
+        ):
             return within(module, device, block_dim, binary_path, **options)
         load(module, device, size)
         return module.execs[key]

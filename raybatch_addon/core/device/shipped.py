@@ -57,8 +57,8 @@ def shipped_files(module: wp.Module, device: wp.Device, block_size: int) -> Kern
         if module.name == GENERAL_MODULE:
             note(f"the shipped general kernels belong to other code than this RayBatch; {_CURE}")
         return None
-    complaints = []
-    for target in fitting_targets(device):
+    complaints, targets = [], fitting_targets(device)
+    for target in targets:
         binary = entry["binaries"].get(target)
         if binary is None:
             continue
@@ -72,7 +72,7 @@ def shipped_files(module: wp.Module, device: wp.Device, block_size: int) -> Kern
                 note(f"{complaint}; that for {target} takes its place")
             return files
     lacks = "there are no shipped kernels for this processor"
-    if not fitting_targets(device):
+    if not targets:
         lacks = f"the shipped kernels need a processor of at least {list(LEVELS)[-1]}"
     for complaint in complaints or [lacks]:
         note(f"{complaint}; {_CURE}")

@@ -15,12 +15,12 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Attribute
-from .mesh_arrays import MeshArrays
+from .mesh_arrays import MeshArrays, read
 from .mesh_shape import pointiness, random_per_island
 from .tangents import corner_tangents
 
 # By Blender's type of an attribute: the property that `foreach_get` reads, and the count of numbers
-_TYPES = {
+ATTRIBUTE_TYPES = {
     "FLOAT": ("value", np.float32, 1),
     "INT": ("value", np.int32, 1),
     "INT8": ("value", np.int32, 1),
@@ -67,14 +67,12 @@ def _by_name(arrays: MeshArrays, name: str) -> np.ndarray | None:
 
 def _of_blender(arrays: MeshArrays, name: str) -> np.ndarray | None:
     attribute = arrays.mesh.attributes.get(name) if name else None
-    if attribute is None or attribute.data_type not in _TYPES:
+    if attribute is None or attribute.data_type not in ATTRIBUTE_TYPES:
         return None
-    prop, dtype, width = _TYPES[attribute.data_type]
+    prop, dtype, width = ATTRIBUTE_TYPES[attribute.data_type]
     if len(attribute.data) == 0:
         return None
-    flat = np.empty(len(attribute.data) * width, dtype)
-    attribute.data.foreach_get(prop, flat)
-    values = flat.reshape(-1, width).astype(np.float32)
+    values = read(attribute.data, prop, dtype, len(attribute.data), width).reshape(-1, width).astype(np.float32)
     if attribute.domain == "EDGE":
         return arrays.of_points(_edges_to_points(arrays, values, attribute.data_type == "BOOLEAN"))
     if attribute.domain == "POINT":

@@ -17,8 +17,8 @@ import numpy as np
 from ...core.device.devices import host_memory_free
 from ...core.scene.description import Attribute, Mesh
 from ...core.scene.frozen import freeze
-from .attributes import mesh_attributes
-from .mesh_arrays import MeshArrays
+from .attributes import ATTRIBUTE_TYPES, mesh_attributes
+from .mesh_arrays import MeshArrays, read
 from .meshes import export_mesh
 
 # A mesh that this many exports have not used is dropped
@@ -41,20 +41,8 @@ _OF_SHAPE = frozenset(
         "material_index",
     }
 )
-# By Blender's type of an attribute: the property that `foreach_get` copies, and the type and count of its numbers
-_STORED = {
-    "FLOAT": ("value", np.float32, 1),
-    "INT": ("value", np.int32, 1),
-    "INT8": ("value", np.int8, 1),
-    "BOOLEAN": ("value", bool, 1),
-    "FLOAT2": ("vector", np.float32, 2),
-    "FLOAT_VECTOR": ("vector", np.float32, 3),
-    "FLOAT_COLOR": ("color", np.float32, 4),
-    "BYTE_COLOR": ("color", np.float32, 4),
-    "QUATERNION": ("value", np.float32, 4),
-    "INT32_2D": ("value", np.int32, 2),
-    "INT16_2D": ("value", np.int16, 2),
-}
+# By Blender's type of an attribute, also of those that normals and topology are made of
+_STORED = ATTRIBUTE_TYPES | {"INT32_2D": ("value", np.int32, 2), "INT16_2D": ("value", np.int16, 2)}
 
 
 class _Kept:
@@ -213,7 +201,6 @@ def _digest(mesh: bpy.types.Mesh, layer, is_wanted: Callable[[bpy.types.Attribut
 
 
 def _add(digest, collection, attribute: str, dtype, width: int) -> None:
-    values = np.empty(len(collection) * width, dtype)
-    collection.foreach_get(attribute, values)
+    values = read(collection, attribute, dtype, len(collection), width)
     digest.update(str(values.shape).encode())
     digest.update(values)

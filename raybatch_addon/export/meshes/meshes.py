@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Mesh
+from .mesh_arrays import read
 
 
 def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | None:
@@ -20,8 +21,8 @@ def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | 
         if len(mesh.vertices):
             warnings.append(f"object “{name}”: its mesh “{mesh.name}” has no faces; there is nothing to render")
         return None
-    triangles = _read(mesh.loop_triangles, "vertices", np.int32, count, 3)
-    positions = _read(mesh.vertices, "co", np.float32, len(mesh.vertices), 3)
+    triangles = read(mesh.loop_triangles, "vertices", np.int32, count, 3)
+    positions = read(mesh.vertices, "co", np.float32, len(mesh.vertices), 3)
     positions, triangles = _used_vertices(positions, triangles)
     if not np.isfinite(positions).all():
         bad = int(len(positions) - np.isfinite(positions).all(axis=1).sum())
@@ -33,13 +34,13 @@ def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | 
     loops = None
     normals = uvs = None
     if mesh.normals_domain != "FACE" or mesh.has_custom_normals:
-        loops = _read(mesh.loop_triangles, "loops", np.int32, count, 3)
+        loops = read(mesh.loop_triangles, "loops", np.int32, count, 3)
         normals = _corner_normals(mesh, loops, name, warnings)
     layer = next((layer for layer in mesh.uv_layers if layer.active_render), None)
     if layer is not None and len(layer.uv):
         if loops is None:
-            loops = _read(mesh.loop_triangles, "loops", np.int32, count, 3)
-        uvs = _read(layer.uv, "vector", np.float32, len(mesh.loops), 2)[loops]
+            loops = read(mesh.loop_triangles, "loops", np.int32, count, 3)
+        uvs = read(layer.uv, "vector", np.float32, len(mesh.loops), 2)[loops]
     space = (tuple(mesh.texspace_location), tuple(mesh.texspace_size))
     return Mesh(mesh.name, positions, triangles, _slots(mesh, count), normals, uvs, space)
 
@@ -47,13 +48,6 @@ def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | 
 def slot_count(mesh: bpy.types.Mesh) -> int:
     """Number of material slots that `Mesh.triangle_slot` assumes; at least 1."""
     return max(1, len(mesh.materials))
-
-
-def _read(collection, attribute: str, dtype, count: int, width: int = 1) -> np.ndarray:
-    """`attribute` of all items of `collection`: shape [count, width], or [count] for a width of 1."""
-    values = np.empty(count * width, dtype)
-    collection.foreach_get(attribute, values)
-    return values.reshape(count, width) if width > 1 else values
 
 
 def _used_vertices(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -68,7 +62,7 @@ def _used_vertices(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.nda
 
 def _corner_normals(mesh: bpy.types.Mesh, loops: np.ndarray, name: str, warnings: list[str]) -> np.ndarray:
     """Unit normals of the triangles' corners, shape [triangle_count, 3, 3]; 0 (flat) where Blender has none."""
-    normals = _read(mesh.corner_normals, "vector", np.float32, len(mesh.loops), 3)
+    normals = read(mesh.corner_normals, "vector", np.float32, len(mesh.loops), 3)
     # A sum is finite where all terms are: a cheap look before the close one
     if not np.isfinite(normals.sum()):
         finite = np.isfinite(normals).all(axis=1)
@@ -85,7 +79,7 @@ def _slots(mesh: bpy.types.Mesh, count: int) -> np.ndarray | None:
     last = slot_count(mesh) - 1
     if last == 0 or "material_index" not in mesh.attributes:
         return None
-    of_polygon = _read(mesh.polygons, "material_index", np.int32, len(mesh.polygons))
-    polygon = _read(mesh.loop_triangle_polygons, "value", np.int32, count)
+    of_polygon = read(mesh.polygons, "material_index", np.int32, len(mesh.polygons))
+    polygon = read(mesh.loop_triangle_polygons, "value", np.int32, count)
     slots = np.clip(of_polygon, 0, last)[polygon]
     return slots if slots.any() else None

@@ -75,13 +75,14 @@ def emission_key(
     """What the emissive triangles follow from: arrays and values. `emits`: whether each material may emit."""
     arrays, values = inputs_key(scene, ops, device)
     arrays += [mesh.corner_normals for mesh in scene.meshes]
-    pictures = [pixels for image in scene.images for pixels in _pictures(image)]
+    pictures = [pixels for image in scene.images for pixels in pictures_of(image)]
     kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in scene.images)
     materials = tuple(_light_of(material) if emitting else None for material, emitting in zip(scene.materials, emits))
     return arrays + pictures, (values, kinds, materials, digest_of([scene.instances.visibility]))
 
 
-def _pictures(image: Image) -> list[np.ndarray | None]:
+def pictures_of(image: Image) -> list[np.ndarray | None]:
+    """The pixels of `image`, or of each of its tiles."""
     return [image.pixels] if image.tiles is None else [pixels for _, pixels in image.tiles]
 
 

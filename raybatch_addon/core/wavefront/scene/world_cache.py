@@ -14,6 +14,7 @@ import warp as wp
 from ...programs.op import op_named
 from ...scene.description import Image, Scene
 from ...shading.lights.world import SampledWorld, sampled_world
+from .unchanged import pictures_of
 
 # Ops of worlds that read where the camera is
 _CAMERA_OPS = frozenset({"camera_coordinates", "window_coordinates", "vector_transform"})
@@ -51,7 +52,7 @@ class WorldCache:
         world of the last call.
         """
         images = _images(scene)
-        pictures = [pixels for image in images for pixels in _pictures(image)]
+        pictures = [pixels for image in images for pixels in pictures_of(image)]
         key = (
             *_key(scene, device),
             tuple((image.encoding, tuple(number for number, _ in image.tiles or ())) for image in images),
@@ -72,10 +73,6 @@ class WorldCache:
 
 def _is(kept: weakref.ref | None, pixels: np.ndarray | None) -> bool:
     return pixels is None if kept is None else kept() is pixels and pixels is not None
-
-
-def _pictures(image: Image) -> list[np.ndarray | None]:
-    return [image.pixels] if image.tiles is None else [pixels for _, pixels in image.tiles]
 
 
 def _key(scene: Scene, device: wp.Device) -> tuple:
