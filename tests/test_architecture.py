@@ -206,15 +206,19 @@ def test_nothing_is_defined_twice_under_one_public_name():
 
 @pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
 def test_kernels_are_declared_with_the_cores_options_and_have_few_parameters(path):
+    bodies, called = {}, []
     for node in ast.walk(parsed(path)):
-        if not isinstance(node, ast.FunctionDef):
-            continue
-        for decorator in node.decorator_list:
-            if "wp.kernel" not in ast.unparse(decorator):
-                continue
-            found = re.sub(r"kernel_options\([\w.]+\.apart\)", "KERNEL_OPTIONS", ast.unparse(decorator))
-            assert found == "wp.kernel(**KERNEL_OPTIONS)", f"{name_of(path)}: {node.name}"
-            assert len(node.args.args) <= KERNEL_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
+        if isinstance(node, ast.FunctionDef):
+            bodies[node.name] = len(node.args.args)
+            called += [
+                (ast.unparse(each), node.name) for each in node.decorator_list if "wp.kernel" in ast.unparse(each)
+            ]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "wp.kernel" and node.args:
+            called.append((f"wp.kernel({ast.unparse(node.keywords[0])})", ast.unparse(node.args[0])))
+    for found, name in called:
+        found = re.sub(r"general_options\('\w+'\)", "KERNEL_OPTIONS", found)
+        assert found == "wp.kernel(**KERNEL_OPTIONS)", f"{name_of(path)}: {name}"
+        assert bodies[name] <= KERNEL_PARAMETERS_MAX, f"{name_of(path)}: {name}"
 
 
 @pytest.mark.parametrize("path", CORE_FILES, ids=name_of)

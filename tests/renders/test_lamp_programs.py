@@ -17,11 +17,13 @@ from raybatch_addon.core.scene.geometry import Geometry
 from raybatch_addon.core.scene.validate import checked_scene
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.images.textures import ImageTable
-from raybatch_addon.core.shading.lights.lamp_brightness import brightness_of_lamps
 from raybatch_addon.core.shading.lights.lamp_program import upload_lamp_programs
 from raybatch_addon.core.shading.lights.light_table import upload_lights
+from raybatch_addon.core.wavefront.estimates.launch import brightness_of_lamps
 from raybatch_addon.core.wavefront.kernels import StageKernels
-from raybatch_addon.core.wavefront.stages.connect import connect_kernel
+from raybatch_addon.core.wavefront.scene.scene_data import SceneData
+from raybatch_addon.core.wavefront.stages.connect import connect
+from raybatch_addon.core.wavefront.stages.stage import ShadingStage, stage_kernel
 from tests.stability.bench import WAITING, rays_wait
 from tests.support import scenes
 
@@ -170,8 +172,11 @@ def test_scenes_pay_for_programs_of_lamps_only_where_there_are_some():
     )
     changed = derive_features(by_programs(every_lamp(), 3.0), SETTINGS)
     assert changed == programs  # values compile nothing
-    kernels = StageKernels.choose(plain)
-    assert kernels.connect is connect_kernel and kernels.light_hits is not StageKernels.choose(programs).light_hits
+    kernels, others = StageKernels.choose(plain).shading, StageKernels.choose(programs).shading
+    assert (
+        kernels[ShadingStage.CONNECT] is stage_kernel(connect)
+        and kernels[ShadingStage.LIGHT_HITS] is not others[ShadingStage.LIGHT_HITS]
+    )
 
 
 def test_brightness_of_lamps():
@@ -193,8 +198,9 @@ def test_brightness_of_lamps():
     )
     scene = scenes.scene(lights=[dataclasses.replace(base, program=each) for each in programs])
     device = wp.get_device("cpu")
-    features = derive_features(scene, SETTINGS).lamp_program
-    data = upload_lamp_programs(scene, features, Geometry(), ImageTable(), device)
+    features = derive_features(scene, SETTINGS)
+    data = SceneData()
+    data.lamp_nodes = upload_lamp_programs(scene, features.lamp_program, Geometry(), ImageTable(), device)
     found = brightness_of_lamps(scene, data, features, device, upload_lights(scene, device).table)
     assert found[:2] == pytest.approx([1, 3], rel=1e-6)
     assert 0.005 < found[2] < 0.06 and found[3] > 0 and found[4] == 0

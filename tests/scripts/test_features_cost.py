@@ -21,6 +21,7 @@ NOT_NEEDED = (
     "shading.bsdf.beckmann",
     "shading.bsdf.ashikhmin_shirley",
     "shading.lights.emitters",
+    "wavefront.estimates",
     "wavefront.stages.emitted",
 )
 LEFT_OUT = (

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import warp as wp
 
 from ..bvh.build.scene_tree import build_kernels, layout_for
-from ..device.kernel import GENERAL_MODULE
 from ..scene.description import CameraKind, ClosureKind
 from ..scene.features import SCATTERING, SceneFeatures
 from ..settings.settings import RenderSettings
@@ -73,8 +72,6 @@ class GeneralRequest:
         scenes += [dataclasses.replace(scene, closures=opaque) for scene in scenes[:4]]
         for features in scenes:
             found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), general).kernels(device)
-        if device.is_cuda:  # `why_not_general`
-            found = [kernel for kernel in found if kernel.module.name != GENERAL_MODULE]
         return found
 
 

@@ -18,21 +18,24 @@ MODULE_OPTIONS: dict[str, Any] = {
 }
 KERNEL_OPTIONS: dict[str, Any] = {"module": "unique", "module_options": MODULE_OPTIONS, "enable_backward": False}
 
-# The kernels of the general tier are one module, in which the interpreter of programs is compiled once for all of them
-# and each op is a function out of line.
+# Kernels of the general tier: each has a module, in which the interpreter of programs is one function and each op is
+# another, out of line.
 GENERAL_MODULE = "raybatch_general"
 
 _BLOCK_SIZES: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
 DEFAULT_BLOCK_SIZE = 256  # threads of a CUDA block where a kernel does not ask for another
 
 
-def kernel_options(general: bool) -> dict[str, Any]:
-    """Arguments of `wp.kernel` for a kernel of the general tier, or for one that is specialised on a scene."""
-    if not general:
-        return KERNEL_OPTIONS
-    module = wp.get_module(GENERAL_MODULE)
+def general_options(name: str) -> dict[str, Any]:
+    """Arguments of `wp.kernel` for the kernel `name` of the general tier."""
+    module = wp.get_module(f"{GENERAL_MODULE}_{name}")
     module.options.update(MODULE_OPTIONS)
     return {"module": module, "enable_backward": False}
+
+
+def is_general(module: wp.Module) -> bool:
+    """Whether `module` belongs to the general tier."""
+    return module.name.startswith(GENERAL_MODULE)
 
 
 def with_block_size(kernel, threads: int):

@@ -14,7 +14,7 @@ from typing import Any
 import warp as wp
 
 from .kept_kernels import KernelFiles, digest
-from .kernel import GENERAL_MODULE
+from .kernel import is_general
 from .notes import note
 
 FOLDER = Path(__file__).resolve().parents[2] / "kernels"
@@ -54,7 +54,7 @@ def shipped_files(module: wp.Module, device: wp.Device, block_size: int) -> Kern
     identifier = module.get_module_identifier(block_size)
     entry = index["modules"].get(identifier)
     if entry is None or entry["hash"] != module.get_module_hash(block_size).hex():
-        if module.name == GENERAL_MODULE:
+        if is_general(module):
             note(f"the shipped general kernels belong to other code than this RayBatch; {_CURE}")
         return None
     complaints, targets = [], fitting_targets(device)

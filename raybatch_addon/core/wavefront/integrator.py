@@ -31,6 +31,7 @@ from .scheduler import Rectangle, WaterMarks
 from .stages import generate
 from .stages.generate import TileWork, counted_kernel
 from .stages.limits import half_seed, path_limits
+from .stages.stage import ShadingStage
 from .tier import array_features
 from .tracers.choose import make_tracer
 from .tracers.interface import Tracer
@@ -139,7 +140,7 @@ class TileIntegrator:
                 self._give_up(state)
             if self._alive == 0:
                 break
-            back = self._trace(work, camera, stop)
+            back = self._trace(work, film, camera, stop)
             self._shade(work, film, min(back, self._alive))
             done += self._finish_paths(work, film, stopped_at is None and state.items_begun < items)
         tile = state.tile
@@ -206,7 +207,7 @@ class TileIntegrator:
             self._order.note_begun(self.rays.camera)
         return RayList(self._free, length, count, coherent=True)
 
-    def _trace(self, work: TileWork, camera: RayList, stop: Callable[[], bool]) -> int:
+    def _trace(self, work: TileWork, film: FilmTile, camera: RayList, stop: Callable[[], bool]) -> int:
         """Rays go on; how many came back at most."""
         waves = [(RayKind.CLOSEST, camera), (RayKind.CLOSEST, self._bounced), (self._shadow_kind, self._shadow)]
         waves = [(kind, rays) for kind, rays in waves if rays.bound]
@@ -229,19 +230,16 @@ class TileIntegrator:
                 self._launch(counted_kernel, self.path_count, work, self._paths, self._bounce, self._pixel)
                 self._counters.add(kind, back, self._bounce, self._pixel, self._cost)
             with self._timer.stage("shade"):
-                self._take_back(kind, back)
+                self._take_back(kind, back, work, film)
         return sum(back.bound for _, back in finished)
 
-    def _take_back(self, kind: RayKind, back: RayList) -> None:
+    def _take_back(self, kind: RayKind, back: RayList, work: TileWork, film: FilmTile) -> None:
         if kind == RayKind.CLOSEST:
             self._launch_over(self._kernels.settle, back, self._paths, self._rays)
         elif kind == RayKind.OCCLUSION:
-            programs = (self._scene.data, self._limits) if self._kernels.connect_runs_programs else ()
-            self._launch_over(self._kernels.connect, back, *programs, self._paths, self._rays)
+            self._launch_stage(ShadingStage.CONNECT, back, work, film)
         else:
-            self._launch_over(
-                self._kernels.connect_transparent, back, self._scene.data, self._limits, self._paths, self._rays
-            )
+            self._launch_stage(ShadingStage.CONNECT_TRANSPARENT, back, work, film)
 
     def _shade(self, work: TileWork, film: FilmTile, bound: int) -> None:
         """Paths whose rays are all back go on: at most `bound`."""
@@ -252,16 +250,14 @@ class TileIntegrator:
             if self._kernels.walk:
                 for back in (miss, surface):
                     self._launch_over(self._kernels.walk, back, data, work, limits, paths, rays)
-            if self._kernels.light_hits:
-                self._launch_over(self._kernels.light_hits, miss, data, limits, paths, rays)
-            self._launch_over(self._kernels.background, miss, data, work, limits, paths, rays, film)
-        if not self._kernels.surface:
+            self._launch_stage(ShadingStage.LIGHT_HITS, miss, work, film)
+            self._launch_stage(ShadingStage.BACKGROUND, miss, work, film)
+        if not self._scene.features.surfaces:
             return
         for hits in self._hit_order.parts(rays, surface) if self._hit_order else (surface,):
             with self._timer.stage("shade"):
-                if self._kernels.light_hits:
-                    self._launch_over(self._kernels.light_hits, hits, data, limits, paths, rays)
-                self._launch_over(self._kernels.surface, hits, data, work, limits, paths, rays, film)
+                self._launch_stage(ShadingStage.LIGHT_HITS, hits, work, film)
+                self._launch_stage(ShadingStage.SURFACE, hits, work, film)
 
     def _finish_paths(self, work: TileWork, film: FilmTile, generates: bool) -> int:
         """Move paths that are over to the film, and list the rays of the next turn; how many were over.
@@ -318,6 +314,12 @@ class TileIntegrator:
         return self._order.policy.report() if self._order else None
 
     # --- launching
+
+    def _launch_stage(self, stage: ShadingStage, slots: RayList, work: TileWork, film: FilmTile) -> None:
+        kernel = self._kernels.shading.get(stage)
+        if kernel is not None:
+            work.stage = int(stage)
+            self._launch_over(kernel, slots, self._scene.data, work, self._limits, self._paths, self._rays, film)
 
     def _launch_over(self, kernel: wp.Kernel, slots: RayList, *inputs) -> None:
         if slots.bound:

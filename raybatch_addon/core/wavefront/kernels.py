@@ -19,11 +19,12 @@ from .path_lists import path_list_kernels
 from .plan.plan import Method
 from .plan.tracing import Tracing
 from .stages.accumulate import accumulate_kernel
-from .stages.connect import ConnectFeatures, connect_kernel, connect_program_kernel, settle_kernel
-from .stages.connect_transparent import transparent_shadow_kernel
+from .stages.connect import ConnectFeatures, connect, make_connect_program, settle_kernel
+from .stages.connect_transparent import make_connect_transparent
 from .stages.generate import GenerateFeatures, counted_kernel, generate_kernel
-from .stages.shade_background import BackgroundFeatures, background_kernel, light_hit_kernel
-from .stages.shade_surface import surface_kernel
+from .stages.shade_background import BackgroundFeatures, make_background, make_light_hits_stage
+from .stages.shade_surface import make_shade_surface
+from .stages.stage import ShadingStage, all_stages_kernel, stage_kernel
 from .stages.surface_features import SurfaceFeatures
 from .stages.walk import WalkFeatures, walk_kernel
 from .tracers.choose import tracer_kernels
@@ -31,60 +32,60 @@ from .tracers.choose import tracer_kernels
 
 @dataclass(frozen=True, kw_only=True)
 class StageKernels:
-    """Kernels by stage; None: the scene has nothing for that stage to do."""
+    """Kernels by stage."""
 
     generate: wp.Kernel
     settle: wp.Kernel
-    connect: wp.Kernel | None
-    connect_runs_programs: bool  # `connect` is `connect_program_kernel`
-    connect_transparent: wp.Kernel | None
-    light_hits: wp.Kernel | None
-    walk: wp.Kernel | None
-    background: wp.Kernel
-    surface: wp.Kernel | None
+    walk: wp.Kernel | None  # None: nothing scatters below surfaces
+    shading: dict[ShadingStage, wp.Kernel]  # without the stages for which the scene has nothing to do
     accumulate: wp.Kernel
     resolve: wp.Kernel
 
     @staticmethod
     def choose(features: SceneFeatures, shading: SceneFeatures | None = None) -> StageKernels:
         """The kernels for a scene with `features`, those that shade specialised on `shading` (default: the same)."""
-        has_light_hits, has_shadow_rays = features.light_hits, features.shadow_rays
-        has_transparent_shadows = has_shadow_rays and features.transparency
         layout = layout_of(features.passes, features.film_transparent)
         shading = shading or features
         begun = dataclasses.replace(shading, camera=features.camera, depth_of_field=features.depth_of_field)
-        connect, surface = narrow(shading, ConnectFeatures), narrow(shading, SurfaceFeatures)
-        connect_plain = connect_program_kernel(connect) if shading.light_programs else connect_kernel
+        has = {
+            ShadingStage.SURFACE: features.surfaces,
+            ShadingStage.BACKGROUND: True,
+            ShadingStage.LIGHT_HITS: features.light_hits,
+            ShadingStage.CONNECT: features.shadow_rays,
+            ShadingStage.CONNECT_TRANSPARENT: features.shadow_rays and features.transparency,
+        }
         return StageKernels(
             generate=generate_kernel(narrow(begun, GenerateFeatures)),
             settle=settle_kernel,
-            connect=connect_plain if has_shadow_rays else None,
-            connect_runs_programs=shading.light_programs,
-            connect_transparent=transparent_shadow_kernel(surface, connect) if has_transparent_shadows else None,
-            light_hits=light_hit_kernel(
-                narrow(shading, LightHitFeatures), shading.transparency, shading.clamping, shading.subsurface
-            )
-            if has_light_hits
-            else None,
             walk=walk_kernel(narrow(features, WalkFeatures)) if features.subsurface else None,
-            background=background_kernel(narrow(shading, BackgroundFeatures)),
-            surface=surface_kernel(surface) if features.surfaces else None,
+            shading=_shading_kernels(shading, [stage for stage in ShadingStage if has[stage]]),
             accumulate=accumulate_kernel(layout),
             resolve=resolve_kernel(layout),
         )
 
     def all(self) -> list[wp.Kernel]:
-        """Everything that shading launches."""
-        stages = [getattr(self, name) for name in self.__dataclass_fields__]
-        return [kernel for kernel in stages if isinstance(kernel, wp.Kernel)] + [
-            *path_list_kernels(walks=self.walk is not None),
-            add_spill_kernel,
-        ]
+        """Everything that is launched, tracing apart."""
+        stages = [self.generate, self.settle, *self.shading.values(), self.walk, self.accumulate, self.resolve]
+        kernels = [*stages, *path_list_kernels(walks=self.walk is not None), add_spill_kernel]
+        return list(dict.fromkeys(kernel for kernel in kernels if kernel is not None))
 
-    def shading(self) -> list[wp.Kernel]:
-        """The kernels that differ from tier to tier."""
-        stages = (self.surface, self.connect, self.connect_transparent, self.light_hits, self.background)
-        return [kernel for kernel in stages if kernel is not None]
+
+def _shading_kernels(shading: SceneFeatures, stages: list[ShadingStage]) -> dict[ShadingStage, wp.Kernel]:
+    """Kernels of `stages`; all the same where `shading` is that of all scenes."""
+    surface, connected = narrow(shading, SurfaceFeatures), narrow(shading, ConnectFeatures)
+    make = {
+        ShadingStage.SURFACE: lambda: make_shade_surface(surface),
+        ShadingStage.BACKGROUND: lambda: make_background(narrow(shading, BackgroundFeatures)),
+        ShadingStage.LIGHT_HITS: lambda: make_light_hits_stage(
+            narrow(shading, LightHitFeatures), shading.transparency, shading.clamping, shading.subsurface
+        ),
+        ShadingStage.CONNECT: lambda: make_connect_program(connected) if shading.light_programs else connect,
+        ShadingStage.CONNECT_TRANSPARENT: lambda: make_connect_transparent(surface, connected),
+    }
+    if shading.programs.apart:
+        kernel = all_stages_kernel(*(make[stage]() for stage in ShadingStage))
+        return dict.fromkeys(stages, kernel)
+    return {stage: stage_kernel(make[stage]()) for stage in stages}
 
 
 def tracing_kernels(

@@ -20,9 +20,9 @@ from ..programs.op import op_numbers
 from ..scene.description import ClosureKind, LightKind
 from ..scene.features import SceneFeatures
 from ..scene.program import ProgramFeatures
-from ..shading.lights.lamp_brightness import lamp_brightness_kernel
+from .estimates.kernels import estimate_kernel
+from .estimates.work import Estimate
 from .kernels import StageKernels
-from .stages.emitted import triangle_emission_kernel, world_texels_kernel
 
 VARIABLE = "RAYBATCH_KERNEL_TIER"
 TIERS = ("AUTO", "GENERAL", "SPECIALISED")
@@ -56,11 +56,9 @@ def general_features() -> SceneFeatures:
     )
 
 
-def why_not_general(features: SceneFeatures, device: wp.Device) -> str:
-    """Why the general kernels cannot shade a scene with `features` on `device`; empty where they can."""
+def why_not_general(features: SceneFeatures) -> str:
+    """Why the general kernels cannot shade a scene with `features`; empty where they can."""
     general = general_features()
-    if device.is_cuda:
-        return "CUDA's compiler takes more than five minutes for the general kernels, so there are none"
     if features.mis != general.mis:
         return "general kernels have no code for mis OFF"
     if features.sample_sequence != general.sample_sequence:
@@ -117,19 +115,18 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
         return TierChoice(features, False, setting, why)
 
     def general(why: str) -> TierChoice:
-        general_kernels()  # all of them, before any is compiled or loaded
         return TierChoice(general_features(), True, setting, why)
 
     if setting == "SPECIALISED":
         return specialised("as set")
-    if why := why_not_general(features, device):
+    if why := why_not_general(features):
         return specialised(why)
     if setting == "GENERAL":
         return general("as set")
-    if all(is_compiled(kernel, device) for kernel in StageKernels.choose(features).shading()):
+    if all(is_compiled(kernel, device) for kernel in StageKernels.choose(features).shading.values()):
         return specialised("they were compiled before")
-    if is_compiled(general_kernels()[0], device):
-        target = shipped_target(general_kernels()[0], device)
+    if is_compiled(stages := general_kernels()[0], device):
+        target = shipped_target(stages, device)
         shipped = f" (shipped for {target})" if target else ""
         return general(f"they are ready{shipped}, and the specialised ones are not")
     return specialised("no others were compiled ahead")
@@ -137,11 +134,7 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
 
 @functools.cache
 def general_kernels() -> tuple[wp.Kernel, ...]:
-    """All kernels of the general tier: one module, so all of them are made before it is compiled or loaded."""
+    """The kernels of the general tier: that of all stages, and that of all estimates."""
     features = general_features()
-    return (
-        *StageKernels.choose(features).shading(),
-        triangle_emission_kernel(features.programs, features.instancing, features.smooth_normals),
-        world_texels_kernel(features.world_program),
-        lamp_brightness_kernel(features.lamp_program),
-    )
+    (stages,) = set(StageKernels.choose(features).shading.values())
+    return stages, estimate_kernel(features, Estimate.TRIANGLES)

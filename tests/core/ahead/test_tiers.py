@@ -19,7 +19,7 @@ from raybatch_addon.core.ahead.change import TierChanges, pays
 from raybatch_addon.core.ahead.process import CompileProcess
 from raybatch_addon.core.ahead.request import CORE, CompileRequest, GeneralRequest, decode_request, encode_request
 from raybatch_addon.core.device.devices import is_compiled
-from raybatch_addon.core.device.kernel import block_size_of
+from raybatch_addon.core.device.kernel import block_size_of, is_general
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.scene.features import derive_features
@@ -29,6 +29,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
 from raybatch_addon.core.wavefront.kernels import StageKernels
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
+from raybatch_addon.core.wavefront.stages.stage import ShadingStage
 from raybatch_addon.core.wavefront.tier import (
     CLOSURES_MOST,
     VARIABLE,
@@ -155,7 +156,7 @@ def test_auto_takes_what_is_compiled():
     films(scene)
     assert not choose_tier(features, "AUTO", device).general, "specialised kernels are there"
     rare = replace(features, lights=(), mesh_lights=False, smooth_normals=False, clamping=True, roulette=False)
-    assert not is_compiled(StageKernels.choose(rare).surface, device)
+    assert not is_compiled(StageKernels.choose(rare).shading[ShadingStage.SURFACE], device)
     choice = choose_tier(rare, "AUTO", device)
     assert choice.general and choice.shading == general_features()
     assert not choose_tier(rare, "SPECIALISED", device).general
@@ -163,16 +164,15 @@ def test_auto_takes_what_is_compiled():
 
 def test_what_general_kernels_cannot_do_is_said():
     features = derive_features(scenes.mixed(), SETTINGS)
-    cpu = wp.get_device("cpu")
-    assert why_not_general(features, cpu) == ""
-    assert "mis OFF" in why_not_general(replace(features, mis=False), cpu)
-    assert "RANDOM" in why_not_general(replace(features, sample_sequence="RANDOM"), cpu)
-    assert "closures" in why_not_general(replace(features, closure_count=CLOSURES_MOST + 1), cpu), "without programs"
+    assert why_not_general(features) == ""
+    assert "mis OFF" in why_not_general(replace(features, mis=False))
+    assert "RANDOM" in why_not_general(replace(features, sample_sequence="RANDOM"))
+    assert "closures" in why_not_general(replace(features, closure_count=CLOSURES_MOST + 1)), "without programs"
     large = ProgramFeatures(("emission",), 16, 2 * CLOSURES_MOST)
-    assert "closures" in why_not_general(replace(features, world_program=large), cpu)
+    assert "closures" in why_not_general(replace(features, world_program=large))
     session = Session(DEVICE)
     film = session.render(scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL", mis="OFF", sample_count=1))
-    why = why_not_general(replace(features, mis=False), session.device)
+    why = why_not_general(replace(features, mis=False))
     assert any(f"not GENERAL: {why}" in warning for warning in film.statistics["warnings"])
 
 
@@ -187,24 +187,13 @@ def test_the_environment_chooses_where_the_setting_does_not(monkeypatch):
         choose_tier(features, "AUTO", device)
 
 
-ALL_OF_THE_MODULE = """
-import warp as wp
-from raybatch_addon.core.device.kernel import GENERAL_MODULE
-from raybatch_addon.core.scene.features import SceneFeatures
-from raybatch_addon.core.session import Session
-from raybatch_addon.core.wavefront.tier import choose_tier
-
-device = Session("cpu").device
-choose_tier(SceneFeatures(surfaces=True), "GENERAL", device)
-print(len(wp.get_module(GENERAL_MODULE).kernels))
-"""
-
-
-def test_general_kernels_are_one_module_whatever_a_scene_needs_of_it():
-    """A module with fewer kernels has another hash: it would be compiled although the whole one is there."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
-    done = subprocess.run([sys.executable, "-c", ALL_OF_THE_MODULE], env=environment, capture_output=True, text=True)
-    assert (done.stdout.strip(), done.stderr) == (str(len(general_kernels())), "")
+def test_each_general_kernel_has_a_module():
+    """Several in one module would each have a copy of the interpreter on CUDA, and a hash that depends on which of them
+    were made.
+    """
+    kernels = general_kernels()
+    assert [list(kernel.module.kernels.values()) for kernel in kernels] == [[kernel] for kernel in kernels]
+    assert all(is_general(kernel.module) for kernel in kernels)
 
 
 def test_when_compiling_pays():

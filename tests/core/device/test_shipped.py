@@ -124,7 +124,7 @@ def test_a_processor_with_too_few_instructions_compiles(kernel, monkeypatch):
 
 def test_general_kernels_of_other_code_are_said(folder, tmp_path):
     make_kernels(folder, tmp_path / "made", [small_kernel()], [BEST])
-    module = wp.get_module(GENERAL_MODULE)
+    module = wp.get_module(f"{GENERAL_MODULE}_stages")
     assert shipped.shipped_files(module, wp.get_device("cpu"), 1) is None
     assert "belong to other code than this RayBatch" in take_notes()[0]
 

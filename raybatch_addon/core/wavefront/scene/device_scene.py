@@ -21,11 +21,10 @@ from ...shading.bsdf.bsdf import ClosureFeatures, upload_materials
 from ...shading.camera import CameraData, upload_camera
 from ...shading.images.image_upload import UploadedImages
 from ...shading.lights.emitters import emits_light, find_emissive_triangles
-from ...shading.lights.lamp_brightness import brightness_of_lamps
 from ...shading.lights.lamp_program import upload_lamp_programs
 from ...shading.lights.light_table import UploadedLights, upload_lights
+from ..estimates.launch import brightness_of_lamps, emission_of_triangles, world_texels
 from ..plan.tracing import Tracing
-from ..stages.emitted import emission_of_triangles, world_texels
 from .scene_cache import BuiltGeometry, GeometryRequest, PagedTree, SceneCache
 from .scene_data import SceneData
 from .unchanged import emission_key, inputs_key
@@ -175,5 +174,5 @@ def _program_light(
     else:
         world = worlds.get(scene, device, lambda: world_texels(data, shading, scene.world.sampling_size, device))
     if features.lamp_program:
-        lamps = functools.partial(brightness_of_lamps, scene, data.lamp_nodes, shading.lamp_program, device)
+        lamps = functools.partial(brightness_of_lamps, scene, data, shading, device)
     return emitted, world, lamps

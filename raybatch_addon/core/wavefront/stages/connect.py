@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS, kernel_options
+from ...device.kernel import KERNEL_OPTIONS
+from ...film.tile import FilmTile
 from ...rays import Rays
 from ...scene.program import ProgramFeatures
 from ...shading.lights.lamp_program import make_lamp_emission
@@ -13,6 +14,7 @@ from ...shading.lights.light_shapes import LAMP_PROGRAM, SURFACE_PROGRAM, WORLD_
 from ..rays import Paths, Status, bounce_to_light, passed_before_light
 from ..scene.scene_data import SceneData
 from .emitted import make_surface_emission, make_world_emission
+from .generate import TileWork
 from .history import DEPTHS
 from .limits import PathLimits, clamped
 
@@ -34,13 +36,9 @@ def settle_kernel(paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: w
     paths.status[path] = status
 
 
-@wp.kernel(**KERNEL_OPTIONS)
-def connect_kernel(paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)):
+@wp.func
+def connect(data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, slot: int):
     """Shadow rays are back: light that nothing hides is added to the path."""
-    i = wp.tid()
-    if i >= count[0]:
-        return
-    slot = slots[i]
     path = slot - paths.status.shape[0]
     if rays.hit_instance[slot] < 0:
         paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
@@ -133,23 +131,14 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
 
 
 @functools.cache
-def connect_program_kernel(features: ConnectFeatures) -> wp.Kernel:
-    """Kernel (data, limits, paths, rays, slots, count): as `connect_kernel`, where programs say what light there is."""
+def make_connect_program(features: ConnectFeatures) -> wp.Function:
+    """As `connect`, where programs say what light there is."""
     arrived = make_arrived(features)
 
-    @wp.kernel(**kernel_options(features.programs.apart))
+    @wp.func
     def connect_program(
-        data: SceneData,
-        limits: PathLimits,
-        paths: Paths,
-        rays: Rays,
-        slots: wp.array(dtype=int),
-        count: wp.array(dtype=int),
+        data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, slot: int
     ):
-        i = wp.tid()
-        if i >= count[0]:
-            return
-        slot = slots[i]
         path = slot - paths.status.shape[0]
         if rays.hit_instance[slot] < 0:
             paths.radiance[path] = paths.radiance[path] + arrived(data, limits, paths, rays, path, slot)

@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from ...device.kernel import kernel_options
+from ...film.tile import FilmTile
 from ...rays import Rays
 from ...scene.description import Visibility
 from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
@@ -17,6 +17,7 @@ from ...shading.surface import make_surface, spawn_origin
 from ..rays import SHADOW_PASS, Paths, Status, bounce_to_light
 from ..scene.scene_data import SceneData
 from .connect import ConnectFeatures, make_arrived
+from .generate import TileWork
 from .history import DEPTHS
 from .limits import PathLimits, has_light
 from .surface_features import SurfaceFeatures
@@ -27,8 +28,8 @@ SHADOW_OUT = int(Status.SHADOW_OUT)
 
 
 @functools.cache
-def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeatures) -> wp.Kernel:
-    """Kernel (data, limits, paths, rays, slots, count): shadow rays of scenes in which surfaces may let them through.
+def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures) -> wp.Function:
+    """The stage's function, as `stage_kernel` takes it: shadow rays of scenes in which surfaces may let them through.
 
     They come back with closest hits, in order, and go on behind each surface that is not opaque.
     """
@@ -38,19 +39,10 @@ def transparent_shadow_kernel(features: SurfaceFeatures, connect: ConnectFeature
     programs = features.programs
     surface_closures = make_surface_program(programs)
 
-    @wp.kernel(**kernel_options(programs.apart))
+    @wp.func
     def connect_transparent(
-        data: SceneData,
-        limits: PathLimits,
-        paths: Paths,
-        rays: Rays,
-        slots: wp.array(dtype=int),
-        count: wp.array(dtype=int),
+        data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, slot: int
     ):
-        i = wp.tid()
-        if i >= count[0]:
-            return
-        slot = slots[i]
         path = slot - paths.status.shape[0]
         status = paths.status[path] & ~wp.static(SHADOW_OUT)
         passed = paths.passed[path]

@@ -50,6 +50,7 @@ class TileWork:
     item_first: wp.int64  # next item that was not begun
     item_count: int  # how many to begin
     filter_table: wp.array(dtype=float)
+    stage: int  # `ShadingStage`: what a kernel of all stages is launched for
 
 
 @wp.func

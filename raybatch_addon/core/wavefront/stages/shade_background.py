@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...device.kernel import kernel_options
 from ...film.tile import FilmTile
 from ...rays import Rays
 from ...scene.program import ProgramFeatures
@@ -41,25 +40,16 @@ class BackgroundFeatures:
 
 
 @functools.cache
-def light_hit_kernel(
+def make_light_hits_stage(
     features: LightHitFeatures, transparency: bool, clamping: bool, subsurface: bool = False
-) -> wp.Kernel:
-    """Kernel (data, limits, paths, rays, slots, count): lights that rays met on their way."""
+) -> wp.Function:
+    """The stage's function, as `stage_kernel` takes it: lights that rays met on their way."""
     intersect, miss = make_light_hits(features)
 
-    @wp.kernel(**kernel_options(features.lamp_program.apart))
+    @wp.func
     def light_hits(
-        data: SceneData,
-        limits: PathLimits,
-        paths: Paths,
-        rays: Rays,
-        slots: wp.array(dtype=int),
-        count: wp.array(dtype=int),
+        data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, path: int
     ):
-        i = wp.tid()
-        if i >= count[0]:
-            return
-        path = slots[i]
         direction = rays.direction[path]
         status = paths.status[path]
         if wp.static(subsurface):
@@ -93,27 +83,16 @@ def light_hit_kernel(
 
 
 @functools.cache
-def background_kernel(features: BackgroundFeatures) -> wp.Kernel:
-    """Kernel (data, work, limits, paths, rays, film, slots, count): rays that leave the scene."""
+def make_background(features: BackgroundFeatures) -> wp.Function:
+    """The stage's function, as `stage_kernel` takes it: rays that leave the scene."""
     has_program = bool(features.world_program)
     world_emission = make_world_emission(features.world_program) if has_program else None
     hit_weight = light_weights(features.mis)[1]
 
-    @wp.kernel(**kernel_options(features.world_program.apart))
+    @wp.func
     def background(
-        data: SceneData,
-        work: TileWork,
-        limits: PathLimits,
-        paths: Paths,
-        rays: Rays,
-        film: FilmTile,
-        slots: wp.array(dtype=int),
-        count: wp.array(dtype=int),
+        data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, path: int
     ):
-        i = wp.tid()
-        if i >= count[0]:
-            return
-        path = slots[i]
         status = paths.status[path]
         if wp.static(features.subsurface):
             if (status & wp.static(INSIDE)) != 0:

@@ -8,7 +8,6 @@ import functools
 
 import warp as wp
 
-from ...device.kernel import kernel_options
 from ...film.tile import FilmTile
 from ...rays import Rays
 from ...scene.description import ClosureKind, Visibility
@@ -49,8 +48,8 @@ INSIDE = int(Status.INSIDE)
 
 
 @functools.cache
-def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
-    """Kernel (data, work, limits, paths, rays, film, slots, count)."""
+def make_shade_surface(features: SurfaceFeatures) -> wp.Function:
+    """The stage's function, as `stage_kernel` takes it."""
     sampler = make_sampler(features.sample_sequence)
     sample_1d = sampler.sample_1d
     sample_2d = sampler.sample_2d
@@ -66,21 +65,10 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
     surface_closures = make_surface_program(programs)
     begin_walk = make_walk_begin(features.sample_sequence)
 
-    @wp.kernel(**kernel_options(programs.apart))
-    def shade(
-        data: SceneData,
-        work: TileWork,
-        limits: PathLimits,
-        paths: Paths,
-        rays: Rays,
-        film: FilmTile,
-        slots: wp.array(dtype=int),
-        count: wp.array(dtype=int),
+    @wp.func
+    def shade_surface(
+        data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, path: int
     ):
-        i = wp.tid()
-        if i >= count[0]:
-            return
-        path = slots[i]
         status = paths.status[path] & ~wp.static(HIT | STRAIGHT)
         bounce = bounce_of(status)
         where = pixel_sample(work, paths.item[path])
@@ -282,4 +270,4 @@ def surface_kernel(features: SurfaceFeatures) -> wp.Kernel:
             status = status | wp.static(ENDED)
         paths.status[path] = status
 
-    return shade
+    return shade_surface

@@ -9,8 +9,8 @@ from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.description import ClosureKind
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.estimates import launch as estimates
 from raybatch_addon.core.wavefront.scene import device_scene
-from raybatch_addon.core.wavefront.stages import emitted
 from tests.support import scenes
 
 
@@ -31,7 +31,7 @@ def test_parts_on_several_threads_are_those_of_one(session, monkeypatch):
 
     def watched(data, features, device, instance, primitive):
         for threads in (1, 3, 8):
-            monkeypatch.setattr(emitted, "worker_count", lambda device, wanted, threads=threads: threads)
+            monkeypatch.setattr(estimates, "worker_count", lambda device, wanted, threads=threads: threads)
             monkeypatch.setattr(wp, "launch", counted)
             found.append(real(data, features, device, instance, primitive))
             monkeypatch.setattr(wp, "launch", launch)

@@ -1,0 +1,1 @@
+"""Estimates before a render: how bright triangles, worlds and lamps are whose light programs compute."""

@@ -1,0 +1,110 @@
+"""Estimates of a scene on its device."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import warp as wp
+
+from ...device.devices import load_module, worker_count
+from ...scene.description import Scene
+from ...scene.features import SceneFeatures
+from ...shading.lights.emitters import scene_radius
+from ...shading.lights.light_table import LightTable
+from ..scene.scene_data import SceneData
+from .kernels import estimate_kernel
+from .work import Estimate, EstimateWork
+
+# Points of a texel of the world, along either axis, whose mean is its brightness; one where texels are as many as an
+# image's
+_TEXEL_POINTS = 2
+_FINE_WIDTH = 4096
+# Points of each lamp, of which the mean counts
+_LAMP_POINTS = 96
+# Brightness of a lamp's program that was black at all points: it may shine elsewhere
+_UNSEEN = 0.01
+
+
+def emission_of_triangles(
+    data: SceneData, features: SceneFeatures, device: wp.Device, instance: np.ndarray, primitive: np.ndarray
+) -> np.ndarray:
+    """Mean radiance of triangles whose material is a program, float32, shape [n, 3]."""
+    radiance = wp.zeros(len(instance), dtype=wp.vec3, device=device)
+    instance, primitive = (wp.array(each, dtype=int, device=device) for each in (instance, primitive))
+
+    def work_of(first: int, end: int) -> tuple[EstimateWork, int]:
+        work = EstimateWork()
+        work.instance, work.primitive = instance[first:end], primitive[first:end]
+        work.radiance = radiance[first:end]
+        return work, end - first
+
+    _launch_in_parts(Estimate.TRIANGLES, data, features, device, len(instance), work_of)
+    return radiance.numpy()
+
+
+def world_texels(data: SceneData, features: SceneFeatures, width: int, device: wp.Device) -> np.ndarray:
+    """Brightness of `width` texels around the world and half as many from pole to pole, float32."""
+    height = max(1, width // 2)
+    texels = wp.zeros(width * height, dtype=float, device=device)
+
+    def work_of(first: int, end: int) -> tuple[EstimateWork, int]:
+        work = EstimateWork()
+        work.world.width, work.world.height = width, height
+        work.row_first, work.texels = first, texels
+        work.points = 1 if width >= _FINE_WIDTH else _TEXEL_POINTS
+        return work, (end - first) * width
+
+    _launch_in_parts(Estimate.WORLD, data, features, device, height, work_of)
+    return texels.numpy().reshape(height, width)
+
+
+def brightness_of_lamps(
+    scene: Scene, data: SceneData, features: SceneFeatures, device: wp.Device, table: LightTable
+) -> np.ndarray:
+    """Estimated factor by which programs change the brightness of each light of `scene`; float64, shape [n].
+
+    It is 1 for a light without program, and 0 for a program that never shines and for no other.
+    """
+    result = np.ones(len(scene.lights))
+    lamps = np.array([i for i, light in enumerate(scene.lights) if light.program is not None], np.int32)
+    if not len(lamps):
+        return result
+    work = EstimateWork()
+    work.estimate, work.points = int(Estimate.LAMPS), _LAMP_POINTS
+    work.lamps, work.lights = wp.array(lamps, dtype=int, device=device), table
+    work.scene_radius = scene_radius(scene)
+    work.brightness = wp.zeros(len(lamps), dtype=wp.float64, device=device)
+    kernel = estimate_kernel(features, Estimate.LAMPS)
+    load_module(kernel, device)
+    wp.launch(kernel, len(lamps), [data, work], device=device)
+    for i, mean in zip(lamps, work.brightness.numpy()):
+        shines = any(step.op == "emission" for step in scene.lights[i].program.instructions)
+        result[i] = (mean if mean > 0 else _UNSEEN) if shines else 0.0
+    return result
+
+
+def _launch_in_parts(
+    estimate: Estimate,
+    data: SceneData,
+    features: SceneFeatures,
+    device: wp.Device,
+    count: int,
+    work_of: Callable[[int, int], tuple[EstimateWork, int]],
+) -> None:
+    """Launch `work_of(first, end)` with its number of items, for parts of `count`, one for each thread: a launch on the
+    CPU runs on one.
+    """
+    kernel = estimate_kernel(features, estimate)
+    load_module(kernel, device)
+
+    def launch(first: int, end: int) -> None:
+        work, items = work_of(first, end)
+        work.estimate = int(estimate)
+        wp.launch(kernel, items, [data, work], device=device)
+
+    threads = max(1, min(worker_count(device, 0), count))
+    ends = [count * i // threads for i in range(threads + 1)]
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(launch, ends[:-1], ends[1:]))

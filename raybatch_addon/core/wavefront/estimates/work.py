@@ -1,0 +1,36 @@
+"""What a kernel of estimates is launched for."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import warp as wp
+
+from ...shading.lights.light_table import LightTable
+from ...shading.lights.world import WorldTable
+
+
+class Estimate(IntEnum):
+    """What is estimated, as `EstimateWork.estimate` has it."""
+
+    TRIANGLES = 0
+    WORLD = 1
+    LAMPS = 2
+
+
+@wp.struct
+class EstimateWork:
+    """Items of one estimate; arrays of the others are empty."""
+
+    estimate: int
+    points: int  # of each lamp; of each texel along either axis
+    instance: wp.array(dtype=int)  # of each triangle
+    primitive: wp.array(dtype=int)
+    radiance: wp.array(dtype=wp.vec3)  # result of each triangle [W/(m² sr)]
+    world: WorldTable  # of which width and height count
+    row_first: int  # item 0 is the first texel of this row
+    texels: wp.array(dtype=float)  # result of each texel of the world [W/(m² sr)]
+    lamps: wp.array(dtype=int)  # numbers of lights
+    lights: LightTable  # these lights
+    scene_radius: float  # [m]
+    brightness: wp.array(dtype=wp.float64)  # result of each lamp

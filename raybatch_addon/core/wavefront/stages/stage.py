@@ -1,0 +1,94 @@
+"""Stages that shade, as kernels: one for each stage, or one that holds all of them.
+
+CUDA's compiler copies whatever is out of line to each kernel that calls it, and takes a minute for each copy of the
+interpreter of all ops. So the stages of the general tier are one kernel, which is launched for one stage at a time.
+"""
+
+from __future__ import annotations
+
+import functools
+from enum import IntEnum
+
+import warp as wp
+
+from ...device.kernel import KERNEL_OPTIONS, general_options
+from ...film.tile import FilmTile
+from ...rays import Rays
+from ..rays import Paths
+from ..scene.scene_data import SceneData
+from .generate import TileWork
+from .limits import PathLimits
+
+
+class ShadingStage(IntEnum):
+    """A stage that shades, as `TileWork.stage` has it."""
+
+    SURFACE = 0
+    BACKGROUND = 1
+    LIGHT_HITS = 2
+    CONNECT = 3
+    CONNECT_TRANSPARENT = 4
+
+
+@functools.cache
+def stage_kernel(function: wp.Function) -> wp.Kernel:
+    """Kernel (data, work, limits, paths, rays, film, slots, count) that calls `function` for each of the first `count`
+    slots, with a slot in place of the last two.
+    """
+
+    def stage(
+        data: SceneData,
+        work: TileWork,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        film: FilmTile,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
+    ):
+        i = wp.tid()
+        if i >= count[0]:
+            return
+        function(data, work, limits, paths, rays, film, slots[i])
+
+    stage.__name__ = stage.__qualname__ = f"{function.func.__name__}_kernel"
+    return wp.kernel(stage, **KERNEL_OPTIONS)
+
+
+@functools.cache
+def all_stages_kernel(
+    surface: wp.Function,
+    background: wp.Function,
+    light_hits: wp.Function,
+    connect: wp.Function,
+    connect_transparent: wp.Function,
+) -> wp.Kernel:
+    """Kernel of the arguments of `stage_kernel` that calls the function of the stage `work.stage`."""
+
+    @wp.kernel(**general_options("stages"))
+    def all_stages(
+        data: SceneData,
+        work: TileWork,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        film: FilmTile,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
+    ):
+        i = wp.tid()
+        if i >= count[0]:
+            return
+        slot = slots[i]
+        if work.stage == wp.static(int(ShadingStage.SURFACE)):
+            surface(data, work, limits, paths, rays, film, slot)
+        elif work.stage == wp.static(int(ShadingStage.BACKGROUND)):
+            background(data, work, limits, paths, rays, film, slot)
+        elif work.stage == wp.static(int(ShadingStage.LIGHT_HITS)):
+            light_hits(data, work, limits, paths, rays, film, slot)
+        elif work.stage == wp.static(int(ShadingStage.CONNECT)):
+            connect(data, work, limits, paths, rays, film, slot)
+        else:
+            connect_transparent(data, work, limits, paths, rays, film, slot)
+
+    return all_stages
