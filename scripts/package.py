@@ -143,10 +143,10 @@ def stage(folder: Path, platform: str, wheel: Path) -> None:
     (folder / MANIFEST).write_text("\n".join(kept) + "\n", encoding="utf-8")
 
 
-def add_kernels(folder: Path, platform: str, kept: Path, levels: str) -> None:
-    """Put kernels compiled for `levels` into the laid out extension; what was compiled before is in `kept`."""
+def add_kernels(folder: Path, platform: str, kept: Path, targets: str) -> None:
+    """Put kernels compiled for `targets` into the laid out extension; what was compiled before is in `kept`."""
     try:
-        from lib.shipped_kernels import LEVELS, can_be_made, make_kernels
+        from lib.shipped_kernels import TARGETS, can_be_made, make_kernels
     except ImportError as error:
         raise PackageError(
             f"kernels cannot be compiled ({error}): run this with the environment that `make environment` makes, or "
@@ -155,22 +155,22 @@ def add_kernels(folder: Path, platform: str, kept: Path, levels: str) -> None:
     if not can_be_made(platform):
         print(f"{platform}: without compiled kernels", file=sys.stderr)
         return
-    chosen = levels.split(",") if levels else list(LEVELS)
-    if unknown := set(chosen) - set(LEVELS):
-        raise PackageError(f"unknown level {', '.join(sorted(unknown))}; choose from {', '.join(LEVELS)}")
+    chosen = targets.split(",") if targets else list(TARGETS)
+    if unknown := set(chosen) - set(TARGETS):
+        raise PackageError(f"unknown target {', '.join(sorted(unknown))}; choose from {', '.join(TARGETS)}")
     try:
         make_kernels(
-            folder / "kernels", kept, levels=chosen, on_progress=lambda line: print(line, file=sys.stderr, flush=True)
+            folder / "kernels", kept, targets=chosen, on_progress=lambda line: print(line, file=sys.stderr, flush=True)
         )
     except Exception as error:  # Warp raises whatever it likes
         raise PackageError(f"kernels could not be compiled: {type(error).__name__}: {error}") from error
 
 
-def build(platform: str, out: Path, wheels: Path, kernels: Path | None = None, levels: str = "") -> Path:
+def build(platform: str, out: Path, wheels: Path, kernels: Path | None = None, targets: str = "") -> Path:
     """The zip of `platform`, in the folder `out`; raises `PackageError`.
 
-    `kernels`: where compiled kernels are kept between builds; None for a zip without any. `levels`: of x86-64 that they
-    are compiled for, with commas; all of them if it is empty.
+    `kernels`: where compiled kernels are kept between builds; None for a zip without any. `targets`: what they are
+    compiled for, with commas; everything if it is empty.
     """
     version = project_version()
     wheel = fetch_wheel(platform, wheels)
@@ -181,7 +181,7 @@ def build(platform: str, out: Path, wheels: Path, kernels: Path | None = None, l
         source = Path(temporary) / "raybatch"
         stage(source, platform, wheel)
         if kernels:
-            add_kernels(source, platform, kernels, levels)
+            add_kernels(source, platform, kernels, targets)
         half = Path(temporary) / target.name
         for command in (
             ["build", "--source-dir", str(source), "--output-filepath", str(half)],
@@ -217,10 +217,10 @@ def main() -> int:
         help="folder where compiled kernels are kept (default: build/kernels)",
     )
     parser.add_argument(
-        "--levels",
+        "--targets",
         default="",
-        metavar="LEVEL[,LEVEL]",
-        help="compile kernels for these levels of x86-64 alone, to try something (default: all)",
+        metavar="TARGET[,TARGET]",
+        help="compile kernels for these levels of x86-64 and architectures of CUDA alone (default: all)",
     )
     parser.add_argument("--no-kernels", action="store_true", help="leave compiled kernels out of all zips")
     options = parser.parse_args()
@@ -230,7 +230,7 @@ def main() -> int:
         for platform in options.platforms or PIP_PLATFORMS:
             kernels = None if options.no_kernels else options.kernels.absolute()
             print(
-                build(platform, options.out.absolute(), options.wheels.absolute(), kernels, options.levels), flush=True
+                build(platform, options.out.absolute(), options.wheels.absolute(), kernels, options.targets), flush=True
             )
     except (PackageError, OSError) as error:
         print(f"package.py: error: {error}", file=sys.stderr)

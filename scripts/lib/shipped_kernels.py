@@ -1,4 +1,4 @@
-"""The kernels that go into the extension: all that any scene can begin with on a CPU, for each level of x86-64."""
+"""The kernels that go into the extension: all that any scene can begin with, for levels of x86-64 and for CUDA."""
 
 from __future__ import annotations
 
@@ -10,19 +10,21 @@ import tempfile
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import warp as wp
 
 from raybatch_addon.core.ahead.request import GeneralRequest
-from raybatch_addon.core.device.devices import find_device, start_warp
+from raybatch_addon.core.device.devices import start_warp
 from raybatch_addon.core.device.kept_kernels import digest
-from raybatch_addon.core.device.kernel import MODULE_OPTIONS
-from raybatch_addon.core.device.shipped import FORMAT, INDEX, LEVELS, compiler_version
+from raybatch_addon.core.device.kernel import MODULE_OPTIONS, block_size_of, is_general
+from raybatch_addon.core.device.shipped import ARCHITECTURES, FORMAT, INDEX, LEVELS, compiler_version
 from raybatch_addon.core.files import whole_file
 
+TARGETS = (*LEVELS, *ARCHITECTURES)
 _NATIVE = "-march=native"
 _PLATFORM = "linux-x64"
-_AT_ONCE = 2  # compilers, each of a gigabyte for the largest module
+_AT_ONCE = 2  # compilers, each of a gigabyte or two for the largest module
 
 
 def can_be_made(platform_name: str) -> bool:
@@ -37,34 +39,47 @@ def flags_of(level: str) -> str:
     return flags if level == "native" else flags.replace(_NATIVE, f"-target-cpu {level}")
 
 
-def source_of(module: wp.Module, block_size: int = 1) -> tuple[str, bytes]:
-    """The C++ of `module` for a CPU, and what Warp wants to know of it when it is loaded."""
+def source_of(module: wp.Module, block_size: int = 1, architecture: int | None = None) -> tuple[str, bytes]:
+    """The code of `module` for a CPU, or for CUDA where there is an `architecture`, and what Warp wants to know of it
+    when it is loaded.
+    """
     module.get_module_hash(block_size)
-    source, _, meta, _, _ = module._run_codegen(module.resolved_options[block_size] | {"output_arch": None}, True)
+    options = module.resolved_options[block_size] | {"output_arch": architecture}
+    source, _, meta, _, _ = module._run_codegen(options, architecture is None)
     return source, json.dumps(meta, sort_keys=True).encode()
 
 
-def compile_source(source: str, level: str, target: Path, optimization_level: int = 2) -> None:
-    """Compile C++ for processors of `level` into the file `target`; as Warp does, but for the processor."""
-    with tempfile.TemporaryDirectory() as folder, whole_file(target) as half:
-        path = Path(folder) / "module.cpp"
+def compile_source(source: str, target: str, file: Path, block_size: int = 1, optimization_level: int = 2) -> None:
+    """Compile code for `target` into `file`, as Warp does but for its choice of the target.
+
+    `target`: of `TARGETS`, or "native". `optimization_level`: of code for a CPU.
+    """
+    build, architecture = wp._src.build, ARCHITECTURES.get(target)
+    with tempfile.TemporaryDirectory() as folder, whole_file(file) as half:
+        path = Path(folder) / ("module.cu" if architecture else "module.cpp")
         path.write_text(source, encoding="utf-8")
-        wp._src.build.build_cpu(
-            str(half),
-            str(path),
-            fuse_fp=MODULE_OPTIONS["fuse_fp"],
-            extra_flags=flags_of(level),
-            optimization_level=optimization_level,
-            use_precompiled_headers=False,
-            block_dim=1,
-        )
+        common = {"fuse_fp": MODULE_OPTIONS["fuse_fp"], "use_precompiled_headers": False}
+        if not architecture:
+            flags = {"extra_flags": flags_of(target), "optimization_level": optimization_level}
+            build.build_cpu(str(half), str(path), block_dim=block_size, **common, **flags)
+            return
+        binary = Path(folder) / "module.cubin"  # its name says what is made
+        fast_math = MODULE_OPTIONS["fast_math"]
+        build.build_cuda(str(path), architecture, str(binary), pch_dir=None, fast_math=fast_math, **common)
+        shutil.copy(binary, half)
+
+
+def kernels_for(target: str) -> list[wp.Kernel]:
+    """What any scene can begin with on a device of `target`, which need not be there."""
+    is_cuda = target in ARCHITECTURES
+    return GeneralRequest().kernels(SimpleNamespace(is_cuda=is_cuda, is_cpu=not is_cuda))
 
 
 def make_kernels(
     out: Path,
     kept: Path,
     kernels: Iterable[wp.Kernel] | None = None,
-    levels: Iterable[str] = tuple(LEVELS),
+    targets: Iterable[str] = TARGETS,
     on_progress: Callable[[str], None] = lambda line: None,
 ) -> None:
     """Write a folder of kernels with its index to `out`.
@@ -72,43 +87,49 @@ def make_kernels(
     Args:
         kept: folder for what was compiled before; it is found again by the hash of its code.
         kernels: which (default: those that any scene can begin with).
-        levels: for which processors.
+        targets: of `TARGETS`, what they are compiled for.
         on_progress: is told what is compiled.
     """
     start_warp()
-    device = find_device("cpu")
-    modules = {kernel.module.name: kernel.module for kernel in kernels or GeneralRequest().kernels(device)}
-    levels, version, entries = list(levels), compiler_version(), {}
-    for level in levels:
-        (out / level).mkdir(parents=True)
+    targets, entries, tasks = list(targets), {}, []
+    for target in targets:
+        (out / target).mkdir(parents=True)
+        found = {kernel.module.name: kernel for kernel in kernels or kernels_for(target)}
+        tasks += [(kernel, target) for kernel in found.values()]
 
-    def make(module: wp.Module) -> None:
-        identifier, full_hash = module.get_module_identifier(1), module.get_module_hash(1).hex()
-        source, meta = source_of(module)
+    def make(kernel: wp.Kernel, target: str) -> None:
+        module, architecture = kernel.module, ARCHITECTURES.get(target)
+        block_size = block_size_of(kernel) if architecture else 1
+        identifier, full_hash = module.get_module_identifier(block_size), module.get_module_hash(block_size).hex()
+        version = "nvrtc" if architecture else f"llvm-{compiler_version(target)['llvm']}"
+        name = f"{identifier}.{'cubin' if architecture else 'o'}"
+        known = kept / wp.config.version / version / target / f"{full_hash}{Path(name).suffix}"
+        known_meta = known.with_suffix(".meta")
+        if not known.exists() or not known_meta.exists():
+            known.parent.mkdir(parents=True, exist_ok=True)
+            on_progress(f"compiling {module.name} for {target}")
+            source, meta = source_of(module, block_size, architecture)
+            with whole_file(known_meta) as half:
+                half.write_bytes(meta)
+            compile_source(source, target, known, block_size)
         meta_name = f"{identifier}.meta"
-        (out / meta_name).write_bytes(meta)
-        entry = entries[identifier] = {
-            "hash": full_hash,
-            "meta": {"file": meta_name, "sum": digest(meta)},
-            "binaries": {},
+        shutil.copy(known_meta, out / target / meta_name)
+        shutil.copy(known, out / target / name)
+        entry = entries.setdefault(identifier, {"hash": full_hash, "binaries": {}})
+        entry["binaries"][target] = {
+            "file": name,
+            "sum": digest(known.read_bytes()),
+            "meta": meta_name,
+            "meta_sum": digest(known_meta.read_bytes()),
         }
-        for level in levels:
-            name = f"{identifier}.o"
-            known = kept / wp.config.version / f"llvm-{version['llvm']}" / level / f"{full_hash}.o"
-            if not known.exists():
-                known.parent.mkdir(parents=True, exist_ok=True)
-                on_progress(f"compiling {module.name} for {level}")
-                compile_source(source, level, known)
-            shutil.copy(known, out / level / name)
-            entry["binaries"][level] = {"file": name, "sum": digest(known.read_bytes())}
 
-    ordered = sorted(modules.values(), key=lambda module: -len(module.kernels))  # the longest first
+    tasks.sort(key=lambda task: not is_general(task[0].module))  # the longest first
     with ThreadPoolExecutor(_AT_ONCE) as pool:
-        list(pool.map(make, ordered))
+        list(pool.map(make, *zip(*tasks)))
     index = {
         "format": FORMAT,
         "warp": wp.config.version,
-        "targets": dict.fromkeys(levels, version),
+        "targets": {target: compiler_version(target) for target in targets},
         "modules": dict(sorted(entries.items())),
     }
     (out / INDEX).write_text(json.dumps(index, indent=1), encoding="utf-8")

@@ -129,7 +129,7 @@ def zip_with_kernels(tmp_path_factory) -> Path:
     """The zip as users get it, but with kernels for the lowest level alone: others are a minute of compiling each."""
     if not can_be_made("linux-x64"):
         pytest.skip("kernels are shipped for x86-64")
-    return linux_zip_of(tmp_path_factory.mktemp("dist"), "--levels", list(LEVELS)[-1])
+    return linux_zip_of(tmp_path_factory.mktemp("dist"), "--targets", list(LEVELS)[-1])
 
 
 def test_the_zip_with_kernels_is_not_too_large(zip_with_kernels):

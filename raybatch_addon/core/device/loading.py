@@ -27,7 +27,7 @@ from .kept_kernels import (
     spare_folder,
 )
 from .kernel import MODULE_OPTIONS
-from .shipped import shipped_files
+from .shipped import refuse, shipped_files
 
 _TRIES = 3  # another process may take away what is damaged, just when it was found
 _lock = threading.Lock()
@@ -103,9 +103,12 @@ def _load(module: wp.Module, device: wp.Device, block_size: int, given_up: Calla
             )
             return
         except Exception as error:  # Warp raises nothing better where a file cannot be read
-            if not left or files.target or is_as_written(files):
+            if not left or (not files.target and is_as_written(files)):
                 raise DeviceError(f"the compiled kernel {files.binary} cannot be loaded: {error}") from error
-            remove(files)
+            if files.target:
+                refuse(files, str(error))
+            else:
+                remove(files)
 
 
 def _compile(module: wp.Module, device: wp.Device, block_size: int) -> KernelFiles:

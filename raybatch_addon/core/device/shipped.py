@@ -1,4 +1,4 @@
-"""Kernels that were compiled when the extension was packed, for processors of several levels.
+"""Kernels that were compiled when the extension was packed, for processors of several levels and for several GPUs.
 
 `index.json` in their folder lists them by module. They are loaded from where they are installed, which may be a folder
 that nobody can write. Without the folder, as in a clone, there are none.
@@ -19,7 +19,8 @@ from .notes import note
 
 FOLDER = Path(__file__).resolve().parents[2] / "kernels"
 INDEX = "index.json"
-FORMAT = 1
+FORMAT = 2
+_refused: dict[KernelFiles, str] = {}  # shipped kernels that could not be loaded, and why
 _CURE = "kernels are compiled here instead"
 
 # The levels of x86-64 as compilers know them, best first, and what each adds. Blender itself needs the last one.
@@ -28,10 +29,15 @@ LEVELS = {
     "x86-64-v3": ("avx", "avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "xsave"),
     "x86-64-v2": ("cx16", "sahf", "popcnt", "sse3", "sse4.1", "sse4.2", "ssse3"),
 }
+# Machine code for CUDA, and the compute capability that it is for, times ten. A device runs code of its own major
+# number whose minor one is not above its own: these five serve all that Warp's compiler knows in machines of x86-64.
+ARCHITECTURES = {"sm_120": 120, "sm_100": 100, "sm_90": 90, "sm_80": 80, "sm_75": 75}
 
 
-def compiler_version() -> dict[str, str]:
-    """What compiled kernels for a CPU depend on, beside its level."""
+def compiler_version(target: str) -> dict[str, str]:
+    """What kernels compiled for `target` depend on beside it."""
+    if target in ARCHITECTURES:
+        return {}
     context = wp._src.context
     return {"llvm": context._get_cpu_toolchain_version(), "triple": context._get_cpu_target_triple()}
 
@@ -39,7 +45,7 @@ def compiler_version() -> dict[str, str]:
 def fitting_targets(device: wp.Device) -> list[str]:
     """The targets whose kernels run on `device`, best first."""
     if device.is_cuda:
-        return []
+        return [name for name, arch in ARCHITECTURES.items() if arch // 10 == device.arch // 10 and arch <= device.arch]
     has = wp._src.context._get_cpu_feature_set()
     levels = list(LEVELS)
     return [
@@ -49,7 +55,8 @@ def fitting_targets(device: wp.Device) -> list[str]:
 
 def shipped_files(module: wp.Module, device: wp.Device, block_size: int) -> KernelFiles | None:
     """The shipped `module`, if it fits `device` and is sound; where there should be one, a note says why not."""
-    if not device.is_cpu or not (index := _index(FOLDER)):
+    index = _index(FOLDER)
+    if not index or not any((target in ARCHITECTURES) == device.is_cuda for target in index["targets"]):
         return None
     identifier = module.get_module_identifier(block_size)
     entry = index["modules"].get(identifier)
@@ -62,21 +69,28 @@ def shipped_files(module: wp.Module, device: wp.Device, block_size: int) -> Kern
         binary = entry["binaries"].get(target)
         if binary is None:
             continue
-        files = KernelFiles(FOLDER / target / binary["file"], FOLDER / entry["meta"]["file"], target)
-        if index["targets"][target] != compiler_version():
+        files = KernelFiles(FOLDER / target / binary["file"], FOLDER / target / binary["meta"], target)
+        if index["targets"][target] != compiler_version(target):
             complaints.append(f"the shipped kernels for {target} are for another compiler or system than this Warp has")
-        elif not _is_sound(files, binary["sum"], entry["meta"]["sum"]):
+        elif not _is_sound(files, binary["sum"], binary["meta_sum"]):
             complaints.append(f"the shipped kernel {files.binary} is damaged (install the extension again)")
+        elif files in _refused:
+            complaints.append(f"the shipped kernel {files.binary} cannot be loaded: {_refused[files]}")
         else:
             for complaint in complaints:
                 note(f"{complaint}; that for {target} takes its place")
             return files
-    lacks = "there are no shipped kernels for this processor"
-    if not targets:
+    lacks = f"there are no shipped kernels for {device.name if device.is_cuda else 'this processor'}"
+    if not targets and device.is_cpu:
         lacks = f"the shipped kernels need a processor of at least {list(LEVELS)[-1]}"
     for complaint in complaints or [lacks]:
         note(f"{complaint}; {_CURE}")
     return None
+
+
+def refuse(files: KernelFiles, why: str) -> None:
+    """Take no longer the shipped `files`, which could not be loaded."""
+    _refused[files] = why
 
 
 @functools.lru_cache(maxsize=4)
@@ -89,8 +103,9 @@ def _index(folder: Path) -> dict[str, Any]:
             note(f"the shipped kernels are for Warp {index['warp']}, and this is {wp.config.version}; {_CURE}")
             return {}
         for entry in index["modules"].values():
-            _ = (entry["hash"], entry["meta"]["file"], entry["meta"]["sum"])
-            _ = [(index["targets"][target], each["file"], each["sum"]) for target, each in entry["binaries"].items()]
+            _ = entry["hash"]
+            for target, each in entry["binaries"].items():
+                _ = (index["targets"][target], *(each[key] for key in ("file", "sum", "meta", "meta_sum")))
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

@@ -78,8 +78,8 @@ SPOILT = {
     "object": (lambda folder: flip(next(folder.glob("*/*.o"))), "the shipped kernel .* is damaged .install"),
     "cut object": (lambda folder: next(folder.glob("*/*.o")).write_bytes(b""), "is damaged"),
     "no object": (lambda folder: next(folder.glob("*/*.o")).unlink(), "is damaged"),
-    "meta": (lambda folder: flip(next(folder.glob("*.meta"))), "is damaged"),
-    "index": (lambda folder: (folder / INDEX).write_text('{"format": 1, "wa'), "list of shipped kernels .* is damaged"),
+    "meta": (lambda folder: flip(next(folder.glob("*/*.meta"))), "is damaged"),
+    "index": (lambda folder: (folder / INDEX).write_text('{"format": 2, "wa'), "list of shipped kernels .* is damaged"),
     "index of garbage": (lambda folder: (folder / INDEX).write_bytes(bytes(range(256))), "list .* is damaged"),
     "index without hashes": (
         lambda folder: change(folder, modules={"wp_a_1234567": {}}),
@@ -175,7 +175,7 @@ def test_levels_and_optimisation_give_the_same_bits(tmp_path, monkeypatch):
     results = {}
     for level, optimisation in [("native", 2), *((level, 2) for level in fitting()), ("native", 0), ("x86-64-v2", 3)]:
         name = f"{level}-{optimisation}"
-        compile_source(source, level, tmp_path / f"{name}.o", optimisation)
+        compile_source(source, level, tmp_path / f"{name}.o", optimization_level=optimisation)
         (tmp_path / "module.meta").write_bytes(meta)
         module.unload()
         module.load(device, 1, binary_path=tmp_path / f"{name}.o", meta_path=tmp_path / "module.meta")
@@ -214,7 +214,7 @@ np.savez(sys.argv[1], **films)
 def general_folder(tmp_path_factory) -> Path:
     """All that is shipped for the lowest level; compiled once a clone."""
     folder = tmp_path_factory.mktemp("shipped") / "kernels"
-    make_kernels(folder, KEPT, levels=fitting()[-1:])
+    make_kernels(folder, KEPT, targets=fitting()[-1:])
     return folder
 
 
