@@ -23,7 +23,8 @@ from raybatch_addon.core.wavefront.estimates.launch import brightness_of_lamps
 from raybatch_addon.core.wavefront.kernels import StageKernels
 from raybatch_addon.core.wavefront.scene.scene_data import SceneData
 from raybatch_addon.core.wavefront.stages.connect import connect
-from raybatch_addon.core.wavefront.stages.stage import ShadingStage, stage_kernel
+from raybatch_addon.core.wavefront.stages.stage import stage_kernel
+from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from tests.stability.bench import WAITING, rays_wait
 from tests.support import scenes
 

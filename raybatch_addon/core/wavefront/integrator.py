@@ -29,9 +29,9 @@ from .rays import RayNeeds, allocate_paths, allocate_rays
 from .scene.device_scene import DeviceScene
 from .scheduler import Rectangle, WaterMarks
 from .stages import generate
-from .stages.generate import TileWork, counted_kernel
+from .stages.generate import counted_kernel
 from .stages.limits import half_seed, path_limits
-from .stages.stage import ShadingStage
+from .stages.work import ShadingStage, TileWork
 from .tier import array_features
 from .tracers.choose import make_tracer
 from .tracers.interface import Tracer

@@ -24,9 +24,10 @@ from .stages.connect_transparent import make_connect_transparent
 from .stages.generate import GenerateFeatures, counted_kernel, generate_kernel
 from .stages.shade_background import BackgroundFeatures, make_background, make_light_hits_stage
 from .stages.shade_surface import make_shade_surface
-from .stages.stage import ShadingStage, all_stages_kernel, stage_kernel
+from .stages.stage import all_stages_kernel, stage_kernel
 from .stages.surface_features import SurfaceFeatures
 from .stages.walk import WalkFeatures, walk_kernel
+from .stages.work import ShadingStage
 from .tracers.choose import tracer_kernels
 
 
@@ -83,7 +84,7 @@ def _shading_kernels(shading: SceneFeatures, stages: list[ShadingStage]) -> dict
         ShadingStage.CONNECT_TRANSPARENT: lambda: make_connect_transparent(surface, connected),
     }
     if shading.programs.apart:
-        kernel = all_stages_kernel(*(make[stage]() for stage in ShadingStage))
+        kernel = all_stages_kernel(*(make[stage]() for stage in ShadingStage if stage != ShadingStage.CONNECT))
         return dict.fromkeys(stages, kernel)
     return {stage: stage_kernel(make[stage]()) for stage in stages}
 

@@ -29,7 +29,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
 from raybatch_addon.core.wavefront.kernels import StageKernels
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
-from raybatch_addon.core.wavefront.stages.stage import ShadingStage
+from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from raybatch_addon.core.wavefront.tier import (
     CLOSURES_MOST,
     VARIABLE,

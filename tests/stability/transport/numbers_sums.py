@@ -9,7 +9,8 @@ import warp as wp
 
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.film.sums import WIDE_DIGITS, WINDOW_DIGITS, add_wide, add_window, rounded_sums
-from raybatch_addon.core.wavefront.stages.generate import TileWork, pixel_sample
+from raybatch_addon.core.wavefront.stages.generate import pixel_sample
+from raybatch_addon.core.wavefront.stages.work import TileWork
 from tests.stability.bench import Bench
 from tests.stability.case import Outcome, Sweep, case
 

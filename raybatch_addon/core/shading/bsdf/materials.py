@@ -116,6 +116,16 @@ class ClosureRecord:
     mean_cosine: float
 
 
+# Floats of a record: kernels reserve local arrays of records as floats, `wp.zeros(n * RECORD_FLOATS, dtype=float)`, and
+# see them through `wp.array(ptr=address_of(floats), ...)`. Warp sets a local array of structs to zero four times before
+# it is used, field by field: 16 records took a GPU longer than the rest of a simple surface.
+RECORD_FLOATS = ClosureRecord.numpy_dtype()["itemsize"] // 4
+
+
+@wp.func_native("return reinterpret_cast<wp::uint64>(values.data);")
+def address_of(values: wp.array(dtype=float)) -> wp.uint64: ...
+
+
 @wp.func
 def new_closure(kind: int, weight: wp.vec3) -> ClosureRecord:
     """A record whose optional values are neutral, for ops that make closures."""

@@ -20,7 +20,7 @@ from ...programs.table import upload_programs
 from ...scene.description import ClosureKind, LightKind, Scene
 from ...scene.geometry import Geometry, mat34, transform_vector
 from ...scene.program import ProgramFeatures
-from ..bsdf.materials import ClosureRecord
+from ..bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
 from ..images.textures import ImageTable
 from .light_table import LightRecord, LightTable
 
@@ -173,7 +173,8 @@ def make_lamp_emission(programs: ProgramFeatures) -> wp.Function:
         point.bounce = bounce
         point.passed = passed
         stack = wp.zeros(wp.static(programs.register_count), dtype=float)
-        closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
+        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+        closures = wp.array(ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
         count = run(nodes, stack, nodes.program_first[lamp], point, closures)
         total = wp.vec3(0.0)
         for c in range(count):

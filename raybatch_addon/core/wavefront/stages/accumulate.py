@@ -11,7 +11,8 @@ from ...film import ChannelLayout
 from ...film.sums import add_wide, add_window
 from ...film.tile import FilmTile, fits_window
 from ..rays import Paths
-from .generate import TileWork, pixel_sample
+from .generate import pixel_sample
+from .work import TileWork
 
 
 @functools.cache

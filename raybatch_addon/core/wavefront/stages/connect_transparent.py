@@ -12,17 +12,18 @@ from ...film.tile import FilmTile
 from ...rays import Rays
 from ...scene.description import Visibility
 from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
-from ...shading.bsdf.materials import ClosureRecord
+from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
 from ...shading.surface import make_surface, spawn_origin
 from ..rays import SHADOW_PASS, Paths, Status, bounce_to_light
 from ..scene.scene_data import SceneData
 from .connect import ConnectFeatures, make_arrived
-from .generate import TileWork
 from .history import DEPTHS
 from .limits import PathLimits, has_light
 from .surface_features import SurfaceFeatures
 from .surface_program import make_surface_program, shading_point
+from .work import ShadingStage, TileWork
 
+CONNECT = int(ShadingStage.CONNECT)
 SHADOW_NEW = int(Status.SHADOW_NEW)
 SHADOW_OUT = int(Status.SHADOW_OUT)
 
@@ -31,7 +32,8 @@ SHADOW_OUT = int(Status.SHADOW_OUT)
 def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures) -> wp.Function:
     """The stage's function, as `stage_kernel` takes it: shadow rays of scenes in which surfaces may let them through.
 
-    They come back with closest hits, in order, and go on behind each surface that is not opaque.
+    They come back with closest hits, in order, and go on behind each surface that is not opaque. In the general tier it
+    is the stage `CONNECT` too, whose rays end at any hit: light that arrives is one piece of code.
     """
     surface_point = make_surface(features.instancing, features.smooth_normals).point
     transparency = make_bsdf(ClosureFeatures(features.closures)).transparency
@@ -51,7 +53,7 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
                 paths.radiance[path] = paths.radiance[path] + arrived(data, limits, paths, rays, path, slot)
             else:
                 paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
-        else:
+        elif wp.static(not programs.apart) or work.stage != wp.static(CONNECT):
             surface = surface_point(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot])
             if wp.static(bool(programs)):
                 point = shading_point(
@@ -67,7 +69,10 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
                 if wp.static(features.path_history):
                     point.history = paths.shadow_history[path] & wp.static(DEPTHS)
                 point.passed = passed / wp.static(SHADOW_PASS)
-                closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
+                records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+                closures = wp.array(
+                    ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord
+                )
                 first = int(0)
                 end = surface_closures(data, surface.material, point, closures)
             else:

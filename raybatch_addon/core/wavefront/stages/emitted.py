@@ -9,7 +9,7 @@ from ...programs.point import ShadingPoint
 from ...programs.run import make_run
 from ...scene.description import ClosureKind
 from ...scene.program import ProgramFeatures
-from ...shading.bsdf.materials import ClosureRecord
+from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
 from ...shading.surface import make_surface
 from ..scene.scene_data import SceneData
 from .surface_program import make_surface_program, shading_point
@@ -48,7 +48,8 @@ def make_world_emission(programs: ProgramFeatures) -> wp.Function:
         point.bounce = bounce
         point.passed = passed
         stack = wp.zeros(wp.static(programs.register_count), dtype=float)
-        closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
+        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+        closures = wp.array(ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
         return emission_of(closures, run(data.world_nodes, stack, data.world_nodes.program_first[0], point, closures))
 
     return world_emission
@@ -80,7 +81,8 @@ def make_surface_emission(programs: ProgramFeatures, instancing: bool, smooth_no
         point.bounce = bounce
         point.passed = passed
         point.history = history
-        closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
+        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+        closures = wp.array(ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
         return emission_of(closures, surface_closures(data, surface.material, point, closures))
 
     return surface_emission

@@ -14,6 +14,7 @@ from ...shading.camera import CameraData, CameraFeatures, make_camera_ray
 from ...shading.sampling import FILTER, LENS, make_sampler, pixel_key, sample_filter
 from ..rays import VISIBILITY_SHIFT, Paths, Status, bounce_of
 from .limits import PathLimits
+from .work import TileWork
 
 # Paths that are numbered from one `TileWork.item_base`, by 32 bits
 ITEMS_NUMBERED = 1 << 32
@@ -32,25 +33,6 @@ class GenerateFeatures:
     film_transparent: bool
     normal_pass: bool
     path_history: bool = False
-
-
-@wp.struct
-class TileWork:
-    """The paths of a tile, numbered: item -> (pixel, sample). A path keeps its number alone."""
-
-    x: int  # of the tile's bottom left in the frame [pixels]
-    y: int
-    width: int
-    height: int
-    frame_width: int
-    sample_first: wp.int64
-    sample_count: wp.int64
-    pixel_first: int  # 1: all samples of a pixel come one after another; 0: all pixels for each sample
-    item_base: wp.int64  # the item that paths have as number 0
-    item_first: wp.int64  # next item that was not begun
-    item_count: int  # how many to begin
-    filter_table: wp.array(dtype=float)
-    stage: int  # `ShadingStage`: what a kernel of all stages is launched for
 
 
 @wp.func

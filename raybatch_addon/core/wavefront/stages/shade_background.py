@@ -17,8 +17,9 @@ from ...shading.lights.lights import is_lit_in_part, light_weights, world_light_
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of, visibility_of
 from ..scene.scene_data import SceneData
 from .emitted import make_world_emission
-from .generate import TileWork, pixel_sample
+from .generate import pixel_sample
 from .limits import PathLimits, clamped
+from .work import TileWork
 
 ENDED, INSIDE = int(Status.ENDED), int(Status.INSIDE)
 # What Blender writes as the depth of nothing [m]

@@ -13,7 +13,7 @@ from ...rays import Rays
 from ...scene.description import ClosureKind, Visibility
 from ...scene.features import narrow
 from ...shading.bsdf.bsdf import DELTA, DIFFUSE, SUBSURFACE, TRANSMISSION, TRANSPARENT, ClosureFeatures, make_bsdf
-from ...shading.bsdf.materials import SURFACE_NORMAL, ClosureRecord, new_closure
+from ...shading.bsdf.materials import RECORD_FLOATS, SURFACE_NORMAL, ClosureRecord, address_of, new_closure
 from ...shading.bsdf.normals import shading_frame
 from ...shading.lights.lights import LightFeatures, light_weights, make_lights
 from ...shading.sampling import (
@@ -33,12 +33,13 @@ from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, b
 from ..scene.scene_data import SceneData
 from .aim import make_connect_light
 from .emission import make_gather_emission
-from .generate import TileWork, pixel_sample
+from .generate import pixel_sample
 from .history import history_after
 from .limits import PathLimits, has_light
 from .surface_features import SurfaceFeatures
 from .surface_program import make_surface_program, shading_point
 from .walk import STEPS_MOST, make_walk_begin, walk_dimension
+from .work import TileWork
 
 RAY_NEW = int(Status.RAY_NEW)
 HIT = int(Status.HIT)
@@ -100,7 +101,10 @@ def make_shade_surface(features: SurfaceFeatures) -> wp.Function:
             point.passed = passed
             if wp.static(features.path_history):
                 point.history = paths.history[path]
-            closures = wp.zeros(wp.static(programs.closure_count), dtype=ClosureRecord)
+            records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+            closures = wp.array(
+                ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord
+            )
             first = int(0)
             end = surface_closures(data, surface.material, point, closures)
             if wp.static("surface_normal" in programs.ops):

@@ -7,7 +7,6 @@ interpreter of all ops. So the stages of the general tier are one kernel, which 
 from __future__ import annotations
 
 import functools
-from enum import IntEnum
 
 import warp as wp
 
@@ -16,18 +15,8 @@ from ...film.tile import FilmTile
 from ...rays import Rays
 from ..rays import Paths
 from ..scene.scene_data import SceneData
-from .generate import TileWork
 from .limits import PathLimits
-
-
-class ShadingStage(IntEnum):
-    """A stage that shades, as `TileWork.stage` has it."""
-
-    SURFACE = 0
-    BACKGROUND = 1
-    LIGHT_HITS = 2
-    CONNECT = 3
-    CONNECT_TRANSPARENT = 4
+from .work import ShadingStage, TileWork
 
 
 @functools.cache
@@ -57,13 +46,11 @@ def stage_kernel(function: wp.Function) -> wp.Kernel:
 
 @functools.cache
 def all_stages_kernel(
-    surface: wp.Function,
-    background: wp.Function,
-    light_hits: wp.Function,
-    connect: wp.Function,
-    connect_transparent: wp.Function,
+    surface: wp.Function, background: wp.Function, light_hits: wp.Function, connect_transparent: wp.Function
 ) -> wp.Kernel:
-    """Kernel of the arguments of `stage_kernel` that calls the function of the stage `work.stage`."""
+    """Kernel of the arguments of `stage_kernel` that calls the function of the stage `work.stage`; both stages that
+    connect have one.
+    """
 
     @wp.kernel(**general_options("stages"))
     def all_stages(
@@ -86,8 +73,6 @@ def all_stages_kernel(
             background(data, work, limits, paths, rays, film, slot)
         elif work.stage == wp.static(int(ShadingStage.LIGHT_HITS)):
             light_hits(data, work, limits, paths, rays, film, slot)
-        elif work.stage == wp.static(int(ShadingStage.CONNECT)):
-            connect(data, work, limits, paths, rays, film, slot)
         else:
             connect_transparent(data, work, limits, paths, rays, film, slot)
 

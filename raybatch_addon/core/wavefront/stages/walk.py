@@ -33,8 +33,9 @@ from ...shading.sampling import bitangent_of, make_sampler, pixel_key, spherical
 from ...shading.surface import make_surface, spawn_origin
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of
 from ..scene.scene_data import SceneData
-from .generate import TileWork, pixel_sample
+from .generate import pixel_sample
 from .limits import PathLimits, has_light
+from .work import TileWork
 
 RAY_NEW, ENDED, HIT, INSIDE = int(Status.RAY_NEW), int(Status.ENDED), int(Status.HIT), int(Status.INSIDE)
 # Dimension sets of walks: after those of bounces, eight a step, and eight more for the surface where a walk comes out

@@ -5,7 +5,8 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
-from raybatch_addon.core.wavefront.stages.generate import TileWork, pixel_in_blocks, pixel_sample
+from raybatch_addon.core.wavefront.stages.generate import pixel_in_blocks, pixel_sample
+from raybatch_addon.core.wavefront.stages.work import TileWork
 from tests.support.under_test import DEVICE
 
 
