@@ -15,9 +15,11 @@ from types import SimpleNamespace
 import warp as wp
 
 from raybatch_addon.core.ahead.request import GeneralRequest
+from raybatch_addon.core.device.declared import identity_told
 from raybatch_addon.core.device.devices import start_warp
 from raybatch_addon.core.device.kept_kernels import digest
 from raybatch_addon.core.device.kernel import MODULE_OPTIONS, block_size_of, is_general
+from raybatch_addon.core.device.ready import write_for_shipping
 from raybatch_addon.core.device.shipped import ARCHITECTURES, FORMAT, INDEX, LEVELS, compiler_version
 from raybatch_addon.core.files import whole_file
 
@@ -133,3 +135,4 @@ def make_kernels(
         "modules": dict(sorted(entries.items())),
     }
     (out / INDEX).write_text(json.dumps(index, indent=1), encoding="utf-8")
+    write_for_shipping(out, [identity_told(kernel.module) for kernel, _ in tasks])

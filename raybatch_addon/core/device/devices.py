@@ -15,10 +15,12 @@ import warp as wp
 
 from ..errors import DeviceError
 from .compiler import compile_apart
+from .declared import is_known
 from .kept_kernels import folders, spare_folder
 from .kernel import block_size_of
 from .loading import find_files, is_loaded, load, load_here_what_is_launched
 from .precompiled_header import share_precompiled_header
+from .ready import write_notes
 
 _warp_lock = threading.Lock()
 # Warp's native code prints a line that begins so where there is no CUDA driver, whatever its log level is. That is no
@@ -170,9 +172,14 @@ def load_module(kernel: wp.Kernel, device: wp.Device, given_up: Callable[[], boo
     load(kernel.module, device, block_size_of(kernel) if device.is_cuda else 1, given_up)
 
 
-def is_compiled(kernel: wp.Kernel, device: wp.Device) -> bool:
-    """Whether the module of `kernel` is loaded, was shipped, or is in the cache of compiled kernels."""
+def is_compiled(kernel: wp.Kernel, device: wp.Device, at_once: bool = False) -> bool:
+    """Whether the module of `kernel` is loaded, was shipped, or is in the cache of compiled kernels.
+
+    `at_once`: only if that can be told without its code, which takes a tenth of a second or more.
+    """
     module, block_size = kernel.module, block_size_of(kernel) if device.is_cuda else 1
+    if at_once and not is_known(module, block_size):
+        return False
     return is_loaded(module, device, block_size) or find_files(module, device, block_size) is not None
 
 
@@ -201,4 +208,5 @@ def load_kernels(
         for done, task in enumerate(as_completed(tasks), 1):
             task.result()
             on_module(done, len(tasks))
+    write_notes()
     return sorted(unique)

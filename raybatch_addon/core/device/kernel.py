@@ -5,6 +5,8 @@ from typing import Any
 
 import warp as wp
 
+from .declared import shared_module, unique_options
+
 # Fused multiply-adds and fast math would make results depend on the compiler's choices, and adjoints
 # are never needed. A kernel with `module="unique"` ignores its file's `set_module_options`, so each
 # kernel is declared as `@wp.kernel(**KERNEL_OPTIONS)`; a test looks at every loaded module.
@@ -16,7 +18,7 @@ MODULE_OPTIONS: dict[str, Any] = {
     "fast_math": False,
     "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=1000000 -Wno-constant-conversion",
 }
-KERNEL_OPTIONS: dict[str, Any] = {"module": "unique", "module_options": MODULE_OPTIONS, "enable_backward": False}
+KERNEL_OPTIONS: dict[str, Any] = unique_options(MODULE_OPTIONS)
 
 # Kernels of the general tier: each has a module, in which the interpreter of programs is one function and each op is
 # another, out of line.
@@ -28,9 +30,7 @@ DEFAULT_BLOCK_SIZE = 256  # threads of a CUDA block where a kernel does not ask 
 
 def general_options(name: str) -> dict[str, Any]:
     """Arguments of `wp.kernel` for the kernel `name` of the general tier."""
-    module = wp.get_module(f"{GENERAL_MODULE}_{name}")
-    module.options.update(MODULE_OPTIONS)
-    return {"module": module, "enable_backward": False}
+    return {"module": shared_module(f"{GENERAL_MODULE}_{name}", MODULE_OPTIONS), "enable_backward": False}
 
 
 def is_general(module: wp.Module) -> bool:

@@ -14,6 +14,7 @@ import warp as wp
 from ..errors import DeviceError
 from .compile_errors import complaint_of
 from .compiler import CompileError, CompileStoppedError, given_up_now, given_up_when
+from .declared import declare_all, has_entry_points
 from .kept_kernels import (
     KernelFiles,
     cannot_be_kept,
@@ -94,14 +95,15 @@ def _load(module: wp.Module, device: wp.Device, block_size: int, given_up: Calla
             with given_up_when(given_up or given_up_now()):
                 files = _compile(module, device, block_size)
         try:
-            module.load(
+            loaded = module.load(
                 device,
                 block_size,
                 binary_path=files.binary,
                 output_arch=module._get_compile_arch(device),
                 meta_path=files.meta,
             )
-            return
+            if has_entry_points(module, loaded):
+                return
         except Exception as error:  # Warp raises nothing better where a file cannot be read
             if not left or (not files.target and is_as_written(files)):
                 raise DeviceError(f"the compiled kernel {files.binary} cannot be loaded: {error}") from error
@@ -128,6 +130,7 @@ def _compile(module: wp.Module, device: wp.Device, block_size: int) -> KernelFil
 
 def _compile_into(folder: Path, module: wp.Module, device: wp.Device, block_size: int) -> KernelFiles:
     """Compile `module`; raises `OSError` where that cannot be kept in `folder`."""
+    declare_all(module)
     identifier = module.get_module_identifier(block_size)
     files = files_in(folder, module, device, block_size)
     try:

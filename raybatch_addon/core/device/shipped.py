@@ -16,8 +16,9 @@ import warp as wp
 from .kept_kernels import KernelFiles, digest
 from .kernel import is_general
 from .notes import note
+from .ready import SHIPPED
 
-FOLDER = Path(__file__).resolve().parents[2] / "kernels"
+FOLDER = SHIPPED
 INDEX = "index.json"
 FORMAT = 2
 _refused: dict[KernelFiles, str] = {}  # shipped kernels that could not be loaded, and why

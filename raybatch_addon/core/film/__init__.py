@@ -1,5 +1,6 @@
 """The film: exact sums of samples, their passes, and merging."""
 
+from ..device import declared  # noqa: F401 - before anything is declared: declarations wait
 from .film import Film
 from .layout import FIRST_SAMPLE_PASSES, PASSES, ChannelLayout, layout_of
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ..device import declared  # noqa: F401 - before anything is declared: declarations wait
 from ..native.build import native_source
 from .description import Scene
 from .features import needs_instancing

@@ -123,9 +123,12 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
         return specialised(why)
     if setting == "GENERAL":
         return general("as set")
-    if all(is_compiled(kernel, device) for kernel in StageKernels.choose(features).shading.values()):
+    stages = general_kernels()[0]
+    # where general kernels are at hand, nobody waits until the others are looked for by their code
+    at_hand = is_compiled(stages, device, at_once=True)
+    if all(is_compiled(kernel, device, at_hand) for kernel in StageKernels.choose(features).shading.values()):
         return specialised("they were compiled before")
-    if is_compiled(stages := general_kernels()[0], device):
+    if at_hand or is_compiled(stages, device):
         target = shipped_target(stages, device)
         shipped = f" (shipped for {target})" if target else ""
         return general(f"they are ready{shipped}, and the specialised ones are not")
