@@ -24,6 +24,7 @@ from ...shading.lights.emitters import emits_light, find_emissive_triangles
 from ...shading.lights.lamp_brightness import brightness_of_lamps
 from ...shading.lights.lamp_program import upload_lamp_programs
 from ...shading.lights.light_table import UploadedLights, upload_lights
+from ..plan.plan import Choice, TracingPlan
 from ..plan.tracing import Tracing
 from ..stages.emitted import emission_of_triangles, world_texels
 from .scene_cache import BuiltGeometry, GeometryRequest, PagedTree, SceneCache
@@ -51,7 +52,7 @@ class DeviceScene:
     built: BuiltGeometry | None
     images: UploadedImages  # keeps them alive
     stored: list[wp.array]  # the programs in memory, for kernels that read them there
-    splits_kept: bool = False  # the tree splits triangles, which was planned for an earlier render and not for this one
+    splits: Choice | None = None  # whether the tree splits triangles, where that is not as planned
 
     @staticmethod
     def build(
@@ -142,7 +143,7 @@ class DeviceScene:
             built=built,
             images=images,
             stored=stored,
-            splits_kept=isinstance(built, BuiltTree) and built.splits and not request.plan.splits,
+            splits=_splits_of(built, request.plan) if isinstance(built, BuiltTree) else None,
         )
 
     @property
@@ -154,6 +155,18 @@ class DeviceScene:
     def geometry_on_host(self) -> bool:
         """Whether a CUDA device reads what shading needs of triangles through the bus."""
         return self.paged is not None and self.device.is_cuda
+
+
+def _splits_of(built: BuiltTree, plan: TracingPlan) -> Choice | None:
+    """Whether a tree that an earlier render left splits triangles; None where it does as `plan` says."""
+    whole, trees = built.whole_count, len(built.meshes)
+    if not plan.splits:
+        return None if whole == trees else Choice("ON", "the tree of an earlier render has them")
+    if not whole:
+        return None
+    return Choice(
+        "OFF" if whole == trees else "ON", f"{whole} of {trees} trees follow vertices that moved, which split nothing"
+    )
 
 
 def _program_light(
