@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from compare import main
-from real_files import comparison, manual, measures
+from real_files import code, comparison, manual, measures, records
 from real_files.judging import TOO_NOISY, UNDECIDED, judge
 from real_files.listing import RealFile, files_named, may_be_shown, read_listing
 from real_files.measures import Pair, Spread, agreement, equal_error, noise_of
@@ -241,6 +241,48 @@ def test_another_size_or_another_version_of_a_file_is_rendered_anew(rendered, bl
     rendered.calls.clear()
     main([blends[1], "--out", out, "--samples", "8"])
     assert rendered.calls == ["CYCLES b.blend", "RAYBATCH b.blend"]
+
+
+def test_what_other_code_rendered_is_rendered_anew_and_shown_as_old_until_then(
+    rendered, blends, tmp_path, monkeypatch, capfd
+):
+    out, root = tmp_path / "out", tmp_path / "root"
+    (root / manual.LISTING).parent.mkdir(parents=True)
+    (root / manual.LISTING).write_text('{"files": []}')
+    monkeypatch.setattr("compare.ROOT", root)
+    main([*blends, "--out", str(out)])
+    assert report_in(out)["old"] == []
+    codes = {"CYCLES": {"bpy": "1"}, "RAYBATCH": {"bpy": "1", "RayBatch": "abc"}}
+    for module in (records, comparison):
+        monkeypatch.setattr(module, "code_of", codes.__getitem__)
+    main([*blends, "--out", str(out)])
+    rendered.calls.clear()
+    codes["RAYBATCH"] = {"bpy": "1", "RayBatch": "def"}
+    assert main(["--out", str(out), "--table"]) == 0
+    assert not rendered.calls and report_in(out)["old"] == ["a.blend", "b.blend"]
+    told = "were rendered by another state of RayBatch or Blender than that which tells of them here."
+    assert f"All files {told}" in capfd.readouterr().out and told in (out / "report.html").read_text()
+    assert main([*blends[:1], "--out", str(out)]) == 0 and rendered.calls == ["RAYBATCH a.blend"]
+    said = capfd.readouterr()
+    assert "a.blend: pictures by RayBatch are of other code (RayBatch abc, now def): rendered again" in said.err
+    assert report_in(out)["old"] == ["b.blend"] and f"1 of 2 files (b.blend) {told}" in said.out
+
+
+def test_the_code_of_raybatch_is_all_of_the_add_on_and_cycles_does_not_depend_on_it(tmp_path, monkeypatch):
+    ours, theirs = code.code_of("RAYBATCH"), code.code_of("CYCLES")
+    assert set(ours) - set(theirs) == {"RayBatch", "Warp"} and all(ours[name] == theirs[name] for name in theirs)
+    for name, content in (("a.py", "1"), ("b/c.h", "2"), ("b/table.npz", "3")):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(content)
+    monkeypatch.setattr(code.raybatch_addon, "__file__", str(tmp_path / "__init__.py"))
+    digests = set()
+    for name in ("a.py", "b/c.h", "b/table.npz", "picture.png"):
+        (tmp_path / name).write_text("changed")
+        code.code_of.cache_clear()
+        digests.add(code.code_of("RAYBATCH")["RayBatch"])
+    assert len(digests) == 3, "each source counts, and nothing else"
+    code.code_of.cache_clear()
+    assert code.what_changed(None, theirs) == "code that was not written down"
 
 
 def test_a_damaged_record_is_rendered_anew(rendered, blends, tmp_path):
