@@ -13,7 +13,6 @@ import pytest
 
 from raybatch_addon.core.programs.ops.textures.environment import EnvironmentProjection
 from raybatch_addon.core.programs.ops.textures.image import Projection
-from raybatch_addon.core.scene.description import ImageEncoding
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
 from raybatch_addon.export.images.images import divides_alpha, export_image, forget_images
 from tests.blender.export.cycles_image_values import set_up, values_by_cycles
@@ -339,27 +338,6 @@ def test_missing_images_are_named(scene, tmp_path):
     node.image, node.image_user.frame_duration = sequence, 9
     exported, notes = export_image(sequence, node.image_user, 5)
     assert exported.pixels is None and "s0005.png" in notes[0]
-
-
-def test_what_stands_in_for_an_image_of_a_library_that_is_gone_is_the_same_from_the_first_time_on(scene, tmp_path):
-    """Blender gives it a colour space with its pixels, which it makes when they are asked for."""
-    library = tmp_path / "library.blend"
-    bpy.data.libraries.write(str(library), {bpy.data.images.new("Linked", 8, 8)})
-    with bpy.data.libraries.load(str(library), link=True) as (_, into):
-        into.images = ["Linked"]
-    into.images[0].use_fake_user = True
-    material = bpy.data.materials.new("User")
-    material.use_fake_user = True
-    material.use_nodes = True
-    material.node_tree.nodes.new("ShaderNodeTexImage").image = into.images[0]
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "main.blend"))
-    library.unlink()
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "main.blend"))
-    image = bpy.data.images["Linked"]
-    assert image.is_missing and not image.colorspace_settings.name, "Blender has made it already"
-    first, notes = export_image(image, None, 1)
-    assert (first.encoding, notes) == (ImageEncoding.SRGB, ())
-    assert export_image(image, None, 1)[0] is first
 
 
 def test_damaged_files_are_magenta(scene, tmp_path):
