@@ -13,7 +13,7 @@ from ...bvh.build.scene_tree import BuiltTree
 from ...bvh.traverse.reference import ReferenceTree
 from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
-from ...programs.inputs_data import upload_camera_inputs, upload_inputs
+from ...programs.inputs_data import upload_camera_inputs, upload_inputs, with_camera
 from ...programs.table import store_programs, upload_programs
 from ...scene.description import ClosureKind, Scene
 from ...scene.features import SceneFeatures
@@ -87,7 +87,8 @@ class DeviceScene:
             else:
                 ops = features.programs.ops
                 key = inputs_key(scene, ops, device.alias)
-                inputs = cache.inputs.get(key, functools.partial(upload_inputs, scene, ops, device))
+                kept_inputs = cache.inputs.get(key, functools.partial(upload_inputs, scene, ops, device))
+                inputs = with_camera(kept_inputs, scene)
             data.nodes = upload_programs(
                 programs, features.programs, scene, data.geometry, images.table, device, inputs
             )

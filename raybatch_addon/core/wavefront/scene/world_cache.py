@@ -12,10 +12,7 @@ import warp as wp
 from ...programs.op import op_named
 from ...scene.description import Image, Scene
 from ...shading.lights.world import SampledWorld, sampled_world
-from .unchanged import Last, pictures_of
-
-# Ops of worlds that read where the camera is
-_CAMERA_OPS = frozenset({"camera_coordinates", "window_coordinates", "vector_transform"})
+from .unchanged import Last, camera_key, pictures_of
 
 
 class WorldCache:
@@ -44,18 +41,11 @@ class WorldCache:
 def _key(scene: Scene, device: wp.Device) -> tuple[list[np.ndarray | None], tuple]:
     """What the brightness of the world's texels follows from: pixels and values."""
     world = scene.world
-    camera: tuple = ()
-    if not _CAMERA_OPS.isdisjoint(world.program.ops):
-        camera = (
-            int(scene.camera.kind),
-            np.asarray(scene.camera.transform, np.float64).tobytes(),
-            tuple(scene.camera.window),
-        )
     images = _images(scene)
     kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in images)
     program = (world.program.instructions, world.program.constants.tobytes())
     pixels = [each for image in images for each in pictures_of(image)]
-    return pixels, (device.alias, program, world.sampling_size, camera, kinds)
+    return pixels, (device.alias, program, world.sampling_size, camera_key(scene, [world.program]), kinds)
 
 
 def _images(scene: Scene) -> tuple[Image, ...]:
