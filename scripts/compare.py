@@ -21,8 +21,8 @@ long the first and the last picture took, how long each takes to the same error,
 
 Each engine renders each file in a process of its own, small, without clamping, adaptive sampling and denoising. A file
 that cannot be rendered is a row that says why. Results are written to --out as they come: results.json, report.html
-and the folder files/ with pictures. The same command goes on where it was stopped: only what is missing or failed is
-rendered.
+and the folder files/ with pictures. The same command goes on where it was stopped: only what is missing, failed, or was
+rendered by other code is rendered.
 """
 EPILOG = """\
 exit codes:

@@ -75,7 +75,9 @@ class KeptMaterials:
         for kind, what, index in asked:
             if kind == "image":
                 if images is None:
-                    images = {image_key(*each, collections.frame): each for each in self._signatures.images}
+                    # nodes without an image ask too
+                    users = [(None, None), *self._signatures.images]
+                    images = {image_key(*each, collections.frame): each for each in users}
                 if what not in images or exported_image(collections, *images[what]) != index:
                     return False
             elif getattr(collections, kind)(*what) != index:

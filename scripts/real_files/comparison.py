@@ -14,13 +14,15 @@ from typing import IO, Any
 from lib.command import UsageError
 from lib.output import json_text, write_whole
 
+from real_files.code import code_of, what_changed
+from real_files.judging import NAMES
 from real_files.listing import RealFile, files_listed, files_named
 from real_files.manual import write_manual
 from real_files.page import html_page
 from real_files.process import COLD, Outcome, run_process
 from real_files.records import ENGINES, Record, Records
 from real_files.rows import DIFFERS, FAILED, SAME, row_of, summary_of
-from real_files.tables import counted, remarks, summary_rows
+from real_files.tables import counted, remarks, summary_rows, told_of_old
 from real_files.worker import PICTURES, SOURCES
 
 
@@ -94,7 +96,10 @@ def _compared(
         if kind == SOURCES and not _to_be_judged(record, options):
             break
         for engine in ENGINES:
-            if record.is_done(engine, kind):
+            if record.is_old(engine, kind):
+                changed = what_changed(record.code(engine, kind), code_of(engine))
+                print(f"{file.name}: {kind} by {NAMES[engine]} are of {changed}: rendered again", file=sys.stderr)
+            elif record.is_done(engine, kind):
                 continue
             wanted = {"file": str(file.path), "engine": engine, "kind": kind, **request}
             outcome = run_process(script, wanted, options.limit, kernel_cache)
@@ -142,6 +147,7 @@ class _Reporter:
             "request": self._request,
             "versions": _versions(known),
             "note": self._note,
+            "old": [record.name for record in known if record.has_old()],
             "summary": {},
             "files": [row_of(record) for record in known],
         }
@@ -178,7 +184,7 @@ def _versions(records: list[Record]) -> dict[str, str]:
 
 
 def _text(report: dict[str, Any], folder: Path) -> str:
-    lines = [counted(report["summary"])]
+    lines = [counted(report["summary"]), *told_of_old(report)]
     for name, ratio, interval, worst, worst_of, *_ in summary_rows(report["summary"]):
         lines.append(
             f"{name}: RayBatch takes {ratio} times as long as Cycles ({interval}), at worst {worst} ({worst_of})"

@@ -18,7 +18,7 @@ from real_files.listing import may_be_shown, read_listing
 from real_files.pictures import GAIN, side_by_side, write_png
 from real_files.records import Record
 from real_files.rows import DIFFERS, summary_of
-from real_files.tables import EXPLAINED, HEADS, SUMMARY_HEADS, cells, counted, remarks, summary_rows
+from real_files.tables import EXPLAINED, HEADS, SUMMARY_HEADS, cells, counted, remarks, summary_rows, told_of_old
 
 WIDTH = 120  # columns of the page
 LISTING, PAGE, FOLDER = "docs/real-files.json", "docs/real-files.md", "docs/real-files"
@@ -46,7 +46,7 @@ sampling and denoising, each in a process of its own. {versions}.{note}
 
 ## All files together
 
-{counted}.
+{counted}.{old}
 
 {summary}
 
@@ -75,6 +75,7 @@ def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
             note="\n\n" + "\n".join(_wrapped(note)) if (note := report.get("note")) else "",
             versions=versions,
             counted=counted(report["summary"]),
+            old="".join("\n\n" + "\n".join(_wrapped(text)) for text in told_of_old(report)),
             summary=_table(SUMMARY_HEADS, summary_rows(report["summary"])),
             files=_table(HEADS, [cells(row) for row in report["files"]]),
             explained=EXPLAINED,
@@ -145,7 +146,9 @@ def write_manual(root: Path, report: dict[str, Any], records: list[Record], slug
     for path in folder.glob("*.png"):
         if path.name not in pictures:
             path.unlink()  # of a file that is there no more
-    kept = report | {"files": rows, "summary": summary_of(rows)}
+    named = {row["name"] for row in rows}
+    old = [name for name in report["old"] if name in named]
+    kept = report | {"files": rows, "summary": summary_of(rows), "old": old}
     _write(folder / "results.json", json_text(kept) + "\n")
     _write(root / PAGE, with_findings(kept, listing))
 

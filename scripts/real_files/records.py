@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from lib.output import OutputError, json_text, write_whole
 
+from real_files.code import code_of
 from real_files.listing import RealFile
 from real_files.measures import Pair
 from real_files.process import DONE, Outcome
@@ -31,12 +32,24 @@ class Record:
     pictures: dict[str, np.ndarray] = field(default_factory=dict)  # float32 [height, width, 4], by engine/step
 
     def is_done(self, engine: str, kind: str) -> bool:
-        """Whether there is nothing left to render."""
+        """Whether it was rendered, by whatever code."""
         return self.tasks.get(f"{engine}/{kind}", {}).get("status") == DONE
 
+    def is_old(self, engine: str, kind: str) -> bool:
+        """Whether it was rendered by other code than this."""
+        return self.is_done(engine, kind) and self.code(engine, kind) != code_of(engine)
+
+    def has_old(self) -> bool:
+        """Whether anything was rendered by other code than this."""
+        return any(self.is_old(*key.split("/")) for key in self.tasks)
+
+    def code(self, engine: str, kind: str) -> dict[str, str] | None:
+        """What it was rendered by, as `code_of`; None where that was not written down."""
+        return self.tasks.get(f"{engine}/{kind}", {}).get("code")
+
     def take(self, engine: str, kind: str, outcome: Outcome) -> None:
-        """Keep what came of a process, in place of what there was."""
-        self.tasks[f"{engine}/{kind}"] = outcome.data()
+        """Keep what came of a process of this code, in place of what there was."""
+        self.tasks[f"{engine}/{kind}"] = {**outcome.data(), "code": code_of(engine)}
         begun = f"{engine}/source-"
         for key in [
             key for key in self.pictures if key.startswith(f"{engine}/") and key.startswith(begun) == (kind == SOURCES)

@@ -35,7 +35,8 @@ class Source:
 
 def sources_of(scene: bpy.types.Scene) -> list[Source]:
     """All sources of `scene`."""
-    found = [Source(f"lamp “{lamp.name}”", lambda lamp=lamp: _hide(lamp)) for lamp in _lamps(scene)]
+    # a full name says which library a lamp is of: several may have lamps of one name
+    found = [Source(f"lamp “{lamp.name_full}”", lambda lamp=lamp: _hide(lamp)) for lamp in _lamps(scene)]
     if scene.world is not None:
         found.append(Source(WORLD, lambda: _darken_world(scene.world)))
     if any(_emitting_sockets(tree) or _colors_as_shaders(tree) for tree in _material_trees()):
@@ -60,8 +61,8 @@ def leave_alone(scene: bpy.types.Scene, source: str) -> None:
             )
 
 
-def _name(item) -> str:
-    return item.name
+def _full_name(item: bpy.types.ID) -> str:
+    return item.name_full
 
 
 def _lamps(scene: bpy.types.Scene) -> list[bpy.types.Object]:
@@ -78,7 +79,7 @@ def _lamps(scene: bpy.types.Scene) -> list[bpy.types.Object]:
             and not each.hide_render
             and (not each.users_scene or not shown.isdisjoint(each.users_collection))
         ),
-        key=_name,
+        key=_full_name,
     )
 
 

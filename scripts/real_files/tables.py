@@ -61,6 +61,15 @@ def counted(summary: dict[str, Any]) -> str:
     return f"{summary['files']} files by verdict: {counts or 'none'}"
 
 
+def told_of_old(report: dict[str, Any]) -> list[str]:
+    """A sentence about files that were rendered by other code than that which reports; none where there are none."""
+    old, count = report.get("old", []), len(report["files"])
+    if not old:
+        return []
+    which = "All files" if len(old) == count else f"{len(old)} of {count} files ({_listed(old)})"
+    return [f"{which} were rendered by another state of RayBatch or Blender than that which tells of them here."]
+
+
 def remarks(row: dict[str, Any]) -> list[tuple[str, str]]:
     """What else is to be told of a file: kind and text."""
     found = [("error", text) for text in row["errors"]]

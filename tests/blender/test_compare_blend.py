@@ -75,3 +75,27 @@ def test_a_damaged_file_is_a_row_that_says_so(blend, tmp_path):
     blend.write_bytes(blend.read_bytes()[:100])
     done = run_script("compare.py", blend, *SMALL, "--out", tmp_path / "out")
     assert done.returncode == 1 and "cannot open it" in done.stderr, done.stderr
+
+
+def test_lamps_of_one_name_in_several_libraries_are_sources_of_their_own(scene, tmp_path):
+    from real_files.sources import leave_alone, sources_of
+
+    def add_lamp(energy):
+        lamp = bpy.data.lights.new("Lamp", "SUN")
+        lamp.energy = energy
+        return add_object("Lamp", lamp)
+
+    for name in ("one", "two"):
+        lamp = add_lamp(1.0)
+        bpy.data.libraries.write(str(tmp_path / f"{name}.blend"), {lamp})
+        bpy.data.objects.remove(lamp)
+    for name in ("one", "two"):
+        with bpy.data.libraries.load(str(tmp_path / f"{name}.blend"), link=True) as (_, into):
+            into.objects = ["Lamp"]
+        scene.collection.objects.link(into.objects[0])
+    add_lamp(2.0)
+    names = [each.name for each in sources_of(scene)]
+    assert names == ["lamp “Lamp”", "lamp “Lamp [one.blend]”", "lamp “Lamp [two.blend]”"]
+    leave_alone(scene, names[1])
+    (left,) = [each for each in bpy.data.objects if each.type == "LIGHT" and not each.hide_render]
+    assert left.library.name == "one.blend" and [each.name for each in sources_of(scene)] == names[1:2]

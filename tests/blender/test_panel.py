@@ -7,7 +7,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import reports  # noqa: E402
+from raybatch_addon.blender import reports, sessions  # noqa: E402
 from raybatch_addon.core.errors import SettingsError  # noqa: E402
 from raybatch_addon.core.settings.settings import BYTES, GROUPS, SETTINGS, RenderSettings  # noqa: E402
 from raybatch_addon.export.settings import assign_setting, settings_from  # noqa: E402
@@ -221,6 +221,7 @@ def test_the_last_render_is_listed_with_errors_first(scene):
 
 def test_the_last_render_shows_the_tree_and_the_counts(scene):
     """Statistics of a real render, so that they are those that the panel expects."""
+    sessions.close_all()  # whatever tests rendered before, the tree is built here
     add_grid("Grid", 40)
     scene.raybatch.counters = "ON"
     bpy.ops.render.render()
@@ -304,7 +305,6 @@ def test_unregistering_removes_everything_and_registering_brings_it_back(addon):
 
 
 def test_unregistering_gives_back_what_renders_keep(addon, monkeypatch):
-    from raybatch_addon.blender import sessions
     from raybatch_addon.export.images import images
 
     given_back = []

@@ -1,129 +1,20 @@
-"""scripts/compare.py without Blender: its mathematics, its judgement, what it keeps, and what it says of bad files."""
+"""scripts/compare.py without Blender: its processes, what it keeps, and what it says of bad files."""
 
 import json
-import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from compare import main
-from real_files import comparison, manual, measures
-from real_files.judging import TOO_NOISY, UNDECIDED, judge
+from real_files import code, comparison, manual, records
 from real_files.listing import RealFile, files_named, may_be_shown, read_listing
-from real_files.measures import Pair, Spread, agreement, equal_error, noise_of
 from real_files.process import COLD, CRASHED, DONE, FAILED, TIMED_OUT, Outcome, run_process
 from real_files.tables import alike
 from real_files.worker import PICTURES
 
 from tests.support.command_line import HIDE_BPY, ROOT, error_line, run_script
 
-SIZE = (64, 96, 3)
 BLEND = b"BLENDER-v500"
-
-
-def pair(seed: int, value=0.5, noise: float = 0.0) -> Pair:
-    """Two pictures of `value`, each with normal noise of its own."""
-    rng = np.random.default_rng(seed)
-    return Pair(*(value + noise * rng.standard_normal(SIZE) for _ in range(2)))
-
-
-# --- mathematics
-
-
-def test_noise_alone_is_the_same_picture_and_explains_all_of_relmse():
-    found = agreement(pair(1, noise=0.3), pair(2, noise=0.3))
-    assert found.same and found.relmse == pytest.approx(found.noise, rel=0.3)
-    assert abs(found.ratio - 1) < 4 * found.ratio_error < 0.02
-
-
-def test_three_percent_of_brightness_or_a_wrong_corner_is_another_picture():
-    assert not agreement(pair(1, 0.515, 0.01), pair(2, 0.5, 0.01)).same
-    wrong = np.full(SIZE, 0.5)
-    wrong[:16, :16] = 0.0
-    found = agreement(Pair(wrong, wrong), pair(2, noise=0.01))
-    assert found.relmse > found.relmse_most and not found.same
-    assert found.share_off == pytest.approx(16 * 16 / (64 * 96), rel=0.01)
-
-
-def test_what_surrounds_an_object_in_the_dark_does_not_hide_that_it_is_darker():
-    lit = np.zeros(SIZE)
-    lit[:20, :20] = 0.5
-    found = agreement(Pair(lit * 0.95, lit * 0.95), Pair(lit, lit))
-    assert found.typical == pytest.approx(0.95, abs=2e-3) and found.bias == pytest.approx(0.05) and not found.same
-
-
-def test_noise_that_is_skewed_is_no_bias():
-    rng = np.random.default_rng(4)
-    rare = Pair(*(0.5 * 20 * (rng.random(SIZE) < 0.05) for _ in range(2)))
-    found = agreement(rare, pair(5, 0.5, 0.05))
-    assert abs(found.typical - 1) > 0.02 and found.bias == 0.0
-
-
-def test_black_pictures_are_the_same_and_have_no_ratio():
-    black = Pair(np.zeros(SIZE), np.zeros(SIZE))
-    found = agreement(black, black)
-    assert found.same and math.isnan(found.ratio) and found.data()["ratio"] is None
-    assert math.isnan(measures.Agreement.of_data(found.data()).ratio)
-
-
-def test_the_standard_error_of_the_ratio_is_that_of_many_renders():
-    found = [agreement(pair(2 * i, noise=0.2), pair(2 * i + 1, noise=0.2)) for i in range(200)]
-    spread = np.std([each.ratio for each in found])
-    # channels are independent here
-    assert np.mean([each.ratio_error for each in found]) == pytest.approx(spread, rel=0.2)
-
-
-def test_noise_is_the_relative_variance_of_one_picture_and_fireflies_are_cut():
-    noisy = pair(1, noise=0.1)
-    shown = np.full(SIZE, 0.5)
-    assert noise_of(noisy, shown) == pytest.approx(0.01 / (0.25 * 1.01), rel=0.05)
-    noisy.first[0, 0] = 1e9
-    assert noise_of(noisy, shown) < 0.05
-
-
-def test_time_at_equal_error_weighs_seconds_by_noise():
-    assert equal_error((2.0, 0.1), (1.0, 0.4)) == pytest.approx(0.5)
-    assert equal_error((2.0, 0.1), (1.0, 0.0)) is None
-
-
-def test_the_interval_of_a_median_holds_the_true_one_as_often_as_it_says():
-    rng = np.random.default_rng(3)
-    drawn = [Spread.of({str(i): x for i, x in enumerate(rng.lognormal(size=41))}) for _ in range(60)]
-    assert sum(each.low <= 1 <= each.high for each in drawn) >= 52
-    assert all(each.low <= each.median <= each.high <= each.worst for each in drawn)
-    assert Spread.of({}) is None and Spread.of({"a": 1.0, "b": 3.0}).worst_of == "b"
-
-
-# --- superposition
-
-
-def pictures(engine_loss: float = 0.0, lamp: float = 1.0, noise: float = 0.01, seed: int = 0):
-    """Pictures of all sources and of each alone by an engine that loses a share of the light of all."""
-    alone = {"lamp “A”": pair(seed + 1, 0.3 * lamp, noise), "the world": pair(seed + 2, 0.2, noise)}
-    everything = pair(seed + 3, (0.3 * lamp + 0.2) * (1 - engine_loss), noise)
-    return everything, alone
-
-
-def judged(cycles, raybatch):
-    return judge({"CYCLES": cycles[0], "RAYBATCH": raybatch[0]}, {"CYCLES": cycles[1], "RAYBATCH": raybatch[1]})
-
-
-@pytest.mark.parametrize("right, losses", [("RayBatch", (0.13, 0.0)), ("Cycles", (0.0, 0.13))])
-def test_an_engine_that_loses_light_where_lamps_overlap_is_wrong(right, losses):
-    found = judged(pictures(losses[0]), pictures(losses[1], seed=10))
-    assert found.right == right and "0.870 ±" in found.why and "alone, all sources look the same" in found.why
-    assert all(each.same for each in found.sources.values())
-
-
-def test_where_both_add_up_the_source_that_differs_is_named():
-    found = judged(pictures(), pictures(lamp=0.8, seed=10))
-    assert found.right == UNDECIDED and "what differs is in the pictures of lamp “A” alone" in found.why
-    assert judged(pictures(), pictures(seed=10)).why.startswith("both engines' pictures add up, and show the same")
-
-
-def test_where_neither_adds_up_or_noise_hides_it_nobody_is_right():
-    assert judged(pictures(0.1), pictures(0.2, seed=10)).right == UNDECIDED
-    assert judged(pictures(noise=6.0), pictures(noise=6.0, seed=10)).right == TOO_NOISY
 
 
 # --- processes
@@ -241,6 +132,48 @@ def test_another_size_or_another_version_of_a_file_is_rendered_anew(rendered, bl
     rendered.calls.clear()
     main([blends[1], "--out", out, "--samples", "8"])
     assert rendered.calls == ["CYCLES b.blend", "RAYBATCH b.blend"]
+
+
+def test_what_other_code_rendered_is_rendered_anew_and_shown_as_old_until_then(
+    rendered, blends, tmp_path, monkeypatch, capfd
+):
+    out, root = tmp_path / "out", tmp_path / "root"
+    (root / manual.LISTING).parent.mkdir(parents=True)
+    (root / manual.LISTING).write_text('{"files": []}')
+    monkeypatch.setattr("compare.ROOT", root)
+    main([*blends, "--out", str(out)])
+    assert report_in(out)["old"] == []
+    codes = {"CYCLES": {"bpy": "1"}, "RAYBATCH": {"bpy": "1", "RayBatch": "abc"}}
+    for module in (records, comparison):
+        monkeypatch.setattr(module, "code_of", codes.__getitem__)
+    main([*blends, "--out", str(out)])
+    rendered.calls.clear()
+    codes["RAYBATCH"] = {"bpy": "1", "RayBatch": "def"}
+    assert main(["--out", str(out), "--table"]) == 0
+    assert not rendered.calls and report_in(out)["old"] == ["a.blend", "b.blend"]
+    told = "were rendered by another state of RayBatch or Blender than that which tells of them here."
+    assert f"All files {told}" in capfd.readouterr().out and told in (out / "report.html").read_text()
+    assert main([*blends[:1], "--out", str(out)]) == 0 and rendered.calls == ["RAYBATCH a.blend"]
+    said = capfd.readouterr()
+    assert "a.blend: pictures by RayBatch are of other code (RayBatch abc, now def): rendered again" in said.err
+    assert report_in(out)["old"] == ["b.blend"] and f"1 of 2 files (b.blend) {told}" in said.out
+
+
+def test_the_code_of_raybatch_is_all_of_the_add_on_and_cycles_does_not_depend_on_it(tmp_path, monkeypatch):
+    ours, theirs = code.code_of("RAYBATCH"), code.code_of("CYCLES")
+    assert set(ours) - set(theirs) == {"RayBatch", "Warp"} and all(ours[name] == theirs[name] for name in theirs)
+    for name, content in (("a.py", "1"), ("b/c.h", "2"), ("b/table.npz", "3")):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(content)
+    monkeypatch.setattr(code.raybatch_addon, "__file__", str(tmp_path / "__init__.py"))
+    digests = set()
+    for name in ("a.py", "b/c.h", "b/table.npz", "picture.png"):
+        (tmp_path / name).write_text("changed")
+        code.code_of.cache_clear()
+        digests.add(code.code_of("RAYBATCH")["RayBatch"])
+    assert len(digests) == 3, "each source counts, and nothing else"
+    code.code_of.cache_clear()
+    assert code.what_changed(None, theirs) == "code that was not written down"
 
 
 def test_a_damaged_record_is_rendered_anew(rendered, blends, tmp_path):

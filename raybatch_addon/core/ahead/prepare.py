@@ -78,7 +78,9 @@ class Preparation:
                 )
                 on_progress("compile" if compiling else "build", self._loaded / self._total, message)
                 wait([each for each in (modules, built) if not each.done()], _POLL_SECONDS)
-            return built.result(), modules.result()
+            made = built.result(), modules.result()
+            self.warnings = take_notes()  # only of a render that goes on: the next one tells what this one cannot
+            return made
         except CompileStoppedError:  # the session was closed
             return None, []
         finally:
@@ -92,7 +94,6 @@ class Preparation:
             self._loaded, self._total = done, max(1, total)
 
         names = load_kernels(self._kernels, self._device, note, self._closed)
-        self.warnings = take_notes()
         self.seconds["compile"] = time.perf_counter() - start
         return names
 

@@ -108,8 +108,7 @@ def files_in(folder: Path, module: wp.Module, device: wp.Device, block_size: int
 def is_as_written(files: KernelFiles) -> bool:
     """Whether sums say so that were written with the files, which are read again."""
     try:
-        sums = files.sum.read_text(encoding="ascii", errors="replace")
-        return sums == _sums(files.binary.read_bytes(), files.meta.read_bytes())
+        return _agrees_with_sums(files, files.binary.read_bytes(), files.meta.read_bytes()) is True
     except OSError:
         return False
 
@@ -121,12 +120,9 @@ def is_sound(files: KernelFiles) -> bool:
         if _sound.get(files.binary) == times:
             return True
         binary, meta = files.binary.read_bytes(), files.meta.read_bytes()
-        try:
-            sums = files.sum.read_text(encoding="ascii", errors="replace")
-        except FileNotFoundError:
+        sound = _agrees_with_sums(files, binary, meta)
+        if sound is None:
             sound = _is_complete(files.binary.suffix, binary) and isinstance(json.loads(meta), dict)
-        else:
-            sound = sums == _sums(binary, meta)
     except (OSError, ValueError):
         return False
     if sound:
@@ -166,6 +162,14 @@ def remove_abandoned() -> None:
 def digest(data: bytes) -> str:
     """The sum of `data`."""
     return hashlib.sha256(data).hexdigest()
+
+
+def _agrees_with_sums(files: KernelFiles, binary: bytes, meta: bytes) -> bool | None:
+    """Whether the sums that were written are those of `binary` and `meta`; None where there are none."""
+    try:
+        return files.sum.read_text(encoding="ascii", errors="replace") == _sums(binary, meta)
+    except FileNotFoundError:
+        return None
 
 
 def _sums(binary: bytes, meta: bytes) -> str:

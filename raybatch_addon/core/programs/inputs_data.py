@@ -21,6 +21,8 @@ _OBJECT_OPS = _TEXTURE_SPACE_OPS | {
     "displacement",
 }
 _ATTRIBUTE_OPS = frozenset({"attribute", "normal_map", "uv_tangent"})
+# Ops that read where the camera is, or how wide its pixels are
+CAMERA_OPS = frozenset({"camera_coordinates", "window_coordinates", "vector_transform", "wireframe"})
 
 PER_CORNER = 8  # flag of `InputData.attribute_layout`: the values are those of corners, not of triangles
 _NUMBERS_MOST = 2**31 - 1
@@ -59,15 +61,7 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
     """The inputs that programs with `ops` read of `scene`."""
     inputs = InputData()
     instances = scene.instances
-    matrix = np.eye(4)
-    matrix[:3] = scene.camera.transform
-    to_camera = np.diag([1.0, 1.0, -1.0, 1.0]) @ np.linalg.inv(matrix)
-    inputs.to_camera = mat34(*to_camera[:3].ravel().tolist())
-    inputs.camera_position = wp.vec3(*matrix[:3, 3].tolist())
-    inputs.perspective = int(scene.camera.kind == CameraKind.PERSPECTIVE)
-    inputs.window = wp.vec4(*scene.camera.window)
-    left, right, bottom, top = scene.camera.window
-    inputs.pixel_width = 0.5 * ((right - left) / scene.frame.width + (top - bottom) / scene.frame.height)
+    _set_camera(inputs, scene)
     if not _OBJECT_OPS.isdisjoint(ops):
         inputs.to_object = wp.array(inverses(instances.transform), dtype=mat34, device=device)
         inputs.to_world = wp.array(np.asarray(instances.transform, np.float32), dtype=mat34, device=device)
@@ -92,6 +86,27 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
     if "object_attribute" in ops and instances.attributes is not None:
         inputs.object_attributes = wp.array(np.asarray(instances.attributes, np.float32), dtype=wp.vec4, device=device)
     return inputs
+
+
+def with_camera(inputs: InputData, scene: Scene) -> InputData:
+    """`inputs` with the camera and frame of `scene`: the arrays are the same."""
+    seen = InputData()
+    for name in InputData.vars:
+        setattr(seen, name, getattr(inputs, name))
+    _set_camera(seen, scene)
+    return seen
+
+
+def _set_camera(inputs: InputData, scene: Scene) -> None:
+    matrix = np.eye(4)
+    matrix[:3] = scene.camera.transform
+    to_camera = np.diag([1.0, 1.0, -1.0, 1.0]) @ np.linalg.inv(matrix)
+    inputs.to_camera = mat34(*to_camera[:3].ravel().tolist())
+    inputs.camera_position = wp.vec3(*matrix[:3, 3].tolist())
+    inputs.perspective = int(scene.camera.kind == CameraKind.PERSPECTIVE)
+    inputs.window = wp.vec4(*scene.camera.window)
+    left, right, bottom, top = scene.camera.window
+    inputs.pixel_width = 0.5 * ((right - left) / scene.frame.width + (top - bottom) / scene.frame.height)
 
 
 def bytes_of(inputs: InputData) -> int:

@@ -54,6 +54,7 @@ def export_image(image: bpy.types.Image | None, user: Any, frame: int) -> tuple[
     """`image` at the scene's frame `frame`, and messages about its defects."""
     if image is None:
         return Image("none"), ()  # texture nodes treat a missing image themselves
+    _make_pixels(image)
     key, now = image_key(image, user, frame), time.monotonic()
     signature = _signature(image, user, frame)
     kept = _kept.get(key)
@@ -91,6 +92,14 @@ def divides_alpha(image: bpy.types.Image | None) -> bool:
         and image.alpha_mode not in ("CHANNEL_PACKED", "NONE")
         and not image.colorspace_settings.is_data
     )
+
+
+def _make_pixels(image: bpy.types.Image) -> None:
+    """Let Blender make the pixels of an image that has none yet and no colour space: it gets one with its pixels, such
+    as that which stands in for an image of a library that is gone.
+    """
+    if not image.colorspace_settings.name:
+        _ = image.size[0]
 
 
 def _signature(image: bpy.types.Image, user: Any, frame: int) -> tuple:
@@ -157,10 +166,8 @@ def _same_pixels(a: np.ndarray | None, b: np.ndarray | None) -> bool:
 def _exported(image: bpy.types.Image, user: Any, frame: int, kind: SpaceKind) -> tuple[Image, tuple[str, ...]]:
     notes: list[str] = []
     label = f"image “{image.name}”"
-    if kind is SpaceKind.UNKNOWN:
-        notes.append(
-            f"{label}: its colour space “{image.colorspace_settings.name}” cannot be converted; it is taken as linear"
-        )
+    unknown = kind is SpaceKind.UNKNOWN
+    if unknown:
         kind = SpaceKind.LINEAR
     if image.source == "MOVIE":
         notes.append(
@@ -179,13 +186,22 @@ def _exported(image: bpy.types.Image, user: Any, frame: int, kind: SpaceKind) ->
                     + ": it is magenta"
                 )
             tiles.append((tile.number, pixels))
+        if unknown and any(pixels is not None for _, pixels in tiles):
+            notes.append(_unknown_space(image))
         return Image(image.name, None, encoding, tuple(tiles)), tuple(notes)
     path = sequence_path(image, frame_number(user, frame)) if image.source == "SEQUENCE" else None
     pixels, encoding = _picture(image, kind, path)
     if pixels is None:
         where = path or bpy.path.abspath(image.filepath, library=image.library)
         notes.append(f"{label} has no pixels" + (f", or {where} cannot be read" if where else "") + ": it is magenta")
+    elif unknown:
+        notes.append(_unknown_space(image))
     return Image(image.name, pixels, encoding), tuple(notes)
+
+
+def _unknown_space(image: bpy.types.Image) -> str:
+    name = image.colorspace_settings.name
+    return f"image “{image.name}”: its colour space “{name}” cannot be converted; it is taken as linear"
 
 
 def _picture(

@@ -53,7 +53,7 @@ class _Kept:
 
     def __init__(self, mesh: Mesh) -> None:
         self.mesh = replace(mesh, corner_uvs=None)  # without attributes
-        self.used = _export_count  # number of the export that last used it
+        self.used = self.made = _export_count  # numbers of the exports that last used it and that made it
         self._now: dict[tuple, Attribute] = {}
         self._before: dict[tuple, Attribute] = {}
 
@@ -82,6 +82,8 @@ class _Kept:
 
 
 _kept: dict[bytes, _Kept] = {}  # by digest of the shape
+# Of each mesh, by names and counts, the digest that it had last
+_last: dict[tuple, bytes] = {}
 _export_count = 0
 
 
@@ -94,6 +96,7 @@ def mesh_arrays(mesh: Mesh) -> list[np.ndarray]:
 def forget_meshes() -> None:
     """Drop all meshes that are kept."""
     _kept.clear()
+    _last.clear()
 
 
 def end_export() -> None:
@@ -107,7 +110,19 @@ def end_export() -> None:
         if sum(sizes.values()) <= room:
             break
         del _kept[digest], sizes[digest]
+    for place in [place for place, digest in _last.items() if digest not in _kept]:
+        del _last[place]
     _export_count += 1
+
+
+def _make_room(place: tuple, digest: bytes) -> None:
+    """`digest` is the one of the mesh at `place` from now on: what one export alone had there is dropped before there
+    are two of it, as meshes that deform are others in each frame.
+    """
+    before = _kept.get(_last.get(place, b""))
+    if before is not None and before.made == before.used != _export_count:
+        del _kept[_last[place]]
+    _last[place] = digest
 
 
 class MeshSource:
@@ -119,12 +134,14 @@ class MeshSource:
         mesh.calc_loop_triangles()
         self._layer = next((layer for layer in mesh.uv_layers if layer.active_render and len(layer.uv)), None)
         self._shape = _digest(mesh, self._layer, lambda attribute: attribute.name in _OF_SHAPE)
+        self._counts = len(mesh.vertices), len(mesh.polygons)
         self._all: bytes | None = None
 
     def exported(self) -> Mesh | None:
         """The mesh without attributes; None if it has no triangles."""
         kept = _kept.get(self._shape)
         if kept is None:
+            _make_room((self._user, self._mesh.name, *self._counts), self._shape)
             before = len(self._warnings)
             mesh = export_mesh(self._mesh, self._user, self._warnings)
             if mesh is None or len(self._warnings) > before:  # messages are those of this object

@@ -88,6 +88,19 @@ def test_unchanged_materials_are_not_compiled_again(compiled):
     assert_as_new(second)
 
 
+def test_materials_with_nodes_that_have_no_image_are_kept_too(compiled):
+    material = add_material("A")
+    tree = material.node_tree
+    empty = tree.nodes.new("ShaderNodeTexImage")
+    tree.links.new(empty.outputs["Color"], node(material, "ShaderNodeBsdfDiffuse").inputs["Color"])
+    first = exported()
+    assert any("has no image: it is magenta" in each for each in first.warnings)
+    compiled.clear()
+    second = exported()
+    assert not compiled and second.materials[0] is first.materials[0]
+    assert_as_new(second)
+
+
 def slider(material):
     node(material, "ShaderNodeBsdfDiffuse").inputs["Roughness"].default_value = 0.75
 

@@ -159,6 +159,37 @@ def test_meshes_that_are_not_used_any_more_are_dropped(obj):
     assert not kept_meshes._kept
 
 
+def test_of_a_mesh_that_deforms_the_last_shape_alone_is_kept(obj, monkeypatch):
+    kept_before = []
+    real = kept_meshes.export_mesh
+
+    def export_mesh(*arguments):
+        kept_before.append(len(kept_meshes._kept))
+        return real(*arguments)
+
+    monkeypatch.setattr(kept_meshes, "export_mesh", export_mesh)
+    other = add_grid("Other", 4)
+    other.location.x = 9.0
+    for frame in range(4):
+        obj.data.vertices[0].co.z = 0.1 * frame
+        obj.data.update()
+        obj.update_tag(refresh={"DATA"})
+        bpy.context.view_layer.update()
+        exported()
+    assert kept_before == [0, 1, 1, 1, 1] and len(kept_meshes._kept) == 2, "nothing but the grid that stays"
+    assert len(kept_meshes._last) == 2
+
+
+def test_two_shapes_of_a_mesh_that_take_turns_are_both_kept(obj):
+    """As those of a viewport and of a final render do, each of which is found again."""
+    made = []
+    for hidden in (True, True, False, True, False, True):
+        obj.modifiers["Solid"].thickness = 0.25 if hidden else 0.5
+        bpy.context.view_layer.update()
+        made.append(of_scene().positions)
+    assert made[0] is made[1] is made[3] is made[5] and made[2] is made[4] is not made[0]
+
+
 def test_kept_meshes_take_a_share_of_the_memory_at_most(obj, monkeypatch):
     of_scene()
     monkeypatch.setattr(kept_meshes, "_MEMORY_SHARE", 0.0)

@@ -66,6 +66,7 @@ class MeshTree:
     sah: float  # expected cost of a ray that meets the root's box, in node steps
     sah_built: float  # the same when the tree was built
     split: bool  # some triangles are listed more than once
+    splits: bool  # triangles were split where that pays for the positions that it has
     level_first: list[int] | None  # as `NodeLevels.first`, of nodes that lie level by level
     levels: NodeLevels | None = None  # of QUANTISED, from the first refit on
 
@@ -111,6 +112,7 @@ class MeshTrees:
                 sah=made.sah,
                 sah_built=made.sah,
                 split=False,
+                splits=False,
                 level_first=made.level_first,
             )
         positions = self._flat.positions
@@ -127,6 +129,7 @@ class MeshTrees:
             sah=wide.sah,
             sah_built=wide.sah,
             split=wide.reference_count > part.triangle_count,
+            splits=self._options.spatial_splits,
             level_first=None,
         )
 
@@ -142,7 +145,7 @@ class MeshTrees:
             result = refit_quantised(mesh.nodes, mesh.triangles, mesh.levels, positions, triangles)
         else:
             result = refit_boxes(mesh.nodes, mesh.triangles, positions, triangles)
-        mesh.centre, mesh.box, mesh.sah = result.centre, result.box, result.sah
+        mesh.centre, mesh.box, mesh.sah, mesh.splits = result.centre, result.box, result.sah, False
         return result.sah <= mesh.sah_built * (1.0 if mesh.split else SAH_GROWTH_MAX)
 
     def _levels(self, mesh: MeshTree) -> NodeLevels:

@@ -37,11 +37,16 @@ class BuiltTree:
     layout: Layout
     instancing: bool
     splits_moving: bool  # whether triangles are split in trees that are built anew because vertices moved
-    splits: bool  # whether triangles were split when it was built
+    splits_planned: bool  # whether it was built for a render that splits triangles; those that moved since are whole
     meshes: list[MeshTree] = field(repr=False)  # their blocks are parts of the tree's arrays
     box: np.ndarray | None = None  # two corners that hold all surfaces [m], float64, shape [2, 3]
     top_room: int = 0  # vectors behind the mesh trees' nodes, for the nodes of the top level
     statistics: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def whole_count(self) -> int:
+        """Mesh trees that split no triangles: none were wanted, or their vertices moved."""
+        return sum(not mesh.splits for mesh in self.meshes)
 
     def note(self, built_count: int, refitted_count: int, start: float) -> None:
         """Put into the statistics what was done for the frame since `start` [s, `time.perf_counter`]."""

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ...scene.description import Image
+from ...scene.frozen import is_frozen
 from .textures import TILE_COLUMNS, ImageEntry, ImageTable, Texels
 
 FIRST_TILE = 1001  # number of the tile at texture coordinates 0..1 (UDIM)
@@ -41,6 +42,11 @@ class _Picture:
     array: wp.array
     replaced: int  # texels that were not finite, and became black
 
+    def is_still_true(self) -> bool:
+        """Whether what it was made of is there, and cannot have changed."""
+        pixels = self.source()
+        return pixels is not None and is_frozen(pixels)
+
     @property
     def bytes(self) -> int:
         """Memory of the picture on the device [bytes]."""
@@ -67,7 +73,7 @@ class UploadedImages:
 
 
 class ImageCache:
-    """The pictures of the last upload; an array of pixels that was uploaded already is not uploaded again."""
+    """The pictures of the last upload; a frozen array of pixels that was uploaded already is not uploaded again."""
 
     def __init__(self) -> None:
         self._pictures: dict[int, _Picture] = {}  # by identity of the array of pixels
@@ -99,7 +105,8 @@ class ImageCache:
 
     def _entries(self, images, wanted: list[_Wanted | None], halvings: list[int], device, done: UploadedImages):
         """Rows of the table, entries of tiles, and the arrays of all pictures."""
-        kept, self._pictures = self._pictures, {}
+        kept = {key: each for key, each in self._pictures.items() if each.is_still_true()}
+        self._pictures = {}
         pictures = [
             each and self._picture(each, count, kept.get(id(each.pixels)), device, done.warnings)
             for each, count in zip(wanted, halvings)

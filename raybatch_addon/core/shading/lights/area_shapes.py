@@ -1,19 +1,23 @@
 """Shapes of area lights, to be sampled and to be met as in `light_shapes.py`.
 
-They are rectangles and ellipses that shine from one side.
+They are rectangles and ellipses that shine from one side. A surface in the plane of a light is behind it.
 """
 
 import numpy as np
 import warp as wp
 
 from ..sampling import sample_disk, to_world
-from .light_shapes import LightSample, area_to_solid_angle
+from .light_shapes import GAMMA_8, LightSample, area_to_solid_angle
 from .light_table import LightRecord
 
 # A rectangle's solid angle is a sum of four angles of up to pi, less 2 pi: its error is about eight roundings of pi.
 # Below this solid angle the error exceeds a thousandth, and uniform points on the rectangle serve as well: it is small
 # and seen as a whole
 _SOLID_ANGLE_MIN = wp.constant(8.0 * np.pi * float(np.finfo(np.float32).eps) * 1000.0)
+
+# A share of the distance that `distance_error` of an area light does not exceed: rays that graze the light, or are far
+# from where all is, would pass what is well before it
+ERROR_SHARE_MOST = 2.0**-10
 
 
 @wp.struct
@@ -152,6 +156,23 @@ def outside_ellipse(light: LightRecord, target_x: float, target_y: float) -> boo
 
 
 @wp.func
+def plane_distance_error(light: LightRecord, direction: wp.vec3, distance: float) -> float:
+    """Bound of how much nearer than `distance` a ray along `direction` may find a surface that lies in the light's
+    plane, such as the ceiling of a lamp that is flush with it [m].
+
+    Rounding moves the planes of both, or the ray, by at most `error` along each axis; the slant of the ray stretches
+    the part along the normal.
+    """
+    error = wp.vec3(distance)
+    for i in range(3):
+        reach = wp.abs(light.axis_x[i]) * light.half_x + wp.abs(light.axis_y[i]) * light.half_y
+        error[i] = error[i] + reach + wp.abs(light.position[i])
+    slant = wp.abs(wp.dot(direction, light.axis))
+    bound = wp.static(4.0 * GAMMA_8) * wp.dot(wp.abs(light.axis), error)
+    return wp.min(bound / slant, wp.static(ERROR_SHARE_MOST) * distance)
+
+
+@wp.func
 def sample_area_light(light: LightRecord, position: wp.vec3, u: wp.vec2, ellipse: int) -> LightSample:
     """A direction to the part of a RECTANGLE or ELLIPSE that lights `position`; `radiance` holds the falloff."""
     s = LightSample()
@@ -177,6 +198,7 @@ def sample_area_light(light: LightRecord, position: wp.vec3, u: wp.vec2, ellipse
                 return s
     s.distance = wp.sqrt(p[0] * p[0] + p[1] * p[1] + target.height * target.height)
     s.direction = to_world(wp.vec3(p[0], p[1], -target.height), light.axis_x, light.axis_y, light.axis)
+    s.distance_error = plane_distance_error(light, s.direction, s.distance)
     s.pdf = area_target_pdf(target, solid_angle, p[0], p[1])
     s.radiance = wp.vec3(area_falloff(light, wp.length(p), target.height))
     return s
@@ -208,6 +230,7 @@ def meet_area_light(light: LightRecord, origin: wp.vec3, direction: wp.vec3, ell
         if target.ellipse == 0:
             solid_angle = rectangle_solid_angle(target)
         s.distance = distance
+        s.distance_error = plane_distance_error(light, direction, distance)
         s.pdf = area_target_pdf(target, solid_angle, x, y)
         s.radiance = wp.vec3(falloff)
     return s
@@ -227,5 +250,6 @@ def sample_parallel_light(light: LightRecord, position: wp.vec3, ellipse: int) -
     if lit:
         s.direction = -light.axis
         s.distance = height
+        s.distance_error = plane_distance_error(light, s.direction, s.distance)
         s.pdf = 1.0
     return s

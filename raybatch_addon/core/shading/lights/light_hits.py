@@ -14,7 +14,7 @@ import warp as wp
 from ...programs.op import NodeData
 from ...scene.description import LightKind
 from ...scene.program import ProgramFeatures
-from .area_shapes import meet_area_light
+from .area_shapes import ERROR_SHARE_MOST, meet_area_light
 from .lamp_program import make_lamp_emission
 from .light_choice import selection_pdf
 from .light_shapes import LightSample, meet_disk, meet_sphere, meet_sun, spot_factor
@@ -106,13 +106,15 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
             if table.tree_count > 0:
                 item = int(0)
                 query = wp.bvh_query_ray(table.tree, origin, direction)
-                while wp.bvh_query_next(query, item, t_max):
+                while wp.bvh_query_next(query, item, t_max * wp.static(1.0 + 2.0 * ERROR_SHARE_MOST)):
                     emitter = table.tree_light[item]
                     light = table.lights[emitter]
                     sampled = bsdf_pdf > 0.0 and is_lit_in_part(light.visibility)
                     if (light.visibility & visibility) != 0 and not sampled:
                         met = meet_shape(light, origin, direction)
-                        if met.pdf > 0.0 and met.distance >= t_min and met.distance < t_max:
+                        # what lies in the plane of a lamp is behind it, as for rays that are aimed at the lamp
+                        t = met.distance - met.distance_error
+                        if met.pdf > 0.0 and t >= t_min and t < t_max:
                             weight = hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter))
                             radiance = wp.cw_mul(met.radiance, light.emission)
                             if wp.static(has_programs):

@@ -17,6 +17,8 @@ from .light_table import LightRecord
 WORLD_PROGRAM = 1
 SURFACE_PROGRAM = 2
 LAMP_PROGRAM = 3
+# Bound of the relative error of eight operations (Higham 2002, section 3.1)
+GAMMA_8 = 8 * 2.0**-24 / (1 - 8 * 2.0**-24)
 
 
 @wp.struct
@@ -25,7 +27,9 @@ class LightSample:
 
     direction: wp.vec3  # unit, from the shaded point
     distance: float  # [m]; infinite for a sun
-    distance_error: float  # bound of how much nearer a ray may find the mesh light itself [m]; 0 for other lights
+    # bound of how much nearer a ray may find the mesh light itself, or a surface in the plane of an area light, which
+    # does not hide it [m]; 0 for other lights
+    distance_error: float
     radiance: wp.vec3  # [W/(m² sr)]; of a delta light: irradiance of a surface that faces it [W/m²]
     # solid-angle density [1/sr] times the probability of the light; of a delta light that probability; 0: no light
     pdf: float

@@ -17,6 +17,7 @@ from ..sampling import sample_triangle
 from .area_shapes import sample_area_light, sample_parallel_light
 from .light_choice import choice_bits, choose_emitter, selection_pdf
 from .light_shapes import (
+    GAMMA_8,
     LAMP_PROGRAM,
     SURFACE_PROGRAM,
     WORLD_PROGRAM,
@@ -28,10 +29,6 @@ from .light_shapes import (
 )
 from .light_table import LightRecord, LightTable
 from .world import sample_world, world_pdf
-
-# Eight roundings of float32 (Higham 2002, section 3.1) for each of four steps: the corners to the world, the sampled
-# point, the ray to the object, the ray's test
-GAMMA_8 = 8 * 2.0**-24 / (1 - 8 * 2.0**-24)
 
 _POINT = wp.constant(int(LightKind.POINT))
 _SPOT = wp.constant(int(LightKind.SPOT))
@@ -193,6 +190,7 @@ def triangle_distance_error(
         reach = wp.abs(m[i, 0]) * largest[0] + wp.abs(m[i, 1]) * largest[1] + wp.abs(m[i, 2]) * largest[2]
         error[i] = error[i] + reach + wp.abs(m[i, 3])
     slant = wp.abs(wp.dot(normal, direction))
+    # each of four steps: the corners to the world, the sampled point, the ray to the object, the ray's test
     return wp.static(4.0 * GAMMA_8) * wp.dot(wp.abs(normal), error) / slant
 
 

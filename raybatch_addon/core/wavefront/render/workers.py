@@ -90,8 +90,8 @@ def make_workers(
             selection_of(settings, device.is_cuda).name,
             "every launch is large" if device.is_cuda else "a step costs little, and fuller buckets save more",
         )
-    if settings.spatial_splits == "AUTO" and scene.splits_kept:
-        made.chosen["spatial_splits"] = Choice("ON", "the tree of an earlier render has them")
+    if settings.spatial_splits == "AUTO" and scene.splits:
+        made.chosen["spatial_splits"] = scene.splits
     if count < asked and not (paged and not settings.ray_count):
         made.warnings.append(
             f"ray_count was reduced from {asked * workers:,} to {count * workers:,}: {device.alias} has not enough "

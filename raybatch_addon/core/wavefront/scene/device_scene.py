@@ -13,7 +13,7 @@ from ...bvh.build.scene_tree import BuiltTree
 from ...bvh.traverse.reference import ReferenceTree
 from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
-from ...programs.inputs_data import upload_camera_inputs, upload_inputs
+from ...programs.inputs_data import upload_camera_inputs, upload_inputs, with_camera
 from ...programs.table import store_programs, upload_programs
 from ...scene.description import ClosureKind, Scene
 from ...scene.features import SceneFeatures
@@ -24,6 +24,7 @@ from ...shading.lights.emitters import emits_light, find_emissive_triangles
 from ...shading.lights.lamp_program import upload_lamp_programs
 from ...shading.lights.light_table import UploadedLights, upload_lights
 from ..estimates.launch import brightness_of_lamps, emission_of_triangles, world_texels
+from ..plan.plan import Choice, TracingPlan
 from ..plan.tracing import Tracing
 from .scene_cache import BuiltGeometry, GeometryRequest, PagedTree, SceneCache
 from .scene_data import SceneData
@@ -50,7 +51,7 @@ class DeviceScene:
     built: BuiltGeometry | None
     images: UploadedImages  # keeps them alive
     stored: list[wp.array]  # the programs in memory, for kernels that read them there
-    splits_kept: bool = False  # the tree splits triangles, which was planned for an earlier render and not for this one
+    splits: Choice | None = None  # whether the tree splits triangles, where that is not as planned
 
     @staticmethod
     def build(
@@ -85,7 +86,8 @@ class DeviceScene:
             else:
                 ops = features.programs.ops
                 key = inputs_key(scene, ops, device.alias)
-                inputs = cache.inputs.get(key, functools.partial(upload_inputs, scene, ops, device))
+                kept_inputs = cache.inputs.get(key, functools.partial(upload_inputs, scene, ops, device))
+                inputs = with_camera(kept_inputs, scene)
             data.nodes = upload_programs(
                 programs, features.programs, scene, data.geometry, images.table, device, inputs
             )
@@ -141,7 +143,7 @@ class DeviceScene:
             built=built,
             images=images,
             stored=stored,
-            splits_kept=isinstance(built, BuiltTree) and built.splits and not request.plan.splits,
+            splits=_splits_of(built, request.plan) if isinstance(built, BuiltTree) else None,
         )
 
     @property
@@ -153,6 +155,18 @@ class DeviceScene:
     def geometry_on_host(self) -> bool:
         """Whether a CUDA device reads what shading needs of triangles through the bus."""
         return self.paged is not None and self.device.is_cuda
+
+
+def _splits_of(built: BuiltTree, plan: TracingPlan) -> Choice | None:
+    """Whether a tree that an earlier render left splits triangles; None where it does as `plan` says."""
+    whole, trees = built.whole_count, len(built.meshes)
+    if not plan.splits:
+        return None if whole == trees else Choice("ON", "the tree of an earlier render has them")
+    if not whole:
+        return None
+    return Choice(
+        "OFF" if whole == trees else "ON", f"{whole} of {trees} trees follow vertices that moved, which split nothing"
+    )
 
 
 def _program_light(

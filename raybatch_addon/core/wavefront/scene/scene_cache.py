@@ -259,10 +259,12 @@ def _geometry_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarra
 
 
 def _serves(built: BuiltGeometry, plan: TracingPlan) -> bool:
-    """Whether a tree is as good as one that is built for `plan`; one that splits triangles serves short renders too."""
+    """Whether a tree is as good as one that is built for `plan`. One that was built with splits serves short renders
+    too, and long ones also where its vertices moved and it follows them without.
+    """
     if isinstance(built, PagedTree):
         return not built.residency.has_failed  # its file is no good; a new one may be
-    return not isinstance(built, BuiltTree) or built.splits or not plan.splits
+    return not isinstance(built, BuiltTree) or built.splits_planned or not plan.splits
 
 
 def _follow(last: Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, device: wp.Device) -> bool:

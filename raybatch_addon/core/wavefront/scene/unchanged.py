@@ -8,8 +8,10 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+from ...programs.inputs_data import CAMERA_OPS
 from ...scene.description import Image, Material, Scene
 from ...scene.frozen import Same
+from ...scene.program import Program
 
 Made = TypeVar("Made")
 
@@ -44,12 +46,12 @@ def digest_of(arrays: Iterable[np.ndarray]) -> bytes:
 
 
 def inputs_key(scene: Scene, ops: Sequence[str], device: str) -> tuple[list[np.ndarray | None], tuple]:
-    """What the inputs of programs with `ops` follow from (`upload_inputs`): arrays and values."""
+    """What the inputs of programs with `ops` follow from (`upload_inputs`), but for the camera: arrays and values."""
     arrays: list[np.ndarray | None] = []
     for mesh in scene.meshes:
         arrays += [mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_uvs]
         arrays += [attribute.values for attribute in mesh.attributes]
-    instances, camera, frame = scene.instances, scene.camera, scene.frame
+    instances = scene.instances
     placed = [instances.mesh, instances.transform, instances.slot_first, scene.slot_materials]
     placed += [each for each in (instances.info, instances.attributes) if each is not None]
     values = (
@@ -63,8 +65,6 @@ def inputs_key(scene: Scene, ops: Sequence[str], device: str) -> tuple[list[np.n
             material.program is not None and any(step.op == "generated" for step in material.program.instructions)
             for material in scene.materials
         ),
-        (int(camera.kind), np.asarray(camera.transform, np.float64).tobytes(), tuple(camera.window)),
-        (frame.width, frame.height),
     )
     return arrays, values
 
@@ -77,8 +77,19 @@ def emission_key(
     arrays += [mesh.corner_normals for mesh in scene.meshes]
     pictures = [pixels for image in scene.images for pixels in pictures_of(image)]
     kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in scene.images)
-    materials = tuple(_light_of(material) if emitting else None for material, emitting in zip(scene.materials, emits))
-    return arrays + pictures, (values, kinds, materials, digest_of([scene.instances.visibility]))
+    emitting = [material if emits_light else None for material, emits_light in zip(scene.materials, emits)]
+    materials = tuple(material and _light_of(material) for material in emitting)
+    seen = camera_key(scene, [material.program for material in emitting if material])
+    return arrays + pictures, (values, kinds, materials, seen, digest_of([scene.instances.visibility]))
+
+
+def camera_key(scene: Scene, programs: Iterable[Program | None]) -> tuple:
+    """All that `programs` may read of camera and frame; nothing where they read nothing of them."""
+    if not any(program and not CAMERA_OPS.isdisjoint(program.ops) for program in programs):
+        return ()
+    camera, frame = scene.camera, scene.frame
+    matrix = np.asarray(camera.transform, np.float64).tobytes()
+    return (int(camera.kind), matrix, tuple(camera.window), frame.width, frame.height)
 
 
 def pictures_of(image: Image) -> list[np.ndarray | None]:

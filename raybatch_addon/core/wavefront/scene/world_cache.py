@@ -4,9 +4,7 @@ worlds change.
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
@@ -14,78 +12,40 @@ import warp as wp
 from ...programs.op import op_named
 from ...scene.description import Image, Scene
 from ...shading.lights.world import SampledWorld, sampled_world
-from .unchanged import pictures_of
-
-# Ops of worlds that read where the camera is
-_CAMERA_OPS = frozenset({"camera_coordinates", "window_coordinates", "vector_transform"})
-
-
-@dataclass(frozen=True)
-class _Kept:
-    key: tuple
-    pictures: tuple[
-        weakref.ref | None, ...
-    ]  # arrays of pixels, compared by identity: they are the same while an image is
-    world: SampledWorld
+from .unchanged import Last, camera_key, pictures_of
 
 
 class WorldCache:
     """The world of the last frame."""
 
     def __init__(self) -> None:
-        self._last: _Kept | None = None
+        self._last: Last[SampledWorld] = Last()
 
     @property
     def device_bytes(self) -> int:
         """Memory that it takes on the device [bytes]."""
-        if self._last is None:
-            return 0
-        table = self._last.world.table
-        return 4 * (table.row_first.size + table.texel_first.size)
+        world = self._last.made
+        return 4 * (world.table.row_first.size + world.table.texel_first.size) if world else 0
 
     def clear(self) -> None:
         """Forget it."""
-        self._last = None
+        self._last.clear()
 
     def get(self, scene: Scene, device: wp.Device, texels: Callable[[], np.ndarray]) -> SampledWorld:
-        """The world of `scene`. `texels()` computes the brightness of its texels, and is called where this is not the
-        world of the last call.
+        """The world of `scene`. `texels()` computes the brightness of its texels, and is called unless this is the
+        world of the last call, with the same frozen images.
         """
-        images = _images(scene)
-        pictures = [pixels for image in images for pixels in pictures_of(image)]
-        key = (
-            *_key(scene, device),
-            tuple((image.encoding, tuple(number for number, _ in image.tiles or ())) for image in images),
-        )
-        last = self._last
-        same = (
-            last is not None
-            and last.key == key
-            and len(last.pictures) == len(pictures)
-            and all(map(_is, last.pictures, pictures))
-        )
-        if not same:
-            self._last = last = None  # before there are two of them
-            references = tuple(None if pixels is None else weakref.ref(pixels) for pixels in pictures)
-            self._last = last = _Kept(key, references, sampled_world(texels(), device))
-        return last.world
+        return self._last.get(_key(scene, device), lambda: sampled_world(texels(), device))
 
 
-def _is(kept: weakref.ref | None, pixels: np.ndarray | None) -> bool:
-    return pixels is None if kept is None else kept() is pixels and pixels is not None
-
-
-def _key(scene: Scene, device: wp.Device) -> tuple:
-    """All that the brightness of the world's texels follows from, but for images."""
+def _key(scene: Scene, device: wp.Device) -> tuple[list[np.ndarray | None], tuple]:
+    """What the brightness of the world's texels follows from: pixels and values."""
     world = scene.world
-    camera: tuple = ()
-    if not _CAMERA_OPS.isdisjoint(world.program.ops):
-        camera = (
-            int(scene.camera.kind),
-            np.asarray(scene.camera.transform, np.float64).tobytes(),
-            tuple(scene.camera.window),
-        )
-    return (device.alias, world.program.instructions, world.program.constants.tobytes(), world.sampling_size, camera)
+    images = _images(scene)
+    kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in images)
+    program = (world.program.instructions, world.program.constants.tobytes())
+    pixels = [each for image in images for each in pictures_of(image)]
+    return pixels, (device.alias, program, world.sampling_size, camera_key(scene, [world.program]), kinds)
 
 
 def _images(scene: Scene) -> tuple[Image, ...]:

@@ -6,6 +6,7 @@ import warp as wp
 
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Image, ImageEncoding
+from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.shading.images.image_upload import ImageCache, halved
 from raybatch_addon.core.shading.images.textures import Extension, ImageTable, Interpolation, sample_image
 from tests.support.under_test import DEVICE
@@ -231,7 +232,7 @@ def test_halving_takes_means_and_keeps_odd_edges():
 
 def test_pictures_are_kept_while_their_arrays_are_the_same():
     cache = ImageCache()
-    pixels = np.full((8, 8, 4), 9, np.uint8)
+    pixels = freeze(np.full((8, 8, 4), 9, np.uint8))
     first = cache.upload([Image("a", pixels)], DEVICE)
     second = cache.upload([Image("b", BYTES), Image("a", pixels), Image("again", pixels)], DEVICE)
     assert any(each is first.keep[0] for each in second.keep) and len(second.keep) == 2
@@ -239,6 +240,16 @@ def test_pictures_are_kept_while_their_arrays_are_the_same():
     assert third.keep[0] is not first.keep[0] and cache.device_bytes == third.keep[0].size * 4
     cache.clear()
     assert cache.device_bytes == 0
+
+
+def test_pixels_that_may_change_are_checked_and_uploaded_again():
+    cache = ImageCache()
+    pixels = np.full((4, 4, 4), 0.5, np.float32)
+    assert cache.upload([Image("a", pixels)], DEVICE).warnings == []
+    pixels[1, 2] = np.nan
+    second = cache.upload([Image("a", pixels)], DEVICE)
+    assert "1 texels are infinite or not a number" in second.warnings[0]
+    assert np.isfinite(second.keep[0].numpy()).all()
 
 
 def test_arrays_that_may_not_be_written_can_be_uploaded():

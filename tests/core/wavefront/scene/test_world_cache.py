@@ -8,6 +8,7 @@ import pytest
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.description import Frame, Image, World
+from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.scene import device_scene
@@ -15,7 +16,7 @@ from tests.support import scenes
 from tests.support.under_test import DEVICE
 
 SETTINGS = RenderSettings(device=DEVICE, sample_count=1, bounce_max=1)
-PIXELS = np.random.default_rng(3).random((8, 16, 4)).astype(np.float32)
+PIXELS = freeze(np.random.default_rng(3).random((8, 16, 4)).astype(np.float32))
 
 
 def world_of(strength=1.0, window=False):
@@ -74,3 +75,16 @@ def test_a_world_is_tabulated_again_only_where_it_is_another(made):
     assert session._cache.world.device_bytes == 4 * (8 + 8 * 16)
     session.render(replace(scene_of(world), world=World(radiance=(1.0, 1.0, 1.0))), SETTINGS)
     assert session._cache.world.device_bytes == 0
+
+
+def test_pixels_that_may_change_are_looked_at_anew(made):
+    session = Session(DEVICE)
+    pixels = PIXELS.copy()
+    scene = scene_of(world_of(), image=Image("sky", pixels))
+    session.render(scene, SETTINGS)
+    pixels[:, :, :3] = 0
+    pixels[5, 3, :3] = 100.0
+    film = session.render(scene, SETTINGS)
+    assert len(made) == 2
+    expected = Session(DEVICE).render(scene, SETTINGS)
+    assert np.array_equal(film.passes["Combined"], expected.passes["Combined"])

@@ -6,7 +6,7 @@ import warp as wp
 
 from raybatch_addon.core.wavefront.tracers.buckets.blocks import OVERFLOW, STEP, WAITING
 from raybatch_addon.core.wavefront.tracers.buckets.policy import BucketChoice, BucketPolicy, Selection, Step
-from raybatch_addon.core.wavefront.tracers.buckets.policy_device import QUEUE, STEP_KIND, DevicePolicy
+from raybatch_addon.core.wavefront.tracers.buckets.policy_device import QUEUE, RULES, STEP_KIND, DevicePolicy
 from raybatch_addon.core.wavefront.tracers.buckets.queues import BucketQueues
 
 
@@ -87,6 +87,10 @@ def test_a_selection_without_a_rule_is_refused():
     policy = BucketPolicy(len(Selection), 0, 0, 1)
     with pytest.raises(ValueError, match="no rule for the selection"):
         choose(policy, (1, 0), (0, 0))
+    blocks = BucketQueues(4, 1, 1, 1, wp.get_device("cpu")).blocks
+    with pytest.raises(ValueError, match="no rule for the selection"):
+        DevicePolicy(len(Selection), 0, 0, 1, 0, blocks)
+    assert sorted(RULES) == list(Selection)
 
 
 WAYS = [("cpu", False), ("cpu", True)] + [(device.alias, True) for device in wp.get_cuda_devices()]

@@ -20,7 +20,9 @@ SIZES = (1024, 64, 8, 1)
 # Threads at most
 _THREADS = 4096
 
-_MOST_FULL, _NEXT, _ALL = (wp.constant(int(each)) for each in (Selection.MOST_FULL, Selection.NEXT, Selection.ALL))
+# Selections with a rule here: all but ALL, which serves every bucket, in `bucket_key`, and ALL in `decide`
+RULES = (Selection.MOST_FULL, Selection.NEXT, Selection.RANDOM, Selection.ALL)
+_MOST_FULL, _NEXT, _RANDOM, _ALL = (wp.constant(int(each)) for each in RULES)
 _NOTHING, _TOP, _TREELET = (wp.constant(int(each)) for each in (Step.NOTHING, Step.TOP, Step.TREELET))
 _SWEEP, _UNBATCHED = (wp.constant(int(each)) for each in (Step.SWEEP, Step.UNBATCHED))
 
@@ -60,8 +62,10 @@ def bucket_key(policy: PolicyState, selection: int, bucket: int, load: int, step
     if selection == _NEXT:
         distance = policy.choice[LAST] - bucket
         return wp.where(distance < 0, distance + policy.bucket_count + 1, distance)
-    key = random_word(random_word(random_word(wp.uint32(0x9E3779B9), policy.seed), step), bucket)
-    return int(key >> wp.uint32(1))
+    if selection == _RANDOM:
+        key = random_word(random_word(random_word(wp.uint32(0x9E3779B9), policy.seed), step), bucket)
+        return int(key >> wp.uint32(1))
+    return 0
 
 
 @wp.func
@@ -211,7 +215,11 @@ class DevicePolicy:
         parallel: bool | None = None,
         capacity: int = 1,
     ):
-        """Rules as for `BucketPolicy`, for the queues in `blocks`. `capacity`: rays of a batch at most."""
+        """Rules as for `BucketPolicy`, for the queues in `blocks`. `capacity`: rays of a batch at most. Raises
+        `ValueError` for a selection without a rule.
+        """
+        if selection not in RULES:
+            raise ValueError(f"there is no rule for the selection {selection!r}: add one here and in `policy.py`")
         self.device = device = blocks.counts.device
         self.blocks, self.state = blocks, PolicyState()
         self._parallel = device.is_cuda if parallel is None else parallel

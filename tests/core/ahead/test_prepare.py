@@ -1,0 +1,44 @@
+"""What is to be told of compiled kernels is told by a render that goes on, whatever was cancelled before."""
+
+import time
+
+import pytest
+import warp as wp
+
+from raybatch_addon.core.ahead.prepare import Preparation
+from raybatch_addon.core.device.notes import note, take_notes
+
+SECONDS_MOST = 60.0  # until a thread that has nothing to do has done it
+
+
+@pytest.fixture(autouse=True)
+def nothing_noted():
+    """Other tests leave no notes here, and find none of these."""
+    take_notes()
+    yield
+    take_notes()
+
+
+def test_a_render_that_goes_on_tells_the_notes():
+    note("the kernel of a test was damaged")
+    preparation = Preparation([], wp.get_device("cpu"), None, lambda: False)
+    preparation.run(lambda: "the scene", lambda: False, lambda *progress: None)
+    assert preparation.warnings == ["the kernel of a test was damaged"]
+    assert take_notes() == []
+
+
+def test_a_render_that_is_cancelled_leaves_the_notes_to_the_next_one():
+    note("the kernel of another test was damaged")
+    preparation = Preparation([], wp.get_device("cpu"), None, lambda: False)
+
+    def kernels_are_loaded():
+        return "compile" in preparation.seconds
+
+    def build():
+        until = time.monotonic() + SECONDS_MOST
+        while not preparation.is_given_up() and time.monotonic() < until:
+            time.sleep(0.001)
+
+    assert preparation.run(build, kernels_are_loaded, lambda *progress: None) == (None, [])
+    assert preparation.warnings == []
+    assert take_notes() == ["the kernel of another test was damaged"]
