@@ -20,7 +20,7 @@ from .connect import ConnectFeatures, make_arrived
 from .history import DEPTHS
 from .limits import PathLimits, has_light
 from .surface_features import SurfaceFeatures
-from .surface_program import make_surface_program, shading_point
+from .surface_program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
 from .work import ShadingStage, TileWork
 
 CONNECT = int(ShadingStage.CONNECT)
@@ -39,7 +39,7 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
     transparency = make_bsdf(ClosureFeatures(features.closures)).transparency
     arrived = make_arrived(connect)
     programs = features.programs
-    surface_closures = make_surface_program(programs)
+    run_surface = make_surface_program(programs)
 
     @wp.func
     def connect_transparent(
@@ -56,25 +56,30 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
         elif wp.static(not programs.apart) or work.stage != wp.static(CONNECT):
             surface = surface_point(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot])
             if wp.static(bool(programs)):
-                point = shading_point(
-                    surface,
-                    -rays.direction[slot],
-                    rays.hit_instance[slot],
-                    rays.hit_primitive[slot],
-                    rays.hit_uv[slot],
-                    paths.shadow_t[path] + rays.hit_t[slot],
-                )
-                point.ray_kind = wp.static(int(Visibility.SHADOW))
-                point.bounce = bounce_to_light(status)
-                if wp.static(features.path_history):
-                    point.history = paths.shadow_history[path] & wp.static(DEPTHS)
-                point.passed = passed / wp.static(SHADOW_PASS)
-                records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
-                closures = wp.array(
-                    ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord
-                )
+                address = fixed_closures(data, surface.material)
                 first = int(0)
-                end = surface_closures(data, surface.material, point, closures)
+                end = int(0)
+                program = program_of(data, surface.material)
+                if program >= 0:
+                    point = shading_point(
+                        surface,
+                        -rays.direction[slot],
+                        rays.hit_instance[slot],
+                        rays.hit_primitive[slot],
+                        rays.hit_uv[slot],
+                        paths.shadow_t[path] + rays.hit_t[slot],
+                    )
+                    point.ray_kind = wp.static(int(Visibility.SHADOW))
+                    point.bounce = bounce_to_light(status)
+                    if wp.static(features.path_history):
+                        point.history = paths.shadow_history[path] & wp.static(DEPTHS)
+                    point.passed = passed / wp.static(SHADOW_PASS)
+                    records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+                    end = run_surface(data, program, point, records)
+                    address = address_of(records)
+                else:
+                    end = fixed_closure_count(data, surface.material)
+                closures = wp.array(ptr=address, shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
             else:
                 closures = data.materials.closures
                 first = data.materials.closure_first[surface.material]

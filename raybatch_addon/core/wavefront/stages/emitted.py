@@ -12,7 +12,7 @@ from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
 from ...shading.surface import make_surface
 from ..scene.scene_data import SceneData
-from .surface_program import make_surface_program, shading_point
+from .surface_program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
 
 # How long a ray into the world is, as Cycles has it: the largest float32
 _FARTHEST = float(np.finfo(np.float32).max)
@@ -62,7 +62,7 @@ def make_surface_emission(programs: ProgramFeatures, instancing: bool, smooth_no
     them.
     """
     surface_point = make_surface(instancing, smooth_normals).point
-    surface_closures = make_surface_program(programs)
+    run_surface = make_surface_program(programs)
 
     @wp.func
     def surface_emission(
@@ -81,8 +81,17 @@ def make_surface_emission(programs: ProgramFeatures, instancing: bool, smooth_no
         point.bounce = bounce
         point.passed = passed
         point.history = history
-        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
-        closures = wp.array(ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
-        return emission_of(closures, surface_closures(data, surface.material, point, closures))
+        program = program_of(data, surface.material)
+        address = fixed_closures(data, surface.material)
+        count = int(0)
+        if program >= 0:
+            records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+            count = run_surface(data, program, point, records)
+            address = address_of(records)
+        else:
+            count = fixed_closure_count(data, surface.material)
+        return emission_of(
+            wp.array(ptr=address, shape=(wp.static(programs.closure_count),), dtype=ClosureRecord), count
+        )
 
     return surface_emission

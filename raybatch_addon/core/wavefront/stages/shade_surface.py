@@ -37,7 +37,7 @@ from .generate import pixel_sample
 from .history import history_after
 from .limits import PathLimits, has_light
 from .surface_features import SurfaceFeatures
-from .surface_program import make_surface_program, shading_point
+from .surface_program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
 from .walk import STEPS_MOST, make_walk_begin, walk_dimension
 from .work import TileWork
 
@@ -63,7 +63,7 @@ def make_shade_surface(features: SurfaceFeatures) -> wp.Function:
     gather_emission = make_gather_emission(bsdf.emission, lights.hit_pdf, hit_weight, features.clamping)
     connect_light = make_connect_light(features, bsdf.evaluate, lights.sample, sample_weight)
     programs = features.programs
-    surface_closures = make_surface_program(programs)
+    run_surface = make_surface_program(programs)
     begin_walk = make_walk_begin(features.sample_sequence)
 
     @wp.func
@@ -93,43 +93,50 @@ def make_shade_surface(features: SurfaceFeatures) -> wp.Function:
         surface = surface_point(data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path])
         frame = shading_frame(surface, wo)
         if wp.static(bool(programs)):
-            point = shading_point(
-                surface, wo, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], passed_t + hit_t
-            )
-            point.ray_kind = visibility_of(status)
-            point.bounce = bounce
-            point.passed = passed
-            if wp.static(features.path_history):
-                point.history = paths.history[path]
-            records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
-            closures = wp.array(
-                ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord
-            )
+            address = fixed_closures(data, surface.material)
             first = int(0)
-            end = surface_closures(data, surface.material, point, closures)
+            end = int(0)
+            program = program_of(data, surface.material)
+            if program >= 0:
+                point = shading_point(
+                    surface, wo, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], passed_t + hit_t
+                )
+                point.ray_kind = visibility_of(status)
+                point.bounce = bounce
+                point.passed = passed
+                if wp.static(features.path_history):
+                    point.history = paths.history[path]
+                records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+                end = run_surface(data, program, point, records)
+                address = address_of(records)
+            else:
+                end = fixed_closure_count(data, surface.material)
+            made = wp.array(ptr=address, shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
             if wp.static("surface_normal" in programs.ops):
-                if end > 0 and closures[0].kind == wp.static(SURFACE_NORMAL):
+                if end > 0 and made[0].kind == wp.static(SURFACE_NORMAL):
                     first = 1
-                    frame.normal = closures[0].normal
+                    frame.normal = made[0].normal
                     frame.tangent = tangent_of(frame.normal)
                     frame.bitangent = bitangent_of(frame.normal)
+            if wp.static(features.subsurface):
+                if comes_out:  # Lambert's law, about the medium's own normal
+                    white = new_closure(wp.static(int(ClosureKind.DIFFUSE)), wp.vec3(1.0))
+                    for c in range(first, end):
+                        if made[c].kind == wp.static(int(ClosureKind.SUBSURFACE)):
+                            white.normal = made[c].normal
+                    one = wp.zeros(wp.static(RECORD_FLOATS), dtype=float)
+                    whites = wp.array(ptr=address_of(one), shape=(1,), dtype=ClosureRecord)
+                    whites[0] = white
+                    address = address_of(one)
+                    first = 0
+                    end = 1
+            closures = wp.array(ptr=address, shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
         else:
             closures = data.materials.closures
             first = int(data.materials.closure_first[surface.material])
             end = int(data.materials.closure_first[surface.material + 1])
-        if wp.static(features.subsurface):
-            if comes_out:  # Lambert's law, about the medium's own normal
-                if wp.static(bool(programs)):
-                    normal = wp.vec3(0.0)
-                    for c in range(first, end):
-                        if closures[c].kind == wp.static(int(ClosureKind.SUBSURFACE)):
-                            normal = closures[c].normal
-                    white = new_closure(wp.static(int(ClosureKind.DIFFUSE)), wp.vec3(1.0))
-                    white.normal = normal
-                    first = 0
-                    end = 1
-                    closures[0] = white
-                else:
+            if wp.static(features.subsurface):
+                if comes_out:  # a white closure lies behind those of the materials
                     end = closures.shape[0]
                     first = end - 1
 

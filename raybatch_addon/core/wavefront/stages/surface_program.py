@@ -10,7 +10,7 @@ from ...programs.point import ShadingPoint
 from ...programs.run import make_run
 from ...scene.geometry import triangle_vertices
 from ...scene.program import ProgramFeatures
-from ...shading.bsdf.materials import ClosureRecord
+from ...shading.bsdf.materials import ClosureRecord, address_of
 from ...shading.surface import SurfacePoint
 from ..scene.scene_data import SceneData
 
@@ -73,32 +73,44 @@ def _in_triangle(edge_1: wp.vec3, edge_2: wp.vec3, step: wp.vec3) -> wp.vec2:
     return result
 
 
+@wp.func
+def program_of(data: SceneData, material: int) -> int:
+    """The word of code at which the program of `material` begins; -1 where it has none."""
+    if data.nodes.program_first.shape[0] > 0:  # the general kernels shade scenes without programs too
+        return data.nodes.program_first[material]
+    return -1
+
+
+@wp.func_native("return reinterpret_cast<wp::uint64>(closures.data + first);")
+def _address_of_closure(closures: wp.array(dtype=ClosureRecord), first: int) -> wp.uint64: ...
+
+
+@wp.func
+def fixed_closures(data: SceneData, material: int) -> wp.uint64:
+    """The address of the first closure of a material without program, which nobody may write."""
+    return _address_of_closure(data.materials.closures, data.materials.closure_first[material])
+
+
+@wp.func
+def fixed_closure_count(data: SceneData, material: int) -> int:
+    """How many closures a material without program has."""
+    return data.materials.closure_first[material + 1] - data.materials.closure_first[material]
+
+
 @functools.cache
 def make_surface_program(features: ProgramFeatures) -> wp.Function:
-    """Function (data, material: int, point, closures) -> int: fills `closures`, a local array of `closure_count`
-    records; their number.
-
-    Materials without program have their closures copied.
+    """Function (data, first: int, point, records) -> int: runs the program at word `first`, which writes closures to
+    `records`, a local array of `closure_count` records as floats; their number.
     """
     run = make_run(features)
     bumps = "bump" in features.ops
 
     @wp.func
-    def surface_closures(
-        data: SceneData, material: int, point: ShadingPoint, closures: wp.array(dtype=ClosureRecord)
-    ) -> int:
-        first = int(-1)
-        if data.nodes.program_first.shape[0] > 0:  # the general kernels shade scenes without programs too
-            first = data.nodes.program_first[material]
-        if first >= 0:
-            stack = wp.zeros(wp.static(features.register_count), dtype=float)
-            if wp.static(bumps):
-                return run(data.nodes, stack, first, with_steps(data.nodes, point), closures)
-            return run(data.nodes, stack, first, point, closures)
-        count = int(0)
-        for c in range(data.materials.closure_first[material], data.materials.closure_first[material + 1]):
-            closures[count] = data.materials.closures[c]
-            count += 1
-        return count
+    def run_surface(data: SceneData, first: int, point: ShadingPoint, records: wp.array(dtype=float)) -> int:
+        stack = wp.zeros(wp.static(features.register_count), dtype=float)
+        closures = wp.array(ptr=address_of(records), shape=(wp.static(features.closure_count),), dtype=ClosureRecord)
+        if wp.static(bumps):
+            return run(data.nodes, stack, first, with_steps(data.nodes, point), closures)
+        return run(data.nodes, stack, first, point, closures)
 
-    return surface_closures
+    return run_surface
