@@ -1,4 +1,4 @@
-"""The general kernels, with which any scene can begin on a CPU: where none that fit were shipped, they are compiled
+"""The general kernels, with which any scene can begin: where none that fit were shipped, they are compiled
 in a process of their own once RayBatch is enabled.
 """
 
@@ -18,7 +18,7 @@ def start() -> None:
         return
     _failure = ""
     try:
-        _process = CompileProcess("cpu", kernel_cache_folder())
+        _process = CompileProcess("ALL", kernel_cache_folder())
     except OSError as error:
         _process, _failure = None, f"no process could be started: {error}"
 
@@ -37,7 +37,7 @@ def state() -> str:
     if not _process:
         return "not looked for yet"
     notes = _process.notes()
-    return f"ready: on the CPU a scene's first render waits for no compiler{'; ' if notes else ''}{notes}"
+    return f"ready: a scene's first render waits for no compiler{'; ' if notes else ''}{notes}"
 
 
 def stop() -> None:

@@ -16,25 +16,27 @@ from ..wavefront.kernels import StageKernels
 from .process import CompileProcess
 from .request import CompileRequest
 
-# Share of their time that general kernels lose to specialised ones (on a CPU: 0.23 to 0.31)
+# Share of their time that general kernels lose to specialised ones
 _LOSS = 0.25
+# Share of the compiler's time that it takes from a render on a GPU, which leaves processors idle
+_CUDA_COST = 0.1
 _POLL_SECONDS = 0.1
 
 
 def pays(request: CompileRequest, spent: float, left: float | None, device: wp.Device) -> bool:
     """Whether it is time to compile the specialised kernels.
 
-    To compile takes processors away from a render on the CPU, and pays where what is `left` of it [s] loses more by
-    general kernels than that. Where it is short, nobody knows how many more renders of the kind there will be: then it
-    is time when those so far have lost as much as compiling costs, which takes twice as long as the best choice at most
-    (the ski rental problem; Karlin et al. 1988).
+    To compile takes processors away from a render on the CPU, and little from one on a GPU; it pays where what is
+    `left` of the render [s] loses more by general kernels than that. Where it is short, nobody knows how many more
+    renders of the kind there will be: then it is time when those so far have lost as much as compiling costs, which
+    takes twice as long as the best choice at most (the ski rental problem; Karlin et al. 1988).
 
     Args:
         spent: how long general kernels have rendered such scenes [s].
         left: of this render, if known [s].
     """
     seconds = request.expected_seconds
-    cost = seconds / worker_count(device, request.settings.thread_count)
+    cost = seconds * _CUDA_COST if device.is_cuda else seconds / worker_count(device, request.settings.thread_count)
     worth_it = left is not None and left > seconds and (left - seconds) * _LOSS > cost
     return worth_it or spent * _LOSS > cost
 

@@ -30,8 +30,9 @@ class CompileProcess:
     """Compiles kernels; begins at once, and ends with this process at the latest. Warp need not be there yet."""
 
     def __init__(self, device: str, cache_folder: str | Path, request: Request | None = None):
-        """For `device` (AUTO, cpu or cuda:N) into `cache_folder`. `request`: what to compile (default: the general
-        kernels). Raises `OSError` where no process can be started.
+        """For `device` (AUTO, cpu, cuda:N, or ALL: the CPU and a GPU of each kind) into `cache_folder`.
+
+        `request`: what to compile (default: the general kernels). Raises `OSError` where no process can be started.
         """
         self._last_line = ""
         order = {
@@ -119,7 +120,7 @@ def compile_as_asked() -> None:
         data = pipe.read(data_length)
         threading.Thread(target=_end_with, args=(pipe,), daemon=True).start()
         sys.path += [path for path in order["paths"] if path not in sys.path]
-        from ..device.devices import find_device, load_kernels, start_warp
+        from ..device.devices import find_device, load_kernels, one_of_each_kind, start_warp
         from ..device.kept_kernels import keep_or_fail, remove_abandoned
         from ..device.notes import take_notes
         from .request import GeneralRequest, decode_request
@@ -127,9 +128,9 @@ def compile_as_asked() -> None:
         keep_or_fail()
         start_warp(order["cache"])
         remove_abandoned()
-        device = find_device(order["device"])
         request = decode_request(data, order["core"]) if data else GeneralRequest()
-        load_kernels(request.kernels(device), device, lambda done, total: None)
+        for device in [find_device(order["device"])] if order["device"] != "ALL" else one_of_each_kind():
+            load_kernels(request.kernels(device), device, lambda done, total: None)
         told.write("; ".join(take_notes()))
         told.close()
     except Exception as error:  # whatever it is, who asked goes on without, and says so

@@ -114,6 +114,12 @@ def find_device(name: str) -> wp.Device:
     return device
 
 
+def one_of_each_kind() -> list[wp.Device]:
+    """The CPU, and a CUDA device of each architecture: others of it run the same kernels."""
+    first = {device.arch: device for device in reversed(wp.get_cuda_devices())}
+    return [wp.get_device("cpu"), *first.values()]
+
+
 def worker_count(device: wp.Device, thread_count: int) -> int:
     """Worker threads of a render: every core of the CPU by default; one drives a CUDA device."""
     if device.is_cuda:

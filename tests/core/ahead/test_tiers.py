@@ -7,6 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -205,6 +206,9 @@ def test_when_compiling_pays():
     assert not pays(request, 0.0, None, device) and not pays(request, 0.0, seconds, device)
     assert pays(request, 0.0, 6 * seconds, device), "a long render"
     assert not pays(request, 3 * seconds, 1.0, device) and pays(request, 5 * seconds, 1.0, device), "many short ones"
+    gpu = SimpleNamespace(is_cuda=True)
+    assert not pays(request, 0.0, seconds, gpu)
+    assert pays(request, 0.0, 2 * seconds, gpu) and not pays(request, 0.0, 2 * seconds, device), "processors are idle"
 
 
 def test_a_request_reaches_another_process_whole():
