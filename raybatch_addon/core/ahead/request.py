@@ -13,7 +13,7 @@ from ..bvh.build.scene_tree import build_kernels, layout_for
 from ..scene.description import CameraKind, ClosureKind
 from ..scene.features import SCATTERING, SceneFeatures
 from ..settings.settings import RenderSettings
-from ..wavefront.kernels import StageKernels, tracing_kernels
+from ..wavefront.kernels import StageKernels, tracing_kernels, without_programs
 from ..wavefront.plan.plan import Method, TracingPlan
 from ..wavefront.plan.tracing import Tracing
 from ..wavefront.tier import general_features, general_kernels
@@ -70,6 +70,7 @@ class GeneralRequest:
         # shadow rays ask for closest hits only where surfaces are transparent
         opaque = tuple(kind for kind in SCATTERING if kind != ClosureKind.SUBSURFACE)
         scenes += [dataclasses.replace(scene, closures=opaque) for scene in scenes[:4]]
+        scenes += [without_programs(scene) for scene in scenes[:1]]
         for features in scenes:
             found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), general).kernels(device)
         return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import warp as wp
@@ -11,6 +12,7 @@ from ..film import layout_of
 from ..film.tile import add_spill_kernel, resolve_kernel
 from ..measure.counters import count_kernel
 from ..scene.features import SceneFeatures, narrow
+from ..scene.program import ProgramFeatures
 from ..settings.settings import RenderSettings
 from ..shading.lights.light_hits import LightHitFeatures
 from .order.hit_order import hit_key_kernel
@@ -59,7 +61,7 @@ class StageKernels:
             generate=generate_kernel(narrow(begun, GenerateFeatures)),
             settle=settle_kernel,
             walk=walk_kernel(narrow(features, WalkFeatures)) if features.subsurface else None,
-            shading=_shading_kernels(shading, [stage for stage in ShadingStage if has[stage]]),
+            shading=_shading_kernels(features, shading, [stage for stage in ShadingStage if has[stage]]),
             accumulate=accumulate_kernel(layout),
             resolve=resolve_kernel(layout),
         )
@@ -71,10 +73,42 @@ class StageKernels:
         return list(dict.fromkeys(kernel for kernel in kernels if kernel is not None))
 
 
-def _shading_kernels(shading: SceneFeatures, stages: list[ShadingStage]) -> dict[ShadingStage, wp.Kernel]:
-    """Kernels of `stages`; all the same where `shading` is that of all scenes."""
+def _shading_kernels(
+    features: SceneFeatures, shading: SceneFeatures, stages: list[ShadingStage]
+) -> dict[ShadingStage, wp.Kernel]:
+    """Kernels of `stages`. Where `shading` is that of all scenes, stages that run a program are one kernel; it takes so
+    many registers that a GPU has few threads of it, so the others are kernels of their own.
+    """
+    if not shading.programs.apart:
+        return {stage: stage_kernel(_stage_functions(shading)[stage]()) for stage in stages}
+    any_program = bool(features.programs or features.world_program or features.lamp_program)
+    runs_program = {
+        ShadingStage.SURFACE: any_program,
+        ShadingStage.CONNECT_TRANSPARENT: any_program,
+        ShadingStage.CONNECT: features.light_programs,
+        ShadingStage.LIGHT_HITS: bool(features.lamp_program),
+        ShadingStage.BACKGROUND: bool(features.world_program),
+    }
+    whole, simple = _stage_functions(shading), _stage_functions(without_programs(shading))
+    found = {stage: stage_kernel(simple[stage]()) for stage in stages if not runs_program[stage]}
+    if len(found) < len(stages):
+        kernel = all_stages_kernel(*(whole[stage]() for stage in ShadingStage if stage != ShadingStage.CONNECT))
+        found |= {stage: kernel for stage in stages if runs_program[stage]}
+    return found
+
+
+def without_programs(features: SceneFeatures) -> SceneFeatures:
+    """`features` of a scene whose materials, world and lamps are as they are, but for those that are programs."""
+    none = ProgramFeatures()
+    return dataclasses.replace(
+        features, programs=none, world_program=none, lamp_program=none, mesh_programs=False, world_light=False
+    )
+
+
+def _stage_functions(shading: SceneFeatures) -> dict[ShadingStage, Callable[[], wp.Function]]:
+    """What makes the functions of stages that are specialised on `shading`."""
     surface, connected = narrow(shading, SurfaceFeatures), narrow(shading, ConnectFeatures)
-    make = {
+    return {
         ShadingStage.SURFACE: lambda: make_shade_surface(surface),
         ShadingStage.BACKGROUND: lambda: make_background(narrow(shading, BackgroundFeatures)),
         ShadingStage.LIGHT_HITS: lambda: make_light_hits_stage(
@@ -83,10 +117,6 @@ def _shading_kernels(shading: SceneFeatures, stages: list[ShadingStage]) -> dict
         ShadingStage.CONNECT: lambda: make_connect_program(connected) if shading.light_programs else connect,
         ShadingStage.CONNECT_TRANSPARENT: lambda: make_connect_transparent(surface, connected),
     }
-    if shading.programs.apart:
-        kernel = all_stages_kernel(*(make[stage]() for stage in ShadingStage if stage != ShadingStage.CONNECT))
-        return dict.fromkeys(stages, kernel)
-    return {stage: stage_kernel(make[stage]()) for stage in stages}
 
 
 def tracing_kernels(

@@ -123,13 +123,13 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
         return specialised(why)
     if setting == "GENERAL":
         return general("as set")
-    stages = general_kernels()[0]
+    stages = list(StageKernels.choose(features, general_features()).shading.values())
     # where general kernels are at hand, nobody waits until the others are looked for by their code
-    at_hand = is_compiled(stages, device, at_once=True)
+    at_hand = all(is_compiled(kernel, device, at_once=True) for kernel in stages)
     if all(is_compiled(kernel, device, at_hand) for kernel in StageKernels.choose(features).shading.values()):
         return specialised("they were compiled before")
-    if at_hand or is_compiled(stages, device):
-        target = shipped_target(stages, device)
+    if at_hand or all(is_compiled(kernel, device) for kernel in stages):
+        target = shipped_target(stages[0], device)
         shipped = f" (shipped for {target})" if target else ""
         return general(f"they are ready{shipped}, and the specialised ones are not")
     return specialised("no others were compiled ahead")
@@ -137,7 +137,7 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
 
 @functools.cache
 def general_kernels() -> tuple[wp.Kernel, ...]:
-    """The kernels of the general tier: that of all stages, and that of all estimates."""
+    """The kernels of the general tier that run programs: that of all stages, and that of all estimates."""
     features = general_features()
     (stages,) = set(StageKernels.choose(features).shading.values())
     return stages, estimate_kernel(features, Estimate.TRIANGLES)
