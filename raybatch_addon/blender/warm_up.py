@@ -1,7 +1,7 @@
 """What each first render needs whatever its scene is, made before: the core is imported and general kernels declared.
 
-That takes one to two seconds of Python. In a Blender with a window it happens in a thread, once a scene of the file has
-RayBatch as its engine; other files never pay for it.
+That takes half a second of Python. It happens in a thread: in a Blender with a window once a scene of the file has
+RayBatch as its engine, else while Blender evaluates the scene that is to be rendered; other files never pay for it.
 """
 
 from __future__ import annotations

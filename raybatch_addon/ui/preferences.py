@@ -41,11 +41,12 @@ _classes = (RAYBATCH_OT_compile_general_kernels, RayBatchPreferences)
 
 
 def register() -> None:
-    """Add the preferences; where there is a window, general kernels are compiled once it is there, and what a first
-    render needs is made once a scene is RayBatch's.
+    """Add the preferences. What a first render needs is made while Blender evaluates its scene; where there is a
+    window, once a scene is RayBatch's, and general kernels are compiled once the window is there.
     """
     for each in _classes:
         bpy.utils.register_class(each)
+    bpy.app.handlers.render_init.append(_before_render)
     if not bpy.app.background and not bpy.app.module:
         bpy.app.timers.register(_compile, first_interval=1.0, persistent=True)
         bpy.app.timers.register(_warm_up, first_interval=1.0, persistent=True)
@@ -53,6 +54,8 @@ def register() -> None:
 
 def unregister() -> None:
     """Remove them, and end what still compiles."""
+    if _before_render in bpy.app.handlers.render_init:
+        bpy.app.handlers.render_init.remove(_before_render)
     for timer in (_compile, _look, _warm_up):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
@@ -74,6 +77,13 @@ def _warm_up() -> float | None:
         return 1.0
     warm_up.warm_up()
     return None
+
+
+@bpy.app.handlers.persistent
+def _before_render(scene: bpy.types.Scene, *_: object) -> None:
+    """A render of `scene` was asked for: Blender evaluates the scene next, and leaves Python to others meanwhile."""
+    if scene.render.engine == ENGINE:
+        warm_up.warm_up()
 
 
 def _look() -> float | None:
