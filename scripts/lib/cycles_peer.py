@@ -87,6 +87,9 @@ def make_unbiased(scene, settings: RenderSettings) -> None:
     cycles.blur_glossy = cycles.light_sampling_threshold = 0
     cycles.caustics_reflective = cycles.caustics_refractive = True
     cycles.use_fast_gi = False
+    # shadow caustics take the place of paths through casters, and show a part of their light
+    for each in (*bpy.data.lights, *bpy.data.worlds):
+        each.cycles.is_caustics_light = False
     cycles.texture_limit_render = "OFF"
     cycles.time_limit = 0
     cycles.pixel_filter_type, cycles.filter_width = settings.pixel_filter, settings.filter_width

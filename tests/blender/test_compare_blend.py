@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
+from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support.command_line import run_script
 
 bpy = pytest.importorskip("bpy")
@@ -62,6 +63,17 @@ def test_a_file_is_rendered_by_both_and_judged_by_its_sources(blend, tmp_path):
     with np.load(next((out / "files").glob("*.npz"))) as pictures:
         alone = [pictures[f"RAYBATCH/source-{number}-1"][..., :3].mean() for number in range(4)]
         assert pictures["RAYBATCH/all-1"].shape == (24, 32, 4) and min(alone) > 0
+
+
+def test_cycles_takes_no_shortcuts(scene):
+    from lib.cycles_peer import make_unbiased
+
+    lamp, scene.world = bpy.data.lights.new("Lamp", "SPOT"), bpy.data.worlds.new("World")
+    lamp.cycles.is_caustics_light = scene.world.cycles.is_caustics_light = True
+    scene.cycles.blur_glossy, scene.cycles.caustics_refractive = 1.0, False
+    make_unbiased(scene, RenderSettings(bounce_max=3))
+    assert not lamp.cycles.is_caustics_light and not scene.world.cycles.is_caustics_light
+    assert scene.cycles.blur_glossy == 0 and scene.cycles.caustics_refractive and scene.cycles.max_bounces == 3
 
 
 def test_a_scene_without_a_camera_is_a_row_that_says_so(blend, tmp_path, scene):
