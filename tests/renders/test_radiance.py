@@ -175,9 +175,7 @@ def test_irradiance_under_an_emissive_triangle_mesh(session):
 
 @GENERAL
 def test_all_ways_to_find_light_agree(session):
-    """A rough metal and a diffuse floor under a sun, a sphere, an area light and a glowing mesh, with and without
-    either strategy.
-    """
+    """A rough metal and a floor under a sun, a sphere, an area light and a glowing mesh, with and without either."""
     point = Light("ball", LightKind.POINT, scenes.translation(-0.8, 0, 0.9), (0.4,) * 3, radius=0.3, soft_falloff=False)
     down = np.array([[1, 0, 0, 0.9], [0, -1, 0, 0], [0, 0, -1, 0.8]], np.float32)
     scene = scenes.scene(
@@ -327,9 +325,7 @@ def test_depth_position_and_normal_are_those_of_the_surface(session):
 @pytest.mark.parametrize("bounce_max", [0, 2])
 @pytest.mark.parametrize("veil_count", [1, 4, 8])
 def test_an_invisible_veil_changes_nothing(session, bounce_max, veil_count):
-    """Fully transparent surfaces, as many as may be passed, lie between floor and light: both strategies pass them
-    alike.
-    """
+    """Fully transparent surfaces lie between floor and light, as many as may be passed: both strategies pass them."""
     veil = scenes.material(Closure(ClosureKind.TRANSPARENT, (1, 1, 1)))
     view = scenes.camera(eye=(0.0, -1e-3, 0.2), half_width=1e-4)
     floor = (scenes.plane(size=4), scenes.IDENTITY, scenes.diffuse(1.0))

@@ -18,9 +18,9 @@ from raybatch_addon.core.device.kernel import GENERAL_MODULE, KERNEL_OPTIONS
 from raybatch_addon.core.device.notes import take_notes
 from raybatch_addon.core.device.shipped import INDEX, LEVELS, fitting_targets
 from tests.core.device.small_kernels import ROOT, files_of, forget, keep_in, small_kernel, works
+from tests.support.running.kernels_to_ship import LOWEST, make_lowest
 
 pytestmark = pytest.mark.skipif(not can_be_made("linux-x64"), reason="kernels are shipped for Linux on x86-64")
-KEPT = ROOT / "build" / "kernels"  # as `package.py` keeps them
 BEST = "x86-64-v2"  # every processor has it
 
 
@@ -224,9 +224,9 @@ np.savez(sys.argv[1], **films)
 
 @pytest.fixture(scope="module")
 def general_folder(tmp_path_factory) -> Path:
-    """All that is shipped for the lowest level; compiled once a clone."""
+    """All that is shipped for the lowest level."""
     folder = tmp_path_factory.mktemp("shipped") / "kernels"
-    make_kernels(folder, KEPT, targets=fitting()[-1:])
+    make_lowest(folder)
     return folder
 
 
@@ -234,10 +234,9 @@ def test_shipped_general_kernels_give_the_films_of_specialised_ones(general_fold
     from raybatch_addon.core.session import Session
     from tests.core.ahead.test_tiers import SCENES, SETTINGS
 
-    level = fitting()[-1]  # the least like native instructions; other levels are a minute of compiling each
     kept = {"RAYBATCH_KERNEL_CACHE": str(tmp_path / "kept"), "WARP_CACHE_PATH": str(tmp_path / "kept")}
     environment = os.environ | kept | {"RAYBATCH_KERNEL_TIER": "AUTO"}
-    command = [sys.executable, "-c", RENDER, tmp_path / "films.npz", general_folder, level, ROOT, ROOT / "scripts"]
+    command = [sys.executable, "-c", RENDER, tmp_path / "films.npz", general_folder, LOWEST, ROOT, ROOT / "scripts"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     films = np.load(tmp_path / "films.npz")
