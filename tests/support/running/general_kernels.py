@@ -28,10 +28,15 @@ def by_general_kernels() -> Iterator[None]:
 
 
 def choose_general(features: SceneFeatures, setting: str, device: wp.Device) -> TierChoice:
-    """As `choose_tier`; general kernels of independent samples, which there are none of, are compiled once here."""
-    if setting == "AUTO" and not device.is_cuda and can_be_independent(features, device):
+    """As `choose_tier`, but general kernels where there are any, and no warning where there are none.
+
+    Those of independent samples, which no user has, are compiled once for all tests.
+    """
+    if setting != "AUTO":
+        return choose_tier(features, setting, device)
+    if can_be_independent(features, device):
         return TierChoice(independent_features(), True, setting, "kernels are shared with other tests")
-    return choose_tier(features, setting, device)
+    return choose_tier(features, "SPECIALISED" if why_not_general(features, device) else "GENERAL", device)
 
 
 def independent_features() -> SceneFeatures:
