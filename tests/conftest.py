@@ -60,6 +60,15 @@ def session(device, tmp_path_factory):
     opened.close()
 
 
+@pytest.fixture
+def general_kernels():
+    """Renders are by kernels that tests share: to compile specialised ones would take most of a test's time."""
+    from tests.support.running.general_kernels import by_general_kernels
+
+    with by_general_kernels():
+        yield
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_pyfunc_call(pyfuncitem):
     """Tests that compile for the CPU are skipped on machines whose Warp has no compiler for it."""

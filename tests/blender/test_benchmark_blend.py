@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.support.command_line import run_script
+from tests.support.scripts_here import call_script
 
 bpy = pytest.importorskip("bpy")
 
@@ -42,7 +42,7 @@ def test_both_engines_render_the_same_picture_with_about_the_same_noise(blend):
         "--equal-error",
         "--json",
     )
-    done = run_script("benchmark.py", "render", blend, *options)
+    done = call_script("benchmark.py", "render", blend, *options)
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert report["export_s"] > 0 and report["triangles"] == 32

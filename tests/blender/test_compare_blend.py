@@ -8,6 +8,7 @@ import pytest
 
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support.command_line import run_script
+from tests.support.scripts_here import call_script
 
 bpy = pytest.importorskip("bpy")
 
@@ -79,13 +80,13 @@ def test_cycles_takes_no_shortcuts(scene):
 def test_a_scene_without_a_camera_is_a_row_that_says_so(blend, tmp_path, scene):
     scene.camera = None
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
-    done = run_script("compare.py", blend, *SMALL, "--out", tmp_path / "out")
+    done = call_script("compare.py", blend, *SMALL, "--out", tmp_path / "out")
     assert done.returncode == 1 and "has no camera: add one" in done.stderr
 
 
 def test_a_damaged_file_is_a_row_that_says_so(blend, tmp_path):
     blend.write_bytes(blend.read_bytes()[:100])
-    done = run_script("compare.py", blend, *SMALL, "--out", tmp_path / "out")
+    done = call_script("compare.py", blend, *SMALL, "--out", tmp_path / "out")
     assert done.returncode == 1 and "cannot open it" in done.stderr, done.stderr
 
 

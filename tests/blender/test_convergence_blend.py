@@ -5,6 +5,7 @@ import json
 import pytest
 
 from tests.support.command_line import error_line, run_script
+from tests.support.scripts_here import call_script
 
 bpy = pytest.importorskip("bpy")
 
@@ -50,7 +51,7 @@ def test_cycles_competes_at_its_own_samples(blend, tmp_path):
         "--html",
         tmp_path / "page.html",
     )
-    done = run_script("convergence.py", blend, *options, RAYBATCH_REFERENCES=tmp_path / "kept")
+    done = call_script("convergence.py", blend, *options, RAYBATCH_REFERENCES=tmp_path / "kept")
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     ours, theirs = report["runs"]
@@ -80,7 +81,7 @@ def test_cycles_competes_at_its_own_samples(blend, tmp_path):
         "0.3",
         "--json",
     )
-    done = run_script("convergence.py", blend, *options, RAYBATCH_REFERENCES=tmp_path / "kept")
+    done = call_script("convergence.py", blend, *options, RAYBATCH_REFERENCES=tmp_path / "kept")
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     (only,) = report["references"]
@@ -104,7 +105,7 @@ def test_cycles_renders_as_it_was_asked_to_after_references_for_others(blend, tm
         "--reference-samples",
         "4096",
     )
-    done = run_script("convergence.py", blend, *options, "--json", RAYBATCH_REFERENCES=tmp_path / "kept")
+    done = call_script("convergence.py", blend, *options, "--json", RAYBATCH_REFERENCES=tmp_path / "kept")
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     ours, _, theirs = report["summary"]
@@ -153,11 +154,11 @@ def test_a_set_up_time_that_is_unknown_is_reported(blend, tmp_path):
 def test_a_blend_that_cannot_be_opened_is_one_line(tmp_path):
     (tmp_path / "a.blend").write_bytes(b"no blend")
     line = error_line(
-        run_script("convergence.py", tmp_path / "a.blend", "--device", "cpu", "--html", tmp_path / "new/page.html")
+        call_script("convergence.py", tmp_path / "a.blend", "--device", "cpu", "--html", tmp_path / "new/page.html")
     )
     assert "a.blend cannot be opened" in line and not (tmp_path / "new").exists()
 
 
 def test_cycles_knows_no_halves(blend):
-    line = error_line(run_script("convergence.py", blend, *OPTIONS, "--against", "cycles", "--reference", "halves"))
+    line = error_line(call_script("convergence.py", blend, *OPTIONS, "--against", "cycles", "--reference", "halves"))
     assert "choose another for --against cycles" in line

@@ -14,9 +14,9 @@ import pytest
 from lib.shipped_kernels import can_be_made
 from PIL import Image
 
-from raybatch_addon.core.device.shipped import LEVELS
 from raybatch_addon.core.measure.statistics import VERSION
 from tests.support.command_line import ROOT, run_python, run_script
+from tests.support.running.kernels_to_ship import LOWEST, make_lowest
 
 pytest.importorskip("bpy")
 ZIP_BYTES_MOST = 220 << 20
@@ -126,10 +126,31 @@ def linux_zip(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def zip_with_kernels(tmp_path_factory) -> Path:
-    """The zip as users get it, but with kernels for the lowest level alone: others are a minute of compiling each."""
+    """The zip as users get it, but with kernels for the lowest level alone."""
     if not can_be_made("linux-x64"):
         pytest.skip("kernels are shipped for x86-64")
-    return linux_zip_of(tmp_path_factory.mktemp("dist"), "--targets", list(LEVELS)[-1])
+    make_lowest(tmp_path_factory.mktemp("kernels") / "made")  # which the script finds again
+    return linux_zip_of(tmp_path_factory.mktemp("dist"), "--targets", LOWEST)
+
+
+def installed_in(home: Path, made: Path) -> subprocess.CompletedProcess:
+    """The zip `made`, installed into a Blender whose files are in `home`, after a render to `home`/out.png."""
+    done = run_python(INSTALL_AND_RENDER, made, home / "out.png", ROOT, **environment_of(home))
+    assert done.returncode == 0 and "left [] []" in done.stdout, done.stderr
+    return done
+
+
+def environment_of(home: Path) -> dict:
+    """Kernels are kept where the extension keeps them, and chosen as for a user."""
+    return {"BLENDER_USER_RESOURCES": home, "RAYBATCH_KERNEL_CACHE": "", "RAYBATCH_KERNEL_TIER": "AUTO"}
+
+
+@pytest.fixture(scope="module")
+def home_without(linux_zip, tmp_path_factory) -> Path:
+    """A Blender with the zip without kernels, which has rendered."""
+    home = tmp_path_factory.mktemp("without")
+    assert "shipped for" not in installed_in(home, linux_zip).stdout
+    return home
 
 
 def test_the_zip_with_kernels_is_not_too_large(zip_with_kernels):
@@ -137,27 +158,23 @@ def test_the_zip_with_kernels_is_not_too_large(zip_with_kernels):
     with zipfile.ZipFile(zip_with_kernels) as file:
         index = json.loads(file.read("kernels/index.json"))
         names = set(file.namelist())
-    assert list(index["targets"]) == list(LEVELS)[-1:] and any("raybatch_general" in name for name in index["modules"])
+    assert list(index["targets"]) == [LOWEST] and any("raybatch_general" in name for name in index["modules"])
     for entry in index["modules"].values():
         for target, binary in entry["binaries"].items():
             assert f"kernels/{target}/{binary['file']}" in names
 
 
-def test_the_first_render_uses_the_shipped_kernels(zip_with_kernels, linux_zip, tmp_path):
+def test_the_first_render_uses_the_shipped_kernels(zip_with_kernels, home_without, tmp_path):
     """They are read where they are installed, a folder that nobody need write; nothing that shades is compiled, and
     the picture is that of a zip without any.
     """
-    pictures = {}
-    for name, made in {"with": zip_with_kernels, "without": linux_zip}.items():
-        out, home = tmp_path / f"{name}.png", tmp_path / name
-        environment = {"BLENDER_USER_RESOURCES": home, "RAYBATCH_KERNEL_CACHE": "", "RAYBATCH_KERNEL_TIER": "AUTO"}
-        done = run_python(INSTALL_AND_RENDER, made, out, ROOT, **environment)
-        assert done.returncode == 0 and "left [] []" in done.stdout, done.stderr
+    assert "shipped for x86-64" in installed_in(tmp_path, zip_with_kernels).stdout
+    pictures = []
+    for home in (tmp_path, home_without):
         kept = list((home / "extensions/.user/user_default/raybatch/kernels").rglob("wp_*.o"))
-        assert bool(kept) == (name == "without"), kept
-        assert ("shipped for x86-64" in done.stdout) == (name == "with"), done.stdout
-        pictures[name] = Image.open(out).tobytes()
-    assert pictures["with"] == pictures["without"]
+        assert bool(kept) == (home == home_without), kept
+        pictures.append(Image.open(home / "out.png").tobytes())
+    assert pictures[0] == pictures[1]
 
 
 def test_the_zip_holds_the_addon_its_manifest_and_warp(linux_zip):
@@ -176,16 +193,12 @@ def test_the_zip_holds_the_addon_its_manifest_and_warp(linux_zip):
     assert not [name for name in names if "__pycache__" in name or name.endswith(".pyc")]
 
 
-def test_blender_without_warp_renders_with_it(linux_zip, tmp_path):
-    out, again = tmp_path / "out.png", tmp_path / "again.png"
-    environment = {"BLENDER_USER_RESOURCES": tmp_path / "blender", "RAYBATCH_KERNEL_CACHE": ""}
-    done = run_python(INSTALL_AND_RENDER, linux_zip, out, ROOT, **environment)
-    assert done.returncode == 0, done.stderr
-    assert "left [] []" in done.stdout
-    picture = Image.open(out)
+def test_blender_without_warp_renders_with_it(home_without, tmp_path):
+    again, environment = tmp_path / "again.png", environment_of(home_without)
+    picture = Image.open(home_without / "out.png")
     assert picture.size == (32, 32)
     assert len(picture.convert("RGB").getcolors()) > 10  # the cube of the start-up file, lit
-    folder = tmp_path / "blender/extensions/.user/user_default/raybatch/kernels"  # the extension's own
+    folder = home_without / "extensions/.user/user_default/raybatch/kernels"  # the extension's own
     kernels = {path: path.stat().st_mtime_ns for path in folder.rglob("wp_*") if path.is_file()}
     assert kernels
 

@@ -7,45 +7,9 @@ import pytest
 from PIL import Image
 
 from tests.support.command_line import error_line, run_python, run_script
+from tests.support.scripts_here import call_script
 
-pytest.importorskip("bpy")
-
-# Writes a small scene: a cube that rises a metre a frame, two view layers of which one lacks it
-MAKE_SCENE = """
-import sys
-import bpy
-import raybatch_addon
-raybatch_addon.register()
-bpy.ops.wm.read_factory_settings(use_empty=True)
-scene = bpy.context.scene
-scene.render.engine = "RAYBATCH"
-scene.render.resolution_x, scene.render.resolution_y, scene.frame_current = 24, 16, 2
-scene.raybatch.device, scene.raybatch.sample_count = "cpu", 2
-hidden = bpy.data.collections.new("hidden")
-scene.collection.children.link(hidden)
-bpy.ops.mesh.primitive_cube_add(size=2)
-cube = bpy.context.object
-scene.collection.objects.unlink(cube)
-hidden.objects.link(cube)
-for frame in (1, 4):
-    cube.location.z = frame - 1
-    cube.keyframe_insert("location", frame=frame)
-subdivision = cube.modifiers.new("Subdivision", "SUBSURF")
-subdivision.levels, subdivision.render_levels = 0, 3
-if "no camera" not in sys.argv:
-    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.location, camera.rotation_euler = (0, -8, 0.5), (1.5707963, 0, 0)
-    scene.collection.objects.link(camera)
-    scene.camera = camera
-scene.world = bpy.data.worlds.new("World")
-scene.world.color = (0.2, 0.4, 0.6)
-scene.render.image_settings.color_mode = "RGBA"
-if "layers" in sys.argv:
-    layer = scene.view_layers.new("Empty")
-    layer.layer_collection.children["hidden"].exclude = True
-    layer.use_pass_z = True
-bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
-"""
+bpy = pytest.importorskip("bpy")
 
 # the steps of a person: open the file, render, save
 RENDER_BY_HAND = """
@@ -63,19 +27,47 @@ bpy.ops.render.render(write_still=True)
 
 
 def make_scene(path, *words):
-    done = run_python(MAKE_SCENE, path, *words)
-    assert done.returncode == 0, done.stderr
+    """Write a small scene: a cube that rises a metre a frame, two view layers of which one lacks it."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.engine = "RAYBATCH"
+    scene.render.resolution_x, scene.render.resolution_y, scene.frame_current = 24, 16, 2
+    scene.raybatch.device, scene.raybatch.sample_count = "cpu", 2
+    hidden = bpy.data.collections.new("hidden")
+    scene.collection.children.link(hidden)
+    bpy.ops.mesh.primitive_cube_add(size=2)
+    cube = bpy.context.object
+    scene.collection.objects.unlink(cube)
+    hidden.objects.link(cube)
+    for frame in (1, 4):
+        cube.location.z = frame - 1
+        cube.keyframe_insert("location", frame=frame)
+    subdivision = cube.modifiers.new("Subdivision", "SUBSURF")
+    subdivision.levels, subdivision.render_levels = 0, 3
+    if "no camera" not in words:
+        camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+        camera.location, camera.rotation_euler = (0, -8, 0.5), (1.5707963, 0, 0)
+        scene.collection.objects.link(camera)
+        scene.camera = camera
+    scene.world = bpy.data.worlds.new("World")
+    scene.world.color = (0.2, 0.4, 0.6)
+    scene.render.image_settings.color_mode = "RGBA"
+    if "layers" in words:
+        layer = scene.view_layers.new("Empty")
+        layer.layer_collection.children["hidden"].exclude = True
+        layer.use_pass_z = True
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
     return path
 
 
 @pytest.fixture(scope="module")
-def blend(tmp_path_factory):
+def blend(addon, tmp_path_factory):
     """A scene of one view layer."""
     return make_scene(tmp_path_factory.mktemp("blend") / "one.blend")
 
 
-def run(*arguments):
-    done = run_script("render.py", *arguments)
+def run(*arguments, by=call_script):
+    done = by("render.py", *arguments)
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""
 
@@ -98,6 +90,7 @@ def test_one_frame_with_everything(blend, tmp_path):
         out / "a.json",
         "--save-scene",
         out / "a.scene.npz",
+        by=run_script,
     )
     assert names(out) == ["a.json", "a.npz", "a.png", "a.scene.npz"]
     statistics = json.loads((out / "a.json").read_text())
@@ -179,7 +172,7 @@ def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):
     assert names(again) == ["rays0001.png", "rays0002.png"]
 
 
-def test_view_layers_size_and_format(tmp_path):
+def test_view_layers_size_and_format(addon, tmp_path):
     blend = make_scene(tmp_path / "two.blend", "layers")
     out = tmp_path / "out"
     run(
@@ -237,7 +230,7 @@ def test_errors_leave_no_picture(blend, tmp_path, words, arguments, message):
     source = make_scene(tmp_path / "bad.blend", *words) if words else blend
     out = tmp_path / "out"
     line = error_line(
-        run_script("render.py", source, "-o", out / "x.png", *[argument.format(folder=out) for argument in arguments])
+        call_script("render.py", source, "-o", out / "x.png", *[argument.format(folder=out) for argument in arguments])
     )
     assert message in line.replace("Cannot render, no camera", "camera")
     assert not out.exists()
@@ -248,7 +241,7 @@ def test_files_that_are_no_blend(tmp_path):
     assert "junk.blend cannot be opened" in error_line(
         run_script("render.py", tmp_path / "junk.blend", "-o", tmp_path / "x.png")
     )
-    assert "there is no file" in error_line(run_script("render.py", tmp_path / "none.blend", "-o", tmp_path / "x.png"))
+    assert "there is no file" in error_line(call_script("render.py", tmp_path / "none.blend", "-o", tmp_path / "x.png"))
     assert names(tmp_path) == ["junk.blend"]
 
 

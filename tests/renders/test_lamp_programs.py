@@ -28,6 +28,7 @@ from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from tests.stability.bench import WAITING, rays_wait
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
 SETTINGS = RenderSettings(sample_count=4, bounce_max=3)
 
 

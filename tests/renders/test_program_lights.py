@@ -21,6 +21,7 @@ from raybatch_addon.core.scene.description import (
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
 LIGHT_PATH = ("camera", "shadow", "diffuse", "glossy", "reflection", "transmission", "length", "depth", "passed")
 
 

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.session import Session
-from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings
+from raybatch_addon.core.settings.settings import SETTINGS
 from tests.support import schedule_scenes
+from tests.support.schedule_scenes import ESTIMATOR
 from tests.support.under_test import DEVICE
 
-ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2, clamp_indirect=3.0)
 SIZES = DrawnSizes(triangles=5000, tree_bytes=400_000, paths=3000)
 EXAMPLES = 60  # of each scene
 TURNS = 16

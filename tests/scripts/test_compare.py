@@ -13,6 +13,7 @@ from real_files.tables import alike
 from real_files.worker import PICTURES
 
 from tests.support.command_line import HIDE_BPY, ROOT, error_line, run_script
+from tests.support.scripts_here import call_script
 
 BLEND = b"BLENDER-v500"
 
@@ -213,9 +214,7 @@ def test_bad_files_are_rows_that_name_the_thing_and_the_remedy(tmp_path):
     (tmp_path / "pointer.blend").write_text("version https://git-lfs.github.com/spec/v1\n")
     (tmp_path / "folder.blend").mkdir()
     names = ("none", "text", "pointer", "folder")
-    done = run_script(
-        "compare.py", *(tmp_path / f"{name}.blend" for name in names), "--out", tmp_path / "out", before=HIDE_BPY
-    )
+    done = call_script("compare.py", *(tmp_path / f"{name}.blend" for name in names), "--out", tmp_path / "out")
     assert done.returncode == 1
     for part in ("check the name", "is not a .blend file: save it", "`git lfs pull`", "is a folder: name the .blend"):
         assert part in done.stderr
@@ -250,7 +249,7 @@ def _no_bpy(folder: Path) -> Path:
     ],
 )
 def test_what_does_not_go_together_is_one_line(tmp_path, arguments, part):
-    done = run_script("compare.py", *arguments, "--out", tmp_path / "out", before=HIDE_BPY)
+    done = call_script("compare.py", *arguments, "--out", tmp_path / "out")
     assert part in error_line(done) and done.returncode == 1
 
 

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import pytest
 from features_cost import every_feature, functions_of, plain_scene
 
 from raybatch_addon.core.scene.features import derive_features
@@ -43,10 +42,9 @@ def test_modules_of_a_plain_scene_hold_no_code_of_other_features():
     assert set(LEFT_OUT) <= set(features.left_out())
 
 
-@pytest.mark.parametrize("instancing", [False, True])
-def test_kernels_can_have_all_features_at_once(instancing):
-    """Source is made of them, and not compiled: that takes minutes."""
+def test_kernels_can_have_all_features_at_once():
+    """Source is made of them, and not compiled: that takes minutes. With instances, general kernels have them all."""
     every = every_feature(derive_features(plain_scene(), RenderSettings()))
-    every = replace(every, film_transparent=True, clamping=True, depth_of_field=True, instancing=instancing)
+    every = replace(every, film_transparent=True, clamping=True, depth_of_field=True, instancing=False)
     held = set().union(*functions_of(every, "cpu").values())
     assert {"programs.ops.textures.noise.signed_noise_3d", "wavefront.stages.connect.arrived"} & held

@@ -7,21 +7,23 @@ import pytest
 
 from tests.stability.cases import chosen_cases
 from tests.support.command_line import HIDE_BPY, ROOT, error_line, run_python, run_script
+from tests.support.scripts_here import call_script
 
 # two runs of one case that needs a tracer, and two cases that need none
 FEW = ("--only", "far hits keep their bits,sums of", "--device", "cpu")
 
 
 def stability(*arguments, **environment):
-    """Run the script, where there is no Blender."""
-    return run_script("stability.py", *arguments, before=HIDE_BPY, **environment)
+    """Run the script here."""
+    return call_script("stability.py", *arguments, **environment)
 
 
 @pytest.fixture(scope="module")
 def reported(tmp_path_factory):
-    """A run with all that is written."""
+    """A run with all that is written, in a process where there is no Blender."""
     folder = tmp_path_factory.mktemp("report") / "made"
-    done = stability(*FEW, "--json", folder / "report.json", "--html", folder / "report.html")
+    written = ("--json", folder / "report.json", "--html", folder / "report.html")
+    done = run_script("stability.py", *FEW, *written, before=HIDE_BPY)
     if "wp_compile_cpp" in done.stderr:
         pytest.skip("this machine cannot compile kernels for the CPU")
     assert done.returncode == 0, done.stderr

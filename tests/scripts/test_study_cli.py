@@ -17,6 +17,7 @@ from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import under_test
 from tests.support.command_line import error_line, run_script
+from tests.support.scripts_here import call_script
 
 
 def test_ticks_are_plain_numbers_that_do_not_touch():
@@ -339,7 +340,7 @@ def test_numbers_are_written_to_be_read():
     ],
 )
 def test_bad_input_is_told_in_one_line(tmp_path, arguments, words):
-    assert words in error_line(run_script("study.py", *arguments, "--out", tmp_path / "new"))
+    assert words in error_line(call_script("study.py", *arguments, "--out", tmp_path / "new"))
     assert not (tmp_path / "new").exists()
 
 

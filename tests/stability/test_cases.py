@@ -15,6 +15,7 @@ QUICK = [
 ]
 
 
+@pytest.mark.usefixtures("general_kernels")  # scripts/stability.py renders by specialised ones
 @pytest.mark.parametrize("each, tracer", QUICK)
 def test_answers_are_right(each, tracer, session, device):
     result = run_case(each, Bench(device, tracer, session))

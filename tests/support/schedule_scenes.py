@@ -9,6 +9,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
+ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2, clamp_indirect=3.0)
 PASSES = ("Combined", "Depth", "Normal", "Position")
 
 
@@ -63,7 +64,7 @@ SCENES = {"open": open_scene, "closed": closed_scene, "mixed": mixed_scene}
 def least_budget(device: str, name: str = "mixed") -> int:
     """The budget that the engine calls enough when it refuses one that is not: with one page at a time [bytes]."""
     session = Session(device)
-    found = FilmComparer(session, SCENES[name](), RenderSettings(sample_count=1, bounce_max=0), 24).compare(
+    found = FilmComparer(session, SCENES[name](), ESTIMATOR.replace(sample_count=1), 24).compare(
         dict(batching="ON", geometry_budget=1)
     )
     session.close()

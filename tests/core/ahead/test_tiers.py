@@ -40,6 +40,8 @@ from raybatch_addon.core.wavefront.tier import (
     why_not_general,
 )
 from tests.support import scenes, schedule_scenes
+from tests.support.feature_scenes import FEATURES
+from tests.support.feature_scenes import SETTINGS as FEATURE_SETTINGS
 from tests.support.under_test import DEVICE
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -76,6 +78,21 @@ def assert_same(film, expected):
 def test_tiers_give_the_same_film(name):
     specialised, general = films(SCENES[name]())
     assert_same(general, specialised)
+
+
+@ON_CPU
+@pytest.mark.parametrize("feature", FEATURES)
+def test_tiers_give_the_same_film_of_each_feature(feature):
+    scene, changes = FEATURES[feature]
+    specialised, general = (
+        Session(DEVICE).render(scene, FEATURE_SETTINGS.replace(kernel_tier=tier, **changes))
+        for tier in ("SPECIALISED", "GENERAL")
+    )
+    assert why_not_general(derive_features(scene, FEATURE_SETTINGS.replace(**changes))) == ""
+    assert general.passes.keys() == specialised.passes.keys()
+    for name, values in specialised.passes.items():
+        assert np.isfinite(values).all() and values.any(), name
+        assert np.array_equal(general.passes[name], values), name
 
 
 @ON_CPU

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -11,12 +12,27 @@ import numpy as np
 import pytest
 import warp as wp
 
-from raybatch_addon.core.device.devices import load_module
+from raybatch_addon.core.device.devices import load_module, start_warp
 from raybatch_addon.core.device.kept_kernels import KernelFiles, files_in, folders
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 
 ROOT = Path(__file__).resolve().parents[3]
 _numbers = itertools.count(1)
+
+
+def keep_in(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels are kept in `folder`, which has none, but Warp's header: to parse it takes three seconds."""
+    start_warp()
+    put_header(folder)
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(folder))
+
+
+def put_header(folder: Path) -> None:
+    """Put Warp's header into `folder`, parsed as for the kernels of all tests."""
+    parsed = Path(wp._src.context.runtime.get_clang_pch_dir())
+    (folder / parsed.name).mkdir(parents=True)
+    for path in parsed.glob("*.pch"):
+        shutil.copy(path, folder / parsed.name)
 
 
 def small_kernel(number: float | None = None) -> wp.Kernel:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-from raybatch_addon.core.device import compiler
+from raybatch_addon.core.device import compiler, kept_kernels
 from raybatch_addon.core.device.compile_errors import complaint_of
 from raybatch_addon.core.device.compiler import CompileError, CompileStoppedError
 from raybatch_addon.core.device.devices import load_module, start_warp
@@ -17,7 +17,7 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.errors import DeviceError
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
-from tests.core.device.small_kernels import ROOT, files_of, small_kernel, works
+from tests.core.device.small_kernels import ROOT, files_of, keep_in, small_kernel, works
 from tests.support import scenes
 
 PACKAGE = ROOT / "raybatch_addon"
@@ -25,10 +25,16 @@ PACKAGE = ROOT / "raybatch_addon"
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch) -> Path:
-    """An empty folder for kernels."""
-    start_warp()
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    """A folder for kernels without any."""
+    keep_in(tmp_path, monkeypatch)
     return tmp_path
+
+
+@pytest.fixture(scope="module")
+def shared_folder() -> str:
+    """Where all tests keep their kernels."""
+    start_warp()
+    return wp.config.kernel_cache_dir
 
 
 @wp.func_native("return this is no code;")
@@ -62,8 +68,11 @@ def test_a_compile_error_is_one_line_and_a_log(folder, capfd):
         ("core/shading/lights/lights.py", "lights (lights), core/shading/lights/lights.py:"),
     ],
 )
-def test_a_compile_error_names_the_feature(path, said, monkeypatch):
+def test_a_compile_error_names_the_feature(path, said, folder, shared_folder, monkeypatch):
     """The code of one function is spoiled as it is generated."""
+    # what other tests compiled is found, and what is compiled here is not kept there
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", shared_folder)
+    monkeypatch.setattr(kept_kernels, "_spare", folder)
     generate, spoiled = wp.Module._run_codegen, []
 
     def spoil(module, options, is_cpu):
@@ -116,7 +125,7 @@ def test_a_compiler_is_stopped_when_nobody_waits(folder):
     assert works(kernel), "the next one that asks gets it"
 
 
-def test_a_session_that_is_closed_compiles_no_longer():
+def test_a_session_that_is_closed_compiles_no_longer(shared_folder, monkeypatch):
     """A cancelled render leaves its compilers to the next one; a closed session has none."""
     begun, results = threading.Event(), []
     session = Session("cpu")
@@ -141,6 +150,7 @@ def test_a_session_that_is_closed_compiles_no_longer():
     while compiler._running:
         assert time.monotonic() < end
         time.sleep(0.05)
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", shared_folder)
     plain = scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse())], world=1.0)
     assert session.render(plain, RenderSettings(sample_count=1)).complete, "it opens again"
 

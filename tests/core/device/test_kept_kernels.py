@@ -15,16 +15,24 @@ from raybatch_addon.core.device import kept_kernels
 from raybatch_addon.core.device.devices import is_compiled, start_warp
 from raybatch_addon.core.device.notes import take_notes
 from raybatch_addon.core.errors import DeviceError
-from tests.core.device.small_kernels import files_of, forget, in_small_disk, process_command, small_kernel, works
+from tests.core.device.small_kernels import (
+    files_of,
+    forget,
+    in_small_disk,
+    keep_in,
+    process_command,
+    put_header,
+    small_kernel,
+    works,
+)
 
 ON_LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="file systems are mounted as on Linux")
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Path:
-    """An empty folder for kernels."""
-    start_warp()
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    """A folder for kernels without any."""
+    keep_in(tmp_path, monkeypatch)
     take_notes()
     return tmp_path
 
@@ -111,6 +119,7 @@ def test_a_read_only_folder_is_said_and_kernels_are_compiled_elsewhere(tmp_path)
 @ON_LINUX
 def test_a_read_only_folder_with_kernels_serves(tmp_path):
     kernels, seen = tmp_path / "kernels", tmp_path / "seen"
+    put_header(kernels / wp.config.version)
     assert subprocess.run(process_command(kernels), capture_output=True, text=True).stdout == "works\n"
     seen.mkdir()
     copy = f'cp -r "{kernels}/." "{seen}" && mount -o remount,ro "{seen}"'

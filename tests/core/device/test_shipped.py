@@ -17,18 +17,17 @@ from raybatch_addon.core.device.devices import is_compiled, shipped_target, star
 from raybatch_addon.core.device.kernel import GENERAL_MODULE, KERNEL_OPTIONS
 from raybatch_addon.core.device.notes import take_notes
 from raybatch_addon.core.device.shipped import INDEX, LEVELS, fitting_targets
-from tests.core.device.small_kernels import ROOT, files_of, forget, small_kernel, works
+from tests.core.device.small_kernels import ROOT, files_of, forget, keep_in, small_kernel, works
+from tests.support.running.kernels_to_ship import LOWEST, make_lowest
 
 pytestmark = pytest.mark.skipif(not can_be_made("linux-x64"), reason="kernels are shipped for Linux on x86-64")
-KEPT = ROOT / "build" / "kernels"  # as `package.py` keeps them
 BEST = "x86-64-v2"  # every processor has it
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch) -> Path:
     """A folder for shipped kernels that is not there yet, and an empty one for those that are compiled."""
-    start_warp()
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "kept"))
+    keep_in(tmp_path / "kept", monkeypatch)
     monkeypatch.setattr(shipped, "FOLDER", tmp_path / "shipped")
     shipped._index.cache_clear()
     shipped._is_sound.cache_clear()
@@ -37,11 +36,24 @@ def folder(tmp_path, monkeypatch) -> Path:
     shipped._index.cache_clear()
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """A folder for what is compiled to be shipped."""
+    return tmp_path_factory.mktemp("made")
+
+
+def kernel_to_ship() -> wp.Kernel:
+    """The same kernel for all tests here, not loaded: it is compiled once for each level."""
+    kernel = small_kernel(2001)
+    forget(kernel)
+    return kernel
+
+
 @pytest.fixture
-def kernel(folder, tmp_path) -> wp.Kernel:
+def kernel(folder, made) -> wp.Kernel:
     """A kernel that was shipped for the lowest level."""
-    kernel = small_kernel()
-    make_kernels(folder, tmp_path / "made", [kernel], [BEST])
+    kernel = kernel_to_ship()
+    make_kernels(folder, made, [kernel], [BEST])
     return kernel
 
 
@@ -55,10 +67,10 @@ def test_a_shipped_kernel_is_loaded_from_where_it_is(kernel):
     assert works(kernel) and not compiled_here(kernel) and take_notes() == []
 
 
-def test_what_was_compiled_here_comes_first(folder, tmp_path):
-    kernel = small_kernel()
+def test_what_was_compiled_here_comes_first(folder, made):
+    kernel = kernel_to_ship()
     assert works(kernel)
-    make_kernels(folder, tmp_path / "made", [kernel], [BEST])
+    make_kernels(folder, made, [kernel], [BEST])
     forget(kernel)
     assert shipped_target(kernel, wp.get_device("cpu")) == "" and works(kernel)
 
@@ -104,11 +116,11 @@ def test_what_does_not_fit_is_said_and_compiled(kernel, folder, which):
     assert re.search(said, note), note
 
 
-def test_a_lower_level_takes_the_place_of_what_is_damaged(folder, tmp_path):
-    kernel, levels = small_kernel(), fitting()[-2:]
+def test_a_lower_level_takes_the_place_of_what_is_damaged(folder, made):
+    kernel, levels = kernel_to_ship(), fitting()[-2:]
     if len(levels) < 2:
         pytest.skip("this processor has one level alone")
-    make_kernels(folder, tmp_path / "made", [kernel], levels)
+    make_kernels(folder, made, [kernel], levels)
     flip(next((folder / levels[0]).glob("*.o")))
     assert works(kernel) and not compiled_here(kernel)
     (note,) = take_notes()
@@ -122,8 +134,8 @@ def test_a_processor_with_too_few_instructions_compiles(kernel, monkeypatch):
     assert "need a processor of at least x86-64-v2; kernels are compiled here instead" in note
 
 
-def test_general_kernels_of_other_code_are_said(folder, tmp_path):
-    make_kernels(folder, tmp_path / "made", [small_kernel()], [BEST])
+def test_general_kernels_of_other_code_are_said(folder, made):
+    make_kernels(folder, made, [kernel_to_ship()], [BEST])
     module = wp.get_module(f"{GENERAL_MODULE}_stages")
     assert shipped.shipped_files(module, wp.get_device("cpu"), 1) is None
     assert "belong to other code than this RayBatch" in take_notes()[0]
@@ -212,9 +224,9 @@ np.savez(sys.argv[1], **films)
 
 @pytest.fixture(scope="module")
 def general_folder(tmp_path_factory) -> Path:
-    """All that is shipped for the lowest level; compiled once a clone."""
+    """All that is shipped for the lowest level."""
     folder = tmp_path_factory.mktemp("shipped") / "kernels"
-    make_kernels(folder, KEPT, targets=fitting()[-1:])
+    make_lowest(folder)
     return folder
 
 
@@ -222,10 +234,9 @@ def test_shipped_general_kernels_give_the_films_of_specialised_ones(general_fold
     from raybatch_addon.core.session import Session
     from tests.core.ahead.test_tiers import SCENES, SETTINGS
 
-    level = fitting()[-1]  # the least like native instructions; other levels are a minute of compiling each
     kept = {"RAYBATCH_KERNEL_CACHE": str(tmp_path / "kept"), "WARP_CACHE_PATH": str(tmp_path / "kept")}
     environment = os.environ | kept | {"RAYBATCH_KERNEL_TIER": "AUTO"}
-    command = [sys.executable, "-c", RENDER, tmp_path / "films.npz", general_folder, level, ROOT, ROOT / "scripts"]
+    command = [sys.executable, "-c", RENDER, tmp_path / "films.npz", general_folder, LOWEST, ROOT, ROOT / "scripts"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     films = np.load(tmp_path / "films.npz")

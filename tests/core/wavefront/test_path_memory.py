@@ -1,6 +1,5 @@
 """What a path takes is told exactly: the arrays of an integrator grow with its paths by just that."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,7 @@ from raybatch_addon.core.bvh.build.scene_tree import layout_for
 from raybatch_addon.core.device.devices import find_device
 from raybatch_addon.core.film import sums
 from raybatch_addon.core.film import tile as film_tile
-from raybatch_addon.core.programs.builder import ProgramBuilder
-from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Material, Visibility
+from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.scene.validate import checked_scene
 from raybatch_addon.core.session import Session
@@ -27,81 +25,10 @@ from raybatch_addon.core.wavefront.scene.scene_cache import GeometryRequest, Sce
 from raybatch_addon.core.wavefront.scheduler import Rectangle, water_marks
 from raybatch_addon.core.wavefront.stages import generate
 from tests.support import scenes
+from tests.support.feature_scenes import FEATURES, SETTINGS, lit
 from tests.support.under_test import DEVICE
 
 LEAST = 4096
-
-
-def lit(surface=None, frame=None, visibility=int(Visibility.ALL), lamp=None):
-    surface = surface or scenes.diffuse()
-    objects = [
-        (scenes.plane(size=4), scenes.translation(0, 0, -1), surface),
-        (scenes.sphere(), scenes.IDENTITY, surface, visibility),
-    ]
-    return scenes.scene(objects, frame=frame or Frame(32, 32), lights=[lamp or scenes.area_light(3.0)], world=0.2)
-
-
-def veil():
-    return scenes.material(Closure(ClosureKind.TRANSPARENT, (0.5,) * 3), Closure(ClosureKind.DIFFUSE, (0.4,) * 3))
-
-
-def lamp_program():
-    """An area light whose program says how bright it is."""
-    builder = ProgramBuilder()
-    builder.closure("emission", builder.value("object_coordinates", 0))
-    return dataclasses.replace(scenes.area_light(3.0), program=builder.finish())
-
-
-def veil_program(asks_history=False):
-    """Light that passes straight on, as much as a program says, which may ask how paths came there."""
-    builder = ProgramBuilder()
-    asked = (
-        builder.value("path_history")[3]
-        if asks_history
-        else builder.value("average", builder.value("object_coordinates", 0))
-    )
-    builder.closure("transparent", builder.value("combine_xyz", asked, asked, asked))
-    return dataclasses.replace(
-        scenes.diffuse(), closures=(), program=builder.finish(), kinds=(ClosureKind.TRANSPARENT,)
-    )
-
-
-def wax():
-    medium = Closure(
-        ClosureKind.SUBSURFACE,
-        (0.8, 0.6, 0.4),
-        0.3,
-        1.4,
-        color=(0.9, 0.8, 0.7),
-        edge=(3.0, 6.0, 9.0),
-        refraction=(1.2, 1.5, 2.0),
-    )
-    return Material("wax", (medium,), (ClosureKind.SUBSURFACE, ClosureKind.DIFFUSE))
-
-
-def unlit(frame=None):
-    return scenes.scene([(scenes.sphere(), scenes.IDENTITY, scenes.diffuse())], frame=frame or Frame(32, 32), world=1.0)
-
-
-CASES = {
-    "opaque, lit": (lit(), {}),
-    "no light to aim at": (unlit(), {}),
-    "no light is sampled": (lit(), {"nee": "OFF"}),
-    "transparent": (lit(veil()), {}),
-    "transparent without light": (lit(veil()), {"nee": "OFF"}),
-    "hidden from some rays": (lit(visibility=int(Visibility.ALL & ~Visibility.SHADOW)), {}),
-    "passes": (lit(frame=Frame(32, 32, passes=("Combined", "Normal", "Depth"), transparent=True)), {}),
-    "everything": (scenes.mixed(Frame(32, 32, passes=("Combined", "Normal"), transparent=True)), {}),
-    "subsurface": (lit(wax()), {}),
-    "subsurface without light": (lit(wax()), {"nee": "OFF"}),
-    "lamp program": (lit(lamp=lamp_program()), {}),
-    "lamp program behind what is transparent": (lit(veil(), lamp=lamp_program()), {}),
-    "transparent with a program": (lit(veil_program()), {}),
-    "transparent with a program, without light": (lit(veil_program()), {"nee": "OFF"}),
-    "transparent with a program that asks for history": (lit(veil_program(asks_history=True)), {}),
-    "nothing to hit": (scenes.scene(frame=Frame(32, 32), world=1.0), {}),
-    "Warp's tree": (lit(), {"batching": "REFERENCE"}),
-}
 
 
 # What cases are named for, that they may not lose
@@ -168,10 +95,10 @@ def test_the_table_of_paths_has_all_their_arrays():
     assert needed_arrays(features).keys() == Paths.vars.keys() - {"walk"}
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", FEATURES)
 def test_memory_grows_by_what_is_told(case):
-    scene, changes = CASES[case]
-    settings = RenderSettings(**{"sample_count": 1, "bounce_max": 2, "ray_sort": "OFF", **changes})
+    scene, changes = FEATURES[case]
+    settings = SETTINGS.replace(**changes)
     features = derive_features(checked_scene(scene), settings)
     for asked, has in HAS.items():
         assert has(features) == (asked in case), (case, asked)

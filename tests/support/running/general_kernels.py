@@ -1,0 +1,64 @@
+"""Kernels that many tests share: where it does not matter which tier renders, nothing is compiled for a single scene.
+
+Both tiers give the same film bit for bit, which `tests/core/ahead` holds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+from collections.abc import Iterator
+
+import pytest
+import warp as wp
+
+from raybatch_addon.core import session
+from raybatch_addon.core.scene.features import SceneFeatures
+from raybatch_addon.core.scene.program import ProgramFeatures
+from raybatch_addon.core.wavefront.tier import VARIABLE, TierChoice, choose_tier, general_features, why_not_general
+
+
+@contextlib.contextmanager
+def by_general_kernels() -> Iterator[None]:
+    """Inside, scenes are rendered by general kernels on the CPU, unless a test sets `kernel_tier`; processes too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(VARIABLE, "GENERAL")
+        patch.setattr(session, "choose_tier", choose_general)
+        yield
+
+
+def choose_general(features: SceneFeatures, setting: str, device: wp.Device) -> TierChoice:
+    """As `choose_tier`, but general kernels where there are any, and no warning where there are none.
+
+    Those of independent samples, which no user has, are compiled once for all tests.
+    """
+    if setting != "AUTO":
+        return choose_tier(features, setting, device)
+    if can_be_independent(features, device):
+        return TierChoice(independent_features(), True, setting, "kernels are shared with other tests")
+    return choose_tier(features, "SPECIALISED" if why_not_general(features, device) else "GENERAL", device)
+
+
+def independent_features() -> SceneFeatures:
+    """Those of all scenes without shader programs, whose code takes most of the time, with independent samples."""
+    return dataclasses.replace(
+        general_features(),
+        programs=ProgramFeatures(),
+        world_program=ProgramFeatures(),
+        lamp_program=ProgramFeatures(),
+        mesh_programs=False,
+        world_light=False,
+        closure_count=8,
+        sample_sequence="INDEPENDENT",
+    )
+
+
+def can_be_independent(features: SceneFeatures, device: wp.Device) -> bool:
+    """Whether kernels of `independent_features` can render a scene with `features`."""
+    wide = independent_features()
+    return (
+        features.sample_sequence == "INDEPENDENT"
+        and not (features.programs or features.world_program or features.lamp_program)
+        and features.closure_count <= wide.closure_count
+        and not why_not_general(dataclasses.replace(features, sample_sequence="SOBOL"), device)
+    )
