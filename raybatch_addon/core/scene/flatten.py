@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..device.bulk import add_rows, copy_rows
 from .description import Mesh, Scene, Visibility
 
 IDENTITY = np.eye(3, 4, dtype=np.float32)
@@ -29,7 +30,9 @@ class Merged:
 
 @dataclass(frozen=True)
 class FlatGeometry:
-    """All triangles; instance ids and primitive indices are those of the `Scene`."""
+    """All triangles; instance ids and primitive indices are those of the `Scene`. Its arrays may be among these, which
+    are only read.
+    """
 
     positions: np.ndarray  # float32, shape [vertex_count, 3]
     triangles: np.ndarray  # indices into `positions`, int32, shape [triangle_count, 3]
@@ -130,23 +133,19 @@ def _bake(mesh: Mesh, transform: np.ndarray) -> _Chunk:
 def _joined(chunks, instance_mesh, transform, merged, shared) -> FlatGeometry:
     triangle_counts = [len(chunk.triangles) for chunk in chunks]
     vertex_first = np.concatenate([[0], np.cumsum([len(chunk.positions) for chunk in chunks])]).astype(np.int64)
-    triangles = np.zeros((sum(triangle_counts), 3), np.int32)
+    triangles = _rows([chunk.triangles for chunk in chunks], np.int32, vertex_first)
     first = np.concatenate([[0], np.cumsum(triangle_counts)]).astype(np.int32)
     smooth = any(chunk.corner_normals is not None for chunk in chunks)
     slotted = any(chunk.triangle_slot is not None for chunk in chunks)
     corner_normals = np.zeros((len(triangles) if smooth else 0, 3, 3), np.float32)
     triangle_slot = np.zeros(len(triangles) if slotted else 0, np.int32)
-    for chunk, start, end, vertex in zip(chunks, first[:-1], first[1:], vertex_first[:-1]):
-        triangles[start:end] = chunk.triangles + vertex
+    for chunk, start, end in zip(chunks, first[:-1], first[1:]):
         if chunk.corner_normals is not None:
-            corner_normals[start:end] = chunk.corner_normals  # normals of flat meshes stay 0: shaded flat
+            copy_rows(chunk.corner_normals, corner_normals[start:end])  # of flat meshes they stay 0: shaded flat
         if chunk.triangle_slot is not None:
-            triangle_slot[start:end] = chunk.triangle_slot
-    positions = [chunk.positions for chunk in chunks]
+            copy_rows(chunk.triangle_slot, triangle_slot[start:end])
     return FlatGeometry(
-        positions=np.ascontiguousarray(np.concatenate(positions), np.float32)
-        if positions
-        else np.zeros((0, 3), np.float32),
+        positions=_rows([chunk.positions for chunk in chunks], np.float32),
         triangles=triangles,
         corner_normals=corner_normals.reshape(-1, 3),
         triangle_slot=triangle_slot,
@@ -157,3 +156,18 @@ def _joined(chunks, instance_mesh, transform, merged, shared) -> FlatGeometry:
         merged=merged,
         shared=shared,
     )
+
+
+def _rows(parts: list[np.ndarray], dtype: type[np.generic], added: np.ndarray | None = None) -> np.ndarray:
+    """All rows of `parts`, contiguous, those of each with its number of `added`; of a single one they are itself."""
+    if len(parts) == 1:
+        return np.ascontiguousarray(parts[0], dtype).reshape(-1, 3)
+    first = np.cumsum([0, *(len(part) for part in parts)])
+    rows = np.empty((first[-1], 3), dtype)
+    for i, part in enumerate(parts):
+        out = rows[first[i] : first[i + 1]]
+        if added is None:
+            copy_rows(part, out)
+        else:
+            add_rows(part, int(added[i]), out)
+    return rows

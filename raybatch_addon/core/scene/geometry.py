@@ -9,10 +9,15 @@ import numpy as np
 import warp as wp
 
 from ..device import declared  # noqa: F401 - before anything is declared: declarations wait
+from ..device.bulk import copy_rows, take_rows
+from ..device.locked import locked_empty, locked_view
 from ..native.build import native_source
 from .description import Scene
 from .features import needs_instancing
 from .flatten import FlatGeometry
+
+# Bytes of an array from which on locking it for its copy pays
+_LOCKED_LEAST = 1 << 26
 
 mat34 = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
 
@@ -84,30 +89,62 @@ def upload_geometry(flat: FlatGeometry, scene: Scene, device: wp.Device, on_host
     """
     geometry = Geometry()
     geometry.instancing = int(needs_instancing(scene))
-    triangles = [("triangles", flat.triangles, wp.vec3i)]
+    triangles, positions = [("triangles", flat.triangles, wp.vec3i)], flat.positions
     if on_host:
         triangles = [("triangles", flat.triangles[:0], wp.vec3i)]
-        flat = replace(flat, positions=flat.positions[flat.triangles.ravel()])
+        flat = replace(flat, positions=flat.positions[:0])
     per_mesh = [("mesh_triangle_first", flat.mesh_triangle_first, int), ("instance_mesh", flat.instance_mesh, int)]
     for name, values, dtype in triangles + per_mesh + _what_moves(flat, scene):
         stays = on_host and device.is_cuda and name in _BY_TRIANGLE
-        setattr(
-            geometry, name, host_array(values, dtype, device) if stays else wp.array(values, dtype=dtype, device=device)
-        )
+        setattr(geometry, name, host_array(values, dtype, device) if stays else uploaded(values, dtype, device))
+    if on_host:
+        geometry.positions = _corners(positions, flat.triangles, device)
     return geometry
+
+
+def _corners(positions: np.ndarray, triangles: np.ndarray, device: wp.Device) -> wp.array:
+    """The corners of every triangle in host memory, as an array of `device`."""
+    count = triangles.size
+    on_host = locked_empty(count, wp.vec3) if device.is_cuda else wp.empty(count, dtype=wp.vec3, device="cpu")
+    take_rows(positions, triangles.reshape(-1), on_host.numpy())
+    return _alias(on_host, device) if device.is_cuda else on_host
 
 
 _BY_TRIANGLE = ("triangles", "positions", "corner_normals", "triangle_slot")
 
 
+def uploaded(values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array:
+    """An array on `device`; a large one is locked where it lies meanwhile, so that a CUDA device copies it by itself
+    (measured: 55 GB/s instead of 9).
+    """
+    if device.is_cuda and values.nbytes >= _LOCKED_LEAST and values.flags.c_contiguous:
+        there = locked_view(values, dtype, wp.get_device("cpu"))
+        if there is not None:
+            out = wp.empty(there.shape, dtype=dtype, device=device)
+            wp.copy(out, there)
+            wp.synchronize_device(device)
+            return out
+    return wp.array(values, dtype=dtype, device=device)
+
+
 def host_array(values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array:
     """An array of the CUDA device `device` that lies in pinned memory of the host."""
-    pinned = wp.array(values, dtype=dtype, device="cpu", pinned=True)
+    source = wp.array(values, dtype=dtype, device="cpu", copy=False)
+    pinned = locked_empty(source.shape, dtype)
+    copy_rows(source.numpy(), pinned.numpy())
+    return _alias(pinned, device)
+
+
+def _alias(pinned: wp.array, device: wp.Device) -> wp.array:
+    """Pinned memory as an array of `device`: the host's addresses are the device's too."""
     if pinned.size == 0:
-        return wp.zeros(0, dtype=dtype, device=device)
-    # the host's addresses are the device's too; the alias keeps the memory
+        return wp.zeros(0, dtype=pinned.dtype, device=device)
     return wp.array(
-        ptr=pinned.ptr, dtype=dtype, shape=pinned.shape, device=device, deleter=lambda pointer, size, kept=pinned: None
+        ptr=pinned.ptr,
+        dtype=pinned.dtype,
+        shape=pinned.shape,
+        device=device,
+        deleter=lambda pointer, size, kept=pinned: None,
     )
 
 

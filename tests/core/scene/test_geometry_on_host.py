@@ -1,7 +1,13 @@
 """Geometry that holds the corners of each triangle, as in host memory, is shaded to the same bits."""
 
 import numpy as np
+import pytest
+import warp as wp
 
+from raybatch_addon.core.device import bulk
+from raybatch_addon.core.scene import geometry as scene_geometry
+from raybatch_addon.core.scene.flatten import flatten
+from raybatch_addon.core.scene.geometry import host_array, upload_geometry, uploaded
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.scene import scene_cache
 from tests.support import scenes
@@ -33,3 +39,30 @@ def test_corners_instead_of_indices_change_no_film(session, monkeypatch):
     assert seen == [(0, 0)]
     for name, values in expected.items():
         assert np.array_equal(film.passes[name].view(np.int32), values.view(np.int32)), name
+
+
+@pytest.mark.parametrize("locked_least", [0, 1 << 26])
+def test_large_arrays_reach_the_device_whole(locked_least, device, monkeypatch):
+    monkeypatch.setattr(scene_geometry, "_LOCKED_LEAST", locked_least)
+    device = wp.get_device(device)
+    values = np.random.default_rng(1).random((100_001, 3), np.float32)
+    for each in (values, values[::2], values[:0]):
+        found = uploaded(each, wp.vec3, device)
+        assert found.device == device and np.array_equal(found.numpy(), each)
+        values[0] += 1  # it is a copy
+        assert len(each) == 0 or not np.array_equal(found.numpy(), each)
+    if device.is_cuda:
+        assert np.array_equal(wp.clone(host_array(values, wp.vec3, device)).numpy(), values)
+
+
+def test_slices_of_threads_make_no_difference(device, monkeypatch):
+    """To the arrays of a scene of several meshes, and to the corners in host memory."""
+    made = scenes.mixed(scenes.Frame(8, 8))
+    expected = flatten(made)
+    monkeypatch.setattr(bulk, "_SLICE_ROWS", 7)
+    found = flatten(made)
+    for name in ("positions", "triangles", "corner_normals", "triangle_slot"):
+        assert np.array_equal(getattr(found, name), getattr(expected, name)), name
+    geometry = upload_geometry(found, made, wp.get_device(device), on_host=True)
+    corners = geometry.positions if geometry.positions.device.is_cpu else wp.clone(geometry.positions)
+    assert np.array_equal(corners.numpy(), expected.positions[expected.triangles.ravel()])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ...device.bulk import digest_of
 from ...device.devices import free_memory
 from ...errors import OutOfMemoryError, check_cancelled
 from ...scene.flatten import FlatGeometry
@@ -21,12 +23,15 @@ from ..tree import Tree
 from ..treelets.cut import CutRule
 from .budget import least_budget, page_size
 from .chunks import ChunkBuilder, chunk_size
+from .cuda.packing import DevicePacker
+from .divide.cells import MeshTriangles, mesh_from, mesh_triangles
 from .encode import expand_page
 from .entries import instances_in
-from .file import PageFileWriter, delete_old_files, open_page_file, page_key
+from .file import PageFileWriter, delete_old_files, open_page_file
+from .packing import HostPacker, NoStore, PagePacker
 from .resident import Resident, load_nodes, place_resident
 from .store import PAGE_ALIGNMENT, HostStore, Page, PageStore
-from .tables import NoStore, PageBuilder, PageTables
+from .tables import PageBuilder, PageTables
 
 # Nodes stay on the device where they take no more than this share of the budget
 _NODES_SHARE = 0.75
@@ -105,6 +110,7 @@ def build_paged_scene(
     on_device: bool | None = None,
     encoded: bool = False,
     plain: bool | None = None,
+    corners: wp.array | None = None,
     cancelled: Callable[[], bool] = lambda: False,
 ) -> PagedScene:
     """Build `flat`, of at least one triangle, in chunks, or find what was built of it before.
@@ -122,6 +128,8 @@ def build_paged_scene(
         encoded: pages hold triangles packed, to be expanded on arrival (`PagedScene.expand`); QUANTISED only.
         plain: HOST keeps encoded pages as the device has them besides, so that rays can read them there; None: for
             CUDA, where memory allows.
+        corners: those of all triangles in the order of `flat`, wp.vec3 [3 n], where `device` reads them faster than it
+            reads `flat`; there may be none.
         cancelled: ends the build soon; may be asked on any thread.
 
     `statistics` say what was done, `page_file_warning` among them where a file could not be used.
@@ -140,6 +148,29 @@ def build_paged_scene(
             layout, device, rule, len(flat.triangles), _treelets_bytes(page_bytes), spatial_splits, on_device, cancelled
         )
 
+    @functools.cache
+    def source_on(where: str) -> MeshTriangles:
+        device = wp.get_device(where)
+        return mesh_triangles(flat.positions, flat.triangles, device, corners if device.is_cuda else None)
+
+    def build(
+        builder: ChunkBuilder,
+        page_bytes: int,
+        target: HostStore | PageFileWriter | NoStore,
+        plain: HostStore | None = None,
+    ) -> tuple[PageTables, list[int]]:
+        packer: PagePacker = (
+            DevicePacker(device, target, encoded, plain)
+            if builder.on_device
+            else HostPacker(layout, target, flat.positions if encoded else None, plain)
+        )
+        try:
+            return _build(
+                flat, source_on(builder.where.alias), builder, PageBuilder(layout, page_bytes, packer), packer
+            )
+        finally:
+            packer.close()
+
     def bound(page_bytes: int) -> int:
         size_max = chunk_size(layout, _treelets_bytes(page_bytes), spatial_splits)
         return (
@@ -148,7 +179,7 @@ def build_paged_scene(
         )
 
     def needed(page_bytes: int) -> int:
-        tables, _ = _build(flat, layout, builder_of(page_bytes), page_bytes, encoded, NoStore())
+        tables, _ = build(builder_of(page_bytes), page_bytes, NoStore())
         resident = place_resident(tables, flat, visibility, layout, device)
         return _needed_bytes(tables, resident.bytes, bool(nodes_resident), staged)
 
@@ -166,7 +197,7 @@ def build_paged_scene(
     known: dict[str, Any] = {"store": store, "page_bytes": page_bytes, "encoded": encoded, "reused": False}
     copy: HostStore | None = None
     if store == "DISK":
-        tables, pages = _from_disk(flat, layout, builder, rule, Path(folder), known)
+        tables, pages = _from_disk(flat, layout, builder, rule, Path(folder), known, build)
     else:
         expected, free = _expected_bytes(flat, layout, encoded), free_memory(wp.get_device("cpu"))
         if expected > free:
@@ -178,7 +209,7 @@ def build_paged_scene(
         if plain is None:
             plain = device.is_cuda and expected + _expected_bytes(flat, layout, False) < _PLAIN_SHARE * free
         copy = HostStore(pinned=device.is_cuda) if encoded and plain else None
-        tables, copy_byte = _build(flat, layout, builder, page_bytes, encoded, pages, copy)
+        tables, copy_byte = build(builder, page_bytes, pages, copy)
     check_cancelled(cancelled)
     known["seconds_build"] = round(time.perf_counter() - start, 6)
     made = _assembled(flat, visibility, layout, device, budget, tables, pages, nodes_resident, known)
@@ -192,7 +223,13 @@ def build_paged_scene(
 
 
 def _from_disk(
-    flat: FlatGeometry, layout: Layout, builder: ChunkBuilder, rule: CutRule, folder: Path, known: dict[str, Any]
+    flat: FlatGeometry,
+    layout: Layout,
+    builder: ChunkBuilder,
+    rule: CutRule,
+    folder: Path,
+    known: dict[str, Any],
+    build: Callable,
 ) -> tuple[PageTables, PageStore]:
     """Tables and pages of the file in `folder`, which is written where there is none that is sound."""
     page_bytes, encoded = known["page_bytes"], known["encoded"]
@@ -209,7 +246,7 @@ def _from_disk(
         known["page_file_warning"] = f"{found}: it was written anew"
     writer = PageFileWriter(folder, layout, key, _expected_bytes(flat, layout, encoded))
     try:
-        tables, _ = _build(flat, layout, builder, page_bytes, encoded, writer)
+        tables, _ = build(builder, page_bytes, writer)
         store = writer.finish(tables.index())
     except BaseException:
         writer.abandon()
@@ -219,23 +256,16 @@ def _from_disk(
 
 
 def _build(
-    flat: FlatGeometry,
-    layout: Layout,
-    builder: ChunkBuilder,
-    page_bytes: int,
-    encoded: bool,
-    target: HostStore | PageFileWriter | NoStore,
-    plain: HostStore | None = None,
+    flat: FlatGeometry, source: MeshTriangles, builder: ChunkBuilder, pages: PageBuilder, packer: PagePacker
 ) -> tuple[PageTables, list[int]]:
-    """Tables of what goes to `target`, and where each page begins in `plain`."""
+    """Tables of what goes to the store of `packer`, and where each page begins in its plain one."""
     none = np.zeros(0, np.int32)
-    with PageBuilder(layout, page_bytes, target, flat.positions if encoded else None, plain) as pages:
-        for i, part in enumerate(mesh_parts(flat)):
-            triangles = flat.triangles[part.triangle_first : part.triangle_first + part.triangle_count]
-            for chunk in builder.build(flat.positions, triangles):
-                pages.add(chunk, instances_in(flat.merged[i], chunk.faces) if i < len(flat.merged) else none, triangles)
-            pages.end_part()
-        return pages.finish(), pages.plain_byte
+    for i, part in enumerate(mesh_parts(flat)):
+        triangles = flat.triangles[part.triangle_first : part.triangle_first + part.triangle_count]
+        for chunk in builder.build(mesh_from(source, part.triangle_first), flat.positions, triangles):
+            pages.add(chunk, instances_in(flat.merged[i], chunk.faces) if i < len(flat.merged) else none, triangles)
+        pages.end_part()
+    return pages.finish(), packer.plain_byte
 
 
 def _key(
@@ -246,7 +276,7 @@ def _key(
     """
     arrays = [flat.positions, flat.triangles, *(group.instance_triangle_first for group in flat.merged)]
     parts = [tuple(part) for part in mesh_parts(flat)]
-    return page_key(arrays, repr((layout, builder.choices, rule, page_bytes, encoded, parts)))
+    return digest_of(arrays, repr((layout, builder.choices, rule, page_bytes, encoded, parts)))
 
 
 def _assembled(

@@ -8,7 +8,6 @@ its own when it is whole.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import io
 import os
 import shutil
@@ -17,13 +16,10 @@ import time
 import zipfile
 import zlib
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
-import warp as wp
 
-from ...device.devices import worker_count
 from ..node import Layout
 from .store import PAGE_ALIGNMENT, DiskStore, PageFileError, Segments, padded
 
@@ -33,24 +29,12 @@ SUFFIX = ".pages"
 KEPT_BYTES_MAX = 64 << 30
 # What a process that died has left half written is deleted when it is so old [s]
 _LEFT_SECONDS = 24 * 3600
+# Bytes after which the disk is waited for: it writes while pages are made, and there is little left to do at the end
+_SYNCED_BYTES = 1 << 28
 _MAGIC = b"RBPAGES\0"
 # magic, version, layout, key, size of the file, first byte and size of the index, its checksum; then the checksum of
 # all these
 _HEADER = struct.Struct("<8sII32sQQQI")
-_SLICE = 1 << 26
-
-
-def page_key(arrays: Iterable[np.ndarray], words: str) -> bytes:
-    """32 bytes that are equal for equal arrays and words only."""
-    pieces, digest = [], hashlib.blake2b(words.encode(), digest_size=32)
-    for array in arrays:
-        digest.update(str((array.dtype.str, array.shape)).encode())
-        data = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-        pieces += [data[i : i + _SLICE] for i in range(0, len(data), _SLICE)]
-    with ThreadPoolExecutor(worker_count(wp.get_device("cpu"), 0)) as pool:
-        for each in pool.map(lambda piece: hashlib.sha1(piece, usedforsecurity=False).digest(), pieces):
-            digest.update(each)
-    return digest.digest()
 
 
 def page_path(folder: Path, key: bytes) -> Path:
@@ -69,7 +53,7 @@ class PageFileWriter:
         self._layout, self._key = layout, key
         self._temporary = folder / f"{self.path.name}.{os.getpid()}-{time.time_ns():x}.part"
         self._segments: list[tuple[int, int, int]] = []
-        self._end = PAGE_ALIGNMENT
+        self._end = self._synced = PAGE_ALIGNMENT
         self._file = None
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -90,6 +74,8 @@ class PageFileWriter:
         self._segments.append((first, len(data), zlib.crc32(data) if checksum is None else checksum))
         self._write(data)
         self._end += len(data)
+        if self._end - self._synced >= _SYNCED_BYTES:
+            self._sync()
         return first
 
     def finish(self, index: dict[str, np.ndarray]) -> DiskStore:
@@ -139,6 +125,13 @@ class PageFileWriter:
                 rest = rest[self._file.write(rest) :]
         except OSError as error:
             self._fail(error)
+
+    def _sync(self) -> None:
+        try:
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            self._fail(error)
+        self._synced = self._end
 
     def _fail(self, error: OSError) -> None:
         self.abandon()

@@ -18,6 +18,7 @@ from typing import Protocol
 import numpy as np
 import warp as wp
 
+from ...device.locked import locked_empty
 from ...errors import OutOfMemoryError, RayBatchError
 
 # Where reads without the system's cache must begin and end, in the file and in memory [bytes]
@@ -90,7 +91,9 @@ def padded(byte_count: int) -> int:
 def page_buffer(byte_count: int, pinned: bool = False) -> wp.array:
     """Host memory without contents, uint8, that begins at a multiple of `PAGE_ALIGNMENT`; raises `OutOfMemoryError`."""
     try:
-        memory = wp.empty(byte_count + PAGE_ALIGNMENT, dtype=wp.uint8, device="cpu", pinned=pinned)
+        if pinned:
+            return locked_empty(byte_count, wp.uint8, hurry=False)
+        memory = wp.empty(byte_count + PAGE_ALIGNMENT, dtype=wp.uint8, device="cpu")
     except (MemoryError, RuntimeError) as error:
         kind = "locked " if pinned else ""
         raise OutOfMemoryError(
@@ -146,7 +149,7 @@ class HostStore:
         first = self._used
         self._used += size
         self.byte_count += size
-        return first, self._at(first, size).numpy()
+        return first, self.at(first, size).numpy()
 
     def read_into(self, page: Page, host: np.ndarray, direct: bool) -> None:
         """See `PageStore`."""
@@ -154,13 +157,14 @@ class HostStore:
 
     def view(self, page: Page) -> wp.array:
         """See `PageStore`."""
-        return self._at(page.byte_first, page.byte_count)
+        return self.at(page.byte_first, page.byte_count)
 
     def close(self) -> None:
         """See `PageStore`; views must not be used any more."""
         self._blocks, self._ends, self._used = [], [], 0
 
-    def _at(self, first: int, size: int) -> wp.array:
+    def at(self, first: int, size: int) -> wp.array:
+        """So many bytes of a page from byte `first` of the store on."""
         i = int(np.searchsorted(self._ends, first, side="right"))
         start = first - (self._ends[i] - self._blocks[i].size)
         return self._blocks[i][start : start + size]

@@ -4,23 +4,15 @@ with the pages.
 
 from __future__ import annotations
 
-from collections import deque
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, fields
 
 import numpy as np
-import warp as wp
 
-from ...device.devices import worker_count
-from ..node import Layout, triangle_faces
-from .chunks import Chunk
-from .encode import encode_triangles
+from ..node import Layout
+from .chunk import Chunk
 from .entries import ChunkInstances
-from .file import PageFileWriter
-from .store import HostStore, padded, page_buffer
-
-# Pages that are packed and written while the next chunks are built
-_AHEAD = 4
+from .packing import PagePacker
+from .store import padded
 
 
 @dataclass(frozen=True)
@@ -69,61 +61,28 @@ class PageTables:
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
 
-class NoStore:
-    """Takes pages and keeps none: for tables alone."""
-
-    def add(self, data: np.ndarray) -> int:
-        """The byte at which `data` would begin, in a store that keeps nothing."""
-        return 0
-
-
 class PageBuilder:
-    """Puts chunks into pages as they come, and pages into a store; a thread does the copying."""
+    """Puts chunks into pages as they come, and their tables together; a `PagePacker` does the copying."""
 
-    def __init__(
-        self,
-        layout: Layout,
-        page_bytes: int,
-        target: HostStore | PageFileWriter | NoStore,
-        positions: np.ndarray | None,
-        plain: HostStore | None = None,
-    ):
-        """Pages of at most `page_bytes` on the device, but for single chunks that are larger, to `target`.
-
-        With the mesh's `positions`, float32 [v, 3], triangles are packed; `plain`, if given, takes pages as the device
-        has them besides.
-        """
-        self._plain = plain
-        self.plain_byte: list[int] = []  # first byte of each page in `plain`
-        self._layout, self._page_bytes, self._target, self._positions = layout, page_bytes, target, positions
-        self._pool = ThreadPoolExecutor(min(worker_count(wp.get_device("cpu"), 0), _AHEAD))
-        self._writer = ThreadPoolExecutor(1)
-        self._writing: deque[Future] = deque()
-        self._buffer: np.ndarray | None = None
+    def __init__(self, layout: Layout, page_bytes: int, packer: PagePacker):
+        """Pages of at most `page_bytes` on the device, but for single chunks that are larger."""
+        self._layout, self._page_bytes, self._packer = layout, page_bytes, packer
         self._parts: list[int] = [0]
         self._chunks: list[dict] = []
         self._baked: list[np.ndarray] = []
         self._top: dict[str, list[np.ndarray]] = {"nodes": [], "treelet": [], "root": [], "triangles": []}
         self._treelets: list[np.ndarray] = []  # page, first byte of nodes, of triangles
-        self._pages: list[tuple] = []  # what is known of those that are written
         self._page_count = 0
-        self._blocks: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])  # of the page in hand
-        self._corners: list[tuple[int, np.ndarray]] = []  # likewise: so many triangles, of this mesh
+        self._chunks_in_hand: list[tuple[Chunk, np.ndarray]] = []  # of the page in hand, with the triangles of the mesh
         self._sizes = [0, 0]
         self._treelet_count = self._node_count = 0
 
-    def __enter__(self) -> PageBuilder:
-        return self
-
-    def __exit__(self, *_) -> None:
-        self._writer.shutdown(cancel_futures=True)
-        self._pool.shutdown(cancel_futures=True)
-
     def add(self, chunk: Chunk, instances: np.ndarray, triangles: np.ndarray) -> None:
         """Append a chunk; `instances` are those of `ChunkInstances`, `triangles` those of the mesh, int32 [n, 3]."""
-        blocks = (chunk.nodes, chunk.triangles)
-        sizes = [np.array([block.nbytes for block in each], np.int64) for each in blocks]
-        if self._blocks[1] and sum(padded(self._sizes[k] + int(sizes[k].sum())) for k in range(2)) > self._page_bytes:
+        sizes = chunk.treelet_bytes(self._layout)
+        if self._chunks_in_hand and sum(padded(self._sizes[k] + int(sizes[k].sum())) for k in range(2)) > (
+            self._page_bytes
+        ):
             self._flush()
         starts = [self._sizes[k] + np.cumsum(sizes[k]) - sizes[k] for k in range(2)]
         self._treelets.append(np.stack([np.full(len(sizes[0]), self._page_count), *starts]))
@@ -133,18 +92,16 @@ class PageBuilder:
         )
         self._top["root"].append((chunk.treelet_root + self._node_count).astype(np.int32))
         self._top["triangles"].append(chunk.top_triangles.copy())  # not all that it is a part of
-        for k in range(2):
-            self._blocks[k].extend(blocks[k])
-            self._sizes[k] += int(sizes[k].sum())
-        self._corners.append((sum(len(block) for block in chunk.triangles), triangles))
-        self._treelet_count += len(chunk.nodes)
+        self._sizes = [self._sizes[k] + int(sizes[k].sum()) for k in range(2)]
+        self._chunks_in_hand.append((chunk, triangles))
+        self._treelet_count += len(chunk.treelet_root)
         self._node_count += len(chunk.top_nodes)
         self._baked.append(instances)
         self._chunks.append(
             {
                 "node": len(chunk.top_nodes),
                 "triangle": len(chunk.top_triangles),
-                "treelet": len(chunk.nodes),
+                "treelet": len(chunk.treelet_root),
                 "size": len(chunk.faces),
                 "centre": chunk.centre,
                 "box": chunk.box,
@@ -160,9 +117,8 @@ class PageBuilder:
 
     def finish(self) -> PageTables:
         """Write what is left; raises what writing raised."""
-        if self._blocks[1]:
+        if self._chunks_in_hand:
             self._flush()
-        self._wait(0)
 
         def column(name: str) -> np.ndarray:
             return np.array([chunk[name] for chunk in self._chunks])
@@ -175,7 +131,7 @@ class PageBuilder:
 
         baked = ChunkInstances.of(self._baked)
         treelets = np.concatenate([np.zeros((3, 0), np.int64), *self._treelets], 1)
-        pages = np.array(self._pages, np.int64).reshape(-1, 8)
+        pages = np.array(self._packer.finish(), np.int64).reshape(-1, 8)
         return PageTables(
             chunk_first=np.array(self._parts, np.int64),
             chunk_node=firsts("node"),
@@ -205,66 +161,6 @@ class PageBuilder:
 
     def _flush(self) -> None:
         """The page in hand to the store."""
-        self._wait(_AHEAD - 1)
-        page = self._pool.submit(self._segments, self._blocks, self._corners)
-        self._writing.append(self._writer.submit(self._write, page, self._treelet_count))
+        self._packer.put(self._chunks_in_hand, self._treelet_count)
         self._page_count += 1
-        self._blocks, self._corners, self._sizes = ([], []), [], [0, 0]
-
-    def _wait(self, left: int) -> None:
-        """Wait until no more than `left` pages are on their way."""
-        while len(self._writing) > left:
-            self._pages.append(self._writing.popleft().result())
-
-    def _segments(
-        self, blocks: tuple[list[np.ndarray], list[np.ndarray]], corners: list[tuple[int, np.ndarray]]
-    ) -> tuple:
-        """Blocks of nodes and of triangles as the store has them, their bytes on the device, and the number of
-        units.
-        """
-        device = [sum(block.nbytes for block in each) for each in blocks]
-        units = device[1] // (4 * self._layout.triangle_words)
-        if self._positions is None:
-            return *blocks, device, units, blocks
-        triangles = np.concatenate(blocks[1])
-        faces, ends = triangle_faces(self._layout, triangles), np.cumsum([0, *(count for count, _ in corners)])
-        vertices = [mesh[faces[a:b]] for (_, mesh), a, b in zip(corners, ends[:-1], ends[1:])]
-        return (
-            blocks[0],
-            [encode_triangles(triangles, np.concatenate(vertices), self._positions)],
-            device,
-            units,
-            blocks,
-        )
-
-    def _write(self, page: Future, treelet_end: int) -> tuple:
-        nodes, triangles, device, units, plain = page.result()
-        blocks = (nodes, triangles)
-        if self._plain:
-            first, memory = self._plain.add(sum(padded(size) for size in device))
-            self.plain_byte.append(first)
-            _fill(memory, plain, [padded(size) for size in device])
-        sizes = [padded(sum(block.nbytes for block in each)) for each in blocks]
-        total = sum(sizes)
-        if isinstance(self._target, HostStore):
-            first, memory = self._target.add(total)
-        else:
-            if self._buffer is None or len(self._buffer) < total:
-                self._buffer = page_buffer(total).numpy()
-            memory = self._buffer[:total]
-        _fill(memory, blocks, sizes)
-        if not isinstance(self._target, HostStore):
-            first = self._target.add(memory[: sizes[0]])
-            self._target.add(memory[sizes[0] : total])
-        return treelet_end, first, first + sizes[0], *sizes, *(padded(size) for size in device), units
-
-
-def _fill(memory: np.ndarray, segments: tuple[list[np.ndarray], list[np.ndarray]], sizes: list[int]) -> None:
-    """Blocks of each segment into `memory`, uint8, and 0 up to its size [bytes]."""
-    end = 0
-    for blocks, size in zip(segments, sizes, strict=True):
-        byte, end = end, end + size
-        for block in blocks:
-            memory[byte : byte + block.nbytes] = block.view(np.uint8).reshape(-1)
-            byte += block.nbytes
-        memory[byte:end] = 0
+        self._chunks_in_hand, self._sizes = [], [0, 0]

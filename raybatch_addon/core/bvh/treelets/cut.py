@@ -51,6 +51,11 @@ class CutRule:
     no limit.
     """
 
+    @property
+    def cuts_nothing(self) -> bool:
+        """Whether every tree is one treelet."""
+        return not (self.size or self.bytes_max or self.top_bytes_max)
+
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if value < 0:

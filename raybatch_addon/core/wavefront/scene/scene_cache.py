@@ -22,6 +22,7 @@ from ...bvh.traverse.reference import BuiltReference, build_reference
 from ...bvh.tree import Tree
 from ...bvh.treelets.cut import CutRule
 from ...bvh.treelets.tree import TreeletTree, cut_scene_tree
+from ...device.bulk import digest_of
 from ...device.devices import free_memory
 from ...programs.inputs_data import InputData, bytes_of
 from ...scene.description import Image, Scene
@@ -32,7 +33,7 @@ from ...settings.settings import RenderSettings
 from ...shading.images.image_upload import ImageCache, device_bytes_of
 from ...shading.lights.emitters import EmissiveTriangles
 from ..plan.plan import Method, TracingPlan, cut_rule
-from .unchanged import Last, digest_of
+from .unchanged import Last
 from .world_cache import WorldCache
 
 # Of a device's free memory, what images may take: geometry, rays and the film need the rest
@@ -305,6 +306,7 @@ def _build(
             cut_rule(request.plan, request.settings),
             spatial_splits=settings.spatial_splits == "ON",
             encoded=encodes(layout),
+            corners=geometry.positions if device.is_cuda else None,
             cancelled=request.cancelled,
         )
         return Kept(fingerprint, geometry, PagedTree(paged, Residency(paged, plan.geometry_budget, device)))

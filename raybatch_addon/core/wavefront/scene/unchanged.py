@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Generic, TypeVar
 
 import numpy as np
 
+from ...device.bulk import digest_of
 from ...programs.inputs_data import CAMERA_OPS
 from ...scene.description import Image, Material, Scene
 from ...scene.frozen import Same
@@ -34,15 +34,6 @@ class Last(Generic[Made]):
     def clear(self) -> None:
         """Forget it."""
         self.made = self._same = None
-
-
-def digest_of(arrays: Iterable[np.ndarray]) -> bytes:
-    """Equal for equal arrays only."""
-    made = hashlib.sha1(usedforsecurity=False)  # twice as fast as others where processors have instructions for it
-    for array in arrays:
-        made.update(str((array.dtype, array.shape)).encode())
-        made.update(np.ascontiguousarray(array))
-    return made.digest()
 
 
 def inputs_key(scene: Scene, ops: Sequence[str], device: str) -> tuple[list[np.ndarray | None], tuple]:

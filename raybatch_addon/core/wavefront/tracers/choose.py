@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import warp as wp
 
+from ...bvh.pages.cuda.chunks import CHUNK_KERNELS
+from ...bvh.pages.cuda.encode import ENCODE_KERNELS
+from ...bvh.pages.divide.listed import partition_kernels
 from ...bvh.treelets.tree import TREELET_KERNELS
 from ...measure.counters import Counters
 from ...measure.timing import NoTimer, StageTimer
@@ -24,12 +27,15 @@ from .worker_rays import WorkerRays
 def tracer_kernels(
     tracing: Tracing, settings: RenderSettings, shadow_rays: bool, counts: bool, device: wp.Device
 ) -> list[wp.Kernel]:
-    """What the tracer launches, for compiling ahead; `counts`: steps are counted."""
+    """What the tracer launches, and what makes its pages or treelets, for compiling ahead; `counts`: steps are
+    counted.
+    """
     if tracing.method is Method.BATCHED:
         cut = TREELET_KERNELS if device.is_cuda else ()
         return [*batching_kernels(tracing.layout, tracing.instancing, counts, settings, device), *cut]
     if tracing.method is Method.PAGED:
-        return compiled_ahead(tracing.layout, counts, settings)
+        made = (*CHUNK_KERNELS, *ENCODE_KERNELS) if device.is_cuda else ()
+        return [*compiled_ahead(tracing.layout, counts, settings), *partition_kernels(device), *made]
     stages = tracing_stages(tracing.layout, tracing.instancing, counts, Launch.of(settings))
     return [
         kernel for kind, stage in stages.items() if shadow_rays or kind == RayKind.CLOSEST for kernel in stage.kernels

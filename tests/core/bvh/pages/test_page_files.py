@@ -10,7 +10,7 @@ import pytest
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.bvh.pages import file as page_file
 from raybatch_addon.core.bvh.pages import store as page_store
-from raybatch_addon.core.bvh.pages.file import PageFileWriter, delete_old_files, open_page_file, page_key, page_path
+from raybatch_addon.core.bvh.pages.file import PageFileWriter, delete_old_files, open_page_file, page_path
 from raybatch_addon.core.bvh.pages.store import PAGE_ALIGNMENT, HostStore, Page, PageFileError, page_buffer
 from tests.core.bvh.pages.page_files import built
 
@@ -128,26 +128,6 @@ def test_files_say_what_they_hold(tmp_path):
     store.close()
     store.close()
     assert isinstance(open_page_file(tmp_path, Layout.QUANTISED, KEY), str)
-
-
-def test_keys_are_of_contents(monkeypatch):
-    a, b = np.arange(1000, dtype=np.int32), np.arange(1000, dtype=np.float32)
-    keys = {
-        page_key(*each)
-        for each in (
-            [[a], "x"],
-            [[b], "x"],
-            [[a], "y"],
-            [[a[::2]], "x"],
-            [[a[:500], a[500:]], "x"],
-            [[a.reshape(10, 100)], "x"],
-        )
-    }
-    assert len(keys) == 6 and page_key([a.copy()], "x") in keys
-    monkeypatch.setattr(page_file, "_SLICE", 100)
-    changed = a.copy()
-    changed[700] += 1
-    assert page_key([a], "x") != page_key([changed], "x")
 
 
 def test_small_and_large_pages_in_memory(monkeypatch):

@@ -19,6 +19,9 @@ from raybatch_addon.core.scene.flatten import flatten
 from tests.core.bvh.pages.page_files import BUDGET, SCENE, built
 from tests.support.paged_scenes import page_bytes
 
+# what makes the pages: the CPU's builder; what builds on GPUs
+WHERE = {"host": {}, "device": {"layout": Layout.QUANTISED, "on_device": True, "encoded": True}}
+
 
 def same(a: PagedScene, b: PagedScene) -> bool:
     """Whether rays would find the same."""
@@ -259,26 +262,41 @@ def test_pages_are_read_by_several_threads(tmp_path):
     assert not wrong
 
 
-def test_a_disk_that_fills_up_leaves_nothing_behind(tmp_path):
+@pytest.mark.parametrize("where", WHERE)
+def test_a_disk_that_fills_up_leaves_nothing_behind(where, tmp_path):
     resource = pytest.importorskip("resource")
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limit[1]))
     try:
         with pytest.raises(PageFileError, match="free some space.*Nothing was left"):
-            built("DISK", tmp_path)
+            built("DISK", tmp_path, **WHERE[where])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)
     assert list(tmp_path.iterdir()) == []
-    assert same(built("DISK", tmp_path), built("HOST"))
+    assert same(built("DISK", tmp_path, **WHERE[where]), built("HOST", **WHERE[where]))
 
 
-@pytest.mark.parametrize("at", ["finish", "replace", "build"])
-def test_whatever_fails_leaves_nothing_behind(tmp_path, monkeypatch, at):
+@pytest.mark.parametrize("where", WHERE)
+@pytest.mark.parametrize("at", ["finish", "sync", "replace", "build"])
+def test_whatever_fails_leaves_nothing_behind(tmp_path, monkeypatch, at, where):
     def fail(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device") if at != "build" else KeyboardInterrupt
 
-    where = {"finish": (os, "fsync"), "replace": (os, "replace"), "build": (page_file.PageFileWriter, "add")}[at]
-    monkeypatch.setattr(*where, fail)
+    monkeypatch.setattr(page_file, "_SYNCED_BYTES", 1 if at == "sync" else 1 << 40)
+    call = {"replace": (os, "replace"), "build": (page_file.PageFileWriter, "add")}.get(at, (os, "fsync"))
+    monkeypatch.setattr(*call, fail)
     with pytest.raises(PageFileError if at != "build" else KeyboardInterrupt):
-        built("DISK", tmp_path)
+        built("DISK", tmp_path, **WHERE[where])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_disk_is_waited_for_while_pages_are_made(tmp_path, monkeypatch):
+    """Not at the end alone: what is written is the same."""
+    expected = built("DISK", tmp_path / "end")
+    monkeypatch.setattr(page_file, "_SYNCED_BYTES", 50_000)
+    synced, sync = [], os.fsync
+    monkeypatch.setattr(os, "fsync", lambda number: (synced.append(os.fstat(number).st_size), sync(number)))
+    found = built("DISK", tmp_path / "often")
+    size = found.store.path.stat().st_size
+    assert len(synced) > 3 and synced[-1] == size and np.diff(synced[:-1]).min() >= 50_000
+    assert found.store.path.read_bytes() == expected.store.path.read_bytes()

@@ -2,14 +2,24 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
-from raybatch_addon.core.bvh.pages import partition
-from raybatch_addon.core.bvh.pages.partition import partition_triangles
+from raybatch_addon.core.bvh.pages.divide import listed
+from raybatch_addon.core.bvh.pages.divide.cells import mesh_from, mesh_triangles
+from raybatch_addon.core.bvh.pages.divide.listed import triangles_on
+from raybatch_addon.core.bvh.pages.divide.partition import partition_triangles
 from tests.support import wide_trees
 
 
-def check(positions, triangles, size_max, **more) -> list[np.ndarray]:
-    chunks = partition_triangles(positions, triangles, size_max, **more)
+def divided(positions, triangles, size_max, numbers=None, **more) -> list[np.ndarray]:
+    """The chunks that the CPU makes."""
+    cpu = wp.get_device("cpu")
+    there = triangles_on(cpu, mesh_triangles(positions, triangles, cpu), len(triangles), **more)
+    return partition_triangles(there, size_max, numbers)
+
+
+def check(positions, triangles, size_max) -> list[np.ndarray]:
+    chunks = divided(positions, triangles, size_max)
     assert all(
         0 < len(chunk) <= size_max and chunk.dtype == np.int32 and (np.diff(chunk) > 0).all() for chunk in chunks
     )
@@ -99,8 +109,38 @@ def test_triangles_that_cannot_be_told_apart_are_divided_all_the_same(scale):
 
 def test_threads_and_slices_make_no_difference(monkeypatch):
     positions, triangles = wide_trees.soup(5000)
-    alone = partition_triangles(positions, triangles, 300, thread_count=1)
-    monkeypatch.setattr(partition, "_SLICE", 128)
-    several = partition_triangles(positions, triangles, 300, thread_count=5)
+    alone = divided(positions, triangles, 300, thread_count=1)
+    monkeypatch.setattr(listed, "_SLICE", 128)
+    several = divided(positions, triangles, 300, thread_count=5)
     assert len(alone) == len(several) and all(np.array_equal(a, b) for a, b in zip(alone, several))
-    assert partition_triangles(positions, triangles[:0], 300) == []
+    assert divided(positions, triangles[:0], 300) == []
+
+
+@pytest.mark.parametrize(
+    "make", [lambda: wide_trees.sphere(30), lambda: wide_trees.soup(3000), lambda: wide_trees.needles(2000)]
+)
+@pytest.mark.parametrize("slice_size", [1 << 23, 500])
+@pytest.mark.parametrize("with_corners", [False, True])
+def test_a_gpu_divides_as_the_cpu_does(make, slice_size, with_corners, device, monkeypatch):
+    """The same chunks to the last triangle, from indices or corners, whole or in slices, of all or of some."""
+    positions, triangles = make()
+    monkeypatch.setattr(listed, "_SLICE_CUDA", slice_size)
+    device = wp.get_device(device)
+    corners = wp.array(positions[triangles.ravel()], dtype=wp.vec3, device=device) if with_corners else None
+    there = listed.CudaTriangles(
+        device, mesh_triangles(positions, triangles, device, corners), len(triangles), lambda: False
+    )
+    some = np.flatnonzero(np.random.default_rng(1).random(len(triangles)) < 0.7).astype(np.int32)
+    for numbers in (None, some):
+        expected = divided(positions, triangles, 100, numbers)
+        found = partition_triangles(there, 100, numbers)
+        assert len(expected) == len(found) and all(np.array_equal(a, b) for a, b in zip(expected, found))
+
+
+def test_triangles_of_a_mesh_behind_others():
+    positions, triangles = wide_trees.soup(2000)
+    cpu = wp.get_device("cpu")
+    every = mesh_triangles(positions, triangles, cpu)
+    found = partition_triangles(triangles_on(cpu, mesh_from(every, 700), 1300), 100)
+    expected = divided(positions, triangles[700:].copy(), 100)
+    assert len(expected) == len(found) > 13 and all(np.array_equal(a, b) for a, b in zip(expected, found))

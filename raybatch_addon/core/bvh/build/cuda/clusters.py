@@ -19,6 +19,7 @@ import numpy as np
 import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
+from ....device.launches import RepeatedLaunches
 from ....errors import SceneError
 
 # Places to either side in which a cluster looks for its neighbour
@@ -332,15 +333,26 @@ def merge_leaves(tree: ClusterTree, clusters: Clusters, round_limit: int = ROUND
     start[0] = count, count, 2 if round_limit == 0 else 0, 0
     state = wp.array(start, dtype=int, device=device)
     parity, launched = 0, 0
+    # rounds take turns in which array of clusters they read: each turn has structs and launches of its own
+    turns = [(clusters, RepeatedLaunches(device)), (_other_turn(clusters), RepeatedLaunches(device))]
     while count > 1:
         if launched >= ROUND_COUNT_MAX:
             raise RuntimeError(f"the tree build did not end after {launched} rounds: {count} clusters are left")
+        keep, index_next = clusters.keep[:count], clusters.index_next[:count]
         for _ in range(1 if count > CLUSTERS_LARGE else ROUNDS_PER_READ):
-            wp.launch(neighbour_kernel, count, [nodes, clusters, state, parity], device=device)
-            wp.launch(keep_kernel, count, [clusters, state, parity], device=device)
-            wp.utils.array_scan(clusters.keep[:count], clusters.index_next[:count], inclusive=False)
-            wp.launch(merge_kernel, count, [nodes, clusters, state, parity, round_limit], device=device)
-            clusters.node, clusters.node_next = clusters.node_next, clusters.node
+            own, launches = turns[parity]
+            launches.launch(neighbour_kernel, count, nodes, own, state, parity)
+            launches.launch(keep_kernel, count, own, state, parity)
+            wp.utils.array_scan(keep, index_next, inclusive=False)
+            launches.launch(merge_kernel, count, nodes, own, state, parity, round_limit)
             parity = 1 - parity
             launched += 1
         count, _, _, tree.round_count = state.numpy()[parity].tolist()
+
+
+def _other_turn(clusters: Clusters) -> Clusters:
+    """The same arrays for the rounds between, which read what `clusters` have written."""
+    other = Clusters()
+    other.node, other.node_next = clusters.node_next, clusters.node
+    other.neighbour, other.keep, other.index_next = clusters.neighbour, clusters.keep, clusters.index_next
+    return other

@@ -16,11 +16,12 @@ import numpy as np
 import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
+from ....device.launches import RepeatedLaunches
 from ....native.build import native_source
 from ..collapse import CollapseCost
 from ..encode import ENCODE_QUANTISED
 from .clusters import BinaryNodes, half_area
-from .order import HeightOrder
+from .order import HEIGHT_BITS, HeightOrder
 
 vec7 = wp.types.vector(length=7, dtype=wp.float32)
 vec8 = wp.types.vector(length=8, dtype=wp.float32)
@@ -318,8 +319,9 @@ def choose_node_children(nodes: BinaryNodes, order: HeightOrder | None, cost: Co
     choices.choice = wp.empty(count - 1, dtype=wp.uint64, device=device)
     choices.node_cost, choices.unit_cost, choices.leaf_max = cost.node, cost.unit, leaf_max
     if order is not None:
+        launches = RepeatedLaunches(device)
         for first, end in zip(order.first, order.first[1:]):
-            wp.launch(choose_kernel, end - first, [nodes, choices, order.node, first], device=device)
+            launches.launch(choose_kernel, end - first, nodes, choices, order.node, first)
     choices.cost = None
     return choices
 
@@ -330,7 +332,8 @@ def collapse(nodes: BinaryNodes, choices: Choices, centre: np.ndarray) -> WideNo
     order = wp.empty(count, dtype=int, device=device)
     binary = wp.full(1, 2 * count - 2, dtype=int, device=device)
     level_first, leaf_count, unit_count = [0], 0, 0
-    blocks, areas = [], []
+    # surfaces of each level: a tree of so many is the highest there can be
+    blocks, areas = [], wp.zeros(min(count, 1 << HEIGHT_BITS), dtype=wp.vec2d, device=device)
     while binary.size:
         level = Level()
         size = binary.size
@@ -344,10 +347,8 @@ def collapse(nodes: BinaryNodes, choices: Choices, centre: np.ndarray) -> WideNo
         level.nodes = wp.empty(VECTORS_PER_NODE * size, dtype=wp.vec4, device=device)
         level.area = wp.empty(size, dtype=wp.vec2d, device=device)
         wp.launch(write_kernel, size, [nodes, choices, level], device=device)
-        area = wp.empty(1, dtype=wp.vec2d, device=device)
-        wp.utils.array_sum(level.area, out=area)
+        wp.utils.array_sum(level.area, out=areas[len(blocks) : len(blocks) + 1])
         blocks.append(level.nodes)
-        areas.append(area)
         level_first.append(level.next_first)
         leaf_count += leaves
         unit_count += units
@@ -355,6 +356,6 @@ def collapse(nodes: BinaryNodes, choices: Choices, centre: np.ndarray) -> WideNo
     together = wp.empty(VECTORS_PER_NODE * level_first[-1], dtype=wp.vec4, device=device)
     for first, block in zip(level_first, blocks):
         wp.copy(together, block, VECTORS_PER_NODE * first)
-    by_level = np.concatenate([area.numpy() for area in areas])
+    by_level = areas[: len(blocks)].numpy()
     steps, tests = (by_level.sum(0) / by_level[0, 0]).tolist()
     return WideNodes(together, order, level_first, leaf_count, steps, tests)

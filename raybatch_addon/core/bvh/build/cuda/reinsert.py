@@ -14,6 +14,7 @@ from __future__ import annotations
 import warp as wp
 
 from ....device.kernel import KERNEL_OPTIONS
+from ....device.launches import RepeatedLaunches
 from .clusters import BinaryNodes, half_area
 from .order import ParentLinks, refit
 
@@ -231,13 +232,14 @@ def reinsert(nodes: BinaryNodes, links: ParentLinks, round_max: int = ROUND_MAX)
     moves.best = wp.empty(count, dtype=wp.uint64, device=device)
     moves.won = wp.empty(count, dtype=wp.uint8, device=device)
     moves.count = wp.empty(1, dtype=int, device=device)
+    launches = RepeatedLaunches(device)
     for number in range(round_max):
         moves.best.zero_()
         moves.count.zero_()
         for kernel in (search_kernel, ask_kernel, win_kernel):
-            wp.launch(kernel, count, [nodes, links, moves], device=device)
-        wp.launch(ring_kernel, count, [links, moves], device=device)
-        wp.launch(move_kernel, count, [nodes, links, moves], device=device)
+            launches.launch(kernel, count, nodes, links, moves)
+        launches.launch(ring_kernel, count, links, moves)
+        launches.launch(move_kernel, count, nodes, links, moves)
         refit(nodes, links)
         if int(moves.count.numpy()[0]) * FEW_MOVES < nodes.leaf_count:
             return number + 1

@@ -1,0 +1,1 @@
+"""How meshes of many triangles are divided into chunks of triangles that are near each other."""

@@ -1,0 +1,68 @@
+"""Large arrays of the host, filled and hashed by threads: NumPy lets go of Python's lock meanwhile."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import warp as wp
+
+from .devices import worker_count
+
+# Rows that a thread works on together
+_SLICE_ROWS = 1 << 20
+# Bytes that are hashed together
+_SLICE_BYTES = 1 << 26
+
+
+def in_slices(count: int, work: Callable[[slice], object], size: int = 0) -> None:
+    """Call `work` for slices of at most `size` (0: what is worth a thread for rows) that cover 0..count, each in a
+    thread; raises what one of them raised.
+    """
+    size = size or _SLICE_ROWS
+    if count <= size:
+        work(slice(0, count))
+        return
+    parts = [slice(first, min(first + size, count)) for first in range(0, count, size)]
+    with ThreadPoolExecutor(worker_count(wp.get_device("cpu"), 0)) as pool:
+        list(pool.map(work, parts))
+
+
+def take_rows(source: np.ndarray, indices: np.ndarray, out: np.ndarray) -> None:
+    """out[i] = source[indices[i]]: rows of `source`, whose type `out` has; `indices` are valid, shape [n]."""
+    # any other mode makes a copy first
+    in_slices(len(indices), lambda part: source.take(indices[part], axis=0, out=out[part], mode="clip"))
+
+
+def add_rows(source: np.ndarray, number: int, out: np.ndarray) -> None:
+    """out = source + number, for integers."""
+    in_slices(len(source), lambda part: np.add(source[part], number, out=out[part], casting="unsafe"))
+
+
+def copy_rows(source: np.ndarray, out: np.ndarray) -> None:
+    """out = source, which may be of another type."""
+    in_slices(len(source), lambda part: np.copyto(out[part], source[part], casting="unsafe"))
+
+
+def digest_of(arrays: Iterable[np.ndarray], words: str = "") -> bytes:
+    """32 bytes that are equal for equal arrays and words only."""
+    pieces, digest = [], hashlib.blake2b(words.encode(), digest_size=32)
+    for array in arrays:
+        digest.update(str((array.dtype.str, array.shape)).encode())
+        data = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+        pieces += [data[i : i + _SLICE_BYTES] for i in range(0, len(data), _SLICE_BYTES)]
+    if sum(map(len, pieces)) <= _SLICE_BYTES:
+        hashed = list(map(_hashed, pieces))
+    else:
+        with ThreadPoolExecutor(worker_count(wp.get_device("cpu"), 0)) as pool:
+            hashed = list(pool.map(_hashed, pieces))
+    for each in hashed:
+        digest.update(each)
+    return digest.digest()
+
+
+def _hashed(piece: np.ndarray) -> bytes:
+    # twice as fast as others where processors have instructions for it
+    return hashlib.sha1(piece, usedforsecurity=False).digest()

@@ -1,0 +1,83 @@
+"""Large arrays of the host by threads: the same as without, whatever the slices."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from raybatch_addon.core.device import bulk
+from raybatch_addon.core.device.bulk import add_rows, copy_rows, digest_of, in_slices, take_rows
+from raybatch_addon.core.device.locked import locked_empty, locked_view
+from tests.support.under_test import DEVICE
+
+
+@pytest.mark.parametrize("rows", [1, 7, 10_000])
+@pytest.mark.parametrize("count", [0, 1, 100, 1001])
+def test_rows_are_those_of_numpy(count, rows, monkeypatch):
+    monkeypatch.setattr(bulk, "_SLICE_ROWS", rows)
+    rng = np.random.default_rng(count)
+    source, indices = rng.random((50, 3), np.float32), rng.integers(0, 50, count)
+    out = np.empty((count, 3), np.float32)
+    take_rows(source, indices, out)
+    assert np.array_equal(out, source[indices])
+    numbers, sums = rng.integers(0, 100, (count, 3), np.int32), np.empty((count, 3), np.int32)
+    add_rows(numbers, 2**31 - 200, sums)
+    assert np.array_equal(sums, numbers + np.int32(2**31 - 200))
+    copy_rows(numbers.astype(np.int64), sums)
+    assert np.array_equal(sums, numbers)
+
+
+def test_what_a_slice_raises_is_raised():
+    def work(part: slice) -> None:
+        if part.start == 30:
+            raise KeyError("here")
+
+    with pytest.raises(KeyError, match="here"):
+        in_slices(100, work, 10)
+
+
+def test_digests_are_of_contents(monkeypatch):
+    a, b = np.arange(1000, dtype=np.int32), np.arange(1000, dtype=np.float32)
+    digests = {
+        digest_of(*each)
+        for each in (
+            [[a], "x"],
+            [[b], "x"],
+            [[a], "y"],
+            [[a[::2]], "x"],
+            [[a[:500], a[500:]], "x"],
+            [[a.reshape(10, 100)], "x"],
+        )
+    }
+    assert len(digests) == 6 and digest_of([a.copy()], "x") in digests
+    monkeypatch.setattr(bulk, "_SLICE_BYTES", 100)
+    changed = a.copy()
+    changed[700] += 1
+    assert digest_of([a], "x") != digest_of([changed], "x")
+    assert digest_of([a], "x") == digest_of([a.copy()], "x")
+
+
+@pytest.mark.skipif(DEVICE == "cpu", reason="memory is locked for a CUDA device")
+@pytest.mark.parametrize("size", [1, 100_000, 30_000_001])
+def test_locked_memory_is_read_and_written_by_the_device(size):
+    device = wp.get_device(DEVICE)
+    values = np.random.default_rng(0).integers(0, 256, size, np.uint8)
+    memory = locked_empty(size, wp.uint8)
+    assert memory.ptr % 4096 == 0 and memory.pinned and memory.device.is_cpu
+    memory.numpy()[:] = values
+    there = memory.to(device)
+    memory.zero_()
+    wp.copy(memory, there)
+    wp.synchronize_device(device)
+    assert np.array_equal(memory.numpy(), values)
+
+
+@pytest.mark.skipif(DEVICE == "cpu", reason="memory is locked for a CUDA device")
+def test_arrays_of_the_host_are_read_by_the_device_where_they_lie():
+    device = wp.get_device(DEVICE)
+    values = np.random.default_rng(0).random((1_000_003, 3), np.float32)
+    for _ in range(2):  # the first lock was given back
+        there = locked_view(values, wp.vec3, device)
+        copied = wp.empty_like(there)
+        wp.copy(copied, there)
+        assert np.array_equal(copied.numpy(), values)
+        del there
