@@ -15,7 +15,7 @@ from raybatch_addon.core.programs.ops.textures.environment import EnvironmentPro
 from raybatch_addon.core.programs.ops.textures.image import Projection
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
 from raybatch_addon.export.images.images import divides_alpha, export_image, forget_images
-from tests.blender.export.cycles_image_values import set_up, values_by_cycles
+from tests.blender.export.textures.cycles_image_values import set_up, values_by_cycles
 from tests.core.programs.image_probe import run_image_op
 
 TOLERANCE = 1e-4  # absolute below 1, relative above

@@ -1,0 +1,1 @@
+"""Tests of textures of Blender's graphs."""
