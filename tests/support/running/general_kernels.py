@@ -34,9 +34,11 @@ def choose_general(features: SceneFeatures, setting: str, device: wp.Device) -> 
     """
     if setting != "AUTO":
         return choose_tier(features, setting, device)
-    if can_be_independent(features, device):
+    if device.is_cuda:  # whose general kernels take minutes to compile
+        return choose_tier(features, "SPECIALISED", device)
+    if can_be_independent(features):
         return TierChoice(independent_features(), True, setting, "kernels are shared with other tests")
-    return choose_tier(features, "SPECIALISED" if why_not_general(features, device) else "GENERAL", device)
+    return choose_tier(features, "SPECIALISED" if why_not_general(features) else "GENERAL", device)
 
 
 def independent_features() -> SceneFeatures:
@@ -53,12 +55,12 @@ def independent_features() -> SceneFeatures:
     )
 
 
-def can_be_independent(features: SceneFeatures, device: wp.Device) -> bool:
+def can_be_independent(features: SceneFeatures) -> bool:
     """Whether kernels of `independent_features` can render a scene with `features`."""
     wide = independent_features()
     return (
         features.sample_sequence == "INDEPENDENT"
         and not (features.programs or features.world_program or features.lamp_program)
         and features.closure_count <= wide.closure_count
-        and not why_not_general(dataclasses.replace(features, sample_sequence="SOBOL"), device)
+        and not why_not_general(dataclasses.replace(features, sample_sequence="SOBOL"))
     )
