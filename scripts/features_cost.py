@@ -163,12 +163,14 @@ def functions_of(features: Any, device: str) -> dict[str, set[str]]:
     """Functions that a render's modules hold, by module: places and names, as in `shading.nodes.mixing.mix`."""
     import warp as wp
 
+    from raybatch_addon.core.device.declared import declare_all
     from raybatch_addon.core.device.devices import find_device
     from raybatch_addon.core.wavefront.kernels import StageKernels
 
     found = {}
     for kernel in StageKernels.choose(features).all():
         options = {**kernel.module.options, "block_dim": 1, "mode": "release"}
+        declare_all(kernel.module)
         builder = wp._src.context.ModuleBuilder(
             kernel.module, options, target="cuda" if find_device(device).is_cuda else "cpu"
         )

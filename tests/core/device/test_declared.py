@@ -255,7 +255,7 @@ print(count, sources_digest(), general_kernels()[0].module.get_module_identifier
 
 
 def run_process(root: Path, folder: Path, *words: str) -> list[str]:
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(root), str(ROOT)])}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(root), str(ROOT), os.environ.get("PYTHONPATH", "")])}
     command = [sys.executable, "-c", PROCESS, str(folder), *words]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, cwd=root)
     assert done.returncode == 0, done.stderr

@@ -8,6 +8,7 @@ import pytest
 
 from raybatch_addon.core.bvh.build.scene_tree import layout_for
 from raybatch_addon.core.bvh.node import Layout
+from raybatch_addon.core.device.declared import declare_all
 from raybatch_addon.core.device.devices import find_device
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Light, LightKind, Visibility
 from raybatch_addon.core.scene.features import SceneFeatures, derive_features
@@ -45,6 +46,7 @@ def source(features: SceneFeatures) -> str:
         features, SETTINGS, Tracing(Layout.QUANTISED, Method.UNBATCHED, features.instancing), find_device("cpu")
     )
     for kernel in StageKernels.choose(features).all() + tracing:
+        declare_all(kernel.module)
         builder = __import__("warp")._src.context.ModuleBuilder(
             kernel.module, {**kernel.module.options, "block_dim": 1, "mode": "release"}
         )
