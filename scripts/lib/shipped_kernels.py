@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from raybatch_addon.core.ahead.request import GeneralRequest
-from raybatch_addon.core.device.declared import identity_told
+from raybatch_addon.core.device.declared import declare_all, identity_told
 from raybatch_addon.core.device.devices import start_warp
 from raybatch_addon.core.device.kept_kernels import digest
 from raybatch_addon.core.device.kernel import MODULE_OPTIONS, block_size_of, is_general
@@ -45,6 +45,7 @@ def source_of(module: wp.Module, block_size: int = 1, architecture: int | None =
     """The code of `module` for a CPU, or for CUDA where there is an `architecture`, and what Warp wants to know of it
     when it is loaded.
     """
+    declare_all(module)
     module.get_module_hash(block_size)
     options = module.resolved_options[block_size] | {"output_arch": architecture}
     source, _, meta, _, _ = module._run_codegen(options, architecture is None)

@@ -38,7 +38,7 @@ def take_rows(source: np.ndarray, indices: np.ndarray, out: np.ndarray) -> None:
 
 def add_rows(source: np.ndarray, number: int, out: np.ndarray) -> None:
     """out = source + number, for integers."""
-    in_slices(len(source), lambda part: np.add(source[part], number, out=out[part], casting="unsafe"))
+    in_slices(len(source), lambda part: np.add(source[part], number, out=out[part], dtype=out.dtype, casting="unsafe"))
 
 
 def copy_rows(source: np.ndarray, out: np.ndarray) -> None:

@@ -259,9 +259,15 @@ class _Module(wp.Module):
         global declared_count
         with _codegen._codegen_lock:
             for kernel in [each for each in self.all_kernels if type(each) is _Kernel]:
-                options = kernel.options
+                before = dict(vars(kernel))
                 kernel.__class__ = wp.Kernel
-                _declare_kernel(kernel, kernel.func, key=kernel.key, module=self, options=options)
+                try:
+                    _declare_kernel(kernel, kernel.func, key=kernel.key, module=self, options=before["options"])
+                except BaseException:  # the next one who asks is told the same
+                    kernel.__class__ = _Kernel
+                    vars(kernel).clear()
+                    vars(kernel).update(before)
+                    raise
                 declared_count += 1
             self.goes_by_what_is_known = False
 

@@ -24,6 +24,7 @@ import warp as wp
 _CORE = Path(__file__).parents[1]
 _CORE_PREFIX = f"{_CORE}{os.sep}"
 _PACKAGE = __name__.removesuffix("device.identity")  # Blender's extensions have other names
+_SOURCES = (".py", ".h")
 _PLAIN = (type(None), bool, int, float, str, bytes)
 _MISSING = object()
 
@@ -34,22 +35,29 @@ class UnknownError(Exception):
 
 @functools.cache
 def sources_digest() -> str:
-    """Of all files of the core, as they are when it is first asked for, and of what else decides what they mean."""
+    """Of all sources of the core, as they are when this file is imported, before anything is declared; and of what else
+    decides what they mean.
+    """
     digest = hashlib.blake2b(digest_size=16)
     _add_folder(digest, str(_CORE))
     digest.update(repr((sys.version_info[:2], wp.config.version)).encode())
     return digest.hexdigest()
 
 
+def sources_changed() -> bool:
+    """Whether the files are others by now than when the digest was taken."""
+    return sources_digest.__wrapped__() != sources_digest()
+
+
 def _add_folder(digest: Any, folder: str) -> None:
     with os.scandir(folder) as entries:
-        found = sorted(entries, key=lambda entry: entry.name)
+        named = [entry for entry in entries if not entry.name.startswith(".") and entry.name != "__pycache__"]
+    found = sorted(named, key=lambda entry: entry.name)
     for entry in found:
         if entry.is_dir():
-            if entry.name != "__pycache__":
-                digest.update(f"{entry.name}/".encode())
-                _add_folder(digest, entry.path)
-        elif not entry.name.endswith(".pyc"):
+            digest.update(f"{entry.name}/".encode())
+            _add_folder(digest, entry.path)
+        elif entry.name.endswith(_SOURCES):
             with open(entry.path, "rb", buffering=0) as file:
                 data = file.read()
             digest.update(f"{entry.name} {len(data)}\n".encode())
@@ -194,3 +202,6 @@ class _Teller:
         if sum(each.generic_parent is None for each in overloads) > 1:  # others are made of generic ones
             raise UnknownError(f"{function.key} has overloads")
         return f"{self.of_warp(function.func).hex()} {function.inline_hint} {function.native_snippet}"
+
+
+sources_digest()

@@ -87,6 +87,7 @@ def load_here_what_is_launched() -> None:
 
 
 def _load(module: wp.Module, device: wp.Device, block_size: int, given_up: Callable[[], bool] | None) -> None:
+    failed: set[KernelFiles] = set()
     for left in reversed(range(_TRIES)):
         files = find_files(module, device, block_size)
         if files is None:
@@ -107,10 +108,12 @@ def _load(module: wp.Module, device: wp.Device, block_size: int, given_up: Calla
         except Exception as error:  # Warp raises nothing better where a file cannot be read
             if not left or (not files.target and is_as_written(files)):
                 raise DeviceError(f"the compiled kernel {files.binary} cannot be loaded: {error}") from error
-            if files.target:
-                refuse(files, str(error))
-            else:
+            if not files.target:
                 remove(files)
+            elif files in failed:
+                refuse(files, str(error))
+            failed.add(files)
+    raise DeviceError(f"the compiled kernel {files.binary} does not hold what it should; remove it and render again")
 
 
 def _compile(module: wp.Module, device: wp.Device, block_size: int) -> KernelFiles:

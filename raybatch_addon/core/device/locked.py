@@ -34,6 +34,7 @@ _CALLS = (
 # Bytes from which on memory is registered: less is had soon enough
 _REGISTERED_LEAST = 1 << 22
 _ALIGNMENT = 4096
+_still_locked: list[np.ndarray] = []  # that the driver did not give back
 
 
 def locked_empty(shape: int | tuple[int, ...], dtype: Any, hurry: bool = True) -> wp.array:
@@ -88,17 +89,23 @@ def _registered(driver: Any, memory: np.ndarray, dtype: Any, shape: tuple[int, .
 
     def give_back(*_: Any, kept: np.ndarray = memory) -> None:
         # at the end of the program there may be nothing left to ask
-        with contextlib.suppress(Exception), _context(driver):
-            driver.cuCtxSynchronize()
-            driver.cuMemHostUnregister(ctypes.c_void_p(pointer))
+        with contextlib.suppress(Exception):
+            for each in wp.get_cuda_devices():  # any of them may still read it
+                with _context(driver, each):
+                    driver.cuCtxSynchronize()
+            with _context(driver):
+                if driver.cuMemHostUnregister(ctypes.c_void_p(pointer)) != 0:
+                    _still_locked.append(kept)
 
     return wp.array(ptr=pointer, dtype=dtype, shape=shape, device=device, pinned=device.is_cpu, deleter=give_back)
 
 
 @contextlib.contextmanager
-def _context(driver: Any) -> Iterator[None]:
-    """Inside, the driver is asked in the context of a CUDA device, on this thread alone."""
-    driver.cuCtxPushCurrent_v2(ctypes.c_void_p(wp.get_cuda_devices()[0].context))
+def _context(driver: Any, device: wp.Device | None = None) -> Iterator[None]:
+    """Inside, the driver is asked in the context of `device` (default: the first), on this thread alone."""
+    device = device or wp.get_cuda_devices()[0]
+    if driver.cuCtxPushCurrent_v2(ctypes.c_void_p(device.context)) != 0:
+        raise OSError(f"the driver does not take the context of {device.alias}")
     try:
         yield
     finally:

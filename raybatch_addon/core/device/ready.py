@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ..files import whole_file
-from .identity import sources_digest
+from .identity import sources_changed, sources_digest
 from .kept_kernels import folders
 
 SHIPPED = Path(__file__).resolve().parents[2] / "kernels"  # kernels that came with the extension
@@ -63,6 +63,9 @@ def write_notes() -> None:
     """Keep what was noted since the last time; where that cannot be, it is hashed again by the next process."""
     with _lock:
         if not _new:
+            return
+        if sources_changed():  # what was hashed meanwhile may be of either state
+            _new.clear()
             return
         path = _paths()[-1]
         entries = dict(_entries(path))

@@ -22,7 +22,7 @@ _OBJECT_OPS = _TEXTURE_SPACE_OPS | {
 }
 _ATTRIBUTE_OPS = frozenset({"attribute", "normal_map", "uv_tangent"})
 # Ops that read where the camera is, or how wide its pixels are
-CAMERA_OPS = frozenset({"camera_coordinates", "window_coordinates", "vector_transform", "wireframe"})
+CAMERA_OPS = frozenset({"bump", "camera_coordinates", "window_coordinates", "vector_transform", "wireframe"})
 
 PER_CORNER = 8  # flag of `InputData.attribute_layout`: the values are those of corners, not of triangles
 _NUMBERS_MOST = 2**31 - 1

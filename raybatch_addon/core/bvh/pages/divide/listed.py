@@ -113,11 +113,8 @@ class HostTriangles:
         self, numbers: np.ndarray | None, grid: CellGrid, labels: np.ndarray, label_count: int
     ) -> list[np.ndarray]:
         listed, count = self._listed(numbers)
-        own, cells, order = (
-            wp.array(labels, dtype=int, device="cpu"),
-            self._cells,
-            wp.empty(count, dtype=int, device="cpu"),
-        )
+        own, order = wp.array(labels, dtype=int, device="cpu"), wp.empty(count, dtype=int, device="cpu")
+        cells, self._cells = self._cells, None
 
         def counted(parts: Iterator[tuple[int, int]]) -> np.ndarray:
             counts = wp.zeros(label_count, dtype=int, device="cpu")
