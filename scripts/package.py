@@ -3,8 +3,9 @@
 
 `package.py` builds all platforms into dist/; `package.py linux-x64` only that one. Wheels are downloaded with pip
 and kept in build/wheels. The zip for linux-x64 has compiled kernels in it if it is built on such a machine: about four
-minutes the first time, and kept in build/kernels; on other machines, and in other zips, there are none, and they are
-compiled when the extension is enabled. Exit codes: 0; 3 when a wheel could not be downloaded; 1 for anything else.
+minutes for processors and four for each architecture of CUDA the first time, and kept in build/kernels; on other
+machines, and in other zips, there are none, and they are compiled when the extension is enabled. Exit codes: 0; 3 when
+a wheel could not be downloaded; 1 for anything else.
 """
 
 from __future__ import annotations
