@@ -23,6 +23,11 @@ os.environ.setdefault("RAYBATCH_KERNEL_TIER", "SPECIALISED")
 
 def pytest_addoption(parser):
     parser.addoption("--fast", action="store_true", help="only the files of tests that take a few seconds")
+    parser.addoption("--thorough", action="store_true", help="also tests marked `thorough`, as make test-all does")
+
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "thorough: takes a minute or more, and runs with --thorough alone")
 
 
 def pytest_ignore_collect(collection_path, config):
@@ -33,7 +38,11 @@ def pytest_ignore_collect(collection_path, config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Side by side, the longest files come first, so that all processes end at about the same time."""
+    """Thorough tests run where they are asked for; side by side, the longest files come first, to end together."""
+    if not config.option.thorough:
+        left_out = [item for item in items if item.get_closest_marker("thorough")]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in set(left_out)]
     if config.getoption("dist", "no") != "no" or hasattr(config, "workerinput"):
         items.sort(key=lambda item: -file_seconds(item.path))  # stable: files stay whole
 

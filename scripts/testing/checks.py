@@ -100,9 +100,10 @@ def _saved_scenes(work: Path) -> list[str]:
 
 CHECKS = {
     "suite": Check(
-        "all tests",
+        "all tests, thorough ones too",
         lambda work: [
             *("-m", "pytest", "-n", "auto", "--maxprocesses", "4", "--dist", "loadfile", "--no-loadscope-reorder"),
+            "--thorough",
             f"--junitxml={work / 'suite.xml'}",
         ],
         suite_counts,

@@ -230,6 +230,7 @@ def general_folder(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.thorough  # compiles the general tier for another processor
 def test_shipped_general_kernels_give_the_films_of_specialised_ones(general_folder, tmp_path):
     from raybatch_addon.core.session import Session
     from tests.core.ahead.test_tiers import SCENES, SETTINGS

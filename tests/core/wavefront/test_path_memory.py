@@ -29,6 +29,7 @@ from tests.support.feature_scenes import FEATURES, SETTINGS, lit
 from tests.support.under_test import DEVICE
 
 LEAST = 4096
+GENERAL = pytest.mark.usefixtures("general_kernels")
 
 
 # What cases are named for, that they may not lose
@@ -148,6 +149,7 @@ def bright():
     )
 
 
+@GENERAL
 @pytest.mark.parametrize("places", [1, 70, 1000])
 def test_a_film_is_the_same_when_there_is_no_room_to_set_channels_aside(monkeypatch, places):
     films = []
@@ -163,6 +165,7 @@ def test_a_film_is_the_same_when_there_is_no_room_to_set_channels_aside(monkeypa
     assert whole.statistics["invalid_samples"] == short.statistics["invalid_samples"] == 0
 
 
+@GENERAL
 @pytest.mark.parametrize("sorted_max", [7, 300])
 def test_lists_that_are_sorted_in_parts_give_the_same_film(monkeypatch, sorted_max):
     whole = Session(DEVICE).render(scenes.mixed(), RenderSettings(sample_count=2, ray_sort="ON", thread_count=1))
@@ -175,6 +178,7 @@ def test_lists_that_are_sorted_in_parts_give_the_same_film(monkeypatch, sorted_m
         assert np.array_equal(values, parts.passes[name]), name
 
 
+@GENERAL
 @pytest.mark.parametrize("order", ["FRAME_FIRST", "PIXEL_FIRST"])
 def test_numbers_of_paths_that_begin_anew_give_the_same_film(monkeypatch, order):
     settings = RenderSettings(sample_count=3, thread_count=1, ray_count=400, sample_order=order)
