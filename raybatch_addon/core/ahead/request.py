@@ -67,6 +67,8 @@ class GeneralRequest:
             for camera in CameraKind
             for depth_of_field in (False, True)
         ]
+        # other passes than Normal have no kernels of their own
+        scenes += [dataclasses.replace(scene, passes=("Combined", "Normal")) for scene in scenes[:2]]
         # shadow rays ask for closest hits only where surfaces are transparent
         opaque = tuple(kind for kind in SCATTERING if kind != ClosureKind.SUBSURFACE)
         scenes += [dataclasses.replace(scene, closures=opaque) for scene in scenes[:4]]

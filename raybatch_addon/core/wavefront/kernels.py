@@ -50,6 +50,8 @@ class StageKernels:
         layout = layout_of(features.passes, features.film_transparent)
         shading = shading or features
         begun = dataclasses.replace(shading, camera=features.camera, depth_of_field=features.depth_of_field)
+        # flat meshes walk by what was compiled ahead for smooth ones
+        walked = dataclasses.replace(features, smooth_normals=shading.smooth_normals)
         has = {
             ShadingStage.SURFACE: features.surfaces,
             ShadingStage.BACKGROUND: True,
@@ -60,7 +62,7 @@ class StageKernels:
         return StageKernels(
             generate=generate_kernel(narrow(begun, GenerateFeatures)),
             settle=settle_kernel,
-            walk=walk_kernel(narrow(features, WalkFeatures)) if features.subsurface else None,
+            walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
             shading=_shading_kernels(features, shading, [stage for stage in ShadingStage if has[stage]]),
             accumulate=accumulate_kernel(layout),
             resolve=resolve_kernel(layout),

@@ -1,0 +1,64 @@
+"""No scene waits for a compiler before its first picture, where the kernels are there that an environment makes."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import warp as wp
+
+from raybatch_addon.core.ahead.request import GeneralRequest
+from raybatch_addon.core.device.devices import load_kernels, start_warp
+from tests.support.feature_scenes import FEATURES
+from tests.support.under_test import DEVICE
+
+ROOT = Path(__file__).resolve().parents[3]
+# What nobody renders with by default is compiled when it is asked for
+NOT_AHEAD = {"Warp's tree"}
+
+# Renders all scenes with kernels of the folder sys.argv[1]; says what modules each compiled, and how many were rendered
+# by general kernels
+PROCESS = """
+import json, sys
+import warp as wp
+compile_module, compiled = wp.Module._compile, {}
+def counted(module, *arguments, **options):
+    compiled.setdefault(feature, []).append(module.name)
+    return compile_module(module, *arguments, **options)
+wp.Module._compile = counted
+from raybatch_addon.core.session import Session
+from tests.support.feature_scenes import FEATURES, SETTINGS
+general = 0
+for feature, (scene, changes) in FEATURES.items():
+    film = Session("cpu", cache_folder=sys.argv[1]).render(scene, SETTINGS.replace(**changes))
+    general += film.statistics["auto"]["kernel_tier"]["value"] == "GENERAL"
+print(json.dumps([compiled, general]))
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """A folder with the kernels that any scene can begin with, and no others that tests compiled."""
+    start_warp()
+    device = wp.get_device("cpu")
+    kernels = GeneralRequest().kernels(device)
+    load_kernels(kernels, device, lambda done, total: None)
+    kept, folder = Path(wp.config.kernel_cache_dir), tmp_path_factory.mktemp("kernels")
+    for name in {kernel.module.get_module_identifier(1) for kernel in kernels}:
+        shutil.copytree(kept / name, folder / kept.name / name)
+    return folder
+
+
+@pytest.mark.skipif(DEVICE != "cpu", reason="on the CPU alone")
+def test_no_scene_compiles_before_its_first_picture(folder):
+    """They are counted: how long it takes depends on the machine."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    kept = {"RAYBATCH_KERNEL_TIER": "AUTO", "RAYBATCH_KERNEL_CACHE": str(folder), "WARP_CACHE_PATH": str(folder)}
+    command = [sys.executable, "-c", PROCESS, str(folder)]
+    done = subprocess.run(command, env=environment | kept, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    compiled, general = json.loads(done.stdout)
+    assert (set(compiled), general) == (NOT_AHEAD, len(FEATURES)), compiled
