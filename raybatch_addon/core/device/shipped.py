@@ -13,12 +13,11 @@ from typing import Any
 
 import warp as wp
 
+from . import ready
 from .kept_kernels import KernelFiles, digest
 from .kernel import is_general
 from .notes import note
-from .ready import SHIPPED
 
-FOLDER = SHIPPED
 INDEX = "index.json"
 FORMAT = 2
 _refused: dict[KernelFiles, str] = {}  # shipped kernels that could not be loaded, and why
@@ -46,7 +45,8 @@ def compiler_version(target: str) -> dict[str, str]:
 def fitting_targets(device: wp.Device) -> list[str]:
     """The targets whose kernels run on `device`, best first."""
     if device.is_cuda:
-        return [name for name, arch in ARCHITECTURES.items() if arch // 10 == device.arch // 10 and arch <= device.arch]
+        fit = {each: arch for each, arch in ARCHITECTURES.items() if 0 <= device.arch - arch <= device.arch % 10}
+        return sorted(fit, key=fit.get, reverse=True)
     has = wp._src.context._get_cpu_feature_set()
     levels = list(LEVELS)
     return [
@@ -56,7 +56,7 @@ def fitting_targets(device: wp.Device) -> list[str]:
 
 def shipped_files(module: wp.Module, device: wp.Device, block_size: int) -> KernelFiles | None:
     """The shipped `module`, if it fits `device` and is sound; where there should be one, a note says why not."""
-    index = _index(FOLDER)
+    index = _index(ready.SHIPPED)
     if not index or not any((target in ARCHITECTURES) == device.is_cuda for target in index["targets"]):
         return None
     identifier = module.get_module_identifier(block_size)
@@ -70,7 +70,7 @@ def shipped_files(module: wp.Module, device: wp.Device, block_size: int) -> Kern
         binary = entry["binaries"].get(target)
         if binary is None:
             continue
-        files = KernelFiles(FOLDER / target / binary["file"], FOLDER / target / binary["meta"], target)
+        files = KernelFiles(*(ready.SHIPPED / target / binary[each] for each in ("file", "meta")), target)
         if index["targets"][target] != compiler_version(target):
             complaints.append(f"the shipped kernels for {target} are for another compiler or system than this Warp has")
         elif not _is_sound(files, binary["sum"], binary["meta_sum"]):

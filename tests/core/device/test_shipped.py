@@ -6,14 +6,16 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import warp as wp
 from lib.shipped_kernels import can_be_made, compile_source, make_kernels, source_of
 
-from raybatch_addon.core.device import shipped
+from raybatch_addon.core.device import ready, shipped
 from raybatch_addon.core.device.devices import is_compiled, shipped_target, start_warp
+from raybatch_addon.core.device.kept_kernels import remove
 from raybatch_addon.core.device.kernel import GENERAL_MODULE, KERNEL_OPTIONS
 from raybatch_addon.core.device.notes import take_notes
 from raybatch_addon.core.device.shipped import INDEX, LEVELS, fitting_targets
@@ -28,7 +30,7 @@ BEST = "x86-64-v2"  # every processor has it
 def folder(tmp_path, monkeypatch) -> Path:
     """A folder for shipped kernels that is not there yet, and an empty one for those that are compiled."""
     keep_in(tmp_path / "kept", monkeypatch)
-    monkeypatch.setattr(shipped, "FOLDER", tmp_path / "shipped")
+    monkeypatch.setattr(ready, "SHIPPED", tmp_path / "shipped")
     shipped._index.cache_clear()
     shipped._is_sound.cache_clear()
     take_notes()
@@ -152,6 +154,67 @@ def test_levels_are_chosen_by_what_the_processor_has(monkeypatch):
     assert fitting_targets(device) == []
 
 
+ON_GPUS = {
+    70: [],
+    75: ["sm_75"],
+    80: ["sm_80"],
+    86: ["sm_80"],
+    89: ["sm_80"],
+    90: ["sm_90"],
+    103: ["sm_100"],
+    110: [],
+    121: ["sm_120"],
+}
+
+
+@pytest.mark.parametrize("arch", ON_GPUS)
+def test_a_gpu_takes_code_of_its_major_number(arch):
+    assert fitting_targets(SimpleNamespace(is_cuda=True, arch=arch)) == ON_GPUS[arch]
+
+
+def test_a_gpu_takes_the_nearest_code_first(monkeypatch):
+    several = {name: int(name.removeprefix("sm_")) for name in ("sm_80", "sm_89", "sm_86", "sm_90")}
+    monkeypatch.setattr(shipped, "ARCHITECTURES", several)
+    assert fitting_targets(SimpleNamespace(is_cuda=True, arch=89)) == ["sm_89", "sm_86", "sm_80"]
+    assert fitting_targets(SimpleNamespace(is_cuda=True, arch=87)) == ["sm_86", "sm_80"]
+
+
+@pytest.fixture
+def driver(folder, monkeypatch) -> SimpleNamespace:
+    """A driver that does not load shipped kernels as many times as it is told."""
+    driver, load = SimpleNamespace(failures=99, asked=[]), wp.Module.load
+
+    def load_others(module, device, block_dim=None, binary_path=None, **options):
+        if binary_path is not None and folder in binary_path.parents:
+            driver.asked.append(binary_path)
+            if len(driver.asked) <= driver.failures:
+                raise RuntimeError("no kernel image for this device")
+        return load(module, device, block_dim, binary_path, **options)
+
+    monkeypatch.setattr(wp.Module, "load", load_others)
+    monkeypatch.setattr(shipped, "_refused", {})
+    return driver
+
+
+def test_what_the_driver_does_not_load_is_said_once_and_compiled(kernel, driver):
+    assert works(kernel) and compiled_here(kernel)
+    (note,) = take_notes()
+    assert note.endswith("cannot be loaded: no kernel image for this device; kernels are compiled here instead"), note
+    (refused,) = set(driver.asked)
+    assert str(refused) in note
+    driver.asked.clear()
+    forget(kernel)
+    remove(files_of(kernel))
+    assert works(kernel) and compiled_here(kernel)
+    assert driver.asked == [] and take_notes() == []
+
+
+def test_what_the_driver_loads_at_the_second_try_is_not_refused(kernel, driver):
+    driver.failures = 1
+    assert works(kernel) and not compiled_here(kernel)
+    assert len(driver.asked) == 2 and take_notes() == []
+
+
 def fitting() -> list[str]:
     start_warp()
     return fitting_targets(wp.get_device("cpu"))
@@ -206,8 +269,8 @@ import sys
 from pathlib import Path
 sys.path[:0] = sys.argv[4:]
 import numpy as np
-from raybatch_addon.core.device import shipped
-shipped.FOLDER = Path(sys.argv[2])
+from raybatch_addon.core.device import ready, shipped
+ready.SHIPPED = Path(sys.argv[2])
 from raybatch_addon.core.session import Session
 from tests.core.ahead.test_tiers import SCENES, SETTINGS
 session, level = Session("cpu"), sys.argv[3]
