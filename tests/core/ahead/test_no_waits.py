@@ -2,17 +2,14 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-import warp as wp
 
-from raybatch_addon.core.ahead.request import GeneralRequest
-from raybatch_addon.core.device.devices import load_kernels, start_warp
 from tests.support.feature_scenes import FEATURES
+from tests.support.running.general_kernels import put_general_kernels
 from tests.support.under_test import DEVICE
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -42,13 +39,8 @@ print(json.dumps([compiled, general]))
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     """A folder with the kernels that any scene can begin with, and no others that tests compiled."""
-    start_warp()
-    device = wp.get_device("cpu")
-    kernels = GeneralRequest().kernels(device)
-    load_kernels(kernels, device, lambda done, total: None)
-    kept, folder = Path(wp.config.kernel_cache_dir), tmp_path_factory.mktemp("kernels")
-    for name in {kernel.module.get_module_identifier(1) for kernel in kernels}:
-        shutil.copytree(kept / name, folder / kept.name / name)
+    folder = tmp_path_factory.mktemp("kernels")
+    put_general_kernels(folder)
     return folder
 
 

@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import shutil
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import warp as wp
 
 from raybatch_addon.core import session
+from raybatch_addon.core.ahead.request import GeneralRequest
+from raybatch_addon.core.device.devices import load_kernels, start_warp
 from raybatch_addon.core.scene.features import SceneFeatures
 from raybatch_addon.core.scene.program import ProgramFeatures
 from raybatch_addon.core.wavefront.tier import VARIABLE, TierChoice, choose_tier, general_features, why_not_general
@@ -64,3 +68,15 @@ def can_be_independent(features: SceneFeatures) -> bool:
         and features.closure_count <= wide.closure_count
         and not why_not_general(dataclasses.replace(features, sample_sequence="SOBOL"))
     )
+
+
+def put_general_kernels(folder: Path) -> list[Path]:
+    """Put the kernels that any scene can begin with into `folder`, as an environment makes them, and no others; returns
+    where each module is.
+    """
+    start_warp()
+    device, kept = wp.get_device("cpu"), Path(wp.config.kernel_cache_dir)
+    kernels = GeneralRequest().kernels(device)
+    load_kernels(kernels, device, lambda done, total: None)
+    names = sorted({kernel.module.get_module_identifier(1) for kernel in kernels})
+    return [Path(shutil.copytree(kept / name, folder / kept.name / name)) for name in names]
