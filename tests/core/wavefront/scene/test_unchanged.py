@@ -35,6 +35,15 @@ def seen():
     return Material("seen", (), (ClosureKind.EMISSION,), builder.finish())
 
 
+def bumped():
+    """A material that emits its normal, bent by a height that rises by a centimetre over each pixel, however wide."""
+    builder = ProgramBuilder()
+    normal, _, _ = builder.value("normals")
+    bent = builder.value("bump", 0.0, 0.01, 0.003, 1.0, 1.0, 1.0, normal)
+    builder.closure("emission", builder.value("multiply_colors", bent, bent))
+    return Material("bumped", (), (ClosureKind.EMISSION,), builder.finish())
+
+
 def scene_of(material=None, place=0.0):
     made = scenes.scene(
         [
@@ -137,3 +146,15 @@ def test_what_changes_is_made_again_and_the_film_is_that_of_a_new_session(made, 
     film = pixels(other, session)
     assert made == again
     assert film == pixels(other), "as a session renders it that has nothing to keep"
+
+
+def test_light_that_is_bumped_follows_the_camera(made, general_kernels):
+    """Heights are compared over a share of a pixel, whose width depends on the camera."""
+    session, scene = Session(DEVICE), frozen(scene_of(bumped()))
+    pixels(scene, session)
+    made.clear()
+    nearer = replace(scene, camera=scenes.camera(eye=(0, -2, 1)))
+    film = pixels(nearer, session)
+    again = list(made)
+    assert film == pixels(nearer), "as a session renders it that has nothing to keep"
+    assert again == EVERYTHING[2:]
