@@ -1,39 +1,10 @@
-"""How tests are run: one build of each kernel for all processes, long files first."""
+"""How tests are run: long files first, under names of their own."""
 
 import json
-import subprocess
-import sys
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 
 from tests.support.command_line import ROOT
 from tests.support.running import file_seconds
-from tests.support.running.kernel_builds import sole_owner
-
-COUNT = """
-import sys
-from pathlib import Path
-from tests.support.running.kernel_builds import sole_owner
-folder = Path(sys.argv[1])
-for _ in range(200):
-    with sole_owner(folder / "lock"):
-        number = int((folder / "number").read_text())
-        (folder / "number").write_text(str(number + 1))
-"""
-
-
-def test_one_process_and_one_thread_at_a_time_builds_a_kernel(tmp_path):
-    (tmp_path / "number").write_text("0")
-    processes = [subprocess.Popen([sys.executable, "-c", COUNT, str(tmp_path)], cwd=ROOT) for _ in range(2)]
-
-    def count(_):
-        with sole_owner(tmp_path / "lock"):
-            (tmp_path / "number").write_text(str(int((tmp_path / "number").read_text()) + 1))
-
-    with ThreadPoolExecutor(4) as pool:
-        list(pool.map(count, range(200)))
-    assert [process.wait() for process in processes] == [0, 0]
-    assert (tmp_path / "number").read_text() == "600"
 
 
 def test_seconds_are_known_by_name_and_kept_for_files_that_are_there(tmp_path, monkeypatch):

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and files that one process at a time may change."""
 
 from __future__ import annotations
 
@@ -7,6 +7,13 @@ import itertools
 import os
 from collections.abc import Iterator
 from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # on Windows
+    fcntl = None
+    with contextlib.suppress(ImportError):
+        import msvcrt
 
 _numbers = itertools.count()
 
@@ -25,3 +32,22 @@ def whole_file(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):  # it became `path`, or was never made
             temporary.unlink()
+
+
+@contextlib.contextmanager
+def sole_owner(path: Path) -> Iterator[None]:
+    """Inside, this thread alone of all threads of all processes holds `path`, a file that is made and stays.
+
+    Where the file system has no locks, nobody waits. Errors of the file system are raised where `path` cannot be made.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle = os.open(path, os.O_CREAT | os.O_RDWR)  # a lock belongs to the open file: threads exclude each other too
+    try:
+        with contextlib.suppress(OSError):
+            if fcntl is not None:
+                fcntl.flock(handle, fcntl.LOCK_EX)
+            else:
+                msvcrt.locking(handle, msvcrt.LK_LOCK, 1)  # waits for ten seconds at most
+        yield
+    finally:
+        os.close(handle)  # which gives the lock back; the system does too where a process is killed

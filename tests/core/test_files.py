@@ -1,8 +1,13 @@
-"""Files come whole or not at all."""
+"""Files come whole or not at all, and one process at a time owns one."""
+
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from raybatch_addon.core.files import whole_file
+from raybatch_addon.core.files import sole_owner, whole_file
+from tests.support.command_line import ROOT
 
 
 def names(folder):
@@ -51,3 +56,29 @@ def test_a_file_has_the_rights_of_any_new_one(tmp_path):
     with whole_file(tmp_path / "made") as temporary:
         temporary.write_text("")
     assert (tmp_path / "made").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
+COUNT = """
+import sys
+from pathlib import Path
+from raybatch_addon.core.files import sole_owner
+folder = Path(sys.argv[1])
+for _ in range(200):
+    with sole_owner(folder / "lock"):
+        number = int((folder / "number").read_text())
+        (folder / "number").write_text(str(number + 1))
+"""
+
+
+def test_one_process_and_one_thread_at_a_time_owns_a_file(tmp_path):
+    (tmp_path / "number").write_text("0")
+    processes = [subprocess.Popen([sys.executable, "-c", COUNT, str(tmp_path)], cwd=ROOT) for _ in range(2)]
+
+    def count(_):
+        with sole_owner(tmp_path / "lock"):
+            (tmp_path / "number").write_text(str(int((tmp_path / "number").read_text()) + 1))
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(count, range(200)))
+    assert [process.wait() for process in processes] == [0, 0]
+    assert (tmp_path / "number").read_text() == "600"

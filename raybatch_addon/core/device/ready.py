@@ -15,14 +15,15 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..files import whole_file
+from ..files import sole_owner, whole_file
 from .identity import sources_changed, sources_digest
 from .kept_kernels import folders
 
 SHIPPED = Path(__file__).resolve().parents[2] / "kernels"  # kernels that came with the extension
 _FILES_MOST = 12  # states of the sources that are remembered
+_LOCK = ".known.lock"  # who holds this file may write
 _lock = threading.Lock()
-_read: dict[Path, tuple[tuple[int, int] | None, dict[str, Any]]] = {}  # what files hold, with their times
+_read: dict[Path, tuple[tuple[int, ...] | None, dict[str, Any]]] = {}  # what files hold, with their times
 _new: dict[str, dict[str, Any]] = {}  # not written yet
 
 
@@ -68,11 +69,12 @@ def write_notes() -> None:
             _new.clear()
             return
         path = _paths()[-1]
-        entries = dict(_entries(path))
-        for identity, entry in _new.items():
-            before = entries.get(identity, {}).get("hashes", {})
-            entries[identity] = {**entry, "hashes": {**before, **entry["hashes"]}}
-        with contextlib.suppress(OSError):
+        # what another process writes between our reading and our writing would be lost
+        with contextlib.suppress(OSError), sole_owner(path.parent / _LOCK):
+            entries = dict(_entries(path))
+            for identity, entry in _new.items():
+                before = entries.get(identity, {}).get("hashes", {})
+                entries[identity] = {**entry, "hashes": {**before, **entry["hashes"]}}
             _write(path, entries)
             _new.clear()
             _remove_old(path)
@@ -114,7 +116,7 @@ def _entries(path: Path) -> dict[str, Any]:
     """What the file holds; nothing where it is not there or not as it was written."""
     try:
         status = path.stat()
-        times = status.st_mtime_ns, status.st_size
+        times = status.st_ino, status.st_mtime_ns, status.st_size
     except OSError:
         times = None
     before = _read.get(path)

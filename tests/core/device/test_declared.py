@@ -1,5 +1,6 @@
 """Declarations wait until Warp needs them, and a kernel that is known by its identity is that of its code."""
 
+import functools
 import json
 import os
 import re
@@ -12,10 +13,10 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.device import declared, identity, ready
-from raybatch_addon.core.device.devices import is_compiled, load_kernels, load_module, start_warp
+from raybatch_addon.core.device.devices import is_compiled, load_kernels, load_module
 from raybatch_addon.core.device.identity import UnknownError, identity_of
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
-from tests.core.device.small_kernels import ROOT, files_of
+from tests.core.device.small_kernels import ROOT, files_of, keep_in
 
 CPU = "cpu"
 FACTOR = 2.0
@@ -48,11 +49,10 @@ def make_kernel(number: float, of: type = float, helper=None) -> wp.Kernel:
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch) -> Path:
-    """An empty folder for kernels; this file is taken for one of the core."""
+    """A folder without kernels; this file is taken for one of the core."""
     if not declared.is_waiting():
         pytest.skip("declarations wait with one version of Warp alone")
-    start_warp()
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    keep_in(tmp_path, monkeypatch)
     monkeypatch.setattr(identity, "_CORE_PREFIX", f"{Path(__file__).parent}{os.sep}")
     ready._new.clear()
     return tmp_path
@@ -218,6 +218,80 @@ def test_few_states_of_the_sources_are_remembered(folder, monkeypatch):
         ready.write_notes()
     assert len(list(folder.glob("known-*.json"))) == ready._FILES_MOST
     assert ready.known_module("0" * 32).name == "name"
+
+
+def note_something(identity: str = "1" * 32) -> None:
+    ready.note_module(identity, ready.KnownModule("name", {1: ("00" * 32, {})}, {}))
+    ready.write_notes()
+
+
+def test_what_was_hashed_while_sources_changed_is_not_kept(folder, monkeypatch):
+    sources = folder / "sources"
+    (sources / "ops").mkdir(parents=True)
+    (sources / "ops" / "math.py").write_text("x = 1")
+    monkeypatch.setattr(identity, "_CORE", sources)
+    monkeypatch.setattr(identity, "sources_digest", functools.cache(identity.sources_digest.__wrapped__))
+    note_something()
+    before = known_file(folder).read_bytes()
+    (sources / "ops" / "math.py").write_text("x = 2")
+    note_something("2" * 32)
+    assert known_file(folder).read_bytes() == before and ready.known_module("2" * 32) is None
+    (sources / "ops" / "math.py").write_text("x = 1")
+    note_something("3" * 32)
+    assert ready.known_module("3" * 32) and ready.known_module("1" * 32) and ready.known_module("2" * 32) is None
+
+
+# Writes a hundred notes into the folder sys.argv[1], one after another; their identities begin with sys.argv[2]
+WRITER = """
+import sys, time
+import warp as wp
+from raybatch_addon.core.device import ready
+wp.config.kernel_cache_dir = sys.argv[1]
+ready.sources_changed = lambda: False
+write = ready._write
+def write_slowly(path, entries):  # others have time to write meanwhile
+    time.sleep(0.001)
+    write(path, entries)
+ready._write = write_slowly
+print("ready", flush=True)
+sys.stdin.readline()
+for number in range(100):
+    ready.note_module(f"{sys.argv[2]}{number}", ready.KnownModule("name", {1: ("00" * 32, {})}, {}))
+    ready.write_notes()
+"""
+
+
+def test_processes_that_write_at_once_lose_no_notes_of_each_other(folder):
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "cwd": ROOT}
+    writers = [subprocess.Popen([sys.executable, "-c", WRITER, folder, name], **pipes) for name in "ab"]
+    assert [writer.stdout.readline() for writer in writers] == ["ready\n"] * 2
+    for writer in writers:
+        writer.stdin.write("\n")
+        writer.stdin.flush()
+    for writer in writers:
+        writer.communicate()
+    lost = [f"{name}{number}" for name in "ab" for number in range(100) if not ready.known_module(f"{name}{number}")]
+    assert lost == []
+
+
+@pytest.mark.parametrize("what, error", [("kernel", ValueError), ("function", AttributeError)])
+def test_a_declaration_that_fails_is_told_to_each_who_asks(what, error, monkeypatch):
+    bad, good = make_kernel(5.0), make_kernel(3.0)
+    wanted = bad if what == "kernel" else bad.func.__closure__[0].cell_contents
+    declare, device = getattr(declared, f"_declare_{what}"), wp.get_device(CPU)
+
+    def fail(self, *arguments, **options):
+        if self is wanted:
+            raise error("out of numbers")
+        declare(self, *arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(declared, f"_declare_{what}", fail)
+        for ask in (lambda: hasattr(wanted, "adj"), *[lambda: load_module(bad, device)] * 2):
+            with pytest.raises(Exception, match="out of numbers"):
+                ask()
+        assert result_of(good) == 6.0, "others go on"
+    assert result_of(bad) == 10.0, "and so does this one, once the cause is gone"
 
 
 def test_several_threads_may_ask_first():

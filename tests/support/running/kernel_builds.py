@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import os
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-try:
-    import fcntl
-except ImportError:  # not on Windows: processes may compile the same there, as they may anywhere without this
-    fcntl = None
+from raybatch_addon.core.files import sole_owner
 
 
 @dataclass
@@ -34,21 +28,6 @@ class Builds:
 
 BUILDS = Builds()
 _counting = threading.Lock()
-
-
-@contextlib.contextmanager
-def sole_owner(path: Path) -> Iterator[None]:
-    """Inside, this thread alone of all threads of all processes holds `path`, a file that is made."""
-    if fcntl is None:
-        yield
-        return
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle = os.open(path, os.O_CREAT | os.O_RDWR)  # a lock belongs to the open file: threads exclude each other too
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(handle)  # which gives the lock back; the system does too where a process is killed
 
 
 def build_once() -> None:

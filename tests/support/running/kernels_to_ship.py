@@ -5,8 +5,8 @@ from pathlib import Path
 from lib.shipped_kernels import make_kernels
 
 from raybatch_addon.core.device.shipped import LEVELS
+from raybatch_addon.core.files import sole_owner
 from tests.support.command_line import ROOT
-from tests.support.running.kernel_builds import sole_owner
 
 KEPT = ROOT / "build" / "kernels"  # as `package.py` keeps them
 LOWEST = list(LEVELS)[-1]  # the least like native instructions; other levels are a minute of compiling each
