@@ -10,7 +10,9 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import os
 import threading
+import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -122,6 +124,9 @@ def _entries(path: Path) -> dict[str, Any]:
     before = _read.get(path)
     if before is None or before[0] != times:
         before = _read[path] = times, _load(path) if times else {}
+        if times:
+            with contextlib.suppress(OSError):  # it was used; when it was written stays as it is
+                os.utime(path, ns=(time.time_ns(), status.st_mtime_ns))
     return before[1]
 
 
@@ -139,7 +144,13 @@ def _sum(text: str) -> str:
 
 
 def _remove_old(path: Path) -> None:
+    """Remove the files beside `path` that were not used for longest: other installations may share the folder."""
     with contextlib.suppress(OSError):
-        found = sorted(path.parent.glob("known-*.json"), key=lambda each: each.stat().st_mtime_ns)
+        found = sorted(path.parent.glob("known-*.json"), key=_last_used)
         for each in found[:-_FILES_MOST]:
             each.unlink()
+
+
+def _last_used(path: Path) -> int:
+    status = path.stat()
+    return max(status.st_atime_ns, status.st_mtime_ns)

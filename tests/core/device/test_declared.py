@@ -211,13 +211,17 @@ def test_a_folder_that_cannot_be_written_costs_no_render(folder, monkeypatch):
     assert result_of(make_kernel(3.0)) == 6.0 and not list(folder.glob("known-*"))
 
 
-def test_few_states_of_the_sources_are_remembered(folder, monkeypatch):
-    for number in range(ready._FILES_MOST + 3):
-        monkeypatch.setattr(ready, "file_name", lambda number=number: f"known-{number:032x}.json")
-        ready.note_module("0" * 32, ready.KnownModule("name", {1: ("00" * 32, {})}, {}))
-        ready.write_notes()
-    assert len(list(folder.glob("known-*.json"))) == ready._FILES_MOST
-    assert ready.known_module("0" * 32).name == "name"
+def test_the_states_of_the_sources_that_were_used_last_are_remembered(folder, monkeypatch):
+    """One of them is only read, as that of an installation beside a clone that is worked on."""
+    written = [f"known-{number:032x}.json" for number in range(ready._FILES_MOST + 3)]
+    for name in ["known-read.json", *written]:
+        monkeypatch.setattr(ready, "file_name", lambda name=name: name)
+        note_something("0" * 32)
+        monkeypatch.setattr(ready, "file_name", lambda: "known-read.json")
+        ready._read.clear()  # as in a new process
+        assert ready.known_module("0" * 32).name == "name"
+    kept = ready._FILES_MOST - 1
+    assert {path.name for path in folder.glob("known-*.json")} == {"known-read.json", *written[-kept:]}
 
 
 def note_something(identity: str = "1" * 32) -> None:
