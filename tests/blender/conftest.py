@@ -37,6 +37,18 @@ def addon():
     raybatch_addon.unregister()
 
 
+@pytest.fixture(scope="module")
+def cycles(addon):
+    """What nodes give in Cycles, those of Blender 5.2; opening another file ends it."""
+    import bpy
+
+    from tests.support.cycles_points import CyclesPoints
+
+    if bpy.app.version < (5, 2):
+        pytest.skip("the nodes are those of Blender 5.2")
+    return CyclesPoints()
+
+
 @pytest.fixture
 def scene(addon):
     """An empty scene with factory settings, RayBatch as its engine, and nothing in it but a camera."""

@@ -9,19 +9,10 @@ from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.stages.limits import half_seed
 from tests.support import scenes
+from tests.support.feature_scenes import MEDIUM
 from tests.support.watched_renders import stopping
 
 WHITE = (1.0, 1.0, 1.0)
-MEDIUM = Closure(
-    K.SUBSURFACE,
-    (0.8, 0.6, 0.4),
-    0.3,
-    1.4,
-    color=(0.98, 0.9, 0.7),
-    edge=(3.0, 6.0, 9.0),
-    refraction=(1.2, 1.5, 2.0),
-    mean_cosine=0.4,
-)
 WAX = Material(
     "wax", (MEDIUM, Closure(K.DIELECTRIC, (0.5, 0.5, 0.5), 0.3, 1.4)), (K.SUBSURFACE, K.DIFFUSE, K.DIELECTRIC)
 )

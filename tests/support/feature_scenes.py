@@ -2,6 +2,7 @@
 
 import dataclasses
 
+from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Material, Visibility
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -44,17 +45,21 @@ def veil_program(asks_history=False):
     )
 
 
+# Translucent, with a rough boundary
+MEDIUM = Closure(
+    ClosureKind.SUBSURFACE,
+    (0.8, 0.6, 0.4),
+    0.3,
+    1.4,
+    color=(0.98, 0.9, 0.7),
+    edge=(3.0, 6.0, 9.0),
+    refraction=(1.2, 1.5, 2.0),
+    mean_cosine=0.4,
+)
+
+
 def wax():
-    medium = Closure(
-        ClosureKind.SUBSURFACE,
-        (0.8, 0.6, 0.4),
-        0.3,
-        1.4,
-        color=(0.9, 0.8, 0.7),
-        edge=(3.0, 6.0, 9.0),
-        refraction=(1.2, 1.5, 2.0),
-    )
-    return Material("wax", (medium,), (ClosureKind.SUBSURFACE, ClosureKind.DIFFUSE))
+    return Material("wax", (MEDIUM,), (ClosureKind.SUBSURFACE, ClosureKind.DIFFUSE))
 
 
 def unlit(frame=None):

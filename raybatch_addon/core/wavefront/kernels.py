@@ -81,8 +81,9 @@ def _shading_kernels(
     """Kernels of `stages`. Where `shading` is that of all scenes, stages that run a program are one kernel; it takes so
     many registers that a GPU has few threads of it, so the others are kernels of their own.
     """
+    whole = _stage_functions(shading)
     if not shading.programs.apart:
-        return {stage: stage_kernel(_stage_functions(shading)[stage]()) for stage in stages}
+        return {stage: stage_kernel(whole[stage]()) for stage in stages}
     any_program = bool(features.programs or features.world_program or features.lamp_program)
     runs_program = {
         ShadingStage.SURFACE: any_program,
@@ -91,7 +92,7 @@ def _shading_kernels(
         ShadingStage.LIGHT_HITS: bool(features.lamp_program),
         ShadingStage.BACKGROUND: bool(features.world_program),
     }
-    whole, simple = _stage_functions(shading), _stage_functions(without_programs(shading))
+    simple = _stage_functions(without_programs(shading))
     found = {stage: stage_kernel(simple[stage]()) for stage in stages if not runs_program[stage]}
     if len(found) < len(stages):
         kernel = all_stages_kernel(*(whole[stage]() for stage in ShadingStage if stage != ShadingStage.CONNECT))

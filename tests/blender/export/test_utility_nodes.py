@@ -19,17 +19,10 @@ from raybatch_addon.core.programs.ops.values.spectrum import blackbody_table, wa
 from raybatch_addon.core.programs.ops.values.vector_math import VectorOperation  # noqa: E402
 from tests.blender.features.sheet import TOLERANCE  # noqa: E402
 from tests.core.programs.utility_probe import on_device, points_of  # noqa: E402
-from tests.support.cycles_points import COUNT, CyclesPoints  # noqa: E402
+from tests.support.cycles_points import COUNT  # noqa: E402
 
 EDGES = [0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.0, 3.0, 0.25, -7.5]
 LARGEST = 1e30  # beyond it pictures lose Cycles' values
-
-
-@pytest.fixture(scope="module")
-def cycles(addon):
-    if bpy.app.version < (5, 2):
-        pytest.skip("the nodes are those of Blender 5.2")
-    return CyclesPoints()
 
 
 def drawn(seed: int, width: int = 1) -> np.ndarray:

@@ -31,7 +31,7 @@ from .divide.listed import Triangles, triangles_on
 from .divide.partition import partition_triangles
 
 # Chunks that are built at a time on the CPU, and whose trees are cut while a CUDA device builds the next
-_AHEAD, _AHEAD_CUDA = 4, 2
+_BUILT_AHEAD, _CUT_AHEAD = 4, 2
 # Bytes of a chunk's tree for each triangle, a little more than it takes mostly: chunks that come out larger are divided
 # (measured: 49 and 55 for closed meshes)
 CHUNK_BYTES_EACH = {Layout.BOXES: 54, Layout.QUANTISED: 58}
@@ -100,7 +100,7 @@ class ChunkBuilder:
         listed = triangles_on(self.where, mesh, len(triangles), cancelled=self._cancelled)
         source = _Source(mesh, listed, positions, triangles)
         faces = partition_triangles(listed, self.size_max)
-        with ThreadPoolExecutor(min(self._threads, _AHEAD)) as pool:
+        with ThreadPoolExecutor(min(self._threads, _BUILT_AHEAD)) as pool:
             for chunk in self._built(pool, source, faces):
                 yield from self._fitting(pool, source, chunk)
 
@@ -117,13 +117,13 @@ class ChunkBuilder:
 
     def _built(self, pool: ThreadPoolExecutor, source: _Source, chunks: Iterable[np.ndarray]) -> Iterator[Chunk]:
         if not self.on_device:
-            yield from _in_order(pool, _AHEAD, lambda faces: self._build_on_host(source, faces), chunks)
+            yield from _in_order(pool, _BUILT_AHEAD, lambda faces: self._build_on_host(source, faces), chunks)
             return
         trees = (self._build_on_device(source, faces) for faces in chunks)
         if self._rule.cuts_nothing:
             yield from map(one_treelet, trees)
             return
-        cut = _in_order(pool, _AHEAD_CUDA, lambda tree: (tree, self._cut(tree.nodes.numpy(), len(tree.faces))), trees)
+        cut = _in_order(pool, _CUT_AHEAD, lambda tree: (tree, self._cut(tree.nodes.numpy(), len(tree.faces))), trees)
         yield from (in_treelets(tree, cut) for tree, cut in cut)
 
     def _build_on_device(self, source: _Source, faces: np.ndarray) -> ChunkTree:

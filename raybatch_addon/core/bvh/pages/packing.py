@@ -17,7 +17,7 @@ from .file import PageFileWriter
 from .store import HostStore, padded, page_buffer
 
 # Pages that are packed and written while the next chunks are built
-_AHEAD = 4
+_PACKED_AHEAD = 4
 
 
 class NoStore:
@@ -71,7 +71,7 @@ class HostPacker:
         """
         self._layout, self._target, self._positions, self._plain = layout, target, positions, plain
         self.plain_byte: list[int] = []
-        self._pool = ThreadPoolExecutor(min(worker_count(wp.get_device("cpu"), 0), _AHEAD))
+        self._pool = ThreadPoolExecutor(min(worker_count(wp.get_device("cpu"), 0), _PACKED_AHEAD))
         self._writer = ThreadPoolExecutor(1)
         self._writing: deque[Future] = deque()
         self._buffer: np.ndarray | None = None
@@ -79,7 +79,7 @@ class HostPacker:
 
     def put(self, chunks: list[tuple[Chunk, np.ndarray]], treelet_end: int) -> None:
         """See `PagePacker`."""
-        self._wait(_AHEAD - 1)
+        self._wait(_PACKED_AHEAD - 1)
         page = self._pool.submit(self._segments, chunks)
         self._writing.append(self._writer.submit(self._write, page, treelet_end))
 

@@ -17,7 +17,7 @@ from tests.blender.features.graph import Graph  # noqa: E402
 from tests.blender.features.sheet import TOLERANCE  # noqa: E402
 from tests.core.programs.op_probe import run_op  # noqa: E402
 from tests.support.blender_builders import node_tree  # noqa: E402
-from tests.support.cycles_points import COUNT, CyclesPoints  # noqa: E402
+from tests.support.cycles_points import COUNT  # noqa: E402
 
 # name: coordinates are multiples of 1/4 around 0, or random ones up to this
 PLACES = {"cells": None, "near": 10.0, "1e5": 1e5, "1e7": 1e7}
@@ -34,13 +34,6 @@ RANGES = {
     "Randomness": (-0.1, 1.1),
 }
 RNG_SEED = 21
-
-
-@pytest.fixture(scope="module")
-def cycles(addon):
-    if bpy.app.version < (5, 2):
-        pytest.skip("the textures are those of Blender 5.2")
-    return CyclesPoints()
 
 
 def points_at(place):

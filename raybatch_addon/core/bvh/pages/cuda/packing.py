@@ -17,7 +17,7 @@ from .chunks import retyped
 from .encode import encode_on_device
 
 # Pages that are stored while the next ones are made
-_AHEAD = 3
+_STORED_AHEAD = 3
 _TRIANGLE_BYTES = 4 * Layout.QUANTISED.triangle_words
 
 
@@ -55,7 +55,7 @@ class DevicePacker:
         node_bytes = padded(sum(block.size for block in nodes))
         sizes, device = (node_bytes, padded(words.size)), (node_bytes, padded(plain.size))
         page = PackedPage(treelet_end, 0, 0, *sizes, *device, plain.size // _TRIANGLE_BYTES)
-        self._wait(_AHEAD - 1)
+        self._wait(_STORED_AHEAD - 1)
         # with the arrays that others are parts of
         self._storing.append(self._storer.submit(self._store, nodes, words, plain, page, (held, triangles, packed)))
 
@@ -79,7 +79,7 @@ class DevicePacker:
         self, nodes: list[wp.array], triangles: wp.array, plain: wp.array, page: PackedPage, kept: tuple
     ) -> PackedPage:
         """Bring a page to the store, in a thread: locked memory is had, and files are written, while the device builds.
-        `kept` lives until then.
+        `kept` is what the arrays are parts of: it must live until the page is stored.
         """
         if self._plain:
             size = page.node_device_bytes + page.triangle_device_bytes
