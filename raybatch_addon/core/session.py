@@ -29,6 +29,7 @@ from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
 from .settings.settings import RenderSettings
+from .shading.lights.light_tree import LIGHT_TREE_KERNELS
 from .wavefront.integrator import TileIntegrator
 from .wavefront.plan.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
 from .wavefront.render.rendering import RenderEvents, Rendering, SnapshotWatcher, snapshot_watchers
@@ -115,7 +116,8 @@ class Session:
         plan = TracingPlan(Method.UNBATCHED)
         requests = [CompileRequest(each, self.settings, plan) for each in features or ()]
         kernels = [kernel for each in requests or [GeneralRequest()] for kernel in each.kernels(self.device)]
-        return load_kernels([*kernels, *build_kernels(self.device)], self.device, on_progress or (lambda *_: None))
+        kernels += [*build_kernels(self.device), *LIGHT_TREE_KERNELS]
+        return load_kernels(kernels, self.device, on_progress or (lambda *_: None))
 
     def render(
         self,

@@ -13,6 +13,7 @@ from ..bvh.build.scene_tree import build_kernels, layout_for
 from ..scene.description import CameraKind, ClosureKind
 from ..scene.features import SCATTERING, SceneFeatures
 from ..settings.settings import RenderSettings
+from ..shading.lights.light_tree import LIGHT_TREE_KERNELS
 from ..wavefront.kernels import StageKernels, tracing_kernels, without_programs
 from ..wavefront.plan.plan import Method, TracingPlan
 from ..wavefront.plan.tracing import Tracing
@@ -55,7 +56,7 @@ class GeneralRequest:
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
         """All of them."""
         general = general_features()
-        found = [*general_kernels(), *build_kernels(device)]
+        found = [*general_kernels(), *build_kernels(device), *LIGHT_TREE_KERNELS]
         # what differs from scene to scene in the other kernels is few, or compiled in no time
         scenes = [
             dataclasses.replace(general, instancing=instancing, passes=("Combined",), film_transparent=transparent)

@@ -34,6 +34,7 @@ class SceneFeatures:
     lights: tuple[LightKind, ...] = ()  # sorted
     light_sphere: bool = False  # a point or spot light shaped as a sphere
     light_hits: bool = False  # a light without mesh that rays can meet
+    light_choice: bool = False  # there may be several emitters to choose among
     mesh_lights: bool = False  # materials emit
     mesh_programs: bool = False  # materials emit by a program
     world_light: bool = False  # the world's radiance varies, and is sampled
@@ -116,6 +117,7 @@ class SceneFeatures:
             "shadow rays": self.shadow_rays,
             "lights met by rays": self.light_hits,
             "mesh lights": self.mesh_lights,
+            "choice among emitters": self.light_choice,
             "world": self.world,
             "depth of field": self.depth_of_field,
             "surfaces": self.surfaces,
@@ -138,6 +140,8 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
             kinds.update(material.kinds)
             for closure in material.closures:
                 kinds.update(closure.needs)
+    world, is_sampled = scene.world, surfaces and settings.nee != "OFF"
+    world_light = is_sampled and world.program is not None and world.sampling_size > 0
     return SceneFeatures(
         closures=tuple(sorted(kinds)),
         closure_count=max((len(material.closures) for material in scene.materials), default=0) if surfaces else 0,
@@ -150,13 +154,11 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
             for light in scene.lights
         ),
         light_hits=any(_can_be_met(light) for light in scene.lights),
+        light_choice=ClosureKind.EMISSION in kinds or len(scene.lights) + world_light > 1,
         mesh_lights=ClosureKind.EMISSION in kinds,
         mesh_programs=surfaces
         and any(m.program is not None and ClosureKind.EMISSION in m.kinds for m in scene.materials),
-        world_light=surfaces
-        and settings.nee != "OFF"
-        and scene.world.program is not None
-        and scene.world.sampling_size > 0,
+        world_light=world_light,
         world=any(scene.world.radiance) or scene.world.program is not None,
         camera=scene.camera.kind,
         depth_of_field=scene.camera.lens_radius > 0,

@@ -92,7 +92,8 @@ def _shading_kernels(
         ShadingStage.LIGHT_HITS: bool(features.lamp_program),
         ShadingStage.BACKGROUND: bool(features.world_program),
     }
-    simple = _stage_functions(without_programs(shading))
+    # a world that is sampled takes part in the choice among emitters, whether a stage runs its program or not
+    simple = _stage_functions(without_programs(shading), shading.world_light)
     found = {stage: stage_kernel(simple[stage]()) for stage in stages if not runs_program[stage]}
     if len(found) < len(stages):
         kernel = all_stages_kernel(*(whole[stage]() for stage in ShadingStage if stage != ShadingStage.CONNECT))
@@ -108,14 +109,19 @@ def without_programs(features: SceneFeatures) -> SceneFeatures:
     )
 
 
-def _stage_functions(shading: SceneFeatures) -> dict[ShadingStage, Callable[[], wp.Function]]:
-    """What makes the functions of stages that are specialised on `shading`."""
+def _stage_functions(
+    shading: SceneFeatures, world_light: bool | None = None
+) -> dict[ShadingStage, Callable[[], wp.Function]]:
+    """What makes the functions of stages that are specialised on `shading`. `world_light`: whether the world is among
+    the emitters that lights which rays meet are weighed against (default: as `shading` has it).
+    """
+    among = shading if world_light is None else dataclasses.replace(shading, world_light=world_light)
     surface, connected = narrow(shading, SurfaceFeatures), narrow(shading, ConnectFeatures)
     return {
         ShadingStage.SURFACE: lambda: make_shade_surface(surface),
         ShadingStage.BACKGROUND: lambda: make_background(narrow(shading, BackgroundFeatures)),
         ShadingStage.LIGHT_HITS: lambda: make_light_hits_stage(
-            narrow(shading, LightHitFeatures), shading.transparency, shading.clamping, shading.subsurface
+            narrow(among, LightHitFeatures), shading.transparency, shading.clamping, shading.subsurface
         ),
         ShadingStage.CONNECT: lambda: make_connect_program(connected) if shading.light_programs else connect,
         ShadingStage.CONNECT_TRANSPARENT: lambda: make_connect_transparent(surface, connected),

@@ -75,6 +75,7 @@ class Paths:
     throughput: wp.array(dtype=wp.vec3)
     radiance: wp.array(dtype=wp.vec3)  # summed in bounce order
     pdf: wp.array(dtype=float)  # solid-angle density of the extending ray; 0: specular or from the camera
+    side: wp.array(dtype=wp.uint32)  # `packed_side` the surface that it left; where there are several emitters
     shadow_light: wp.array(dtype=wp.vec3)  # what the shadow ray adds to `radiance` if nothing is in its way
     # light of programs, which is multiplied in when the shadow ray is back
     light_program: wp.array(dtype=int)  # WORLD_PROGRAM, SURFACE_PROGRAM, LAMP_PROGRAM; 0: `shadow_light` is all
@@ -120,6 +121,14 @@ def passed_before_light(paths: Paths, path: int) -> int:
         if (paths.status[path] & wp.static(int(Status.STRAIGHT))) != 0:
             passed -= 1
     return passed
+
+
+@wp.func
+def left_side(paths: Paths, path: int) -> wp.uint32:
+    """The path's `side`, where there is one."""
+    if paths.side.shape[0] > 0:
+        return paths.side[path]
+    return wp.uint32(0)
 
 
 @wp.func
@@ -179,6 +188,7 @@ def needed_arrays(features: SceneFeatures) -> dict[str, bool]:
         "throughput": True,
         "radiance": True,
         "pdf": True,
+        "side": shadow_rays and features.light_choice,
         "shadow_light": shadow_rays,
         "light_program": features.light_programs,
         "light_instance": features.light_programs,

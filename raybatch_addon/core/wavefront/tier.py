@@ -42,6 +42,7 @@ def general_features() -> SceneFeatures:
         lights=tuple(sorted(LightKind)),
         light_sphere=True,
         light_hits=True,
+        light_choice=True,
         mesh_lights=True,
         mesh_programs=True,
         world_light=True,

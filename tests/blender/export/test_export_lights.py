@@ -15,6 +15,7 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS  # noqa: E402
 from raybatch_addon.core.programs.op import NodeData  # noqa: E402
 from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, LightKind, Scene, Visibility  # noqa: E402
 from raybatch_addon.core.scene.geometry import Geometry  # noqa: E402
+from raybatch_addon.core.shading.lights.light_choice import lit_point, packed_side  # noqa: E402
 from raybatch_addon.core.shading.lights.light_hits import LightHitFeatures, make_light_hits  # noqa: E402
 from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights  # noqa: E402
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights  # noqa: E402
@@ -34,7 +35,8 @@ def probe_kernel():
     def probe(table: LightTable, geometry: Geometry, point: wp.vec3, up: wp.vec3, light: wp.array(dtype=wp.vec3)):
         i = wp.tid()
         r = wp.rand_init(11, i)
-        s = sample(table, geometry, point, 0.0, wp.vec2(wp.randf(r), wp.randf(r)))
+        lit = lit_point(point, packed_side(up, False))
+        s = sample(table, geometry, lit, 0.0, wp.vec2(wp.randf(r), wp.randf(r)))
         if s.pdf > 0.0:
             light[i] = s.radiance * (wp.max(wp.dot(s.direction, up), 0.0) / s.pdf)
 
@@ -47,8 +49,9 @@ def probe_kernel():
         visibility: int,
         light: wp.array(dtype=wp.vec3),
     ):
-        seen = intersect(table, nodes, origin, direction, 0.0, 1e30, visibility, 0.0, 0, 0)
-        light[0] = seen + miss(table, nodes, direction, visibility, 0.0, 0, 0)
+        from_there = lit_point(origin, wp.uint32(0))
+        seen = intersect(table, nodes, from_there, direction, 0.0, 1e30, visibility, 0.0, 0, 0)
+        light[0] = seen + miss(table, nodes, from_there, direction, visibility, 0.0, 0, 0)
 
     return probe, look
 

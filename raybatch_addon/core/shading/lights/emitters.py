@@ -1,4 +1,4 @@
-"""Emitters of a scene, and the probability with which each is chosen. Host side, NumPy only.
+"""Emitters of a scene, and how bright each is. Host side, NumPy only.
 
 Emitters are numbered: first the lights without mesh, in the scene's order, then the emissive triangles, sorted by
 instance and then by primitive.
@@ -6,7 +6,7 @@ instance and then by primitive.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,13 +99,18 @@ def find_emissive_triangles(
     )
 
 
-def emitter_powers(scene: Scene, triangles: EmissiveTriangles) -> np.ndarray:
-    """Estimated emitted power of every emitter [W], float64, shape [lights + triangles]; a heuristic for choosing."""
-    radius = scene_radius(scene)
-    lights = np.array([_light_power(light, radius) for light in scene.lights], np.float64)
-    # two sides, each of pi times the radiance
-    meshes = triangles.radiance.astype(np.float64).mean(1) * triangles.area * (2 * np.pi)
-    return np.concatenate([lights, meshes])
+def light_strengths(lights: Sequence[Light]) -> np.ndarray:
+    """How bright each light without mesh is, float64, shape [n]; a heuristic for choosing.
+
+    Suns: irradiance of a surface that faces them [W/m²]. Others: intensity along the axis [W/sr], the irradiance 1 m
+    away. Raises `SceneError` for emission that is not finite.
+    """
+    return np.array([_strength(light) for light in lights], np.float64)
+
+
+def triangle_strengths(triangles: EmissiveTriangles) -> np.ndarray:
+    """How bright each emissive triangle is: intensity along its normal [W/sr], float64, shape [e]."""
+    return triangles.radiance.astype(np.float64).mean(1) * triangles.area
 
 
 def fixed_point_cdf(power: np.ndarray) -> np.ndarray:
@@ -129,11 +134,6 @@ def fixed_point_cdf(power: np.ndarray) -> np.ndarray:
     # one unit to each, the rest in proportion
     first[1:] = np.floor(ends[:-1] / ends[-1] * (2.0**32 - count)).astype(np.uint64)
     return (first + np.arange(count, dtype=np.uint64)).astype(np.uint32)
-
-
-def world_power(scene: Scene, brightness: float) -> float:
-    """Estimated power from a world of mean radiance `brightness` [W]: that of a sun of the same irradiance."""
-    return 4 * np.pi**2 * scene_radius(scene) ** 2 * brightness
 
 
 def scene_radius(scene: Scene) -> float:
@@ -162,21 +162,17 @@ def scene_radius(scene: Scene) -> float:
     return radius if radius > 0 else 1.0
 
 
-def _light_power(light: Light, radius_of_scene: float) -> float:
-    strength = np.mean(np.asarray(light.emission, np.float64))
-    if not np.isfinite(strength) or strength < 0:
+def _strength(light: Light) -> float:
+    emission = np.mean(np.asarray(light.emission, np.float64))
+    if not np.isfinite(emission) or emission < 0:
         raise SceneError(
             f"light “{light.name}”: its emission {light.emission} is not usable; give it a finite, positive power"
         )
-    if light.kind == LightKind.POINT:
-        return strength * 4 * np.pi
-    if light.kind == LightKind.SPOT:
-        return strength * 2 * np.pi * (1 - np.cos(np.clip(light.angle, 0, np.pi) / 2))
-    if light.kind == LightKind.SUN:
-        return strength * np.pi * radius_of_scene**2
+    if light.kind in (LightKind.POINT, LightKind.SPOT, LightKind.SUN):
+        return emission
     if light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE):
-        return strength * np.pi * light_area(light)
-    raise ValueError(f"there is no power of lights of kind {light.kind!r}: add one here")
+        return emission * light_area(light)
+    raise ValueError(f"there is no strength of lights of kind {light.kind!r}: add one here")
 
 
 def light_area(light: Light) -> float:

@@ -13,10 +13,11 @@ import warp as wp
 
 from ...programs.op import NodeData
 from ...scene.description import LightKind
+from ...scene.features import narrow
 from ...scene.program import ProgramFeatures
 from .area_shapes import ERROR_SHARE_MOST, meet_area_light
 from .lamp_program import make_lamp_emission
-from .light_choice import selection_pdf
+from .light_choice import ChoiceFeatures, LitPoint, make_light_choice
 from .light_shapes import LightSample, meet_disk, meet_sphere, meet_sun, spot_factor
 from .light_table import LightRecord, LightTable
 from .lights import is_lit_in_part, light_weights
@@ -34,6 +35,9 @@ class LightHitFeatures:
     lights: tuple[LightKind, ...] = ()  # kinds of the scene's lights
     light_sphere: bool = False  # a POINT or SPOT shaped as a sphere
     light_hits: bool = False  # a light that rays can meet
+    light_choice: bool = True  # there may be several emitters
+    mesh_lights: bool = False  # emissive triangles
+    world_light: bool = False  # the world is sampled
     mis: bool = True  # False: light sampling alone finds what it can find
     lamp_program: ProgramFeatures = ProgramFeatures()
 
@@ -45,12 +49,12 @@ class LightHits(NamedTuple):
     of the ray's direction where it scattered last (see `mis_weight`), `visibility` the kind of ray.
     """
 
-    # (table, nodes, origin, direction, t_min, t_max, visibility, bsdf_pdf, bounce, passed) -> vec3: weighted radiance
-    # of all lights on a ray at `t_min` <= t < `t_max` that rays of that kind see, without suns. `origin` is the point
+    # (table, nodes, point: LitPoint, direction, t_min, t_max, visibility, bsdf_pdf, bounce, passed) -> vec3: weighted
+    # radiance of all lights on a ray at `t_min` <= t < `t_max` that rays of that kind see, without suns. `point` is
     # where the ray scattered last
     intersect: wp.Function
-    # (table, nodes, direction, visibility, bsdf_pdf, bounce, passed) -> vec3: weighted radiance of the suns, for a ray
-    # that leaves the scene
+    # (table, nodes, point, direction, visibility, bsdf_pdf, bounce, passed) -> vec3: weighted radiance of the suns, for
+    # a ray that leaves the scene
     miss: wp.Function
 
 
@@ -66,6 +70,7 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
     has_programs = bool(features.lamp_program)
     hit_weight = light_weights(features.mis)[1]
     lamp_emission = make_lamp_emission(features.lamp_program) if has_programs else None
+    selection_pdf = make_light_choice(narrow(features, ChoiceFeatures)).pdf
 
     @wp.func
     def meet_shape(light: LightRecord, origin: wp.vec3, direction: wp.vec3) -> LightSample:
@@ -92,7 +97,7 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
     def intersect(
         table: LightTable,
         nodes: NodeData,
-        origin: wp.vec3,
+        point: LitPoint,
         direction: wp.vec3,
         t_min: float,
         t_max: float,
@@ -102,6 +107,7 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
         passed: int,
     ) -> wp.vec3:
         total = wp.vec3()
+        origin = point.position
         if wp.static(met_in_space):
             if table.tree_count > 0:
                 item = int(0)
@@ -115,7 +121,9 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
                         # what lies in the plane of a lamp is behind it, as for rays that are aimed at the lamp
                         t = met.distance - met.distance_error
                         if met.pdf > 0.0 and t >= t_min and t < t_max:
-                            weight = hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter))
+                            weight = float(1.0)
+                            if bsdf_pdf > 0.0:
+                                weight = hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, point, emitter))
                             radiance = wp.cw_mul(met.radiance, light.emission)
                             if wp.static(has_programs):
                                 if light.program != 0:
@@ -131,6 +139,7 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
     def miss(
         table: LightTable,
         nodes: NodeData,
+        point: LitPoint,
         direction: wp.vec3,
         visibility: int,
         bsdf_pdf: float,
@@ -153,7 +162,10 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
                                     nodes, table, emitter, direction, direction, wp.inf, bounce, passed
                                 )
                                 radiance = wp.cw_mul(radiance, emitted)
-                        total += hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, emitter)) * radiance
+                        weight = float(1.0)
+                        if bsdf_pdf > 0.0:
+                            weight = hit_weight(bsdf_pdf, met.pdf * selection_pdf(table, point, emitter))
+                        total += weight * radiance
         return total
 
     return LightHits(intersect, miss)

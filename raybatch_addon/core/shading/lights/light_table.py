@@ -9,14 +9,10 @@ import numpy as np
 import warp as wp
 
 from ...scene.description import Light, LightKind, Scene
-from .emitters import (
-    EmissiveTriangles,
-    emitter_powers,
-    find_emissive_triangles,
-    fixed_point_cdf,
-    light_area,
-    world_power,
-)
+from ...scene.geometry import Geometry
+from .choice_table import ChoiceTable, LightNode
+from .emitters import EmissiveTriangles, find_emissive_triangles, light_area, light_strengths, triangle_strengths
+from .light_tree import EmitterBoxes, EmittingTriangles, bound_triangles_kernel, fill_nodes
 from .world import SampledWorld, WorldTable
 
 _FLOAT = np.finfo(np.float32)
@@ -26,6 +22,8 @@ _FARTHEST = 1e9  # [m]
 _RADIUS_MIN = float(np.sqrt(_FLOAT.tiny)) * _FARTHEST  # [m], about 1e-10
 # Rounding of a direction; light that spreads less than this is parallel
 _ANGLE_MIN = float(_FLOAT.eps)  # [rad]
+# Strength of a lamp that seems black, beside the scene's strongest emitter
+_UNSEEN = 1e-4
 
 
 @wp.struct
@@ -63,7 +61,7 @@ class LightTable:
 
     emitter_count: int
     light_count: int
-    emitter_first: wp.array(dtype=wp.uint32)  # begin of each emitter's interval of [0, 2^32)
+    choice: ChoiceTable
     lights: wp.array(dtype=LightRecord)  # [light_count]
     sun_count: int
     suns: wp.array(dtype=int)  # numbers of the suns with a size; [sun_count]
@@ -102,6 +100,7 @@ def upload_lights(
     world: SampledWorld | None = None,
     lamps: Callable[[LightTable], np.ndarray] | None = None,
     triangles: EmissiveTriangles | None = None,
+    geometry: Geometry | None = None,
 ) -> UploadedLights:
     """The emitters of `scene` on `device`; raises `SceneError` for emission that is not finite.
 
@@ -112,12 +111,11 @@ def upload_lights(
         lamps: computes the factor by which programs change the brightness of each light, float64, shape [light_count],
             from a table that holds lights alone.
         triangles: the emissive triangles, where they are known.
+        geometry: that of `scene` on `device`; needed where triangles emit.
     """
     if triangles is None:
         triangles = find_emissive_triangles(scene, emitted)
-    power = emitter_powers(scene, triangles)
-    if world is not None:
-        power = np.append(power, world_power(scene, world.brightness))
+    strength = light_strengths(scene.lights)
     records = np.zeros(len(scene.lights), LightRecord.numpy_dtype())
     for i, light in enumerate(scene.lights):
         _fill_record(records[i, ...], light)
@@ -131,12 +129,11 @@ def upload_lights(
     placed = np.flatnonzero(sized & ~is_sun).astype(np.int32)
 
     table = LightTable()
-    table.emitter_count = len(power)
+    table.emitter_count = len(records) + len(triangles) + (world is not None)
     table.light_count = len(records)
     table.lights = upload(records, LightRecord)
     if lamps is not None:
-        power[: len(records)] *= lamps(table)
-    table.emitter_first = upload(fixed_point_cdf(power), wp.uint32)
+        strength *= lamps(table)
     table.sun_count = len(suns)
     table.suns = upload(suns, int)
     table.tree_count = len(placed)
@@ -152,14 +149,91 @@ def upload_lights(
     table.triangle_program = upload(triangles.program if triangles.program.any() else triangles.program[:0], int)
     table.world_emitter = -1
     if world is not None:
-        table.world_emitter = len(power) - 1
+        table.world_emitter = table.emitter_count - 1
         table.world_visibility = int(scene.world.visibility)
         table.world = world.table
     has_triangles = len(triangles) > 0
     table.instance_first = upload(triangles.instance_first if has_triangles else np.zeros(0, np.int32), int)
     visibility = scene.instances.visibility.astype(np.int32)
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
+    table.choice = _choice_table(table, records, strength, triangles, geometry, world, device)
     return UploadedLights(table, tree, len(triangles))
+
+
+def _choice_table(
+    table: LightTable,
+    records: np.ndarray,
+    strength: np.ndarray,
+    triangles: EmissiveTriangles,
+    geometry: Geometry | None,
+    world: SampledWorld | None,
+    device: wp.Device,
+) -> ChoiceTable:
+    """What the choice among the emitters of `table` reads; `strength` is that of lights without mesh."""
+    choice = ChoiceTable()
+    of_triangles = triangle_strengths(triangles)
+    irradiance = np.zeros(9) if world is None else world.irradiance
+    largest = max(strength.max(initial=0), of_triangles.max(initial=0), irradiance[0])
+    unit = 1 / largest if largest > 0 else 1.0
+    # a lamp whose program was black at every point that was looked at may still shine
+    may_shine = (records["program"] != 0) & (strength == 0)
+    strength = np.where(may_shine, _UNSEEN, strength * unit)
+    choice.world_irradiance = (irradiance * unit).tolist()
+
+    is_sun = records["kind"] == LightKind.SUN
+    distant = np.flatnonzero(is_sun)
+    brightness = strength[distant]
+    if world is not None:
+        distant, brightness = np.append(distant, table.world_emitter), np.append(brightness, irradiance[0] * unit)
+    choice.distant_count = len(distant)
+    choice.distant = wp.array(distant, dtype=int, device=device)
+    choice.distant_strength = wp.array(brightness, dtype=float, device=device)
+
+    local = np.flatnonzero(~is_sun)
+    count = len(local) + len(triangles)
+    boxes = EmitterBoxes()
+    boxes.nodes = wp.empty(count, dtype=LightNode, device=device)
+    boxes.low, boxes.high = (wp.empty(count, dtype=wp.vec3, device=device) for _ in range(2))
+    if len(local):
+        low, high = _boxes(records[local])
+        for target, values in (
+            (boxes.nodes, _lamp_nodes(records, local, strength)),
+            (boxes.low, low),
+            (boxes.high, high),
+        ):
+            wp.copy(target, wp.array(values, dtype=target.dtype, device=device), count=len(local))
+    if len(triangles):
+        emitting = EmittingTriangles()
+        emitting.instance, emitting.primitive = table.triangle_instance, table.triangle_primitive
+        emitting.power = wp.array(of_triangles * unit, dtype=float, device=device)
+        emitting.emitter_first, emitting.node_first = table.light_count, len(local)
+        wp.launch(bound_triangles_kernel, len(triangles), [geometry, emitting, boxes], device=device)
+    choice.leaf = wp.full(table.emitter_count, -1, dtype=int, device=device)
+    if count:
+        fill_nodes(choice, boxes)
+    return choice
+
+
+def _lamp_nodes(records: np.ndarray, local: np.ndarray, strength: np.ndarray) -> np.ndarray:
+    """Leaves for the lights numbered `local`: where they are, and where they shine."""
+    lamps = records[local]
+    nodes = np.zeros(len(local), LightNode.numpy_dtype())
+    nodes["centre"], nodes["axis"] = lamps["position"], lamps["axis"]
+    nodes["radius"] = np.maximum(lamps["radius"], np.hypot(lamps["half_x"], lamps["half_y"]))
+    nodes["power"], nodes["emitter"] = strength[local], local
+    for name in ("first", "second", "parent", "root"):
+        nodes[name] = -1
+    spot, point = lamps["kind"] == LightKind.SPOT, lamps["kind"] == LightKind.POINT
+    nodes["cos_axis"] = np.where(point, -1, 1)
+    # a spot's cone is squeezed along its width and height; at its widest it is `wide` times as wide
+    cosine = lamps["cos_half"].astype(np.float64)
+    squeeze = np.minimum(lamps["squeeze_x"], lamps["squeeze_y"]).astype(np.float64)
+    wide = 1 / np.minimum(np.where(spot, squeeze, 1), 1)
+    tangent = wide * np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 1e-6)
+    nodes["cos_edge"] = np.where(spot, 1 / np.hypot(1, tangent), 0)
+    narrow = lamps["tan_half_spread"] > 0
+    nodes["cos_edge"][narrow] = 1 / np.hypot(1, lamps["tan_half_spread"][narrow].astype(np.float64))
+    return nodes
 
 
 def _fill_record(record: np.ndarray, light: Light) -> None:

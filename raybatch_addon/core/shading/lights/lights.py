@@ -12,12 +12,11 @@ from typing import NamedTuple
 import warp as wp
 
 from ...scene.description import LightKind, Visibility
-from ...scene.geometry import Geometry, corners_of, triangle_vertices
-from ..sampling import sample_triangle
+from ...scene.features import narrow
+from ...scene.geometry import Geometry
 from .area_shapes import sample_area_light, sample_parallel_light
-from .light_choice import choice_bits, choose_emitter, selection_pdf
+from .light_choice import ChoiceFeatures, LitPoint, make_light_choice
 from .light_shapes import (
-    GAMMA_8,
     LAMP_PROGRAM,
     SURFACE_PROGRAM,
     WORLD_PROGRAM,
@@ -28,7 +27,8 @@ from .light_shapes import (
     spot_factor,
 )
 from .light_table import LightRecord, LightTable
-from .world import sample_world, world_pdf
+from .light_triangles import find_triangle, sample_triangle_light, triangle_pdf
+from .world import sample_world
 
 _POINT = wp.constant(int(LightKind.POINT))
 _SPOT = wp.constant(int(LightKind.SPOT))
@@ -43,6 +43,7 @@ class LightFeatures:
 
     lights: tuple[LightKind, ...] = ()  # kinds of the scene's lights
     light_sphere: bool = False  # a POINT or SPOT shaped as a sphere
+    light_choice: bool = True  # there may be several emitters
     mesh_lights: bool = False  # emissive triangles
     mesh_programs: bool = False  # emissive triangles whose radiance comes from programs
     world_light: bool = False  # the world is sampled
@@ -52,10 +53,10 @@ class LightFeatures:
 class Lights(NamedTuple):
     """Functions (`wp.Function`) of one specialisation. Directions are unit vectors."""
 
-    # (table, geometry, position, u_choice: float, u: vec2) -> LightSample, from `position` towards one emitter
+    # (table, geometry, point: LitPoint, u_choice: float, u: vec2) -> LightSample, from `point` towards one emitter
     sample: wp.Function
-    # (table, geometry, instance, primitive, direction, distance) -> float: density [1/sr] with which `sample` would
-    # have chosen the direction of a ray that hit this triangle; 0: it never does
+    # (table, geometry, instance, primitive, point: LitPoint, direction, distance) -> float: density [1/sr] with which
+    # `sample` would have chosen the direction of a ray from `point` that hit this triangle; 0: it never does
     hit_pdf: wp.Function
 
 
@@ -74,12 +75,6 @@ def sample_world_light(table: LightTable, u: wp.vec2) -> LightSample:
     s.instance = -1
     s.primitive = -1
     return s
-
-
-@wp.func
-def world_light_pdf(table: LightTable, direction: wp.vec3) -> float:
-    """Density with which light sampling would have chosen `direction` into the world [1/sr]."""
-    return world_pdf(table.world, direction) * selection_pdf(table, table.world_emitter)
 
 
 @wp.func
@@ -137,91 +132,6 @@ def is_lit_in_part(visibility: int) -> bool:
     return kinds != 0 and kinds != _SCATTERED
 
 
-@wp.func
-def find_triangle(table: LightTable, instance: int, primitive: int) -> int:
-    """Number of the emitter that is this triangle of an instance, or -1."""
-    if table.instance_first.shape[0] == 0:  # all emission comes from programs
-        return -1
-    low = table.instance_first[instance]
-    end = table.instance_first[instance + 1]
-    high = end
-    while low < high:
-        middle = low + (high - low) // 2
-        if table.triangle_primitive[middle] < primitive:
-            low = middle + 1
-        else:
-            high = middle
-    if low < end:
-        if table.triangle_primitive[low] == primitive:
-            return table.light_count + low
-    return -1
-
-
-@wp.func
-def triangle_density(normal: wp.vec3, direction: wp.vec3, distance: float) -> float:
-    """Density per solid angle of uniform points on a triangle [1/sr]; the length of `normal` is twice the area.
-
-    It is 0 for a triangle that is seen edge-on, or so nearly that the density is beyond the range of numbers.
-    """
-    projected = 0.5 * wp.abs(wp.dot(normal, direction))
-    density = distance * distance / projected
-    return wp.where(density < wp.inf, density, 0.0)
-
-
-@wp.func
-def triangle_distance_error(
-    geometry: Geometry, instance: int, primitive: int, normal: wp.vec3, direction: wp.vec3, distance: float
-) -> float:
-    """Bound of how much nearer than `distance` a ray along `direction` may find the triangle that it aims at [m].
-
-    Rounding moves the plane of the triangle, or the ray, by at most `error` along each axis; the slant of the ray
-    stretches the part along the normal.
-    """
-    triangle = corners_of(geometry, geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive)
-    p0 = wp.abs(geometry.positions[triangle[0]])
-    p1 = wp.abs(geometry.positions[triangle[1]])
-    p2 = wp.abs(geometry.positions[triangle[2]])
-    m = geometry.instance_transform[instance]
-    largest = wp.max(p0, wp.max(p1, p2))
-    # terms of the corners in world space; the shaded point is at most `distance` away, and so are the products of the
-    # ray with its distance
-    error = wp.vec3(distance)
-    for i in range(3):
-        reach = wp.abs(m[i, 0]) * largest[0] + wp.abs(m[i, 1]) * largest[1] + wp.abs(m[i, 2]) * largest[2]
-        error[i] = error[i] + reach + wp.abs(m[i, 3])
-    slant = wp.abs(wp.dot(normal, direction))
-    # each of four steps: the corners to the world, the sampled point, the ray to the object, the ray's test
-    return wp.static(4.0 * GAMMA_8) * wp.dot(wp.abs(normal), error) / slant
-
-
-@wp.func
-def sample_triangle_light(
-    table: LightTable, geometry: Geometry, triangle: int, position: wp.vec3, u: wp.vec2
-) -> LightSample:
-    """A direction towards a uniform point of an emissive triangle."""
-    s = LightSample()
-    s.instance = table.triangle_instance[triangle]
-    s.primitive = table.triangle_primitive[triangle]
-    a, b, c = triangle_vertices(geometry, s.instance, s.primitive)
-    weight = sample_triangle(u)
-    # corners relative to the shaded point, so that far coordinates cancel once only
-    offset = weight[0] * (a - position) + weight[1] * (b - position) + weight[2] * (c - position)
-    s.distance = wp.length(offset)
-    s.casts_shadow = 1
-    s.visibility = table.instance_visibility[s.instance]
-    if s.distance > 0.0:
-        s.direction = offset / s.distance
-        s.radiance = table.triangle_radiance[triangle]
-        s.barycentric = wp.vec2(weight[1], weight[2])
-        normal = wp.cross(b - a, c - a)
-        s.pdf = triangle_density(normal, s.direction, s.distance)
-        if s.pdf > 0.0:
-            s.distance_error = triangle_distance_error(
-                geometry, s.instance, s.primitive, normal, s.direction, s.distance
-            )
-    return s
-
-
 @functools.cache
 def make_lights(features: LightFeatures) -> Lights:
     """The `Lights` for scenes with these features."""
@@ -230,6 +140,7 @@ def make_lights(features: LightFeatures) -> Lights:
     has_sphere = has_round and features.light_sphere
     has_sun = LightKind.SUN in features.lights
     has_area = LightKind.RECTANGLE in features.lights or LightKind.ELLIPSE in features.lights
+    choose, selection_pdf = make_light_choice(narrow(features, ChoiceFeatures))
 
     @wp.func
     def sample_shape(light: LightRecord, position: wp.vec3, u: wp.vec2) -> LightSample:
@@ -277,10 +188,12 @@ def make_lights(features: LightFeatures) -> Lights:
         return s
 
     @wp.func
-    def sample(table: LightTable, geometry: Geometry, position: wp.vec3, u_choice: float, u: wp.vec2) -> LightSample:
+    def sample(table: LightTable, geometry: Geometry, point: LitPoint, u_choice: float, u: wp.vec2) -> LightSample:
         s = LightSample()
-        if table.emitter_count > 0:
-            emitter = choose_emitter(table, choice_bits(u_choice, u))
+        choice = choose(table, point, u_choice, u)
+        emitter = choice.emitter
+        position = point.position
+        if emitter >= 0:
             if emitter < table.light_count:
                 if wp.static(len(features.lights) > 0):
                     light = table.lights[emitter]
@@ -307,7 +220,7 @@ def make_lights(features: LightFeatures) -> Lights:
                 if wp.static(features.world_light):
                     if emitter == table.world_emitter:
                         s = sample_world_light(table, u)
-            s.pdf = s.pdf * selection_pdf(table, emitter)
+            s.pdf = s.pdf * choice.pdf
             # beyond the range of numbers: too near or too small to count
             if not s.pdf < wp.inf:
                 s.pdf = 0.0
@@ -315,13 +228,19 @@ def make_lights(features: LightFeatures) -> Lights:
 
     @wp.func
     def hit_pdf(
-        table: LightTable, geometry: Geometry, instance: int, primitive: int, direction: wp.vec3, distance: float
+        table: LightTable,
+        geometry: Geometry,
+        instance: int,
+        primitive: int,
+        point: LitPoint,
+        direction: wp.vec3,
+        distance: float,
     ) -> float:
         if wp.static(features.mesh_lights):
             emitter = find_triangle(table, instance, primitive)
             if emitter >= 0:
-                a, b, c = triangle_vertices(geometry, instance, primitive)
-                return triangle_density(wp.cross(b - a, c - a), direction, distance) * selection_pdf(table, emitter)
+                density = triangle_pdf(geometry, instance, primitive, point.position, direction, distance)
+                return density * selection_pdf(table, point, emitter)
         return 0.0
 
     return Lights(sample, hit_pdf)

@@ -12,6 +12,8 @@ import warp as wp
 
 from .emitters import fixed_point_cdf
 
+vec9 = wp.types.vector(length=9, dtype=float)
+
 # Least light that a texel counts for, as a share of the mean: light that the texels' test points missed is still found
 _FLOOR = 1e-3
 # ... and as a share of the brightest texel around it: the rim of a sun may lie between the points of a texel
@@ -41,15 +43,44 @@ class SampledWorld:
     """A world that is sampled."""
 
     table: WorldTable
-    brightness: float  # mean radiance over all directions
+    # irradiance of a surface with the normal n: coefficients of 1, y, z, x, xy, yz, 3 z² - 1, xz, x² - y²
+    irradiance: np.ndarray  # float64, shape [9]
 
 
 def sampled_world(light: np.ndarray, device: wp.Device) -> SampledWorld:
     """The world whose texels have the brightness `light`; see `build_world_table`."""
-    height = light.shape[0]
+    return SampledWorld(build_world_table(light, device), _irradiance(light))
+
+
+def _irradiance(light: np.ndarray) -> np.ndarray:
+    """`SampledWorld.irradiance` of texels: spherical harmonics up to the second band, convolved with the cosine
+    (Ramamoorthi and Hanrahan 2001, "An efficient representation for irradiance environment maps", equations 3 and 13).
+    """
+    height, width = light.shape
     edges = np.cos(np.arange(height + 1) * (np.pi / height))
-    mean = float((light.mean(1, dtype=np.float64) * (edges[:-1] - edges[1:])).sum() / 2)
-    return SampledWorld(build_world_table(light, device), mean)
+    z = (edges[:-1] + edges[1:])[:, None] / 2
+    sine = np.sqrt(1 - z * z)
+    around = (np.arange(width) + 0.5) * (2 * np.pi / width)
+    # sums over each row of what depends on the angle around alone
+    waves = [np.ones(width), np.sin(around), np.cos(around), np.sin(2 * around), np.cos(2 * around)]
+    one, sin_1, cos_1, sin_2, cos_2 = (light @ wave.astype(np.float64) for wave in waves)
+    row = (edges[:-1] - edges[1:]) * (2 * np.pi / width)
+    z, sine = z[:, 0], sine[:, 0]
+    moments = [
+        one,
+        sine * sin_1,
+        z * one,
+        sine * cos_1,
+        sine * sine * sin_2 / 2,
+        sine * z * sin_1,
+        (3 * z * z - 1) * one,
+        sine * z * cos_1,
+        sine * sine * cos_2,
+    ]
+    # squares of the functions' constants times the cosine's factors: pi, 2 pi / 3, pi / 4
+    first, second = 1 / 2, 15 / 16
+    scale = np.array([1 / 4, first, first, first, second, second, second / 12, second, second / 4])
+    return np.array([(row * each).sum() for each in moments]) * scale
 
 
 def build_world_table(light: np.ndarray, device: wp.Device) -> WorldTable:

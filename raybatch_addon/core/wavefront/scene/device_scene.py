@@ -113,7 +113,7 @@ class DeviceScene:
         else:
             cache.emissive.clear()
             triangles = find_emissive_triangles(scene, emitted)
-        lights = upload_lights(scene, device, triangles=triangles, world=world, lamps=lamps)
+        lights = upload_lights(scene, device, triangles=triangles, world=world, lamps=lamps, geometry=data.geometry)
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)
         data.world_visibility = scene.world.visibility

@@ -8,6 +8,7 @@ from ...rays import Rays
 from ...scene.description import Visibility
 from ...shading.bsdf.bsdf import ShadingFrame
 from ...shading.bsdf.materials import ClosureRecord
+from ...shading.lights.light_choice import lit_point
 from ...shading.lights.light_shapes import LAMP_PROGRAM
 from ...shading.lights.lights import is_lit_in_part
 from ...shading.surface import SurfacePoint, spawn_origin
@@ -35,8 +36,8 @@ def lit_value(value: wp.vec3, diffuse: wp.vec3, visibility: int, reflected: bool
 def make_connect_light(
     features: SurfaceFeatures, bsdf_evaluate: wp.Function, light_sample: wp.Function, sample_weight: wp.Function
 ) -> wp.Function:
-    """Function (data, limits, paths, rays, path, surface, frame, wo, closures, first, end, u_choice: float, u: vec2) ->
-    int: the status bit that submits the path's shadow ray, or 0.
+    """Function (data, limits, paths, rays, path, surface, frame, wo, closures, first, end, side: uint32, u_choice:
+    float, u: vec2) -> int: the status bit that submits the path's shadow ray, or 0. `side`: as of `packed_side`.
 
     The last three are `Bsdf.evaluate`, `Lights.sample` and the weight of samples of `light_weights`.
     """
@@ -55,11 +56,12 @@ def make_connect_light(
         closures: wp.array(dtype=ClosureRecord),
         first: int,
         end: int,
+        side: wp.uint32,
         u_choice: float,
         u: wp.vec2,
     ) -> int:
         """Aim a shadow ray at a light; returns the status bit that submits it, or 0."""
-        light = light_sample(data.lights, data.geometry, surface.position, u_choice, u)
+        light = light_sample(data.lights, data.geometry, lit_point(surface.position, side), u_choice, u)
         if light.pdf <= 0.0:
             return 0
         bsdf = bsdf_evaluate(closures, first, end, data.materials.albedo, frame, wo, light.direction)

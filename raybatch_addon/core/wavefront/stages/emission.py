@@ -6,8 +6,9 @@ import warp as wp
 
 from ...rays import Rays
 from ...shading.bsdf.materials import ClosureRecord
+from ...shading.lights.light_choice import lit_point
 from ...shading.lights.lights import is_lit_in_part
-from ..rays import Paths, bounce_of
+from ..rays import Paths, bounce_of, left_side
 from ..scene.scene_data import SceneData
 from .limits import PathLimits, clamped, has_light
 
@@ -38,12 +39,14 @@ def make_gather_emission(
             weight = float(1.0)
             pdf = paths.pdf[path]
             if pdf > 0.0:
+                direction = rays.direction[path]
                 light_pdf = light_hit_pdf(
                     data.lights,
                     data.geometry,
                     rays.hit_instance[path],
                     rays.hit_primitive[path],
-                    rays.direction[path],
+                    lit_point(rays.origin[path] - seen_from * direction, left_side(paths, path)),
+                    direction,
                     seen_from + rays.hit_t[path],
                 )
                 weight = hit_weight(pdf, light_pdf)

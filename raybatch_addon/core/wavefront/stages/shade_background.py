@@ -11,10 +11,14 @@ import warp as wp
 
 from ...film.tile import FilmTile
 from ...rays import Rays
+from ...scene.description import LightKind
+from ...scene.features import narrow
 from ...scene.program import ProgramFeatures
+from ...shading.lights.light_choice import ChoiceFeatures, lit_point, make_light_choice
 from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
-from ...shading.lights.lights import is_lit_in_part, light_weights, world_light_pdf
-from ..rays import SHADOW_PASS, Paths, Status, bounce_of, visibility_of
+from ...shading.lights.lights import is_lit_in_part, light_weights
+from ...shading.lights.world import world_pdf
+from ..rays import SHADOW_PASS, Paths, Status, bounce_of, left_side, visibility_of
 from ..scene.scene_data import SceneData
 from .emitted import make_world_emission
 from .generate import pixel_sample
@@ -35,6 +39,9 @@ class BackgroundFeatures:
     depth_pass: bool
     clamping: bool
     world_program: ProgramFeatures = ProgramFeatures()
+    lights: tuple[LightKind, ...] = ()
+    light_choice: bool = True
+    mesh_lights: bool = False
     world_light: bool = False
     mis: bool = True
     subsurface: bool = False
@@ -70,11 +77,12 @@ def make_light_hits_stage(
         passed = int(0)
         if wp.static(transparency):
             passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
+        point = lit_point(origin, left_side(paths, path))
         light = intersect(
-            data.lights, data.lamp_nodes, origin, direction, t_min, t_max, visibility, pdf, bounce + 1, passed
+            data.lights, data.lamp_nodes, point, direction, t_min, t_max, visibility, pdf, bounce + 1, passed
         )
         if rays.hit_instance[path] < 0:
-            light = light + miss(data.lights, data.lamp_nodes, direction, visibility, pdf, bounce + 1, passed)
+            light = light + miss(data.lights, data.lamp_nodes, point, direction, visibility, pdf, bounce + 1, passed)
         light = wp.cw_mul(paths.throughput[path], light)
         if wp.static(clamping):
             light = clamped(limits, light, bounce)
@@ -89,6 +97,7 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
     has_program = bool(features.world_program)
     world_emission = make_world_emission(features.world_program) if has_program else None
     hit_weight = light_weights(features.mis)[1]
+    selection_pdf = make_light_choice(narrow(features, ChoiceFeatures)).pdf
 
     @wp.func
     def background(
@@ -124,7 +133,12 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
                                 if is_lit_in_part(data.lights.world_visibility):
                                     light = wp.vec3(0.0)  # found by light sampling alone
                                 else:
-                                    light = hit_weight(pdf, world_light_pdf(data.lights, direction)) * light
+                                    origin = rays.origin[path]
+                                    if paths.passed_t.shape[0] > 0:
+                                        origin = origin - paths.passed_t[path] * direction
+                                    point = lit_point(origin, left_side(paths, path))
+                                    chosen = selection_pdf(data.lights, point, data.lights.world_emitter)
+                                    light = hit_weight(pdf, chosen * world_pdf(data.lights.world, direction)) * light
                 if wp.static(features.clamping):
                     light = clamped(limits, light, bounce)
                 paths.radiance[path] = paths.radiance[path] + light

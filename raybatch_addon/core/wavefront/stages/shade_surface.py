@@ -15,6 +15,7 @@ from ...scene.features import narrow
 from ...shading.bsdf.bsdf import DELTA, DIFFUSE, SUBSURFACE, TRANSMISSION, TRANSPARENT, ClosureFeatures, make_bsdf
 from ...shading.bsdf.materials import RECORD_FLOATS, SURFACE_NORMAL, ClosureRecord, address_of, new_closure
 from ...shading.bsdf.normals import shading_frame
+from ...shading.lights.light_choice import packed_side
 from ...shading.lights.lights import LightFeatures, light_weights, make_lights
 from ...shading.sampling import (
     BSDF,
@@ -46,6 +47,20 @@ HIT = int(Status.HIT)
 STRAIGHT = int(Status.STRAIGHT)
 ENDED = int(Status.ENDED)
 INSIDE = int(Status.INSIDE)
+# Closures that light from behind the surface shines through, in other directions than straight on
+TRANSMISSIVE = (ClosureKind.GLASS, ClosureKind.REFRACTION, ClosureKind.TRANSLUCENT, ClosureKind.SHEET)
+_GLASS, _REFRACTION, _TRANSLUCENT, _SHEET = (int(kind) for kind in TRANSMISSIVE)
+
+
+@wp.func
+def is_transmissive(kind: int) -> bool:
+    """Whether a closure is one of `TRANSMISSIVE`."""
+    return (
+        kind == wp.static(_GLASS)
+        or kind == wp.static(_REFRACTION)
+        or kind == wp.static(_TRANSLUCENT)
+        or kind == wp.static(_SHEET)
+    )
 
 
 @functools.cache
@@ -65,6 +80,7 @@ def make_shade_surface(features: SurfaceFeatures) -> wp.Function:
     programs = features.programs
     run_surface = make_surface_program(programs)
     begin_walk = make_walk_begin(features.sample_sequence)
+    transmits = any(kind in features.closures for kind in TRANSMISSIVE)
 
     @wp.func
     def shade_surface(
@@ -176,7 +192,14 @@ def make_shade_surface(features: SurfaceFeatures) -> wp.Function:
             if comes_out:
                 dimension = walk_dimension(bounce + passed, wp.static(STEPS_MOST + 1))
 
+        side = wp.uint32(0)
         if wp.static(features.shadow_rays):
+            both_sides = bool(False)
+            if wp.static(features.light_choice):
+                if wp.static(transmits):
+                    for c in range(first, end):
+                        both_sides = both_sides or is_transmissive(closures[c].kind)
+                side = packed_side(frame.normal, both_sides)
             if x < limits.nee_end and not last:
                 status = status | connect_light(
                     data,
@@ -190,6 +213,7 @@ def make_shade_surface(features: SurfaceFeatures) -> wp.Function:
                     closures,
                     first,
                     end,
+                    side,
                     sample_1d(key, sample, dimension + wp.uint32(LIGHT_CHOICE)),
                     sample_2d(key, sample, dimension + wp.uint32(LIGHT)),
                 )
@@ -227,6 +251,8 @@ def make_shade_surface(features: SurfaceFeatures) -> wp.Function:
             if (scattered.lobe & DELTA) != 0 or x >= limits.nee_end:
                 pdf = 0.0
             paths.pdf[path] = pdf
+            if wp.static(features.shadow_rays and features.light_choice):
+                paths.side[path] = side
             seen_by = wp.static(int(Visibility.GLOSSY))
             if (scattered.lobe & TRANSMISSION) != 0:
                 seen_by = wp.static(int(Visibility.TRANSMISSION))

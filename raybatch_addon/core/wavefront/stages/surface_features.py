@@ -16,6 +16,7 @@ class SurfaceFeatures:
     programs: ProgramFeatures
     lights: tuple[LightKind, ...]
     light_sphere: bool
+    light_choice: bool
     mesh_lights: bool
     mesh_programs: bool
     world_light: bool

@@ -11,6 +11,7 @@ from raybatch_addon.core.programs.op import NodeData
 from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, Light, LightKind, Scene
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
+from raybatch_addon.core.shading.lights.light_choice import lit_point, packed_side
 from raybatch_addon.core.shading.lights.light_hits import LightHitFeatures, make_light_hits
 from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
@@ -44,6 +45,7 @@ class Query:
 
     position: wp.vec3
     normal: wp.vec3
+    both_sides: int
     cone_axis: wp.vec3
     cone: float  # 1 - cos of the cone's half angle
     seed: int
@@ -69,7 +71,7 @@ class Answers:
 def kernel_for(features: LightFeatures):
     sample, hit_pdf = make_lights(features)
     intersect, miss = make_light_hits(
-        LightHitFeatures(features.lights, features.light_sphere, light_hits=features == ALL)
+        LightHitFeatures(features.lights, features.light_sphere, features == ALL, mesh_lights=features.mesh_lights)
     )
 
     @wp.kernel(**KERNEL_OPTIONS)
@@ -78,26 +80,25 @@ def kernel_for(features: LightFeatures):
         r = wp.rand_init(query.seed, i)
         choice = float(wp.randi(r) & 16777215) / 16777216.0
         u = wp.vec2(float(wp.randi(r) & 16777215) / 16777216.0, float(wp.randi(r) & 16777215) / 16777216.0)
-        s = sample(table, geometry, query.position, choice, u)
+        point = lit_point(query.position, packed_side(query.normal, query.both_sides != 0))
+        s = sample(table, geometry, point, choice, u)
         answers.radiance[i] = s.radiance
         answers.direction[i] = s.direction
         answers.info[i] = wp.vec4(s.pdf, s.distance, float(s.delta), wp.dot(s.direction, query.normal))
         answers.triangle[i] = wp.vec2i(s.instance, s.primitive)
         if s.pdf > 0.0 and s.instance >= 0:
-            answers.again[i] = hit_pdf(table, geometry, s.instance, s.primitive, s.direction, s.distance)
-        met = intersect(
-            table, nodes, query.position, s.direction, query.t_min, query.t_max, query.visibility, s.pdf, 0, 0
-        )
-        answers.met[i] = met + miss(table, nodes, s.direction, query.visibility, s.pdf, 0, 0)
+            answers.again[i] = hit_pdf(table, geometry, s.instance, s.primitive, point, s.direction, s.distance)
+        met = intersect(table, nodes, point, s.direction, query.t_min, query.t_max, query.visibility, s.pdf, 0, 0)
+        answers.met[i] = met + miss(table, nodes, point, s.direction, query.visibility, s.pdf, 0, 0)
 
         local = sample_cone(wp.vec2(wp.randf(r), wp.randf(r)), query.cone)
         d = to_world(local, tangent_of(query.cone_axis), bitangent_of(query.cone_axis), query.cone_axis)
         density = 1.0 / (wp.TAU * query.cone)
         answers.cone_direction[i] = d
-        met = intersect(table, nodes, query.position, d, query.t_min, query.t_max, query.visibility, 0.0, 0, 0)
-        answers.cone_met[i] = met + miss(table, nodes, d, query.visibility, 0.0, 0, 0)
-        met = intersect(table, nodes, query.position, d, query.t_min, query.t_max, query.visibility, density, 0, 0)
-        answers.cone_weighted[i] = met + miss(table, nodes, d, query.visibility, density, 0, 0)
+        met = intersect(table, nodes, point, d, query.t_min, query.t_max, query.visibility, 0.0, 0, 0)
+        answers.cone_met[i] = met + miss(table, nodes, point, d, query.visibility, 0.0, 0, 0)
+        met = intersect(table, nodes, point, d, query.t_min, query.t_max, query.visibility, density, 0, 0)
+        answers.cone_weighted[i] = met + miss(table, nodes, point, d, query.visibility, density, 0, 0)
 
     return probe
 
@@ -146,9 +147,10 @@ def probe(
     t_min=0.0,
     t_max=1e30,
     count=COUNT,
+    both_sides=False,
 ):
-    uploaded = upload_lights(scene, wp.get_device(device))
     geometry = upload_geometry(flatten(scene), scene, wp.get_device(device))
+    uploaded = upload_lights(scene, wp.get_device(device), geometry=geometry)
     answers = Answers()
     for name, kind in (
         ("radiance", wp.vec3),
@@ -164,6 +166,7 @@ def probe(
         setattr(answers, name, wp.zeros(count, dtype=kind, device=device))
     query = Query()
     query.position, query.normal, query.cone_axis = wp.vec3(*position), wp.vec3(*normal), wp.vec3(*cone_axis)
+    query.both_sides = int(both_sides)
     query.cone, query.seed, query.visibility, query.t_min, query.t_max = cone, 7, visibility, t_min, t_max
     kernel = kernel_for(features)
     wp.launch(kernel, count, [uploaded.table, NodeData(), geometry, query, answers], device=device, block_dim=BLOCK_DIM)

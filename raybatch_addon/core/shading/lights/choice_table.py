@@ -1,0 +1,40 @@
+"""What the choice among emitters reads."""
+
+import warp as wp
+
+from .world import vec9
+
+
+@wp.struct
+class LightNode:
+    """What shines below a node of the tree over all emitters with a place: one emitter, or two nodes."""
+
+    centre: wp.vec3  # of a sphere around them [m]
+    radius: float  # [m]
+    # directions into which they shine: the middle of their normals' cone, the cosine of its half angle (-1: all
+    # directions), and the cosine of how far beyond the normals light leaves
+    axis: wp.vec3
+    cos_axis: float
+    cos_edge: float
+    two_sided: int  # 1: and into the opposite ones
+    power: float  # irradiance at a distance of 1 m along the axis, in units of the scene's strongest emitter
+    first: int  # nodes below; -1: an emitter
+    second: int
+    parent: int
+    emitter: int  # -1: nodes
+    root: int  # number among the roots; -1: below one, or above
+
+
+@wp.struct
+class ChoiceTable:
+    """What the choice among emitters reads."""
+
+    root_count: int
+    distant_count: int
+    nodes: wp.array(dtype=LightNode)
+    roots: wp.array(dtype=int)  # nodes that are compared one by one; together they hold all emitters with a place
+    leaf: wp.array(dtype=int)  # node of each emitter; -1: it has no place
+    distant: wp.array(dtype=int)  # emitters without a place: suns, then the world if it is sampled
+    distant_strength: wp.array(dtype=float)  # irradiance of a surface that faces each, in units as of `LightNode.power`
+    # the world's irradiance of a surface with the normal n: coefficients of 1, y, z, x, xy, yz, 3 z² - 1, xz, x² - y²
+    world_irradiance: vec9

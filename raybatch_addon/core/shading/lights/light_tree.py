@@ -1,0 +1,284 @@
+"""The tree over all emitters with a place, which the choice among them goes down.
+
+Boxes of emitters are joined by the builders of the scene's trees, on the device; each node then gets the sphere, the
+cone of directions and the power of what lies below it (Conty Estevez and Kulla 2018, section 4.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ...bvh.build.binary import BuildOptions
+from ...bvh.build.cpu.build import build_binary_from_boxes
+from ...bvh.build.cuda.clusters import merge_leaves, sort_leaves
+from ...bvh.build.cuda.order import find_parents, order_by_height, refit
+from ...device.kernel import KERNEL_OPTIONS
+from ...scene.geometry import Geometry, triangle_vertices
+from .choice_table import ChoiceTable, LightNode
+
+# Nodes that are compared one by one at most: a scene with so few emitters is compared exactly
+ROOTS_MOST = 8
+
+
+@wp.struct
+class EmitterBoxes:
+    """Emitters with a place, in the order of their numbers."""
+
+    nodes: wp.array(dtype=LightNode)
+    low: wp.array(dtype=wp.vec3)  # least corner of each one's box [m]
+    high: wp.array(dtype=wp.vec3)
+
+
+@wp.struct
+class Joints:
+    """A binary tree over emitters: leaves [0, leaf_count) first, inner node `leaf_count + k` at k."""
+
+    leaf_count: int
+    low: wp.array(dtype=wp.vec3)  # of boxes of all nodes [m]
+    high: wp.array(dtype=wp.vec3)
+    children: wp.array(dtype=wp.vec2i)
+    which: wp.array(dtype=int)  # which emitter a leaf is
+
+
+@dataclass(frozen=True)
+class _Topology:
+    joints: Joints
+    order: wp.array  # inner nodes, those below others first, int
+    level_first: list[int]  # index in `order` of the first of each level, then their count
+    root: int
+
+
+@wp.struct
+class EmittingTriangles:
+    """Triangles that emit."""
+
+    instance: wp.array(dtype=int)
+    primitive: wp.array(dtype=int)
+    power: wp.array(dtype=float)  # as `LightNode.power`
+    emitter_first: int  # number of the first one among all emitters
+    node_first: int  # and among those with a place
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def bound_triangles_kernel(geometry: Geometry, triangles: EmittingTriangles, boxes: EmitterBoxes):
+    """Sphere, direction and box of each triangle."""
+    i = wp.tid()
+    a, b, c = triangle_vertices(geometry, triangles.instance[i], triangles.primitive[i])
+    low = wp.min(wp.min(a, b), c)
+    high = wp.max(wp.max(a, b), c)
+    node = LightNode()
+    node.centre = 0.5 * low + 0.5 * high
+    node.radius = wp.length(0.5 * high - 0.5 * low)
+    normal = wp.cross(b - a, c - a)
+    length = wp.length(normal)
+    if length > 0.0 and length < wp.inf:
+        node.axis = normal / length
+        node.cos_axis = 1.0
+        node.two_sided = 1
+    else:
+        node.cos_axis = -1.0
+    node.power = triangles.power[i]
+    node.first = -1
+    node.second = -1
+    node.parent = -1
+    node.root = -1
+    node.emitter = triangles.emitter_first + i
+    at = triangles.node_first + i
+    boxes.nodes[at] = node
+    boxes.low[at] = low
+    boxes.high[at] = high
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def place_leaves_kernel(
+    boxes: EmitterBoxes, joints: Joints, nodes: wp.array(dtype=LightNode), leaf: wp.array(dtype=int)
+):
+    """Emitters become leaves."""
+    i = wp.tid()
+    node = boxes.nodes[joints.which[i]]
+    nodes[i] = node
+    leaf[node.emitter] = i
+
+
+@wp.func
+def _any_direction(node: LightNode) -> LightNode:
+    node.cos_axis = -1.0
+    node.two_sided = 0
+    return node
+
+
+@wp.func
+def join_directions(node: LightNode, a: LightNode, b: LightNode) -> LightNode:
+    """`node` with a cone that holds those of `a` and `b`; none holds less by what is rounded, but for
+    `_COSINE_ERROR` of the choice.
+    """
+    if a.power <= 0.0 or b.power <= 0.0:
+        one = a
+        if a.power <= 0.0:
+            one = b
+        node.axis = one.axis
+        node.cos_axis = one.cos_axis
+        node.cos_edge = one.cos_edge
+        node.two_sided = one.two_sided
+        return node
+    node.cos_edge = wp.min(a.cos_edge, b.cos_edge)
+    if a.cos_axis <= -1.0 or b.cos_axis <= -1.0 or a.two_sided != b.two_sided:
+        return _any_direction(node)
+    node.two_sided = a.two_sided
+    other = b.axis
+    cosine = wp.dot(a.axis, other)
+    if a.two_sided != 0 and cosine < 0.0:
+        other = -other
+    half_a = wp.acos(a.cos_axis)
+    half_b = wp.acos(b.cos_axis)
+    between = 2.0 * wp.atan2(wp.length(a.axis - other), wp.length(a.axis + other))
+    if between + half_b <= half_a:
+        node.axis = a.axis
+        node.cos_axis = a.cos_axis
+        return node
+    if between + half_a <= half_b:
+        node.axis = b.axis
+        node.cos_axis = b.cos_axis
+        return node
+    half = 0.5 * (half_a + between + half_b)
+    across = other - wp.dot(other, a.axis) * a.axis
+    length = wp.length(across)
+    if half >= wp.PI or length <= 0.0:
+        return _any_direction(node)
+    turn = half - half_a
+    node.axis = wp.normalize(wp.cos(turn) * a.axis + (wp.sin(turn) / length) * across)
+    node.cos_axis = wp.cos(half)
+    return node
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def join_kernel(joints: Joints, order: wp.array(dtype=int), first: int, nodes: wp.array(dtype=LightNode)):
+    """Inner nodes of one level, from the two below each."""
+    number = order[first + wp.tid()]
+    children = joints.children[number - joints.leaf_count]
+    a = nodes[children[0]]
+    b = nodes[children[1]]
+    node = LightNode()
+    low = joints.low[number]
+    high = joints.high[number]
+    node.centre = 0.5 * low + 0.5 * high
+    node.radius = wp.length(0.5 * high - 0.5 * low)
+    node.power = a.power + b.power
+    node = join_directions(node, a, b)
+    node.first = children[0]
+    node.second = children[1]
+    node.parent = -1
+    node.root = -1
+    node.emitter = -1
+    nodes[number] = node
+    a.parent = number
+    b.parent = number
+    nodes[children[0]] = a
+    nodes[children[1]] = b
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def choose_roots_kernel(
+    nodes: wp.array(dtype=LightNode), root: int, most: int, roots: wp.array(dtype=int), count: wp.array(dtype=int)
+):
+    """Roots: from the whole tree on, that of the most power over the widest sphere is taken apart."""
+    roots[0] = root
+    found = int(1)
+    going = bool(True)
+    while going and found < most:
+        widest = int(-1)
+        extent = float(-1.0)
+        for i in range(found):
+            node = nodes[roots[i]]
+            if node.first >= 0 and node.power * node.radius > extent:
+                widest = i
+                extent = node.power * node.radius
+        if widest < 0:
+            going = False
+        else:
+            node = nodes[roots[widest]]
+            roots[widest] = node.first
+            roots[found] = node.second
+            found = found + 1
+    for i in range(found):
+        node = nodes[roots[i]]
+        node.root = i
+        nodes[roots[i]] = node
+    count[0] = found
+
+
+LIGHT_TREE_KERNELS = (bound_triangles_kernel, place_leaves_kernel, join_kernel, choose_roots_kernel)
+
+
+def fill_nodes(choice: ChoiceTable, boxes: EmitterBoxes) -> None:
+    """Fill in `nodes` and `roots` of `choice`, whose emitters with a place are `boxes`, and their entries of `leaf`."""
+    count, device = boxes.nodes.size, boxes.nodes.device
+    if count <= ROOTS_MOST:
+        numbers = wp.array(np.arange(count), dtype=int, device=device)
+        topology = _Topology(_joints(boxes.low, boxes.high, None, numbers), numbers[:0], [0], 0)
+    elif device.is_cuda:
+        topology = _built_on_cuda(boxes)
+    else:
+        topology = _built_on_cpu(boxes)
+    joints, order = topology.joints, topology.order
+    choice.nodes = wp.empty(joints.low.size, dtype=LightNode, device=device)
+    wp.launch(place_leaves_kernel, count, [boxes, joints, choice.nodes, choice.leaf], device=device)
+    for first, end in zip(topology.level_first[:-1], topology.level_first[1:]):
+        wp.launch(join_kernel, end - first, [joints, order, first, choice.nodes], device=device)
+    if count <= ROOTS_MOST:
+        rows = choice.nodes.numpy()
+        rows["root"] = np.arange(count)
+        choice.nodes = wp.array(rows, dtype=LightNode, device=device)
+        choice.roots, choice.root_count = joints.which, count
+        return
+    choice.roots, found = wp.empty(ROOTS_MOST, dtype=int, device=device), wp.empty(1, dtype=int, device=device)
+    wp.launch(choose_roots_kernel, 1, [choice.nodes, topology.root, ROOTS_MOST, choice.roots, found], device=device)
+    choice.root_count = int(found.numpy()[0])
+
+
+def _joints(low: wp.array, high: wp.array, children: wp.array | None, which: wp.array) -> Joints:
+    joints = Joints()
+    joints.leaf_count = which.size
+    joints.low, joints.high, joints.which = low, high, which
+    joints.children = wp.empty(0, dtype=wp.vec2i, device=low.device) if children is None else children
+    return joints
+
+
+def _built_on_cuda(boxes: EmitterBoxes) -> _Topology:
+    tree, clusters = sort_leaves(boxes.low, boxes.high)
+    merge_leaves(tree, clusters)
+    nodes = tree.nodes
+    links = find_parents(nodes)
+    refit(nodes, links)
+    heights = order_by_height(nodes, links)
+    if heights is None:
+        raise RuntimeError("the tree of emitters is higher than its builder makes trees")
+    joints = _joints(nodes.low, nodes.high, nodes.children, nodes.primitive)
+    return _Topology(joints, heights.node, heights.first, 2 * nodes.leaf_count - 2)
+
+
+def _built_on_cpu(boxes: EmitterBoxes) -> _Topology:
+    built = build_binary_from_boxes(boxes.low.numpy(), boxes.high.numpy(), BuildOptions(leaf_group=1, leaf_max=1))
+    below, size = built.links
+    leaves, inner = np.flatnonzero(size > 0), np.flatnonzero(size == 0)
+    number = np.empty(len(size), np.int32)  # of each node here
+    number[leaves] = np.arange(len(leaves))
+    number[inner] = len(leaves) + np.arange(len(inner))
+    rows = built.nodes[np.concatenate([leaves, inner])]
+    children = number[np.stack([below[inner], below[inner] + 1], 1)]
+    levels, level = [], np.zeros(1, np.int64)
+    while len(level := level[size[level] == 0]):
+        levels.append(number[level])
+        level = np.concatenate([below[level], below[level] + 1]).astype(np.int64)
+    levels.reverse()
+    firsts = np.cumsum([0, *map(len, levels)]).tolist()
+
+    def upload(values: np.ndarray, dtype) -> wp.array:
+        return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu")
+
+    low, high = upload(rows[:, :3], wp.vec3), upload(rows[:, 4:7], wp.vec3)
+    joints = _joints(low, high, upload(children, wp.vec2i), upload(built.references[below[leaves]], int))
+    return _Topology(joints, upload(np.concatenate(levels), int), firsts, int(number[0]))

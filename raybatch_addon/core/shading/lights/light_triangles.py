@@ -1,0 +1,198 @@
+"""Emissive triangles as lights: points on them, chosen by the solid angle under which they are seen, and densities."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ...scene.geometry import Geometry, corners_of, triangle_vertices
+from ..sampling import sample_triangle
+from .light_shapes import GAMMA_8, LightSample
+from .light_table import LightTable
+
+# Triangles that are seen under less than this are sampled evenly: they are so small, or so far away, that it makes
+# little difference, and angles lose digits; nearly a half sphere loses them too [sr]
+_SOLID_ANGLE_MIN = wp.constant(0.01)
+_SOLID_ANGLE_MAX = wp.constant(6.2)
+
+
+@wp.func
+def find_triangle(table: LightTable, instance: int, primitive: int) -> int:
+    """Number of the emitter that is this triangle of an instance, or -1."""
+    if table.instance_first.shape[0] == 0:  # all emission comes from programs
+        return -1
+    low = table.instance_first[instance]
+    end = table.instance_first[instance + 1]
+    high = end
+    while low < high:
+        middle = low + (high - low) // 2
+        if table.triangle_primitive[middle] < primitive:
+            low = middle + 1
+        else:
+            high = middle
+    if low < end:
+        if table.triangle_primitive[low] == primitive:
+            return table.light_count + low
+    return -1
+
+
+@wp.func
+def triangle_density(normal: wp.vec3, direction: wp.vec3, distance: float) -> float:
+    """Density per solid angle of uniform points on a triangle [1/sr]; the length of `normal` is twice the area.
+
+    It is 0 for a triangle that is seen edge-on, or so nearly that the density is beyond the range of numbers.
+    """
+    projected = 0.5 * wp.abs(wp.dot(normal, direction))
+    density = distance * distance / projected
+    return wp.where(density < wp.inf, density, 0.0)
+
+
+@wp.func
+def triangle_distance_error(
+    geometry: Geometry, instance: int, primitive: int, normal: wp.vec3, direction: wp.vec3, distance: float
+) -> float:
+    """Bound of how much nearer than `distance` a ray along `direction` may find the triangle that it aims at [m].
+
+    Rounding moves the plane of the triangle, or the ray, by at most `error` along each axis; the slant of the ray
+    stretches the part along the normal.
+    """
+    triangle = corners_of(geometry, geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive)
+    p0 = wp.abs(geometry.positions[triangle[0]])
+    p1 = wp.abs(geometry.positions[triangle[1]])
+    p2 = wp.abs(geometry.positions[triangle[2]])
+    m = geometry.instance_transform[instance]
+    largest = wp.max(p0, wp.max(p1, p2))
+    # terms of the corners in world space; the shaded point is at most `distance` away, and so are the products of the
+    # ray with its distance
+    error = wp.vec3(distance)
+    for i in range(3):
+        reach = wp.abs(m[i, 0]) * largest[0] + wp.abs(m[i, 1]) * largest[1] + wp.abs(m[i, 2]) * largest[2]
+        error[i] = error[i] + reach + wp.abs(m[i, 3])
+    slant = wp.abs(wp.dot(normal, direction))
+    # each of four steps: the corners to the world, the sampled point, the ray to the object, the ray's test
+    return wp.static(4.0 * GAMMA_8) * wp.dot(wp.abs(normal), error) / slant
+
+
+@wp.func
+def seen_solid_angle(a: wp.vec3, b: wp.vec3, c: wp.vec3) -> float:
+    """Solid angle of the triangle with the corners `a`, `b`, `c` relative to the eye [sr] (van Oosterom and Strackee
+    1983); 0 where it is to be sampled evenly (`_SOLID_ANGLE_MIN`).
+    """
+    length_a = wp.length(a)
+    length_b = wp.length(b)
+    length_c = wp.length(c)
+    if length_a == 0.0 or length_b == 0.0 or length_c == 0.0:
+        return 0.0
+    p = a / length_a
+    q = b / length_b
+    r = c / length_c
+    volume = wp.abs(wp.dot(p, wp.cross(q - p, r - p)))
+    angle = 2.0 * wp.atan2(volume, 1.0 + wp.dot(p, q) + wp.dot(q, r) + wp.dot(r, p))
+    if angle > _SOLID_ANGLE_MIN and angle < _SOLID_ANGLE_MAX:  # also where it is no number
+        return angle
+    return 0.0
+
+
+@wp.func
+def _angle_between(p: wp.vec3, q: wp.vec3) -> float:
+    """Angle between unit vectors, precise for small ones."""
+    return 2.0 * wp.atan2(wp.length(p - q), wp.length(p + q))
+
+
+@wp.func
+def _beside(v: wp.vec3, axis: wp.vec3) -> wp.vec3:
+    """The part of `v` across the unit vector `axis`, unit."""
+    return wp.normalize(v - wp.dot(v, axis) * axis)
+
+
+@wp.func
+def spherical_point(a: wp.vec3, b: wp.vec3, c: wp.vec3, u: wp.vec2) -> wp.vec3:
+    """Barycentric coordinates of a point of the triangle `a`, `b`, `c` (relative to the eye), uniform by solid angle
+    (Arvo 1995, "Stratified sampling of spherical triangles").
+
+    A great arc through `a` cuts off the share `u[0]` of the spherical triangle; the direction lies on that arc.
+    """
+    p = wp.normalize(a)
+    q = wp.normalize(b)
+    r = wp.normalize(c)
+    normal_pq = wp.normalize(wp.cross(p, q))
+    normal_qr = wp.normalize(wp.cross(q, r))
+    normal_rp = wp.normalize(wp.cross(r, p))
+    at_p = _angle_between(normal_pq, -normal_rp)
+    at_q = _angle_between(normal_qr, -normal_pq)
+    at_r = _angle_between(normal_rp, -normal_qr)
+    cut = u[0] * (at_p + at_q + at_r - wp.PI) + wp.PI - at_p
+    cosine = wp.cos(at_p)
+    sine = wp.sin(at_p)
+    # the corner on the arc from `r` to `p`, as Arvo has it: his phi is the area that is cut off, less the angle at `p`
+    cos_cut = wp.cos(cut)
+    sin_cut = wp.sin(cut)
+    k1 = cos_cut + cosine
+    k2 = sin_cut - sine * wp.dot(p, q)
+    along = ((k2 * cos_cut - k1 * sin_cut) * cosine + k2) / ((k2 * sin_cut + k1 * cos_cut) * sine)
+    if not (along >= -1.0):
+        along = -1.0
+    along = wp.min(along, 1.0)
+    corner = along * p + wp.sqrt(wp.max(1.0 - along * along, 0.0)) * _beside(r, p)
+    height = 1.0 - u[1] * (1.0 - wp.dot(corner, q))
+    direction = height * q + wp.sqrt(wp.max(1.0 - height * height, 0.0)) * _beside(corner, q)
+    # where the direction meets the plane (Moeller and Trumbore 1997)
+    across = wp.cross(direction, c - a)
+    divisor = wp.dot(across, b - a)
+    weight_b = float(0.0)
+    weight_c = float(0.0)
+    if divisor != 0.0:
+        weight_b = wp.clamp(wp.dot(across, -a) / divisor, 0.0, 1.0)
+        weight_c = wp.clamp(wp.dot(wp.cross(-a, b - a), direction) / divisor, 0.0, 1.0)
+    sum = weight_b + weight_c
+    if sum > 1.0:
+        weight_b = weight_b / sum
+        weight_c = weight_c / sum
+    return wp.vec3(wp.max(1.0 - weight_b - weight_c, 0.0), weight_b, weight_c)
+
+
+@wp.func
+def triangle_pdf(
+    geometry: Geometry, instance: int, primitive: int, position: wp.vec3, direction: wp.vec3, distance: float
+) -> float:
+    """Density with which `sample_triangle_light` chooses `direction` from `position` [1/sr]."""
+    a, b, c = triangle_vertices(geometry, instance, primitive)
+    angle = seen_solid_angle(a - position, b - position, c - position)
+    if angle > 0.0:
+        return 1.0 / angle
+    return triangle_density(wp.cross(b - a, c - a), direction, distance)
+
+
+@wp.func
+def sample_triangle_light(
+    table: LightTable, geometry: Geometry, triangle: int, position: wp.vec3, u: wp.vec2
+) -> LightSample:
+    """A direction towards a point of an emissive triangle."""
+    s = LightSample()
+    s.instance = table.triangle_instance[triangle]
+    s.primitive = table.triangle_primitive[triangle]
+    a, b, c = triangle_vertices(geometry, s.instance, s.primitive)
+    # corners relative to the shaded point, so that far coordinates cancel once only
+    to_a = a - position
+    to_b = b - position
+    to_c = c - position
+    angle = seen_solid_angle(to_a, to_b, to_c)
+    weight = sample_triangle(u)
+    if angle > 0.0:
+        weight = spherical_point(to_a, to_b, to_c, u)
+    offset = weight[0] * to_a + weight[1] * to_b + weight[2] * to_c
+    s.distance = wp.length(offset)
+    s.casts_shadow = 1
+    s.visibility = table.instance_visibility[s.instance]
+    if s.distance > 0.0:
+        s.direction = offset / s.distance
+        s.radiance = table.triangle_radiance[triangle]
+        s.barycentric = wp.vec2(weight[1], weight[2])
+        normal = wp.cross(b - a, c - a)
+        s.pdf = triangle_density(normal, s.direction, s.distance)
+        if angle > 0.0:
+            s.pdf = 1.0 / angle
+        if s.pdf > 0.0:
+            s.distance_error = triangle_distance_error(
+                geometry, s.instance, s.primitive, normal, s.direction, s.distance
+            )
+    return s

@@ -1,0 +1,295 @@
+"""The choice among emitters: what it promises of each, it does; and it forgets none that shines."""
+
+import functools
+
+import numpy as np
+import pytest
+import warp as wp
+
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.scene.description import Closure, ClosureKind, Instances, Light, LightKind, Material, Mesh
+from raybatch_addon.core.scene.flatten import flatten
+from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
+from raybatch_addon.core.shading.lights.light_choice import ChoiceFeatures, lit_point, make_light_choice, packed_side
+from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
+from raybatch_addon.core.shading.lights.light_tree import ROOTS_MOST
+from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
+from raybatch_addon.core.shading.lights.world import sampled_world
+from tests.core.shading.lights.light_probe import facing, scene_of
+from tests.support.under_test import BLOCK_DIM, DEVICE
+
+COUNT = 2**16
+KINDS = tuple(sorted(LightKind))
+
+
+@wp.struct
+class Chosen:
+    emitter: wp.array(dtype=int)
+    pdf: wp.array(dtype=float)
+    again: wp.array(dtype=float)
+    irradiance: wp.array(dtype=float)
+
+
+@functools.cache
+def choice_kernel():
+    choose, pdf = make_light_choice(ChoiceFeatures(KINDS, True, True, True))
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def choose_many(table: LightTable, position: wp.vec3, side: wp.uint32, seed: int, chosen: Chosen):
+        i = wp.tid()
+        r = wp.rand_init(seed, i)
+        u_choice = float(wp.randi(r) & 16777215) / 16777216.0
+        u = wp.vec2(float(wp.randi(r) & 16777215) / 16777216.0, float(wp.randi(r) & 16777215) / 16777216.0)
+        point = lit_point(position, side)
+        choice = choose(table, point, u_choice, u)
+        chosen.emitter[i] = choice.emitter
+        chosen.pdf[i] = choice.pdf
+        if choice.emitter >= 0:
+            chosen.again[i] = pdf(table, point, choice.emitter)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def pdf_of_all(table: LightTable, position: wp.vec3, side: wp.uint32, found: wp.array(dtype=float)):
+        i = wp.tid()
+        found[i] = pdf(table, lit_point(position, side), i)
+
+    return choose_many, pdf_of_all
+
+
+def lamps(count: int, seed: int) -> list[Light]:
+    """Lamps of every kind around the origin, no two of the same power; a third of them turned at random."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for i in range(count):
+        kind = KINDS[i % len(KINDS)]
+        direction = rng.normal(size=3)
+        place = facing(rng.normal(size=3) * 3, direction)
+        size = dict(radius=float(rng.uniform(0, 0.3))) if kind in (LightKind.POINT, LightKind.SPOT) else {}
+        if kind in (LightKind.RECTANGLE, LightKind.ELLIPSE):
+            size = dict(size=tuple(rng.uniform(0.1, 1, 2)), spread=float(rng.choice([np.pi, 0.6])))
+        if kind == LightKind.SPOT:
+            size |= dict(angle=float(rng.uniform(0.2, 3.1)), blend=0.3)
+        if kind == LightKind.SUN:
+            size = dict(angle=float(rng.choice([0, 0.1])))
+        power = float(10 ** rng.uniform(-2, 1))
+        found.append(Light(name=f"lamp {i}", kind=kind, transform=place, emission=(power, power, power), **size))
+    return found
+
+
+def glowing(count: int, seed: int) -> Mesh:
+    """`count` small triangles, spread over a box."""
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform(-4, 4, (count, 1, 3))
+    corners = (middle + rng.normal(size=(count, 3, 3)) * 0.1).astype(np.float32)
+    triangles = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    return Mesh("glowing", corners.reshape(-1, 3), triangles)
+
+
+def world_of(device):
+    """A sky that is bright on one side."""
+    row, column = np.mgrid[0:32, 0:64]
+    return sampled_world(
+        (1 + 20 * np.exp(-(((row - 6) / 3) ** 2) - ((column - 20) / 5) ** 2)).astype(np.float32), device
+    )
+
+
+def uploaded(lights, triangle_count=0, world=False):
+    device = wp.get_device(DEVICE)
+    rest = {}
+    if triangle_count:
+        rest = dict(
+            meshes=(glowing(triangle_count, 3),),
+            instances=Instances(
+                mesh=np.zeros(1, np.int32),
+                transform=np.eye(3, 4, dtype=np.float32)[None],
+                slot_first=np.zeros(1, np.int32),
+                visibility=np.full(1, 31, np.int32),
+                object=np.zeros(1, np.int32),
+            ),
+            slot_materials=np.zeros(1, np.int32),
+            materials=(Material("glow", (Closure(ClosureKind.EMISSION, (2.0, 1.0, 0.5)),)),),
+            object_names=("glowing",),
+        )
+    scene = scene_of(*lights, **rest)
+    geometry = upload_geometry(flatten(scene), scene, device)
+    return upload_lights(scene, device, world=world_of(device) if world else None, geometry=geometry), geometry
+
+
+def chosen_from(lights, position, normal, both_sides=False, count=COUNT):
+    choose_many, pdf_of_all = choice_kernel()
+    table = lights.table
+    side = packed(normal, both_sides)
+    chosen = Chosen()
+    chosen.emitter = wp.zeros(count, dtype=int, device=DEVICE)
+    chosen.pdf, chosen.again, chosen.irradiance = (wp.zeros(count, dtype=float, device=DEVICE) for _ in range(3))
+    wp.launch(choose_many, count, [table, wp.vec3(*position), side, 5, chosen], device=DEVICE, block_dim=BLOCK_DIM)
+    found = wp.zeros(max(table.emitter_count, 1), dtype=float, device=DEVICE)
+    wp.launch(
+        pdf_of_all, table.emitter_count, [table, wp.vec3(*position), side, found], device=DEVICE, block_dim=BLOCK_DIM
+    )
+    return chosen.emitter.numpy(), chosen.pdf.numpy(), chosen.again.numpy(), found.numpy().astype(float)
+
+
+@functools.cache
+def packing_kernel():
+    @wp.kernel(**KERNEL_OPTIONS)
+    def pack(
+        normals: wp.array(dtype=wp.vec3), both: int, bits: wp.array(dtype=wp.uint32), back: wp.array(dtype=wp.vec3)
+    ):
+        i = wp.tid()
+        bits[i] = packed_side(normals[i], both != 0)
+        point = lit_point(wp.vec3(0.0), bits[i])
+        back[i] = point.normal * (1.0 + float(point.both_sides))
+
+    return pack
+
+
+def pack_all(normals, both_sides):
+    count = len(normals)
+    bits = wp.zeros(count, dtype=wp.uint32, device=DEVICE)
+    back = wp.zeros(count, dtype=wp.vec3, device=DEVICE)
+    given = wp.array(np.asarray(normals, np.float32), dtype=wp.vec3, device=DEVICE)
+    wp.launch(packing_kernel(), count, [given, int(both_sides), bits, back], device=DEVICE, block_dim=BLOCK_DIM)
+    return bits.numpy(), back.numpy()
+
+
+def packed(normal, both_sides):
+    normal = np.asarray(normal, float)
+    return wp.uint32(pack_all([normal / np.linalg.norm(normal)], both_sides)[0][0])
+
+
+CASES = {
+    "one": (lamps(1, 1), 0, False),
+    "few": (lamps(6, 2), 0, True),
+    "as many as are compared": (lamps(8, 3), 0, False),
+    "many": (lamps(300, 4), 0, True),
+    "triangles": ([], 500, False),
+    "all": (lamps(40, 5), 700, True),
+}
+POINTS = [((0, 0, 0), (0, 0, 1), False), ((3.1, -2, 0.5), (-1, 1, 0.2), True), ((40, 3, 9), (-1, 0, 0), False)]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_emitters_are_chosen_as_often_as_is_said(case):
+    lights, _ = uploaded(*CASES[case])
+    for position, normal, both_sides in POINTS:
+        emitter, pdf, again, of_all = chosen_from(lights, position, normal, both_sides)
+        found = emitter >= 0
+        assert found.any() == (of_all.sum() > 0)
+        np.testing.assert_allclose(pdf[found], again[found], rtol=2e-5)
+        np.testing.assert_allclose(pdf[found], of_all[emitter[found]], rtol=2e-5)
+        # a choice that ends where nothing shines is lost; it is no emitter's
+        assert of_all.sum() <= 1 + 1e-4
+        assert found.mean() == pytest.approx(of_all.sum(), abs=4 * np.sqrt(0.25 / COUNT) + 1e-4)
+        count = np.bincount(emitter[found], minlength=len(of_all))
+        error = np.sqrt(np.maximum(of_all * COUNT, 1))
+        assert (np.abs(count - of_all * COUNT) < 5.5 * error + 1).all()
+
+
+@functools.cache
+def irradiance_kernel():
+    sample, _ = make_lights(LightFeatures(lights=KINDS, light_sphere=True, mesh_lights=True))
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def irradiance(
+        table: LightTable, geometry: Geometry, position: wp.vec3, side: wp.uint32, light: wp.array(dtype=float)
+    ):
+        i = wp.tid()
+        r = wp.rand_init(11, i)
+        u = wp.vec2(wp.randf(r), wp.randf(r))
+        point = lit_point(position, side)
+        s = sample(table, geometry, point, wp.randf(r), u)
+        if s.pdf > 0.0:
+            light[i] = wp.max(wp.dot(s.direction, point.normal), 0.0) * s.radiance[0] / s.pdf
+
+    return irradiance
+
+
+def irradiance_at(lights, geometry, position, normal):
+    light = wp.zeros(COUNT, dtype=float, device=DEVICE)
+    arguments = [lights.table, geometry, wp.vec3(*position), packed(normal, False), light]
+    wp.launch(irradiance_kernel(), COUNT, arguments, device=DEVICE, block_dim=BLOCK_DIM)
+    return light.numpy().astype(float)
+
+
+def test_many_lamps_together_light_as_each_alone():
+    """None that shines is left out, and none counts twice."""
+    many = [lamp for lamp in lamps(60, 6) if lamp.kind != LightKind.SUN]
+    assert len(many) > 4 * ROOTS_MOST
+    for position, normal, _ in POINTS[:2]:
+        together = irradiance_at(*uploaded(many), position, normal)
+        alone = [irradiance_at(*uploaded([lamp]), position, normal) for lamp in many]
+        expected = sum(each.mean() for each in alone)
+        error = np.sqrt(sum(each.var() for each in [together, *alone]) / COUNT)
+        assert abs(together.mean() - expected) < 4 * error + 1e-4 * expected
+        # the choice follows what each brings to the point, not its power
+        power = np.array([lamp.emission[0] for lamp in many])
+        by_power = sum((each**2).mean() / share for each, share in zip(alone, power / power.sum()))
+        assert together.var() < by_power - expected**2
+
+
+def test_nodes_hold_what_lies_below():
+    lights, _ = uploaded(*CASES["all"])
+    choice = lights.table.choice
+    nodes = choice.nodes.numpy()
+    assert (
+        choice.root_count == ROOTS_MOST
+        and choice.distant_count == sum(lamp.kind == LightKind.SUN for lamp in CASES["all"][0]) + 1
+    )
+    held = []
+    for root, number in enumerate(choice.roots.numpy()):
+        assert nodes[number]["root"] == root
+        stack = [(int(number), [])]
+        while stack:
+            at, above = stack.pop()
+            node = nodes[at]
+            if node["first"] < 0:
+                held.append(int(node["emitter"]))
+                assert choice.leaf.numpy()[node["emitter"]] == at
+                for over in above:
+                    distance = np.linalg.norm(node["centre"] - over["centre"])
+                    assert distance <= over["radius"] + 1e-5
+                    if over["cos_axis"] > -1 and node["cos_axis"] > -1:
+                        cosine = node["axis"] @ over["axis"]
+                        cosine = abs(cosine) if over["two_sided"] else cosine
+                        assert cosine >= over["cos_axis"] - 1e-3
+                    assert over["cos_axis"] == -1 or node["cos_axis"] > -1
+                    assert over["cos_axis"] == -1 or over["cos_edge"] <= node["cos_edge"]
+                continue
+            for below in (int(node["first"]), int(node["second"])):
+                assert nodes[below]["parent"] == at
+                stack.append((below, [*above, node]))
+            assert node["power"] == pytest.approx(nodes[node["first"]]["power"] + nodes[node["second"]]["power"])
+    suns = [i for i, lamp in enumerate(CASES["all"][0]) if lamp.kind == LightKind.SUN]
+    assert sorted(held) == sorted(set(range(lights.emitter_count - 1)) - set(suns))
+
+
+@pytest.mark.parametrize("power", [1e-30, 1.0, 1e25])
+def test_extreme_places_and_powers_give_probabilities(power):
+    lights = [
+        Light(name="here", kind=LightKind.POINT, transform=facing((0, 0, 0), (0, 0, -1)), emission=(power,) * 3),
+        Light(name="far", kind=LightKind.POINT, transform=facing((1e15, 0, 0), (0, 0, -1)), emission=(1.0,) * 3),
+        Light(name="sun", kind=LightKind.SUN, transform=facing((0, 0, 0), (0, 0, -1)), emission=(1.0,) * 3),
+        *(
+            Light(name="pile", kind=LightKind.POINT, transform=facing((1, 1, 1), (0, 0, -1)), emission=(1e-3,) * 3)
+            for _ in range(20)
+        ),
+    ]
+    table, _ = uploaded(lights)
+    for position in ((0, 0, 0), (1e-25, 0, 0), (1, 1, 1), (1e15, 1, 0), (3e18, 0, 0)):
+        emitter, pdf, again, of_all = chosen_from(table, position, (0, 0, 1), count=4096)
+        assert (emitter >= 0).all() and (pdf > 0).all() and (pdf <= 1).all()
+        np.testing.assert_allclose(pdf, again, rtol=2e-5)
+        assert np.isfinite(of_all).all() and of_all.sum() == pytest.approx(1, abs=1e-4)
+        assert (of_all > 0).all(), "none is without a chance"
+
+
+def test_sides_keep_normals():
+    rng = np.random.default_rng(2)
+    normals = rng.normal(size=(5000, 3))
+    normals = np.concatenate([normals, np.eye(3), -np.eye(3)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    for both_sides in (False, True):
+        _, back = pack_all(normals, both_sides)
+        back = back / (2 if both_sides else 1)
+        np.testing.assert_allclose(np.linalg.norm(back, axis=1), 1, rtol=1e-6)
+        assert np.abs(back - normals).max() < 2e-4
