@@ -154,7 +154,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
             for light in scene.lights
         ),
         light_hits=any(_can_be_met(light) for light in scene.lights),
-        light_choice=ClosureKind.EMISSION in kinds or len(scene.lights) + world_light > 1,
+        light_choice=is_sampled and (ClosureKind.EMISSION in kinds or len(scene.lights) + world_light > 1),
         mesh_lights=ClosureKind.EMISSION in kinds,
         mesh_programs=surfaces
         and any(m.program is not None and ClosureKind.EMISSION in m.kinds for m in scene.materials),

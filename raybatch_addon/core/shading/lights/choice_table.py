@@ -2,8 +2,6 @@
 
 import warp as wp
 
-from .world import vec9
-
 
 @wp.struct
 class LightNode:
@@ -36,5 +34,6 @@ class ChoiceTable:
     leaf: wp.array(dtype=int)  # node of each emitter; -1: it has no place
     distant: wp.array(dtype=int)  # emitters without a place: suns, then the world if it is sampled
     distant_strength: wp.array(dtype=float)  # irradiance of a surface that faces each, in units as of `LightNode.power`
-    # the world's irradiance of a surface with the normal n: coefficients of 1, y, z, x, xy, yz, 3 z² - 1, xz, x² - y²
-    world_irradiance: vec9
+    # the world's irradiance of a surface with the normal n, in the same units: coefficients of 1, y, z, x, xy, yz,
+    # 3 z² - 1, xz, x² - y²; shape [9]
+    world_irradiance: wp.array(dtype=float)

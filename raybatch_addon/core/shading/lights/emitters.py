@@ -103,7 +103,8 @@ def light_strengths(lights: Sequence[Light]) -> np.ndarray:
     """How bright each light without mesh is, float64, shape [n]; a heuristic for choosing.
 
     Suns: irradiance of a surface that faces them [W/m²]. Others: intensity along the axis [W/sr], the irradiance 1 m
-    away. Raises `SceneError` for emission that is not finite.
+    away; of area lights as if they had no spread, which gathers light around the axis but leaves none elsewhere.
+    Raises `SceneError` for emission that is not finite.
     """
     return np.array([_strength(light) for light in lights], np.float64)
 
@@ -111,29 +112,6 @@ def light_strengths(lights: Sequence[Light]) -> np.ndarray:
 def triangle_strengths(triangles: EmissiveTriangles) -> np.ndarray:
     """How bright each emissive triangle is: intensity along its normal [W/sr], float64, shape [e]."""
     return triangles.radiance.astype(np.float64).mean(1) * triangles.area
-
-
-def fixed_point_cdf(power: np.ndarray) -> np.ndarray:
-    """Selection probabilities in proportion to `power`, in units of 2^-32.
-
-    Args:
-        power: float64, shape [n], finite, >= 0; when all are 0, all emitters are as likely.
-
-    Returns:
-        Where each emitter's interval of [0, 2^32) begins, uint32, shape [n], strictly ascending from 0. The last one
-        ends at 2^32, so the probabilities sum to exactly 1, and none is below 2^-32: nothing that emits is left out.
-    """
-    count = len(power)
-    if count == 0:
-        return np.zeros(0, np.uint32)
-    # scaled to at most 1, so that sums stay in range whatever the unit
-    largest = power.max()
-    share = power / largest if largest > 0 else np.ones(count)
-    ends = np.cumsum(share)
-    first = np.zeros(count, np.uint64)
-    # one unit to each, the rest in proportion
-    first[1:] = np.floor(ends[:-1] / ends[-1] * (2.0**32 - count)).astype(np.uint64)
-    return (first + np.arange(count, dtype=np.uint64)).astype(np.uint32)
 
 
 def scene_radius(scene: Scene) -> float:

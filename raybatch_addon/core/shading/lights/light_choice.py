@@ -18,21 +18,18 @@ from typing import NamedTuple
 
 import warp as wp
 
+from ...native.build import native_source
 from ...scene.description import LightKind
-from .choice_table import LightNode
 from .light_table import LightTable
 
 # What an emitter counts for at least where the surface, or the emitter, is turned away at the angle where nothing
 # arrives by Lambert's law: BSDFs and lamps may differ from it
-_COSINE_MIN = wp.constant(0.1)
+_COSINE_MIN = 0.1
 # Rounding of cosines that come from sines: emitters are left out only where they surely are dark
-_COSINE_ERROR = wp.constant(1.0e-3)
+_COSINE_ERROR = 1e-3
 # Where emitters are compared, none is without a chance: counts stay within these bounds
-_LEAST = wp.constant(1.0e-30)
-_MOST = wp.constant(1.0e30)
-_UNIT = wp.constant(2.0**-24)
-# The hash fills up digits when fewer than this are left
-_COARSE = wp.constant(2.0**-20)
+_LEAST, _MOST = 1e-30, 1e30
+_UNIT = 2.0**-24  # of random numbers and shares
 _SIDE_STEPS = wp.constant(32767.0)
 
 
@@ -53,15 +50,6 @@ class ChosenEmitter:
     pdf: float
 
 
-@wp.struct
-class Draw:
-    """What is left of a random number."""
-
-    u: float  # [0, 1)
-    step: float  # distance between neighbouring values of `u`
-    state: wp.uint32  # of the hash
-
-
 class LightChoice(NamedTuple):
     """Functions (`wp.Function`) of one specialisation."""
 
@@ -76,16 +64,19 @@ def packed_side(normal: wp.vec3, both_sides: bool) -> wp.uint32:
     """A surface's unit normal and whether it is lit from both sides, in 32 bits: an octahedral map (Cigolle et al.
     2014, "A survey of efficient representations for independent unit vectors").
     """
-    sum = wp.abs(normal[0]) + wp.abs(normal[1]) + wp.abs(normal[2])
-    x = normal[0] / sum
-    y = normal[1] / sum
+    length = wp.abs(normal[0]) + wp.abs(normal[1]) + wp.abs(normal[2])
+    x = float(0.0)
+    y = float(0.0)
+    if length > 0.0:  # not where it is no number
+        x = normal[0] / length
+        y = normal[1] / length
     if normal[2] < 0.0:
         folded = (1.0 - wp.abs(y)) * wp.where(x < 0.0, -1.0, 1.0)
         y = (1.0 - wp.abs(x)) * wp.where(y < 0.0, -1.0, 1.0)
         x = folded
     column = wp.uint32(wp.clamp(0.5 + 0.5 * x, 0.0, 1.0) * _SIDE_STEPS + 0.5)
     row = wp.uint32(wp.clamp(0.5 + 0.5 * y, 0.0, 1.0) * _SIDE_STEPS + 0.5)
-    bits = column | (row << wp.uint32(15))
+    bits = (column & wp.uint32(32767)) | ((row & wp.uint32(32767)) << wp.uint32(15))
     if both_sides:
         bits = bits | wp.uint32(1 << 30)
     return bits
@@ -103,77 +94,8 @@ def lit_point(position: wp.vec3, side: wp.uint32) -> LitPoint:
     x = x - wp.where(x < 0.0, -fold, fold)
     y = y - wp.where(y < 0.0, -fold, fold)
     point.normal = wp.normalize(wp.vec3(x, y, z))
-    point.both_sides = int(side >> wp.uint32(30))
+    point.both_sides = int((side >> wp.uint32(30)) & wp.uint32(1))
     return point
-
-
-@wp.func
-def choice_bits(u_choice: float, u: wp.vec2) -> wp.uint32:
-    """32 random bits: the 24 of `u_choice`, and the last 8 of the 24 of `u[1]`.
-
-    The bits that are used twice move a point on its emitter by at most 2^-16 of its width.
-    """
-    high = wp.uint32(u_choice * wp.static(2.0**24))
-    low = wp.uint32(u[1] * wp.static(2.0**24))
-    return (high << wp.uint32(8)) | (low & wp.uint32(255))
-
-
-@wp.func
-def _stretched(draw: Draw, first: float, width: float) -> Draw:
-    """`draw`, which lies in [first, first + width), stretched to [0, 1)."""
-    draw.u = (draw.u - first) / width
-    draw.step = draw.step / width
-    if draw.step > _COARSE:
-        draw.state = draw.state * wp.uint32(747796405) + wp.uint32(2891336453)
-        word = ((draw.state >> ((draw.state >> wp.uint32(28)) + wp.uint32(4))) ^ draw.state) * wp.uint32(277803737)
-        draw.u = draw.u + wp.min(draw.step, 1.0) * (float(word >> wp.uint32(8)) * _UNIT)
-        draw.step = _UNIT
-    draw.u = wp.clamp(draw.u, 0.0, 1.0 - _UNIT)
-    return draw
-
-
-@wp.func
-def _share(value: float, total: float) -> float:
-    """The probability of what counts `value` > 0 of `total`, more than that: a number that a draw meets exactly."""
-    return wp.clamp(wp.ceil(value / total * wp.static(2.0**24)) * _UNIT, _UNIT, 1.0 - _UNIT)
-
-
-@wp.func
-def _cosine_beyond(cos_a: float, cos_b: float) -> float:
-    """cos(max(a - b, 0)) of angles within [0, pi]."""
-    if cos_a >= cos_b:
-        return 1.0
-    return cos_a * cos_b + wp.sqrt(wp.max((1.0 - cos_a * cos_a) * (1.0 - cos_b * cos_b), 0.0))
-
-
-@wp.func
-def node_light(node: LightNode, point: LitPoint) -> float:
-    """Estimate of the light that comes from below `node`; 0: surely none."""
-    if node.power <= 0.0:
-        return 0.0
-    to = node.centre - point.position
-    square = wp.dot(to, to)
-    reach = node.radius * node.radius
-    turned = float(1.0)
-    if square > reach:
-        distance = wp.sqrt(square)
-        sine = wp.min(node.radius / distance, 1.0)
-        # of the angle under which the node's sphere is seen
-        cosine = wp.sqrt(1.0 - sine * sine)
-        if node.cos_axis > -1.0:
-            leaving = -wp.dot(node.axis, to) / distance
-            if node.two_sided != 0:
-                leaving = wp.abs(leaving)
-            leaving = _cosine_beyond(wp.clamp(leaving, -1.0, 1.0), node.cos_axis)
-            leaving = _cosine_beyond(leaving, cosine)
-            if leaving < node.cos_edge - _COSINE_ERROR:
-                return 0.0
-            turned = wp.max(leaving, _COSINE_MIN)
-        arriving = wp.dot(point.normal, to) / distance
-        if point.both_sides != 0:
-            arriving = wp.abs(arriving)
-        turned = turned * wp.max(_cosine_beyond(wp.clamp(arriving, -1.0, 1.0), cosine), _COSINE_MIN)
-    return wp.clamp(node.power * turned / wp.max(square, reach), _LEAST, _MOST)
 
 
 @wp.func
@@ -213,140 +135,26 @@ def make_light_choice(features: ChoiceFeatures) -> LightChoice:
 @functools.cache
 def _make_choice(has_suns: bool, has_world: bool, local: bool) -> LightChoice:
     """`local`: there are emitters with a place."""
+    numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=_COSINE_ERROR, LEAST=_LEAST, MOST=_MOST, UNIT=_UNIT)
+    kinds = dict(SUNS=has_suns, WORLD=has_world, LOCAL=local)
+    headers = functools.partial(native_source, "lights/candidates.h", **numbers, **kinds)
 
-    @wp.func
-    def sun_light(table: LightTable, emitter: int, strength: float, point: LitPoint) -> float:
-        cosine = -wp.dot(table.lights[emitter].axis, point.normal)
-        if point.both_sides != 0:
-            cosine = wp.abs(cosine)
-        return wp.clamp(strength * wp.max(cosine, _COSINE_MIN), _LEAST, _MOST)
+    @wp.func_native(headers("lights/choose.h"))
+    def choose_by(table: LightTable, point: LitPoint, bits: wp.uint32, seed: wp.uint32) -> wp.vec2i: ...
 
-    @wp.func
-    def world_light(table: LightTable, point: LitPoint) -> float:
-        """Irradiance from the world, by its spherical harmonics (Ramamoorthi and Hanrahan 2001)."""
-        e = table.choice.world_irradiance
-        n = point.normal
-        even = e[0] + e[4] * n[0] * n[1] + e[5] * n[1] * n[2] + e[6] * (3.0 * n[2] * n[2] - 1.0)
-        even = even + e[7] * n[0] * n[2] + e[8] * (n[0] * n[0] - n[1] * n[1])
-        odd = e[1] * n[1] + e[2] * n[2] + e[3] * n[0]
-        light = even + odd
-        if point.both_sides != 0:
-            light = even + wp.abs(odd)
-        return wp.clamp(wp.max(light, _COSINE_MIN * e[0]), _LEAST, _MOST)
-
-    @wp.func
-    def candidate_light(table: LightTable, candidate: int, point: LitPoint) -> float:
-        """Estimate of the light from one of those that are compared one by one: roots, then suns and the world."""
-        if wp.static(local):
-            if candidate < table.choice.root_count:
-                return node_light(table.choice.nodes[table.choice.roots[candidate]], point)
-        if wp.static(has_suns or has_world):
-            distant = candidate - table.choice.root_count
-            emitter = table.choice.distant[distant]
-            if wp.static(has_suns):
-                if emitter < table.light_count:
-                    return sun_light(table, emitter, table.choice.distant_strength[distant], point)
-            if wp.static(has_world):
-                return world_light(table, point)
-        return 0.0
+    @wp.func_native(headers("lights/probability.h"))
+    def pdf(table: LightTable, point: LitPoint, emitter: int) -> float: ...
 
     @wp.func
     def choose(table: LightTable, point: LitPoint, u_choice: float, u: wp.vec2) -> ChosenEmitter:
+        bits = wp.uint32(u_choice * wp.static(2.0**24)) << wp.uint32(8)
+        # the point on the emitter seeds the digits that the choice among very many lacks
+        seed = bits ^ (wp.uint32(u[0] * wp.static(2.0**24)) * wp.uint32(2654435769))
+        seed = seed ^ (wp.uint32(u[1] * wp.static(2.0**24)) * wp.uint32(2246822519))
+        found = choose_by(table, point, bits, seed)
         choice = ChosenEmitter()
-        choice.emitter = -1
-        bits = choice_bits(u_choice, u)
-        draw = Draw()
-        draw.u = wp.min(float(bits) * wp.static(2.0**-32), 1.0 - _UNIT)
-        draw.step = wp.static(2.0**-32)
-        draw.state = bits
-        # each candidate takes the place of the one before with its share of the light so far
-        total = float(0.0)
-        chosen = int(-1)
-        for candidate in range(table.choice.root_count + table.choice.distant_count):
-            light = candidate_light(table, candidate, point)
-            if light > 0.0:
-                if chosen < 0:
-                    chosen = candidate
-                    choice.pdf = 1.0
-                    total = light
-                else:
-                    total += light
-                    share = _share(light, total)
-                    if draw.u < share:
-                        chosen = candidate
-                        choice.pdf = share
-                        draw = _stretched(draw, 0.0, share)
-                    else:
-                        choice.pdf = choice.pdf * (1.0 - share)
-                        draw = _stretched(draw, share, 1.0 - share)
-        if chosen < 0:
-            return choice
-        if chosen >= table.choice.root_count:
-            choice.emitter = table.choice.distant[chosen - table.choice.root_count]
-            return choice
-        if wp.static(local):
-            node = table.choice.nodes[table.choice.roots[chosen]]
-            while node.first >= 0:
-                first = table.choice.nodes[node.first]
-                second = table.choice.nodes[node.second]
-                light = node_light(first, point)
-                other = node_light(second, point)
-                if light + other <= 0.0:
-                    choice.pdf = 0.0
-                    return choice
-                if other <= 0.0:
-                    node = first
-                elif light <= 0.0:
-                    node = second
-                else:
-                    share = _share(light, light + other)
-                    if draw.u < share:
-                        node = first
-                        choice.pdf = choice.pdf * share
-                        draw = _stretched(draw, 0.0, share)
-                    else:
-                        node = second
-                        choice.pdf = choice.pdf * (1.0 - share)
-                        draw = _stretched(draw, share, 1.0 - share)
-            choice.emitter = node.emitter
+        choice.emitter = found[0]
+        choice.pdf = wp.cast(found[1], float)
         return choice
-
-    @wp.func
-    def pdf(table: LightTable, point: LitPoint, emitter: int) -> float:
-        wanted = int(-1)
-        below = float(1.0)
-        if wp.static(local):
-            at = table.choice.leaf[emitter]
-            if at >= 0:
-                while table.choice.nodes[at].root < 0:
-                    parent = table.choice.nodes[at].parent
-                    first = table.choice.nodes[parent].first
-                    light = node_light(table.choice.nodes[first], point)
-                    other = node_light(table.choice.nodes[table.choice.nodes[parent].second], point)
-                    own = wp.where(at == first, light, other)
-                    if own <= 0.0:
-                        return 0.0
-                    if light > 0.0 and other > 0.0:
-                        share = _share(light, light + other)
-                        below = below * wp.where(at == first, share, 1.0 - share)
-                    at = parent
-                wanted = table.choice.nodes[at].root
-        total = float(0.0)
-        found = float(0.0)
-        for candidate in range(table.choice.root_count + table.choice.distant_count):
-            light = candidate_light(table, candidate, point)
-            is_wanted = candidate == wanted
-            if wp.static(has_suns or has_world):
-                if candidate >= table.choice.root_count:
-                    is_wanted = table.choice.distant[candidate - table.choice.root_count] == emitter
-            if light > 0.0:
-                if total == 0.0:
-                    found = wp.where(is_wanted, 1.0, 0.0)
-                    total = light
-                else:
-                    total += light
-                    share = _share(light, total)
-                    found = wp.where(is_wanted, share, found * (1.0 - share))
-        return below * found
 
     return LightChoice(choose, pdf)

@@ -1,4 +1,4 @@
-"""Tables on the device: lights, and the probabilities of all emitters."""
+"""Tables on the device: lights, and what the choice among all emitters reads."""
 
 from __future__ import annotations
 
@@ -24,6 +24,8 @@ _RADIUS_MIN = float(np.sqrt(_FLOAT.tiny)) * _FARTHEST  # [m], about 1e-10
 _ANGLE_MIN = float(_FLOAT.eps)  # [rad]
 # Strength of a lamp that seems black, beside the scene's strongest emitter
 _UNSEEN = 1e-4
+# Least strength of what shines at all, beside the same
+_LEAST = 1e-36
 
 
 @wp.struct
@@ -61,7 +63,7 @@ class LightTable:
 
     emitter_count: int
     light_count: int
-    choice: ChoiceTable
+    choice: wp.array(dtype=ChoiceTable)  # [1]: kernels have the table in their parameters, whose size is limited
     lights: wp.array(dtype=LightRecord)  # [light_count]
     sun_count: int
     suns: wp.array(dtype=int)  # numbers of the suns with a size; [sun_count]
@@ -84,6 +86,7 @@ class UploadedLights:
     """A `LightTable`, with the objects that must outlive it."""
 
     table: LightTable
+    choice: ChoiceTable
     tree: wp.Bvh | None
     triangle_count: int  # number of emissive triangles
 
@@ -115,6 +118,8 @@ def upload_lights(
     """
     if triangles is None:
         triangles = find_emissive_triangles(scene, emitted)
+    if len(triangles) and geometry is None:
+        raise ValueError("triangles emit: give the scene's geometry too")
     strength = light_strengths(scene.lights)
     records = np.zeros(len(scene.lights), LightRecord.numpy_dtype())
     for i, light in enumerate(scene.lights):
@@ -156,8 +161,9 @@ def upload_lights(
     table.instance_first = upload(triangles.instance_first if has_triangles else np.zeros(0, np.int32), int)
     visibility = scene.instances.visibility.astype(np.int32)
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
-    table.choice = _choice_table(table, records, strength, triangles, geometry, world, device)
-    return UploadedLights(table, tree, len(triangles))
+    choice = _choice_table(table, records, strength, triangles, geometry, world, device)
+    table.choice = wp.array([choice], dtype=ChoiceTable, device=device)
+    return UploadedLights(table, choice, tree, len(triangles))
 
 
 def _choice_table(
@@ -174,17 +180,17 @@ def _choice_table(
     of_triangles = triangle_strengths(triangles)
     irradiance = np.zeros(9) if world is None else world.irradiance
     largest = max(strength.max(initial=0), of_triangles.max(initial=0), irradiance[0])
-    unit = 1 / largest if largest > 0 else 1.0
+    largest = largest if largest > 0 else 1.0
     # a lamp whose program was black at every point that was looked at may still shine
-    may_shine = (records["program"] != 0) & (strength == 0)
-    strength = np.where(may_shine, _UNSEEN, strength * unit)
-    choice.world_irradiance = (irradiance * unit).tolist()
+    may_shine = (records["program"] != 0) & (strength == 0) & records["emission"].any(1)
+    strength = np.where(may_shine, _UNSEEN, _in_range(strength / largest))
+    choice.world_irradiance = wp.array(irradiance / largest, dtype=float, device=device)
 
     is_sun = records["kind"] == LightKind.SUN
     distant = np.flatnonzero(is_sun)
     brightness = strength[distant]
     if world is not None:
-        distant, brightness = np.append(distant, table.world_emitter), np.append(brightness, irradiance[0] * unit)
+        distant, brightness = np.append(distant, table.world_emitter), np.append(brightness, irradiance[0] / largest)
     choice.distant_count = len(distant)
     choice.distant = wp.array(distant, dtype=int, device=device)
     choice.distant_strength = wp.array(brightness, dtype=float, device=device)
@@ -205,13 +211,18 @@ def _choice_table(
     if len(triangles):
         emitting = EmittingTriangles()
         emitting.instance, emitting.primitive = table.triangle_instance, table.triangle_primitive
-        emitting.power = wp.array(of_triangles * unit, dtype=float, device=device)
+        emitting.power = wp.array(_in_range(of_triangles / largest), dtype=float, device=device)
         emitting.emitter_first, emitting.node_first = table.light_count, len(local)
         wp.launch(bound_triangles_kernel, len(triangles), [geometry, emitting, boxes], device=device)
     choice.leaf = wp.full(table.emitter_count, -1, dtype=int, device=device)
     if count:
         fill_nodes(choice, boxes)
     return choice
+
+
+def _in_range(values: np.ndarray) -> np.ndarray:
+    """What is above 0 stays above in float32."""
+    return np.where(values > 0, np.maximum(values, _LEAST), 0)
 
 
 def _lamp_nodes(records: np.ndarray, local: np.ndarray, strength: np.ndarray) -> np.ndarray:

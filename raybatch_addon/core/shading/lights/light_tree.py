@@ -21,6 +21,8 @@ from .choice_table import ChoiceTable, LightNode
 
 # Nodes that are compared one by one at most: a scene with so few emitters is compared exactly
 ROOTS_MOST = 8
+# Rounding of an angle whose cosine is stored [rad]
+_ANGLE_ERROR = wp.constant(5.0e-4)
 
 
 @wp.struct
@@ -112,9 +114,7 @@ def _any_direction(node: LightNode) -> LightNode:
 
 @wp.func
 def join_directions(node: LightNode, a: LightNode, b: LightNode) -> LightNode:
-    """`node` with a cone that holds those of `a` and `b`; none holds less by what is rounded, but for
-    `_COSINE_ERROR` of the choice.
-    """
+    """`node` with a cone that holds those of `a` and `b`, widened by what the cosine of a small angle is rounded by."""
     if a.power <= 0.0 or b.power <= 0.0:
         one = a
         if a.power <= 0.0:
@@ -137,13 +137,13 @@ def join_directions(node: LightNode, a: LightNode, b: LightNode) -> LightNode:
     between = 2.0 * wp.atan2(wp.length(a.axis - other), wp.length(a.axis + other))
     if between + half_b <= half_a:
         node.axis = a.axis
-        node.cos_axis = a.cos_axis
+        node.cos_axis = wp.cos(wp.min(half_a + _ANGLE_ERROR, wp.PI))
         return node
     if between + half_a <= half_b:
         node.axis = b.axis
-        node.cos_axis = b.cos_axis
+        node.cos_axis = wp.cos(wp.min(half_b + _ANGLE_ERROR, wp.PI))
         return node
-    half = 0.5 * (half_a + between + half_b)
+    half = 0.5 * (half_a + between + half_b) + _ANGLE_ERROR
     across = other - wp.dot(other, a.axis) * a.axis
     length = wp.length(across)
     if half >= wp.PI or length <= 0.0:
@@ -255,7 +255,7 @@ def _built_on_cuda(boxes: EmitterBoxes) -> _Topology:
     refit(nodes, links)
     heights = order_by_height(nodes, links)
     if heights is None:
-        raise RuntimeError("the tree of emitters is higher than its builder makes trees")
+        raise RuntimeError("the tree of emitters is too high, though merging bounds its height")
     joints = _joints(nodes.low, nodes.high, nodes.children, nodes.primitive)
     return _Topology(joints, heights.node, heights.first, 2 * nodes.leaf_count - 2)
 

@@ -105,33 +105,47 @@ def _beside(v: wp.vec3, axis: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def spherical_point(a: wp.vec3, b: wp.vec3, c: wp.vec3, u: wp.vec2) -> wp.vec3:
+def spherical_point(a: wp.vec3, b: wp.vec3, c: wp.vec3, angle: float, u: wp.vec2) -> wp.vec3:
     """Barycentric coordinates of a point of the triangle `a`, `b`, `c` (relative to the eye), uniform by solid angle
-    (Arvo 1995, "Stratified sampling of spherical triangles").
+    (Arvo 1995, "Stratified sampling of spherical triangles"); `angle` is all of it.
 
-    A great arc through `a` cuts off the share `u[0]` of the spherical triangle; the direction lies on that arc.
+    A great arc through `q` cuts off the share `u[0]` of the spherical triangle; the direction lies on that arc. The
+    corners are turned until the edge from `p` to `q` is the shortest, where the fewest digits are lost; differences of
+    cosines and sines are written as products.
     """
     p = wp.normalize(a)
     q = wp.normalize(b)
     r = wp.normalize(c)
+    pq = wp.length_sq(p - q)
+    qr = wp.length_sq(q - r)
+    rp = wp.length_sq(r - p)
+    if qr < pq and qr <= rp:
+        first = p
+        p = q
+        q = r
+        r = first
+        pq = qr
+    elif rp < pq:
+        last = r
+        r = q
+        q = p
+        p = last
+        pq = rp
     normal_pq = wp.normalize(wp.cross(p, q))
-    normal_qr = wp.normalize(wp.cross(q, r))
     normal_rp = wp.normalize(wp.cross(r, p))
     at_p = _angle_between(normal_pq, -normal_rp)
-    at_q = _angle_between(normal_qr, -normal_pq)
-    at_r = _angle_between(normal_rp, -normal_qr)
-    cut = u[0] * (at_p + at_q + at_r - wp.PI) + wp.PI - at_p
-    cosine = wp.cos(at_p)
+    half = 0.5 * u[0] * angle
     sine = wp.sin(at_p)
-    # the corner on the arc from `r` to `p`, as Arvo has it: his phi is the area that is cut off, less the angle at `p`
-    cos_cut = wp.cos(cut)
-    sin_cut = wp.sin(cut)
-    k1 = cos_cut + cosine
-    k2 = sin_cut - sine * wp.dot(p, q)
-    along = ((k2 * cos_cut - k1 * sin_cut) * cosine + k2) / ((k2 * sin_cut + k1 * cos_cut) * sine)
-    if not (along >= -1.0):
-        along = -1.0
-    along = wp.min(along, 1.0)
+    sin_half = wp.sin(half)
+    sin_left = wp.sin(at_p - 2.0 * half)
+    cos_left = wp.cos(at_p - 2.0 * half)
+    k1 = -2.0 * wp.sin(at_p - half) * sin_half
+    k2 = 0.5 * sine * pq - 2.0 * wp.cos(at_p - half) * sin_half
+    # cosine of the arc from `p` to the new corner, which lies between `p` and `r`
+    along = (k2 - (k2 * cos_left + k1 * sin_left) * wp.cos(at_p)) / ((k2 * sin_left - k1 * cos_left) * sine)
+    if not (along <= 1.0):
+        along = 1.0
+    along = wp.max(along, wp.dot(p, r))
     corner = along * p + wp.sqrt(wp.max(1.0 - along * along, 0.0)) * _beside(r, p)
     height = 1.0 - u[1] * (1.0 - wp.dot(corner, q))
     direction = height * q + wp.sqrt(wp.max(1.0 - height * height, 0.0)) * _beside(corner, q)
@@ -143,10 +157,10 @@ def spherical_point(a: wp.vec3, b: wp.vec3, c: wp.vec3, u: wp.vec2) -> wp.vec3:
     if divisor != 0.0:
         weight_b = wp.clamp(wp.dot(across, -a) / divisor, 0.0, 1.0)
         weight_c = wp.clamp(wp.dot(wp.cross(-a, b - a), direction) / divisor, 0.0, 1.0)
-    sum = weight_b + weight_c
-    if sum > 1.0:
-        weight_b = weight_b / sum
-        weight_c = weight_c / sum
+    both = weight_b + weight_c
+    if both > 1.0:
+        weight_b = weight_b / both
+        weight_c = weight_c / both
     return wp.vec3(wp.max(1.0 - weight_b - weight_c, 0.0), weight_b, weight_c)
 
 
@@ -178,7 +192,7 @@ def sample_triangle_light(
     angle = seen_solid_angle(to_a, to_b, to_c)
     weight = sample_triangle(u)
     if angle > 0.0:
-        weight = spherical_point(to_a, to_b, to_c, u)
+        weight = spherical_point(to_a, to_b, to_c, angle, u)
     offset = weight[0] * to_a + weight[1] * to_b + weight[2] * to_c
     s.distance = wp.length(offset)
     s.casts_shadow = 1

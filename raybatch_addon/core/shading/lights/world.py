@@ -10,10 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from .emitters import fixed_point_cdf
-
-vec9 = wp.types.vector(length=9, dtype=float)
-
 # Least light that a texel counts for, as a share of the mean: light that the texels' test points missed is still found
 _FLOOR = 1e-3
 # ... and as a share of the brightest texel around it: the rim of a sun may lie between the points of a texel
@@ -81,6 +77,29 @@ def _irradiance(light: np.ndarray) -> np.ndarray:
     first, second = 1 / 2, 15 / 16
     scale = np.array([1 / 4, first, first, first, second, second, second / 12, second, second / 4])
     return np.array([(row * each).sum() for each in moments]) * scale
+
+
+def fixed_point_cdf(power: np.ndarray) -> np.ndarray:
+    """Selection probabilities in proportion to `power`, in units of 2^-32.
+
+    Args:
+        power: float64, shape [n], finite, >= 0; when all are 0, all are as likely.
+
+    Returns:
+        Where each one's interval of [0, 2^32) begins, uint32, shape [n], strictly ascending from 0. The last one ends
+        at 2^32, so the probabilities sum to exactly 1, and none is below 2^-32: nothing is left out.
+    """
+    count = len(power)
+    if count == 0:
+        return np.zeros(0, np.uint32)
+    # scaled to at most 1, so that sums stay in range whatever the unit
+    largest = power.max()
+    share = power / largest if largest > 0 else np.ones(count)
+    ends = np.cumsum(share)
+    first = np.zeros(count, np.uint64)
+    # one unit to each, the rest in proportion
+    first[1:] = np.floor(ends[:-1] / ends[-1] * (2.0**32 - count)).astype(np.uint64)
+    return (first + np.arange(count, dtype=np.uint64)).astype(np.uint32)
 
 
 def build_world_table(light: np.ndarray, device: wp.Device) -> WorldTable:

@@ -22,10 +22,11 @@ from raybatch_addon.core.scene.description import (
 )
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
-from raybatch_addon.core.shading.lights.emitters import find_emissive_triangles, fixed_point_cdf, scene_radius
+from raybatch_addon.core.shading.lights.emitters import find_emissive_triangles, scene_radius
 from raybatch_addon.core.shading.lights.light_choice import lit_point, packed_side
 from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
+from raybatch_addon.core.shading.lights.world import fixed_point_cdf
 from tests.core.shading.lights.light_probe import (
     COUNT,
     DEVICES,
@@ -252,7 +253,11 @@ def solid_angle(corners) -> float:
         [(-1, -1, 1), (1, -1, 1), (0, 1, 1)],
         [(-5, -4, 0.1), (6, -4, 0.1), (0, 7, 0.1)],  # nearly the half sphere
         [(0.1, 0, 0.01), (30, 0.5, 0.2), (0.1, 20, 3)],  # one corner near, two far
-        [(-1, 0, 2), (1, 0, 2), (0, 0.06, 2)],  # a sliver
+        [(-1, 0, 2), (1, 0, 2), (0, 0.06, 2)],  # slivers, begun at each corner
+        [(1, 0, 2), (0, 0.06, 2), (-1, 0, 2)],
+        [(0, 0.06, 2), (-1, 0, 2), (1, 0, 2)],
+        [(-3, 0, 1), (3, 0, 1), (3, 0.05, 1)],
+        [(3, 0.05, 1), (-3, 0, 1), (3, 0, 1)],
     ],
 )
 def test_near_triangles_are_sampled_by_solid_angle(corners):

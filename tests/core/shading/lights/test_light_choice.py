@@ -27,7 +27,6 @@ class Chosen:
     emitter: wp.array(dtype=int)
     pdf: wp.array(dtype=float)
     again: wp.array(dtype=float)
-    irradiance: wp.array(dtype=float)
 
 
 @functools.cache
@@ -120,7 +119,7 @@ def chosen_from(lights, position, normal, both_sides=False, count=COUNT):
     side = packed(normal, both_sides)
     chosen = Chosen()
     chosen.emitter = wp.zeros(count, dtype=int, device=DEVICE)
-    chosen.pdf, chosen.again, chosen.irradiance = (wp.zeros(count, dtype=float, device=DEVICE) for _ in range(3))
+    chosen.pdf, chosen.again = (wp.zeros(count, dtype=float, device=DEVICE) for _ in range(2))
     wp.launch(choose_many, count, [table, wp.vec3(*position), side, 5, chosen], device=DEVICE, block_dim=BLOCK_DIM)
     found = wp.zeros(max(table.emitter_count, 1), dtype=float, device=DEVICE)
     wp.launch(
@@ -186,6 +185,35 @@ def test_emitters_are_chosen_as_often_as_is_said(case):
 
 
 @functools.cache
+def every_draw_kernel():
+    choose, _ = make_light_choice(ChoiceFeatures(KINDS, True, True, True))
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def every_draw(table: LightTable, side: wp.uint32, emitter: wp.array(dtype=int)):
+        i = wp.tid()
+        u = wp.vec2(float((i * 2654435) & 16777215) / 16777216.0, float((i * 40503) & 16777215) / 16777216.0)
+        emitter[i] = choose(table, lit_point(wp.vec3(0.0), side), float(i) / 16777216.0, u).emitter
+
+    return every_draw
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("powers", [(1.0, 1e3, 1e6, 1e9), (1.0, *(2.0**-20,) * 60)])
+def test_small_shares_are_met_too(powers, turned):
+    """All that a random number can be: each emitter is chosen as often as it says, however seldom that is."""
+    powers = powers[::-1] if turned else powers
+    place = facing((0, 0, 2), (0, 0, -1))
+    lights, _ = uploaded([Light(f"lamp {i}", LightKind.POINT, place, (power,) * 3) for i, power in enumerate(powers)])
+    emitter = wp.zeros(2**24, dtype=int, device=DEVICE)
+    inputs = [lights.table, packed((0, 0, 1), False), emitter]
+    wp.launch(every_draw_kernel(), 2**24, inputs, device=DEVICE, block_dim=BLOCK_DIM)
+    expected = chosen_from(lights, (0, 0, 0), (0, 0, 1), count=1)[3] * 2**24
+    count = np.bincount(emitter.numpy(), minlength=len(powers))
+    assert count.sum() == 2**24 and (expected > 0).all()
+    assert (np.abs(count - expected) <= 5 * np.sqrt(expected) + 1).all()
+
+
+@functools.cache
 def irradiance_kernel():
     sample, _ = make_lights(LightFeatures(lights=KINDS, light_sphere=True, mesh_lights=True))
 
@@ -229,7 +257,7 @@ def test_many_lamps_together_light_as_each_alone():
 
 def test_nodes_hold_what_lies_below():
     lights, _ = uploaded(*CASES["all"])
-    choice = lights.table.choice
+    choice = lights.choice
     nodes = choice.nodes.numpy()
     assert (
         choice.root_count == ROOTS_MOST
