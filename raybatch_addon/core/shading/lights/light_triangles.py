@@ -9,9 +9,9 @@ from ..sampling import sample_triangle
 from .light_shapes import GAMMA_8, LightSample
 from .light_table import LightTable
 
-# Triangles that are seen under less than this are sampled evenly: they are so small, or so far away, that it makes
-# little difference, and angles lose digits; nearly a half sphere loses them too [sr]
-_SOLID_ANGLE_MIN = wp.constant(0.01)
+# Triangles whose area is below this share of the square of the nearest corner's distance are sampled evenly: it makes
+# little difference, takes a fraction of the time, and angles lose digits. Nearly a half sphere loses them too [sr]
+_NEAR = wp.constant(0.1)
 _SOLID_ANGLE_MAX = wp.constant(6.2)
 
 
@@ -75,19 +75,17 @@ def triangle_distance_error(
 @wp.func
 def seen_solid_angle(a: wp.vec3, b: wp.vec3, c: wp.vec3) -> float:
     """Solid angle of the triangle with the corners `a`, `b`, `c` relative to the eye [sr] (van Oosterom and Strackee
-    1983); 0 where it is to be sampled evenly (`_SOLID_ANGLE_MIN`).
+    1983); 0 where it is to be sampled evenly.
     """
-    length_a = wp.length(a)
-    length_b = wp.length(b)
-    length_c = wp.length(c)
-    if length_a == 0.0 or length_b == 0.0 or length_c == 0.0:
+    nearest = wp.min(wp.length_sq(a), wp.min(wp.length_sq(b), wp.length_sq(c)))
+    if not (0.5 * wp.length(wp.cross(b - a, c - a)) > _NEAR * nearest) or nearest <= 0.0:
         return 0.0
-    p = a / length_a
-    q = b / length_b
-    r = c / length_c
+    p = wp.normalize(a)
+    q = wp.normalize(b)
+    r = wp.normalize(c)
     volume = wp.abs(wp.dot(p, wp.cross(q - p, r - p)))
     angle = 2.0 * wp.atan2(volume, 1.0 + wp.dot(p, q) + wp.dot(q, r) + wp.dot(r, p))
-    if angle > _SOLID_ANGLE_MIN and angle < _SOLID_ANGLE_MAX:  # also where it is no number
+    if angle > 0.0 and angle < _SOLID_ANGLE_MAX and nearest < wp.inf:
         return angle
     return 0.0
 
