@@ -65,6 +65,7 @@ def test_locked_memory_is_read_and_written_by_the_device(size):
     assert memory.ptr % 4096 == 0 and memory.pinned and memory.device.is_cpu
     memory.numpy()[:] = values
     there = memory.to(device)
+    wp.synchronize_device(device)  # the copy reads the memory meanwhile
     memory.zero_()
     wp.copy(memory, there)
     wp.synchronize_device(device)

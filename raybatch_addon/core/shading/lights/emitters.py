@@ -19,6 +19,9 @@ from ...scene.validate import box_of
 # Kinds of rays that leave surfaces, where lights are sampled; an emitter that none of them sees lights nothing
 _LIT = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
 
+# Rounding of cosines that come from sines: where lights are chosen, a cone counts as so much wider
+COSINE_ERROR = 1e-3
+
 # Entries of a temporary [instances of one mesh, triangles] block while areas are computed: 32 MB of float64
 _BLOCK = 2**22
 
@@ -103,7 +106,8 @@ def light_strengths(lights: Sequence[Light]) -> np.ndarray:
     """How bright each light without mesh is, float64, shape [n]; a heuristic for choosing.
 
     Suns: irradiance of a surface that faces them [W/m²]. Others: intensity along the axis [W/sr], the irradiance 1 m
-    away; of area lights as if they had no spread, which gathers light around the axis but leaves none elsewhere.
+    away; of area lights as if they had no spread, which gathers light around the axis but leaves none elsewhere;
+    of spots times the part of the directions that the choice takes for lit (`COSINE_ERROR`) which is.
     Raises `SceneError` for emission that is not finite.
     """
     return np.array([_strength(light) for light in lights], np.float64)
@@ -146,8 +150,11 @@ def _strength(light: Light) -> float:
         raise SceneError(
             f"light “{light.name}”: its emission {light.emission} is not usable; give it a finite, positive power"
         )
-    if light.kind in (LightKind.POINT, LightKind.SPOT, LightKind.SUN):
+    if light.kind in (LightKind.POINT, LightKind.SUN):
         return emission
+    if light.kind == LightKind.SPOT:
+        cone = 1 - np.cos(np.clip(light.angle, 0, np.pi) / 2)
+        return emission * cone / (cone + COSINE_ERROR)
     if light.kind in (LightKind.RECTANGLE, LightKind.ELLIPSE):
         return emission * light_area(light)
     raise ValueError(f"there is no strength of lights of kind {light.kind!r}: add one here")

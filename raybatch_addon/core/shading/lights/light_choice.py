@@ -20,13 +20,12 @@ import warp as wp
 
 from ...native.build import native_source
 from ...scene.description import LightKind
+from .emitters import COSINE_ERROR
 from .light_table import LightTable
 
 # What an emitter counts for at least where the surface, or the emitter, is turned away at the angle where nothing
 # arrives by Lambert's law: BSDFs and lamps may differ from it
 _COSINE_MIN = 0.1
-# Rounding of cosines that come from sines: emitters are left out only where they surely are dark
-_COSINE_ERROR = 1e-3
 # Where emitters are compared, none is without a chance: counts stay within these bounds
 _LEAST, _MOST = 1e-30, 1e30
 _UNIT = 2.0**-24  # of random numbers and shares
@@ -135,7 +134,7 @@ def make_light_choice(features: ChoiceFeatures) -> LightChoice:
 @functools.cache
 def _make_choice(has_suns: bool, has_world: bool, local: bool) -> LightChoice:
     """`local`: there are emitters with a place."""
-    numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=_COSINE_ERROR, LEAST=_LEAST, MOST=_MOST, UNIT=_UNIT)
+    numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=COSINE_ERROR, LEAST=_LEAST, MOST=_MOST, UNIT=_UNIT)
     kinds = dict(SUNS=has_suns, WORLD=has_world, LOCAL=local)
     headers = functools.partial(native_source, "lights/candidates.h", **numbers, **kinds)
 

@@ -10,9 +10,10 @@ from .light_shapes import GAMMA_8, LightSample
 from .light_table import LightTable
 
 # Triangles whose area is below this share of the square of the nearest corner's distance are sampled evenly: it makes
-# little difference, takes a fraction of the time, and angles lose digits. Nearly a half sphere loses them too [sr]
+# little difference, takes a fraction of the time, and angles lose digits. So they do where corners are nearly opposite
+# to one another: the cosine of the angle between them is less than this
 _NEAR = wp.constant(0.1)
-_SOLID_ANGLE_MAX = wp.constant(6.2)
+_COSINE_LEAST = wp.constant(-0.95)
 
 
 @wp.func
@@ -83,9 +84,11 @@ def seen_solid_angle(a: wp.vec3, b: wp.vec3, c: wp.vec3) -> float:
     p = wp.normalize(a)
     q = wp.normalize(b)
     r = wp.normalize(c)
+    if wp.min(wp.dot(p, q), wp.min(wp.dot(q, r), wp.dot(r, p))) < _COSINE_LEAST:
+        return 0.0
     volume = wp.abs(wp.dot(p, wp.cross(q - p, r - p)))
     angle = 2.0 * wp.atan2(volume, 1.0 + wp.dot(p, q) + wp.dot(q, r) + wp.dot(r, p))
-    if angle > 0.0 and angle < _SOLID_ANGLE_MAX and nearest < wp.inf:
+    if angle > 0.0 and nearest < wp.inf:
         return angle
     return 0.0
 
