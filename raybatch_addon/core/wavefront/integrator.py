@@ -256,8 +256,8 @@ class TileIntegrator:
             return
         for hits in self._hit_order.parts(rays, surface) if self._hit_order else (surface,):
             with self._timer.stage("shade"):
-                self._launch_stage(ShadingStage.LIGHT_HITS, hits, work, film)
-                self._launch_stage(ShadingStage.SURFACE, hits, work, film)
+                for stage in (ShadingStage.LIGHT_HITS, ShadingStage.AIM, ShadingStage.SURFACE):
+                    self._launch_stage(stage, hits, work, film)
 
     def _finish_paths(self, work: TileWork, film: FilmTile, generates: bool) -> int:
         """Move paths that are over to the film, and list the rays of the next turn; how many were over.

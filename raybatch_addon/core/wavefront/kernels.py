@@ -21,12 +21,13 @@ from .path_lists import path_list_kernels
 from .plan.plan import Method
 from .plan.tracing import Tracing
 from .stages.accumulate import accumulate_kernel
+from .stages.aim import AimFeatures, make_aim
 from .stages.connect import ConnectFeatures, connect, make_connect_program, settle_kernel
 from .stages.connect_transparent import make_connect_transparent
 from .stages.generate import GenerateFeatures, counted_kernel, generate_kernel
 from .stages.shade_background import BackgroundFeatures, make_background, make_light_hits_stage
 from .stages.shade_surface import make_shade_surface
-from .stages.stage import all_stages_kernel, stage_kernel
+from .stages.stage import STAGES_OF_ALL, all_stages_kernel, stage_kernel
 from .stages.surface_features import SurfaceFeatures
 from .stages.walk import WalkFeatures, walk_kernel
 from .stages.work import ShadingStage
@@ -58,6 +59,7 @@ class StageKernels:
             ShadingStage.LIGHT_HITS: features.light_hits,
             ShadingStage.CONNECT: features.shadow_rays,
             ShadingStage.CONNECT_TRANSPARENT: features.shadow_rays and features.transparency,
+            ShadingStage.AIM: features.shadow_rays,
         }
         return StageKernels(
             generate=generate_kernel(narrow(begun, GenerateFeatures)),
@@ -91,12 +93,14 @@ def _shading_kernels(
         ShadingStage.CONNECT: features.light_programs,
         ShadingStage.LIGHT_HITS: bool(features.lamp_program),
         ShadingStage.BACKGROUND: bool(features.world_program),
+        ShadingStage.AIM: False,
     }
     # a world that is sampled takes part in the choice among emitters, whether a stage runs its program or not
     simple = _stage_functions(without_programs(shading), shading.world_light)
+    simple[ShadingStage.AIM] = whole[ShadingStage.AIM]
     found = {stage: stage_kernel(simple[stage]()) for stage in stages if not runs_program[stage]}
     if len(found) < len(stages):
-        kernel = all_stages_kernel(*(whole[stage]() for stage in ShadingStage if stage != ShadingStage.CONNECT))
+        kernel = all_stages_kernel(*(whole[stage]() for stage in STAGES_OF_ALL))
         found |= {stage: kernel for stage in stages if runs_program[stage]}
     return found
 
@@ -125,6 +129,7 @@ def _stage_functions(
         ),
         ShadingStage.CONNECT: lambda: make_connect_program(connected) if shading.light_programs else connect,
         ShadingStage.CONNECT_TRANSPARENT: lambda: make_connect_transparent(surface, connected),
+        ShadingStage.AIM: lambda: make_aim(narrow(shading, AimFeatures)),
     }
 
 

@@ -36,6 +36,7 @@ def general_features() -> SceneFeatures:
     programs = ProgramFeatures(tuple(op_numbers()), REGISTERS_MOST, CLOSURES_MOST, apart=True)
     return SceneFeatures(
         closures=tuple(sorted(ClosureKind)),
+        closure_count=CLOSURES_MOST,
         programs=programs,
         world_program=programs,
         lamp_program=programs,

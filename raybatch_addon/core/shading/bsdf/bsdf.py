@@ -15,7 +15,7 @@ from .albedo import AlbedoTables
 from .ashikhmin_shirley import phong_exponent, sample_phong
 from .facets import make_facets
 from .ggx import is_refraction_specular, is_specular, reflected, refracted
-from .lobes import Lobe, make_lobes, relative_index
+from .lobes import LOBE_FLOATS, Lobe, make_lobes, relative_index
 from .materials import (
     DELTA,
     DIFFUSE,
@@ -33,14 +33,15 @@ from .materials import (
     ShadingFrame,
     upload_materials,
 )
-from .mixture import LAMBERTIAN, SOFT, make_mixture
-from .normals import facet_normal, make_normals
+from .mixture import LAMBERTIAN, SOFT, Mixture, make_mixture
+from .normals import make_normals
 from .sheen import sample_sheen, sheen_lobe, sheen_tangent
 
 __all__ = [
     "DELTA",
     "DIFFUSE",
     "GLOSSY",
+    "LOBE_FLOATS",
     "SUBSURFACE",
     "TRANSMISSION",
     "TRANSPARENT",
@@ -49,6 +50,7 @@ __all__ = [
     "BsdfValue",
     "ClosureFeatures",
     "ClosureRecord",
+    "Lobe",
     "MaterialTable",
     "ShadingFrame",
     "make_bsdf",
@@ -73,11 +75,20 @@ _ONE_BELOW = wp.constant(1.0 - 2.0**-24)  # the largest float32 below 1
 class Bsdf(NamedTuple):
     """Functions (`wp.Function`) of one specialisation."""
 
-    evaluate: wp.Function  # (closures, first, end, albedo, frame, wo, wi) -> BsdfValue
-    sample: wp.Function  # (closures, first, end, albedo, frame, wo, u_lobe: float, u: vec2) -> BsdfSample
+    # (closures, first, end, albedo, frame, wo, lobes) writes the closures as seen from wo to `lobes`, array of `Lobe`
+    # with an entry for each, which the next two read
+    look: wp.Function
+    # (closures, first, end, lobes, albedo, frame, wo, u_lobe: float, u: vec2) -> BsdfSample: a direction from one
+    # closure. A delta lobe is complete; `complete` weighs others
+    propose: wp.Function
+    mix: wp.Function  # (closures, first, end, lobes, albedo, frame, wo, wi) -> Mixture: sums for one direction
+    value: wp.Function  # (mixture) -> BsdfValue: value and density of all lobes but delta lobes; 0: no lobe reaches
+    # (proposed: BsdfSample, mixture) -> BsdfSample: weighted as a sample of all closures together. `mixture` is that of
+    # the proposed direction
+    complete: wp.Function
     emission: wp.Function  # (closures, first, end) -> vec3: radiance [W/(m² sr)], the same on both sides
     transparency: wp.Function  # (closures, first, end) -> vec3: share of light that passes straight on
-    # (closures, first, end) -> bool: some lobe is seen by `evaluate`; without one, shadow rays are in vain
+    # (closures, first, end) -> bool: some lobe is seen by `mix`; without one, shadow rays are in vain
     scatters: wp.Function
     holdout: wp.Function  # (closures, first, end) -> float: share of the film's alpha that the surface takes away
 
@@ -86,7 +97,8 @@ class Bsdf(NamedTuple):
 def make_bsdf(features: ClosureFeatures) -> Bsdf:
     """The functions for materials of `features.kinds`; nothing of other kinds is compiled."""
     has = features.has
-    view, reflectance = make_lobes(features)
+    functions = make_lobes(features)
+    reflectance = functions.reflectance
     mean_alpha, facets_of, _, _, sample_normal = make_facets(features)
     mix, glass_shares = make_mixture(features)
     is_lambertian, is_cosine = features.test(LAMBERTIAN), features.test((*LAMBERTIAN, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT))
@@ -100,23 +112,12 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         has(*MICROFACET_KINDS - {_K.SUBSURFACE}),
         features.test(MICROFACET_KINDS - {_K.SUBSURFACE}),
     )
-    bends = features.facets or features.coats
     own = features.own_normals
     has_own_normal, own_normal = make_normals(own)
 
     @wp.func
-    def evaluate(
-        closures: wp.array(dtype=ClosureRecord),
-        first: int,
-        end: int,
-        albedo: AlbedoTables,
-        frame: ShadingFrame,
-        wo: wp.vec3,
-        wi: wp.vec3,
-    ) -> BsdfValue:
-        """Value and density of all lobes but delta lobes, for the direction wi; 0 where no lobe reaches."""
+    def value_of(mixture: Mixture) -> BsdfValue:
         result = BsdfValue()
-        mixture = mix(closures, first, end, albedo, frame, wo, wi)
         if mixture.selection > 0.0:
             result.value = mixture.value
             result.pdf = mixture.density
@@ -129,25 +130,18 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         return result
 
     @wp.func
-    def sample(
+    def propose(
         closures: wp.array(dtype=ClosureRecord),
         first: int,
         end: int,
+        lobes: wp.array(dtype=Lobe),
         albedo: AlbedoTables,
         frame: ShadingFrame,
         wo: wp.vec3,
         u_lobe: float,
         u: wp.vec2,
     ) -> BsdfSample:
-        """A direction from one closure, chosen by what it reflects, weighted as a sample of all closures together."""
         result = BsdfSample()
-        n = frame.normal
-        cos_o = float(1.0)
-        if wp.static(bends and not own):
-            n = facet_normal(frame.normal, frame, wo)
-            cos_o = wp.dot(n, wo)
-            if not cos_o > 0.0:
-                return result
 
         # one pass over the closures; u_lobe is stretched after each decision, and so serves them all
         total = float(0.0)
@@ -155,9 +149,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         left = float(u_lobe)
         lobe = Lobe()
         for c in range(first, end):
-            if wp.static(bends and own):
-                cos_o = wp.dot(facet_normal(own_normal(closures, c, frame), frame, wo), wo)
-            candidate = view(closures, c, albedo, frame, wo, cos_o)
+            candidate = lobes[c - first]
             if candidate.selection > 0.0:
                 total += candidate.selection
                 p = candidate.selection / total
@@ -171,6 +163,8 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
             return result
 
         kind = closures[chosen].kind
+        n = lobe.normal
+        cos_o = lobe.cosine
         wi = -wo
         bits = int(0)
         delta = wp.vec3(0.0)  # weight of a delta lobe times the lobe's probability
@@ -182,9 +176,6 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                 about = own_normal(closures, chosen, frame)
                 tangent = tangent_of(about)
                 bitangent = bitangent_of(about)
-            if wp.static(bends):
-                n = facet_normal(about, frame, wo)
-                cos_o = wp.dot(n, wo)
         if wp.static(has_cosine):
             if is_cosine(kind):
                 local = sample_cosine_hemisphere(u)
@@ -282,14 +273,16 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         if not (side > 0.0 and facet_side > 0.0):
             return result
 
+        result.direction = wi
+        result.lobe = bits
         if (bits & DELTA) != 0:
-            result.direction = wi
-            result.lobe = bits
             result.weight = (total / lobe.selection) * delta
             result.closure = chosen
-            return result
+        return result
 
-        mixture = mix(closures, first, end, albedo, frame, wo, wi)
+    @wp.func
+    def complete(proposed: BsdfSample, mixture: Mixture) -> BsdfSample:
+        result = BsdfSample()
         density = mixture.density
         if density > 0.0:
             value = mixture.value
@@ -305,8 +298,8 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                     result.weight = (mixture.selection / mixture.diffuse_selection) * mixture.diffuse
                     result.pdf = mixture.lambert * mixture.diffuse_selection / mixture.selection
         if result.pdf > 0.0:
-            result.direction = wi
-            result.lobe = bits
+            result.direction = proposed.direction
+            result.lobe = proposed.lobe
         return result
 
     @wp.func
@@ -331,7 +324,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
 
     @wp.func
     def scatters(closures: wp.array(dtype=ClosureRecord), first: int, end: int) -> bool:
-        """Whether any closure has a lobe that `evaluate` sees."""
+        """Whether any closure has a lobe that `mix` sees."""
         found = bool(False)
         for c in range(first, end):
             kind = closures[c].kind
@@ -354,4 +347,4 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                     share += (weight[0] + weight[1] + weight[2]) / 3.0
         return wp.min(share, 1.0)
 
-    return Bsdf(evaluate, sample, emission, transparency, scatters, holdout)
+    return Bsdf(functions.look, propose, mix, value_of, complete, emission, transparency, scatters, holdout)

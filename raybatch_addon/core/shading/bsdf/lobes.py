@@ -30,7 +30,7 @@ from .fresnel import (
 )
 from .ggx import ggx_slope, is_refraction_specular, is_specular
 from .materials import MICROFACET_KINDS, REFLECTION_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
-from .normals import make_normals
+from .normals import facet_normal, make_normals
 from .sheen import sheen_lobe
 from .thin_film import FILM_LEAST, film_on_conductor, film_on_dielectric, film_on_f82
 
@@ -52,7 +52,8 @@ _COSINE_LEAST = wp.constant(1.0e-6)
 class LobeFunctions(NamedTuple):
     """Functions (`wp.Function`) of one specialisation."""
 
-    view: wp.Function  # (closures, c: int, albedo, frame, wo, cos_o: float) -> Lobe
+    # (closures, first, end, albedo, frame, wo, lobes: array of Lobe) writes the closures, in order, to `lobes`
+    look: wp.Function
     # (closures, c: int, albedo, cosine: float, entering: int) -> vec3: share of light that a facet reflects
     reflectance: wp.Function
 
@@ -63,6 +64,12 @@ class Lobe:
 
     scale: wp.vec3  # weight times energy compensation, times the share of light that a coat above lets through
     selection: float  # albedo, approximate, summed over the channels: decides how often the closure is sampled
+    normal: wp.vec3  # of its facets, unit
+    cosine: float  # of the angle between that and wo
+
+
+# Floats of a lobe: kernels reserve a local array of lobes as one of closure records (`RECORD_FLOATS`)
+LOBE_FLOATS = Lobe.numpy_dtype()["itemsize"] // 4
 
 
 @wp.func
@@ -102,7 +109,8 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
     has_glass, has_refraction, has_sheen, has_velvet = has(_K.GLASS), has(_K.REFRACTION), has(_K.SHEEN), has(_K.VELVET)
     has_film = has(_K.THIN_FILM)
     has_dielectrics = has_glass or has_refraction or has_dielectric
-    _, own_normal = make_normals(features.own_normals)
+    bends, own = features.facets or features.coats, features.own_normals
+    _, own_normal = make_normals(own)
 
     mean_alpha = make_facets(features).alpha
     alike = not has(_K.ANISOTROPIC)
@@ -279,4 +287,31 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
         lobe.selection = _sum(albedo)
         return lobe
 
-    return LobeFunctions(view_lobe, reflectance)
+    @wp.func
+    def look(
+        closures: wp.array(dtype=ClosureRecord),
+        first: int,
+        end: int,
+        tables: AlbedoTables,
+        frame: ShadingFrame,
+        wo: wp.vec3,
+        lobes: wp.array(dtype=Lobe),
+    ):
+        """The closures [first, end) as seen from wo; black where wo lies in the triangle's plane."""
+        n = frame.normal
+        cos_o = float(1.0)
+        if wp.static(bends and not own):
+            n = facet_normal(frame.normal, frame, wo)
+            cos_o = wp.dot(n, wo)
+        for c in range(first, end):
+            if wp.static(bends and own):
+                n = facet_normal(own_normal(closures, c, frame), frame, wo)
+                cos_o = wp.dot(n, wo)
+            lobe = Lobe()
+            if wp.static(own or not bends) or cos_o > 0.0:
+                lobe = view_lobe(closures, c, tables, frame, wo, cos_o)
+            lobe.normal = n
+            lobe.cosine = cos_o
+            lobes[c - first] = lobe
+
+    return LobeFunctions(look, reflectance)

@@ -33,6 +33,8 @@ MIRROR_KINDS = frozenset({_K.GLOSSY, _K.METAL, _K.DIELECTRIC, _K.CONDUCTOR})
 PASSING_KINDS = frozenset({_K.GLASS, _K.REFRACTION})  # facets that refract
 REFLECTION_KINDS = MIRROR_KINDS | {_K.SHEET}  # facets whose albedo is that of reflection
 MICROFACET_KINDS = REFLECTION_KINDS | PASSING_KINDS | {_K.ASHIKHMIN_SHIRLEY, _K.SUBSURFACE}
+# Light from behind the surface shines through, in other directions than straight on
+TRANSMISSIVE_KINDS = PASSING_KINDS | {_K.TRANSLUCENT, _K.SHEET}
 _COAT_KINDS = frozenset({_K.LAYERED_DIFFUSE, _K.DIELECTRIC})
 # Indices of refraction are kept in a range whose squares and their inverses are far from the ends of
 # float32; beyond it a dielectric reflects more than 99.6 % and is a mirror for all purposes.
@@ -143,13 +145,22 @@ def new_closure(kind: int, weight: wp.vec3) -> ClosureRecord:
 
 
 @wp.struct
+class MaterialRecord:
+    """What is known of a material before it is shaded."""
+
+    closure_first: int  # it has the closures [closure_first, closure_end), but for those that its program makes
+    closure_end: int
+    transmits: int  # 1: some closure, also of its program, is one of `TRANSMISSIVE_KINDS`
+
+
+@wp.struct
 class MaterialTable:
     """Closures of all materials, one after the other.
 
     With SUBSURFACE a white Lambertian closure follows them, for light that comes out again.
     """
 
-    closure_first: wp.array(dtype=int)  # material m has the closures [first[m], first[m + 1]); [material_count + 1]
+    records: wp.array(dtype=MaterialRecord)  # [material_count]
     closures: wp.array(dtype=ClosureRecord)  # [closure_count]
     albedo: AlbedoTables  # arrays that the features do not use have length 0
 
@@ -204,7 +215,10 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
         _fill(record, closure)
 
     table = MaterialTable()
-    table.closure_first = wp.array(first, dtype=int, device=device)
+    rows = np.zeros(len(materials), MaterialRecord.numpy_dtype())
+    rows["closure_first"], rows["closure_end"] = first[:-1], first[1:]
+    rows["transmits"] = [_transmits(material) for material in materials]
+    table.records = wp.array(rows, dtype=MaterialRecord, device=device)
     table.closures = wp.array(records, dtype=ClosureRecord, device=device)
     table.albedo = upload_tables(
         device,
@@ -215,6 +229,14 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
         film=features.has(_K.THIN_FILM),
     )
     return table
+
+
+def _transmits(material: Material) -> bool:
+    """Whether a closure is one of `TRANSMISSIVE_KINDS`; ops that make closures have the names of their kinds."""
+    kinds = {closure.kind.name.lower() for closure in material.closures}
+    if material.program is not None:
+        kinds = {instruction.op for instruction in material.program.instructions}
+    return not kinds.isdisjoint(kind.name.lower() for kind in TRANSMISSIVE_KINDS)
 
 
 def constant_closure(record: ClosureRecord) -> Closure:

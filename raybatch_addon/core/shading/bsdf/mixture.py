@@ -18,9 +18,9 @@ from .ashikhmin_shirley import phong_density, phong_exponent
 from .diffuse import rough_diffuse_bsdf
 from .facets import make_facets
 from .ggx import is_refraction_specular, is_specular
-from .lobes import make_lobes, relative_index
+from .lobes import Lobe, make_lobes, relative_index
 from .materials import MICROFACET_KINDS, MIRROR_KINDS, PASSING_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
-from .normals import bump_shadow, facet_normal, make_normals
+from .normals import bump_shadow, make_normals
 from .sheen import sheen_density, sheen_lobe, sheen_tangent, velvet_bsdf
 
 _K = ClosureKind
@@ -38,7 +38,7 @@ SOFT = (_K.ROUGH_DIFFUSE, _K.TRANSLUCENT, _K.SHEEN, _K.VELVET)  # other diffuse 
 class MixtureFunctions(NamedTuple):
     """Functions (`wp.Function`) of one specialisation."""
 
-    mix: wp.Function  # (closures, first, end, albedo, frame, wo, wi) -> Mixture
+    mix: wp.Function  # (closures, first, end, lobes, albedo, frame, wo, wi) -> Mixture
     # (closures, c: int, f: vec3) -> vec2: shares of samples that a facet of glass reflects and refracts
     glass_shares: wp.Function
 
@@ -66,7 +66,7 @@ def _mean(v: wp.vec3) -> float:
 def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
     """The functions for closures of `features`."""
     has = features.has
-    view, reflectance = make_lobes(features)
+    reflectance = make_lobes(features).reflectance
     mean_alpha, facets_of, visible_density, shadowing, _ = make_facets(features)
     is_lambertian, is_soft = features.test(LAMBERTIAN), features.test(SOFT)
     is_mirror, is_passing = features.test(MIRROR_KINDS), features.test(PASSING_KINDS)
@@ -152,30 +152,28 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
         closures: wp.array(dtype=ClosureRecord),
         first: int,
         end: int,
+        lobes: wp.array(dtype=Lobe),
         albedo: AlbedoTables,
         frame: ShadingFrame,
         wo: wp.vec3,
         wi: wp.vec3,
     ) -> Mixture:
-        """Sums over all closures without their delta lobes; the selection counts delta lobes too."""
+        """Sums over all closures without their delta lobes; the selection counts delta lobes too. `lobes` holds the
+        closures as seen from wo.
+        """
         mixture = Mixture()
         above = wp.dot(wi, frame.geometric_normal)
         mixture.lambert = wp.max(wp.dot(wi, frame.normal), 0.0) / wp.PI
         if above <= 0.0:
             mixture.lambert = 0.0
-        n = frame.normal
-        cos_o = float(1.0)
-        if wp.static(bends and not own):
-            n = facet_normal(frame.normal, frame, wo)
-            cos_o = wp.dot(n, wo)
-            if not cos_o > 0.0:  # wo lies in the triangle's plane
-                return Mixture()
         for c in range(first, end):
             kind = closures[c].kind
-            if wp.static(bends and own):
-                n = facet_normal(own_normal(closures, c, frame), frame, wo)
-                cos_o = wp.dot(n, wo)
-            lobe = view(closures, c, albedo, frame, wo, cos_o)
+            lobe = lobes[c - first]
+            n = lobe.normal
+            cos_o = lobe.cosine
+            if wp.static(bends and not own):
+                if not cos_o > 0.0:  # wo lies in the triangle's plane
+                    return Mixture()
             mixture.selection += lobe.selection
             if wp.static(has_lambert):
                 if is_lambertian(kind):

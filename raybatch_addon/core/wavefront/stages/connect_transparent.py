@@ -82,8 +82,8 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
                 closures = wp.array(ptr=address, shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
             else:
                 closures = data.materials.closures
-                first = data.materials.closure_first[surface.material]
-                end = data.materials.closure_first[surface.material + 1]
+                first = data.materials.records[surface.material].closure_first
+                end = data.materials.records[surface.material].closure_end
             light = wp.cw_mul(paths.shadow_light[path], transparency(closures, first, end))
             if has_light(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
                 direction = rays.direction[slot]

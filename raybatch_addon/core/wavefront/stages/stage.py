@@ -44,12 +44,21 @@ def stage_kernel(function: wp.Function) -> wp.Kernel:
     return wp.kernel(stage, **KERNEL_OPTIONS)
 
 
+# Stages of the kernel of all of them, in the order of its functions; both that connect are one
+STAGES_OF_ALL = (
+    ShadingStage.SURFACE,
+    ShadingStage.BACKGROUND,
+    ShadingStage.LIGHT_HITS,
+    ShadingStage.CONNECT_TRANSPARENT,
+)
+
+
 @functools.cache
 def all_stages_kernel(
     surface: wp.Function, background: wp.Function, light_hits: wp.Function, connect_transparent: wp.Function
 ) -> wp.Kernel:
-    """Kernel of the arguments of `stage_kernel` that calls the function of the stage `work.stage`; both stages that
-    connect have one.
+    """Kernel of the arguments of `stage_kernel` that calls the function of the stage `work.stage`, for the functions of
+    `STAGES_OF_ALL`.
     """
 
     @wp.kernel(**general_options("stages"))

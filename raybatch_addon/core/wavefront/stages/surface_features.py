@@ -13,6 +13,7 @@ class SurfaceFeatures:
     """The part of `SceneFeatures` that shading a surface depends on; fields have the same names."""
 
     closures: tuple[ClosureKind, ...]
+    closure_count: int
     programs: ProgramFeatures
     lights: tuple[LightKind, ...]
     light_sphere: bool
@@ -42,6 +43,11 @@ class SurfaceFeatures:
     def subsurface(self) -> bool:
         """Light that scatters below surfaces."""
         return ClosureKind.SUBSURFACE in self.closures
+
+    @property
+    def lobes_most(self) -> int:
+        """Closures of a material at most; a power of two, so that scenes with nearly as many share kernels."""
+        return 1 << (max(self.closure_count, self.programs.closure_count, 1) - 1).bit_length()
 
     @property
     def emission(self) -> bool:

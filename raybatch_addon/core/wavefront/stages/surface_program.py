@@ -88,13 +88,13 @@ def _address_of_closure(closures: wp.array(dtype=ClosureRecord), first: int) -> 
 @wp.func
 def fixed_closures(data: SceneData, material: int) -> wp.uint64:
     """The address of the first closure of a material without program, which nobody may write."""
-    return _address_of_closure(data.materials.closures, data.materials.closure_first[material])
+    return _address_of_closure(data.materials.closures, data.materials.records[material].closure_first)
 
 
 @wp.func
 def fixed_closure_count(data: SceneData, material: int) -> int:
     """How many closures a material without program has."""
-    return data.materials.closure_first[material + 1] - data.materials.closure_first[material]
+    return data.materials.records[material].closure_end - data.materials.records[material].closure_first
 
 
 @functools.cache

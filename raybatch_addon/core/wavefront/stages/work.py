@@ -15,6 +15,7 @@ class ShadingStage(IntEnum):
     LIGHT_HITS = 2
     CONNECT = 3
     CONNECT_TRANSPARENT = 4
+    AIM = 5
 
 
 @wp.struct

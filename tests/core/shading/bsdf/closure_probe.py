@@ -9,19 +9,24 @@ import warp as wp
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Material
 from raybatch_addon.core.shading.bsdf.bsdf import (
+    DELTA,
+    LOBE_FLOATS,
     ClosureFeatures,
+    Lobe,
     MaterialTable,
     ShadingFrame,
     make_bsdf,
     upload_materials,
 )
 from raybatch_addon.core.shading.bsdf.ggx import ALPHA_MIN
+from raybatch_addon.core.shading.bsdf.materials import address_of
 from tests.support.under_test import DEVICE
 
 K = ClosureKind
 EVERYTHING = ClosureFeatures(tuple(K))
 WHITE = (1.0, 1.0, 1.0)
 UP = (0.0, 0.0, 1.0)
+MOST = 32  # closures of a material here at most
 SMOOTH = 0.9 * ALPHA_MIN**0.5  # roughness of a delta lobe
 
 
@@ -40,9 +45,14 @@ def kernels(features):
         pdf: wp.array(dtype=float),
     ):
         i = wp.tid()
-        result = bsdf.evaluate(
-            table.closures, table.closure_first[0], table.closure_first[1], table.albedo, frame, wo[i], wi[i]
+        material = table.records[0]
+        seen = wp.zeros(wp.static(MOST * LOBE_FLOATS), dtype=float)
+        lobes = wp.array(ptr=address_of(seen), shape=(wp.static(MOST),), dtype=Lobe)
+        bsdf.look(table.closures, material.closure_first, material.closure_end, table.albedo, frame, wo[i], lobes)
+        mixture = bsdf.mix(
+            table.closures, material.closure_first, material.closure_end, lobes, table.albedo, frame, wo[i], wi[i]
         )
+        result = bsdf.value(mixture)
         value[i] = result.value
         pdf[i] = result.pdf
 
@@ -58,16 +68,17 @@ def kernels(features):
         lobe: wp.array(dtype=int),
     ):
         i = wp.tid()
-        result = bsdf.sample(
-            table.closures,
-            table.closure_first[0],
-            table.closure_first[1],
-            table.albedo,
-            frame,
-            wo[i],
-            u[i][0],
-            wp.vec2(u[i][1], u[i][2]),
+        first = table.records[0].closure_first
+        end = table.records[0].closure_end
+        seen = wp.zeros(wp.static(MOST * LOBE_FLOATS), dtype=float)
+        lobes = wp.array(ptr=address_of(seen), shape=(wp.static(MOST),), dtype=Lobe)
+        bsdf.look(table.closures, first, end, table.albedo, frame, wo[i], lobes)
+        result = bsdf.propose(
+            table.closures, first, end, lobes, table.albedo, frame, wo[i], u[i][0], wp.vec2(u[i][1], u[i][2])
         )
+        if result.lobe != 0 and (result.lobe & wp.static(DELTA)) == 0:
+            mixture = bsdf.mix(table.closures, first, end, lobes, table.albedo, frame, wo[i], result.direction)
+            result = bsdf.complete(result, mixture)
         direction[i] = result.direction
         weight[i] = result.weight
         pdf[i] = result.pdf
@@ -75,8 +86,8 @@ def kernels(features):
 
     @wp.kernel(**KERNEL_OPTIONS)
     def constants(table: MaterialTable, out: wp.array(dtype=wp.vec3)):
-        first = table.closure_first[0]
-        end = table.closure_first[1]
+        first = table.records[0].closure_first
+        end = table.records[0].closure_end
         out[0] = bsdf.emission(table.closures, first, end)
         out[1] = bsdf.transparency(table.closures, first, end)
         out[2] = wp.vec3(wp.where(bsdf.scatters(table.closures, first, end), 1.0, 0.0))

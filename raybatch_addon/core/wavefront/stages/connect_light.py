@@ -1,0 +1,92 @@
+"""The light that was chosen at a vertex, weighed by the BSDF there: a shadow ray to it."""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ...rays import Rays
+from ...scene.description import Visibility
+from ...shading.bsdf.bsdf import BsdfValue
+from ...shading.lights.light_shapes import LightSample
+from ...shading.lights.lights import is_lit_in_part, light_weights
+from ...shading.surface import spawn_origin
+from ..rays import Paths, Status, bounce_of
+from .limits import PathLimits, clamped, has_light
+from .surface_features import SurfaceFeatures
+from .vertex import Vertex
+
+SHADOW_NEW = int(Status.SHADOW_NEW)
+
+
+@wp.func
+def lit_value(value: wp.vec3, diffuse: wp.vec3, visibility: int, reflected: bool) -> wp.vec3:
+    """What is left of a BSDF's `value`, of which `diffuse` is Lambertian, for a light that only some rays see."""
+    if not reflected:
+        return wp.where((visibility & wp.static(int(Visibility.TRANSMISSION))) != 0, value, wp.vec3(0.0))
+    left = wp.vec3(0.0)
+    if (visibility & wp.static(int(Visibility.DIFFUSE))) != 0:
+        left += diffuse
+    if (visibility & wp.static(int(Visibility.GLOSSY))) != 0:
+        left += value - diffuse
+    return left
+
+
+@functools.cache
+def make_connect_light(features: SurfaceFeatures) -> wp.Function:
+    """Function (limits, paths, rays, path: int, v: Vertex, light: LightSample, bsdf: BsdfValue) -> int: sends a shadow
+    ray to `light`, in whose direction the BSDF is `bsdf`; the status bit that submits it, or 0.
+    """
+    programs = features.programs
+    sample_weight = light_weights(features.mis)[0]
+
+    @wp.func
+    def connect_light(
+        limits: PathLimits, paths: Paths, rays: Rays, path: int, v: Vertex, light: LightSample, bsdf: BsdfValue
+    ) -> int:
+        value = bsdf.value
+        weight = 1.0 / light.pdf
+        if is_lit_in_part(light.visibility):
+            # lobes whose rays do not see the light are not lit by it; this strategy alone finds such a light
+            value = lit_value(
+                bsdf.value, bsdf.diffuse, light.visibility, wp.dot(light.direction, v.frame.geometric_normal) > 0.0
+            )
+        elif light.delta == 0:
+            weight = sample_weight(light.pdf, bsdf.pdf) / light.pdf
+        if not has_light(value):
+            return 0
+        contribution = weight * wp.cw_mul(wp.cw_mul(paths.throughput[path], value), light.radiance)
+        if wp.static(features.clamping):
+            if light.program == 0:
+                contribution = clamped(limits, contribution, bounce_of(paths.status[path]) + 1)
+        if not has_light(contribution):
+            return 0
+        if light.casts_shadow == 0 and light.program == 0:
+            paths.radiance[path] = paths.radiance[path] + contribution
+            return 0
+        origin = spawn_origin(v.surface.position, v.surface.error, v.frame.geometric_normal, light.direction)
+        slot = paths.status.shape[0] + path
+        direction = light.direction
+        distance = light.distance
+        if distance < wp.inf:
+            # from the moved origin to the same point; the light itself must not hide it
+            ray = v.surface.position + distance * direction - origin
+            distance = wp.length(ray)
+            if distance > 0.0:
+                direction = ray / distance
+            distance = wp.max(distance - light.distance_error, 0.0)
+        if wp.static(features.lamp_programs):
+            if light.casts_shadow == 0:  # nothing may be in its way
+                distance = 0.0
+        rays.origin[slot] = origin
+        rays.direction[slot] = direction
+        rays.t_max[slot] = distance
+        if rays.visibility.shape[0] > 0:
+            rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
+        paths.shadow_light[path] = contribution
+        if wp.static(features.transparency and bool(programs)):
+            paths.shadow_t[path] = 0.0
+        return wp.static(SHADOW_NEW)
+
+    return connect_light
