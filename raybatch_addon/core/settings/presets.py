@@ -41,6 +41,7 @@ PRESETS = {
             warp_count=1,
             register_cap=64,
             ray_sort="OFF",
+            hit_sort="OFF",
         ),
     ),
     "UNBATCHED": Preset("Unbatched", "No queues: each ray visits the whole tree at once", dict(batching="OFF")),

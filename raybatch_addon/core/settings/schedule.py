@@ -47,6 +47,19 @@ class TracingSettings:
             ("OFF", "Off", "Never"),
         ),
     )
+    hit_sort: str = setting(
+        "AUTO",
+        "Sort Hits",
+        "Sort hits by material before they are shaded, so that threads beside each other run the same code",
+        group="PERFORMANCE",
+        effect="schedule",
+        auto="AUTO",
+        choices=(
+            ("AUTO", "Automatic", "On a GPU, where the scene has materials that run different code"),
+            ("ON", "On", "Wherever the scene has such materials"),
+            ("OFF", "Off", "Never. Hits on geometry beyond the memory of a GPU follow their triangles whatever is set"),
+        ),
+    )
     tile_size: int = setting(
         0,
         "Tile Size",

@@ -104,6 +104,15 @@ def _unit(v: wp.vec3) -> wp.vec3:
     return wp.normalize(v / largest)
 
 
+@wp.func
+def material_of(geometry: Geometry, instance: int, triangle: int) -> int:
+    """The material of a triangle of an instance; triangles are numbered through all meshes."""
+    slot = geometry.instance_slot_first[instance]
+    if geometry.triangle_slot.shape[0] > 0:
+        slot += geometry.triangle_slot[triangle]
+    return geometry.slot_materials[slot]
+
+
 @functools.cache
 def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
     """Functions for scenes with or without instances and interpolated normals."""
@@ -165,10 +174,7 @@ def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
         if wp.dot(surface.normal, surface.geometric_normal) < 0.0:
             surface.normal = -surface.normal
 
-        slot = geometry.instance_slot_first[instance]
-        if geometry.triangle_slot.shape[0] > 0:
-            slot += geometry.triangle_slot[triangle]
-        surface.material = geometry.slot_materials[slot]
+        surface.material = material_of(geometry, instance, triangle)
         return surface
 
     return SurfaceFunctions(point)

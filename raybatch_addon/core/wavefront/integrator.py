@@ -97,7 +97,10 @@ class TileIntegrator:
         self._order, sort_mode = None, tracing.sort_mode(settings)
         if scene.tree and sort_mode != "OFF":
             self._order = RayOrder(sort_mode, count, scene.box, device, self._timer)
-        self._hit_order = HitOrder(count, scene.data.geometry, device, self._timer) if scene.geometry_on_host else None
+        self._hit_order = None
+        if key := scene.hits_sorted_by(settings):
+            data = scene.data
+            self._hit_order = HitOrder(count, key, data.geometry, data.materials.records, device, self._timer)
         self._tracer: Tracer | None = None  # there is nothing to hit
         if scene.tree:
             self._tracer = make_tracer(

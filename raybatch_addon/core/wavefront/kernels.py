@@ -15,20 +15,20 @@ from ..scene.features import SceneFeatures, narrow
 from ..scene.program import ProgramFeatures
 from ..settings.settings import RenderSettings
 from ..shading.lights.light_hits import LightHitFeatures
-from .order.hit_order import hit_key_kernel
+from .order.hit_order import KEY_KERNELS, HitKey, sorts_materials
 from .order.ray_order import order_kernels
 from .path_lists import path_list_kernels
 from .plan.plan import Method
 from .plan.tracing import Tracing
 from .stages.accumulate import accumulate_kernel
-from .stages.aim import AimFeatures, make_aim
 from .stages.connect import ConnectFeatures, connect, make_connect_program, settle_kernel
 from .stages.connect_transparent import make_connect_transparent
 from .stages.generate import GenerateFeatures, counted_kernel, generate_kernel
 from .stages.shade_background import BackgroundFeatures, make_background, make_light_hits_stage
-from .stages.shade_surface import make_shade_surface
 from .stages.stage import STAGES_OF_ALL, all_stages_kernel, stage_kernel
-from .stages.surface_features import SurfaceFeatures
+from .stages.surface.aim import AimFeatures, make_aim
+from .stages.surface.features import SurfaceFeatures
+from .stages.surface.shade import make_shade_surface
 from .stages.walk import WalkFeatures, walk_kernel
 from .stages.work import ShadingStage
 from .tracers.choose import tracer_kernels
@@ -142,6 +142,8 @@ def tracing_kernels(
     if features.surfaces:
         kernels += order_kernels(tracing.sort_mode(settings), device)
         if tracing.method is Method.PAGED and device.is_cuda:
-            kernels.append(hit_key_kernel)
+            kernels.append(KEY_KERNELS[HitKey.TRIANGLE])
+        elif sorts_materials(settings.hit_sort, device):
+            kernels.append(KEY_KERNELS[HitKey.MATERIAL])
         kernels += tracer_kernels(tracing, settings, features.shadow_rays, bool(counting and counting.steps), device)
     return kernels

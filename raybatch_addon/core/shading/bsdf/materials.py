@@ -151,6 +151,7 @@ class MaterialRecord:
     closure_first: int  # it has the closures [closure_first, closure_end), but for those that its program makes
     closure_end: int
     transmits: int  # 1: some closure, also of its program, is one of `TRANSMISSIVE_KINDS`
+    bin: int  # the same for materials that run the same code (`material_bins`)
 
 
 @wp.struct
@@ -218,6 +219,7 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     rows = np.zeros(len(materials), MaterialRecord.numpy_dtype())
     rows["closure_first"], rows["closure_end"] = first[:-1], first[1:]
     rows["transmits"] = [_transmits(material) for material in materials]
+    rows["bin"] = material_bins(materials)
     table.records = wp.array(rows, dtype=MaterialRecord, device=device)
     table.closures = wp.array(records, dtype=ClosureRecord, device=device)
     table.albedo = upload_tables(
@@ -229,6 +231,20 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
         film=features.has(_K.THIN_FILM),
     )
     return table
+
+
+def material_bins(materials: Sequence[Material]) -> list[int]:
+    """A number for each material, from 0: equal for those that have the same kinds of closures in the same order, or
+    whose programs have the same ops.
+    """
+    numbers: dict[tuple, int] = {}
+    return [numbers.setdefault(_code_of(material), len(numbers)) for material in materials]
+
+
+def _code_of(material: Material) -> tuple:
+    if material.program is not None:
+        return tuple(instruction.op for instruction in material.program.instructions)
+    return tuple(closure.kind for closure in material.closures)
 
 
 def _transmits(material: Material) -> bool:

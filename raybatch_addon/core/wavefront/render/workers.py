@@ -59,7 +59,7 @@ def make_workers(
     if settings.half_count == 2:
         tile_bytes *= 3  # of both halves, and of their sum while a picture is made of it
     sorting = order_bytes(scene.tracing.sort_mode(settings), asked, device.is_cuda)
-    if scene.geometry_on_host:
+    if scene.hits_sorted_by(settings):
         sorting += hit_order_bytes(asked)
     budget = max(0, int(free_memory(device) * PATH_MEMORY_SHARE) // workers - tile_bytes - sorting - SPILL_BYTES)
     count = reduced_path_count(asked, each, budget)

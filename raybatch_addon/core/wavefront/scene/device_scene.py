@@ -17,13 +17,16 @@ from ...programs.inputs_data import upload_camera_inputs, upload_inputs, with_ca
 from ...programs.table import store_programs, upload_programs
 from ...scene.description import ClosureKind, Scene
 from ...scene.features import SceneFeatures
+from ...settings.settings import RenderSettings
 from ...shading.bsdf.bsdf import ClosureFeatures, upload_materials
+from ...shading.bsdf.materials import material_bins
 from ...shading.camera import CameraData, upload_camera
 from ...shading.images.image_upload import UploadedImages
 from ...shading.lights.emitters import emits_light, find_emissive_triangles
 from ...shading.lights.lamp_program import upload_lamp_programs
 from ...shading.lights.light_table import UploadedLights, upload_lights
 from ..estimates.launch import brightness_of_lamps, emission_of_triangles, world_texels
+from ..order.hit_order import HitKey, sorts_materials
 from ..plan.plan import Choice, TracingPlan
 from ..plan.tracing import Tracing
 from .scene_cache import BuiltGeometry, GeometryRequest, PagedTree, SceneCache
@@ -51,6 +54,7 @@ class DeviceScene:
     built: BuiltGeometry | None
     images: UploadedImages  # keeps them alive
     stored: list[wp.array]  # the programs in memory, for kernels that read them there
+    hit_bins: int  # numbers that `MaterialRecord.bin` has
     splits: Choice | None = None  # whether the tree splits triangles, where that is not as planned
 
     @staticmethod
@@ -143,6 +147,7 @@ class DeviceScene:
             built=built,
             images=images,
             stored=stored,
+            hit_bins=max(material_bins(scene.materials), default=0) + 1,
             splits=_splits_of(built, request.plan) if isinstance(built, BuiltTree) else None,
         )
 
@@ -155,6 +160,12 @@ class DeviceScene:
     def geometry_on_host(self) -> bool:
         """Whether a CUDA device reads what shading needs of triangles through the bus."""
         return self.paged is not None and self.device.is_cuda
+
+    def hits_sorted_by(self, settings: RenderSettings) -> HitKey | None:
+        """By what hits are sorted before they are shaded; None: not at all."""
+        if self.geometry_on_host:
+            return HitKey.TRIANGLE
+        return HitKey.MATERIAL if self.hit_bins > 1 and sorts_materials(settings.hit_sort, self.device) else None
 
 
 def _splits_of(built: BuiltTree, plan: TracingPlan) -> Choice | None:

@@ -14,8 +14,8 @@ from ...shading.lights.light_shapes import LAMP_PROGRAM, SURFACE_PROGRAM, WORLD_
 from ..rays import Paths, Status, bounce_to_light, passed_before_light
 from ..scene.scene_data import SceneData
 from .emitted import make_surface_emission, make_world_emission
-from .history import DEPTHS
 from .limits import PathLimits, clamped
+from .surface.history import DEPTHS
 from .work import TileWork
 
 RAY_OUT = int(Status.RAY_OUT)

@@ -17,10 +17,10 @@ from ...shading.surface import make_surface, spawn_origin
 from ..rays import SHADOW_PASS, Paths, Status, bounce_to_light
 from ..scene.scene_data import SceneData
 from .connect import ConnectFeatures, make_arrived
-from .history import DEPTHS
 from .limits import PathLimits, has_light
-from .surface_features import SurfaceFeatures
-from .surface_program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
+from .surface.features import SurfaceFeatures
+from .surface.history import DEPTHS
+from .surface.program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
 from .work import ShadingStage, TileWork
 
 CONNECT = int(ShadingStage.CONNECT)

@@ -12,7 +12,7 @@ from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
 from ...shading.surface import make_surface
 from ..scene.scene_data import SceneData
-from .surface_program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
+from .surface.program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
 
 # How long a ray into the world is, as Cycles has it: the largest float32
 _FARTHEST = float(np.finfo(np.float32).max)

@@ -6,7 +6,7 @@ import warp as wp
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.programs.point import DEPTH_BITS, DEPTH_SHIFT, HistoryBits
 from raybatch_addon.core.shading.bsdf.materials import DELTA, DIFFUSE, GLOSSY, TRANSMISSION
-from raybatch_addon.core.wavefront.stages.history import DEPTHS, history_after
+from raybatch_addon.core.wavefront.stages.surface.history import DEPTHS, history_after
 from tests.support.under_test import DEVICE
 
 

@@ -4,15 +4,15 @@ import functools
 
 import warp as wp
 
-from ...programs.op import NodeData
-from ...programs.ops.inputs.geometry_inputs import footprint_axis, pixel_footprint
-from ...programs.point import ShadingPoint
-from ...programs.run import make_run
-from ...scene.geometry import triangle_vertices
-from ...scene.program import ProgramFeatures
-from ...shading.bsdf.materials import ClosureRecord, address_of
-from ...shading.surface import SurfacePoint
-from ..scene.scene_data import SceneData
+from ....programs.op import NodeData
+from ....programs.ops.inputs.geometry_inputs import footprint_axis, pixel_footprint
+from ....programs.point import ShadingPoint
+from ....programs.run import make_run
+from ....scene.geometry import triangle_vertices
+from ....scene.program import ProgramFeatures
+from ....shading.bsdf.materials import ClosureRecord, address_of
+from ....shading.surface import SurfacePoint
+from ...scene.scene_data import SceneData
 
 
 @wp.func

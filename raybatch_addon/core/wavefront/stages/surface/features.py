@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ...scene.description import ClosureKind, LightKind
-from ...scene.program import ProgramFeatures
+from ....scene.description import ClosureKind, LightKind
+from ....scene.program import ProgramFeatures
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,15 @@ import functools
 
 import warp as wp
 
-from ...rays import Rays
-from ...scene.description import Visibility
-from ...shading.bsdf.bsdf import BsdfValue
-from ...shading.lights.light_shapes import LightSample
-from ...shading.lights.lights import is_lit_in_part, light_weights
-from ...shading.surface import spawn_origin
-from ..rays import Paths, Status, bounce_of
-from .limits import PathLimits, clamped, has_light
-from .surface_features import SurfaceFeatures
+from ....rays import Rays
+from ....scene.description import Visibility
+from ....shading.bsdf.bsdf import BsdfValue
+from ....shading.lights.light_shapes import LightSample
+from ....shading.lights.lights import is_lit_in_part, light_weights
+from ....shading.surface import spawn_origin
+from ...rays import Paths, Status, bounce_of
+from ..limits import PathLimits, clamped, has_light
+from .features import SurfaceFeatures
 from .vertex import Vertex
 
 SHADOW_NEW = int(Status.SHADOW_NEW)

@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from ...programs.point import DEPTH_BITS, DEPTH_SHIFT, HistoryBits
-from ...shading.bsdf.bsdf import DELTA, DIFFUSE, TRANSMISSION
+from ....programs.point import DEPTH_BITS, DEPTH_SHIFT, HistoryBits
+from ....shading.bsdf.bsdf import DELTA, DIFFUSE, TRANSMISSION
 
 _MOST = (1 << DEPTH_BITS) - 1
 DEPTHS = ((1 << (DEPTH_SHIFT + 3 * DEPTH_BITS)) - 1) & ~(

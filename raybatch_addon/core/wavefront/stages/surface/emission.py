@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import warp as wp
 
-from ...rays import Rays
-from ...shading.bsdf.materials import ClosureRecord
-from ...shading.lights.light_choice import lit_point
-from ...shading.lights.lights import is_lit_in_part
-from ..rays import Paths, bounce_of, left_side
-from ..scene.scene_data import SceneData
-from .limits import PathLimits, clamped, has_light
+from ....rays import Rays
+from ....shading.bsdf.materials import ClosureRecord
+from ....shading.lights.light_choice import lit_point
+from ....shading.lights.lights import is_lit_in_part
+from ...rays import Paths, bounce_of, left_side
+from ...scene.scene_data import SceneData
+from ..limits import PathLimits, clamped, has_light
 
 
 def make_gather_emission(

@@ -8,11 +8,11 @@ import functools
 
 import warp as wp
 
-from ...film.tile import FilmTile
-from ...rays import Rays
-from ...scene.description import ClosureKind, Visibility
-from ...scene.features import narrow
-from ...shading.bsdf.bsdf import (
+from ....film.tile import FilmTile
+from ....rays import Rays
+from ....scene.description import ClosureKind, Visibility
+from ....scene.features import narrow
+from ....shading.bsdf.bsdf import (
     DELTA,
     DIFFUSE,
     LOBE_FLOATS,
@@ -23,23 +23,23 @@ from ...shading.bsdf.bsdf import (
     Lobe,
     make_bsdf,
 )
-from ...shading.bsdf.materials import RECORD_FLOATS, SURFACE_NORMAL, ClosureRecord, address_of, new_closure
-from ...shading.lights.light_shapes import LightSample
-from ...shading.lights.lights import LightFeatures, light_weights, make_lights
-from ...shading.sampling import BSDF, LOBE, ROULETTE, bitangent_of, make_sampler, tangent_of
-from ...shading.surface import spawn_origin
-from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, visibility_of
-from ..scene.scene_data import SceneData
+from ....shading.bsdf.materials import RECORD_FLOATS, SURFACE_NORMAL, ClosureRecord, address_of, new_closure
+from ....shading.lights.light_shapes import LightSample
+from ....shading.lights.lights import LightFeatures, light_weights, make_lights
+from ....shading.sampling import BSDF, LOBE, ROULETTE, bitangent_of, make_sampler, tangent_of
+from ....shading.surface import spawn_origin
+from ...rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, visibility_of
+from ...scene.scene_data import SceneData
+from ..limits import PathLimits, has_light
+from ..walk import make_walk_begin
+from ..work import TileWork
 from .aim import aimed_light, is_aimed
 from .connect_light import make_connect_light
 from .emission import make_gather_emission
+from .features import SurfaceFeatures
 from .history import history_after
-from .limits import PathLimits, has_light
-from .surface_features import SurfaceFeatures
-from .surface_program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
+from .program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
 from .vertex import VertexFeatures, make_vertex
-from .walk import make_walk_begin
-from .work import TileWork
 
 RAY_NEW = int(Status.RAY_NEW)
 STRAIGHT = int(Status.STRAIGHT)

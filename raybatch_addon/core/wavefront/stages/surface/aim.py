@@ -11,19 +11,19 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...film.tile import FilmTile
-from ...rays import Rays
-from ...scene.description import LightKind
-from ...scene.features import narrow
-from ...shading.lights.light_choice import lit_point
-from ...shading.lights.light_shapes import LAMP_PROGRAM, LightSample
-from ...shading.lights.lights import LightFeatures, make_lights
-from ...shading.sampling import LIGHT, LIGHT_CHOICE, make_sampler
-from ..rays import Paths
-from ..scene.scene_data import SceneData
-from .limits import PathLimits
+from ....film.tile import FilmTile
+from ....rays import Rays
+from ....scene.description import LightKind
+from ....scene.features import narrow
+from ....shading.lights.light_choice import lit_point
+from ....shading.lights.light_shapes import LAMP_PROGRAM, LightSample
+from ....shading.lights.lights import LightFeatures, make_lights
+from ....shading.sampling import LIGHT, LIGHT_CHOICE, make_sampler
+from ...rays import Paths
+from ...scene.scene_data import SceneData
+from ..limits import PathLimits
+from ..work import TileWork
 from .vertex import VertexFeatures, make_vertex
-from .work import TileWork
 
 # A number that a float holds exactly: bits of `LightSample.delta` and `casts_shadow`, then its visibility and program
 _CASTS_SHADOW, _VISIBILITY_SHIFT, _PROGRAM_SHIFT = 2, 2, 7

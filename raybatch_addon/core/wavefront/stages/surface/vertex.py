@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...rays import Rays
-from ...shading.bsdf.materials import ShadingFrame
-from ...shading.bsdf.normals import shading_frame
-from ...shading.lights.light_choice import packed_side
-from ...shading.sampling import DIMENSIONS_PER_BOUNCE, pixel_key
-from ...shading.surface import SurfacePoint, make_surface
-from ..rays import SHADOW_PASS, Paths, Status, bounce_of
-from ..scene.scene_data import SceneData
-from .generate import PixelSample, pixel_sample
-from .limits import PathLimits
-from .walk import STEPS_MOST, walk_dimension
-from .work import TileWork
+from ....rays import Rays
+from ....shading.bsdf.materials import ShadingFrame
+from ....shading.bsdf.normals import shading_frame
+from ....shading.lights.light_choice import packed_side
+from ....shading.sampling import DIMENSIONS_PER_BOUNCE, pixel_key
+from ....shading.surface import SurfacePoint, make_surface
+from ...rays import SHADOW_PASS, Paths, Status, bounce_of
+from ...scene.scene_data import SceneData
+from ..generate import PixelSample, pixel_sample
+from ..limits import PathLimits
+from ..walk import STEPS_MOST, walk_dimension
+from ..work import TileWork
 
 INSIDE = int(Status.INSIDE)
 _CAME_BACK = int(Status.HIT | Status.STRAIGHT)
