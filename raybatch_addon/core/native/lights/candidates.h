@@ -10,7 +10,29 @@ auto cosine_beyond = [](float cos_a, float cos_b) {
 auto within = [](float x, float least, float most) { return wp::min(wp::max(x, least), most); };
 
 #if LOCAL
-auto node_light = [&](const auto& node) -> float {
+#if defined(__CUDA_ARCH__)
+struct alignas(16) Quarter {
+    float x, y, z, w;
+};
+#endif
+using Node = typename wp::remove_reference<decltype(choice_table.nodes.data[0])>::type;
+// On a GPU threads go down the tree apart, and each load of one takes as long as that of all: few wide ones.
+auto load_node = [&](int at) -> Node {
+#if defined(__CUDA_ARCH__)
+    static_assert(sizeof(Node) == 3 * sizeof(Quarter), "LightNode is loaded by quarters of 64 bytes");
+    union Parts {
+        Quarter quarters[3];
+        Node node;
+        __device__ Parts() {}
+    } parts;
+    const Quarter* from = reinterpret_cast<const Quarter*>(choice_table.nodes.data + at);
+    for (int i = 0; i < 3; ++i) parts.quarters[i] = from[i];
+    return parts.node;
+#else
+    return choice_table.nodes.data[at];
+#endif
+};
+auto node_light = [&](const Node& node) -> float {
     if (!(node.power > 0.0f)) return 0.0f;
     const wp::vec3 to = node.centre - point.position;
     const float square = wp::dot(to, to), reach = node.radius * node.radius;
@@ -55,11 +77,10 @@ auto world_light = [&]() -> float {
 };
 #endif
 
-// of the candidates: the tree's roots, then suns and the world
+// of the candidates: the first nodes, then suns and the world
 auto candidate_light = [&](int candidate) -> float {
 #if LOCAL
-    if (candidate < choice_table.root_count)
-        return node_light(choice_table.nodes.data[choice_table.roots.data[candidate]]);
+    if (candidate < choice_table.root_count) return node_light(load_node(candidate));
 #endif
 #if SUNS || WORLD
     const int distant = candidate - choice_table.root_count;

@@ -10,6 +10,13 @@ auto stretch = [&](float first, float width) {
     left = wp::min(wp::floor(left * (1.0f / UNIT)) * UNIT, 1.0f - UNIT);
 };
 
+// whether the draw lies in the first `share` of [0, 1); what is left is stretched
+auto take = [&](float share) {
+    const bool taken = left < share;
+    stretch(taken ? 0.0f : share, taken ? share : 1.0f - share);
+    return taken;
+};
+
 // each candidate takes the place of the one before with its share of the light so far
 float total = 0.0f, probability = 0.0f;
 int chosen = -1;
@@ -23,14 +30,9 @@ for (int candidate = 0; candidate < candidate_count; ++candidate) {
         continue;
     }
     const float share = share_of(light, total);
-    if (left < share) {
-        chosen = candidate;
-        probability = share;
-        stretch(0.0f, share);
-    } else {
-        probability *= 1.0f - share;
-        stretch(share, 1.0f - share);
-    }
+    const bool taken = take(share);
+    if (taken) chosen = candidate;
+    probability = taken ? share : probability * (1.0f - share);
 }
 
 int emitter = -1;
@@ -39,32 +41,24 @@ if (chosen >= choice_table.root_count) {
 }
 #if LOCAL
 else if (chosen >= 0) {
-    int at = choice_table.roots.data[chosen];
-    for (int first = choice_table.nodes.data[at].first; first >= 0; first = choice_table.nodes.data[at].first) {
-        const int second = choice_table.nodes.data[at].second;
-        const float light = node_light(choice_table.nodes.data[first]);
-        const float other = node_light(choice_table.nodes.data[second]);
-        if (light + other <= 0.0f) {
-            at = -1;
-            probability = 0.0f;
-            break;
+    int below = choice_table.nodes.data[chosen].below;
+    while (below >= 0) {
+        const Node first = load_node(below), second = load_node(below + 1);
+        const float light = node_light(first), other = node_light(second);
+        if (light + other <= 0.0f) break;  // nothing below shines
+        bool goes_first = light > 0.0f;
+        if (light > 0.0f && other > 0.0f) {
+            const float share = share_of(light, light + other);
+            goes_first = take(share);
+            probability *= goes_first ? share : 1.0f - share;
         }
-        if (light <= 0.0f || other <= 0.0f) {
-            at = light > 0.0f ? first : second;
-            continue;
-        }
-        const float share = share_of(light, light + other);
-        if (left < share) {
-            at = first;
-            probability *= share;
-            stretch(0.0f, share);
-        } else {
-            at = second;
-            probability *= 1.0f - share;
-            stretch(share, 1.0f - share);
-        }
+        below = goes_first ? first.below : second.below;
     }
-    if (at >= 0) emitter = choice_table.nodes.data[at].emitter;
+    emitter = -1 - below;
+    if (below >= 0) {
+        emitter = -1;
+        probability = 0.0f;
+    }
 }
 #endif
 union {

@@ -3,20 +3,18 @@ int wanted = -1;
 float below = 1.0f;
 #if LOCAL
 int at = choice_table.leaf.data[emitter];
-if (at >= 0) {
-    for (; choice_table.nodes.data[at].root < 0; at = choice_table.nodes.data[at].parent) {
-        const auto& parent = choice_table.nodes.data[choice_table.nodes.data[at].parent];
-        const float light = node_light(choice_table.nodes.data[parent.first]);
-        const float other = node_light(choice_table.nodes.data[parent.second]);
-        const bool is_first = at == parent.first;
-        if ((is_first ? light : other) <= 0.0f) return 0.0f;
-        if (light > 0.0f && other > 0.0f) {
-            const float share = share_of(light, light + other);
-            below *= is_first ? share : 1.0f - share;
-        }
+while (at >= ROOTS_MOST) {
+    const int pair = at >> 1;
+    const float light = node_light(load_node(2 * pair)), other = node_light(load_node(2 * pair + 1));
+    const bool is_first = (at & 1) == 0;
+    if ((is_first ? light : other) <= 0.0f) return 0.0f;
+    if (light > 0.0f && other > 0.0f) {
+        const float share = share_of(light, light + other);
+        below *= is_first ? share : 1.0f - share;
     }
-    wanted = choice_table.nodes.data[at].root;
+    at = choice_table.parent.data[pair];
 }
+wanted = at;
 #endif
 float total = 0.0f, found = 0.0f;
 bool any = false;

@@ -2,25 +2,26 @@
 
 import warp as wp
 
+# Nodes that are compared one by one at most, an even number: a scene with so few emitters is compared exactly
+ROOTS_MOST = 8
+
 
 @wp.struct
 class LightNode:
-    """What shines below a node of the tree over all emitters with a place: one emitter, or two nodes."""
+    """What shines below a node of the tree over all emitters with a place: one emitter, or two nodes beside each other.
+    48 bytes, which a GPU loads in three steps.
+    """
 
     centre: wp.vec3  # of a sphere around them [m]
     radius: float  # [m]
     # directions into which they shine: the middle of their normals' cone, the cosine of its half angle (-1: all
     # directions), and the cosine of how far beyond the normals light leaves
     axis: wp.vec3
+    power: float  # irradiance at a distance of 1 m along the axis, in units of the scene's strongest emitter
     cos_axis: float
     cos_edge: float
-    two_sided: int  # 1: and into the opposite ones
-    power: float  # irradiance at a distance of 1 m along the axis, in units of the scene's strongest emitter
-    first: int  # nodes below; -1: an emitter
-    second: int
-    parent: int
-    emitter: int  # -1: nodes
-    root: int  # number among the roots; -1: below one, or above
+    two_sided: int  # 1: and into the opposite directions
+    below: int  # number of the first of two nodes; less than 0: -1 - the number of the emitter
 
 
 @wp.struct
@@ -29,8 +30,10 @@ class ChoiceTable:
 
     root_count: int
     distant_count: int
+    # the first `root_count` are compared one by one, and together hold all emitters with a place. From `ROOTS_MOST` on
+    # there are pairs
     nodes: wp.array(dtype=LightNode)
-    roots: wp.array(dtype=int)  # nodes that are compared one by one; together they hold all emitters with a place
+    parent: wp.array(dtype=int)  # node above each pair, at half the pair's first number
     leaf: wp.array(dtype=int)  # node of each emitter; -1: it has no place
     distant: wp.array(dtype=int)  # emitters without a place: suns, then the world if it is sampled
     distant_strength: wp.array(dtype=float)  # irradiance of a surface that faces each, in units as of `LightNode.power`

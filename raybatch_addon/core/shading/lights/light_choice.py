@@ -20,6 +20,7 @@ import warp as wp
 
 from ...native.build import native_source
 from ...scene.description import LightKind
+from .choice_table import ROOTS_MOST
 from .emitters import COSINE_ERROR
 from .light_table import LightTable
 
@@ -135,7 +136,7 @@ def make_light_choice(features: ChoiceFeatures) -> LightChoice:
 def _make_choice(has_suns: bool, has_world: bool, local: bool) -> LightChoice:
     """`local`: there are emitters with a place."""
     numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=COSINE_ERROR, LEAST=_LEAST, MOST=_MOST, UNIT=_UNIT)
-    kinds = dict(SUNS=has_suns, WORLD=has_world, LOCAL=local)
+    kinds = dict(SUNS=has_suns, WORLD=has_world, LOCAL=local, ROOTS_MOST=ROOTS_MOST)
     headers = functools.partial(native_source, "lights/candidates.h", **numbers, **kinds)
 
     @wp.func_native(headers("lights/choose.h"))

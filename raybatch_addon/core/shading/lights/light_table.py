@@ -231,9 +231,7 @@ def _lamp_nodes(records: np.ndarray, local: np.ndarray, strength: np.ndarray) ->
     nodes = np.zeros(len(local), LightNode.numpy_dtype())
     nodes["centre"], nodes["axis"] = lamps["position"], lamps["axis"]
     nodes["radius"] = np.maximum(lamps["radius"], np.hypot(lamps["half_x"], lamps["half_y"]))
-    nodes["power"], nodes["emitter"] = strength[local], local
-    for name in ("first", "second", "parent", "root"):
-        nodes[name] = -1
+    nodes["power"], nodes["below"] = strength[local], -1 - local
     spot, point = lamps["kind"] == LightKind.SPOT, lamps["kind"] == LightKind.POINT
     nodes["cos_axis"] = np.where(point, -1, 1)
     # a spot's cone is squeezed along its width and height; at its widest it is `wide` times as wide

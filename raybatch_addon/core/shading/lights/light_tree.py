@@ -17,19 +17,30 @@ from ...bvh.build.cuda.clusters import merge_leaves, sort_leaves
 from ...bvh.build.cuda.order import find_parents, order_by_height, refit
 from ...device.kernel import KERNEL_OPTIONS
 from ...scene.geometry import Geometry, triangle_vertices
-from .choice_table import ChoiceTable, LightNode
+from .choice_table import ROOTS_MOST, ChoiceTable, LightNode
 
-# Nodes that are compared one by one at most: a scene with so few emitters is compared exactly
-ROOTS_MOST = 8
 # Rounding of an angle whose cosine is stored [rad]
 _ANGLE_ERROR = wp.constant(5.0e-4)
+
+
+@wp.struct
+class TreeNode:
+    """A node while the tree is built."""
+
+    held: LightNode  # without `below`
+    first: int  # nodes below; -1: an emitter
+    second: int
+    parent: int
+    is_second: int  # 1: of the two below its parent
+    emitter: int  # -1: nodes
+    root: int  # number among those that are compared one by one; -1: below one, or above
 
 
 @wp.struct
 class EmitterBoxes:
     """Emitters with a place, in the order of their numbers."""
 
-    nodes: wp.array(dtype=LightNode)
+    nodes: wp.array(dtype=LightNode)  # `below` says which
     low: wp.array(dtype=wp.vec3)  # least corner of each one's box [m]
     high: wp.array(dtype=wp.vec3)
 
@@ -83,11 +94,7 @@ def bound_triangles_kernel(geometry: Geometry, triangles: EmittingTriangles, box
     else:
         node.cos_axis = -1.0
     node.power = triangles.power[i]
-    node.first = -1
-    node.second = -1
-    node.parent = -1
-    node.root = -1
-    node.emitter = triangles.emitter_first + i
+    node.below = -1 - (triangles.emitter_first + i)
     at = triangles.node_first + i
     boxes.nodes[at] = node
     boxes.low[at] = low
@@ -95,14 +102,17 @@ def bound_triangles_kernel(geometry: Geometry, triangles: EmittingTriangles, box
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def place_leaves_kernel(
-    boxes: EmitterBoxes, joints: Joints, nodes: wp.array(dtype=LightNode), leaf: wp.array(dtype=int)
-):
+def place_leaves_kernel(boxes: EmitterBoxes, joints: Joints, nodes: wp.array(dtype=TreeNode)):
     """Emitters become leaves."""
     i = wp.tid()
-    node = boxes.nodes[joints.which[i]]
+    node = TreeNode()
+    node.held = boxes.nodes[joints.which[i]]
+    node.emitter = -1 - node.held.below
+    node.first = -1
+    node.second = -1
+    node.parent = -1
+    node.root = -1
     nodes[i] = node
-    leaf[node.emitter] = i
 
 
 @wp.func
@@ -155,19 +165,20 @@ def join_directions(node: LightNode, a: LightNode, b: LightNode) -> LightNode:
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def join_kernel(joints: Joints, order: wp.array(dtype=int), first: int, nodes: wp.array(dtype=LightNode)):
+def join_kernel(joints: Joints, order: wp.array(dtype=int), first: int, nodes: wp.array(dtype=TreeNode)):
     """Inner nodes of one level, from the two below each."""
     number = order[first + wp.tid()]
     children = joints.children[number - joints.leaf_count]
     a = nodes[children[0]]
     b = nodes[children[1]]
-    node = LightNode()
+    held = LightNode()
     low = joints.low[number]
     high = joints.high[number]
-    node.centre = 0.5 * low + 0.5 * high
-    node.radius = wp.length(0.5 * high - 0.5 * low)
-    node.power = a.power + b.power
-    node = join_directions(node, a, b)
+    held.centre = 0.5 * low + 0.5 * high
+    held.radius = wp.length(0.5 * high - 0.5 * low)
+    held.power = a.held.power + b.held.power
+    node = TreeNode()
+    node.held = join_directions(held, a.held, b.held)
     node.first = children[0]
     node.second = children[1]
     node.parent = -1
@@ -176,26 +187,26 @@ def join_kernel(joints: Joints, order: wp.array(dtype=int), first: int, nodes: w
     nodes[number] = node
     a.parent = number
     b.parent = number
+    b.is_second = 1
     nodes[children[0]] = a
     nodes[children[1]] = b
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def choose_roots_kernel(
-    nodes: wp.array(dtype=LightNode), root: int, most: int, roots: wp.array(dtype=int), count: wp.array(dtype=int)
-):
+def choose_roots_kernel(nodes: wp.array(dtype=TreeNode), root: int, count: wp.array(dtype=int)):
     """Roots: from the whole tree on, that of the most power over the widest sphere is taken apart."""
+    roots = wp.zeros(wp.static(ROOTS_MOST), dtype=int)
     roots[0] = root
     found = int(1)
     going = bool(True)
-    while going and found < most:
+    while going and found < wp.static(ROOTS_MOST):
         widest = int(-1)
         extent = float(-1.0)
         for i in range(found):
             node = nodes[roots[i]]
-            if node.first >= 0 and node.power * node.radius > extent:
+            if node.first >= 0 and node.held.power * node.held.radius > extent:
                 widest = i
-                extent = node.power * node.radius
+                extent = node.held.power * node.held.radius
         if widest < 0:
             going = False
         else:
@@ -210,40 +221,64 @@ def choose_roots_kernel(
     count[0] = found
 
 
-LIGHT_TREE_KERNELS = (bound_triangles_kernel, place_leaves_kernel, join_kernel, choose_roots_kernel)
+@wp.kernel(**KERNEL_OPTIONS)
+def pack_kernel(
+    nodes: wp.array(dtype=TreeNode),
+    leaf_count: int,
+    packed: wp.array(dtype=LightNode),
+    parent: wp.array(dtype=int),
+    leaf: wp.array(dtype=int),
+):
+    """Nodes in their places: roots first, then the two below each inner node."""
+    i = wp.tid()
+    node = nodes[i]
+    place = node.root
+    if place < 0 and node.parent >= 0:
+        place = wp.static(ROOTS_MOST) + 2 * (node.parent - leaf_count) + node.is_second
+    if place < 0:
+        return  # the whole tree, which was taken apart
+    held = node.held
+    if node.first >= 0:
+        held.below = wp.static(ROOTS_MOST) + 2 * (i - leaf_count)
+        parent[held.below / 2] = place
+    else:
+        held.below = -1 - node.emitter
+        leaf[node.emitter] = place
+    packed[place] = held
+
+
+LIGHT_TREE_KERNELS = (bound_triangles_kernel, place_leaves_kernel, join_kernel, choose_roots_kernel, pack_kernel)
 
 
 def fill_nodes(choice: ChoiceTable, boxes: EmitterBoxes) -> None:
-    """Fill in `nodes` and `roots` of `choice`, whose emitters with a place are `boxes`, and their entries of `leaf`."""
+    """Fill in the nodes of `choice`, whose emitters with a place are `boxes`, and their entries of `leaf`."""
     count, device = boxes.nodes.size, boxes.nodes.device
     if count <= ROOTS_MOST:
-        numbers = wp.array(np.arange(count), dtype=int, device=device)
-        topology = _Topology(_joints(boxes.low, boxes.high, None, numbers), numbers[:0], [0], 0)
-    elif device.is_cuda:
-        topology = _built_on_cuda(boxes)
-    else:
-        topology = _built_on_cpu(boxes)
-    joints, order = topology.joints, topology.order
-    choice.nodes = wp.empty(joints.low.size, dtype=LightNode, device=device)
-    wp.launch(place_leaves_kernel, count, [boxes, joints, choice.nodes, choice.leaf], device=device)
-    for first, end in zip(topology.level_first[:-1], topology.level_first[1:]):
-        wp.launch(join_kernel, end - first, [joints, order, first, choice.nodes], device=device)
-    if count <= ROOTS_MOST:
-        rows = choice.nodes.numpy()
-        rows["root"] = np.arange(count)
-        choice.nodes = wp.array(rows, dtype=LightNode, device=device)
-        choice.roots, choice.root_count = joints.which, count
+        choice.nodes, choice.root_count = boxes.nodes, count
+        emitters = -1 - boxes.nodes.numpy()["below"]
+        leaf = choice.leaf.numpy()
+        leaf[emitters] = np.arange(count)
+        choice.leaf = wp.array(leaf, dtype=int, device=device)
         return
-    choice.roots, found = wp.empty(ROOTS_MOST, dtype=int, device=device), wp.empty(1, dtype=int, device=device)
-    wp.launch(choose_roots_kernel, 1, [choice.nodes, topology.root, ROOTS_MOST, choice.roots, found], device=device)
+    topology = _built_on_cuda(boxes) if device.is_cuda else _built_on_cpu(boxes)
+    joints, order = topology.joints, topology.order
+    nodes = wp.empty(joints.low.size, dtype=TreeNode, device=device)
+    wp.launch(place_leaves_kernel, count, [boxes, joints, nodes], device=device)
+    for first, end in zip(topology.level_first[:-1], topology.level_first[1:]):
+        wp.launch(join_kernel, end - first, [joints, order, first, nodes], device=device)
+    found = wp.empty(1, dtype=int, device=device)
+    wp.launch(choose_roots_kernel, 1, [nodes, topology.root, found], device=device)
+    places = ROOTS_MOST + 2 * (nodes.size - count)
+    choice.nodes = wp.zeros(places, dtype=LightNode, device=device)
+    choice.parent = wp.full(places // 2, -1, dtype=int, device=device)
+    wp.launch(pack_kernel, nodes.size, [nodes, count, choice.nodes, choice.parent, choice.leaf], device=device)
     choice.root_count = int(found.numpy()[0])
 
 
-def _joints(low: wp.array, high: wp.array, children: wp.array | None, which: wp.array) -> Joints:
+def _joints(low: wp.array, high: wp.array, children: wp.array, which: wp.array) -> Joints:
     joints = Joints()
     joints.leaf_count = which.size
-    joints.low, joints.high, joints.which = low, high, which
-    joints.children = wp.empty(0, dtype=wp.vec2i, device=low.device) if children is None else children
+    joints.low, joints.high, joints.children, joints.which = low, high, children, which
     return joints
 
 

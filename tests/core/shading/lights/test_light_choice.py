@@ -10,9 +10,9 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Instances, Light, LightKind, Material, Mesh
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
+from raybatch_addon.core.shading.lights.choice_table import ROOTS_MOST
 from raybatch_addon.core.shading.lights.light_choice import ChoiceFeatures, lit_point, make_light_choice, packed_side
 from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
-from raybatch_addon.core.shading.lights.light_tree import ROOTS_MOST
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
 from raybatch_addon.core.shading.lights.world import sampled_world
 from tests.core.shading.lights.light_probe import facing, scene_of
@@ -264,15 +264,15 @@ def test_nodes_hold_what_lies_below():
         and choice.distant_count == sum(lamp.kind == LightKind.SUN for lamp in CASES["all"][0]) + 1
     )
     held = []
-    for root, number in enumerate(choice.roots.numpy()):
-        assert nodes[number]["root"] == root
-        stack = [(int(number), [])]
+    parent, leaf = choice.parent.numpy(), choice.leaf.numpy()
+    for root in range(choice.root_count):
+        stack = [(root, [])]
         while stack:
             at, above = stack.pop()
             node = nodes[at]
-            if node["first"] < 0:
-                held.append(int(node["emitter"]))
-                assert choice.leaf.numpy()[node["emitter"]] == at
+            if node["below"] < 0:
+                held.append(-1 - int(node["below"]))
+                assert leaf[held[-1]] == at
                 for over in above:
                     distance = np.linalg.norm(node["centre"] - over["centre"])
                     assert distance <= over["radius"] + 1e-5
@@ -283,10 +283,10 @@ def test_nodes_hold_what_lies_below():
                     assert over["cos_axis"] == -1 or node["cos_axis"] > -1
                     assert over["cos_axis"] == -1 or over["cos_edge"] <= node["cos_edge"]
                 continue
-            for below in (int(node["first"]), int(node["second"])):
-                assert nodes[below]["parent"] == at
-                stack.append((below, [*above, node]))
-            assert node["power"] == pytest.approx(nodes[node["first"]]["power"] + nodes[node["second"]]["power"])
+            first = int(node["below"])
+            assert first % 2 == 0 and parent[first // 2] == at
+            stack += [(below, [*above, node]) for below in (first, first + 1)]
+            assert node["power"] == pytest.approx(nodes[first]["power"] + nodes[first + 1]["power"])
     suns = [i for i, lamp in enumerate(CASES["all"][0]) if lamp.kind == LightKind.SUN]
     assert sorted(held) == sorted(set(range(lights.emitter_count - 1)) - set(suns))
 
