@@ -6,7 +6,7 @@ import difflib
 
 from lib.command import UsageError
 
-from studies import batching, budgets, cycles, environment, light_sampling, sequences, thesis
+from studies import batching, budgets, cycles, environment, light_sampling, many_lights, sequences, thesis
 from studies.study import Study
 
 STUDIES: dict[str, Study] = {
@@ -15,6 +15,7 @@ STUDIES: dict[str, Study] = {
         thesis.STUDY,
         batching.STUDY,
         light_sampling.STUDY,
+        many_lights.STUDY,
         environment.STUDY,
         sequences.STUDY,
         budgets.STUDY,

@@ -1,34 +1,25 @@
 // The probability with which `choose.h` finds `emitter`.
-int wanted = -1;
-float below = 1.0f;
+float probability = 1.0f;
+int at = -1;
 #if LOCAL
-int at = choice_table.leaf.data[emitter];
-while (at >= ROOTS_MOST) {
-    const int pair = at >> 1;
-    const float light = node_light(load_node(2 * pair)), other = node_light(load_node(2 * pair + 1));
-    const bool is_first = (at & 1) == 0;
-    if ((is_first ? light : other) <= 0.0f) return 0.0f;
-    if (light > 0.0f && other > 0.0f) {
-        const float share = share_of(light, light + other);
-        below *= is_first ? share : 1.0f - share;
-    }
-    at = choice_table.parent.data[pair];
+at = choice_table.leaf.data[emitter];
+while (at >= choice_table.root_count && probability > 0.0f) {
+    const int parent = choice_table.parent.data[at], first = choice_table.nodes.data[parent].below;
+    const Block block = block_of(first, choice_table.nodes.data[parent].count, false);
+    probability *= static_cast<float>(block.draws[at - first]) * UNIT;
+    at = parent;
 }
-wanted = at;
 #endif
-float total = 0.0f, found = 0.0f;
-bool any = false;
-for (int candidate = 0; candidate < candidate_count; ++candidate) {
-    const float light = candidate_light(candidate);
-    if (!(light > 0.0f)) continue;
-    bool is_wanted = candidate == wanted;
+const Block top = block_of(0, choice_table.root_count, true);
+if (at >= 0) return probability * (static_cast<float>(top.draws[at]) * UNIT);
 #if SUNS || WORLD
-    if (candidate >= choice_table.root_count)
-        is_wanted = choice_table.distant.data[candidate - choice_table.root_count] == emitter;
-#endif
-    total += light;
-    const float share = any ? share_of(light, total) : 1.0f;
-    found = is_wanted ? share : found * (1.0f - share);
-    any = true;
+const float scale = scale_of(all_distant(), choice_table.distant_count);
+int own = 0, others = 0;
+for (int number = 0; number < choice_table.distant_count; ++number) {
+    const int draws = draws_of(distant_light(number), scale);
+    (choice_table.distant.data[number] == emitter ? own : others) += draws;
 }
-return below * found;
+if (choice_table.distant.data[0] == emitter) own = DRAWS - others;
+probability = static_cast<float>(top.draws[WIDTH]) * UNIT * (static_cast<float>(own) * UNIT);
+#endif
+return probability;

@@ -2,14 +2,14 @@
 
 import warp as wp
 
-# Nodes that are compared one by one at most, an even number: a scene with so few emitters is compared exactly
-ROOTS_MOST = 8
+# Nodes that are compared with each other at most: a scene with so few emitters is compared exactly
+WIDTH = 16
 
 
 @wp.struct
 class LightNode:
-    """What shines below a node of the tree over all emitters with a place: one emitter, or two nodes beside each other.
-    48 bytes, which a GPU loads in three steps.
+    """What shines below a node of the tree over all emitters with a place: one emitter, or up to `WIDTH` nodes beside
+    each other. 48 bytes, which a GPU loads in three steps.
     """
 
     centre: wp.vec3  # of a sphere around them [m]
@@ -20,8 +20,9 @@ class LightNode:
     power: float  # irradiance at a distance of 1 m along the axis, in units of the scene's strongest emitter
     cos_axis: float
     cos_edge: float
-    two_sided: int  # 1: and into the opposite directions
-    below: int  # number of the first of two nodes; less than 0: -1 - the number of the emitter
+    below: int  # number of the first node below; less than 0: -1 - the number of the emitter
+    two_sided: wp.uint8  # 1: it shines into the opposite directions too
+    count: wp.uint8  # of the nodes below
 
 
 @wp.struct
@@ -30,10 +31,8 @@ class ChoiceTable:
 
     root_count: int
     distant_count: int
-    # the first `root_count` are compared one by one, and together hold all emitters with a place. From `ROOTS_MOST` on
-    # there are pairs
-    nodes: wp.array(dtype=LightNode)
-    parent: wp.array(dtype=int)  # node above each pair, at half the pair's first number
+    nodes: wp.array(dtype=LightNode)  # the first `root_count` together hold all emitters with a place
+    parent: wp.array(dtype=int)  # node above each; -1: none
     leaf: wp.array(dtype=int)  # node of each emitter; -1: it has no place
     distant: wp.array(dtype=int)  # emitters without a place: suns, then the world if it is sampled
     distant_strength: wp.array(dtype=float)  # irradiance of a surface that faces each, in units as of `LightNode.power`

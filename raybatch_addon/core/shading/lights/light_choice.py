@@ -20,7 +20,7 @@ import warp as wp
 
 from ...native.build import native_source
 from ...scene.description import LightKind
-from .choice_table import ROOTS_MOST
+from .choice_table import WIDTH
 from .emitters import COSINE_ERROR
 from .light_table import LightTable
 
@@ -29,7 +29,7 @@ from .light_table import LightTable
 _COSINE_MIN = 0.1
 # Where emitters are compared, none is without a chance: counts stay within these bounds
 _LEAST, _MOST = 1e-30, 1e30
-_UNIT = 2.0**-24  # of random numbers and shares
+_DRAWS = 2**24  # what a random number can be
 _SIDE_STEPS = wp.constant(32767.0)
 
 
@@ -135,8 +135,8 @@ def make_light_choice(features: ChoiceFeatures) -> LightChoice:
 @functools.cache
 def _make_choice(has_suns: bool, has_world: bool, local: bool) -> LightChoice:
     """`local`: there are emitters with a place."""
-    numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=COSINE_ERROR, LEAST=_LEAST, MOST=_MOST, UNIT=_UNIT)
-    kinds = dict(SUNS=has_suns, WORLD=has_world, LOCAL=local, ROOTS_MOST=ROOTS_MOST)
+    numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=COSINE_ERROR, LEAST=_LEAST, MOST=_MOST)
+    kinds = dict(SUNS=has_suns, WORLD=has_world, LOCAL=local, WIDTH=WIDTH, DRAWS=_DRAWS, UNIT=1.0 / _DRAWS)
     headers = functools.partial(native_source, "lights/candidates.h", **numbers, **kinds)
 
     @wp.func_native(headers("lights/choose.h"))

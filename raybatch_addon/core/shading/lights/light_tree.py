@@ -17,7 +17,7 @@ from ...bvh.build.cuda.clusters import merge_leaves, sort_leaves
 from ...bvh.build.cuda.order import find_parents, order_by_height, refit
 from ...device.kernel import KERNEL_OPTIONS
 from ...scene.geometry import Geometry, triangle_vertices
-from .choice_table import ROOTS_MOST, ChoiceTable, LightNode
+from .choice_table import WIDTH, ChoiceTable, LightNode
 
 # Rounding of an angle whose cosine is stored [rad]
 _ANGLE_ERROR = wp.constant(5.0e-4)
@@ -25,15 +25,11 @@ _ANGLE_ERROR = wp.constant(5.0e-4)
 
 @wp.struct
 class TreeNode:
-    """A node while the tree is built."""
+    """A node of the binary tree."""
 
-    held: LightNode  # without `below`
+    held: LightNode  # where there are nodes below, without where these are
     first: int  # nodes below; -1: an emitter
     second: int
-    parent: int
-    is_second: int  # 1: of the two below its parent
-    emitter: int  # -1: nodes
-    root: int  # number among those that are compared one by one; -1: below one, or above
 
 
 @wp.struct
@@ -90,7 +86,7 @@ def bound_triangles_kernel(geometry: Geometry, triangles: EmittingTriangles, box
     if length > 0.0 and length < wp.inf:
         node.axis = normal / length
         node.cos_axis = 1.0
-        node.two_sided = 1
+        node.two_sided = wp.uint8(1)
     else:
         node.cos_axis = -1.0
     node.power = triangles.power[i]
@@ -107,18 +103,15 @@ def place_leaves_kernel(boxes: EmitterBoxes, joints: Joints, nodes: wp.array(dty
     i = wp.tid()
     node = TreeNode()
     node.held = boxes.nodes[joints.which[i]]
-    node.emitter = -1 - node.held.below
     node.first = -1
     node.second = -1
-    node.parent = -1
-    node.root = -1
     nodes[i] = node
 
 
 @wp.func
 def _any_direction(node: LightNode) -> LightNode:
     node.cos_axis = -1.0
-    node.two_sided = 0
+    node.two_sided = wp.uint8(0)
     return node
 
 
@@ -140,7 +133,7 @@ def join_directions(node: LightNode, a: LightNode, b: LightNode) -> LightNode:
     node.two_sided = a.two_sided
     other = b.axis
     cosine = wp.dot(a.axis, other)
-    if a.two_sided != 0 and cosine < 0.0:
+    if a.two_sided != wp.uint8(0) and cosine < 0.0:
         other = -other
     half_a = wp.acos(a.cos_axis)
     half_b = wp.acos(b.cos_axis)
@@ -181,79 +174,72 @@ def join_kernel(joints: Joints, order: wp.array(dtype=int), first: int, nodes: w
     node.held = join_directions(held, a.held, b.held)
     node.first = children[0]
     node.second = children[1]
-    node.parent = -1
-    node.root = -1
-    node.emitter = -1
     nodes[number] = node
-    a.parent = number
-    b.parent = number
-    b.is_second = 1
-    nodes[children[0]] = a
-    nodes[children[1]] = b
+
+
+@wp.struct
+class Level:
+    """Inner nodes of the binary tree that become nodes of the wide one, at the same distance from its root."""
+
+    node: wp.array(dtype=int)
+    place: wp.array(dtype=int)  # in the wide tree; -1: the whole of it
+    count: wp.array(dtype=int)  # of entries, shape [1]
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def choose_roots_kernel(nodes: wp.array(dtype=TreeNode), root: int, count: wp.array(dtype=int)):
-    """Roots: from the whole tree on, that of the most power over the widest sphere is taken apart."""
-    roots = wp.zeros(wp.static(ROOTS_MOST), dtype=int)
-    roots[0] = root
+def widen_kernel(
+    nodes: wp.array(dtype=TreeNode), level: Level, following: Level, choice: ChoiceTable, used: wp.array(dtype=int)
+):
+    """Give each node of a level up to `WIDTH` nodes below it: of those that are open, the one of the most power over
+    the widest sphere is replaced by its two, again and again. `used` counts places of the wide tree.
+    """
+    i = wp.tid()
+    open = wp.zeros(wp.static(WIDTH), dtype=int)
+    open[0] = level.node[i]
     found = int(1)
     going = bool(True)
-    while going and found < wp.static(ROOTS_MOST):
+    while going and found < wp.static(WIDTH):
         widest = int(-1)
         extent = float(-1.0)
-        for i in range(found):
-            node = nodes[roots[i]]
+        for k in range(found):
+            node = nodes[open[k]]
             if node.first >= 0 and node.held.power * node.held.radius > extent:
-                widest = i
+                widest = k
                 extent = node.held.power * node.held.radius
         if widest < 0:
             going = False
         else:
-            node = nodes[roots[widest]]
-            roots[widest] = node.first
-            roots[found] = node.second
+            node = nodes[open[widest]]
+            open[widest] = node.first
+            open[found] = node.second
             found = found + 1
-    for i in range(found):
-        node = nodes[roots[i]]
-        node.root = i
-        nodes[roots[i]] = node
-    count[0] = found
+    base = wp.atomic_add(used, 0, found)
+    place = level.place[i]
+    if place >= 0:
+        above = choice.nodes[place]
+        above.below = base
+        above.count = wp.uint8(found)
+        choice.nodes[place] = above
+    for k in range(found):
+        node = nodes[open[k]]
+        choice.nodes[base + k] = node.held
+        choice.parent[base + k] = place
+        if node.first < 0:
+            choice.leaf[-1 - node.held.below] = base + k
+        else:
+            entry = wp.atomic_add(following.count, 0, 1)
+            following.node[entry] = open[k]
+            following.place[entry] = base + k
 
 
-@wp.kernel(**KERNEL_OPTIONS)
-def pack_kernel(
-    nodes: wp.array(dtype=TreeNode),
-    leaf_count: int,
-    packed: wp.array(dtype=LightNode),
-    parent: wp.array(dtype=int),
-    leaf: wp.array(dtype=int),
-):
-    """Nodes in their places: roots first, then the two below each inner node."""
-    i = wp.tid()
-    node = nodes[i]
-    place = node.root
-    if place < 0 and node.parent >= 0:
-        place = wp.static(ROOTS_MOST) + 2 * (node.parent - leaf_count) + node.is_second
-    if place < 0:
-        return  # the whole tree, which was taken apart
-    held = node.held
-    if node.first >= 0:
-        held.below = wp.static(ROOTS_MOST) + 2 * (i - leaf_count)
-        parent[held.below / 2] = place
-    else:
-        held.below = -1 - node.emitter
-        leaf[node.emitter] = place
-    packed[place] = held
-
-
-LIGHT_TREE_KERNELS = (bound_triangles_kernel, place_leaves_kernel, join_kernel, choose_roots_kernel, pack_kernel)
+LIGHT_TREE_KERNELS = (bound_triangles_kernel, place_leaves_kernel, join_kernel, widen_kernel)
 
 
 def fill_nodes(choice: ChoiceTable, boxes: EmitterBoxes) -> None:
     """Fill in the nodes of `choice`, whose emitters with a place are `boxes`, and their entries of `leaf`."""
     count, device = boxes.nodes.size, boxes.nodes.device
-    if count <= ROOTS_MOST:
+    choice.parent = wp.full(2 * count, -1, dtype=int, device=device)
+    if count <= WIDTH:
         choice.nodes, choice.root_count = boxes.nodes, count
         emitters = -1 - boxes.nodes.numpy()["below"]
         leaf = choice.leaf.numpy()
@@ -266,13 +252,27 @@ def fill_nodes(choice: ChoiceTable, boxes: EmitterBoxes) -> None:
     wp.launch(place_leaves_kernel, count, [boxes, joints, nodes], device=device)
     for first, end in zip(topology.level_first[:-1], topology.level_first[1:]):
         wp.launch(join_kernel, end - first, [joints, order, first, nodes], device=device)
-    found = wp.empty(1, dtype=int, device=device)
-    wp.launch(choose_roots_kernel, 1, [nodes, topology.root, found], device=device)
-    places = ROOTS_MOST + 2 * (nodes.size - count)
-    choice.nodes = wp.zeros(places, dtype=LightNode, device=device)
-    choice.parent = wp.full(places // 2, -1, dtype=int, device=device)
-    wp.launch(pack_kernel, nodes.size, [nodes, count, choice.nodes, choice.parent, choice.leaf], device=device)
-    choice.root_count = int(found.numpy()[0])
+    _widen(choice, nodes, topology.root)
+
+
+def _widen(choice: ChoiceTable, nodes: wp.array, root: int) -> None:
+    """Where a node lies depends on the order of threads; what is chosen does not."""
+    device = nodes.device
+    choice.nodes = wp.empty(nodes.size, dtype=LightNode, device=device)
+    used = wp.zeros(1, dtype=int, device=device)
+
+    def level_of(size: int) -> Level:
+        level = Level()
+        level.node, level.place = (wp.full(size, root - k * (root + 1), dtype=int, device=device) for k in range(2))
+        level.count = wp.zeros(1, dtype=int, device=device)
+        return level
+
+    level, count = level_of(1), 1
+    while count:
+        following = level_of(count * WIDTH)
+        wp.launch(widen_kernel, count, [nodes, level, following, choice, used], device=device)
+        level, count = following, int(following.count.numpy()[0])
+        choice.root_count = choice.root_count or int(used.numpy()[0])
 
 
 def _joints(low: wp.array, high: wp.array, children: wp.array, which: wp.array) -> Joints:

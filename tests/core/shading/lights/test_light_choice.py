@@ -10,7 +10,7 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Instances, Light, LightKind, Material, Mesh
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
-from raybatch_addon.core.shading.lights.choice_table import ROOTS_MOST
+from raybatch_addon.core.shading.lights.choice_table import WIDTH
 from raybatch_addon.core.shading.lights.light_choice import ChoiceFeatures, lit_point, make_light_choice, packed_side
 from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
@@ -241,8 +241,8 @@ def irradiance_at(lights, geometry, position, normal):
 
 def test_many_lamps_together_light_as_each_alone():
     """None that shines is left out, and none counts twice."""
-    many = [lamp for lamp in lamps(60, 6) if lamp.kind != LightKind.SUN]
-    assert len(many) > 4 * ROOTS_MOST
+    many = [lamp for lamp in lamps(90, 6) if lamp.kind != LightKind.SUN]
+    assert len(many) > 4 * WIDTH
     for position, normal, _ in POINTS[:2]:
         together = irradiance_at(*uploaded(many), position, normal)
         alone = [irradiance_at(*uploaded([lamp]), position, normal) for lamp in many]
@@ -260,12 +260,13 @@ def test_nodes_hold_what_lies_below():
     choice = lights.choice
     nodes = choice.nodes.numpy()
     assert (
-        choice.root_count == ROOTS_MOST
+        choice.root_count == WIDTH
         and choice.distant_count == sum(lamp.kind == LightKind.SUN for lamp in CASES["all"][0]) + 1
     )
     held = []
     parent, leaf = choice.parent.numpy(), choice.leaf.numpy()
     for root in range(choice.root_count):
+        assert parent[root] == -1
         stack = [(root, [])]
         while stack:
             at, above = stack.pop()
@@ -284,9 +285,10 @@ def test_nodes_hold_what_lies_below():
                     assert over["cos_axis"] == -1 or over["cos_edge"] <= node["cos_edge"]
                 continue
             first = int(node["below"])
-            assert first % 2 == 0 and parent[first // 2] == at
-            stack += [(below, [*above, node]) for below in (first, first + 1)]
-            assert node["power"] == pytest.approx(nodes[first]["power"] + nodes[first + 1]["power"])
+            below = range(first, first + int(node["count"]))
+            assert 2 <= len(below) <= WIDTH and (parent[below] == at).all()
+            stack += [(number, [*above, node]) for number in below]
+            assert node["power"] == pytest.approx(nodes[below]["power"].sum(), rel=1e-5)
     suns = [i for i, lamp in enumerate(CASES["all"][0]) if lamp.kind == LightKind.SUN]
     assert sorted(held) == sorted(set(range(lights.emitter_count - 1)) - set(suns))
 

@@ -17,13 +17,14 @@ from ....scene.description import LightKind
 from ....scene.features import narrow
 from ....shading.lights.light_choice import lit_point
 from ....shading.lights.light_shapes import LAMP_PROGRAM, LightSample
+from ....shading.lights.light_table import LightTable
 from ....shading.lights.lights import LightFeatures, make_lights
 from ....shading.sampling import LIGHT, LIGHT_CHOICE, make_sampler
 from ...rays import Paths
 from ...scene.scene_data import SceneData
 from ..limits import PathLimits
 from ..work import TileWork
-from .vertex import VertexFeatures, make_vertex
+from .vertex import Vertex, VertexFeatures, make_vertex
 
 # A number that a float holds exactly: bits of `LightSample.delta` and `casts_shadow`, then its visibility and program
 _CASTS_SHADOW, _VISIBILITY_SHIFT, _PROGRAM_SHIFT = 2, 2, 7
@@ -50,9 +51,11 @@ class AimFeatures:
 
 
 @wp.func
-def is_aimed(limits: PathLimits, x: int, last: bool) -> bool:
-    """Whether light is sampled at a vertex of a path of column `x`, which is its `last` or not."""
-    return x < limits.nee_end and not last
+def is_aimed(lights: LightTable, limits: PathLimits, v: Vertex) -> bool:
+    """Whether light is sampled at a vertex. Without emitters, of which kernels need not know, paths have no slots for
+    shadow rays.
+    """
+    return lights.emitter_count > 0 and v.where.x < limits.nee_end and not v.last
 
 
 @functools.cache
@@ -67,7 +70,7 @@ def make_aim(features: AimFeatures) -> wp.Function:
     @wp.func
     def aim(data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, path: int):
         v = vertex(data, work, limits, paths, rays, path)
-        if not v.there or not is_aimed(limits, v.where.x, v.last):
+        if not v.there or not is_aimed(data.lights, limits, v):
             return
         light = light_sample(
             data.lights,

@@ -175,7 +175,7 @@ def make_shade_surface(features: SurfaceFeatures) -> wp.Function:
         # GPU waits for instructions more than for anything else here.
         light = LightSample()
         if wp.static(features.shadow_rays):
-            if is_aimed(limits, v.where.x, v.last):
+            if is_aimed(data.lights, limits, v):
                 light = aimed_light(paths, rays, path)
         turn = int(0)
         while turn < 2:
