@@ -1,64 +1,49 @@
 // Estimates of the light that comes to `point` from nodes of the tree over emitters, and from suns and the world, which
-// are distant. 0: surely none. What is compared is a block: nodes beside each other, and at the top all that is distant
-// as one more.
+// are distant. 0: surely none. The nodes of a block are compared with each other, at the top with all that is distant.
 const auto& choice_table = *table.choice.data;
 auto within = [](float x, float least, float most) { return wp::min(wp::max(x, least), most); };
 
 #if LOCAL
+// Nodes of a block at once: a vector on the CPU, one after another on a GPU.
 #if defined(__CUDA_ARCH__)
-struct alignas(16) Quarter {
-    float x, y, z, w;
-};
-#endif
-using Node = typename wp::remove_reference<decltype(choice_table.nodes.data[0])>::type;
-// On a GPU threads go down the tree apart, and each load of one takes as long as that of all: few wide ones.
-auto load_node = [&](int at) -> Node {
-#if defined(__CUDA_ARCH__)
-    static_assert(sizeof(Node) == 3 * sizeof(Quarter), "LightNode is loaded by quarters of 64 bytes");
-    union Parts {
-        Quarter quarters[3];
-        Node node;
-        __device__ Parts() {}
-    } parts;
-    const Quarter* from = reinterpret_cast<const Quarter*>(choice_table.nodes.data + at);
-    for (int i = 0; i < 3; ++i) parts.quarters[i] = from[i];
-    return parts.node;
+typedef float Lanes;
+auto root = [](float x) { return wp::sqrt(x); };
+auto absolute = [](float x) { return wp::abs(x); };
+auto most = [](float x, float y) { return wp::max(x, y); };
+auto least = [](float x, float y) { return wp::min(x, y); };
 #else
-    return choice_table.nodes.data[at];
+typedef float Lanes __attribute__((ext_vector_type(WIDTH)));
+auto root = [](Lanes x) { return __builtin_elementwise_sqrt(x); };
+auto absolute = [](Lanes x) { return __builtin_elementwise_abs(x); };
+auto most = [](Lanes x, Lanes y) { return __builtin_elementwise_max(x, y); };
+auto least = [](Lanes x, Lanes y) { return __builtin_elementwise_min(x, y); };
 #endif
-};
 // The mean of max(cos, 0) over a sphere seen under a half angle whose sine has the square `spread`, about: `cosine` is
 // that of its middle. At the horizon half the sphere is left, and its mean 2 / (3 pi) of the sine.
-auto mean_cosine = [](float cosine, float spread) {
-    return 0.5f * (cosine + wp::sqrt(cosine * cosine + 0.18f * spread));
-};
-auto node_light = [&](const Node& node) -> float {
-    if (!(node.power > 0.0f)) return 0.0f;
-    const wp::vec3 to = node.centre - point.position;
-    const float square = wp::dot(to, to), reach = node.radius * node.radius;
-    float turned = 1.0f;
-    if (square > reach && square > 1e-30f && square < 1e37f) {  // else its root has lost its digits
-        const float inverse = 1.0f / wp::sqrt(square), sine = node.radius * inverse, spread = sine * sine;
-        if (node.cos_axis > -1.0f) {
-            float leaving = -wp::dot(node.axis, to) * inverse;
-            if (node.two_sided) leaving = wp::abs(leaving);
-            // cos(a - b - c) <= cos(a) + sin(b) + sin(c): none of its emitters is seen from a side that shines
-            const float sin_axis = wp::sqrt(wp::max(1.0f - node.cos_axis * node.cos_axis, 0.0f));
-            if (leaving + sin_axis + sine < node.cos_edge - COSINE_ERROR) return 0.0f;
-            // the normal in the cone that is nearest to the point
-            if (leaving < node.cos_axis) {
-                const float beside = wp::sqrt(wp::max(1.0f - leaving * leaving, 0.0f));
-                leaving = leaving * node.cos_axis + beside * sin_axis;
-            } else {
-                leaving = 1.0f;
-            }
-            turned = wp::max(mean_cosine(leaving, spread), COSINE_MIN);
-        }
-        float arriving = wp::dot(point.normal, to) * inverse;
-        if (point.both_sides) arriving = wp::abs(arriving);
-        turned *= wp::max(mean_cosine(arriving, spread), COSINE_MIN);
-    }
-    return within(node.power * turned / wp::max(square, reach), LEAST, MOST);
+auto mean_cosine = [&](Lanes cosine, Lanes spread) { return 0.5f * (cosine + root(cosine * cosine + 0.18f * spread)); };
+auto node_light = [&](const Lanes* node) -> Lanes {
+    const Lanes zero = (Lanes)(0.0f), one = (Lanes)(1.0f), cosine_min = (Lanes)(COSINE_MIN);
+    const Lanes x = node[0] - point.position[0], y = node[1] - point.position[1], z = node[2] - point.position[2];
+    const Lanes radius = node[3], cos_axis = node[7], sin_axis = node[8], cos_edge = node[9], power = node[11];
+    const Lanes square = x * x + y * y + z * z, reach = radius * radius;
+    // else its root has lost its digits
+    const auto is_apart = (square > reach) & (square > 1e-30f) & (square < 1e37f);
+    const Lanes inverse = one / root(is_apart ? square : one), sine = radius * inverse, spread = sine * sine;
+    Lanes leaving = -(node[4] * x + node[5] * y + node[6] * z) * inverse;
+    leaving = node[10] > 0.0f ? absolute(leaving) : leaving;
+    const auto is_directed = cos_axis > -1.0f;
+    // cos(a - b - c) <= cos(a) + sin(b) + sin(c): none of its emitters is seen from a side that shines
+    const auto is_dark = is_apart & is_directed & (leaving + sin_axis + sine < cos_edge - COSINE_ERROR);
+    // the normal in the cone that is nearest to the point
+    const Lanes beside = root(most(one - leaving * leaving, zero));
+    leaving = leaving < cos_axis ? leaving * cos_axis + beside * sin_axis : one;
+    const Lanes left = is_directed ? most(mean_cosine(leaving, spread), cosine_min) : one;
+    Lanes arriving = (point.normal[0] * x + point.normal[1] * y + point.normal[2] * z) * inverse;
+    if (point.both_sides) arriving = absolute(arriving);
+    const Lanes turned = left * most(mean_cosine(arriving, spread), cosine_min);
+    const Lanes light = power * (is_apart ? turned : one) / most(square, reach);
+    const Lanes bounded = least(most(light, (Lanes)(LEAST)), (Lanes)(MOST));
+    return (power > 0.0f) & !is_dark ? bounded : zero;
 };
 #endif
 
@@ -99,29 +84,62 @@ auto draws_of = [](float light, float scale) -> int {
 // room for those that get one in spite of less, and for the rounding of sums
 auto scale_of = [](float total, int count) { return static_cast<float>(DRAWS - 4 * count) / total; };
 
-struct Block {
-    int draws[WIDTH + 1];  // the last: of what is distant, at the top
+struct Shares {
+    int draws[WIDTH + 1];  // the last: of what is distant, in the first block
     int first;             // the first that has any; WIDTH + 1: none
 };
-auto block_of = [&](int first, int count, bool at_top) {
-    Block block;
-    float light[WIDTH + 1], total = 0.0f;
-    for (int k = 0; k <= WIDTH; ++k) light[k] = 0.0f;
-#if LOCAL
-    for (int k = 0; k < count; ++k) light[k] = node_light(load_node(first + k));
-#endif
+auto shares_in = [&](int block) {
+    Shares shares;
+    float distant = 0.0f;
 #if SUNS || WORLD
-    if (at_top) light[WIDTH] = all_distant();
+    if (block == 0) distant = all_distant();
 #endif
-    for (int k = 0; k <= WIDTH; ++k) total += light[k];
-    const float scale = scale_of(total, WIDTH + 1);
+    float total = distant;
     int left = DRAWS;
-    block.first = WIDTH + 1;
-    for (int k = WIDTH; k >= 0; --k) {
-        block.draws[k] = draws_of(light[k], scale);
-        left -= block.draws[k];
-        if (block.draws[k] > 0) block.first = k;
+#if LOCAL && !defined(__CUDA_ARCH__)
+    // sums by halves: the same whatever vectors the processor has
+    auto sum = [](auto of) {
+        const auto eight = of.lo + of.hi;
+        const auto four = eight.lo + eight.hi;
+        const auto two = four.lo + four.hi;
+        return two.x + two.y;
+    };
+    typedef int Counts __attribute__((ext_vector_type(WIDTH)));
+    Lanes node[FIELDS];
+    __builtin_memcpy(node, choice_table.blocks.data + block * (FIELDS * WIDTH), sizeof(node));
+    const Lanes light = node_light(node);
+    total += sum(light);
+    const float scale = scale_of(total, WIDTH + 1);
+    const Counts draws =
+        light > 0.0f ? __builtin_convertvector(most(light * scale, (Lanes)(1.0f)), Counts) : (Counts)(0);
+    left -= sum(draws);
+    __builtin_memcpy(shares.draws, &draws, sizeof(draws));
+#else
+    float light[WIDTH];
+#if LOCAL
+    const float* fields = choice_table.blocks.data + block * (FIELDS * WIDTH);
+#pragma unroll 1  // a GPU waits for instructions more than for memory
+    for (int k = 0; k < WIDTH; ++k) {
+        float node[FIELDS];
+#pragma unroll
+        for (int field = 0; field < FIELDS; ++field) node[field] = fields[field * WIDTH + k];
+        light[k] = node_light(node);
+        total += light[k];
     }
-    if (block.first <= WIDTH) block.draws[block.first] += left;
-    return block;
+#else
+    for (int k = 0; k < WIDTH; ++k) light[k] = 0.0f;
+#endif
+    const float scale = scale_of(total, WIDTH + 1);
+#pragma unroll 1
+    for (int k = 0; k < WIDTH; ++k) {
+        shares.draws[k] = draws_of(light[k], scale);
+        left -= shares.draws[k];
+    }
+#endif
+    shares.draws[WIDTH] = draws_of(distant, scale);
+    left -= shares.draws[WIDTH];
+    shares.first = 0;
+    while (shares.first <= WIDTH && shares.draws[shares.first] == 0) ++shares.first;
+    if (shares.first <= WIDTH) shares.draws[shares.first] += left;
+    return shares;
 };

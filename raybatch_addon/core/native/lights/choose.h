@@ -11,27 +11,29 @@ auto take = [&](int first, int width) {
     draw = wp::min(static_cast<int>(part), DRAWS - 1);
     probability *= static_cast<float>(width) * UNIT;
 };
-auto choose_one = [&](const Block& block) {
-    int before = 0, chosen = block.first;
+auto choose_one = [&](const Shares& shares) {
+    int before = 0, chosen = shares.first;
+#pragma unroll 1
     for (int k = 0; k <= WIDTH; ++k) {
-        if (draw >= before && draw < before + block.draws[k]) {
+        if (draw >= before && draw < before + shares.draws[k]) {
             chosen = k;
             break;
         }
-        before += block.draws[k];
+        before += shares.draws[k];
     }
-    take(before, block.draws[chosen]);
+    take(before, shares.draws[chosen]);
     return chosen;
 };
 
-int emitter = -1;
-const Block top = block_of(0, choice_table.root_count, true);
-if (top.first <= WIDTH) {
-    const int chosen = choose_one(top);
+int emitter = -1, block = 0;
+while (block >= 0) {
+    const Shares shares = shares_in(block);
+    if (shares.first > WIDTH) break;  // nothing shines
+    const int chosen = choose_one(shares);
 #if SUNS || WORLD
     if (chosen == WIDTH) {
         const float scale = scale_of(all_distant(), choice_table.distant_count);
-        int before = 0, draws = DRAWS, taken = 0;
+        int before = 0, draws = DRAWS, taken = 0;  // the first has what the others leave
         for (int number = 1; number < choice_table.distant_count; ++number) {
             draws -= draws_of(distant_light(number), scale);
         }
@@ -41,20 +43,11 @@ if (top.first <= WIDTH) {
         }
         take(before, draws);
         emitter = choice_table.distant.data[taken];
+        break;
     }
 #endif
-#if LOCAL
-    if (chosen < WIDTH) {
-        int at = chosen, below = choice_table.nodes.data[at].below;
-        while (below >= 0) {
-            const Block block = block_of(below, choice_table.nodes.data[at].count, false);
-            if (block.first > WIDTH) break;  // nothing below shines
-            at = below + choose_one(block);
-            below = choice_table.nodes.data[at].below;
-        }
-        emitter = below < 0 ? -1 - below : -1;
-    }
-#endif
+    block = choice_table.below.data[block * WIDTH + chosen];
+    if (block < 0) emitter = -1 - block;
 }
 if (emitter < 0) probability = 0.0f;
 union {

@@ -20,7 +20,7 @@ import warp as wp
 
 from ...native.build import native_source
 from ...scene.description import LightKind
-from .choice_table import WIDTH
+from .choice_table import FIELDS, WIDTH
 from .emitters import COSINE_ERROR
 from .light_table import LightTable
 
@@ -135,8 +135,8 @@ def make_light_choice(features: ChoiceFeatures) -> LightChoice:
 @functools.cache
 def _make_choice(has_suns: bool, has_world: bool, local: bool) -> LightChoice:
     """`local`: there are emitters with a place."""
-    numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=COSINE_ERROR, LEAST=_LEAST, MOST=_MOST)
-    kinds = dict(SUNS=has_suns, WORLD=has_world, LOCAL=local, WIDTH=WIDTH, DRAWS=_DRAWS, UNIT=1.0 / _DRAWS)
+    numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=COSINE_ERROR, LEAST=_LEAST, MOST=_MOST, UNIT=1 / _DRAWS)
+    kinds = dict(SUNS=has_suns, WORLD=has_world, LOCAL=local, FIELDS=len(FIELDS), WIDTH=WIDTH, DRAWS=_DRAWS)
     headers = functools.partial(native_source, "lights/candidates.h", **numbers, **kinds)
 
     @wp.func_native(headers("lights/choose.h"))

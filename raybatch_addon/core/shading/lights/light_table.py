@@ -10,9 +10,9 @@ import warp as wp
 
 from ...scene.description import Light, LightKind, Scene
 from ...scene.geometry import Geometry
-from .choice_table import ChoiceTable, LightNode
+from .choice_table import ChoiceTable
 from .emitters import EmissiveTriangles, find_emissive_triangles, light_area, light_strengths, triangle_strengths
-from .light_tree import EmitterBoxes, EmittingTriangles, bound_triangles_kernel, fill_nodes
+from .light_tree import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel, fill_blocks
 from .world import SampledWorld, WorldTable
 
 _FLOAT = np.finfo(np.float32)
@@ -215,8 +215,7 @@ def _choice_table(
         emitting.emitter_first, emitting.node_first = table.light_count, len(local)
         wp.launch(bound_triangles_kernel, len(triangles), [geometry, emitting, boxes], device=device)
     choice.leaf = wp.full(table.emitter_count, -1, dtype=int, device=device)
-    if count:
-        fill_nodes(choice, boxes)
+    fill_blocks(choice, boxes)
     return choice
 
 
@@ -231,7 +230,7 @@ def _lamp_nodes(records: np.ndarray, local: np.ndarray, strength: np.ndarray) ->
     nodes = np.zeros(len(local), LightNode.numpy_dtype())
     nodes["centre"], nodes["axis"] = lamps["position"], lamps["axis"]
     nodes["radius"] = np.maximum(lamps["radius"], np.hypot(lamps["half_x"], lamps["half_y"]))
-    nodes["power"], nodes["below"] = strength[local], -1 - local
+    nodes["power"], nodes["emitter"] = strength[local], local
     spot, point = lamps["kind"] == LightKind.SPOT, lamps["kind"] == LightKind.POINT
     nodes["cos_axis"] = np.where(point, -1, 1)
     # a spot's cone is squeezed along its width and height; at its widest it is `wide` times as wide

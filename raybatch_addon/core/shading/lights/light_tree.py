@@ -17,17 +17,31 @@ from ...bvh.build.cuda.clusters import merge_leaves, sort_leaves
 from ...bvh.build.cuda.order import find_parents, order_by_height, refit
 from ...device.kernel import KERNEL_OPTIONS
 from ...scene.geometry import Geometry, triangle_vertices
-from .choice_table import WIDTH, ChoiceTable, LightNode
+from .choice_table import FIELDS, WIDTH, ChoiceTable
 
 # Rounding of an angle whose cosine is stored [rad]
 _ANGLE_ERROR = wp.constant(5.0e-4)
 
 
 @wp.struct
+class LightNode:
+    """What shines below a node: one emitter, or two nodes. Units as of `FIELDS`."""
+
+    centre: wp.vec3
+    radius: float
+    axis: wp.vec3
+    cos_axis: float
+    cos_edge: float
+    two_sided: int
+    power: float
+    emitter: int
+
+
+@wp.struct
 class TreeNode:
     """A node of the binary tree."""
 
-    held: LightNode  # where there are nodes below, without where these are
+    held: LightNode
     first: int  # nodes below; -1: an emitter
     second: int
 
@@ -36,7 +50,7 @@ class TreeNode:
 class EmitterBoxes:
     """Emitters with a place, in the order of their numbers."""
 
-    nodes: wp.array(dtype=LightNode)  # `below` says which
+    nodes: wp.array(dtype=LightNode)
     low: wp.array(dtype=wp.vec3)  # least corner of each one's box [m]
     high: wp.array(dtype=wp.vec3)
 
@@ -86,11 +100,11 @@ def bound_triangles_kernel(geometry: Geometry, triangles: EmittingTriangles, box
     if length > 0.0 and length < wp.inf:
         node.axis = normal / length
         node.cos_axis = 1.0
-        node.two_sided = wp.uint8(1)
+        node.two_sided = 1
     else:
         node.cos_axis = -1.0
     node.power = triangles.power[i]
-    node.below = -1 - (triangles.emitter_first + i)
+    node.emitter = triangles.emitter_first + i
     at = triangles.node_first + i
     boxes.nodes[at] = node
     boxes.low[at] = low
@@ -111,7 +125,7 @@ def place_leaves_kernel(boxes: EmitterBoxes, joints: Joints, nodes: wp.array(dty
 @wp.func
 def _any_direction(node: LightNode) -> LightNode:
     node.cos_axis = -1.0
-    node.two_sided = wp.uint8(0)
+    node.two_sided = 0
     return node
 
 
@@ -133,7 +147,7 @@ def join_directions(node: LightNode, a: LightNode, b: LightNode) -> LightNode:
     node.two_sided = a.two_sided
     other = b.axis
     cosine = wp.dot(a.axis, other)
-    if a.two_sided != wp.uint8(0) and cosine < 0.0:
+    if a.two_sided != 0 and cosine < 0.0:
         other = -other
     half_a = wp.acos(a.cos_axis)
     half_b = wp.acos(b.cos_axis)
@@ -178,101 +192,145 @@ def join_kernel(joints: Joints, order: wp.array(dtype=int), first: int, nodes: w
 
 
 @wp.struct
-class Level:
-    """Inner nodes of the binary tree that become nodes of the wide one, at the same distance from its root."""
+class WideTree:
+    """The binary tree made wide: inner nodes whose successors fill a block."""
 
-    node: wp.array(dtype=int)
-    place: wp.array(dtype=int)  # in the wide tree; -1: the whole of it
-    count: wp.array(dtype=int)  # of entries, shape [1]
+    nodes: wp.array(dtype=TreeNode)
+    leaf_count: int
+    block_node: wp.array(dtype=int)  # inner node of each block, those nearer to the root first
+    block_of: wp.array(dtype=int)  # block of each inner node
+    block_count: wp.array(dtype=int)  # shape [1]
 
 
-@wp.kernel(**KERNEL_OPTIONS)
-def widen_kernel(
-    nodes: wp.array(dtype=TreeNode), level: Level, following: Level, choice: ChoiceTable, used: wp.array(dtype=int)
-):
-    """Give each node of a level up to `WIDTH` nodes below it: of those that are open, the one of the most power over
-    the widest sphere is replaced by its two, again and again. `used` counts places of the wide tree.
+@wp.func
+def _open(tree: WideTree, node: int, open: wp.array(dtype=int)) -> int:
+    """Write up to `WIDTH` nodes that hold all emitters below `node` to `open`; their number. Of those that are open the
+    one of the most power over the widest sphere is replaced by its two, again and again.
     """
-    i = wp.tid()
-    open = wp.zeros(wp.static(WIDTH), dtype=int)
-    open[0] = level.node[i]
-    found = int(1)
+    open[0] = node
+    count = int(1)
     going = bool(True)
-    while going and found < wp.static(WIDTH):
+    while going and count < wp.static(WIDTH):
         widest = int(-1)
         extent = float(-1.0)
-        for k in range(found):
-            node = nodes[open[k]]
-            if node.first >= 0 and node.held.power * node.held.radius > extent:
+        for k in range(count):
+            held = tree.nodes[open[k]].held
+            if open[k] >= tree.leaf_count and held.power * held.radius > extent:
                 widest = k
-                extent = node.held.power * node.held.radius
+                extent = held.power * held.radius
         if widest < 0:
             going = False
         else:
-            node = nodes[open[widest]]
-            open[widest] = node.first
-            open[found] = node.second
-            found = found + 1
-    base = wp.atomic_add(used, 0, found)
-    place = level.place[i]
-    if place >= 0:
-        above = choice.nodes[place]
-        above.below = base
-        above.count = wp.uint8(found)
-        choice.nodes[place] = above
-    for k in range(found):
-        node = nodes[open[k]]
-        choice.nodes[base + k] = node.held
-        choice.parent[base + k] = place
-        if node.first < 0:
-            choice.leaf[-1 - node.held.below] = base + k
+            parted = tree.nodes[open[widest]]
+            open[widest] = parted.first
+            open[count] = parted.second
+            count = count + 1
+    return count
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def find_blocks_kernel(tree: WideTree, first: int):
+    """Give a block to each inner node right below the blocks from `first` on. Which number it gets depends on the order
+    of threads; what is chosen does not depend on it.
+    """
+    open = wp.zeros(wp.static(WIDTH), dtype=int)
+    count = _open(tree, tree.block_node[first + wp.tid()], open)
+    for k in range(count):
+        if open[k] >= tree.leaf_count:
+            block = wp.atomic_add(tree.block_count, 0, 1)
+            tree.block_node[block] = open[k]
+            tree.block_of[open[k] - tree.leaf_count] = block
+
+
+@wp.func
+def _write_node(choice: ChoiceTable, block: int, k: int, held: LightNode):
+    at = block * wp.static(WIDTH * len(FIELDS)) + k
+    choice.blocks[at] = held.centre[0]
+    choice.blocks[at + wp.static(WIDTH)] = held.centre[1]
+    choice.blocks[at + wp.static(2 * WIDTH)] = held.centre[2]
+    choice.blocks[at + wp.static(3 * WIDTH)] = held.radius
+    choice.blocks[at + wp.static(4 * WIDTH)] = held.axis[0]
+    choice.blocks[at + wp.static(5 * WIDTH)] = held.axis[1]
+    choice.blocks[at + wp.static(6 * WIDTH)] = held.axis[2]
+    choice.blocks[at + wp.static(7 * WIDTH)] = held.cos_axis
+    choice.blocks[at + wp.static(8 * WIDTH)] = wp.sqrt(wp.max(1.0 - held.cos_axis * held.cos_axis, 0.0))
+    choice.blocks[at + wp.static(9 * WIDTH)] = held.cos_edge
+    choice.blocks[at + wp.static(10 * WIDTH)] = float(held.two_sided)
+    choice.blocks[at + wp.static(11 * WIDTH)] = held.power
+
+
+@wp.func
+def _write_leaf(choice: ChoiceTable, block: int, k: int, held: LightNode):
+    _write_node(choice, block, k, held)
+    choice.below[block * wp.static(WIDTH) + k] = -1 - held.emitter
+    choice.leaf[held.emitter] = block * wp.static(WIDTH) + k
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def fill_blocks_kernel(tree: WideTree, choice: ChoiceTable):
+    """Nodes of every block."""
+    block = wp.tid()
+    open = wp.zeros(wp.static(WIDTH), dtype=int)
+    count = _open(tree, tree.block_node[block], open)
+    for k in range(count):
+        held = tree.nodes[open[k]].held
+        if open[k] < tree.leaf_count:
+            _write_leaf(choice, block, k, held)
         else:
-            entry = wp.atomic_add(following.count, 0, 1)
-            following.node[entry] = open[k]
-            following.place[entry] = base + k
+            _write_node(choice, block, k, held)
+            lower = tree.block_of[open[k] - tree.leaf_count]
+            choice.below[block * wp.static(WIDTH) + k] = lower
+            choice.above[lower] = block * wp.static(WIDTH) + k
 
 
-LIGHT_TREE_KERNELS = (bound_triangles_kernel, place_leaves_kernel, join_kernel, widen_kernel)
+@wp.kernel(**KERNEL_OPTIONS)
+def fill_block_kernel(boxes: EmitterBoxes, choice: ChoiceTable):
+    """Few emitters, in the only block."""
+    k = wp.tid()
+    _write_leaf(choice, 0, k, boxes.nodes[k])
 
 
-def fill_nodes(choice: ChoiceTable, boxes: EmitterBoxes) -> None:
-    """Fill in the nodes of `choice`, whose emitters with a place are `boxes`, and their entries of `leaf`."""
+LIGHT_TREE_KERNELS = (
+    bound_triangles_kernel,
+    place_leaves_kernel,
+    join_kernel,
+    find_blocks_kernel,
+    fill_blocks_kernel,
+    fill_block_kernel,
+)
+
+
+def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes) -> None:
+    """Fill in the blocks of `choice`, whose emitters with a place are `boxes`, and their entries of `leaf`."""
     count, device = boxes.nodes.size, boxes.nodes.device
-    choice.parent = wp.full(2 * count, -1, dtype=int, device=device)
     if count <= WIDTH:
-        choice.nodes, choice.root_count = boxes.nodes, count
-        emitters = -1 - boxes.nodes.numpy()["below"]
-        leaf = choice.leaf.numpy()
-        leaf[emitters] = np.arange(count)
-        choice.leaf = wp.array(leaf, dtype=int, device=device)
+        _allocate(choice, 1, device)
+        if count:
+            wp.launch(fill_block_kernel, count, [boxes, choice], device=device)
         return
     topology = _built_on_cuda(boxes) if device.is_cuda else _built_on_cpu(boxes)
     joints, order = topology.joints, topology.order
-    nodes = wp.empty(joints.low.size, dtype=TreeNode, device=device)
-    wp.launch(place_leaves_kernel, count, [boxes, joints, nodes], device=device)
+    tree = WideTree()
+    tree.leaf_count = count
+    tree.nodes = wp.empty(joints.low.size, dtype=TreeNode, device=device)
+    wp.launch(place_leaves_kernel, count, [boxes, joints, tree.nodes], device=device)
     for first, end in zip(topology.level_first[:-1], topology.level_first[1:]):
-        wp.launch(join_kernel, end - first, [joints, order, first, nodes], device=device)
-    _widen(choice, nodes, topology.root)
+        wp.launch(join_kernel, end - first, [joints, order, first, tree.nodes], device=device)
+    tree.block_node = wp.full(count - 1, topology.root, dtype=int, device=device)
+    tree.block_of = wp.zeros(count - 1, dtype=int, device=device)
+    tree.block_count = wp.ones(1, dtype=int, device=device)
+    first, end = 0, 1
+    while first < end:
+        wp.launch(find_blocks_kernel, end - first, [tree, first], device=device)
+        first, end = end, int(tree.block_count.numpy()[0])
+    _allocate(choice, end, device)
+    wp.launch(fill_blocks_kernel, end, [tree, choice], device=device)
 
 
-def _widen(choice: ChoiceTable, nodes: wp.array, root: int) -> None:
-    """Where a node lies depends on the order of threads; what is chosen does not."""
-    device = nodes.device
-    choice.nodes = wp.empty(nodes.size, dtype=LightNode, device=device)
-    used = wp.zeros(1, dtype=int, device=device)
-
-    def level_of(size: int) -> Level:
-        level = Level()
-        level.node, level.place = (wp.full(size, root - k * (root + 1), dtype=int, device=device) for k in range(2))
-        level.count = wp.zeros(1, dtype=int, device=device)
-        return level
-
-    level, count = level_of(1), 1
-    while count:
-        following = level_of(count * WIDTH)
-        wp.launch(widen_kernel, count, [nodes, level, following, choice, used], device=device)
-        level, count = following, int(following.count.numpy()[0])
-        choice.root_count = choice.root_count or int(used.numpy()[0])
+def _allocate(choice: ChoiceTable, block_count: int, device: wp.Device) -> None:
+    choice.blocks = wp.zeros(block_count * WIDTH * len(FIELDS), dtype=float, device=device)
+    choice.below = wp.full(block_count * WIDTH, -1, dtype=int, device=device)
+    choice.above = wp.full(block_count, -1, dtype=int, device=device)
 
 
 def _joints(low: wp.array, high: wp.array, children: wp.array, which: wp.array) -> Joints:

@@ -10,7 +10,7 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Instances, Light, LightKind, Material, Mesh
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
-from raybatch_addon.core.shading.lights.choice_table import WIDTH
+from raybatch_addon.core.shading.lights.choice_table import FIELDS, WIDTH
 from raybatch_addon.core.shading.lights.light_choice import ChoiceFeatures, lit_point, make_light_choice, packed_side
 from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
@@ -258,37 +258,42 @@ def test_many_lamps_together_light_as_each_alone():
 def test_nodes_hold_what_lies_below():
     lights, _ = uploaded(*CASES["all"])
     choice = lights.choice
-    nodes = choice.nodes.numpy()
-    assert (
-        choice.root_count == WIDTH
-        and choice.distant_count == sum(lamp.kind == LightKind.SUN for lamp in CASES["all"][0]) + 1
-    )
-    held = []
-    parent, leaf = choice.parent.numpy(), choice.leaf.numpy()
-    for root in range(choice.root_count):
-        assert parent[root] == -1
-        stack = [(root, [])]
-        while stack:
-            at, above = stack.pop()
-            node = nodes[at]
-            if node["below"] < 0:
-                held.append(-1 - int(node["below"]))
-                assert leaf[held[-1]] == at
-                for over in above:
-                    distance = np.linalg.norm(node["centre"] - over["centre"])
-                    assert distance <= over["radius"] + 1e-5
-                    if over["cos_axis"] > -1 and node["cos_axis"] > -1:
-                        cosine = node["axis"] @ over["axis"]
-                        cosine = abs(cosine) if over["two_sided"] else cosine
-                        assert cosine >= over["cos_axis"] - 1e-3
-                    assert over["cos_axis"] == -1 or node["cos_axis"] > -1
-                    assert over["cos_axis"] == -1 or over["cos_edge"] <= node["cos_edge"]
-                continue
-            first = int(node["below"])
-            below = range(first, first + int(node["count"]))
-            assert 2 <= len(below) <= WIDTH and (parent[below] == at).all()
-            stack += [(number, [*above, node]) for number in below]
-            assert node["power"] == pytest.approx(nodes[below]["power"].sum(), rel=1e-5)
+    fields = choice.blocks.numpy().reshape(-1, len(FIELDS), WIDTH)
+    below, above, leaf = choice.below.numpy(), choice.above.numpy(), choice.leaf.numpy()
+    assert above[0] == -1 and len(fields) == len(above) == len(below) // WIDTH
+    assert choice.distant_count == sum(lamp.kind == LightKind.SUN for lamp in CASES["all"][0]) + 1
+
+    def node_at(number):
+        values = dict(zip(FIELDS, fields[number // WIDTH, :, number % WIDTH], strict=True))
+        values["centre"] = np.array([values[name] for name in "xyz"])
+        values["axis"] = np.array([values[f"axis_{name}"] for name in "xyz"])
+        return values
+
+    held, stack = [], [(number, []) for number in range(WIDTH)]
+    while stack:
+        at, over = stack.pop()
+        node = node_at(at)
+        if node["power"] == 0:
+            continue
+        assert node["cos_axis"] ** 2 + node["sin_axis"] ** 2 == pytest.approx(1, abs=1e-6)
+        if below[at] >= 0:
+            assert above[below[at]] == at
+            lower = range(below[at] * WIDTH, (below[at] + 1) * WIDTH)
+            stack += [(number, [*over, node]) for number in lower]
+            powers = [node_at(number)["power"] for number in lower]
+            assert sum(power > 0 for power in powers) >= 2
+            assert node["power"] == pytest.approx(sum(powers), rel=1e-5)
+            continue
+        held.append(-1 - int(below[at]))
+        assert leaf[held[-1]] == at
+        for each in over:
+            assert np.linalg.norm(node["centre"] - each["centre"]) <= each["radius"] + 1e-5
+            if each["cos_axis"] > -1 and node["cos_axis"] > -1:
+                cosine = node["axis"] @ each["axis"]
+                cosine = abs(cosine) if each["two_sided"] else cosine
+                assert cosine >= each["cos_axis"] - 1e-3
+            assert each["cos_axis"] == -1 or node["cos_axis"] > -1
+            assert each["cos_axis"] == -1 or each["cos_edge"] <= node["cos_edge"]
     suns = [i for i, lamp in enumerate(CASES["all"][0]) if lamp.kind == LightKind.SUN]
     assert sorted(held) == sorted(set(range(lights.emitter_count - 1)) - set(suns))
 
