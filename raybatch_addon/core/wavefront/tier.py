@@ -23,6 +23,7 @@ from ..scene.program import ProgramFeatures
 from .estimates.kernels import estimate_kernel
 from .estimates.work import Estimate
 from .kernels import StageKernels
+from .stages.work import ShadingStage
 
 VARIABLE = "RAYBATCH_KERNEL_TIER"
 TIERS = ("AUTO", "GENERAL", "SPECIALISED")
@@ -141,5 +142,5 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
 def general_kernels() -> tuple[wp.Kernel, ...]:
     """The kernels of the general tier that run programs: that of all stages, and that of all estimates."""
     features = general_features()
-    (stages,) = set(StageKernels.choose(features).shading.values())
+    stages = StageKernels.choose(features).shading[ShadingStage.SURFACE]
     return stages, estimate_kernel(features, Estimate.TRIANGLES)

@@ -165,7 +165,6 @@ from concurrent.futures import ThreadPoolExecutor
 ThreadPoolExecutor(1).submit(session.prewarm)
 while not compiler._running:
     time.sleep(0.01)
-print(time.time(), flush=True)
 """
 
 
@@ -174,4 +173,6 @@ def test_a_process_ends_in_the_middle_of_compiling(tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", ENDS, str(tmp_path), str(ROOT)], capture_output=True, text=True, timeout=120
     )
-    assert time.time() - float(done.stdout) < 8 and done.stderr == ""
+    assert done.returncode == 0 and done.stderr == ""
+    # those that were under way at most, of thirty
+    assert len(list(tmp_path.rglob("*.o"))) < 10

@@ -249,7 +249,7 @@ def _code_of(material: Material) -> tuple:
 
 def _transmits(material: Material) -> bool:
     """Whether a closure is one of `TRANSMISSIVE_KINDS`; ops that make closures have the names of their kinds."""
-    kinds = {closure.kind.name.lower() for closure in material.closures}
+    kinds = {ClosureKind(closure.kind).name.lower() for closure in material.closures}
     if material.program is not None:
         kinds = {instruction.op for instruction in material.program.instructions}
     return not kinds.isdisjoint(kind.name.lower() for kind in TRANSMISSIVE_KINDS)

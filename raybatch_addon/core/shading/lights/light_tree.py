@@ -192,7 +192,7 @@ def join_kernel(joints: Joints, order: wp.array(dtype=int), first: int, nodes: w
 
 
 @wp.struct
-class WideTree:
+class LightBlocks:
     """The binary tree made wide: inner nodes whose successors fill a block."""
 
     nodes: wp.array(dtype=TreeNode)
@@ -203,7 +203,7 @@ class WideTree:
 
 
 @wp.func
-def _open(tree: WideTree, node: int, open: wp.array(dtype=int)) -> int:
+def _open(tree: LightBlocks, node: int, open: wp.array(dtype=int)) -> int:
     """Write up to `WIDTH` nodes that hold all emitters below `node` to `open`; their number. Of those that are open the
     one of the most power over the widest sphere is replaced by its two, again and again.
     """
@@ -229,7 +229,7 @@ def _open(tree: WideTree, node: int, open: wp.array(dtype=int)) -> int:
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def find_blocks_kernel(tree: WideTree, first: int):
+def find_blocks_kernel(tree: LightBlocks, first: int):
     """Give a block to each inner node right below the blocks from `first` on. Which number it gets depends on the order
     of threads; what is chosen does not depend on it.
     """
@@ -267,7 +267,7 @@ def _write_leaf(choice: ChoiceTable, block: int, k: int, held: LightNode):
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def fill_blocks_kernel(tree: WideTree, choice: ChoiceTable):
+def fill_blocks_kernel(tree: LightBlocks, choice: ChoiceTable):
     """Nodes of every block."""
     block = wp.tid()
     open = wp.zeros(wp.static(WIDTH), dtype=int)
@@ -310,7 +310,7 @@ def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes) -> None:
         return
     topology = _built_on_cuda(boxes) if device.is_cuda else _built_on_cpu(boxes)
     joints, order = topology.joints, topology.order
-    tree = WideTree()
+    tree = LightBlocks()
     tree.leaf_count = count
     tree.nodes = wp.empty(joints.low.size, dtype=TreeNode, device=device)
     wp.launch(place_leaves_kernel, count, [boxes, joints, tree.nodes], device=device)
