@@ -14,6 +14,8 @@ from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.order import hit_order
+from raybatch_addon.core.wavefront.order.hit_order import HitOrder
 from raybatch_addon.core.wavefront.scene import scene_cache
 from raybatch_addon.core.wavefront.tracers.unbatched import BoxesStage, QuantisedStage
 from tests.support import scenes
@@ -182,6 +184,23 @@ PASSES_WITH_COST = ("Combined", "Depth", "Normal", "Position", "Rays", "Node Ste
 )
 def test_neither_order_nor_counters_nor_another_tree_change_the_film(session, reference, change):
     assert_same(session.render(scenes.mixed(), SETTINGS.replace(**change)).passes, reference)
+
+
+def test_hits_that_are_sorted_by_material_give_the_same_film(session, reference, monkeypatch):
+    original, lists = HitOrder.parts, []
+
+    def parts(self, rays, hits):
+        for part in original(self, rays, hits):
+            lists.append(part is not hits)
+            yield part
+
+    monkeypatch.setattr(HitOrder, "parts", parts)
+    monkeypatch.setattr(hit_order, "BINNED_MIN", 1)
+    for hit_sort in ("ON", "OFF"):
+        lists.clear()
+        film = session.render(scenes.mixed(), SETTINGS.replace(hit_sort=hit_sort))
+        assert any(lists) == (hit_sort == "ON")
+        assert_same(film.passes, reference)
 
 
 @pytest.mark.parametrize("on_device", [False, True], ids=["host", "device"])
