@@ -23,14 +23,16 @@ auto least = [](Lanes x, Lanes y) { return __builtin_elementwise_min(x, y); };
 auto mean_cosine = [&](Lanes cosine, Lanes spread) { return 0.5f * (cosine + root(cosine * cosine + 0.18f * spread)); };
 auto node_light = [&](const Lanes* node) -> Lanes {
     const Lanes zero = (Lanes)(0.0f), one = (Lanes)(1.0f), cosine_min = (Lanes)(COSINE_MIN);
-    const Lanes x = node[0] - point.position[0], y = node[1] - point.position[1], z = node[2] - point.position[2];
-    const Lanes radius = node[3], cos_axis = node[7], sin_axis = node[8], cos_edge = node[9], power = node[11];
+    const Lanes x = node[FIELD_X] - point.position[0], y = node[FIELD_Y] - point.position[1],
+                z = node[FIELD_Z] - point.position[2];
+    const Lanes radius = node[FIELD_RADIUS], cos_axis = node[FIELD_COS_AXIS], sin_axis = node[FIELD_SIN_AXIS],
+                cos_edge = node[FIELD_COS_EDGE], power = node[FIELD_POWER];
     const Lanes square = x * x + y * y + z * z, reach = radius * radius;
     // else its root has lost its digits
     const auto is_apart = (square > reach) & (square > 1e-30f) & (square < 1e37f);
     const Lanes inverse = one / root(is_apart ? square : one), sine = radius * inverse, spread = sine * sine;
-    Lanes leaving = -(node[4] * x + node[5] * y + node[6] * z) * inverse;
-    leaving = node[10] > 0.0f ? absolute(leaving) : leaving;
+    Lanes leaving = -(node[FIELD_AXIS_X] * x + node[FIELD_AXIS_Y] * y + node[FIELD_AXIS_Z] * z) * inverse;
+    leaving = node[FIELD_TWO_SIDED] > 0.0f ? absolute(leaving) : leaving;
     const auto is_directed = cos_axis > -1.0f;
     // cos(a - b - c) <= cos(a) + sin(b) + sin(c): none of its emitters is seen from a side that shines
     const auto is_dark = is_apart & is_directed & (leaving + sin_axis + sine < cos_edge - COSINE_ERROR);
@@ -98,6 +100,7 @@ auto shares_in = [&](int block) {
     int left = DRAWS;
 #if LOCAL && !defined(__CUDA_ARCH__)
     // sums by halves: the same whatever vectors the processor has
+    static_assert(WIDTH == 16, "halved three times");
     auto sum = [](auto of) {
         const auto eight = of.lo + of.hi;
         const auto four = eight.lo + eight.hi;

@@ -137,7 +137,8 @@ def _make_choice(has_suns: bool, has_world: bool, local: bool) -> LightChoice:
     """`local`: there are emitters with a place."""
     numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=COSINE_ERROR, LEAST=_LEAST, MOST=_MOST, UNIT=1 / _DRAWS)
     kinds = dict(SUNS=has_suns, WORLD=has_world, LOCAL=local, FIELDS=len(FIELDS), WIDTH=WIDTH, DRAWS=_DRAWS)
-    headers = functools.partial(native_source, "lights/candidates.h", **numbers, **kinds)
+    fields = {f"FIELD_{name.upper()}": place for place, name in enumerate(FIELDS)}
+    headers = functools.partial(native_source, "lights/candidates.h", **numbers, **kinds, **fields)
 
     @wp.func_native(headers("lights/choose.h"))
     def choose_by(table: LightTable, point: LitPoint, bits: wp.uint32, seed: wp.uint32) -> wp.vec2i: ...

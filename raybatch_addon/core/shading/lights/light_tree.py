@@ -19,6 +19,8 @@ from ...device.kernel import KERNEL_OPTIONS
 from ...scene.geometry import Geometry, triangle_vertices
 from .choice_table import FIELDS, WIDTH, ChoiceTable
 
+# Where the numbers of a block of one kind begin
+_ROWS = {name: place * WIDTH for place, name in enumerate(FIELDS)}
 # Rounding of an angle whose cosine is stored [rad]
 _ANGLE_ERROR = wp.constant(5.0e-4)
 
@@ -245,18 +247,18 @@ def find_blocks_kernel(tree: LightBlocks, first: int):
 @wp.func
 def _write_node(choice: ChoiceTable, block: int, k: int, held: LightNode):
     at = block * wp.static(WIDTH * len(FIELDS)) + k
-    choice.blocks[at] = held.centre[0]
-    choice.blocks[at + wp.static(WIDTH)] = held.centre[1]
-    choice.blocks[at + wp.static(2 * WIDTH)] = held.centre[2]
-    choice.blocks[at + wp.static(3 * WIDTH)] = held.radius
-    choice.blocks[at + wp.static(4 * WIDTH)] = held.axis[0]
-    choice.blocks[at + wp.static(5 * WIDTH)] = held.axis[1]
-    choice.blocks[at + wp.static(6 * WIDTH)] = held.axis[2]
-    choice.blocks[at + wp.static(7 * WIDTH)] = held.cos_axis
-    choice.blocks[at + wp.static(8 * WIDTH)] = wp.sqrt(wp.max(1.0 - held.cos_axis * held.cos_axis, 0.0))
-    choice.blocks[at + wp.static(9 * WIDTH)] = held.cos_edge
-    choice.blocks[at + wp.static(10 * WIDTH)] = float(held.two_sided)
-    choice.blocks[at + wp.static(11 * WIDTH)] = held.power
+    choice.blocks[at + wp.static(_ROWS["x"])] = held.centre[0]
+    choice.blocks[at + wp.static(_ROWS["y"])] = held.centre[1]
+    choice.blocks[at + wp.static(_ROWS["z"])] = held.centre[2]
+    choice.blocks[at + wp.static(_ROWS["radius"])] = held.radius
+    choice.blocks[at + wp.static(_ROWS["axis_x"])] = held.axis[0]
+    choice.blocks[at + wp.static(_ROWS["axis_y"])] = held.axis[1]
+    choice.blocks[at + wp.static(_ROWS["axis_z"])] = held.axis[2]
+    choice.blocks[at + wp.static(_ROWS["cos_axis"])] = held.cos_axis
+    choice.blocks[at + wp.static(_ROWS["sin_axis"])] = wp.sqrt(wp.max(1.0 - held.cos_axis * held.cos_axis, 0.0))
+    choice.blocks[at + wp.static(_ROWS["cos_edge"])] = held.cos_edge
+    choice.blocks[at + wp.static(_ROWS["two_sided"])] = float(held.two_sided)
+    choice.blocks[at + wp.static(_ROWS["power"])] = held.power
 
 
 @wp.func
