@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import json
 import sys
 from pathlib import Path
 from typing import IO, Any
@@ -34,6 +35,14 @@ seeds and the samples of the timed runs. relMSE is half the squared difference o
 squared brightness (+ 0.01), and averaged over pixels and channels. Error and time are taken as inversely proportional:
 what is compared is time x relMSE, and its inverse is told as efficiency. Set-up counts as time, so take samples enough
 that it does not matter; a few very bright samples can rule the figure, so take samples enough for that too.
+
+--samples 64,256: both counts are rendered in each run, and the line through their times tells what a sample takes and
+what a render takes once (reading nothing from disk, but building trees, loading kernels, and whatever else an engine
+does before and after). With --against cycles both engines are compared by the time of a sample, and by that time x
+relMSE of the larger count. On a GPU Cycles is measured by OptiX and by CUDA, and the quicker is the peer; the report
+says whether the device has ray-tracing cores, which only Cycles would use. The first render of each is told apart.
+--resume leaves a scene out whose --json was made by the same command with the same code, so that a list of scenes goes
+on where it was stopped.
 
 --against memory: the same with --budgets of geometry on the device, beside all of it there (geometry_budget 0, batching
 OFF). A budget is in bytes, or a share of what tree and triangles take in memory. Renders take turns; speed is that of a
@@ -136,7 +145,13 @@ def argument_parser() -> argparse.ArgumentParser:
         added = command(name, description)
         added.add_argument("scene", type=Path, metavar="SCENE")
         geometry_options(added)
-        added.add_argument("--samples", type=int, default=samples, help="per pixel (default: %(default)s)")
+        added.add_argument(
+            "--samples",
+            type=sample_counts if name == "render" else int,
+            default=(samples, 0) if name == "render" else samples,
+            metavar="N[,N]" if name == "render" else "N",
+            help=f"per pixel (default: {samples})",
+        )
         added.add_argument("--bounces", type=int, default=7, help="default: 7")
         added.add_argument(
             "--size",
@@ -164,6 +179,11 @@ def argument_parser() -> argparse.ArgumentParser:
         help="with --against memory: leave out the time of stages, which costs a compilation and a render of each",
     )
     render.add_argument("--equal-error", action="store_true", help="compare at equal error too; see above")
+    render.add_argument(
+        "--resume",
+        action="store_true",
+        help="leave the scene out if --json holds the report of this very command, made by the same code",
+    )
     render.add_argument("--picture", type=Path, metavar="FILE", help="save the picture as .png or .exr")
 
     whole_renders("recording", RECORDING, samples=64, runs=9)
@@ -208,10 +228,11 @@ def argument_parser() -> argparse.ArgumentParser:
 def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """The report that was asked for, and the same in words; raises `RayBatchError`."""
     from benchmarking.scenes import SceneRequest
-    from benchmarking.tables import memory_text, recording_text, render_text, traversal_text
+    from benchmarking.tables import memory_text, recording_text, render_text, slopes_text, traversal_text
 
+    counts = options.samples if options.command == "render" else (getattr(options, "samples", None), 0)
     for name in ("runs", "ray_count", "samples"):
-        value = getattr(options, name, None)
+        value = counts[0] if name == "samples" else getattr(options, name, None)
         if value is not None and value < 1:
             raise UsageError(f"--{name.replace('_', '-')} {value} is not valid: it must be 1 or more")
     changes, resolution = parse_settings(options.set, options.preset)
@@ -244,7 +265,7 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
         request = RenderRequest(
             scene,
             options.device,
-            options.samples,
+            counts[0],
             options.bounces,
             options.threads,
             options.runs,
@@ -255,9 +276,11 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
             options.equal_error,
             options.picture,
             changes,
+            counts[1],
         )
         report = measure_render(request)
-        return report, memory_text(report) if options.against == "memory" else render_text(report)
+        text = slopes_text if counts[1] else memory_text if options.against == "memory" else render_text
+        return report, text(report)
 
     from benchmarking.orders import parse_orders
     from benchmarking.rays import parse_ray_types
@@ -287,6 +310,15 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     return report, traversal_text(report)
 
 
+def sample_counts(text: str) -> tuple[int, int]:
+    """One or two counts, such as `16` or `64,256`; the second is 0 where there is one."""
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) > 2 or not all(part.lstrip("-").isdecimal() for part in parts):
+        raise argparse.ArgumentTypeError(f"{text!r} is not valid: give one count of samples, or two such as 64,256")
+    counts = [int(part) for part in parts]
+    return counts[0], counts[1] if len(counts) == 2 else 0
+
+
 def parse_threads(text: str) -> list[int]:
     """Counts of threads, such as `1,2`; raises `UsageError`."""
     parts = [part.strip() for part in text.split(",")]
@@ -300,12 +332,41 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
     for target in (options.json if options.json != "-" else None, getattr(options, "picture", None)):
         if target:
             folders.prepare(Path(target).absolute())
-    report, text = measured(options)
+    if options.command != "render":
+        report, text = measured(options)
+    else:
+        asked = _asked(options)
+        if options.resume and _is_done(options.json, asked):
+            standard_output.write(f"{options.scene}: measured before, see {options.json}\n")
+            return 0
+        report, text = measured(options)
+        report["asked"] = asked
     write_report(options.json, report, text, standard_output)
     if not report.get("films", {"equal": True})["equal"]:  # told in the report, which is of use
         print(f"benchmark.py: error: films differ: {'; '.join(report['films']['differences'])}", file=sys.stderr)
         return 1
     return 0
+
+
+def _asked(options: argparse.Namespace) -> dict[str, Any]:
+    """What a report follows from: the command line, and the code."""
+    from real_files.code import code_of
+
+    apart = ("json", "resume", "picture", "verbose")
+    return {
+        "options": {name: str(value) for name, value in sorted(vars(options).items()) if name not in apart},
+        "code": code_of("RAYBATCH"),
+    }
+
+
+def _is_done(json_file: str | None, asked: dict[str, Any]) -> bool:
+    """Whether `json_file` holds the report of what is `asked`; raises `UsageError` where no file is named."""
+    if json_file in (None, "-"):
+        raise UsageError("--resume looks into the report of the time before: give --json FILE too")
+    try:
+        return json.loads(Path(json_file).read_text(encoding="utf-8")).get("asked") == asked
+    except (OSError, ValueError):
+        return False
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -14,10 +14,10 @@ from rendering.request import BLEND, kind_of
 
 from benchmarking.memory import measure_against_memory, parse_budgets
 from benchmarking.progress import Steps
+from benchmarking.slopes import measure_slopes, relmse_of_pairs
 from benchmarking.timing import summary
 from benchmarking.whole_render import OpenedScene, RenderRequest, TimedRender, open_scene, scene_report, timed_render
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
-from raybatch_addon.core.convergence.errors import RELMSE_OFFSET
 from raybatch_addon.core.device.devices import find_device
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.session import Session
@@ -29,7 +29,7 @@ ERROR_SEEDS = (1, 2)
 def measured_settings(settings: RenderSettings, request: RenderRequest) -> RenderSettings:
     """The scene's `settings` as `request` changes them; what it sets by name comes last."""
     settings = settings.replace(sample_count=request.samples, bounce_max=request.bounces, thread_count=request.threads)
-    if request.equal_error:  # an unbiased peer is met without what a file may clamp
+    if request.equal_error or request.samples_longer:  # an unbiased peer is met without what a file may clamp
         settings = settings.replace(clamp_direct=0.0, clamp_indirect=0.0)
     return settings.replace(**request.settings)
 
@@ -43,9 +43,12 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
     settings = measured_settings(opened.settings, request)
     device = find_device(request.device)
     session = Session(device.alias, settings, kernel_cache_folder())
-    if request.against == "memory":
+    if request.against == "memory" or request.samples_longer:
         try:
-            report, film = measure_against_memory(session, opened, settings, request, budgets)
+            if request.against == "memory":
+                report, film = measure_against_memory(session, opened, settings, request, budgets)
+            else:
+                report, film = measure_slopes(session, opened, settings, request, device)
             if picture:
                 write_picture(picture, film)
         finally:
@@ -93,6 +96,16 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
 
 def _check_combination(request: RenderRequest) -> None:
     """Raise `UsageError` for options that do not go together."""
+    if request.samples_longer:
+        if request.samples_longer <= request.samples:
+            raise UsageError(
+                f"--samples {request.samples},{request.samples_longer} is not valid: the second count must be larger"
+            )
+        if request.against == "memory" or request.equal_error:
+            raise UsageError(
+                "two --samples tell the time of a sample, of RayBatch alone or --against cycles, at equal error too: "
+                "leave --equal-error and --against memory out"
+            )
     if request.equal_error and request.against != "cycles":
         raise UsageError("--equal-error compares two engines: give --against cycles too")
     if request.against == "cycles" and kind_of(request.scene.path) != BLEND:
@@ -132,8 +145,7 @@ def equal_error(
     by its squared brightness (relMSE); the brightness is that of all four, so that both engines are divided by the
     same. Time and error are taken as inversely proportional, so time x relMSE is what is compared.
     """
-    square = (sum([*ours, *theirs]) / (len(ours) + len(theirs))) ** 2 + RELMSE_OFFSET
-    errors = [float((((a - b) ** 2 / 2) / square).mean()) for a, b in (ours, theirs)]
+    errors = relmse_of_pairs(ours, theirs)
     means = [float(np.mean(pictures)) for pictures in (ours, theirs)]
     costs = [our_seconds * errors[0], their_seconds * errors[1]]
     return {

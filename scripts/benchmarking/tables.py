@@ -88,6 +88,43 @@ def render_text(report: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def slopes_text(report: dict[str, Any]) -> str:
+    """The report of `benchmark.py render` with two sample counts."""
+    frame, counts = report["frame"], report["sample_counts"]
+    engines = {"RayBatch": report["raybatch"]}
+    engines |= {f"Cycles ({kind})": each for kind, each in report.get("cycles", {}).items()}
+    rows = [
+        [
+            name,
+            *(f"{seconds:.3f} s" for seconds in each["seconds"]),
+            f"{each['ms_a_sample']:.3f} ms ({each['ms_a_sample_least']:.3f} to {each['ms_a_sample_most']:.3f})",
+            f"{each['fixed_seconds']:.3f} s",
+            f"{each['first_seconds']:.3f} s",
+        ]
+        for name, each in engines.items()
+    ]
+    cores = {None: "", True: "; it has ray-tracing cores", False: "; it has no ray-tracing cores"}
+    lines = [
+        f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}"
+        + cores[report["ray_tracing_cores"]],
+        f"{frame['width']} x {frame['height']} pixels, {report['bounces']} bounces, {engines['RayBatch']['runs']} runs",
+        "",
+        table(["engine", *(f"{count} samples" for count in counts), "a sample", "once", "first render"], rows),
+    ]
+    if "peer" in report:
+        lines.append(
+            f"RayBatch over Cycles ({report['peer']}), time of a sample: {report['slope_raybatch_over_cycles']}"
+        )
+    if "relmse" in report:
+        lines.append(
+            f"variance at equal samples: {report['variance_raybatch_over_cycles']}; time of samples at equal error: "
+            f"{report['equal_error_raybatch_over_cycles']}; brightness {report['mean_ratio']} of Cycles'"
+        )
+    if report["invalid_samples"]:
+        lines.append(f"{report['invalid_samples']:,} samples were not finite")
+    return "\n".join(lines)
+
+
 def recording_text(report: dict[str, Any]) -> str:
     """The report of `benchmark.py recording`."""
     frame, films = report["frame"], report["films"]

@@ -36,6 +36,12 @@ class RenderRequest:
     equal_error: bool = False
     picture: Path | None = None
     settings: dict[str, Any] = field(default_factory=dict)
+    samples_longer: int = 0  # a second, larger count: tell the time of a sample from the two
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Both sample counts."""
+        return self.samples, self.samples_longer
 
 
 @dataclass(frozen=True)

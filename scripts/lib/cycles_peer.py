@@ -12,21 +12,27 @@ import warp as wp
 from lib.command import UsageError
 from raybatch_addon.core.settings.settings import RenderSettings
 
-GPU_KINDS = ("OPTIX", "CUDA")  # the first that the device offers is taken
+GPU_KINDS = ("OPTIX", "CUDA")  # in this order
 
 
 class CyclesPeer:
     """Renders the open .blend with Cycles."""
 
-    def __init__(self, scene, device: wp.Device, settings: RenderSettings, thread_count: int):
-        """`scene` is Blender's; samples, bounces and filter are those of `settings`. Raises `UsageError`."""
-        self._scene, self._samples = scene, settings.sample_count
+    def __init__(self, scene, device: wp.Device, settings: RenderSettings, thread_count: int, kind: str | None = None):
+        """`scene` is Blender's; samples, bounces and filter are those of `settings`, and `kind` one of `kinds_offered`
+        (None: the first of them). Raises `UsageError`.
+        """
+        self._scene, self._samples, self._device, self._kind = scene, settings.sample_count, device, kind
         make_unbiased(scene, settings)
         if thread_count:
             scene.render.threads_mode, scene.render.threads = "FIXED", thread_count
         else:
             scene.render.threads_mode = "AUTO"
-        self.device = use_device(scene, device)  # as Cycles calls it
+        self.choose()
+
+    def choose(self) -> None:
+        """Let Cycles render on this peer's kind of device; needed again after another peer of the scene was chosen."""
+        self.device = use_device(self._scene, self._device, self._kind)  # as Cycles calls it
 
     def render(self) -> float:
         """Seconds of one render, with the samples and the seed that it had last."""
@@ -99,28 +105,47 @@ def make_unbiased(scene, settings: RenderSettings) -> None:
     cycles.transparent_max_bounces = settings.transparent_bounce_max
 
 
-def use_device(scene, device: wp.Device) -> str:
-    """Let Cycles render where RayBatch does; returns the device in Cycles' words. Raises `UsageError` where it
-    cannot.
-    """
+def kinds_offered(device: wp.Device) -> tuple[str, ...]:
+    """The kinds of devices on which Cycles can render where RayBatch does; raises `UsageError` where there is none."""
     if not device.is_cuda:
+        return ("CPU",)
+    found = tuple(kind for kind in GPU_KINDS if _devices_of(kind))
+    if not found:
+        raise UsageError(
+            f"Cycles finds no GPU here, and RayBatch renders on {device.alias}: use --device cpu, or leave --against "
+            "out"
+        )
+    return found
+
+
+def use_device(scene, device: wp.Device, kind: str | None = None) -> str:
+    """Let Cycles render where RayBatch does, by `kind` of `kinds_offered` (None: the first); returns it. Raises
+    `UsageError` where it cannot.
+    """
+    kind = kind or kinds_offered(device)[0]
+    if kind == "CPU":
         scene.cycles.device = "CPU"
-        return "CPU"
+        return kind
+    usable = _devices_of(kind)
+    if not usable:
+        raise UsageError(f"Cycles finds no device of the kind {kind} here")
+    import bpy
+
+    chosen = usable[device.ordinal % len(usable)]
+    for each in bpy.context.preferences.addons["cycles"].preferences.devices:
+        each.use = each == chosen
+    scene.cycles.device = "GPU"
+    return kind
+
+
+def _devices_of(kind: str) -> list:
+    """Cycles' devices of `kind`, which becomes the kind that its preferences show."""
     import bpy
 
     preferences = bpy.context.preferences.addons["cycles"].preferences
-    for kind in GPU_KINDS:
-        try:
-            preferences.compute_device_type = kind
-        except TypeError:  # this Blender was built without it
-            continue
-        preferences.get_devices()
-        usable = [each for each in preferences.devices if each.type == kind]
-        if usable:
-            for each in preferences.devices:
-                each.use = each is usable[device.ordinal % len(usable)]
-            scene.cycles.device = "GPU"
-            return kind
-    raise UsageError(
-        f"Cycles finds no GPU here, and RayBatch renders on {device.alias}: use --device cpu, or leave --against out"
-    )
+    try:
+        preferences.compute_device_type = kind
+    except TypeError:  # this Blender was built without it
+        return []
+    preferences.get_devices()
+    return [each for each in preferences.devices if each.type == kind]

@@ -7,6 +7,10 @@ their pictures beside it.
 from __future__ import annotations
 
 import json
+import os
+import signal
+import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -60,8 +64,21 @@ class Steps:
         self.write()
 
 
+def end_with_the_caller() -> None:
+    """End this process, and those that it started, when the one that waits for it is gone: its pipe is closed then."""
+
+    def watch() -> None:
+        sys.stdin.buffer.read()
+        if os.getpgrp() == os.getpid():  # as `process.py` starts it: a group of its own
+            os.killpg(os.getpgrp(), signal.SIGKILL)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 def work(request_file: Path) -> int:
     """Do what the request in `request_file` says, in its folder; the exit code."""
+    end_with_the_caller()
     request = json.loads(request_file.read_text(encoding="utf-8"))
     folder = request_file.parent
     steps = Steps(folder)

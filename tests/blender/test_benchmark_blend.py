@@ -56,3 +56,36 @@ def test_both_engines_render_the_same_picture_with_about_the_same_noise(blend):
     cost = report["raybatch"]["seconds"] * equal["relmse"]["raybatch"]
     assert equal["raybatch_seconds_to_cycles_error"] == pytest.approx(cost / equal["relmse"]["cycles"], rel=1e-4)
     assert equal["efficiency"]["raybatch"] == pytest.approx(1 / cost, rel=1e-4)
+
+
+def test_two_sample_counts_tell_set_up_from_sampling_and_a_report_is_not_made_twice(blend, tmp_path):
+    kept = tmp_path / "slopes.json"
+    options = (
+        "--device",
+        "cpu",
+        "--samples",
+        "4,16",
+        "--bounces",
+        "2",
+        "--runs",
+        "2",
+        "--threads",
+        "1",
+        "--size",
+        "32x24",
+    )
+    options += ("--against", "cycles", "--json", kept, "--resume")
+    done = call_script("benchmark.py", "render", blend, *options)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(kept.read_text())
+    assert report["sample_counts"] == [4, 16] and report["settings"]["clamp_indirect"] == 0
+    assert report["peer"] == "CPU" and list(report["cycles"]) == ["CPU"] and report["ray_tracing_cores"] is None
+    for engine in (report["raybatch"], report["cycles"]["CPU"]):
+        assert engine["runs"] == 2 and engine["first_seconds"] > 0
+        least, most = engine["ms_a_sample_least"], engine["ms_a_sample_most"]
+        assert least <= engine["ms_a_sample"] <= most
+    # the larger count's pictures, of two seeds: the same picture, with noise
+    assert report["mean_ratio"] == pytest.approx(1, abs=0.05) and 0 < report["relmse"]["raybatch"] < 0.1
+    written = kept.stat().st_mtime_ns
+    again = call_script("benchmark.py", "render", blend, *options)
+    assert again.returncode == 0 and "measured before" in again.stdout and kept.stat().st_mtime_ns == written

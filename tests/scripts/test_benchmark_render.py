@@ -10,6 +10,7 @@ import pytest
 from benchmarking import memory, recording
 from benchmarking.render import equal_error, measured_settings
 from benchmarking.scenes import SceneRequest
+from benchmarking.slopes import Timed
 from benchmarking.whole_render import RenderRequest
 
 from raybatch_addon.core.scene.archive import save_scene
@@ -287,6 +288,9 @@ def test_a_preset_is_what_settings_start_from(geometry, capfd):
         (["{folder}/a.scene.npz", "--size", "8"], "WIDTHxHEIGHT"),
         (["{folder}/a.scene.npz", "--picture", "{folder}/x.gif"], "without Blender as .gif"),
         (["{folder}/a.scene.npz", "--samples", "0"], "--samples 0 is not valid"),
+        (["{folder}/a.scene.npz", "--samples", "8,8"], "the second count must be larger"),
+        (["{folder}/a.scene.npz", "--samples", "8,16", "--against", "memory"], "leave .*--against memory out"),
+        (["{folder}/a.scene.npz", "--resume"], "give --json FILE too"),
         (["{folder}/a.scene.npz", "--threads", "5000"], "thread_count"),
     ],
 )
@@ -316,3 +320,20 @@ def test_error_falls_as_samples_rise():
     assert found["raybatch_over_cycles"] == pytest.approx(2, rel=0.1)
     assert found["raybatch_seconds_to_cycles_error"] == pytest.approx(2, rel=0.1)
     assert found["mean_ratio"] == pytest.approx(1, abs=1e-3)
+
+
+def test_what_a_render_takes_once_is_told_from_what_a_sample_takes():
+    timed = Timed([2.5, 2.7, 2.6], [3.5, 3.6, 3.7])
+    told = timed.report((10, 20))
+    assert told["ms_a_sample"] == 100 and (told["ms_a_sample_least"], told["ms_a_sample_most"]) == (90, 110)
+    assert told["fixed_seconds"] == pytest.approx(1.5, abs=0.001) and told["runs"] == 3
+
+
+def test_slopes_without_a_peer(tmp_path, capfd):
+    archive, picture = tmp_path / "mixed.scene.npz", tmp_path / "a.png"
+    save_scene(archive, scenes.mixed(scenes.Frame(16, 12)), RenderSettings())
+    options = ["render", str(archive), "--device", "cpu", "--samples", "1,3", "--runs", "1", "--picture", str(picture)]
+    assert benchmark.main(options) == 0
+    said = capfd.readouterr().out
+    assert "1 samples" in said and "3 samples" in said and "a sample" in said and "Cycles" not in said
+    assert picture.is_file()

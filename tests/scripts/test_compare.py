@@ -1,6 +1,10 @@
 """scripts/compare.py without Blender: its processes, what it keeps, and what it says of bad files."""
 
 import json
+import os
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +68,47 @@ def test_each_file_begins_with_the_same_kernels(tmp_path, cache):
     for _ in range(2):
         outcome = run_process(script, {"engine": "RAYBATCH"}, 20.0, COLD if cache == COLD else str(warm))
         assert outcome.state["found"] == ([] if cache == COLD else ["kernel"])
+
+
+def test_a_worker_ends_when_nobody_waits_for_it_any_more(tmp_path):
+    scripts = str(ROOT / "scripts")
+    here, script = tmp_path / "pid", tmp_path / "stub.py"
+    script.write_text(
+        f"import os, sys, time\nfrom pathlib import Path\nsys.path[:0] = [{str(ROOT)!r}, {scripts!r}]\n"
+        "from real_files.worker import end_with_the_caller\nend_with_the_caller()\n"
+        f"Path({str(here)!r}).write_text(str(os.getpid()))\ntime.sleep(100)\n"
+    )
+    caller = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            f"import sys; from pathlib import Path; sys.path[:0] = [{str(ROOT)!r}, {scripts!r}]\n"
+            "from real_files.process import run_process\n"
+            f"run_process(Path({str(script)!r}), {{'engine': 'CYCLES'}}, 100.0, None)",
+        ]
+    )
+    _wait_until(lambda: here.exists() and here.read_text())
+    worker = int(here.read_text())
+    caller.kill()
+    caller.wait()
+    _wait_until(lambda: not _is_running(worker))
+
+
+def _wait_until(done) -> None:
+    for _ in range(600):
+        if done():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it did not come to that within a minute")
+
+
+def _is_running(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    status = Path(f"/proc/{process}/stat")
+    return not status.exists() or status.read_text().rpartition(")")[2].split()[0] != "Z"
 
 
 # --- what is kept
