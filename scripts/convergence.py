@@ -146,9 +146,10 @@ def run(options: argparse.Namespace, command: str, folders: OutputFolders, stand
         if target:
             folders.prepare(Path(target).absolute())
 
+    from converging.json_report import json_report
     from converging.reference import write_reference
     from converging.study import measured
-    from converging.summary import json_report, summarised, text_report
+    from converging.summary import summarised, text_report
 
     if options.html:
         from converging.page import html_page  # before anything is measured, like all else that is needed behind it

@@ -69,10 +69,11 @@ def html_page(summary: Summary, command: str) -> str:
         '<p class="soft">Lines are medians of all runs, bands reach from the least to the most, thin lines are single '
         "runs. "
         "Both axes are logarithmic. Time is that of rendering alone, without trees and compilation.</p>\n"
-        f'<h2>Figures</h2>\n<div class="wide">{_table(summary)}</div>\n'
+        + "".join(f"<p><b>{_text(each.says[0].upper() + each.says[1:])}.</b></p>\n" for each in summary.equal_times)
+        + f'<h2>Figures</h2>\n<div class="wide">{_table(summary)}</div>\n'
         '<p class="soft">Medians of runs. Slope: of RMSE against samples. To target: seconds of rendering, '
         "extrapolated where it has a ~. "
-        "Sooner: at the target, than the first setting. Efficiency: 1 / (RMSE² × seconds), relative to the first, with "
+        "Sooner: at the target, than the first setting. Efficiency: 1 / (error × seconds), relative to the first, with "
         "the least and the most of runs.</p>\n"
         + (f"<h2>Slopes</h2>\n<ul>{said}</ul>\n" if said else "")
         + _pictures(summary)

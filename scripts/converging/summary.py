@@ -10,21 +10,23 @@ from typing import Any
 
 from benchmarking.tables import table
 
-from converging.reference import UsedReference
+from converging.equal_time import EqualTime, equal_times
 from converging.request import CLAMPS, CYCLES, RAYBATCH, Variant
 from converging.study import Run, Study
-from raybatch_addon.core.convergence.points import (
-    PICTURE_SETTINGS,
-    ErrorPoint,
-    Slope,
-    efficiency,
-    fit_slope,
-    slope_data,
-    time_to,
-)
+from raybatch_addon.core.convergence.points import ErrorPoint, Slope, efficiency, fit_slope, time_to
 
 # Share of the last squared error above which a reference's noise is told
 FLOOR_TOLD = 0.1
+
+
+def short(value: float | None) -> float | None:
+    """Six digits, which is more than any of these has; None for what is not finite."""
+    return float(f"{value:.6g}") if value is not None and math.isfinite(value) else None
+
+
+def shortened(values: dict[str, Any]) -> dict[str, Any]:
+    """`values` with six digits of each float."""
+    return {name: short(value) if isinstance(value, float) else value for name, value in values.items()}
 
 
 @dataclass(frozen=True)
@@ -53,9 +55,9 @@ class Outcome:
     runs: list[Run]
     slope: Slope | None  # of RMSE against samples, over all runs
     slope_seconds: Slope | None  # against seconds
-    efficiency: Ranged | None  # 1 / (RMSE^2 x seconds)
+    efficiency: Ranged | None  # 1 / (relMSE x seconds), no pixel counting for more than `RELMSE_MOST`
     efficiency_relative: Ranged | None  # to the first variant's
-    efficiency_relmse: float | None  # 1 / (relMSE x seconds)
+    efficiency_relmse: float | None  # 1 / (relMSE x seconds), as it is
     target_seconds: Ranged | None
     target_extrapolated: bool  # of most runs
     speed_up: float | None  # how many times sooner than the first variant it reaches the target
@@ -82,6 +84,11 @@ class Summary:
     outcomes: list[Outcome]
     notes: list[str]  # what a reader must know
 
+    @property
+    def equal_times(self) -> list[EqualTime]:
+        """The errors of all other variants over the first's, at equal time."""
+        return equal_times({each.variant.label: {run.seed: run.points for run in each.runs} for each in self.outcomes})
+
 
 def summarised(study: Study, target: float | None) -> Summary:
     """Slopes and times of all variants; without a `target` it is the error that the first variant has at its end."""
@@ -102,8 +109,8 @@ def _outcome(study: Study, variant: Variant, target: float | None, first: Outcom
     reached = [found for run in runs if target and (found := time_to(run.points, target, slope)) is not None]
     # a time that not every run has would be that of the lucky ones
     seconds = Ranged.of([each for each, _ in reached]) if len(reached) == len(runs) else None
-    own = {run.seed: value for run in runs if (value := efficiency(run.points)) is not None}
-    others = {run.seed: value for run in first.runs if (value := efficiency(run.points)) is not None} if first else own
+    own = _efficiencies(runs)
+    others = _efficiencies(first.runs) if first else own
     ratios = [value / others[seed] for seed, value in own.items() if seed in others]
     relative = None
     if ratios and others:
@@ -124,6 +131,11 @@ def _outcome(study: Study, variant: Variant, target: float | None, first: Outcom
         2 * sum(beyond for _, beyond in reached) > len(reached),
         sooner,
     )
+
+
+def _efficiencies(runs: list[Run]) -> dict[int, float]:
+    """By seed, of errors that no firefly rules."""
+    return {run.seed: value for run in runs if (value := efficiency(run.points, "relmse_most")) is not None}
 
 
 def _notes(study: Study, outcomes: list[Outcome]) -> list[str]:
@@ -175,91 +187,6 @@ def _notes(study: Study, outcomes: list[Outcome]) -> list[str]:
             f"({apart['noise_relmse']:.3g}){brightness}"
         )
     return notes
-
-
-# --- JSON
-
-
-def short(value: float | None) -> float | None:
-    """Six digits, which is more than any of these has; None for what is not finite."""
-    return float(f"{value:.6g}") if value is not None and math.isfinite(value) else None
-
-
-def shortened(values: dict[str, Any]) -> dict[str, Any]:
-    """`values` with six digits of each float."""
-    return {name: short(value) if isinstance(value, float) else value for name, value in values.items()}
-
-
-def json_report(summary: Summary, request: dict[str, Any]) -> dict[str, Any]:
-    """The report as JSON has it; `request` is what was asked for."""
-    study = summary.study
-    frame = study.opened.scene.frame
-    return {
-        "scene": study.opened.name,
-        "device": study.device["name"],
-        "reference": _reference(study.used[0]),
-        "target": {"relmse": short(summary.target), "given": summary.target_given},
-        "notes": summary.notes,
-        "runs": [_run(run) for run in study.runs],
-        "summary": [_summary(each, study) for each in summary.outcomes],
-        "references": [_reference(each) for each in study.used],
-        "references_apart": shortened(study.apart) if study.apart else None,
-        "request": request,
-        "settings": dataclasses.asdict(study.variants[0].settings),
-        "frame": {"width": frame.width, "height": frame.height},
-        "machine": study.device | ({"cycles_device": study.cycles_device} if study.cycles_device else {}),
-        "versions": study.versions,
-        "warnings": study.warnings,
-        "seconds": round(study.seconds, 3),
-    }
-
-
-def _reference(used: UsedReference) -> dict[str, Any]:
-    reference, settings = used.reference, used.settings
-    return {
-        "kind": used.kind,
-        "name": reference.name if reference else "two halves of each render",
-        "samples": reference.samples if reference else None,
-        "size": list(reference.size) if reference else None,
-        "noise_floor": shortened(dict(zip(("rmse", "relmse"), used.floor, strict=True))),
-        "settings": {name: getattr(settings, name) for name in PICTURE_SETTINGS} if settings else {},
-        "file": str(used.path) if used.path else None,
-        "from_cache": used.from_cache,
-        "seconds": None if used.seconds is None else round(used.seconds, 3),
-    }
-
-
-def _run(run: Run) -> dict[str, Any]:
-    slope = slope_data(fit_slope(run.points))
-    return {
-        "engine": run.variant.engine,
-        "label": run.variant.label,
-        "settings": run.variant.values,
-        "seed": run.seed,
-        "points": [shortened(point.data()) for point in run.points],
-        **shortened({name: slope[name] for name in ("slope", "slope_spread")}),
-    }
-
-
-def _summary(each: Outcome, study: Study) -> dict[str, Any]:
-    return {
-        "engine": each.variant.engine,
-        "label": each.variant.label,
-        "settings": each.variant.values,
-        "runs": len(each.runs),
-        **shortened(slope_data(each.slope)),
-        "slope_seconds": short(each.slope_seconds.slope) if each.slope_seconds else None,
-        "seconds_to_target": {**each.target_seconds.json(), "extrapolated": each.target_extrapolated}
-        if each.target_seconds
-        else None,
-        "speed_up_to_target": short(each.speed_up),
-        "efficiency": each.efficiency.json() if each.efficiency else None,
-        "efficiency_relative": each.efficiency_relative.json() if each.efficiency_relative else None,
-        "efficiency_relmse": short(each.efficiency_relmse),
-        "end": shortened(each.end),
-        "invalid_samples": max((point.invalid_samples for point in each.last), default=0),
-        "first_seconds": short(study.first_seconds.get(each.variant.label)),
-    }
 
 
 def _median(values: list[float | None]) -> float | None:
@@ -381,7 +308,8 @@ def text_report(summary: Summary) -> str:
         "medians of runs; seconds: of rendering alone; slope: of RMSE against samples; sooner: at the target, than the "
         "first setting;"
     ]
-    lines += ["efficiency: 1 / (RMSE^2 x seconds), relative to the first; ~: extrapolated", ""]
+    lines += ["efficiency: 1 / (error x seconds), relative to the first; ~: extrapolated", ""]
+    lines += [each.says for each in summary.equal_times]
     lines += [f"{label}: {'BIAS, ' * flattens}{says}" for label, says, flattens in slopes_said(summary)]
     lines += [f"note: {note}" for note in summary.notes]
     return "\n".join(lines)

@@ -14,6 +14,8 @@ from ..errors import RayBatchError
 # Added to the square of the reference in relMSE, so that dark pixels do not count for all others
 # (Rousselle, Knaus and Zwicker 2011, "Adaptive sampling and reconstruction using greedy error minimization")
 RELMSE_OFFSET = 0.01
+# Most that a channel of a pixel counts for in `relmse_cut`
+RELMSE_MOST = 10.0
 
 
 def squared_error(picture: np.ndarray, reference: np.ndarray) -> np.ndarray:
@@ -57,6 +59,14 @@ def rmse(picture: np.ndarray, reference: np.ndarray) -> float:
 def relmse(picture: np.ndarray, reference: np.ndarray) -> float:
     """Mean of (picture - reference)^2 / (reference^2 + 0.01) over pixels and channels (Rousselle et al. 2011)."""
     return float((squared_error(picture, reference) / relative_to(reference)).mean())
+
+
+def relmse_cut(error: np.ndarray, scale: np.ndarray) -> float:
+    """The mean of `error` / `scale` in which no pixel counts for more than `RELMSE_MOST`: a picture with one firefly is
+    a picture with one bad pixel. Both are float64 [height, width, 3], from `squared_error` and `relative_to` or their
+    twins of halves.
+    """
+    return float(np.minimum(error / scale, RELMSE_MOST).mean())
 
 
 def rmse_of_halves(a: np.ndarray, b: np.ndarray) -> float:

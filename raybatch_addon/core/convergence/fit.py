@@ -178,16 +178,17 @@ def efficiency(points: Sequence[ErrorPoint], metric: str = "rmse") -> float | No
     """1 / (error^2 x seconds), the median over points; None where no point gives it. Constant in n for independent
     samples.
 
-    `metric` is "rmse", or "relmse" (which is a square already). Points with no time yet are left out, and those in
-    which the noise of the reference is more than a tenth of the squared error: it would count as theirs. For samples
-    that converge faster it grows with the time, so compare settings over the same range.
+    `metric` is "rmse", "relmse" (a square already), or "relmse_most", which a few bright pixels do not rule. Points
+    with no time yet are left out, and those in which the noise of the reference is more than a tenth of the squared
+    error: it would count as theirs. For samples that converge faster it grows with the time, so compare settings over
+    the same range.
     """
-    if metric not in ("rmse", "relmse"):
-        raise ValueError(f"an efficiency is of rmse or relmse, not {metric!r}")
-    power = 2 if metric == "rmse" else 1
+    if metric not in ("rmse", "relmse", "relmse_most"):
+        raise ValueError(f"an efficiency is of rmse, relmse or relmse_most, not {metric!r}")
+    power, of_floor = (2, "floor_rmse") if metric == "rmse" else (1, "floor_relmse")
     costs = []
     for point in points:
-        squared, floor = getattr(point, metric) ** power, (getattr(point, f"floor_{metric}") or 0.0) ** power
+        squared, floor = getattr(point, metric) ** power, (getattr(point, of_floor) or 0.0) ** power
         if point.seconds > 0 and squared > 0 and floor <= EFFICIENCY_FLOOR_SHARE * squared:
             costs.append(squared * point.seconds)
     return 1 / statistics.median(costs) if costs else None
@@ -375,9 +376,10 @@ def _in_words(slope: float, spread: float, freedom: int, points: Sequence[ErrorP
         return f"{measured}: slower than independent samples (-0.5): {why}{notes}"
     steeper = INDEPENDENT_SLOPE - slope
     chance = 0.0 if spread == 0 else t_exceeds(abs(steeper) / spread, freedom)
-    if abs(steeper) <= OTHER_MARGIN:
-        return f"{measured}: as of independent samples (-0.5){notes}"
     if chance >= OTHER_CHANCE:
-        return f"{measured}: not to be told from that of independent samples (-0.5){notes}"
+        same = "as of" if abs(steeper) <= OTHER_MARGIN else "not to be told from that of"
+        return f"{measured}: {same} independent samples (-0.5){notes}"
+    if abs(steeper) <= OTHER_MARGIN:
+        return f"{measured}: next to that of independent samples (-0.5), but not it{notes}"
     other = "steeper" if steeper > 0 else "a little slower" if -steeper <= SLOPE_MARGIN else "slower"
     return f"{measured}: {other} than independent samples (-0.5){notes}"

@@ -24,6 +24,7 @@ from .errors import (
     relative_to,
     relative_to_halves,
     relmse,
+    relmse_cut,
     relmse_of_halves,
     rmse,
     rmse_of_halves,
@@ -69,6 +70,7 @@ class ErrorPoint:
     rays: dict[str, int]  # by kind
     rmse: float
     relmse: float
+    relmse_cut: float | None = None  # the same, no pixel counting for more than `RELMSE_MOST`; None: not known
     flip: float | None = None  # mean FLIP, where somebody gave a function for it
     invalid_samples: int = 0
     # standard error of `rmse`, from how the squared error varies from pixel to pixel; None: one pixel
@@ -78,6 +80,11 @@ class ErrorPoint:
     floor_relmse: float | None = None
     from_halves: bool = False  # estimated from two halves of the render, without a reference: a bias is not in it
 
+    @property
+    def relmse_most(self) -> float:
+        """relMSE that no firefly rules, as far as it is known."""
+        return self.relmse if self.relmse_cut is None else self.relmse_cut
+
     def data(self) -> dict[str, Any]:
         """For JSON; None is what is not known."""
         return {
@@ -85,6 +92,7 @@ class ErrorPoint:
             "samples": self.samples,
             "rmse": known(self.rmse),
             "relmse": known(self.relmse),
+            "relmse_cut": known(self.relmse_cut),
             "flip": known(self.flip),
             "seconds_total": self.seconds_total,
             "rays": self.rays or None,
@@ -185,6 +193,7 @@ def error_point(
         rays=dict(snapshot.rays),
         rmse=root,
         relmse=float((error / scale).mean()),
+        relmse_cut=relmse_cut(error, scale),
         flip=perceived,
         invalid_samples=snapshot.invalid_samples,
         rmse_spread=_rmse_spread(error, root),

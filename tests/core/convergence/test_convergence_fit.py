@@ -1,5 +1,6 @@
 """Slopes, flattening, times and efficiencies of curves that are made up."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -71,6 +72,8 @@ def test_a_slope_is_called_other_than_that_of_independent_samples_only_where_tha
 
     for scatter in (0.0, 0.05):
         assert ": as of independent samples (-0.5)" in says(-0.5, scatter)
+    # certain, and too small a difference to speak of: it is not called the same
+    assert ": next to that of independent samples (-0.5), but not it" in says(-0.51, 0.0)
     # Student's t with two degrees of freedom is above 7 in 1 of 100 cases
     assert ": steeper than independent" in says(-0.58, 0.0) and ": not to be told from that of independent" in says(
         -0.58, 0.05
@@ -270,6 +273,9 @@ def test_efficiency_is_the_median_of_points_and_does_not_depend_on_samples():
     assert efficiency(curve(lambda n: 2 * n**-0.5)) == pytest.approx(100 / 4)
     assert efficiency(curve(lambda n: 2 * n**-0.5), "relmse") == pytest.approx(100 / 2)
     assert efficiency([point(1, 1.0, seconds=0.0), point(1, 1.0), point(1, 2.0), point(1, 9.0)]) == pytest.approx(25)
+    spots = [dataclasses.replace(point(n, 2 * n**-0.5), relmse_cut=1 / n) for n in geometric_samples(1024)]
+    assert efficiency(spots, "relmse_most") == pytest.approx(100) and efficiency(spots, "relmse") == pytest.approx(50)
+    assert efficiency(curve(lambda n: 2 * n**-0.5), "relmse_most") == pytest.approx(50)  # not known: relMSE as it is
     assert efficiency([]) is None and efficiency([point(4, 0.1, floor=0.05)]) is None
     with pytest.raises(ValueError, match="flip"):
         efficiency([], "flip")

@@ -7,6 +7,7 @@ import convergence
 import pytest
 from converging import plots
 from converging.cycles import samples_next, setup_seconds
+from converging.equal_time import equal_times, error_at
 from converging.reference import SEED, TAKEN_SEEDS, reference_settings
 from converging.request import parse_comparison, run_seeds, variants
 
@@ -266,6 +267,35 @@ def test_bands_are_of_what_all_runs_have():
 
     runs = [run((1, 1.0, 0.5), (2, 2.0, 0.4), (3, 3.0, 0.1)), run((1, 3.0, 0.7), (2, 4.0, 0.0), (4, 5.0, 0.1))]
     assert plots.medians(runs, plots.ERROR) == ([2.0], [0.5], [0.6], [0.7])
+
+
+def test_errors_are_compared_at_the_time_that_all_runs_have():
+    def curve(scale, count, cost=1.0):
+        return [
+            ErrorPoint(
+                seconds=cost * n,
+                seconds_total=cost * n,
+                samples=n,
+                rays={},
+                rmse=1.0,
+                relmse=50.0,  # a firefly
+                relmse_cut=scale / n,
+            )
+            for n in (1, 2, 4, 8)[:count]
+        ]
+
+    assert error_at(curve(8.0, 4), 4) == 2 and error_at(curve(8.0, 4), 3) == pytest.approx(8 / 3)
+    assert error_at(curve(8.0, 4), 0.5) is error_at(curve(8.0, 4), 9) is error_at([], 1) is None
+    (found,) = equal_times(
+        {
+            "A": {1: curve(8.0, 4), 2: curve(4.0, 4), 3: curve(1.0, 4)},
+            "B": {1: curve(8.0, 4, 0.5), 2: curve(8.0, 4, 0.5)},
+        }
+    )
+    # to 4 s, where B ends, it has twice the samples, so half the error; and twice the variance in the second run
+    assert (found.seconds, found.least, found.most, found.ratio) == (4, 0.5, 1, 0.75)
+    assert found.says == "at equal time (4 s) B has 0.75 times the error of A (0.5 to 1 in single runs)"
+    assert equal_times({"A": {1: curve(8.0, 4)}, "B": {2: curve(8.0, 4)}}) == []
 
 
 def test_settings_go_on_top_of_a_preset(lit):
