@@ -168,7 +168,7 @@ def functions_of(features: Any, device: str) -> dict[str, set[str]]:
     from raybatch_addon.core.wavefront.kernels import StageKernels
 
     found = {}
-    for kernel in StageKernels.choose(features).all():
+    for kernel in StageKernels.choose(features, find_device(device)).all():
         options = {**kernel.module.options, "block_dim": 1, "mode": "release"}
         declare_all(kernel.module)
         builder = wp._src.context.ModuleBuilder(

@@ -35,4 +35,5 @@ def _make() -> None:
         from .kernel_cache import kernel_cache_folder
 
         start_warp(kernel_cache_folder())
-        is_compiled(general_kernels()[0], find_device("cpu"))  # makes the names of all of them
+        device = find_device("cpu")
+        is_compiled(general_kernels(device)[0], device)  # makes the names of all of them

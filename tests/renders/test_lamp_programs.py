@@ -174,7 +174,7 @@ def test_scenes_pay_for_programs_of_lamps_only_where_there_are_some():
     )
     changed = derive_features(by_programs(every_lamp(), 3.0), SETTINGS)
     assert changed == programs  # values compile nothing
-    kernels, others = StageKernels.choose(plain).shading, StageKernels.choose(programs).shading
+    kernels, others = (StageKernels.choose(each, wp.get_device("cpu")).shading for each in (plain, programs))
     assert (
         kernels[ShadingStage.CONNECT] is stage_kernel(connect)
         and kernels[ShadingStage.LIGHT_HITS] is not others[ShadingStage.LIGHT_HITS]

@@ -144,7 +144,7 @@ class TierChange:
 
     def _take_over(self) -> None:
         load_kernels(self.request.kernels(self._device), self._device, lambda done, total: None)
-        kernels = StageKernels.choose(self.request.features)
+        kernels = StageKernels.choose(self.request.features, self._device)
         for integrator in self._integrators:
             integrator.use_kernels(kernels)
         self.changed_after = time.perf_counter() - self._begun

@@ -37,7 +37,7 @@ class CompileRequest:
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
         """All of them, but for those that build trees."""
         tracing = Tracing.of(self.plan, layout_for(device), self.features)
-        stages = StageKernels.choose(self.features, self.shading)
+        stages = StageKernels.choose(self.features, device, self.shading)
         return stages.all() + tracing_kernels(self.features, self.settings, tracing, device)
 
     @property
@@ -56,7 +56,7 @@ class GeneralRequest:
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
         """All of them."""
         general = general_features()
-        found = [*general_kernels(), *build_kernels(device), *LIGHT_TREE_KERNELS]
+        found = [*general_kernels(device), *build_kernels(device), *LIGHT_TREE_KERNELS]
         # what differs from scene to scene in the other kernels is few, or compiled in no time
         scenes = [
             dataclasses.replace(general, instancing=instancing, passes=("Combined",), film_transparent=transparent)

@@ -71,7 +71,7 @@ class TileIntegrator:
     def __init__(self, scene: DeviceScene, frame: Frame, settings: RenderSettings, marks: WaterMarks):
         features, device, count = scene.features, scene.device, marks.path_count
         self._scene, self._frame, self._settings, self._marks = scene, frame, settings, marks
-        self._kernels = StageKernels.choose(features, scene.shading)
+        self._kernels = StageKernels.choose(features, device, scene.shading)
         self._wanted_kernels = self._kernels  # for the next turn
         self._half_limits = [
             path_limits(settings.replace(seed=half_seed(settings.seed, half)), frame.width)

@@ -46,7 +46,7 @@ class StageKernels:
     resolve: wp.Kernel
 
     @staticmethod
-    def choose(features: SceneFeatures, shading: SceneFeatures | None = None) -> StageKernels:
+    def choose(features: SceneFeatures, device: wp.Device, shading: SceneFeatures | None = None) -> StageKernels:
         """The kernels for a scene with `features`, those that shade specialised on `shading` (default: the same)."""
         layout = layout_of(features.passes, features.film_transparent)
         shading = shading or features
@@ -59,13 +59,15 @@ class StageKernels:
             ShadingStage.LIGHT_HITS: features.light_hits,
             ShadingStage.CONNECT: features.shadow_rays,
             ShadingStage.CONNECT_TRANSPARENT: features.shadow_rays and features.transparency,
-            ShadingStage.AIM: features.shadow_rays,
+            ShadingStage.AIM: features.shadow_rays and device.is_cuda,
         }
         return StageKernels(
             generate=generate_kernel(narrow(begun, GenerateFeatures)),
             settle=settle_kernel,
             walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
-            shading=_shading_kernels(features, shading, [stage for stage in ShadingStage if has[stage]]),
+            shading=_shading_kernels(
+                features, shading, [stage for stage in ShadingStage if has[stage]], device.is_cuda
+            ),
             accumulate=accumulate_kernel(layout),
             resolve=resolve_kernel(layout),
         )
@@ -78,12 +80,16 @@ class StageKernels:
 
 
 def _shading_kernels(
-    features: SceneFeatures, shading: SceneFeatures, stages: list[ShadingStage]
+    features: SceneFeatures, shading: SceneFeatures, stages: list[ShadingStage], aims_apart: bool
 ) -> dict[ShadingStage, wp.Kernel]:
     """Kernels of `stages`. Where `shading` is that of all scenes, stages that run a program are one kernel; it takes so
     many registers that a GPU has few threads of it, so the others are kernels of their own.
+
+    `aims_apart`: whether light is aimed at by a kernel of its own, or by that at surfaces.
     """
-    whole = _stage_functions(shading)
+    aim = narrow(shading, AimFeatures)
+    in_one = None if aims_apart or not shading.shadow_rays else aim
+    whole = _stage_functions(shading, in_one)
     if not shading.programs.apart:
         return {stage: stage_kernel(whole[stage]()) for stage in stages}
     any_program = bool(features.programs or features.world_program or features.lamp_program)
@@ -96,7 +102,7 @@ def _shading_kernels(
         ShadingStage.AIM: False,
     }
     # a world that is sampled takes part in the choice among emitters, whether a stage runs its program or not
-    simple = _stage_functions(without_programs(shading), shading.world_light)
+    simple = _stage_functions(without_programs(shading), in_one, shading.world_light)
     simple[ShadingStage.AIM] = whole[ShadingStage.AIM]
     found = {stage: stage_kernel(simple[stage]()) for stage in stages if not runs_program[stage]}
     if len(found) < len(stages):
@@ -114,15 +120,16 @@ def without_programs(features: SceneFeatures) -> SceneFeatures:
 
 
 def _stage_functions(
-    shading: SceneFeatures, world_light: bool | None = None
+    shading: SceneFeatures, aims: AimFeatures | None, world_light: bool | None = None
 ) -> dict[ShadingStage, Callable[[], wp.Function]]:
-    """What makes the functions of stages that are specialised on `shading`. `world_light`: whether the world is among
+    """What makes the functions of stages that are specialised on `shading`. `aims`: of the stage that is a part of that
+    at surfaces, if it is. `world_light`: whether the world is among
     the emitters that lights which rays meet are weighed against (default: as `shading` has it).
     """
     among = shading if world_light is None else dataclasses.replace(shading, world_light=world_light)
     surface, connected = narrow(shading, SurfaceFeatures), narrow(shading, ConnectFeatures)
     return {
-        ShadingStage.SURFACE: lambda: make_shade_surface(surface),
+        ShadingStage.SURFACE: lambda: make_shade_surface(surface, aims),
         ShadingStage.BACKGROUND: lambda: make_background(narrow(shading, BackgroundFeatures)),
         ShadingStage.LIGHT_HITS: lambda: make_light_hits_stage(
             narrow(among, LightHitFeatures), shading.transparency, shading.clamping, shading.subsurface

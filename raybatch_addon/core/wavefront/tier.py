@@ -126,10 +126,10 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
         return specialised(why)
     if setting == "GENERAL":
         return general("as set")
-    stages = list(StageKernels.choose(features, general_features()).shading.values())
+    stages = list(StageKernels.choose(features, device, general_features()).shading.values())
     # where general kernels are at hand, nobody waits until the others are looked for by their code
     at_hand = all(is_compiled(kernel, device, at_once=True) for kernel in stages)
-    if all(is_compiled(kernel, device, at_hand) for kernel in StageKernels.choose(features).shading.values()):
+    if all(is_compiled(kernel, device, at_hand) for kernel in StageKernels.choose(features, device).shading.values()):
         return specialised("they were compiled before")
     if at_hand or all(is_compiled(kernel, device) for kernel in stages):
         target = shipped_target(stages[0], device)
@@ -138,9 +138,8 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
     return specialised("no others were compiled ahead")
 
 
-@functools.cache
-def general_kernels() -> tuple[wp.Kernel, ...]:
+def general_kernels(device: wp.Device) -> tuple[wp.Kernel, ...]:
     """The kernels of the general tier that run programs: that of all stages, and that of all estimates."""
     features = general_features()
-    stages = StageKernels.choose(features).shading[ShadingStage.SURFACE]
+    stages = StageKernels.choose(features, device).shading[ShadingStage.SURFACE]
     return stages, estimate_kernel(features, Estimate.TRIANGLES)

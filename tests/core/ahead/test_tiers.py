@@ -131,13 +131,13 @@ def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
     def finish_and_change(self, *arguments):
         turns.append(self._kernels)
         if len(turns) == 3:
-            self.use_kernels(StageKernels.choose(features))
+            self.use_kernels(StageKernels.choose(features, wp.get_device(DEVICE)))
         return finish(self, *arguments)
 
     monkeypatch.setattr(TileIntegrator, "_finish_paths", finish_and_change)
     film = Session(DEVICE).render(scene, SETTINGS.replace(kernel_tier="GENERAL", thread_count=1))
     assert_same(film, expected)
-    assert turns[2] != turns[3] == StageKernels.choose(features)
+    assert turns[2] != turns[3] == StageKernels.choose(features, wp.get_device(DEVICE))
 
 
 @ON_CPU
@@ -174,7 +174,7 @@ def test_auto_takes_what_is_compiled():
     films(scene)
     assert not choose_tier(features, "AUTO", device).general, "specialised kernels are there"
     rare = replace(features, lights=(), mesh_lights=False, smooth_normals=False, clamping=True, roulette=False)
-    assert not is_compiled(StageKernels.choose(rare).shading[ShadingStage.SURFACE], device)
+    assert not is_compiled(StageKernels.choose(rare, device).shading[ShadingStage.SURFACE], device)
     choice = choose_tier(rare, "AUTO", device)
     assert choice.general and choice.shading == general_features()
     assert not choose_tier(rare, "SPECIALISED", device).general

@@ -45,7 +45,7 @@ def source(features: SceneFeatures) -> str:
     tracing = tracing_kernels(
         features, SETTINGS, Tracing(Layout.QUANTISED, Method.UNBATCHED, features.instancing), find_device("cpu")
     )
-    for kernel in StageKernels.choose(features).all() + tracing:
+    for kernel in StageKernels.choose(features, find_device("cpu")).all() + tracing:
         declare_all(kernel.module)
         builder = __import__("warp")._src.context.ModuleBuilder(
             kernel.module, {**kernel.module.options, "block_dim": 1, "mode": "release"}

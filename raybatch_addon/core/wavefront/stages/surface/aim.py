@@ -1,7 +1,8 @@
 """Stage: where a path met a surface, a light is chosen, and a point on it (next-event estimation). Next:
 `shade_surface`, which weighs its light by the material.
 
-What was found waits in the path's slot for a shadow ray, which is not under way meanwhile.
+On a GPU this is a kernel of its own: what was found waits in the path's slot for a shadow ray, which is not under way
+meanwhile. A CPU has room for the code of both stages in one kernel, which computes the vertex once.
 """
 
 from __future__ import annotations
@@ -59,19 +60,17 @@ def is_aimed(lights: LightTable, limits: PathLimits, v: Vertex) -> bool:
 
 
 @functools.cache
-def make_aim(features: AimFeatures) -> wp.Function:
-    """The stage's function, as `stage_kernel` takes it."""
-    vertex = make_vertex(narrow(features, VertexFeatures))
+def make_choose_light(features: AimFeatures) -> wp.Function:
+    """Function (data, paths, path: int, v: Vertex) -> LightSample: the light that is aimed at from a vertex where
+    `is_aimed`. What its program needs is written to the path.
+    """
     light_sample = make_lights(narrow(features, LightFeatures)).sample
     sampler = make_sampler(features.sample_sequence)
     sample_1d = sampler.sample_1d
     sample_2d = sampler.sample_2d
 
     @wp.func
-    def aim(data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, path: int):
-        v = vertex(data, work, limits, paths, rays, path)
-        if not v.there or not is_aimed(data.lights, limits, v):
-            return
+    def choose_light(data: SceneData, paths: Paths, path: int, v: Vertex) -> LightSample:
         light = light_sample(
             data.lights,
             data.geometry,
@@ -79,13 +78,6 @@ def make_aim(features: AimFeatures) -> wp.Function:
             sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(LIGHT_CHOICE)),
             sample_2d(v.key, v.where.sample, v.dimension + wp.uint32(LIGHT)),
         )
-        slot = paths.status.shape[0] + path
-        bits = light.delta | (light.casts_shadow * wp.static(_CASTS_SHADOW))
-        bits = bits | (light.visibility << wp.static(_VISIBILITY_SHIFT)) | (light.program << wp.static(_PROGRAM_SHIFT))
-        rays.origin[slot] = wp.vec3(light.pdf, light.distance_error, float(bits))
-        rays.direction[slot] = light.direction
-        rays.t_max[slot] = light.distance
-        paths.shadow_light[path] = light.radiance
         if wp.static(features.light_programs):
             # the program says how bright the light is when the ray is back, if nothing hides it
             paths.light_program[path] = light.program
@@ -96,6 +88,30 @@ def make_aim(features: AimFeatures) -> wp.Function:
                 if light.program == wp.static(LAMP_PROGRAM):
                     lacks = wp.where(light.casts_shadow == 0, light.distance, 0.0)
                     paths.light_barycentric[path] = wp.vec2(light.distance, lacks)
+        return light
+
+    return choose_light
+
+
+@functools.cache
+def make_aim(features: AimFeatures) -> wp.Function:
+    """The stage's function, as `stage_kernel` takes it."""
+    vertex = make_vertex(narrow(features, VertexFeatures))
+    choose_light = make_choose_light(features)
+
+    @wp.func
+    def aim(data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, path: int):
+        v = vertex(data, work, limits, paths, rays, path)
+        if not v.there or not is_aimed(data.lights, limits, v):
+            return
+        light = choose_light(data, paths, path, v)
+        slot = paths.status.shape[0] + path
+        bits = light.delta | (light.casts_shadow * wp.static(_CASTS_SHADOW))
+        bits = bits | (light.visibility << wp.static(_VISIBILITY_SHIFT)) | (light.program << wp.static(_PROGRAM_SHIFT))
+        rays.origin[slot] = wp.vec3(light.pdf, light.distance_error, float(bits))
+        rays.direction[slot] = light.direction
+        rays.t_max[slot] = light.distance
+        paths.shadow_light[path] = light.radiance
 
     return aim
 

@@ -1,4 +1,4 @@
-"""Stage: a ray has met a surface. It emits, the light that `aim` found shines on it, and the path scatters. Next:
+"""Stage: a ray has met a surface. It emits, the light that is aimed at shines on it, and the path scatters. Next:
 `trace`, or `accumulate`.
 """
 
@@ -33,7 +33,7 @@ from ...scene.scene_data import SceneData
 from ..limits import PathLimits, has_light
 from ..walk import make_walk_begin
 from ..work import TileWork
-from .aim import aimed_light, is_aimed
+from .aim import AimFeatures, aimed_light, is_aimed, make_choose_light
 from .connect_light import make_connect_light
 from .emission import make_gather_emission
 from .features import SurfaceFeatures
@@ -48,8 +48,11 @@ INSIDE = int(Status.INSIDE)
 
 
 @functools.cache
-def make_shade_surface(features: SurfaceFeatures) -> wp.Function:
-    """The stage's function, as `stage_kernel` takes it."""
+def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> wp.Function:
+    """The stage's function, as `stage_kernel` takes it. `aims`: what the stage `aim` is specialised on, where it is a
+    part of this one; None where it is a kernel of its own, launched before.
+    """
+    choose_light = make_choose_light(aims) if aims else None
     sampler = make_sampler(features.sample_sequence)
     sample_1d = sampler.sample_1d
     sample_2d = sampler.sample_2d
@@ -176,7 +179,10 @@ def make_shade_surface(features: SurfaceFeatures) -> wp.Function:
         light = LightSample()
         if wp.static(features.shadow_rays):
             if is_aimed(data.lights, limits, v):
-                light = aimed_light(paths, rays, path)
+                if wp.static(aims is not None):
+                    light = choose_light(data, paths, path, v)
+                else:
+                    light = aimed_light(paths, rays, path)
         turn = int(0)
         while turn < 2:
             wi = light.direction
