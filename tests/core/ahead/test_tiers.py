@@ -209,7 +209,7 @@ def test_each_general_kernel_has_a_module():
     """Several in one module would each have a copy of the interpreter on CUDA, and a hash that depends on which of them
     were made.
     """
-    kernels = general_kernels()
+    kernels = general_kernels(wp.get_device(DEVICE))
     assert [list(kernel.module.kernels.values()) for kernel in kernels] == [[kernel] for kernel in kernels]
     assert all(is_general(kernel.module) for kernel in kernels)
 
@@ -302,7 +302,7 @@ def test_a_process_can_be_stopped(tmp_path):
 
 def test_names_of_kernels_do_not_depend_on_what_was_compiled_before():
     """Where Warp defers static expressions to the generation of code, a kernel has another name afterwards."""
-    general_kernels()
+    general_kernels(wp.get_device(DEVICE))
     deferred = {
         f"{adjoint.filename}:{adjoint.fun_lineno}"
         for adjoint in gc.get_objects()
