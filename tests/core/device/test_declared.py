@@ -328,7 +328,7 @@ if "no render" not in sys.argv:
     film = session.render(scenes.mixed(), RenderSettings(sample_count=2, kernel_tier="GENERAL"))
     digest = hashlib.sha256(film.passes["Combined"].tobytes()).hexdigest()
 count = declared.declared_count
-print(count, sources_digest(), general_kernels()[0].module.get_module_identifier(1), digest or "-")
+print(count, sources_digest(), general_kernels(session.device)[0].module.get_module_identifier(1), digest or "-")
 """
 
 
