@@ -19,7 +19,8 @@ DESCRIPTION = """\
 Render .blend files with Cycles and with RayBatch on the CPU, and tell of each whether both show the same picture, how
 long the first and the last picture took, how long each takes to the same error, and what RayBatch left out, by name.
 
-Each engine renders each file in a process of its own, small, without clamping, adaptive sampling and denoising. A file
+Each engine renders each file in a process of its own, small, without clamping, adaptive sampling and denoising (or
+with its own --defaults, but without denoising, since the noise of a denoised picture says nothing of its error). A file
 that cannot be rendered is a row that says why. Results are written to --out as they come: results.json, report.html
 and the folder files/ with pictures. The same command goes on where it was stopped: only what is missing, failed, or was
 rendered by other code is rendered.
@@ -55,6 +56,18 @@ def argument_parser() -> argparse.ArgumentParser:
     add("--out", type=Path, default=Path("out/compare"), metavar="DIR", help="results (default: %(default)s)")
     add("--width", type=_positive, default=160, metavar="N", help="pixels (default: %(default)s)")
     add("--samples", type=_positive, default=32, metavar="N", help="of a pixel (default: %(default)s)")
+    add(
+        "--repeats",
+        type=_positive,
+        default=1,
+        metavar="N",
+        help="pairs of pictures with all samples, whose median is the time to equal error (default: %(default)s)",
+    )
+    add(
+        "--defaults",
+        action="store_true",
+        help="render with each engine's own defaults instead of without clamping, adaptive sampling and the like",
+    )
     add("--threads", type=int, default=0, metavar="N", help="of each engine (default: 0, one a core)")
     add(
         "--limit",

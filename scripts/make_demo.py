@@ -1,16 +1,19 @@
-"""Make the demo scene: python scripts/make_demo.py OUT.blend (needs bpy).
+"""Make the demo scene: python scripts/make_demo.py [--lights] OUT.blend (needs bpy).
 
 A still life made with Blender's own tools: mesh primitives, modifiers (bevel, subdivision, array), collection
-instances and a Suzanne; glass, metal, rough and emissive materials; an area light and a tinted world.
+instances and a Suzanne; glass, metal, rough and emissive materials; an area light and a tinted world. With --lights
+another scene is made: a few surfaces under every kind of light.
 """
 
 import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import bpy
+from lib.lights_scene import add_scene
 from lib.output import leave
 from mathutils import Vector
 
@@ -228,29 +231,35 @@ def add_light_and_camera():
     scene.camera = camera
 
 
-def make_demo(path: Path) -> None:
-    """Build the scene in an empty Blender and save it at `path`, whole or not at all."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    raybatch_addon.register()
+def make_demo() -> None:
+    """Build the demo in an empty Blender."""
     mats = materials()
     add_studio(mats)
     add_centre(mats)
     add_sides(mats)
     add_pebbles(mats)
     add_light_and_camera()
+    bpy.context.scene.raybatch.clamp_indirect = 4.0  # takes the sparks out of the glass's caustics
+
+
+def save(add: Callable[[], None], path: Path) -> None:
+    """Let `add` build a scene in an empty Blender, and save it at `path`, whole or not at all."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    raybatch_addon.register()
+    add()
     scene = bpy.context.scene
     scene.render.engine = "RAYBATCH"
     scene.render.resolution_x, scene.render.resolution_y = RESOLUTION
     scene.render.image_settings.file_format = "PNG"
     scene.raybatch.sample_count = SAMPLE_COUNT
-    scene.raybatch.clamp_indirect = 4.0  # takes the sparks out of the glass's caustics
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         bpy.ops.wm.save_as_mainfile(filepath=str(temporary), check_existing=False, compress=True)
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 2 or not sys.argv[1].endswith(".blend"):
-        sys.exit("usage: make_demo.py OUT.blend")
-    make_demo(Path(sys.argv[1]).absolute())
+    named = [each for each in sys.argv[1:] if each != "--lights"]
+    if len(named) != 1 or not named[0].endswith(".blend"):
+        sys.exit("usage: make_demo.py [--lights] OUT.blend")
+    save(add_scene if "--lights" in sys.argv else make_demo, Path(named[0]).absolute())
     leave(0)

@@ -73,17 +73,25 @@ class CyclesPeer:
         return pixels.reshape(height, width, -1)[..., :3].astype(np.float64)
 
 
+def leave_as_rendered(scene) -> None:
+    """Show the view layer that RayBatch renders, as it is: without compositing, and with the scene's samples."""
+    import bpy
+
+    render = scene.render
+    render.use_compositing = render.use_sequencer = render.use_freestyle = False
+    for layer in scene.view_layers:
+        layer.use = layer == bpy.context.view_layer
+        layer.samples = 0  # of its own: none
+
+
 def make_unbiased(scene, settings: RenderSettings) -> None:
     """Leave Cycles without shortcuts in `scene`: what is left is noise. It renders the view layer that RayBatch does,
     with the samples, bounces and filter of `settings`, and shows it as it is.
     """
     import bpy
 
-    render, cycles = scene.render, scene.cycles
-    render.use_compositing = render.use_sequencer = render.use_freestyle = False
-    for layer in scene.view_layers:
-        layer.use = layer == bpy.context.view_layer
-        layer.samples = 0  # of its own: none
+    leave_as_rendered(scene)
+    cycles = scene.cycles
     if hasattr(cycles, "use_sample_subset"):
         cycles.use_sample_subset = False
     cycles.film_exposure = 1

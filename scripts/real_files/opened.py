@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from lib.cycles_peer import make_unbiased
+from lib.cycles_peer import leave_as_rendered, make_unbiased
 
 from raybatch_addon.blender import reports
 from raybatch_addon.core.errors import RayBatchError
@@ -26,8 +26,11 @@ class FileError(RayBatchError):
 class OpenFile:
     """The open .blend, rendered by one engine."""
 
-    def __init__(self, path: str, engine: str, width: int, threads: int):
-        """Open `path` for `engine`, with RayBatch registered; raises `FileError`."""
+    def __init__(self, path: str, engine: str, width: int, threads: int, defaults: bool):
+        """Open `path` for `engine`, with RayBatch registered; raises `FileError`.
+
+        `defaults`: engines render with their own settings as they are in a new scene, and without denoising.
+        """
         try:
             bpy.ops.wm.open_mainfile(filepath=path, load_ui=False, use_scripts=False)
         except RuntimeError as error:
@@ -35,7 +38,7 @@ class OpenFile:
                 f"Blender {bpy.app.version_string} cannot open it ({' '.join(str(error).split())}): open it in the "
                 "Blender that made it, and save it anew"
             ) from None
-        self.scene, self.engine = bpy.context.scene, engine
+        self.scene, self.engine, self._defaults = bpy.context.scene, engine, defaults
         if self.scene.camera is None:
             raise FileError(
                 f"the scene “{self.scene.name}” has no camera: add one, choose it in the scene's properties, and save"
@@ -57,16 +60,24 @@ class OpenFile:
 
     def _prepare(self, width: int, threads: int) -> None:
         scene, render = self.scene, self.scene.render
+        if self._defaults:
+            _reset(scene.raybatch)
         if hasattr(scene, "cycles"):
-            make_unbiased(scene, self._settings)
+            if self._defaults:
+                _reset(scene.cycles)
+                leave_as_rendered(scene)
+            else:
+                make_unbiased(scene, self._settings)
+            scene.cycles.use_denoising = False
             scene.cycles.device = "CPU"
             scene.cycles.use_animated_seed = False
             scene.cycles.use_auto_tile = False
         used = [layer for layer in scene.view_layers if layer.use] or list(scene.view_layers)
         for layer in scene.view_layers:
             layer.use = layer == used[0]
-        for name, value in self._values().items():
-            assign_setting(scene.raybatch, name, value)
+        values = self._values()
+        for name in ("device", "thread_count") if self._defaults else values:
+            assign_setting(scene.raybatch, name, values[name])
         shape = render.resolution_y * render.pixel_aspect_y / (render.resolution_x * render.pixel_aspect_x)
         render.resolution_percentage = 100
         render.pixel_aspect_x = render.pixel_aspect_y = 1
@@ -145,6 +156,13 @@ class OpenFile:
             if not Path(bpy.path.abspath(each.filepath)).exists()
         ]
         return sorted(absent)
+
+
+def _reset(settings) -> None:
+    """Give Blender's group `settings` the values that it has in a new scene."""
+    for each in settings.bl_rna.properties:
+        if each.identifier not in ("rna_type", "name") and not each.is_readonly:
+            settings.property_unset(each.identifier)
 
 
 def _is_there(image: bpy.types.Image) -> bool:

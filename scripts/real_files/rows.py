@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from real_files.judging import judge
 from real_files.measures import SIGMAS, Agreement, Spread, agreement, equal_error, noise_of, short
 from real_files.process import DONE
 from real_files.records import ENGINES, Record
-from real_files.worker import PICTURES, SEEDS, SOURCES
+from real_files.worker import PICTURES, SEEDS, SOURCES, seed_pairs
 
 SAME, DIFFERS, BLACK, FAILED = "same", "differs", "both black", "not compared"
 # Noise that is told: relative standard error of the ratio of means, and the part of relMSE that noise makes
@@ -20,7 +21,8 @@ NOISY, NOISY_BLOCKS = 0.02, 0.04
 ALPHA_MOST = 0.02  # mean difference of alpha at which pictures are still the same
 # Times that are told, by the step that they are of
 TIMES = {"first": "first picture", "again": "picture again", "small": "16 x 16 pixels", "all-2": "all samples"}
-EQUAL = "equal error"
+# What is told of the errors: variances at equal samples, and times at equal error
+VARIANCE, EQUAL = "variance", "equal error"
 
 
 def row_of(record: Record) -> dict[str, Any]:
@@ -63,10 +65,7 @@ def _compare(row: dict[str, Any], record: Record, pairs: dict) -> None:
     row["alpha"] = short(_alpha_apart(record))
     row["verdict"] = SAME if found.same and row["alpha"] <= ALPHA_MOST else DIFFERS
     shown = (pairs["RAYBATCH"].mean + pairs["CYCLES"].mean) / 2
-    row["noise"] = {engine: short(noise_of(pair, shown)) for engine, pair in pairs.items()}
-    times = [(row["seconds"][engine].get("all-2", 0.0), row["noise"][engine]) for engine in ("RAYBATCH", "CYCLES")]
-    if (equal := equal_error(*times)) is not None:
-        row["ratios"][EQUAL] = short(equal)
+    _note_errors(row, record, shown)
     if not shown.any():
         row["verdict"] = BLACK
     for engine, key in (("Cycles", "CYCLES"), ("RayBatch", "RAYBATCH")):
@@ -82,6 +81,28 @@ def _compare(row: dict[str, Any], record: Record, pairs: dict) -> None:
     alone = {engine: record.sources(engine) for engine in ENGINES}
     if all(alone.values()):
         row["superposition"] = judge(pairs, alone).data()
+
+
+def _note_errors(row: dict[str, Any], record: Record, shown: np.ndarray) -> None:
+    """Noise of both engines and their times to equal error, medians over repeats; `shown`: what errors are relative
+    to.
+    """
+    found: dict[str, list[float]] = {VARIANCE: [], EQUAL: []}
+    noises: dict[str, list[float]] = {engine: [] for engine in ENGINES}
+    for names in (tuple(f"all-{seed}" for seed in pair) for pair in seed_pairs(record.request.get("repeats", 1))):
+        pairs = {engine: record.pair(engine, names) for engine in ENGINES}
+        if not all(pairs.values()):
+            continue
+        noise = {engine: noise_of(pair, shown) for engine, pair in pairs.items()}
+        for engine in ENGINES:
+            noises[engine].append(noise[engine])
+        times = [(row["seconds"][engine].get(names[1], 0.0), noise[engine]) for engine in ("RAYBATCH", "CYCLES")]
+        if (equal := equal_error(*times)) is not None:
+            found[EQUAL].append(equal)
+            found[VARIANCE].append(noise["RAYBATCH"] / noise["CYCLES"])
+    row["noise"] = {engine: short(statistics.median(values)) for engine, values in noises.items()}
+    row["repeats"] = {name: [short(value) for value in values] for name, values in found.items()}
+    row["ratios"] |= {name: short(statistics.median(values)) for name, values in found.items() if values}
 
 
 def _alpha_apart(record: Record) -> float:
@@ -108,7 +129,7 @@ def agreement_in(row: dict[str, Any]) -> Agreement | None:
 def summary_of(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Counts by verdict, and of each ratio of times, RayBatch over Cycles, its median and its worst over all files."""
     spreads = {}
-    for name, title in (TIMES | {EQUAL: EQUAL}).items():
+    for name, title in (TIMES | {VARIANCE: VARIANCE, EQUAL: EQUAL}).items():
         spread = Spread.of({row["name"]: row["ratios"][name] for row in rows if row["ratios"].get(name)})
         if spread:
             spreads[title] = spread.data()

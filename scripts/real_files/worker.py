@@ -109,23 +109,32 @@ def work(request_file: Path) -> int:
 def _opened(steps: Steps, request: dict):
     from real_files.opened import OpenFile
 
-    return steps.run("open", lambda: OpenFile(request["file"], request["engine"], request["width"], request["threads"]))
+    return steps.run(
+        "open",
+        lambda: OpenFile(request["file"], request["engine"], request["width"], request["threads"], request["defaults"]),
+    )
 
 
-def picture_steps(samples: int) -> Iterator[tuple[str, int, int, bool]]:
+def picture_steps(samples: int, repeats: int) -> Iterator[tuple[str, int, int, bool]]:
     """Name, samples and seed of each picture of a file, and whether it is a small one; in this order."""
     yield "first", 1, SEEDS[0], False
     yield "again", 1, SEEDS[1], False
     yield "small-first", 1, SEEDS[0], True
     yield "small", 1, SEEDS[1], True
-    for seed in SEEDS:
-        yield f"all-{seed}", samples, seed, False
+    for pair in seed_pairs(repeats):
+        for seed in pair:
+            yield f"all-{seed}", samples, seed, False
+
+
+def seed_pairs(repeats: int) -> list[tuple[int, int]]:
+    """The seeds of two pictures for each repeat; the first are `SEEDS`."""
+    return [(2 * repeat + SEEDS[0], 2 * repeat + SEEDS[1]) for repeat in range(repeats)]
 
 
 def _pictures(steps: Steps, request: dict) -> None:
     opened = _opened(steps, request)
     steps.state |= {"size": list(opened.size), "missing": opened.missing(), "scene": opened.scene.name}
-    for name, samples, seed, small in picture_steps(request["samples"]):
+    for name, samples, seed, small in picture_steps(request["samples"], request["repeats"]):
         size = (SMALL, SMALL) if small else None
         steps.picture(name, lambda: opened.render(samples, seed, size), opened.told)
 
