@@ -237,7 +237,7 @@ def point_of_halves(snapshot: Snapshot) -> ErrorPoint | None:
     """The error at `snapshot`, as in the film's statistics; None where one of the halves has no sample."""
     if snapshot.halves is None or snapshot.samples < 2:
         return None
-    error = half_error(*snapshot.halves, snapshot.samples)
+    error = half_error(*snapshot.halves, snapshot.each)
     return ErrorPoint(
         seconds=snapshot.seconds,
         seconds_total=snapshot.seconds_total,

@@ -18,7 +18,6 @@ from .ahead.request import CompileRequest, GeneralRequest
 from .bvh.build.scene_tree import build_kernels, layout_for
 from .bvh.memory import GeometrySize
 from .device.devices import find_device, free_memory, load_kernels, start_warp, warp_cache_folder, worker_count
-from .errors import RayBatchError
 from .film import Film
 from .film.tile import FinishedTile, add_integers_kernel
 from .measure.batching import batching_statistics
@@ -30,12 +29,13 @@ from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
 from .settings.settings import RenderSettings
 from .shading.lights.light_tree import LIGHT_TREE_KERNELS
+from .wavefront.adaptive.ranges import chosen_looks, first_active
 from .wavefront.integrator import TileIntegrator
 from .wavefront.plan.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
 from .wavefront.render.rendering import RenderEvents, Rendering, SnapshotWatcher, snapshot_watchers
-from .wavefront.render.resume import ResumeState, film_to_fill
+from .wavefront.render.resume import ResumeState, check_samples, film_to_fill
 from .wavefront.render.rounds import RoundPolicy
-from .wavefront.render.summary import batching_totals, ray_totals, workers_summary
+from .wavefront.render.summary import batching_totals, ray_totals, rounds_summary, workers_summary
 from .wavefront.render.workers import make_workers
 from .wavefront.scene.device_scene import DeviceScene
 from .wavefront.scene.scene_cache import GeometryRequest, SceneCache
@@ -130,6 +130,7 @@ class Session:
         observers: Sequence[RenderObserver] = (),
         sample_first: int = 0,
         resume: Film | None = None,
+        after: Film | None = None,
     ) -> Film:
         """Render `scene` and return its film.
 
@@ -144,6 +145,8 @@ class Session:
             sample_first: index of the first sample of every pixel; films of adjoining ranges merge to one
                 (`Film.merge`).
             resume: the film of a cancelled render of the same scene and settings: goes on from there.
+            after: with adaptive sampling, the film of all samples up to the last look at the noise before
+                `sample_first`: by it some pixels have ended their sampling.
 
         Raises:
             RayBatchError: what the user can mend; the message says how.
@@ -153,15 +156,11 @@ class Session:
         film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume, self.device)
         state = film.resume_state
         if state is None:
-            state = self._all_tiles(job)
+            state = self._all_tiles(job, after)
         else:
             state.policy = state.policy.resumed(job.settings, job.marks)
             if state.policy.is_cut and not state.shorten_round() and job.settings.time_limit:
-                job.warnings.append(
-                    f"time_limit ends no round that was begun: samples come PIXEL_FIRST, so each pixel gets all "
-                    f"{state.end:,} of the one "
-                    "that was under way; render with sample_order FRAME_FIRST from the start"
-                )
+                job.warnings.append(state.cannot_shorten)
         film.resume_state = None
         job.settings = job.settings.replace(sample_order=state.sample_order)  # items are numbered by it
         if job.settings.kernel_tier == "AUTO":
@@ -203,11 +202,7 @@ class Session:
     ) -> _Job:
         checked = checked_scene(scene)
         warnings = list(checked.warnings)
-        if sample_first < 0 or sample_first + settings.sample_count > 2**32:
-            raise RayBatchError(
-                f"samples {sample_first} to {sample_first + settings.sample_count} are out of range: use 0 to 2^32"
-            )
-
+        check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
         free = self._cache.free_for_geometry(checked.images, self.device)
         memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
@@ -230,18 +225,23 @@ class Session:
             watchers=snapshot_watchers(observers, settings.sample_count),
             started=time.perf_counter(),
             warnings=warnings,
+            chosen=chosen_looks(settings),
         )
 
-    def _all_tiles(self, job: _Job) -> ResumeState:
+    def _all_tiles(self, job: _Job, after: Film | None) -> ResumeState:
         """The state of a render that begins."""
-        settings, policy = job.settings, RoundPolicy.of(job.settings, job.marks)
+        settings, policy = job.settings, RoundPolicy.of(job.settings, job.marks, job.sample_first)
+        active = first_active(job.scene.frame, settings, job.sample_first, after, self.device)
         x0, y0, x1, y1 = job.scene.frame.region
         workers, paged = worker_count(self.device, settings.thread_count), job.plan.method is Method.PAGED
         choose_edge = round_tile_edge if policy.is_cut else tile_edge
         edge = choose_edge(settings, self.device.is_cuda, x1 - x0, y1 - y0, workers, paged)
         if not settings.tile_size:
             job.chosen["tile_size"] = Choice(edge, "by device, frame and samples")
-        return ResumeState.begin(settings, job.scene.frame, edge, job.sample_first, policy)
+        state = ResumeState.begin(settings, job.scene.frame, edge, job.sample_first, policy, active)
+        if active:
+            state.list_active(self.device)
+        return state
 
     def _prepare(self, job: _Job) -> tuple[DeviceScene | None, list[str]]:
         """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""
@@ -383,10 +383,7 @@ class Session:
             counts={
                 **workers_summary(integrators, device_scene, job.hardware, job.path_bytes),
                 **batching_statistics(batching_totals(integrators), report_of({**job.plan.choices, **job.chosen})),
-                "complete": film.complete,
-                "stopped_by": state.policy.stopped_by,
-                "samples_per_pixel": state.done,
-                "error": job.rendering.error_report() if job.rendering else None,
+                **rounds_summary(film, state, job.rendering and job.rendering.error_report()),
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),
                 "lights": len(job.scene.lights),

@@ -24,13 +24,17 @@ def squared_error(picture: np.ndarray, reference: np.ndarray) -> np.ndarray:
     return np.square(x - r)
 
 
-def squared_error_of_halves(a: np.ndarray, b: np.ndarray, samples: int = 0) -> np.ndarray:
+def squared_error_of_halves(a: np.ndarray, b: np.ndarray, samples: int | np.ndarray = 0) -> np.ndarray:
     """(a - b)^2 / 4, float64: in each pixel an unbiased estimate of the squared error of (a + b) / 2.
 
     `a` and `b` are independent, without bias, and have as many samples: then the mean of (a - b)^2 is twice the
     variance of one of them, and their mean has half of that variance. A bias that both have is not seen. Where both
-    have an odd number of `samples` together, n and m, the factor is n m / (n + m)^2.
+    have an odd number of `samples` together, n and m, the factor is n m / (n + m)^2. Where pixels have different
+    numbers `samples` has shape [height, width]; one without samples has no error.
     """
+    if isinstance(samples, np.ndarray):
+        some = np.maximum(samples, 1).astype(np.float64)[..., None]
+        return squared_error(a, b) * ((some // 2) * (some - some // 2) / some**2)
     weight = 0.25 if samples % 2 == 0 else (samples // 2) * (samples - samples // 2) / samples**2
     return squared_error(a, b) * weight
 

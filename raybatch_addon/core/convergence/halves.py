@@ -20,7 +20,7 @@ class HalfError:
     rmse: float  # root of the mean squared error
 
 
-def half_error(first: np.ndarray, second: np.ndarray, samples: int) -> HalfError:
+def half_error(first: np.ndarray, second: np.ndarray, samples: int | np.ndarray) -> HalfError:
     """The error of the film of both halves.
 
     With n and m independent samples of variance v the halves' means A and B differ by v (1/n + 1/m) in the mean of
@@ -30,13 +30,15 @@ def half_error(first: np.ndarray, second: np.ndarray, samples: int) -> HalfError
 
     Args:
         first, second: pictures of either half, linear float32, shape [height, width, 3].
-        samples: of every pixel in both together; at least 2, and in one half as many as in the other, or one more.
+        samples: of every pixel in both together, or of each, shape [height, width]; at least 2, and in one half as many
+            as in the other, or one more.
     """
     squared = np.zeros(first.shape[:1])  # by row, so that the sum does not depend on how rows are taken together
     relative = np.zeros(first.shape[:1])
     for row in range(0, len(first), _ROWS):
         part = slice(row, row + _ROWS)
-        error = squared_error_of_halves(first[part], second[part], samples)
+        count = samples[part] if isinstance(samples, np.ndarray) else samples
+        error = squared_error_of_halves(first[part], second[part], count)
         squared[part] = error.sum((1, 2))
         relative[part] = (error / relative_to_halves(first[part], second[part])).sum((1, 2))
     return HalfError(float(relative.sum() / first.size), math.sqrt(squared.sum() / first.size))

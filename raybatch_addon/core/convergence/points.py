@@ -174,7 +174,7 @@ def error_point(
         error, scale = squared_error(snapshot.picture, reference.picture), relative_to(reference.picture)
         floor = noise_floor(reference)
     elif _has_halves(snapshot):
-        error = squared_error_of_halves(*snapshot.halves, snapshot.samples)
+        error = squared_error_of_halves(*snapshot.halves, snapshot.each)
         scale = relative_to_halves(*snapshot.halves)
         floor = (0.0, 0.0)
     else:

@@ -97,7 +97,7 @@ class Film:
         if self.picture is not None:
             return dict(self.picture)
         means = means_of(self.sums.window, self.sums.wide, self.counts, self.layout.count)
-        return split_passes(self.pass_names, self.layout, means, self._fetched().single, self.shape)
+        return split_passes(self.pass_names, self.layout, means, self._fetched().single(self.pass_names), self.shape)
 
     def add_tile(self, tile: FinishedTile) -> dict[str, np.ndarray]:
         """Add the samples of `tile`, or replace the tile that it went on from by it; returns the passes of its
@@ -123,7 +123,7 @@ class Film:
             }
         samples = self._fetched().part(self._pixels(x, y, width, height))
         means = means_of(samples.sums.window, samples.sums.wide, samples.counts, self.layout.count)
-        return split_passes(self.pass_names, self.layout, means, samples.single, (height, width))
+        return split_passes(self.pass_names, self.layout, means, samples.single(self.pass_names), (height, width))
 
     def merge(self, other: Film) -> Film:
         """The film of both films' samples, bit for bit that of one render; they must show the same region and passes.

@@ -8,8 +8,16 @@ import numpy as np
 
 # Passes that show what a pixel's paths cost, as the mean over its samples
 COST_PASSES = ("Rays", "Node Steps", "Triangle Tests", "Treelet Visits", "Times Queued")
+# The pass that shows how many samples each pixel has
+SAMPLE_COUNT = "Sample Count"
 # Channels of every pass. The first sample alone decides "Depth" and "Position" (an average of them means nothing).
-PASSES: dict[str, int] = {"Combined": 4, "Depth": 1, "Position": 3, "Normal": 3, **dict.fromkeys(COST_PASSES, 1)}
+PASSES: dict[str, int] = {
+    "Combined": 4,
+    "Depth": 1,
+    "Position": 3,
+    "Normal": 3,
+    **dict.fromkeys((*COST_PASSES, SAMPLE_COUNT), 1),
+}
 FIRST_SAMPLE_PASSES = ("Depth", "Position")
 
 
@@ -66,3 +74,8 @@ def split_passes(
 def mean_costs(cost: dict[str, np.ndarray], counts: np.ndarray) -> dict[str, np.ndarray]:
     """Cost passes, float32, from sums over `counts` samples, all int64, shape [pixels]; 0 where a pixel has none."""
     return {name: (sums / np.maximum(counts, 1)).astype(np.float32) for name, sums in cost.items()}
+
+
+def sample_counts(names: tuple[str, ...], counts: np.ndarray) -> dict[str, np.ndarray]:
+    """The pass "Sample Count", float32, where it is among `names`, from counts, int64, shape [pixels]."""
+    return {SAMPLE_COUNT: counts.astype(np.float32)} if SAMPLE_COUNT in names else {}

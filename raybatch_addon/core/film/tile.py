@@ -13,7 +13,16 @@ import numpy as np
 import warp as wp
 
 from ..device.kernel import KERNEL_OPTIONS
-from .layout import COST_PASSES, FIRST_SAMPLE_PASSES, PASSES, ChannelLayout, mean_costs, split_passes
+from .layout import (
+    COST_PASSES,
+    FIRST_SAMPLE_PASSES,
+    PASSES,
+    SAMPLE_COUNT,
+    ChannelLayout,
+    mean_costs,
+    sample_counts,
+    split_passes,
+)
 from .sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, add_wide, means_of, no_wide
 
 
@@ -244,10 +253,9 @@ class HostSamples:
             {name: values[pixels] for name, values in self.cost.items()},
         )
 
-    @property
-    def single(self) -> dict[str, np.ndarray]:
-        """Passes that are no means of summed channels, float32, shape [pixels * channels]."""
-        return self.first | mean_costs(self.cost, self.counts)
+    def single(self, pass_names: tuple[str, ...]) -> dict[str, np.ndarray]:
+        """Those of the passes that are no means of summed channels, float32, shape [pixels * channels]."""
+        return self.first | mean_costs(self.cost, self.counts) | sample_counts(pass_names, self.counts)
 
 
 class FinishedTile:
@@ -336,6 +344,14 @@ class FinishedTile:
             ExactSums(film.window.numpy(), wide, self._layout.count), film.counts.numpy(), self._first(), self._costs()
         )
 
+    def colors(self) -> wp.array:
+        """RGBA of each pixel, as "Combined" shows it, vec4, shape [pixels], on the device that has the sums."""
+        resolved = self._resolved()
+        if resolved is not None:
+            return resolved[0]
+        pixels = np.ascontiguousarray(self.passes["Combined"], np.float32).reshape(-1, 4)
+        return wp.array(pixels, dtype=wp.vec4, device=self.film.window.device)
+
     def _costs(self) -> dict[str, np.ndarray]:
         return dict(zip(self._cost_names, self.cost.numpy())) if self._cost_names else {}
 
@@ -343,24 +359,32 @@ class FinishedTile:
         arrays = {"Depth": self.film.depth, "Position": self.film.position}
         return {name: arrays[name].numpy().reshape(-1) for name in self._first_names}
 
+    def _resolved(self) -> tuple[wp.array, wp.array] | None:
+        """Means of the pixels on the device: RGBA and Normal; None where sums have more bits than the kernel
+        handles.
+        """
+        film = self.film
+        if film.wide.shape[0]:
+            return None
+        device, pixels = film.window.device, self.width * self.height
+        combined = wp.empty(pixels, dtype=wp.vec4, device=device)
+        normal = wp.empty(pixels if self._layout.normal else 0, dtype=wp.vec3, device=device)
+        beyond = wp.zeros(1, dtype=int, device=device)
+        wp.launch(resolve_kernel(self._layout), pixels, [film, combined, normal, beyond], device=device)
+        return None if beyond.numpy()[0] else (combined, normal)
+
     def _picture(self, pass_names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        film, shape = self.film, (self.height, self.width)
-        if film.wide.shape[0] == 0:
-            device, pixels = film.window.device, self.width * self.height
-            combined = wp.empty(pixels, dtype=wp.vec4, device=device)
-            normal = wp.empty(pixels if self._layout.normal else 0, dtype=wp.vec3, device=device)
-            beyond = wp.zeros(1, dtype=int, device=device)
-            wp.launch(resolve_kernel(self._layout), pixels, [film, combined, normal, beyond], device=device)
-            if beyond.numpy()[0] == 0:
-                means = {"Combined": combined, "Normal": normal}
-                single = self._first()
-                if self._cost_names:
-                    single |= mean_costs(self._costs(), film.counts.numpy())
-                return {
-                    name: (single[name] if name in single else means[name].numpy()).reshape(*shape, PASSES[name])
-                    for name in pass_names
-                }
-        # sums of more bits than the kernel handles
+        shape, resolved = (self.height, self.width), self._resolved()
+        if resolved is not None:
+            means = dict(zip(("Combined", "Normal"), resolved, strict=True))
+            single = self._first()
+            if self._cost_names or SAMPLE_COUNT in pass_names:
+                counts = self.film.counts.numpy()
+                single |= mean_costs(self._costs(), counts) | sample_counts(pass_names, counts)
+            return {
+                name: (single[name] if name in single else means[name].numpy()).reshape(*shape, PASSES[name])
+                for name in pass_names
+            }
         samples = self.fetch()
         means = means_of(samples.sums.window, samples.sums.wide, samples.counts, self._layout.count)
-        return split_passes(pass_names, self._layout, means, samples.single, shape)
+        return split_passes(pass_names, self._layout, means, samples.single(pass_names), shape)

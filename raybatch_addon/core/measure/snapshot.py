@@ -9,13 +9,13 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class Snapshot:
-    """The picture when every pixel had the same number of samples.
+    """The picture when every pixel that gets samples had the same number of them.
 
     Seconds, rays and invalid samples are of this call of `Session.render`: what was done before a resume is in the
     picture and in `samples` alone.
     """
 
-    samples: int  # of every pixel so far
+    samples: int  # of every pixel so far, or of those that have most
     seconds: float  # of rendering alone, without what observers did meanwhile
     seconds_total: float  # since the call of `Session.render`: with build and compile
     rays: dict[str, int]  # traced so far: "camera", "bounced", "shadow"
@@ -24,3 +24,10 @@ class Snapshot:
     picture: np.ndarray
     # the same of either half of the samples; None: they are not kept apart
     halves: tuple[np.ndarray, np.ndarray] | None = None
+    # samples of each pixel, int, shape [region height, region width]; None: all have `samples`
+    counts: np.ndarray | None = None
+
+    @property
+    def each(self) -> int | np.ndarray:
+        """Samples of every pixel, or of each."""
+        return self.samples if self.counts is None else self.counts

@@ -51,6 +51,7 @@ class SceneFeatures:
     mis: bool = True  # light sampling and BSDF sampling are combined
     clamping: bool = False
     roulette: bool = True
+    adaptive: bool = False  # pixels end their sampling one by one
 
     @property
     def transparency(self) -> bool:
@@ -126,6 +127,7 @@ class SceneFeatures:
             "transparent film": self.film_transparent,
             "clamping": self.clamping,
             "Russian roulette": self.roulette,
+            "adaptive sampling": self.adaptive,
         }
         return sorted(name for name, there in names.items() if not there)
 
@@ -172,6 +174,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         mis=settings.mis == "ON" or settings.nee == "OFF",
         clamping=settings.clamp_direct > 0 or settings.clamp_indirect > 0,
         roulette=settings.roulette_bounce <= settings.bounce_max,
+        adaptive=settings.is_adaptive,
     )
 
 

@@ -25,6 +25,7 @@ PASS_NAMES = (
     "Triangle Tests",
     "Treelet Visits",
     "Times Queued",
+    "Sample Count",
 )
 
 

@@ -20,6 +20,41 @@ class EstimatorSettings:
         minimum=1,
         maximum=INT_MAX,
     )
+    adaptive_sampling: str = setting(
+        "OFF",
+        "Adaptive Sampling",
+        "End the sampling of pixels whose neighbourhood shows little noise, so that the others get the time",
+        group="SAMPLING",
+        choices=(
+            ("OFF", "Off", "Every pixel gets all samples"),
+            (
+                "ON",
+                "On",
+                "A pixel gets samples until the noise around it is below Noise Threshold, and no more than Samples. "
+                "Samples come in two halves, which differ by the noise: it implies Error Estimate",
+            ),
+        ),
+    )
+    noise_threshold: float = setting(
+        0.01,
+        "Noise Threshold",
+        "Noise below which a pixel gets no more samples, relative to its brightness: the standard deviation, summed "
+        "over channels, divided by the root of their sum (above 1 by the sum itself). 0 ends no pixel",
+        group="SAMPLING",
+        unit="relative",
+        minimum=0.0,
+        maximum=1.0,
+    )
+    adaptive_samples_min: int = setting(
+        0,
+        "Min Samples",
+        "Samples that every pixel gets before the first look at its noise; 0 chooses by Noise Threshold",
+        group="SAMPLING",
+        unit="samples per pixel",
+        minimum=0,
+        maximum=INT_MAX,
+        auto=0,
+    )
     time_limit: float = setting(
         0.0,
         "Time Limit",

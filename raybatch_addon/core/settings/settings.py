@@ -96,7 +96,12 @@ class RenderSettings(
     @property
     def half_count(self) -> int:
         """In how many films samples come: 2 where the error is estimated."""
-        return 2 if self.error_estimate == "ON" or self.error_target > 0 else 1
+        return 2 if self.error_estimate == "ON" or self.error_target > 0 or self.is_adaptive else 1
+
+    @property
+    def is_adaptive(self) -> bool:
+        """Whether some pixels may get fewer samples than others."""
+        return self.adaptive_sampling == "ON"
 
     def replace(self, **changes: Any) -> RenderSettings:
         """A copy with `changes`; raises `SettingsError` for an unknown name or an illegal value."""

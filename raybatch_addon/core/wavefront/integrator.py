@@ -49,6 +49,12 @@ class TileState:
     drained: bool = True  # all of them are in the film
     half: int = 0  # which of the film's halves; 0 where there is one film
     held: FinishedTile | None = None  # what it has so far, on the device, while the render goes on
+    active: wp.array | None = None  # pixels that get samples, int32, as `active_number` takes them; None: all
+
+    @property
+    def pixel_count(self) -> int:
+        """Pixels that get samples in this round."""
+        return self.tile.pixel_count if self.active is None else self.active.size
 
 
 @dataclass
@@ -130,7 +136,7 @@ class TileIntegrator:
         those under way are brought to their end.
         """
         work, film = self._begin_tile(state, sample_first, sample_count)
-        items = state.tile.pixel_count * sample_count
+        items = state.pixel_count * sample_count
         done, stopped_at = 0, None
         while True:
             self._kernels = self._wanted_kernels
@@ -173,7 +179,8 @@ class TileIntegrator:
         work.sample_first, work.sample_count = sample_first, sample_count
         work.filter_table = self._filter
         work.pixel_first = int(self._settings.sample_order == "PIXEL_FIRST")
-        work.item_base = state.items_begun
+        # numbers of paths are of all pixels, and those of pixels that go on begin at no item of theirs
+        work.item_base = state.items_begun if state.active is None else 0
         self._free = self._lists.all_free(self._paths.status)
         self._limits = self._half_limits[state.half]
         held = state.held
@@ -182,10 +189,13 @@ class TileIntegrator:
         return work, self._film_tiles.begin(tile.pixel_count, held.film if held else None)
 
     def _generate(self, state: TileState, work: TileWork, items: int) -> RayList:
-        if self._alive == 0:
-            work.item_base = state.items_begun
-        # paths are numbered by 32 bits: beyond them, numbers begin anew when no path is alive
-        left = min(items, work.item_base + generate.ITEMS_NUMBERED) - state.items_begun
+        kernel, more, left = self._kernels.generate_active, (state.active,), items - state.items_begun
+        if state.active is None:
+            kernel, more = self._kernels.generate, ()
+            if self._alive == 0:
+                work.item_base = state.items_begun
+            # paths are numbered by 32 bits: beyond them, numbers begin anew when no path is alive
+            left = min(items, work.item_base + generate.ITEMS_NUMBERED) - state.items_begun
         count = self._marks.to_generate(self._alive, left)
         if count == 0:
             return NO_RAYS
@@ -193,7 +203,7 @@ class TileIntegrator:
         length = self._lists.counts.at(Length.CAMERA)
         with self._timer.stage("generate"):
             self._launch(
-                self._kernels.generate,
+                kernel,
                 count,
                 work,
                 self._limits,
@@ -202,6 +212,7 @@ class TileIntegrator:
                 self._rays,
                 self._free,
                 length,
+                *more,
             )
         state.items_begun += count
         self._alive += count

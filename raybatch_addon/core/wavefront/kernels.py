@@ -15,6 +15,7 @@ from ..scene.features import SceneFeatures, narrow
 from ..scene.program import ProgramFeatures
 from ..settings.settings import RenderSettings
 from ..shading.lights.light_hits import LightHitFeatures
+from .adaptive.active_pixels import ADAPTIVE_KERNELS
 from .order.hit_order import KEY_KERNELS, HitKey, sorts_materials
 from .order.ray_order import order_kernels
 from .path_lists import path_list_kernels
@@ -23,7 +24,7 @@ from .plan.tracing import Tracing
 from .stages.accumulate import accumulate_kernel
 from .stages.connect import ConnectFeatures, connect, make_connect_program, settle_kernel
 from .stages.connect_transparent import make_connect_transparent
-from .stages.generate import GenerateFeatures, counted_kernel, generate_kernel
+from .stages.generate import GenerateFeatures, counted_kernel, generate_active_kernel, generate_kernel
 from .stages.shade_background import BackgroundFeatures, make_background, make_light_hits_stage
 from .stages.stage import STAGES_OF_ALL, all_stages_kernel, stage_kernel
 from .stages.surface.aim import AimFeatures, make_aim
@@ -39,6 +40,7 @@ class StageKernels:
     """Kernels by stage."""
 
     generate: wp.Kernel
+    generate_active: wp.Kernel | None  # None: all pixels get all samples
     settle: wp.Kernel
     walk: wp.Kernel | None  # None: nothing scatters below surfaces
     shading: dict[ShadingStage, wp.Kernel]  # without the stages for which the scene has nothing to do
@@ -51,6 +53,7 @@ class StageKernels:
         layout = layout_of(features.passes, features.film_transparent)
         shading = shading or features
         begun = dataclasses.replace(shading, camera=features.camera, depth_of_field=features.depth_of_field)
+        generated = narrow(begun, GenerateFeatures)
         # flat meshes walk by what was compiled ahead for smooth ones
         walked = dataclasses.replace(features, smooth_normals=shading.smooth_normals)
         has = {
@@ -62,7 +65,8 @@ class StageKernels:
             ShadingStage.AIM: features.shadow_rays and device.is_cuda,
         }
         return StageKernels(
-            generate=generate_kernel(narrow(begun, GenerateFeatures)),
+            generate=generate_kernel(generated),
+            generate_active=generate_active_kernel(generated) if features.adaptive else None,
             settle=settle_kernel,
             walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
             shading=_shading_kernels(
@@ -76,6 +80,8 @@ class StageKernels:
         """Everything that is launched, tracing apart."""
         stages = [self.generate, self.settle, *self.shading.values(), self.walk, self.accumulate, self.resolve]
         kernels = [*stages, *path_list_kernels(walks=self.walk is not None), add_spill_kernel]
+        if self.generate_active:
+            kernels += [self.generate_active, *ADAPTIVE_KERNELS]
         return list(dict.fromkeys(kernel for kernel in kernels if kernel is not None))
 
 

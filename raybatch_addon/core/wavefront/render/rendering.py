@@ -78,6 +78,7 @@ class Rendering:
             started,
         )
         self._total, self._pixels = state.items_to_come, state.pixel_count
+        self._earlier = film.sample_total  # paths that are in the film already
         self._begun = time.perf_counter()
         self.error: HalfError | None = None  # at the end of the last round where it was looked at
         self.error_samples = 0  # of every pixel, then
@@ -88,7 +89,7 @@ class Rendering:
         state, policy = self._state, self._state.policy
         rendering = 0.0  # without what observers do meanwhile [s]
         if state.end is None:
-            state.end = policy.next_end(state.done, 0.0)
+            state.begin_round(policy.next_end(state.done, 0.0, state.share))
         while state.end is not None:
             start = time.perf_counter()
             samples = state.items_open / self._pixels
@@ -97,11 +98,14 @@ class Rendering:
             seconds = time.perf_counter() - start
             rendering += seconds
             state.end_round()
+            if policy.looks_at_noise(state.done):
+                state.look_at_noise()
+                self._total = self._items_done() + state.items_to_come
             looked_at = self._look_at_error() if policy.looks_at_error(state.done) else None
             policy.note_round(samples, seconds, looked_at and looked_at.relmse)
-            end = policy.next_end(state.done, time.perf_counter() - self._begun)
+            end = policy.next_end(state.done, time.perf_counter() - self._begun, state.share)
             self._show(rendering, is_last=end is None)
-            state.end = end
+            state.begin_round(end)
         if self.error_samples != state.done:
             self._look_at_error()
         if policy.stopped_by == "error" and not _colors(self._film).any():
@@ -186,12 +190,15 @@ class Rendering:
 
     def _report_progress(self) -> None:
         seconds = time.perf_counter() - self._begun
-        items = sum(integrator.items_done for integrator in self._integrators)
+        items = self._items_done()
         done = items / self._total if self._total else 1.0
         if limit := self._state.policy.time_limit:
             done = max(done, min(seconds / limit, 1.0))
-        left = (self._total - items) / self._pixels  # samples of a pixel, if nothing ends the render before
-        self._events.on_progress(done, self._state.policy.sample_count - left, seconds)
+        self._events.on_progress(done, (self._earlier + items) / self._pixels, seconds)
+
+    def _items_done(self) -> int:
+        """Paths of this call that came to their end."""
+        return sum(integrator.items_done for integrator in self._integrators)
 
     # --- between rounds
 
@@ -201,7 +208,7 @@ class Rendering:
         samples = state.samples_so_far.of_half(0, 2).sample_count, state.samples_so_far.of_half(1, 2).sample_count
         if not film.halves or not all(samples):
             return None
-        self.error, self.error_samples = half_error(*(_colors(half) for half in film.halves), sum(samples)), state.done
+        self.error, self.error_samples = half_error(*(_colors(half) for half in film.halves), state.counts), state.done
         return self.error
 
     def _show(self, seconds: float, is_last: bool) -> None:
@@ -221,6 +228,7 @@ class Rendering:
                     invalid_samples=sum(each.invalid_samples for each in self._integrators),
                     picture=_colors(self._film).copy(),
                     halves=tuple(_colors(half).copy() for half in halves) if halves else None,
+                    counts=self._state.counts if self._state.active else None,
                 )
             )
 

@@ -5,14 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from ...errors import RayBatchError
 from ...film import Film
 from ...scene.description import Frame
 from ...settings.settings import SETTINGS, RenderSettings
+from ..adaptive.active_pixels import ActivePixels, HalfPictures
 from ..integrator import TileState
 from ..scheduler import tiles
+from ..stages.generate import ITEMS_NUMBERED
 from .rounds import Round, RoundPolicy
 
 # Estimator settings that only say when a render ends, by the clock
@@ -30,9 +33,17 @@ class ResumeState:
     policy: RoundPolicy
     done: int = 0  # samples of every pixel, of this render, at the end of the last round
     end: int | None = None  # the same at the end of the round that is under way; None: between rounds
+    active: ActivePixels | None = None  # which pixels get samples; None: all
 
     @staticmethod
-    def begin(settings: RenderSettings, frame: Frame, edge: int, sample_first: int, policy: RoundPolicy) -> ResumeState:
+    def begin(
+        settings: RenderSettings,
+        frame: Frame,
+        edge: int,
+        sample_first: int,
+        policy: RoundPolicy,
+        active: ActivePixels | None = None,
+    ) -> ResumeState:
         """The state of a render that begins, with tiles of `edge` pixels."""
         halves = range(settings.half_count)
         states = [tuple(TileState(tile, half=half) for half in halves) for tile in tiles(frame.region, edge)]
@@ -42,6 +53,7 @@ class ResumeState:
             sample_order=settings.sample_order,
             estimator=estimator_settings(settings),
             policy=policy,
+            active=active,
         )
 
     @property
@@ -66,8 +78,20 @@ class ResumeState:
     def _samples_to(self, end: int, state: TileState) -> Round:
         return Round(self.sample_first + self.done, self.sample_first + end).of_half(state.half, len(self.tiles[0]))
 
+    @property
+    def share(self) -> float:
+        """Share of the pixels that get samples in the round to come."""
+        return self.active.share if self.active else 1.0
+
+    @property
+    def counts(self) -> int | np.ndarray:
+        """Samples of every pixel of this render, or of each, int, shape [height, width]."""
+        if self.active is None:
+            return self.done
+        return np.maximum(self.active.counts(self.sample_first + self.done) - self.sample_first, 0)
+
     def _items_left(self, state: TileState) -> int:
-        return state.tile.pixel_count * self.samples_of(state).sample_count - state.items_begun
+        return state.pixel_count * self.samples_of(state).sample_count - state.items_begun
 
     @property
     def open_tiles(self) -> list[tuple[TileState, ...]]:
@@ -84,7 +108,7 @@ class ResumeState:
         """Paths that were not begun, of all rounds that there can be."""
         last = self.policy.sample_count
         return sum(
-            each.tile.pixel_count * self._samples_to(last, each).sample_count - each.items_begun for each in self.states
+            each.pixel_count * self._samples_to(last, each).sample_count - each.items_begun for each in self.states
         )
 
     @property
@@ -103,9 +127,27 @@ class ResumeState:
             return True
         if self.sample_order == "PIXEL_FIRST" and any(state.items_begun for state in self.states):
             return False
-        begun = max(-(-state.items_begun // state.tile.pixel_count) for state in self.states)  # samples of a half
+        # samples of a half
+        begun = max(-(-state.items_begun // max(state.pixel_count, 1)) for state in self.states)
         self.end = min(self.end, self.done + max(begun, 1) * len(self.tiles[0]))
         return True
+
+    @property
+    def cannot_shorten(self) -> str:
+        """Why `shorten_round` does nothing, as a warning."""
+        return (
+            "time_limit ends no round that was begun: samples come PIXEL_FIRST, so each pixel gets all "
+            f"{self.end:,} of the one that was under way; render with sample_order FRAME_FIRST from the start"
+        )
+
+    def begin_round(self, end: int | None) -> None:
+        """The round to come goes to `end`, or not so far: lists of active pixels number paths by 32 bits from the
+        beginning of a round.
+        """
+        self.end = end
+        if end is not None and self.active:
+            largest = max(state.tile.pixel_count for state in self.states)
+            self.end = min(end, self.done + max(ITEMS_NUMBERED // largest, 1) * len(self.tiles[0]))
 
     def end_round(self) -> None:
         """Every tile has all samples of the round."""
@@ -113,10 +155,34 @@ class ResumeState:
         for state in self.states:
             state.items_begun = 0
 
+    def look_at_noise(self) -> None:
+        """End the sampling of pixels with little noise around them, between rounds."""
+        device = self.tiles[0][0].held.film.window.device
+        pictures = (HalfPictures.of_tile(*(state.held for state in halves)) for halves in self.tiles)
+        self.active.look(pictures, self.done, device)
+        self.list_active(device)
+
+    def list_active(self, device: wp.Device) -> None:
+        """Let the tiles know which pixels get samples."""
+        if not self.active.stopped.any():
+            return
+        lists = self.active.lists([halves[0].tile for halves in self.tiles], device)
+        for halves, active in zip(self.tiles, lists, strict=True):
+            for state in halves:
+                state.active = active
+
     def release(self) -> None:
         """The render is over: its tiles are those of its film alone."""
         for state in self.states:
-            state.held = None
+            state.held = state.active = None
+
+
+def check_samples(settings: RenderSettings, sample_first: int) -> None:
+    """Raises `RayBatchError` for samples that random numbers have no place for."""
+    if sample_first < 0 or sample_first + settings.sample_count > 2**32:
+        raise RayBatchError(
+            f"samples {sample_first} to {sample_first + settings.sample_count} are out of range: use 0 to 2^32"
+        )
 
 
 def film_to_fill(
@@ -160,7 +226,10 @@ def film_to_fill(
         policy=state.policy,
         done=state.done,
         end=state.end,
+        active=state.active and state.active.copy(),
     )
+    if film.resume_state.active:
+        film.resume_state.list_active(device)
     return film
 
 

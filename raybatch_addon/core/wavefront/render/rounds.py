@@ -1,8 +1,8 @@
 """Rounds: consecutive ranges of samples of every pixel, and when a render ends. Pure policy, without Warp or a device.
 
-After a round every pixel has the same number of samples, so the picture is an estimate as good as any; in the middle of
-a round it is not, for short paths come home first. A render is one round unless somebody wants more: an observer
-snapshots, a time limit, or an error target.
+After a round every pixel that gets samples has the same number of them, so the picture is an estimate as good as any;
+in the middle of a round it is not, for short paths come home first. A render is one round unless somebody wants more:
+an observer snapshots, a time limit, an error target, or adaptive sampling looks at its noise.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from ...settings.settings import RenderSettings
+from ..adaptive.looks import Looks
 
 # Each round of a render that may end early has as many samples as all before
 GROWTH = 2.0
@@ -55,36 +56,44 @@ class RoundPolicy:
     marks: tuple[int, ...] = ()  # where rounds must end, ascending
     time_limit: float = 0.0  # [s]; 0: none
     error_target: float = 0.0  # relMSE; 0: none
-    stopped_by: str | None = field(
-        default=None, init=False
-    )  # "samples", "error" or "time", once there is no round any more
+    looks: Looks | None = None  # at the noise of pixels, which may end their sampling; None: all get all samples
+    # "samples", "error", "noise" or "time", once there is no round any more
+    stopped_by: str | None = field(default=None, init=False)
     _seconds_a_sample: float | None = field(default=None, init=False)  # of the last round
     _error: float | None = field(default=None, init=False)  # when it was looked at last
     # Where the error is looked at next. It follows from errors alone: neither marks nor a clock decide what the film is
     _check: int = field(default=0, init=False)
 
     @staticmethod
-    def of(settings: RenderSettings, wanted: Iterable[int]) -> RoundPolicy:
-        """For a render whose observers want snapshots at the sample counts `wanted`."""
+    def of(settings: RenderSettings, wanted: Iterable[int], sample_first: int = 0) -> RoundPolicy:
+        """For a render whose observers want snapshots at the sample counts `wanted`. From a later sample than 0 on it
+        is a part of a round, after which its own samples do not tell the noise.
+        """
         return RoundPolicy(
             settings.sample_count,
             sample_marks(wanted, settings.sample_count),
             settings.time_limit,
             settings.error_target,
+            Looks.of(settings) if sample_first == 0 else None,
         )
 
     @property
     def is_cut(self) -> bool:
         """Whether there can be more than one round."""
-        return bool(self.time_limit or self.error_target or any(mark < self.sample_count for mark in self.marks))
+        early = [*self.marks, *([self.looks.first] if self.looks else [])]
+        return bool(self.time_limit or self.error_target or any(mark < self.sample_count for mark in early))
 
     def looks_at_error(self, done: int) -> bool:
         """Whether the error is to be computed after `done` samples."""
         return bool(self.error_target) and done in (self._check, self.sample_count)
 
-    def note_round(self, samples: int, seconds: float, error: float | None) -> None:
-        """Remember a round of `samples` samples that took `seconds`; `error` is the relMSE of all so far, where it was
-        computed.
+    def looks_at_noise(self, done: int) -> bool:
+        """Whether pixels may end their sampling after `done` samples."""
+        return self.looks is not None and self.looks.last_until(done) == done
+
+    def note_round(self, samples: float, seconds: float, error: float | None) -> None:
+        """Remember a round of `samples` samples that took `seconds`, those in the mean over all pixels; `error` is the
+        relMSE of all so far, where it was computed.
 
         Of a round that was finished before the clock began there are none.
         """
@@ -96,15 +105,19 @@ class RoundPolicy:
     def resumed(self, settings: RenderSettings, wanted: Iterable[int]) -> RoundPolicy:
         """The policy of a render that goes on, with a clock and observers of its own."""
         policy = RoundPolicy.of(settings, wanted)
-        policy._error, policy._check = self._error, self._check
+        policy._error, policy._check, policy.looks = self._error, self._check, self.looks
         return policy
 
-    def next_end(self, done: int, seconds: float) -> int | None:
-        """Where the round after `done` samples ends, `seconds` after the render began; None: the render ends."""
+    def next_end(self, done: int, seconds: float, share: float = 1.0) -> int | None:
+        """Where the round after `done` samples ends, `seconds` after the render began, if `share` of the pixels go on;
+        None: the render ends.
+        """
         if self.error_target and self._error is not None and self._error <= self.error_target:
             self.stopped_by = "error"
         elif done >= self.sample_count:
             self.stopped_by = "samples"
+        elif share == 0.0:
+            self.stopped_by = "noise"
         if self.stopped_by:
             return None
         end = self.sample_count
@@ -113,10 +126,12 @@ class RoundPolicy:
                 self._check = self._end_by_error(done)
             end = min(end, self._check)
         if self.time_limit:
-            end = min(end, self._end_by_time(done, seconds))
+            end = min(end, self._end_by_time(done, seconds, share))
             if end <= done:
                 self.stopped_by = "time"
                 return None
+        if self.looks:
+            end = min(end, self.looks.after(done))
         return min([end, *(mark for mark in self.marks if mark > done)])
 
     def _end_by_error(self, done: int) -> int:
@@ -129,10 +144,10 @@ class RoundPolicy:
                 end = max(math.ceil(needed), done + done // 8, done + 2)
         return end + end % 2
 
-    def _end_by_time(self, done: int, seconds: float) -> int:
+    def _end_by_time(self, done: int, seconds: float, share: float) -> int:
         if self._seconds_a_sample is None:
             return done + 1  # it is always rendered, and shows how long a sample takes
         left = (self.time_limit - seconds) * TIME_SHARE
-        rate = max(self._seconds_a_sample, 1e-9)
+        rate = max(self._seconds_a_sample * share, 1e-9)
         fitting = math.floor(min(max(left, 0.0) / rate, self.sample_count))
         return min(math.ceil(done * GROWTH), done + fitting)

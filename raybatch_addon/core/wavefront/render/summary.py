@@ -8,11 +8,13 @@ from typing import Any
 
 from ...bvh.node import Layout
 from ...bvh.traverse.reference import BuiltReference
+from ...film import Film
 from ...measure.batching import BatchingTotals
 from ...measure.counters import CounterTotals, TreeBytes
 from ..integrator import TileIntegrator
 from ..order.sort_policy import merged_reports
 from ..scene.device_scene import DeviceScene
+from .resume import ResumeState
 
 
 def ray_totals(integrators: Sequence[TileIntegrator]) -> dict[str, int]:
@@ -21,6 +23,27 @@ def ray_totals(integrators: Sequence[TileIntegrator]) -> dict[str, int]:
         "camera": sum(each.rays.camera for each in integrators),
         "bounce": sum(each.rays.bounced for each in integrators),
         "shadow": sum(each.rays.shadow for each in integrators),
+    }
+
+
+def rounds_summary(film: Film, state: ResumeState, error: dict[str, Any] | None) -> dict[str, Any]:
+    """The parts of the statistics about samples: how far the render came, why it ended, and which pixels got how many;
+    `error` is what is known of it.
+    """
+    active, looks = state.active, state.policy.looks
+    return {
+        "complete": film.complete,
+        "stopped_by": state.policy.stopped_by,
+        "samples_per_pixel": state.done,
+        "error": error,
+        "adaptive": active
+        and {
+            "threshold": active.threshold,
+            "samples_min": looks.first if looks else None,
+            "samples_mean": film.sample_total / state.pixel_count,
+            "converged": 1.0 - active.share,
+            "looks": active.looks,
+        },
     }
 
 

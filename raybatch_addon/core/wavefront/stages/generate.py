@@ -103,30 +103,33 @@ def counted_kernel(work: TileWork, paths: Paths, bounce: wp.array(dtype=int), pi
     pixel[path] = pixel_sample(work, paths.item[path]).pixel
 
 
-@functools.cache
-def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
-    """Kernel (work, limits, camera, paths, rays, slots, count): item `item_first + i` starts in free slot `slots[i]`;
-    `count` is told.
+@wp.func
+def active_number(work: TileWork, active: wp.array(dtype=int), item: wp.int64) -> wp.uint32:
+    """Number of the path that is item `item` of those of the pixels `active` alone, in the same order.
+
+    `active` holds their places in the order in which all pixels are walked. Numbers stay those of a tile that gets
+    samples of every pixel (`item_base` is 0), so that no other stage knows the difference.
     """
+    if work.pixel_first != 0:
+        place = item / work.sample_count
+        return wp.uint32(wp.int64(active[int(place)]) * work.sample_count + item - place * work.sample_count)
+    count = wp.int64(active.shape[0])
+    sample = item / count
+    place = item - sample * count
+    return wp.uint32(sample * wp.int64(work.width) * wp.int64(work.height) + wp.int64(active[int(place)]))
+
+
+@functools.cache
+def make_begin_path(features: GenerateFeatures) -> wp.Function:
+    """Function (work, limits, camera, paths, rays, path, number): the path with this number starts in slot `path`."""
     sampler = make_sampler(features.sample_sequence)
     sample_2d = sampler.sample_2d
     camera_ray = make_camera_ray(CameraFeatures(features.camera, features.depth_of_field))
 
-    @wp.kernel(**KERNEL_OPTIONS)
-    def generate(
-        work: TileWork,
-        limits: PathLimits,
-        camera: CameraData,
-        paths: Paths,
-        rays: Rays,
-        slots: wp.array(dtype=int),
-        count: wp.array(dtype=int),
+    @wp.func
+    def begin_path(
+        work: TileWork, limits: PathLimits, camera: CameraData, paths: Paths, rays: Rays, path: int, number: wp.uint32
     ):
-        i = wp.tid()
-        if i == 0:
-            count[0] = work.item_count
-        path = slots[i]
-        number = wp.uint32(work.item_first - work.item_base) + wp.uint32(i)
         where = pixel_sample(work, number)
         x = where.x
         y = where.y
@@ -160,4 +163,57 @@ def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
                 paths.normal[path] = wp.vec3(0.0, 0.0, 0.0)
         paths.status[path] = wp.static(NEW_PATH)
 
+    return begin_path
+
+
+@functools.cache
+def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
+    """Kernel (work, limits, camera, paths, rays, slots, count): item `item_first + i` starts in free slot `slots[i]`;
+    `count` is told.
+    """
+    begin_path = make_begin_path(features)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def generate(
+        work: TileWork,
+        limits: PathLimits,
+        camera: CameraData,
+        paths: Paths,
+        rays: Rays,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
+    ):
+        i = wp.tid()
+        if i == 0:
+            count[0] = work.item_count
+        number = wp.uint32(work.item_first - work.item_base) + wp.uint32(i)
+        begin_path(work, limits, camera, paths, rays, slots[i], number)
+
     return generate
+
+
+@functools.cache
+def generate_active_kernel(features: GenerateFeatures) -> wp.Kernel:
+    """Kernel (work, limits, camera, paths, rays, slots, count, active): the same where pixels of the list `active`
+    alone get samples, and items are theirs.
+    """
+    begin_path = make_begin_path(features)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def generate_active(
+        work: TileWork,
+        limits: PathLimits,
+        camera: CameraData,
+        paths: Paths,
+        rays: Rays,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
+        active: wp.array(dtype=int),
+    ):
+        i = wp.tid()
+        if i == 0:
+            count[0] = work.item_count
+        number = active_number(work, active, work.item_first + wp.int64(i))
+        begin_path(work, limits, camera, paths, rays, slots[i], number)
+
+    return generate_active
