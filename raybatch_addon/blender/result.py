@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ..core.observers import Tile
-from ..export.passes import COST_PASS_PROPERTIES, wanted_passes
+from ..export.passes import OWN_PASS_PROPERTIES, wanted_passes
 
 # channels, their letters and Blender's kind of value, by pass
 PASSES = {
@@ -14,7 +14,7 @@ PASSES = {
     "Depth": (1, "Z", "VALUE"),
     "Position": (3, "XYZ", "VECTOR"),
     "Normal": (3, "XYZ", "VECTOR"),
-    **dict.fromkeys(COST_PASS_PROPERTIES.values(), (1, "X", "VALUE")),
+    **dict.fromkeys(OWN_PASS_PROPERTIES.values(), (1, "X", "VALUE")),
 }
 
 

@@ -60,7 +60,7 @@ class Run:
     seconds: float = 0.0  # of rendering, as far as it came
     samples: float = 0.0  # of every pixel, in the mean
     device: str = ""
-    stopped_by: str | None = None  # "samples", "error" or "time"
+    stopped_by: str | None = None  # "samples", "error", "noise" or "time"
     error: dict[str, Any] | None = None  # as in the statistics of the film
     problem: str = ""  # why there are no more points
     kept: bool = False  # newer runs leave it alone

@@ -12,7 +12,11 @@ from .records import FINISHED, RUNNING, Run
 
 # Settings that say when a render ends and what is reported of it, and words for what ended one
 _END_SETTINGS = {"sample_count", "time_limit", "error_estimate", "error_target"}
-_ENDINGS = {"error": "stopped at its error", "time": "stopped by its time limit"}
+_ENDINGS = {
+    "error": "stopped at its error",
+    "time": "stopped by its time limit",
+    "noise": "ended with every pixel below the noise threshold",
+}
 
 
 def names_of(runs: Sequence[Run]) -> dict[int, str]:
@@ -53,6 +57,11 @@ def error_line(statistics: dict[str, Any]) -> str:
     if samples is None:
         return ""
     parts = [f"{samples:,} sample{'' if samples == 1 else 's'} per pixel"]
+    if adaptive := statistics.get("adaptive"):
+        parts = [
+            f"{adaptive['samples_mean']:,.0f} samples per pixel, {samples:,} at most",
+            f"{100 * adaptive['converged']:.0f} % of the pixels below the noise threshold",
+        ]
     error = statistics.get("error")
     if error and error.get("relmse") is not None:
         parts.append(

@@ -25,6 +25,7 @@ class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
         column = layout.column(heading="Include")
         for name in ("use_pass_combined", *PASS_PROPERTIES):
             column.prop(context.view_layer, name)
+        column.prop(context.view_layer.raybatch, "use_pass_sample_count")
         column = layout.column(heading="Cost")
         for name in COST_PASS_PROPERTIES:
             column.prop(context.view_layer.raybatch, name)

@@ -52,9 +52,8 @@ def _property(info: SettingInfo):
     if info.unit == "s":
         return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, unit="TIME_ABSOLUTE", step=100, **about)
     # of a relative error the last of three digits would often be the first
-    return bpy.props.FloatProperty(
-        min=info.minimum, max=info.maximum, precision=6 if info.unit == "relMSE" else 3, **about
-    )
+    precision = {"relMSE": 6, "relative": 4}.get(info.unit, 3)
+    return bpy.props.FloatProperty(min=info.minimum, max=info.maximum, precision=precision, **about)
 
 
 def _description(info: SettingInfo) -> str:
@@ -123,6 +122,13 @@ def _cost_pass(name: str, description: str):
 class RayBatchViewLayer(bpy.types.PropertyGroup):
     """RayBatch's own passes of a view layer."""
 
+    use_pass_sample_count: bpy.props.BoolProperty(
+        name="Sample Count",
+        description="Samples that each pixel has. With Adaptive Sampling they differ from pixel to pixel",
+        default=False,
+        options=set(),
+        update=_update_passes,
+    )
     use_pass_rays: _cost_pass("Rays", "Rays that a path takes, shadow rays included")
     use_pass_node_steps: _cost_pass("Node Steps", "Nodes of the tree that the rays of a path visit")
     use_pass_triangle_tests: _cost_pass("Triangle Tests", "Triangles that the rays of a path are tested with")

@@ -32,7 +32,7 @@ def _draw(self, context):
     for info in SETTINGS.values():
         if info.group == self.group:
             row = column.row(align=True)
-            row.active = not _is_implied(context.scene.raybatch, info.name)
+            row.active = _is_heard(context.scene.raybatch, info.name)
             row.prop(context.scene.raybatch, shown_name(info))
             draw_choice(row, context, info)
             if info.unit == BYTES:
@@ -45,9 +45,12 @@ def _draw(self, context):
         draw_lines(layout, context, estimate_lines(context))
 
 
-def _is_implied(settings, name: str) -> bool:
-    """Whether another setting already says what this one would."""
-    return name == "error_estimate" and settings.error_target > 0
+def _is_heard(settings, name: str) -> bool:
+    """Whether a setting has a say: no other already says what it would, or leaves nothing to say."""
+    is_adaptive = settings.adaptive_sampling == "ON"
+    if name == "error_estimate":
+        return not (settings.error_target > 0 or is_adaptive)
+    return is_adaptive or name not in ("noise_threshold", "adaptive_samples_min")
 
 
 def _draw_text_complaint(layout, context, info: SettingInfo) -> None:

@@ -28,7 +28,7 @@ from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.export.passes import COST_PASS_PROPERTIES, PASS_PROPERTIES
+from raybatch_addon.export.passes import OWN_PASS_PROPERTIES, PASS_PROPERTIES
 from raybatch_addon.export.settings import assign_setting, settings_from
 from rendering.imported import import_geometry
 from rendering.pictures import write_heat_map
@@ -240,7 +240,7 @@ def _apply_settings(scene: bpy.types.Scene, request: Request) -> None:
 def _ask_for_passes(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
     """Let all view layers render the passes `names` beside those that they have."""
     for layer in scene.view_layers:
-        for owner, properties in ((layer, PASS_PROPERTIES), (layer.raybatch, COST_PASS_PROPERTIES)):
+        for owner, properties in ((layer, PASS_PROPERTIES), (layer.raybatch, OWN_PASS_PROPERTIES)):
             for prop, name in properties.items():
                 if name in names:
                     setattr(owner, prop, True)

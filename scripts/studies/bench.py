@@ -74,7 +74,7 @@ class Bench:
         self.session = Session(options.device, None, kernel_cache_folder())
         self._scenes: dict[Any, Scene] = {}
         self._references: dict[Any, Reference] = {}
-        self._warm: set[Any] = set()
+        self.warm: set[Any] = set()
         self.geometry_bytes: int | None = None  # of the scene at hand, where a study needs it
 
     def close(self) -> None:
@@ -129,9 +129,9 @@ class Bench:
         }
 
     def _warm_up(self, scene: Scene, settings: RenderSettings, warm: Any) -> None:
-        if warm is not None and warm not in self._warm:
+        if warm is not None and warm not in self.warm:
             self.session.render(resized(scene, WARM_EDGE, WARM_EDGE), settings.replace(sample_count=1))
-            self._warm.add(warm)
+            self.warm.add(warm)
 
     def reference(self, key: Any, scene: Scene, settings: RenderSettings, samples: int) -> Reference:
         """What the picture should be: by this engine as it is, with another seed, in halves that tell its own error;

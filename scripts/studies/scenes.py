@@ -39,6 +39,9 @@ FILES = {
     "sponza": (("sponza.npz", "crytek_sponza_half.npz"), "y"),
     "san_miguel": (("san_miguel.npz", "san_miguel_building.npz"), "z"),
     "bunny": (("bunny144k.npz", "bunny.npz"), "y"),
+    # scenes of .blend files, as scripts/render.py saves them
+    "bmw": (("bmw.scene.npz",), "z"),
+    "livingroom": (("livingroom.scene.npz",), "z"),
 }
 # Where cameras of whole rooms stand: eye, target, field of view [degrees]
 VIEWS = {

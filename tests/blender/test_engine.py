@@ -16,7 +16,7 @@ from raybatch_addon.blender.result import ResultWriter, register_passes  # noqa:
 from raybatch_addon.core.errors import SceneError  # noqa: E402
 from raybatch_addon.core.film import PASSES as film_passes  # noqa: E402
 from raybatch_addon.core.film.layout import COST_PASSES  # noqa: E402
-from raybatch_addon.export.passes import COST_PASS_PROPERTIES, PASS_PROPERTIES  # noqa: E402
+from raybatch_addon.export.passes import COST_PASS_PROPERTIES, OWN_PASS_PROPERTIES, PASS_PROPERTIES  # noqa: E402
 from tests.support.blender_builders import add_object, add_triangle, material_of, node_tree  # noqa: E402
 from tests.support.blender_watch import watch_engines  # noqa: E402
 
@@ -210,7 +210,7 @@ def test_the_compositor_has_a_socket_for_each_pass(lit):
 
 
 def test_passes_of_the_panel_are_those_of_the_film():
-    names = {"Combined", *PASS_PROPERTIES.values(), *COST_PASS_PROPERTIES.values()}
+    names = {"Combined", *PASS_PROPERTIES.values(), *OWN_PASS_PROPERTIES.values()}
     assert names == set(film_passes) == set(result_passes)
     assert tuple(COST_PASS_PROPERTIES.values()) == COST_PASSES
     assert {name: about[0] for name, about in result_passes.items()} == film_passes

@@ -12,7 +12,7 @@ from ...settings.settings import RenderSettings
 LEAST, EXPONENT = 16.0, 0.3
 # Looks while the sample count doubles. A pixel gets up to 1 / LOOKS_AN_OCTAVE more samples than it needs, and each look
 # ends a round
-LOOKS_AN_OCTAVE = 4
+LOOKS_AN_OCTAVE = 2
 
 
 @dataclass(frozen=True)

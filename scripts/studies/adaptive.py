@@ -1,0 +1,139 @@
+"""Adaptive sampling: samples and time to the same error, with pixels that end by their noise and with all alike."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from pathlib import Path
+
+import numpy as np
+
+from raybatch_addon.core.convergence.errors import relmse, rmse
+from raybatch_addon.core.scene.archive import load_scene
+from raybatch_addon.core.scene.description import Scene
+from raybatch_addon.core.settings.settings import RenderSettings
+from studies import scenes
+from studies.adaptive_bias import bias_table
+from studies.bench import Bench, row_of, with_frame
+from studies.curves import cases_of
+from studies.pages import device_title, machine, number, table
+from studies.study import Case, Options, Report, Row, Study
+
+SCENES = ("plates", "room", "bmw", "livingroom")
+BUILT = {"plates": scenes.plates, "room": scenes.room}
+ALL = "all samples"
+THRESHOLDS = ("0.1", "0.05", "0.02")
+
+
+def cases(options: Options) -> list[Case]:
+    """All samples of every pixel beside several thresholds, in turns."""
+    return cases_of(Case, SCENES, (ALL, *THRESHOLDS))
+
+
+def scene_named(name: str, options: Options) -> Scene:
+    """One of `SCENES`: built here, or an archive of the scene of a .blend file."""
+    if name in BUILT:
+        return BUILT[name](64, 64)
+    return load_scene(scenes.find(name, options))[0]
+
+
+def sizes(options: Options) -> tuple[int, int, int]:
+    """Edge of the frame, most samples, and those of the reference."""
+    if options.is_cuda:
+        return options.pick((256, 256, 8192), (512, 1024, 16_384))
+    return options.pick((48, 64, 512), (128, 512, 4096))
+
+
+def measure(case: Case, turn: int, bench: Bench) -> Row:
+    """One render with a seed of its own, and its error."""
+    name, variant = case.what["scene"], case.what["variant"]
+    edge, samples, many = sizes(bench.options)
+    scene = with_frame(bench.scene(name, lambda: scene_named(name, bench.options)), edge, edge)
+    settings = RenderSettings(sample_count=samples, bounce_max=4, seed=turn + 1)
+    reference = bench.reference(name, scene, settings, many)
+    if variant == ALL:
+        return {"edge": edge, **bench.curve(scene, settings, reference, (name, ALL))}
+    settings = settings.replace(adaptive_sampling="ON", noise_threshold=float(variant))
+    if (name, variant) not in bench.warm:  # a small frame, so that kernels are there
+        bench.session.render(with_frame(scene, 32, 32), settings.replace(adaptive_samples_min=2, sample_count=4))
+        bench.warm.add((name, variant))
+    film = bench.session.render(scene, settings)
+    picture = film.passes["Combined"][..., :3]
+    return {
+        "edge": edge,
+        **row_of(film, settings),
+        "samples_mean": film.statistics["adaptive"]["samples_mean"],
+        "converged": film.statistics["adaptive"]["converged"],
+        "rounds": len(film.statistics["adaptive"]["looks"]),
+        "relmse": relmse(picture, reference.picture),
+        "rmse": rmse(picture, reference.picture),
+        "bias": float(picture.mean(dtype=float) / reference.picture.mean(dtype=float) - 1.0),
+    }
+
+
+def needed(points: list[Row], measure: str, error: float) -> tuple[float, float]:
+    """Samples and seconds after which a render of all samples has an error, between its points and beyond their end."""
+    logs = [[math.log(point[key]) for point in points] for key in (measure, "samples", "seconds")]
+    order = np.argsort(logs[0])
+    errors, *others = (np.asarray(each)[order] for each in logs)
+    wanted = math.log(error)
+    if wanted < errors[0]:  # beyond the last sample: as it fell last
+        first, second = 0, min(2, len(errors) - 1)
+        found = [
+            x[first] + (wanted - errors[first]) * (x[second] - x[first]) / (errors[second] - errors[first])
+            for x in others
+        ]
+    else:
+        found = [float(np.interp(wanted, errors, x)) for x in others]
+    return math.exp(found[0]), math.exp(found[1])
+
+
+def fragment(reports: dict[str, Report]) -> str:
+    """What each threshold costs, and what all samples of every pixel cost for the same error."""
+    lines = [*(f"- {machine(report)}" for report in reports.values()), ""]
+    rows = []
+    for report in reports.values():
+        for name in SCENES:
+            plain = [row for row in report["rows"] if row["scene"] == name and row["variant"] == ALL]
+            if not plain:
+                continue
+            points = [
+                {key: statistics.median(p[key] for p in point) for key in ("samples", "seconds", "relmse", "rmse")}
+                for point in zip(*(row["points"] for row in plain), strict=True)
+            ]
+            for variant in THRESHOLDS:
+                mine = [row for row in report["rows"] if row["scene"] == name and row["variant"] == variant]
+                if mine:
+                    rows.append([device_title(report), name, variant, *_figures(mine, points)])
+    head = ["device", "scene", "threshold", "mean samples", "converged", "relMSE", "seconds"]
+    head += ["samples: gain", "time: gain", "samples: gain by RMSE", "time: gain by RMSE", "mean over reference"]
+    return "\n".join([*lines, table(head, rows), "", bias_table()])
+
+
+def _figures(rows: list[Row], points: list[Row]) -> list[str]:
+    told = {
+        key: statistics.median(row[key] for row in rows)
+        for key in ("samples_mean", "converged", "relmse", "rmse", "seconds")
+    }
+    gains = []
+    for measure in ("relmse", "rmse"):
+        samples, seconds = needed(points, measure, told[measure])
+        gains += [f"{samples / told['samples_mean']:.2f}", f"{seconds / told['seconds']:.2f}"]
+    bias = [row["bias"] for row in rows]
+    spread = f" ± {100 * statistics.stdev(bias) / math.sqrt(len(bias)):.2f} %" if len(bias) > 1 else ""
+    return [
+        f"{told['samples_mean']:.0f}",
+        f"{100 * told['converged']:.0f} %",
+        number(told["relmse"]),
+        number(told["seconds"]),
+        *gains,
+        f"{100 * statistics.mean(bias):+.2f} %{spread}",
+    ]
+
+
+def draw(reports: dict[str, Report], folder: Path) -> None:
+    """A table says it all."""
+
+
+ABOUT = "adaptive sampling: samples and time to the same error, and how dark it makes pictures"
+STUDY = Study("adaptive", ABOUT, cases, measure, fragment, draw, turns=(2, 3))
