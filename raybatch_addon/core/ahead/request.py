@@ -75,6 +75,7 @@ class GeneralRequest:
         scenes += [dataclasses.replace(scene, closures=opaque) for scene in scenes[:4]]
         scenes += [without_programs(scene) for scene in scenes[:1]]
         for features in scenes:
+            features = dataclasses.replace(features, adaptive=True)  # the kernels of both ways to sample
             found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), general).kernels(device)
         return found
 

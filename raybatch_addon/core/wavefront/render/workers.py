@@ -27,6 +27,8 @@ from ..tracers.choose import tracer_bytes_per_path
 PATH_MEMORY_SHARE = 0.6
 # Of samples that are set aside on their way to the film [bytes]
 SPILL_BYTES = 1 << 19
+# Of each pixel at a look at its noise: colors of both halves, noise and its sums, and lists of pixels [bytes]
+LOOK_BYTES = 64
 
 
 @dataclass
@@ -58,6 +60,8 @@ def make_workers(
     tile_bytes = (sum(areas) if device.is_cuda else max(areas)) * (layout.count * WINDOW_DIGITS + 1) * 8
     if settings.half_count == 2:
         tile_bytes *= 3  # of both halves, and of their sum while a picture is made of it
+    if settings.is_adaptive:
+        tile_bytes += LOOK_BYTES * (sum(areas) if device.is_cuda else max(areas))
     sorting = order_bytes(scene.tracing.sort_mode(settings), asked, device.is_cuda)
     if scene.hits_sorted_by(settings):
         sorting += hit_order_bytes(asked)
