@@ -17,6 +17,7 @@ from raybatch_addon.core.errors import SceneError  # noqa: E402
 from raybatch_addon.core.film import PASSES as film_passes  # noqa: E402
 from raybatch_addon.core.film.layout import COST_PASSES  # noqa: E402
 from raybatch_addon.export.passes import COST_PASS_PROPERTIES, OWN_PASS_PROPERTIES, PASS_PROPERTIES  # noqa: E402
+from raybatch_addon.ui.last_render import report_lines  # noqa: E402
 from tests.support.blender_builders import add_object, add_triangle, material_of, node_tree  # noqa: E402
 from tests.support.blender_watch import watch_engines  # noqa: E402
 
@@ -190,6 +191,24 @@ def test_cost_is_counted_for_those_who_ask_alone(films, tmp_path):
     assert np.array_equal(plain.passes["Combined"], costly.passes["Combined"])
 
 
+def test_adaptive_sampling_tells_who_got_how_many_samples(lit, films, tmp_path):
+    lit.raybatch.adaptive_sampling, lit.raybatch.noise_threshold = "ON", 0.1
+    lit.raybatch.sample_count, lit.raybatch.adaptive_samples_min = 12, 4
+    lit.view_layers[0].raybatch.use_pass_sample_count = True
+    image = lit.render.image_settings
+    if hasattr(image, "media_type"):
+        image.media_type = "MULTI_LAYER_IMAGE"
+    image.file_format = "OPEN_EXR_MULTILAYER"
+    lit.render.filepath = str(tmp_path / "samples.exr")
+    assert bpy.ops.render.render(write_still=True) == {"FINISHED"}
+    ((_, film),) = films
+    assert b"Sample Count.X" in (tmp_path / "samples.exr").read_bytes()
+    told = film.statistics["adaptive"]
+    assert film.statistics["settings"]["noise_threshold"] == told["threshold"] == 0.1
+    assert film.passes["Sample Count"].min() == 4 and film.passes["Sample Count"].mean() == told["samples_mean"]
+    assert f"{100 * told['converged']:.0f} % of the pixels below the noise threshold" in report_lines(reports.last())[0]
+
+
 def test_the_compositor_has_a_socket_for_each_pass(lit):
     layer = lit.view_layers[0]
     if bpy.app.version < (5, 0):
@@ -202,11 +221,12 @@ def test_the_compositor_has_a_socket_for_each_pass(lit):
     def sockets():
         return {socket.name for socket in node.outputs if socket.enabled}
 
-    assert "Triangle Tests" not in sockets()
-    layer.raybatch.use_pass_triangle_tests = True
-    assert "Triangle Tests" in sockets()
-    layer.raybatch.use_pass_triangle_tests = False
-    assert "Triangle Tests" not in sockets()
+    for prop, name in OWN_PASS_PROPERTIES.items():
+        assert name not in sockets()
+        setattr(layer.raybatch, prop, True)
+        assert name in sockets()
+        setattr(layer.raybatch, prop, False)
+        assert name not in sockets()
 
 
 def test_passes_of_the_panel_are_those_of_the_film():
