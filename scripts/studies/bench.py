@@ -15,6 +15,7 @@ from converging.reference import core_digest
 from rendering.standalone import resized
 
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
+from raybatch_addon.core.convergence.errors import relmse, rmse
 from raybatch_addon.core.convergence.fit import known
 from raybatch_addon.core.convergence.points import (
     ConvergenceRecorder,
@@ -74,7 +75,7 @@ class Bench:
         self.session = Session(options.device, None, kernel_cache_folder())
         self._scenes: dict[Any, Scene] = {}
         self._references: dict[Any, Reference] = {}
-        self.warm: set[Any] = set()
+        self._warm: set[Any] = set()
         self.geometry_bytes: int | None = None  # of the scene at hand, where a study needs it
 
     def close(self) -> None:
@@ -128,10 +129,31 @@ class Bench:
             "floor": dict(zip(("rmse", "relmse"), noise_floor(reference), strict=True)),
         }
 
+    def compared(self, scene: Scene, settings: RenderSettings, reference: Reference, warm: Any = None) -> Row:
+        """Figures of one render that nobody watches: the error of its film, the mean of its samples, how bright it is
+        beside `reference`, and `cost`: its seconds, on a CPU those of processors, so that other work does not count.
+        """
+        self._warm_up(scene, settings, warm)
+        began = time.process_time()
+        film = self.session.render(scene, settings)
+        seconds = time.process_time() - began
+        told, picture = film.statistics, film.passes["Combined"][..., :3]
+        adaptive = told["adaptive"] or {}
+        return {
+            **row_of(film, settings),
+            "cost": told["seconds"]["render"] if self.options.is_cuda else seconds,
+            "samples_mean": told["samples"] / (film.width * film.height),
+            "converged": adaptive.get("converged"),
+            "rounds": len(adaptive.get("looks", ())) + 1,
+            "relmse": relmse(picture, reference.picture),
+            "rmse": rmse(picture, reference.picture),
+            "brightness": float(picture.mean(dtype=float) / reference.picture.mean(dtype=float)),
+        }
+
     def _warm_up(self, scene: Scene, settings: RenderSettings, warm: Any) -> None:
-        if warm is not None and warm not in self.warm:
+        if warm is not None and warm not in self._warm:
             self.session.render(resized(scene, WARM_EDGE, WARM_EDGE), settings.replace(sample_count=1))
-            self.warm.add(warm)
+            self._warm.add(warm)
 
     def reference(self, key: Any, scene: Scene, settings: RenderSettings, samples: int) -> Reference:
         """What the picture should be: by this engine as it is, with another seed, in halves that tell its own error;

@@ -114,6 +114,9 @@ class NotedBench:
         self.noted.append(settings)
         return {}
 
+    def compared(self, scene, settings, reference, warm=None):
+        return self.timed(scene, settings)
+
     def reference(self, key, scene, settings, samples):
         self.noted.append(settings)
 

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import math
 import statistics
-import time
 from pathlib import Path
 
 import numpy as np
 
-from raybatch_addon.core.convergence.errors import relmse, rmse
-from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import load_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings.settings import RenderSettings
 from studies import scenes
-from studies.adaptive_bias import bias_table
-from studies.bench import Bench, row_of, with_frame
+from studies.adaptive.bias import bias_table
+from studies.bench import Bench, with_frame
 from studies.curves import cases_of
 from studies.pages import device_title, machine, number, table
-from studies.study import Case, Options, Report, Row, Study
+from studies.study import Case, Options, Report, Row
 
 SCENES = ("plates", "room", "bmw", "livingroom")
 BUILT = {"plates": scenes.plates, "room": scenes.room}
@@ -54,36 +51,10 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
     settings = RenderSettings(sample_count=samples, bounce_max=4, seed=turn + 1)
     reference = bench.reference(name, scene, settings, many)
     if variant == ALL:
-        return {
-            "edge": edge,
-            **bench.curve(scene, settings, reference, (name, ALL)),
-            **_timed(bench, scene, settings)[1],
-        }
+        points = bench.curve(scene, settings, reference, name)
+        return {"edge": edge, **points, **bench.compared(scene, settings, reference, name)}
     settings = settings.replace(adaptive_sampling="ON", noise_threshold=float(variant))
-    if (name, variant) not in bench.warm:  # a small frame, so that kernels are there
-        bench.session.render(with_frame(scene, 32, 32), settings.replace(adaptive_samples_min=2, sample_count=4))
-        bench.warm.add((name, variant))
-    film, told = _timed(bench, scene, settings)
-    picture = film.passes["Combined"][..., :3]
-    return {
-        "edge": edge,
-        **row_of(film, settings),
-        **told,
-        "samples_mean": film.statistics["adaptive"]["samples_mean"],
-        "converged": film.statistics["adaptive"]["converged"],
-        "rounds": len(film.statistics["adaptive"]["looks"]),
-        "relmse": relmse(picture, reference.picture),
-        "rmse": rmse(picture, reference.picture),
-        "bias": float(picture.mean(dtype=float) / reference.picture.mean(dtype=float) - 1.0),
-    }
-
-
-def _timed(bench: Bench, scene: Scene, settings: RenderSettings) -> tuple[Film, Row]:
-    """A render that nobody watches, and the seconds of processors that it took (CPU: other work does not count)."""
-    began = time.process_time()
-    film = bench.session.render(scene, settings)
-    seconds = time.process_time() - began
-    return film, {"cost": film.statistics["seconds"]["render"] if bench.options.is_cuda else seconds}
+    return {"edge": edge, **bench.compared(scene, settings, reference, (name, "adaptive"))}
 
 
 def needed(points: list[Row], measure: str, error: float) -> float:
@@ -130,7 +101,7 @@ def _figures(rows: list[Row], points: list[Row], cost: float) -> list[str]:
     for measure in ("relmse", "rmse"):
         samples = needed(points, measure, told[measure])
         gains += [f"{samples / told['samples_mean']:.2f}", f"{samples * cost / told['cost']:.2f}"]
-    bias = [row["bias"] for row in rows]
+    bias = [row["brightness"] - 1.0 for row in rows]
     spread = f" ± {100 * statistics.stdev(bias) / math.sqrt(len(bias)):.2f} %" if len(bias) > 1 else ""
     return [
         f"{told['samples_mean']:.0f}",
@@ -144,7 +115,3 @@ def _figures(rows: list[Row], points: list[Row], cost: float) -> list[str]:
 
 def draw(reports: dict[str, Report], folder: Path) -> None:
     """A table says it all."""
-
-
-ABOUT = "adaptive sampling: samples and time to the same error, and how dark it makes pictures"
-STUDY = Study("adaptive", ABOUT, cases, measure, fragment, draw, turns=(2, 2))
