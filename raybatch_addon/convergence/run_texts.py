@@ -15,7 +15,7 @@ _END_SETTINGS = {"sample_count", "time_limit", "error_estimate", "error_target"}
 _ENDINGS = {
     "error": "stopped at its error",
     "time": "stopped by its time limit",
-    "noise": "ended with every pixel below the noise threshold",
+    "noise": "stopped by its noise threshold",
 }
 
 

@@ -244,6 +244,11 @@ def test_data_is_for_json_as_that_of_the_script():
             },
             "9 samples per pixel, error 0.01 (relMSE) at 8, the error of 0.002 was not reached",
         ),
+        (
+            {"samples_per_pixel": 1024, "stopped_by": "noise", "adaptive": {"samples_mean": 211.4, "converged": 1.0}},
+            "211 samples per pixel, 1,024 at most, 100 % of the pixels below the noise threshold, "
+            "stopped by its noise threshold",
+        ),
     ],
 )
 def test_how_far_a_render_came(statistics, said):

@@ -6,8 +6,8 @@ so that whatever a mean over many pictures lacks is bias. Halves, looks and nois
 
 from __future__ import annotations
 
-import functools
 import math
+import statistics
 from collections.abc import Callable
 
 import numpy as np
@@ -15,10 +15,12 @@ import numpy as np
 from raybatch_addon.core.wavefront.adaptive.looks import Looks
 from raybatch_addon.core.wavefront.adaptive.noise import RADIUS
 from studies.pages import table
+from studies.study import Case, Report, Row
 
 EDGE = 48  # pixels
-PICTURES = 200  # of each rule
+PICTURES = 150  # of each rule, in each turn
 MEAN = 0.1  # of what is not an event
+SIMULATED = "simulated"
 # Threshold, first look, samples at most, probability of an event, and its value
 EVENTS = (
     (0.01, 64, 1024, 1e-4, 1000.0),
@@ -84,18 +86,37 @@ def picture(
     return float((sums.sum(0) / counts).mean()), float(counts.mean())
 
 
-@functools.cache
-def bias_table() -> str:
+def cases() -> list[Case]:
+    """Every rule for every kind of event."""
+    return [
+        Case(f"{SIMULATED} {k + 1}: {rule}", f"{SIMULATED} {k + 1}", {"scene": SIMULATED, "variant": rule, "event": k})
+        for k in range(len(EVENTS))
+        for rule in RULES
+    ]
+
+
+def measured(case: Case, turn: int) -> Row:
+    """Means of many pictures over the true one, their standard error, and mean samples."""
+    threshold, first, last, probability, value = EVENTS[case.what["event"]]
+    seeds, true = range(turn * PICTURES, (turn + 1) * PICTURES), MEAN + probability * value
+    rule = RULES[case.what["variant"]]
+    found = np.array([picture(rule, threshold, first, last, probability, value, seed) for seed in seeds])
+    deviation = found[:, 0].std(ddof=1) / math.sqrt(PICTURES)
+    return {"brightness": found[:, 0].mean() / true, "deviation": deviation / true, "samples_mean": found[:, 1].mean()}
+
+
+def bias_table(report: Report) -> str:
     """Bias of every rule, with its standard error."""
     rows = []
-    for threshold, first, last, probability, value in EVENTS:
-        true = MEAN + probability * value
-        for name, rule in RULES.items():
-            found = np.array([picture(rule, threshold, first, last, probability, value, n) for n in range(PICTURES)])
-            mean, samples = found.mean(0)
-            error = found[:, 0].std(ddof=1) / math.sqrt(PICTURES) / true
-            bias = f"{100 * (mean / true - 1):+.2f} % ± {100 * error:.2f} %"
-            rows.append(
-                [f"{threshold:g}", f"1 in {1 / probability:,.0f}", f"{value:,.0f}", name, f"{samples:.0f}", bias]
-            )
+    for k, (threshold, _, _, probability, value) in enumerate(EVENTS):
+        for rule in RULES:
+            mine = [row for row in report["rows"] if row.get("event") == k and row["variant"] == rule]
+            if not mine:
+                continue
+            bias = 100 * (statistics.mean(row["brightness"] for row in mine) - 1)
+            error = 100 * math.sqrt(sum(row["deviation"] ** 2 for row in mine)) / len(mine)
+            samples = statistics.mean(row["samples_mean"] for row in mine)
+            events = f"1 in {1 / probability:,.0f}"
+            shown = f"{bias:+.2f} % ± {error:.2f} %"
+            rows.append([f"{threshold:g}", events, f"{value:,.0f}", rule, f"{samples:.0f}", shown])
     return table(["threshold", "events", "value", "decided by", "mean samples", "bias"], rows)

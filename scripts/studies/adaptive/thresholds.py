@@ -12,7 +12,7 @@ from raybatch_addon.core.scene.archive import load_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings.settings import RenderSettings
 from studies import scenes
-from studies.adaptive.bias import bias_table
+from studies.adaptive import bias
 from studies.bench import Bench, with_frame
 from studies.curves import cases_of
 from studies.pages import device_title, machine, number, table
@@ -25,8 +25,8 @@ THRESHOLDS = ("0.1", "0.05", "0.02")
 
 
 def cases(options: Options) -> list[Case]:
-    """All samples of every pixel beside several thresholds, in turns."""
-    return cases_of(Case, SCENES, (ALL, *THRESHOLDS))
+    """All samples of every pixel beside several thresholds, in turns; and rules that are simulated."""
+    return cases_of(Case, SCENES, (ALL, *THRESHOLDS)) + bias.cases()
 
 
 def scene_named(name: str, options: Options) -> Scene:
@@ -36,17 +36,19 @@ def scene_named(name: str, options: Options) -> Scene:
     return load_scene(scenes.find(name, options))[0]
 
 
-def sizes(options: Options) -> tuple[int, int, int]:
-    """Edge of the frame, most samples, and those of the reference."""
+def sizes(options: Options, name: str) -> tuple[int, int, int]:
+    """Edge of the frame, most samples, and those of the reference; of files, whose paths take long, less."""
     if options.is_cuda:
         return options.pick((256, 256, 8192), (512, 1024, 16_384))
-    return options.pick((48, 64, 512), (80, 512, 4096))
+    return options.pick((48, 64, 512), (80, 512, 4096) if name in BUILT else (48, 256, 2048))
 
 
 def measure(case: Case, turn: int, bench: Bench) -> Row:
     """One render with a seed of its own, and its error."""
     name, variant = case.what["scene"], case.what["variant"]
-    edge, samples, many = sizes(bench.options)
+    if name == bias.SIMULATED:
+        return bias.measured(case, turn)
+    edge, samples, many = sizes(bench.options, name)
     scene = with_frame(bench.scene(name, lambda: scene_named(name, bench.options)), edge, edge)
     settings = RenderSettings(sample_count=samples, bounce_max=4, seed=turn + 1)
     reference = bench.reference(name, scene, settings, many)
@@ -88,7 +90,7 @@ def fragment(reports: dict[str, Report]) -> str:
                     rows.append([device_title(report), name, variant, *_figures(mine, points, each)])
     head = ["device", "scene", "threshold", "mean samples", "converged", "relMSE", "seconds of processors"]
     head += ["samples: gain", "time: gain", "samples: gain by RMSE", "time: gain by RMSE", "mean over reference"]
-    return "\n".join([*lines, table(head, rows), "", bias_table()])
+    return "\n".join([*lines, table(head, rows), "", bias.bias_table(next(iter(reports.values())))])
 
 
 def _figures(rows: list[Row], points: list[Row], cost: float) -> list[str]:
@@ -101,15 +103,15 @@ def _figures(rows: list[Row], points: list[Row], cost: float) -> list[str]:
     for measure in ("relmse", "rmse"):
         samples = needed(points, measure, told[measure])
         gains += [f"{samples / told['samples_mean']:.2f}", f"{samples * cost / told['cost']:.2f}"]
-    bias = [row["brightness"] - 1.0 for row in rows]
-    spread = f" ± {100 * statistics.stdev(bias) / math.sqrt(len(bias)):.2f} %" if len(bias) > 1 else ""
+    brighter = [row["brightness"] - 1.0 for row in rows]
+    spread = f" ± {100 * statistics.stdev(brighter) / math.sqrt(len(brighter)):.2f} %" if len(brighter) > 1 else ""
     return [
         f"{told['samples_mean']:.0f}",
         f"{100 * told['converged']:.0f} %",
         number(told["relmse"]),
         number(told["cost"]),
         *gains,
-        f"{100 * statistics.mean(bias):+.2f} %{spread}",
+        f"{100 * statistics.mean(brighter):+.2f} %{spread}",
     ]
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from raybatch_addon.core.convergence import points as convergence
+from raybatch_addon.core.convergence.errors import squared_error_of_halves
 from raybatch_addon.core.convergence.halves import half_error
 from raybatch_addon.core.convergence.points import (
     ConvergenceRecorder,
@@ -127,6 +128,16 @@ def test_the_error_that_ends_a_render_is_that_of_the_recorder(samples):
     assert (point.rmse, point.relmse) == pytest.approx((found.rmse, found.relmse), rel=1e-12)
     if n == m:
         assert (rmse_of_halves(a, b), relmse_of_halves(a, b)) == pytest.approx((found.rmse, found.relmse), rel=1e-12)
+
+
+def test_pixels_with_samples_of_their_own_number_have_each_its_weight():
+    a, b = np.random.default_rng(6).gamma(0.3, 1.0, (2, *SHAPE))
+    counts = np.full(SHAPE[:2], 9)
+    assert half_error(a, b, counts) == half_error(a, b, 9)
+    counts[0], counts[1] = 4, 0  # halves of one size; none at all
+    error = squared_error_of_halves(a, b, counts)
+    assert np.array_equal(error[0], squared_error_of_halves(a, b, 4)[0]) and not error[1].any()
+    assert np.array_equal(error[2:], squared_error_of_halves(a, b, 9)[2:])
 
 
 def test_rare_light_does_not_hide_the_error():
