@@ -25,6 +25,7 @@ from .measure.batching import batching_statistics
 from .measure.hardware import hardware_counters
 from .measure.statistics import render_statistics
 from .observers import Progress, RenderObserver, Tile, call_all
+from .programs.footprints import filtered_scene, image_statistics
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
@@ -201,7 +202,7 @@ class Session:
         cancelled: Callable[[], bool] | None,
         observers: Sequence[RenderObserver],
     ) -> _Job:
-        checked = checked_scene(scene)
+        checked = filtered_scene(checked_scene(scene), settings)
         warnings = list(checked.warnings)
         if sample_first < 0 or sample_first + settings.sample_count > 2**32:
             raise RayBatchError(
@@ -390,7 +391,7 @@ class Session:
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),
                 "lights": len(job.scene.lights),
-                "images": {"count": len(job.scene.images), "bytes": device_scene.images.bytes if device_scene else 0},
+                "images": image_statistics(job.scene, device_scene.images if device_scene else None),
                 "invalid_samples": invalid,
                 "modules": modules,
                 "warnings": job.warnings,
