@@ -6,7 +6,7 @@ import difflib
 
 from lib.command import UsageError
 
-from studies import batching, budgets, cycles, environment, light_sampling, many_lights, sequences, thesis
+from studies import batching, budgets, cycles, environment, light_sampling, many_lights, sequences, textures, thesis
 from studies.study import Study
 
 STUDIES: dict[str, Study] = {
@@ -18,6 +18,7 @@ STUDIES: dict[str, Study] = {
         many_lights.STUDY,
         environment.STUDY,
         sequences.STUDY,
+        textures.STUDY,
         budgets.STUDY,
         cycles.STUDY,
     )
