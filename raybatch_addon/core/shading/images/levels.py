@@ -50,7 +50,7 @@ def level_sizes(width: int, height: int) -> list[tuple[int, int]]:
 
 
 def levels_of(pixels: np.ndarray, encoding: ImageEncoding, levels: ImageLevels) -> list[np.ndarray]:
-    """The levels above `pixels` [height, width, 1 or 4], of the same type and channels; texels have to be finite."""
+    """The levels above `pixels` [height, width, 1, 3 or 4], of the same type and channels; texels have to be finite."""
     height, width, channels = pixels.shape
     divided = levels is ImageLevels.DIVIDED and channels == 4
     made, linear = [], None
@@ -94,7 +94,7 @@ def _light(pixels: np.ndarray, encoding: ImageEncoding, divided: bool) -> np.nda
         colors = _decoded(table) if encoding is ImageEncoding.SRGB else table
         if pixels.shape[2] == 1:
             return colors[pixels]
-        own[..., :3], own[..., 3] = colors[pixels[..., :3]], table[pixels[..., 3]]
+        own[..., :3], own[..., 3:] = colors[pixels[..., :3]], table[pixels[..., 3:]]
         return own
     own = pixels / np.float32(255) if pixels.dtype == np.uint8 else pixels.astype(np.float32)
     if encoding is ImageEncoding.SRGB:

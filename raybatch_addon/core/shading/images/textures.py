@@ -29,7 +29,7 @@ class Extension(IntEnum):
 
 
 class Texels(IntEnum):
-    """Storage of an image's texels: one or four numbers each."""
+    """Storage of an image's texels: one or four numbers each, or three bytes, which are opaque."""
 
     MISSING = 0
     BYTE = 1
@@ -38,6 +38,7 @@ class Texels(IntEnum):
     HALF4 = 4
     FLOAT = 5
     FLOAT4 = 6
+    BYTE3 = 7
 
 
 # Encoding of levels: square roots of linear light, undone before texels are interpolated
@@ -73,6 +74,7 @@ _EXTEND = wp.constant(int(Extension.EXTEND))
 _CLIP = wp.constant(int(Extension.CLIP))
 _MISSING = wp.constant(int(Texels.MISSING))
 _BYTE = wp.constant(int(Texels.BYTE))
+_BYTE3 = wp.constant(int(Texels.BYTE3))
 _BYTE4 = wp.constant(int(Texels.BYTE4))
 _HALF = wp.constant(int(Texels.HALF))
 _HALF4 = wp.constant(int(Texels.HALF4))
@@ -115,6 +117,12 @@ def _texel(image: ImageEntry, x: int, y: int) -> wp.vec4:
             float((word >> wp.uint32(16)) & mask) * scale,
             float(word >> wp.uint32(24)) * scale,
         )
+    if image.texels == _BYTE3:
+        # addressed by the texel, since the bytes of a picture may be more than an int32 counts
+        first = image.address + wp.uint64(at) * wp.uint64(3)
+        parts = wp.array(ptr=first, shape=(3,), dtype=wp.uint8)
+        scale = wp.static(1.0 / 255.0)
+        return wp.vec4(float(parts[0]) * scale, float(parts[1]) * scale, float(parts[2]) * scale, 1.0)
     if image.texels == _HALF4:
         pairs = wp.array(ptr=image.address, shape=(count,), dtype=wp.uint64)[at]
         return wp.vec4(
