@@ -6,7 +6,8 @@ import difflib
 
 from lib.command import UsageError
 
-from studies import batching, budgets, cycles, environment, light_sampling, many_lights, sequences, textures, thesis
+from studies import batching, budgets, cycles, light_sampling, many_lights, sequences, thesis
+from studies.images import environment, textures
 from studies.study import Study
 
 STUDIES: dict[str, Study] = {

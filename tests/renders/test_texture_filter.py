@@ -7,10 +7,13 @@ import pytest
 
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
+from raybatch_addon.core.programs.footprints import filtered_scene
 from raybatch_addon.core.programs.ops.textures.image import Projection
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Image, ImageEncoding, Material, Mesh
+from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
+from raybatch_addon.core.wavefront.rays import bytes_per_path, needed_arrays
 from tests.support import scenes
 
 OFF = RenderSettings(sample_count=4, bounce_max=3, seed=5)
@@ -69,6 +72,15 @@ def test_statistics_tell_levels_and_look_ups(session, filtered):
     plain = session.render(room(), OFF).statistics
     assert plain["images"].keys() == {"count", "bytes"} and "levels of images" in plain["left_out"]
     assert "levels of images" not in filtered.statistics["left_out"]
+
+
+def test_a_path_keeps_its_cone_in_eight_bytes_and_none_where_nothing_is_filtered():
+    off, on = (derive_features(filtered_scene(room(), each), each) for each in (OFF, FILTERED))
+    assert bytes_per_path(on) == bytes_per_path(off) + 8
+    assert needed_arrays(on)["cone"] and not needed_arrays(off)["cone"]
+    bare = scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse())])
+    assert filtered_scene(bare, FILTERED).materials == bare.materials
+    assert not derive_features(filtered_scene(bare, FILTERED), FILTERED).texture_levels
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import warp as wp
 
 from ...scene.description import Image, ImageEncoding
 from ...scene.frozen import is_frozen
-from .levels import FilteredImage, ImageLevels, level_encoding, level_sizes, levels_of
+from .levels import FilteredImage, ImageLevels, coarser_levels, level_encoding, level_sizes
 from .textures import TILE_COLUMNS, ImageEntry, ImageTable, Texels
 
 FIRST_TILE = 1001  # number of the tile at texture coordinates 0..1 (UDIM)
@@ -285,7 +285,9 @@ def _upload(wanted: _Wanted, halvings: int, device) -> _Picture:
     array = _uploaded(own, dtype, device)
     levels, encoding = None, level_encoding(own.dtype, wanted.encoding)
     if wanted.levels and max(width, height) > 1:
-        flat = np.concatenate([each.reshape(-1, channels) for each in levels_of(own, wanted.encoding, wanted.levels)])
+        flat = np.concatenate(
+            [each.reshape(-1, channels) for each in coarser_levels(own, wanted.encoding, wanted.levels)]
+        )
         levels = _uploaded(flat, dtype, device)
     return _Picture(weakref.ref(pixels), halvings, texels, width, height, array, replaced, levels, encoding)
 

@@ -49,7 +49,7 @@ def level_sizes(width: int, height: int) -> list[tuple[int, int]]:
     return sizes
 
 
-def levels_of(pixels: np.ndarray, encoding: ImageEncoding, levels: ImageLevels) -> list[np.ndarray]:
+def coarser_levels(pixels: np.ndarray, encoding: ImageEncoding, levels: ImageLevels) -> list[np.ndarray]:
     """The levels above `pixels` [height, width, 1, 3 or 4], of the same type and channels; texels have to be finite."""
     height, width, channels = pixels.shape
     divided = levels is ImageLevels.DIVIDED and channels == 4

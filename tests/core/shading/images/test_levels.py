@@ -8,7 +8,7 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.scene.description import Image, ImageEncoding
 from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.shading.images.image_upload import ImageCache, device_bytes_of
-from raybatch_addon.core.shading.images.levels import FilteredImage, ImageLevels, level_sizes, levels_of
+from raybatch_addon.core.shading.images.levels import FilteredImage, ImageLevels, coarser_levels, level_sizes
 from raybatch_addon.core.shading.images.textures import (
     Extension,
     ImageTable,
@@ -53,7 +53,7 @@ def reference(light):
 def test_a_texel_of_a_level_is_the_mean_of_its_area(size, channels):
     height, width = size
     pixels = RNG.random((height, width, channels)).astype(np.float32)
-    made = levels_of(pixels, LINEAR, ImageLevels.PLAIN)
+    made = coarser_levels(pixels, LINEAR, ImageLevels.PLAIN)
     assert [each.shape[1::-1] for each in made] == level_sizes(width, height)
     for own, expected in zip(made, reference(pixels)):
         assert own.dtype == np.float32 and np.allclose(own, expected, rtol=0, atol=ROUNDING)
@@ -63,11 +63,11 @@ def test_a_texel_of_a_level_is_the_mean_of_its_area(size, channels):
 
 def test_levels_of_bytes_are_the_nearest_bytes_to_the_mean_light():
     pixels = RNG.integers(0, 256, (37, 64, 4)).astype(np.uint8)
-    for own, light in zip(levels_of(pixels, LINEAR, ImageLevels.PLAIN), reference(pixels / 255)):
+    for own, light in zip(coarser_levels(pixels, LINEAR, ImageLevels.PLAIN), reference(pixels / 255)):
         assert own.dtype == np.uint8 and np.abs(own - 255 * light).max() <= 0.5 + 255 * ROUNDING
     light = pixels / 255
     light[..., :3] = decoded(light[..., :3])
-    for own, mean in zip(levels_of(pixels, SRGB, ImageLevels.PLAIN), reference(light)):
+    for own, mean in zip(coarser_levels(pixels, SRGB, ImageLevels.PLAIN), reference(light)):
         roots = np.concatenate([np.sqrt(mean[..., :3]), mean[..., 3:]], 2)  # finer steps where it is dark
         assert np.abs(own - 255 * roots).max() <= 0.5 + 255 * ROUNDING
 
@@ -77,13 +77,13 @@ def test_alpha_is_divided_out_before_light_is_meant():
     colors = RNG.random((8, 8, 3))
     pixels = np.concatenate([colors * alpha, alpha], 2).astype(np.float32)
     expected = reference(np.concatenate([decoded(colors) * alpha, alpha], 2))
-    for own, light in zip(levels_of(pixels, SRGB, ImageLevels.DIVIDED), expected):
+    for own, light in zip(coarser_levels(pixels, SRGB, ImageLevels.DIVIDED), expected):
         assert np.allclose(own, light, atol=ROUNDING)
 
 
 def test_half_precision_stays_half_precision():
     pixels = RNG.random((6, 6, 4)).astype(np.float16)
-    made = levels_of(pixels, LINEAR, ImageLevels.PLAIN)
+    made = coarser_levels(pixels, LINEAR, ImageLevels.PLAIN)
     assert {each.dtype.name for each in made} == {"float16"}
     assert np.allclose(made[-1], pixels.astype(float).mean((0, 1)), atol=2.0**-11)
 
