@@ -5,8 +5,12 @@ third time, one step aside along either axis of the surface: the same instructio
 they look (letter `s`). How far the coordinates change by the steps tells how large the path's footprint is in the
 image, whatever leads from a UV map, or from the position, to the coordinates.
 
-Look-ups stay at level 0, the image itself, where their coordinates are read from textures (to run these three times
-would cost more than it gives), where they do not follow the surface (directions, constants), and in environments.
+Look-ups stay at level 0, the image itself:
+
+- where a normal is made of them: a footprint of a normal map has many normals, and the light of their mean is not the
+  mean of their light (Toksvig, "Mipmapping Normal Maps", 2005);
+- where their coordinates are read from textures: to run these three times would cost more than it gives;
+- where their coordinates do not follow the surface (directions, constants), and in environments.
 """
 
 from __future__ import annotations
@@ -29,6 +33,8 @@ from .ops.textures.image_levels import BOX, REGISTERS
 _COORDINATES = {"image": 5, "image_box": 5}
 _AT = {"image": "image_at", "image_box": "image_box_at"}
 _DIVIDE = {"image": 4, "image_box": 3, "image_at": 4, "image_box_at": 3}
+# Ops that make normals, which are no means
+_NORMAL_OPS = ("bump", "normal_map", "surface_normal")
 LEVEL_OPS = ("image_level", *_AT.values())
 
 
@@ -70,8 +76,9 @@ def with_footprints(program: Program, width: float) -> Program:
     if _AT.keys().isdisjoint(program.ops):
         return program
     rewriting = _Rewriting(program, width)
-    for instruction in program.instructions:
-        rewriting.take(instruction)
+    kept = steps_of_normals(program)
+    for index, instruction in enumerate(program.instructions):
+        rewriting.take(instruction, index not in kept)
     built = rewriting.builder.finish()
     return dataclasses.replace(
         program,
@@ -102,8 +109,8 @@ class _Rewriting:
         self._values: dict[int, Value] = {}  # what registers hold
         self._makers: dict[int, _Maker] = {}  # by identity of their values
 
-    def take(self, instruction: Instruction) -> None:
-        """Add the next instruction, or what takes its place."""
+    def take(self, instruction: Instruction, filters: bool) -> None:
+        """Add the next instruction, or what takes its place if it `filters`."""
         op = op_named(instruction.op)
         words = [
             self._operand(letter, word) if letter in INPUTS else word
@@ -113,7 +120,9 @@ class _Rewriting:
             self.builder.closure(op.name, *words)
             return
         count = len(op.inputs)
-        name, operands = self._filtered(op.name, words[:count])
+        name, operands = op.name, words[:count]
+        if filters:
+            name, operands = self._filtered(name, operands)
         for register, value in zip(words[count:], self._add(name, operands)):
             if register >= 0:
                 self._values[register] = value
@@ -175,6 +184,22 @@ class _Rewriting:
             same = all(a is b if isinstance(b, Value) else a == b for a, b in zip(moved, maker.operands))
             done[id(value)] = value if same else self._add(maker.name, moved)[maker.place]
         return done[id(value)]
+
+
+def steps_of_normals(program: Program) -> set[int]:
+    """Indices of the instructions whose results reach ops that make normals."""
+    found: set[int] = set()
+    wanted: set[int] = set()  # registers whose last values before an instruction do
+    for index in reversed(range(len(program.instructions))):
+        step = program.instructions[index]
+        signature = op_named(step.op).signature
+        written = {word for letter, word in zip(signature, step.words) if letter in "NV"}
+        if wanted & written:
+            found.add(index)
+        wanted -= written
+        if index in found or step.op in _NORMAL_OPS:
+            wanted |= {word for letter, word in zip(signature, step.words) if letter in "nv" and word >= 0}
+    return found
 
 
 def follows_surface(ops: Iterator[Op]) -> bool:

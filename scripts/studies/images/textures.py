@@ -34,7 +34,7 @@ from studies.study import Case, Options, Report, Row, Study
 # Widths that look-ups are filtered over, in footprints; 0: not filtered
 VARIANTS = {"off": 0.0, "1 footprint": 1.0, "1/2 footprint": 0.5, "1/4 footprint": 0.25}
 BUILT = "checkerboard"
-ARCHIVES = ("castle", "interior", "donut", "bmw", "xmas")  # NAME.scene.npz, written by `render.py --save-scene`
+ARCHIVES = ("castle", "interior", "donut", "xmas")  # NAME.scene.npz, written by `render.py --save-scene`
 CLAMP = 10.0  # of indirect light, so that a few bright pixels do not decide
 
 

@@ -71,14 +71,24 @@ def test_two_look_ups_of_the_same_coordinates_share_their_steps():
     assert shifts(filtered, "uv") == [0, 1, 2] and len(steps(filtered, "image_level")) == 2
 
 
-def test_heights_that_are_compared_by_bump_mapping_are_of_one_level():
-    def heights(builder):
-        here, x, y = (looked_up(builder, builder.value("uv", -1, shift)) for shift in (0, 1, 2))
-        return builder.value("multiply_colors", here, builder.value("multiply_colors", x, y))
+def test_a_normal_map_stays_at_level_0():
+    builder = ProgramBuilder()
+    coordinates = builder.value("uv", -1, 0)
+    normal = builder.value("normal_map", 0, -1, looked_up(builder, coordinates, image=1), 1.0)
+    builder.closure("diffuse", looked_up(builder, coordinates, image=2), normal)
+    filtered = with_footprints(builder.finish(), 1.0)
+    assert {step.words[0] for step in steps(filtered, "image_at")} == {2}
+    assert {step.words[0] for step in steps(filtered, "image")} == {1}
 
-    filtered = with_footprints(program_of(heights), 1.0)
-    assert shifts(filtered, "uv") == [0, 1, 2]
-    assert len(steps(filtered, "image_level")) == 1 and len(steps(filtered, "image_at")) == 3
+
+def test_heights_of_bump_mapping_stay_at_level_0():
+    builder = ProgramBuilder()
+    heights = [builder.value("average", looked_up(builder, builder.value("uv", -1, shift))) for shift in (0, 1, 2)]
+    normal = builder.value("bump", *heights, 1.0, 1.0, 1.0, builder.value("normals")[0])
+    builder.closure("diffuse", looked_up(builder, builder.value("uv", -1, 0), image=2), normal)
+    filtered = with_footprints(builder.finish(), 1.0)
+    assert {step.words[0] for step in steps(filtered, "image_at")} == {2}
+    assert len(steps(filtered, "image")) == 3
 
 
 @pytest.mark.parametrize(
