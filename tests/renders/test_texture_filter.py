@@ -17,7 +17,7 @@ from raybatch_addon.core.wavefront.rays import bytes_per_path, needed_arrays
 from tests.support import scenes
 
 OFF = RenderSettings(sample_count=4, bounce_max=3, seed=5)
-FILTERED = OFF.replace(texture_filter="FOOTPRINT")
+FILTERED = OFF.replace(texture_filter="FOOTPRINT", texture_filter_width=1.0)
 SQUARES = np.where((np.arange(64)[:, None] // 32 + np.arange(64) // 32) % 2, 235, 20).astype(np.uint8)[..., None]
 
 
@@ -108,7 +108,10 @@ def test_films_of_sample_ranges_merge_to_that_of_all(session, filtered):
 def test_far_squares_have_their_mean_brightness_and_no_noise(session):
     far = dataclasses.replace(room(4000, "emission"), lights=(), frame=Frame(24, 20))
     one = OFF.replace(sample_count=1, bounce_max=0)
-    off, on = (picture_of(session.render(far, each)) for each in (one, one.replace(texture_filter="FOOTPRINT")))
+    off, on = (
+        picture_of(session.render(far, each))
+        for each in (one, one.replace(texture_filter="FOOTPRINT", texture_filter_width=1.0))
+    )
     shown = off[:6]  # the floor alone, seen from above: the bottom rows come first
     assert shown.std() > 0.2 and on[:6].std() < 0.01
     assert on[:6].mean() == pytest.approx(0.5, abs=0.01)
@@ -117,7 +120,9 @@ def test_far_squares_have_their_mean_brightness_and_no_noise(session):
 def test_an_image_that_is_seen_large_is_the_same_to_the_bit(session):
     near = room(0.05)  # a texel is many pixels wide
     one = OFF.replace(bounce_max=0)
-    off, on = (session.render(near, each) for each in (one, one.replace(texture_filter="FOOTPRINT")))
+    off, on = (
+        session.render(near, each) for each in (one, one.replace(texture_filter="FOOTPRINT", texture_filter_width=1.0))
+    )
     assert np.array_equal(off.passes["Combined"], on.passes["Combined"])
 
 

@@ -172,8 +172,8 @@ class EstimatorSettings:
         ),
     )
     texture_filter_width: float = setting(
-        1.0,
-        "Filter Width",
+        0.25,
+        "Texture Filter Width",
         "Width of the area that a look-up is filtered over, in widths of what the path sees; smaller is sharper and "
         "noisier. Unused where textures are not filtered",
         group="LIGHT_PATHS",

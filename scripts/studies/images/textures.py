@@ -24,6 +24,7 @@ from raybatch_addon.core.scene.description import (
     Mesh,
     Scene,
 )
+from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
 from studies import scenes
@@ -78,7 +79,12 @@ def scene_named(name: str, options: Options) -> tuple[Scene, RenderSettings]:
     path = _found(name, options)
     if path is None:
         raise UsageError(f"the scene {name} ({name}.scene.npz) was not found: give its folder with --scenes")
-    return load_scene(path)
+    scene, settings = load_scene(path)
+    for image in scene.images:
+        for pixels in [image.pixels] if image.tiles is None else [pixels for _, pixels in image.tiles]:
+            if pixels is not None:
+                freeze(pixels)  # so that images and levels are uploaded once
+    return scene, settings
 
 
 def sizes(options: Options) -> tuple[int, int, int]:
