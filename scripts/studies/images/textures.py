@@ -36,7 +36,6 @@ from studies.study import Case, Options, Report, Row, Study
 VARIANTS = {"off": 0.0, "1 footprint": 1.0, "1/2 footprint": 0.5, "1/4 footprint": 0.25}
 BUILT = "checkerboard"
 ARCHIVES = ("castle", "interior", "donut", "xmas")  # NAME.scene.npz, written by `render.py --save-scene`
-CLAMP = 10.0  # of indirect light, so that a few bright pixels do not decide
 
 
 def cases(options: Options) -> list[Case]:
@@ -72,19 +71,19 @@ def checkerboard() -> Scene:
     return dataclasses.replace(scene, images=(Image("squares", squares, ImageEncoding.SRGB),))
 
 
-def scene_named(name: str, options: Options) -> tuple[Scene, RenderSettings]:
-    """A scene, and the settings that it was saved with."""
+def scene_named(name: str, options: Options) -> Scene:
+    """A scene that is built here or was saved."""
     if name == BUILT:
-        return checkerboard(), RenderSettings()
+        return checkerboard()
     path = _found(name, options)
     if path is None:
         raise UsageError(f"the scene {name} ({name}.scene.npz) was not found: give its folder with --scenes")
-    scene, settings = load_scene(path)
+    scene, _ = load_scene(path)
     for image in scene.images:
         for pixels in [image.pixels] if image.tiles is None else [pixels for _, pixels in image.tiles]:
             if pixels is not None:
                 freeze(pixels)  # so that images and levels are uploaded once
-    return scene, settings
+    return scene
 
 
 def sizes(options: Options) -> tuple[int, int, int]:
@@ -94,17 +93,22 @@ def sizes(options: Options) -> tuple[int, int, int]:
     return options.pick((64, 16, 128), (128, 16, 256))
 
 
+def settings_of(variant: str) -> tuple[RenderSettings, RenderSettings]:
+    """Those of references, and those of a variant."""
+    plain = RenderSettings(bounce_max=4, kernel_tier="SPECIALISED")
+    width = VARIANTS[variant]
+    return plain, plain.replace(texture_filter="FOOTPRINT", texture_filter_width=width) if width else plain
+
+
 _references: dict[str, tuple[np.ndarray, np.ndarray]] = {}  # of the scene at hand
 
 
 def measure(case: Case, turn: int, bench: Bench) -> Row:
     """Two renders with seeds of their own, their error, and what of it would stay at infinitely many samples."""
-    name, width = case.what["scene"], VARIANTS[case.what["variant"]]
+    name = case.what["scene"]
     edge, samples, many = sizes(bench.options)
-    whole, saved = bench.scene(name, lambda: scene_named(name, bench.options))
-    scene = with_frame(whole, edge, edge)
-    plain = RenderSettings(bounce_max=min(saved.bounce_max, 4), clamp_indirect=CLAMP, kernel_tier="SPECIALISED")
-    tried = plain.replace(texture_filter="FOOTPRINT", texture_filter_width=width) if width else plain
+    scene = with_frame(bench.scene(name, lambda: scene_named(name, bench.options)), edge, edge)
+    plain, tried = settings_of(case.what["variant"])
 
     def render(settings: RenderSettings, seed: int, count: int) -> tuple[np.ndarray, dict, float]:
         began = time.process_time()
