@@ -24,6 +24,7 @@ from .measure.batching import batching_statistics
 from .measure.hardware import hardware_counters
 from .measure.statistics import render_statistics
 from .observers import Progress, RenderObserver, Tile, call_all
+from .programs.footprints import filtered_scene, image_statistics
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
@@ -200,7 +201,7 @@ class Session:
         cancelled: Callable[[], bool] | None,
         observers: Sequence[RenderObserver],
     ) -> _Job:
-        checked = checked_scene(scene)
+        checked = filtered_scene(checked_scene(scene), settings)
         warnings = list(checked.warnings)
         check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
@@ -387,7 +388,7 @@ class Session:
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),
                 "lights": len(job.scene.lights),
-                "images": {"count": len(job.scene.images), "bytes": device_scene.images.bytes if device_scene else 0},
+                "images": image_statistics(job.scene, device_scene.images if device_scene else None),
                 "invalid_samples": invalid,
                 "modules": modules,
                 "warnings": job.warnings,

@@ -6,7 +6,8 @@ import difflib
 
 from lib.command import UsageError
 
-from studies import adaptive, batching, budgets, cycles, environment, light_sampling, many_lights, sequences, thesis
+from studies import adaptive, batching, budgets, cycles, light_sampling, many_lights, sequences, thesis
+from studies.images import environment, textures
 from studies.study import Study
 
 STUDIES: dict[str, Study] = {
@@ -19,6 +20,7 @@ STUDIES: dict[str, Study] = {
         environment.STUDY,
         sequences.STUDY,
         adaptive.STUDY,
+        textures.STUDY,
         budgets.STUDY,
         cycles.STUDY,
     )

@@ -121,7 +121,7 @@ class NotedBench:
         self.noted.append(settings)
 
 
-@pytest.mark.parametrize("name", [name for name in STUDIES if name != "cycles"])
+@pytest.mark.parametrize("name", [name for name in STUDIES if name not in ("cycles", "textures")])
 @pytest.mark.parametrize("is_cuda", [False, True])
 def test_no_render_of_a_study_clamps_light_or_ends_by_itself(name, is_cuda):
     """Errors are compared, and references are what a picture should be: nothing but noise may be in either."""
@@ -130,6 +130,13 @@ def test_no_render_of_a_study_clamps_light_or_ends_by_itself(name, is_cuda):
         STUDIES[name].measure(case, 0, bench)
     assert len(bench.noted) >= len(STUDIES[name].cases(bench.options))
     for settings in bench.noted:
+        assert settings.clamp_direct == settings.clamp_indirect == settings.time_limit == settings.error_target == 0
+
+
+def test_textures_are_compared_without_clamping():
+    from studies.images.textures import VARIANTS, settings_of
+
+    for settings in (each for variant in VARIANTS for each in settings_of(variant)):
         assert settings.clamp_direct == settings.clamp_indirect == settings.time_limit == settings.error_target == 0
 
 

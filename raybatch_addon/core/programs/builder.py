@@ -82,11 +82,12 @@ class _Step:
 class ProgramBuilder:
     """Steps of one program, as they are added."""
 
-    def __init__(self) -> None:
+    def __init__(self, constants: Sequence[float] = ()) -> None:
+        """A program without steps. `constants`: those of a program that it is made of; its tables keep their places."""
         start_warp()  # functions of Warp that ops call when they are folded would do it, and not as quietly
         self._steps: list[_Step] = []
         self._same: dict[tuple, tuple[Value, ...]] = {}  # results by op and operands: each is computed once
-        self._constants: list[float] = []
+        self._constants: list[float] = [float(value) for value in constants]
         self._offsets: dict[bytes, int] = {}
 
     def value(self, name: str, *operands) -> Value | tuple[Value, ...]:

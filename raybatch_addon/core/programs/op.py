@@ -17,7 +17,7 @@ from ..shading.bsdf.albedo import AlbedoTables
 from ..shading.images.textures import ImageTable
 from .inputs_data import InputData
 
-INPUTS, OUTPUTS = "invtma", "NV"
+INPUTS, OUTPUTS = "isnvtma", "NV"
 
 
 @wp.struct

@@ -84,6 +84,11 @@ class SceneFeatures:
         return "path_history" in self.programs.ops
 
     @property
+    def texture_levels(self) -> bool:
+        """Whether images are filtered over the footprints of paths."""
+        return "image_level" in self.programs.ops
+
+    @property
     def lamp_programs(self) -> bool:
         """Whether lights without mesh have programs."""
         return bool(self.lamp_program)
@@ -113,6 +118,7 @@ class SceneFeatures:
             "world program": bool(self.world_program),
             "programs of lights": bool(self.lamp_program),
             "image textures": any(name.startswith(("image", "environment")) for name in self.all_ops),
+            "levels of images": self.texture_levels,
             "sampling of the world": self.world_light,
             "emission by programs": self.mesh_programs,
             "shadow rays": self.shadow_rays,

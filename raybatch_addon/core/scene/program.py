@@ -5,7 +5,8 @@ signature (`programs/op.py`):
 
 - `n`, `v`: a number, or three. A word w >= 0 is a register: the offset of its first float; w < 0 is the constant at
   index -1 - w.
-- `i`: the value itself. `t`: the index of a table's first constant. `m`: an image. `a`: an attribute.
+- `i`: the value itself. `s`: where the op looks, at the point (0) or one step aside along x (1) or y (2). `t`: the
+  index of a table's first constant. `m`: an image. `a`: an attribute.
 - `N`, `V`: the register that is written; -1: not wanted.
 """
 

@@ -190,6 +190,33 @@ class EstimatorSettings:
         maximum=1e30,
     )
 
+    texture_filter: str = setting(
+        "OFF",
+        "Texture Filter",
+        "How images of materials are looked up where a path sees many texels at once",
+        group="LIGHT_PATHS",
+        choices=(
+            ("OFF", "Off", "Every look-up reads the image itself: without error, and noisy where texels are small"),
+            (
+                "FOOTPRINT",
+                "Footprint",
+                "Look-ups read a smaller level of the image, whose texels are as large as what the path sees of the "
+                "surface: less noise from fine textures far away and in blurred reflections, and a little blur. "
+                "Levels take a third more memory. Shadows and light that is aimed at read the image itself",
+            ),
+        ),
+    )
+    texture_filter_width: float = setting(
+        0.25,
+        "Texture Filter Width",
+        "Width of the area that a look-up is filtered over, in widths of what the path sees; smaller is sharper and "
+        "noisier. Unused where textures are not filtered",
+        group="LIGHT_PATHS",
+        unit="footprints",
+        minimum=0.01,
+        maximum=16.0,
+    )
+
     pixel_filter: str = setting(
         "BLACKMAN_HARRIS",
         "Pixel Filter",

@@ -27,6 +27,7 @@ LIGHT = 3  # 2D: point of that light
 LOBE = 4  # 1D: which closure, and which side of it
 BSDF = 5  # 2D: direction
 ROULETTE = 6  # 1D: whether the path goes on
+TEXTURE = 7  # 1D: which level of images
 
 FILTER_TABLE_SIZE = 1024
 

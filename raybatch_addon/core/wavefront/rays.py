@@ -92,6 +92,9 @@ class Paths:
     # `history_after` of the extending ray, and of the shadow ray; where a program asks
     history: wp.array(dtype=int)
     shadow_history: wp.array(dtype=int)
+    # cone around the extending ray: its width where the path last scattered [m], and how that grows [m/m]; where images
+    # are filtered, from the first scattering on
+    cone: wp.array(dtype=wp.vec2)
     walk: Walks
     # passes, filled at the first hit
     normal: wp.array(dtype=wp.vec3)
@@ -200,6 +203,7 @@ def needed_arrays(features: SceneFeatures) -> dict[str, bool]:
         "alpha": features.film_transparent,
         "history": history,
         "shadow_history": history and shadow_rays,
+        "cone": features.texture_levels,
         "normal": features.normal_pass,
     }
 

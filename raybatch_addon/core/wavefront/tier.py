@@ -16,6 +16,7 @@ import warp as wp
 
 from ..device.devices import is_compiled, shipped_target
 from ..errors import SettingsError
+from ..programs.footprints import LEVEL_OPS
 from ..programs.op import op_numbers
 from ..scene.description import ClosureKind, LightKind
 from ..scene.features import SceneFeatures
@@ -34,7 +35,8 @@ REGISTERS_MOST, CLOSURES_MOST = 64, 16
 @functools.cache
 def general_features() -> SceneFeatures:
     """The features of all scenes together, as far as kernels of stages depend on them."""
-    programs = ProgramFeatures(tuple(op_numbers()), REGISTERS_MOST, CLOSURES_MOST, apart=True)
+    ops = tuple(name for name in op_numbers() if name not in LEVEL_OPS)
+    programs = ProgramFeatures(ops, REGISTERS_MOST, CLOSURES_MOST, apart=True)
     return SceneFeatures(
         closures=tuple(sorted(ClosureKind)),
         closure_count=CLOSURES_MOST,
@@ -66,6 +68,8 @@ def why_not_general(features: SceneFeatures) -> str:
         return "general kernels have no code for mis OFF"
     if features.sample_sequence != general.sample_sequence:
         return f"general kernels have no code for sample_sequence {features.sample_sequence}"
+    if features.texture_levels:
+        return "general kernels have no code for texture_filter FOOTPRINT"
     closure_count = features.closure_count
     for programs in (features.programs, features.world_program, features.lamp_program):
         closure_count = max(closure_count, programs.closure_count)

@@ -294,7 +294,8 @@ def _converted(pixels: np.ndarray, image: bpy.types.Image) -> np.ndarray:
 def _compact(pixels: np.ndarray, image: bpy.types.Image) -> np.ndarray:
     """`pixels` in as few bytes as hold them exactly.
 
-    Grey images get one channel, and numbers that half precision holds become half-precision numbers.
+    Grey images get one channel, opaque bytes three, and numbers that half precision holds become half-precision
+    numbers.
     """
     channels = pixels.shape[2]
     one = 255 if pixels.dtype == np.uint8 else 1
@@ -309,6 +310,8 @@ def _compact(pixels: np.ndarray, image: bpy.types.Image) -> np.ndarray:
     ):
         if pixels.shape[2] == 3 or np.all(pixels[..., 3] == one):
             pixels = pixels[..., :1]
+    if pixels.dtype == np.uint8 and pixels.shape[2] == 4 and np.all(pixels[..., 3] == one):
+        pixels = pixels[..., :3]
     if pixels.dtype == np.float32:
         with np.errstate(over="ignore"):
             half = pixels.astype(np.float16)

@@ -9,6 +9,7 @@ from .textures import (  # noqa: F401
     gabor,
     gradient,
     image,
+    image_levels,
     magic,
     noise,
     radial_tiling,

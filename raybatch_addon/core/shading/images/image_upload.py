@@ -5,12 +5,14 @@ from __future__ import annotations
 import weakref
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ...scene.description import Image
+from ...scene.description import Image, ImageEncoding
 from ...scene.frozen import is_frozen
+from .levels import FilteredImage, ImageLevels, coarser_levels, level_encoding, level_sizes
 from .textures import TILE_COLUMNS, ImageEntry, ImageTable, Texels
 
 FIRST_TILE = 1001  # number of the tile at texture coordinates 0..1 (UDIM)
@@ -22,6 +24,7 @@ _ALIGNMENT = 8  # alignment of addresses [bytes]: texels are loaded whole, up to
 
 _KINDS = {
     ("uint8", 1): (Texels.BYTE, wp.uint8),
+    ("uint8", 3): (Texels.BYTE3, wp.uint8),
     ("uint8", 4): (Texels.BYTE4, wp.vec4ub),
     ("float16", 1): (Texels.HALF, wp.float16),
     ("float16", 4): (Texels.HALF4, wp.vec4h),
@@ -41,6 +44,9 @@ class _Picture:
     height: int
     array: wp.array
     replaced: int  # texels that were not finite, and became black
+    # levels one after another, each smaller than the one before; None: it has none
+    levels: wp.array | None
+    level_encoding: int  # `ImageEncoding`, or `ROOT`
 
     def is_still_true(self) -> bool:
         """Whether what it was made of is there, and cannot have changed."""
@@ -50,7 +56,18 @@ class _Picture:
     @property
     def bytes(self) -> int:
         """Memory of the picture on the device [bytes]."""
-        return self.array.size * wp.types.type_size_in_bytes(self.array.dtype)
+        texels = self.array.size + (self.levels.size if self.levels else 0)
+        return texels * wp.types.type_size_in_bytes(self.array.dtype)
+
+    @property
+    def texel_bytes(self) -> int:
+        """Memory of a texel [bytes]."""
+        return 3 if self.texels is Texels.BYTE3 else wp.types.type_size_in_bytes(self.array.dtype)
+
+    @property
+    def level_bytes(self) -> int:
+        """What of it is levels [bytes]."""
+        return self.levels.size * wp.types.type_size_in_bytes(self.levels.dtype) if self.levels else 0
 
 
 @dataclass(frozen=True)
@@ -59,7 +76,14 @@ class _Wanted:
 
     label: str  # name in messages
     pixels: np.ndarray  # shape [height, width, channels], not empty
+    levels: ImageLevels
+    encoding: ImageEncoding
     device_bytes: int
+
+    @property
+    def key(self) -> tuple[int, ...]:
+        """What the picture on the device follows from, the array of pixels by its identity."""
+        return (id(self.pixels), int(self.levels), int(self.encoding) if self.levels else 0)
 
 
 @dataclass
@@ -69,6 +93,7 @@ class UploadedImages:
     table: ImageTable
     warnings: list[str] = field(default_factory=list)  # repairs and reductions, with the images' names
     bytes: int = 0  # memory on the device
+    level_bytes: int = 0  # what of it is levels
     keep: list[wp.array] = field(default_factory=list)  # arrays of the pictures: the table holds addresses alone
 
 
@@ -76,7 +101,7 @@ class ImageCache:
     """The pictures of the last upload; a frozen array of pixels that was uploaded already is not uploaded again."""
 
     def __init__(self) -> None:
-        self._pictures: dict[int, _Picture] = {}  # by identity of the array of pixels
+        self._pictures: dict[tuple[int, ...], _Picture] = {}  # by `_Wanted.key`
 
     @property
     def device_bytes(self) -> int:
@@ -108,38 +133,43 @@ class ImageCache:
         kept = {key: each for key, each in self._pictures.items() if each.is_still_true()}
         self._pictures = {}
         pictures = [
-            each and self._picture(each, count, kept.get(id(each.pixels)), device, done.warnings)
+            each and self._picture(each, count, kept.get(each.key), device, done.warnings)
             for each, count in zip(wanted, halvings)
         ]
         tiles: list[int] = []
         entries = np.zeros(len(images) + sum(len(image.tiles or ()) for image in images), ImageEntry.numpy_dtype())
         next_entry, next_picture = len(images), iter(pictures)
-        for row, image in zip(entries, images):
-            row["encoding"] = int(image.encoding)
+        placed: list[tuple[int, _Picture | None]] = []  # pictures, and their entries
+        for row, image in enumerate(images):
+            entries[row]["encoding"] = int(image.encoding)
             if image.tiles is None:
-                _describe(row, next(next_picture))
+                placed.append((row, next(next_picture)))
                 continue
             pixels_by_index = {number - FIRST_TILE: pixels for number, pixels in image.tiles}
-            row["tile_first"], row["tile_count"] = len(tiles), _rows_of(pixels_by_index) * int(TILE_COLUMNS)
-            own = [-1] * int(row["tile_count"])
+            entries[row]["tile_first"] = len(tiles)
+            entries[row]["tile_count"] = _rows_of(pixels_by_index) * int(TILE_COLUMNS)
+            own = [-1] * int(entries[row]["tile_count"])
             for number, _ in image.tiles:
                 entries[next_entry]["encoding"] = int(image.encoding)
-                _describe(entries[next_entry], next(next_picture))
+                placed.append((next_entry, next(next_picture)))
                 if 0 <= number - FIRST_TILE < len(own):
                     own[number - FIRST_TILE] = next_entry
                 next_entry += 1
             tiles += own
+        entries = _described(entries, placed)
         there = list(self._pictures.values())
         done.bytes = sum(picture.bytes for picture in there) + entries.nbytes + 4 * len(tiles)
-        return entries, np.array(tiles, np.int32), [picture.array for picture in there]
+        done.level_bytes = sum(picture.level_bytes for picture in there)
+        arrays = [each for picture in there for each in (picture.array, picture.levels) if each is not None]
+        return entries, np.array(tiles, np.int32), arrays
 
     def _picture(
         self, wanted: _Wanted, halvings: int, before: _Picture | None, device, warnings: list[str]
     ) -> _Picture:
-        own = self._pictures.get(id(wanted.pixels)) or before
+        own = self._pictures.get(wanted.key) or before
         if own is None or own.source() is not wanted.pixels or own.halvings != halvings or own.array.device != device:
-            own = _upload(wanted.pixels, halvings, device)
-        self._pictures[id(wanted.pixels)] = own
+            own = _upload(wanted, halvings, device)
+        self._pictures[wanted.key] = own
         if own.replaced:
             warnings.append(f"{wanted.label}: {own.replaced:,} texels are infinite or not a number; they are black")
         if halvings:
@@ -153,7 +183,7 @@ class ImageCache:
 
 def device_bytes_of(images: Sequence[Image]) -> int:
     """Memory of `images` on a device if none is made smaller [bytes]."""
-    return sum({id(each.pixels): each.device_bytes for each in _wanted(images, []) if each is not None}.values())
+    return sum({each.key: each.device_bytes for each in _wanted(images, []) if each is not None}.values())
 
 
 def _rows_of(pixels_by_index) -> int:
@@ -164,17 +194,35 @@ def _rows_of(pixels_by_index) -> int:
     )
 
 
-def _describe(row, picture: _Picture | None) -> None:
-    if picture is None:
-        row["texels"] = int(Texels.MISSING)
-        return
-    row["address"], row["texels"] = picture.array.ptr, int(picture.texels)
-    row["width"], row["height"] = picture.width, picture.height
+def _described(entries: np.ndarray, placed: Sequence[tuple[int, _Picture | None]]) -> np.ndarray:
+    """`entries` with the pictures of `placed` described in theirs, and more entries behind them for levels."""
+    rows = np.zeros(sum(len(level_sizes(p.width, p.height)) for _, p in placed if p and p.levels), entries.dtype)
+    count = 0
+    for index, picture in placed:
+        entry = entries[index]
+        if picture is None:
+            entry["texels"] = int(Texels.MISSING)
+            continue
+        entry["address"], entry["texels"] = picture.array.ptr, int(picture.texels)
+        entry["width"], entry["height"] = picture.width, picture.height
+        if picture.levels is None:
+            continue
+        sizes = level_sizes(picture.width, picture.height)
+        entry["tile_first"] = len(entries) + count if sizes else 0
+        address = picture.levels.ptr
+        for width, height in sizes:
+            rows[count] = entry
+            rows[count]["address"], rows[count]["width"], rows[count]["height"] = address, width, height
+            rows[count]["tile_first"], rows[count]["encoding"] = 0, picture.level_encoding
+            address += width * height * picture.texel_bytes
+            count += 1
+    return np.concatenate([entries, rows])
 
 
 def _wanted(images: Sequence[Image], warnings: list[str]) -> Iterator[_Wanted | None]:
     """All pictures in the order of the table; None for a picture that is missing or cannot be used."""
     for image in images:
+        levels = image.levels if isinstance(image, FilteredImage) else ImageLevels.NONE
         for number, pixels in image.tiles if image.tiles is not None else ((0, image.pixels),):
             label = f"image “{image.name}”" + (f", tile {number}" if image.tiles is not None else "")
             if image.tiles is not None and not FIRST_TILE <= number <= LAST_TILE:
@@ -194,8 +242,10 @@ def _wanted(images: Sequence[Image], warnings: list[str]) -> Iterator[_Wanted | 
                 warnings.append(f"{label} has no pixels; it is magenta")
                 yield None
             else:
-                channels = 1 if pixels.shape[2] == 1 else 4
-                yield _Wanted(label, pixels, pixels.shape[0] * pixels.shape[1] * channels * pixels.itemsize)
+                channels = 1 if pixels.shape[2] == 1 else 4  # on a CPU, where all images fit, bytes may be three
+                sizes = [pixels.shape[1::-1]] + (level_sizes(pixels.shape[1], pixels.shape[0]) if levels else [])
+                texels = sum(int(width) * int(height) for width, height in sizes)
+                yield _Wanted(label, pixels, levels, image.encoding, texels * channels * pixels.itemsize)
 
 
 def _halvings(wanted: Sequence[_Wanted | None], budget: int | None) -> list[int]:
@@ -206,7 +256,7 @@ def _halvings(wanted: Sequence[_Wanted | None], budget: int | None) -> list[int]
         while each is not None and each.pixels.shape[0] * each.pixels.shape[1] >> 2 * counts[i] > TEXELS_MAX:
             counts[i], sizes[i] = counts[i] + 1, sizes[i] // 4
     first = {
-        id(each.pixels): i for i, each in reversed(list(enumerate(wanted))) if each is not None
+        each.key: i for i, each in reversed(list(enumerate(wanted))) if each is not None
     }  # one array may be there twice
     while budget is not None and first:
         if sum(sizes[i] for i in first.values()) <= budget:
@@ -216,26 +266,39 @@ def _halvings(wanted: Sequence[_Wanted | None], budget: int | None) -> list[int]
             break
         largest = max(able, key=lambda i: sizes[i])
         counts[largest], sizes[largest] = counts[largest] + 1, sizes[largest] // 4
-    return [0 if each is None else counts[first[id(each.pixels)]] for each in wanted]
+    return [0 if each is None else counts[first[each.key]] for each in wanted]
 
 
-def _upload(pixels: np.ndarray, halvings: int, device) -> _Picture:
+def _upload(wanted: _Wanted, halvings: int, device) -> _Picture:
+    pixels = wanted.pixels
     own, replaced = pixels, 0
     if pixels.dtype != np.uint8:
         own, replaced = _finite(pixels)
     for _ in range(halvings):
         own = halved(own)
-    if own.shape[2] == 3:
+    # three bytes take a quarter less memory, and on a CPU less time, than four; a GPU loads four at once
+    if own.shape[2] == 3 and (own.dtype != np.uint8 or device.is_cuda):
         opaque = 255 if own.dtype == np.uint8 else 1
         own = np.concatenate([own, np.full((*own.shape[:2], 1), opaque, own.dtype)], 2)
     height, width, channels = own.shape
     texels, dtype = _KINDS[own.dtype.name, channels]
-    flat = np.ascontiguousarray(own).reshape((-1, 4) if channels == 4 else -1)
+    array = _uploaded(own, dtype, device)
+    levels, encoding = None, level_encoding(own.dtype, wanted.encoding)
+    if wanted.levels and max(width, height) > 1:
+        flat = np.concatenate(
+            [each.reshape(-1, channels) for each in coarser_levels(own, wanted.encoding, wanted.levels)]
+        )
+        levels = _uploaded(flat, dtype, device)
+    return _Picture(weakref.ref(pixels), halvings, texels, width, height, array, replaced, levels, encoding)
+
+
+def _uploaded(pixels: np.ndarray, dtype: Any, device) -> wp.array:
+    """Texels [..., 1 or 4] one after another on the device."""
+    flat = np.ascontiguousarray(pixels).reshape((-1, 4) if pixels.shape[-1] == 4 else -1)
     if flat.ctypes.data % _ALIGNMENT:
         flat = flat.copy()
     # on the CPU this is the memory of the pixels itself, which `keep` holds
-    array = wp.array(flat, dtype=dtype, device=device, copy=device.is_cuda)
-    return _Picture(weakref.ref(pixels), halvings, texels, width, height, array, replaced)
+    return wp.array(flat, dtype=dtype, device=device, copy=device.is_cuda)
 
 
 def _finite(pixels: np.ndarray) -> tuple[np.ndarray, int]:

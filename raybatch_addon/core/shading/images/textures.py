@@ -29,7 +29,7 @@ class Extension(IntEnum):
 
 
 class Texels(IntEnum):
-    """Storage of an image's texels: one or four numbers each."""
+    """Storage of an image's texels: one or four numbers each, or three bytes, which are opaque."""
 
     MISSING = 0
     BYTE = 1
@@ -38,6 +38,11 @@ class Texels(IntEnum):
     HALF4 = 4
     FLOAT = 5
     FLOAT4 = 6
+    BYTE3 = 7
+
+
+# Encoding of levels: square roots of linear light, undone before texels are interpolated
+ROOT = len(ImageEncoding)
 
 
 @wp.struct
@@ -48,8 +53,9 @@ class ImageEntry:
     width: int  # [texels]
     height: int
     texels: int  # `Texels`
-    encoding: int  # `ImageEncoding`
-    tile_first: int  # index of tile 1001 in `ImageTable.tiles`
+    encoding: int  # `ImageEncoding`; of levels also `ROOT`
+    # index of tile 1001 in `ImageTable.tiles`; of one picture the entry of its first level, 0: it has no levels
+    tile_first: int
     tile_count: int  # entries in `ImageTable.tiles`, 10 a row of UDIM; 0: the image has no tiles
 
 
@@ -57,7 +63,7 @@ class ImageEntry:
 class ImageTable:
     """All images of a scene."""
 
-    entries: wp.array(dtype=ImageEntry)  # images in the scene's order, then their tiles
+    entries: wp.array(dtype=ImageEntry)  # images in the scene's order, their tiles, and levels of pictures
     tiles: wp.array(dtype=int)  # entry of a tile; -1: there is none
 
 
@@ -68,6 +74,7 @@ _EXTEND = wp.constant(int(Extension.EXTEND))
 _CLIP = wp.constant(int(Extension.CLIP))
 _MISSING = wp.constant(int(Texels.MISSING))
 _BYTE = wp.constant(int(Texels.BYTE))
+_BYTE3 = wp.constant(int(Texels.BYTE3))
 _BYTE4 = wp.constant(int(Texels.BYTE4))
 _HALF = wp.constant(int(Texels.HALF))
 _HALF4 = wp.constant(int(Texels.HALF4))
@@ -110,6 +117,12 @@ def _texel(image: ImageEntry, x: int, y: int) -> wp.vec4:
             float((word >> wp.uint32(16)) & mask) * scale,
             float(word >> wp.uint32(24)) * scale,
         )
+    if image.texels == _BYTE3:
+        # addressed by the texel, since the bytes of a picture may be more than an int32 counts
+        first = image.address + wp.uint64(at) * wp.uint64(3)
+        parts = wp.array(ptr=first, shape=(3,), dtype=wp.uint8)
+        scale = wp.static(1.0 / 255.0)
+        return wp.vec4(float(parts[0]) * scale, float(parts[1]) * scale, float(parts[2]) * scale, 1.0)
     if image.texels == _HALF4:
         pairs = wp.array(ptr=image.address, shape=(count,), dtype=wp.uint64)[at]
         return wp.vec4(
@@ -187,43 +200,6 @@ def _tap_weight(k: int, t: float, interpolation: int) -> float:
 
 
 @wp.func
-def _interpolated(image: ImageEntry, u: float, v: float, interpolation: int, extension: int) -> wp.vec4:
-    """The image's numbers at (u, v), as stored.
-
-    One loop instead of a branch for each interpolation keeps the code small.
-    """
-    count = int(4)
-    first = int(-1)
-    offset = float(0.5)
-    if interpolation == _LINEAR:
-        count = 2
-        first = 0
-    elif interpolation == _CLOSEST:
-        count = 1
-        first = 0
-        offset = 0.0
-    x = _near(u, image.width, extension) * float(image.width) - offset
-    y = _near(v, image.height, extension) * float(image.height) - offset
-    x_floor = wp.floor(x)
-    y_floor = wp.floor(y)
-    column = int(x_floor) + first
-    row = int(y_floor) + first
-    if extension == _REPEAT:
-        column = _wrapped(column, image.width, extension)
-        row = _wrapped(row, image.height, extension)
-    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    for j in range(count):
-        at_y = _wrapped(row + j, image.height, extension)
-        if at_y >= 0:
-            weight = _tap_weight(j, y - y_floor, interpolation)
-            for i in range(count):
-                at_x = _wrapped(column + i, image.width, extension)
-                if at_x >= 0:
-                    total += (weight * _tap_weight(i, x - x_floor, interpolation)) * _texel(image, at_x, at_y)
-    return total
-
-
-@wp.func
 def _without_alpha(value: wp.vec4) -> wp.vec4:
     """Colours divided by alpha, where that is neither 0 nor 1."""
     alpha = value[3]
@@ -235,6 +211,108 @@ def _without_alpha(value: wp.vec4) -> wp.vec4:
     return value
 
 
+def _picture_functions(levels: bool) -> wp.Function:
+    """Function (image, u, v, interpolation, extension, divide) -> vec4 of pictures, or of pictures and levels."""
+
+    def interpolated(image: ImageEntry, u: float, v: float, interpolation: int, extension: int) -> wp.vec4:
+        """The image's numbers at (u, v), as stored.
+
+        One loop instead of a branch for each interpolation keeps the code small.
+        """
+        count = int(4)
+        first = int(-1)
+        offset = float(0.5)
+        if interpolation == _LINEAR:
+            count = 2
+            first = 0
+        elif interpolation == _CLOSEST:
+            count = 1
+            first = 0
+            offset = 0.0
+        x = _near(u, image.width, extension) * float(image.width) - offset
+        y = _near(v, image.height, extension) * float(image.height) - offset
+        x_floor = wp.floor(x)
+        y_floor = wp.floor(y)
+        column = int(x_floor) + first
+        row = int(y_floor) + first
+        if extension == _REPEAT:
+            column = _wrapped(column, image.width, extension)
+            row = _wrapped(row, image.height, extension)
+        total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        for j in range(count):
+            at_y = _wrapped(row + j, image.height, extension)
+            if at_y >= 0:
+                weight = _tap_weight(j, y - y_floor, interpolation)
+                for i in range(count):
+                    at_x = _wrapped(column + i, image.width, extension)
+                    if at_x >= 0:
+                        texel = _texel(image, at_x, at_y)
+                        if wp.static(levels):
+                            if image.encoding == wp.static(ROOT):
+                                texel = wp.vec4(texel[0] * texel[0], texel[1] * texel[1], texel[2] * texel[2], texel[3])
+                        total += (weight * _tap_weight(i, x - x_floor, interpolation)) * texel
+        return total
+
+    # Warp takes functions of one name for the same
+    interpolated.__name__ = interpolated.__qualname__ = "interpolated_level" if levels else "interpolated"
+    interpolated = wp.func(interpolated)
+
+    def sample(image: ImageEntry, u: float, v: float, interpolation: int, extension: int, divide: int) -> wp.vec4:
+        """Linear RGB and alpha of a picture. `divide`: 1 if alpha is to be divided out of the colours."""
+        value = interpolated(image, u, v, interpolation, extension)
+        if divide != 0:
+            value = _without_alpha(value)
+        if image.encoding == _SRGB:
+            value = wp.vec4(srgb_to_linear(value[0]), srgb_to_linear(value[1]), srgb_to_linear(value[2]), value[3])
+        return value
+
+    sample.__name__ = sample.__qualname__ = "sampled_level" if levels else "sampled"
+    return wp.func(sample)
+
+
+_sample_picture = _picture_functions(levels=False)
+_sample_level = _picture_functions(levels=True)
+
+
+@wp.struct
+class ImagePlace:
+    """Where a picture is looked up."""
+
+    entry: int  # of the picture; -1: there is none
+    u: float  # coordinates in the picture
+    v: float
+
+
+@wp.func
+def image_place(table: ImageTable, index: int, uv: wp.vec2) -> ImagePlace:
+    """The picture of image `index` at `uv`: a tile, where it has tiles."""
+    place = ImagePlace()
+    place.entry = -1
+    place.u = uv[0]
+    place.v = uv[1]
+    if index < 0 or index >= table.entries.shape[0]:
+        return place
+    at = int(index)
+    tile_count = table.entries[index].tile_count
+    if tile_count > 0:
+        # truncated, not rounded down: a coordinate a little below 0 belongs to the first tile, as in Cycles
+        if not (place.u > -1.0 and place.u < float(TILE_COLUMNS) and place.v > -1.0 and place.v < float(tile_count)):
+            return place
+        column = int(place.u)
+        row = int(place.v)
+        tile = row * TILE_COLUMNS + column
+        if tile >= tile_count:
+            return place
+        at = table.tiles[table.entries[index].tile_first + tile]
+        place.u -= float(column)
+        place.v -= float(row)
+    if at >= 0:
+        if table.entries[at].texels == _MISSING:
+            at = -1
+    place.entry = at
+    return place
+
+
 @wp.func
 def sample_image(
     table: ImageTable, index: int, uv: wp.vec2, interpolation: int, extension: int, divide: int
@@ -243,32 +321,51 @@ def sample_image(
 
     `divide`: 1 if alpha is to be divided out of the colours.
     """
-    if index < 0 or index >= table.entries.shape[0]:
+    place = image_place(table, index, uv)
+    if place.entry < 0:
         return _MAGENTA
-    u = uv[0]
-    v = uv[1]
-    at = int(index)
-    tile_count = table.entries[index].tile_count
-    if tile_count > 0:
-        # truncated, not rounded down: a coordinate a little below 0 belongs to the first tile, as in Cycles
-        if not (u > -1.0 and u < float(TILE_COLUMNS) and v > -1.0 and v < float(tile_count)):
-            return _MAGENTA
-        column = int(u)
-        row = int(v)
-        tile = row * TILE_COLUMNS + column
-        if tile >= tile_count:
-            return _MAGENTA
-        at = table.tiles[table.entries[index].tile_first + tile]
-        if at < 0:
-            return _MAGENTA
-        u -= float(column)
-        v -= float(row)
-    image = table.entries[at]
-    if image.texels == _MISSING:
+    return _sample_picture(table.entries[place.entry], place.u, place.v, interpolation, extension, divide)
+
+
+@wp.func
+def level_count(width: int, height: int) -> int:
+    """How many levels a picture of this size has."""
+    rest = wp.max(width, height)
+    count = int(0)
+    while rest > 1:
+        rest = rest >> 1
+        count += 1
+    return count
+
+
+@wp.func
+def footprint_level(table: ImageTable, index: int, uv: wp.vec2, area: float, chance: float) -> int:
+    """The level of image `index` for a footprint of `area` at `uv`, in squares of image coordinates.
+
+    A texel of the level has the area of the footprint. Between two levels `chance`, random in [0, 1), decides by how
+    near they are.
+    """
+    place = image_place(table, index, uv)
+    if place.entry < 0:
+        return 0
+    image = table.entries[place.entry]
+    texels = area * float(image.width) * float(image.height)
+    if image.tile_first <= 0 or not texels > 1.0:  # also where it is no number
+        return 0
+    top = level_count(image.width, image.height)
+    return int(wp.min(0.5 * wp.log2(texels) + chance, float(top)))
+
+
+@wp.func
+def sample_level(
+    table: ImageTable, index: int, level: int, uv: wp.vec2, interpolation: int, extension: int, divide: int
+) -> wp.vec4:
+    """`sample_image` of a level of the image; its last one where it has fewer."""
+    place = image_place(table, index, uv)
+    if place.entry < 0:
         return _MAGENTA
-    value = _interpolated(image, u, v, interpolation, extension)
-    if divide != 0:
-        value = _without_alpha(value)
-    if image.encoding == _SRGB:
-        value = wp.vec4(srgb_to_linear(value[0]), srgb_to_linear(value[1]), srgb_to_linear(value[2]), value[3])
-    return value
+    image = table.entries[place.entry]
+    if level > 0 and image.tile_first > 0:
+        above = wp.min(level, level_count(image.width, image.height))
+        image = table.entries[image.tile_first + above - 1]
+    return _sample_level(image, place.u, place.v, interpolation, extension, divide)

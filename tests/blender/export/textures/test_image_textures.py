@@ -199,6 +199,14 @@ def test_grey_images_take_one_channel(scene, tmp_path):
     assert exported.pixels.shape == (7, 9, 1)
 
 
+@pytest.mark.parametrize("alpha", ["STRAIGHT", "PREMUL", "CHANNEL_PACKED", "NONE"])
+@pytest.mark.parametrize("space", ["sRGB", "Non-Color"])
+def test_opaque_bytes_take_three_channels(scene, tmp_path, space, alpha):
+    path = write_png(tmp_path / "o.png", OPAQUE)
+    exported, _ = assert_like_cycles(scene, tmp_path, loaded(path, space, alpha))
+    assert exported.pixels.dtype == np.uint8 and np.array_equal(exported.pixels, OPAQUE[..., :3])
+
+
 def test_half_precision_is_kept_where_it_is_exact(scene, tmp_path):
     values = RNG.uniform(0, 900, (7, 9, 4)).astype(np.float16).astype(np.float32)
     values[..., 3] = 1
@@ -262,7 +270,7 @@ def test_tiles(scene, tmp_path):
     image.filepath = str(tmp_path / "t.<UDIM>.png")
     exported, notes = export_image(image, None, 1)
     assert [number for number, _ in exported.tiles] == [1001, 1002, 1011] and notes == ()
-    assert all(np.array_equal(pixels, np.roll(OPAQUE, number, 1)) for number, pixels in exported.tiles)
+    assert all(np.array_equal(pixels, np.roll(OPAQUE, number, 1)[..., :3]) for number, pixels in exported.tiles)
     gone = (tmp_path / "t.1011.png").rename(tmp_path / "away.png")
     exported, notes = export_image(image, None, 1)
     assert exported.tiles[2] == (1011, None) and len(notes) == 1 and f"“{image.name}”, tile 1011" in notes[0]
@@ -315,7 +323,7 @@ def test_an_image_is_exported_once_while_it_is_the_same(scene, tmp_path):
     write_png(path, np.roll(OPAQUE, 1, 0)[:5])
     image.reload()
     third, _ = export_image(image, None, 1)
-    assert third.pixels.shape == (5, 9, 4)
+    assert third.pixels.shape == (5, 9, 3)
     painted = datablock(OPAQUE)
     before, _ = export_image(painted, None, 1)
     assert export_image(painted, None, 1)[0] is before  # read again, and unchanged
@@ -356,7 +364,7 @@ def test_a_color_space_that_nobody_knows_is_taken_as_linear_and_named(scene, mon
     monkeypatch.setattr(color_spaces, "to_scene_linear", unknown)
     monkeypatch.setattr(color_spaces, "_known", {})
     exported, notes = export_image(datablock(OPAQUE, "ACEScg"), None, 1)
-    assert np.array_equal(exported.pixels, OPAQUE) and "“ACEScg”" in notes[0] and "“Painted”" in notes[0]
+    assert np.array_equal(exported.pixels, OPAQUE[..., :3]) and "“ACEScg”" in notes[0] and "“Painted”" in notes[0]
 
 
 def test_colors_that_cannot_be_converted_now_are_another_time(scene, monkeypatch):
@@ -370,10 +378,10 @@ def test_colors_that_cannot_be_converted_now_are_another_time(scene, monkeypatch
     monkeypatch.setattr(color_spaces, "_known", {})
     monkeypatch.setattr(color_spaces, "to_scene_linear", not_now)
     exported, notes = export_image(image, None, 1)
-    assert np.array_equal(exported.pixels, OPAQUE) and "“ACEScg”" in notes[0]
+    assert np.array_equal(exported.pixels, OPAQUE[..., :3]) and "“ACEScg”" in notes[0]
     monkeypatch.setattr(color_spaces, "to_scene_linear", real)
     exported, notes = export_image(image, None, 1)
-    assert not np.array_equal(exported.pixels, OPAQUE) and notes == ()
+    assert not np.array_equal(exported.pixels, OPAQUE[..., :3]) and notes == ()
 
 
 def test_an_image_that_does_not_fit_in_memory_is_named(scene, monkeypatch):

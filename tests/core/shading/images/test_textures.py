@@ -127,6 +127,36 @@ def test_every_kind_of_pixels(dtype, channels):
     assert np.abs(values - reference(full, uv, Interpolation.LINEAR, Extension.REPEAT)).max() < 2e-5
 
 
+@pytest.mark.parametrize("divide", [False, True])
+@pytest.mark.parametrize("encoding", list(ImageEncoding))
+@pytest.mark.parametrize("extension", list(Extension))
+@pytest.mark.parametrize("interpolation", list(Interpolation))
+def test_opaque_bytes_without_alpha_are_the_same_texels_to_the_bit(interpolation, extension, encoding, divide):
+    opaque = BYTES.copy()
+    opaque[..., 3] = 255
+    uv = points()
+    with_alpha, without = (
+        look_up(Image("i", pixels, encoding), uv, interpolation, extension, divide)[0]
+        for pixels in (opaque, opaque[..., :3])
+    )
+    assert np.array_equal(with_alpha, without)
+
+
+def test_every_byte_is_its_255th_part():
+    ramp = np.arange(256, dtype=np.uint8).reshape(1, 256, 1)
+    uv = np.column_stack([(np.arange(256) + 0.5) / 256, np.full(256, 0.5)])
+    expected = np.arange(256, dtype=np.float32) * np.float32(1 / 255)
+    for channels in (1, 3, 4):
+        values, _ = look_up(Image("i", np.repeat(ramp, channels, 2)), uv, Interpolation.CLOSEST)
+        assert np.array_equal(values[:, 0], expected) and np.array_equal(values[:, 2], expected)
+
+
+def test_opaque_bytes_take_three_bytes_on_a_cpu_and_four_on_a_gpu():
+    pixels = np.zeros((16, 16, 3), np.uint8)
+    taken = ImageCache().upload([Image("i", pixels)], DEVICE).keep[0]
+    assert taken.capacity == 16 * 16 * (4 if wp.get_device(DEVICE).is_cuda else 3)
+
+
 def test_srgb_is_decoded_after_interpolation_and_alpha_stays():
     uv = points()
     values, _ = look_up(Image("i", BYTES, ImageEncoding.SRGB), uv)

@@ -50,7 +50,7 @@ def mean(v: wp.vec4) -> float:
     return (v[0] + v[1] + v[2]) * wp.static(1.0 / 3.0)
 
 
-@op("attribute", "aii>VNN", foldable=False)
+@op("attribute", "asi>VNN", foldable=False)
 @wp.func
 def attribute(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Attribute of a mesh as colour, number and alpha.

@@ -15,14 +15,14 @@ def object_position(data: NodeData, point: ShadingPoint, shift: int) -> wp.vec3:
     return transform_point(data.inputs.to_object[point.instance], shifted_position(point, shift))
 
 
-@op("object_coordinates", "i>V", foldable=False)
+@op("object_coordinates", "s>V", foldable=False)
 @wp.func
 def object_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """The point in its object's space; word 1 is the shift."""
     put_vector(data, stack, pc + 2, object_position(data, point, data.code[pc + 1]))
 
 
-@op("generated", "i>V", foldable=False)
+@op("generated", "s>V", foldable=False)
 @wp.func
 def generated(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """The point in the texture space of its mesh, 0..1 across the mesh's box; word 1 is the shift."""
@@ -49,7 +49,7 @@ def generated(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Shad
     put_vector(data, stack, pc + 2, position)
 
 
-@op("uv", "ai>V", foldable=False)
+@op("uv", "as>V", foldable=False)
 @wp.func
 def uv(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """UV coordinates by the active map; 0 where there is none. On a lamp, coordinates across its shape."""

@@ -26,7 +26,7 @@ def world_normal(data: NodeData, point: ShadingPoint, normal: wp.vec3) -> wp.vec
     return wp.normalize(transposed_vector(data.inputs.to_object[point.instance], normal))
 
 
-@op("position", "i>V", foldable=False)
+@op("position", "s>V", foldable=False)
 @wp.func
 def position(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Position in the world [m]; word 1 is the shift. In the world shader it is the ray's direction."""
@@ -62,7 +62,7 @@ def reflection(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Sha
     put_vector(data, stack, pc + 1, value)
 
 
-@op("parametric", "i>V", foldable=False)
+@op("parametric", "s>V", foldable=False)
 @wp.func
 def parametric(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Weights of the triangle's first and second corner; word 1 is the shift."""
@@ -90,7 +90,7 @@ def surface_tangent(data: NodeData, point: ShadingPoint, direction: wp.vec3) -> 
     return wp.cross(point.normal, wp.normalize(across))
 
 
-@op("radial_tangent", "ii>V", foldable=False)
+@op("radial_tangent", "is>V", foldable=False)
 @wp.func
 def radial_tangent(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Tangent around an axis through the middle of the texture space.
@@ -114,7 +114,7 @@ def radial_tangent(data: NodeData, stack: wp.array(dtype=float), pc: int, point:
     put_vector(data, stack, pc + 3, surface_tangent(data, point, around))
 
 
-@op("camera_coordinates", "i>VNNV", foldable=False)
+@op("camera_coordinates", "s>VNNV", foldable=False)
 @wp.func
 def camera_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Camera coordinates; word 1 is the shift.
@@ -132,7 +132,7 @@ def camera_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, po
     put_vector(data, stack, pc + 5, p)
 
 
-@op("window_coordinates", "i>V", foldable=False)
+@op("window_coordinates", "s>V", foldable=False)
 @wp.func
 def window_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Position of the point in the frame, 0..1; word 1 is the shift."""

@@ -112,6 +112,18 @@ def box_uv(axis: int, p: wp.vec3, normal: wp.vec3) -> wp.vec2:
     return wp.vec2(across, up)
 
 
+@wp.func
+def projected_uv(p: wp.vec3, projection: int) -> wp.vec2:
+    """Image coordinates of texture coordinates `p`."""
+    image_uv = wp.vec2(p[0], p[1])
+    centred = wp.vec3(2.0 * p[0] - 1.0, 2.0 * p[1] - 1.0, 2.0 * p[2] - 1.0)
+    if projection == _SPHERE:
+        image_uv = sphere_projection(centred)
+    elif projection == _TUBE:
+        image_uv = tube_projection(centred)
+    return image_uv
+
+
 @op("image", "miiiiv>VN", foldable=False)
 @wp.func
 def image(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
@@ -119,14 +131,7 @@ def image(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingP
 
     Operands: image, `Interpolation`, `Extension`, `Projection`, whether alpha is divided out, coordinates.
     """
-    p = vector(data, stack, pc + 6)
-    image_uv = wp.vec2(p[0], p[1])
-    projection = data.code[pc + 4]
-    centred = wp.vec3(2.0 * p[0] - 1.0, 2.0 * p[1] - 1.0, 2.0 * p[2] - 1.0)
-    if projection == _SPHERE:
-        image_uv = sphere_projection(centred)
-    elif projection == _TUBE:
-        image_uv = tube_projection(centred)
+    image_uv = projected_uv(vector(data, stack, pc + 6), data.code[pc + 4])
     value = sample_image(
         data.images, data.code[pc + 1], image_uv, data.code[pc + 2], data.code[pc + 3], data.code[pc + 5]
     )

@@ -45,6 +45,11 @@ class SurfaceFeatures:
         return ClosureKind.SUBSURFACE in self.closures
 
     @property
+    def texture_levels(self) -> bool:
+        """Images that are filtered over the footprints of paths."""
+        return "image_level" in self.programs.ops
+
+    @property
     def lobes_most(self) -> int:
         """Closures of a material at most; a power of two, so that scenes with nearly as many share kernels."""
         return 1 << (max(self.closure_count, self.programs.closure_count, 1) - 1).bit_length()

@@ -26,7 +26,7 @@ from ....shading.bsdf.bsdf import (
 from ....shading.bsdf.materials import RECORD_FLOATS, SURFACE_NORMAL, ClosureRecord, address_of, new_closure
 from ....shading.lights.light_shapes import LightSample
 from ....shading.lights.lights import LightFeatures, light_weights, make_lights
-from ....shading.sampling import BSDF, LOBE, ROULETTE, bitangent_of, make_sampler, tangent_of
+from ....shading.sampling import BSDF, LOBE, ROULETTE, TEXTURE, bitangent_of, make_sampler, tangent_of
 from ....shading.surface import spawn_origin
 from ...rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, visibility_of
 from ...scene.scene_data import SceneData
@@ -34,6 +34,7 @@ from ..limits import PathLimits, has_light
 from ..walk import make_walk_begin
 from ..work import TileWork
 from .aim import AimFeatures, aimed_light, is_aimed, make_choose_light
+from .cone import cone_width, make_filtered_program, make_scattered_cone, path_cone
 from .connect_light import make_connect_light
 from .emission import make_gather_emission
 from .features import SurfaceFeatures
@@ -67,6 +68,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     connect_light = make_connect_light(features)
     programs = features.programs
     run_surface = make_surface_program(programs)
+    run_filtered = make_filtered_program(programs)
+    scattered_cone = make_scattered_cone(features.smooth_normals)
     begin_walk = make_walk_begin(features.sample_sequence)
     lobes_most = features.lobes_most
 
@@ -100,7 +103,12 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 if wp.static(features.path_history):
                     point.history = paths.history[path]
                 records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
-                end = run_surface(data, program, point, records)
+                if wp.static(features.texture_levels):
+                    width = cone_width(path_cone(data.nodes, paths, path, v.bounce), point.ray_length)
+                    chance = sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(TEXTURE))
+                    end = run_filtered(data, program, point, records, width, chance)
+                else:
+                    end = run_surface(data, program, point, records)
                 address = address_of(records)
             else:
                 end = fixed_closure_count(data, surface.material)
@@ -221,6 +229,17 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
             if (scattered.lobe & DELTA) != 0 or v.where.x >= limits.nee_end:
                 pdf = 0.0
             paths.pdf[path] = pdf
+            if wp.static(features.texture_levels):
+                paths.cone[path] = scattered_cone(
+                    data.geometry,
+                    v,
+                    path_cone(data.nodes, paths, path, v.bounce),
+                    rays.hit_instance[path],
+                    rays.hit_primitive[path],
+                    passed_t + hit_t,
+                    scattered.lobe,
+                    scattered.pdf,
+                )
             if wp.static(features.shadow_rays and features.light_choice):
                 paths.side[path] = v.side
             seen_by = wp.static(int(Visibility.GLOSSY))

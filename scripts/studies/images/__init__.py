@@ -1,0 +1,1 @@
+"""Studies of images: skies that light a scene, and textures that surfaces show."""
