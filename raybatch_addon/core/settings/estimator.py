@@ -74,6 +74,12 @@ class EstimatorSettings:
                 "Owen-scrambled Sobol",
                 "Low-discrepancy points: less noise at the same sample count (Burley 2020)",
             ),
+            (
+                "BLUE_NOISE",
+                "Blue Noise",
+                "Points that neighbouring pixels share out among them: as little noise in a pixel as Sobol points, and "
+                "at few samples it is fine-grained, so that it vanishes when looked at from afar or denoised",
+            ),
             ("INDEPENDENT", "Independent", "Independent Philox numbers: error statistics are textbook Monte Carlo"),
         ),
     )

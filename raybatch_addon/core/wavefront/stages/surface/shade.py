@@ -26,7 +26,9 @@ from ....shading.bsdf.bsdf import (
 from ....shading.bsdf.materials import RECORD_FLOATS, SURFACE_NORMAL, ClosureRecord, address_of, new_closure
 from ....shading.lights.light_shapes import LightSample
 from ....shading.lights.lights import LightFeatures, light_weights, make_lights
-from ....shading.sampling import BSDF, LOBE, ROULETTE, bitangent_of, make_sampler, tangent_of
+from ....shading.sampling import bitangent_of, tangent_of
+from ....shading.sequences.keys import BSDF, LOBE, ROULETTE
+from ....shading.sequences.sampler import make_sampler
 from ....shading.surface import spawn_origin
 from ...rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, visibility_of
 from ...scene.scene_data import SceneData
