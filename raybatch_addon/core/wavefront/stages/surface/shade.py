@@ -237,7 +237,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 rays.visibility[path] = seen_by
             if wp.static(features.roulette):
                 if goes_on and v.bounce >= limits.roulette_bounce:
-                    survival = wp.min(wp.max(throughput[0], wp.max(throughput[1], throughput[2])), 1.0)
+                    largest = wp.max(throughput[0], wp.max(throughput[1], throughput[2]))
+                    survival = wp.min(largest / limits.roulette_throughput, 1.0)
                     if sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(ROULETTE)) >= survival:
                         goes_on = False
                     throughput = throughput / survival
