@@ -21,7 +21,7 @@ that; the maps below are chosen such that a pixel's samples alone are a (0, 2)-s
 import numpy as np
 import warp as wp
 
-from .keys import mix_bits, set_seed, unit_of_bits
+from .keys import mix_bits, set_seed, sequence_number
 from .sobol import reverse_bits, scramble_reversed
 
 _DIGITS = 16  # of 32 bits; the lower bit of a digit says whether 1 is in it, the upper one whether w is
@@ -126,14 +126,14 @@ def _shuffled_sample(sample: wp.uint32, place: wp.uint32, seed: wp.uint32) -> wp
 @wp.func
 def _first(sample: wp.uint32, place: wp.uint32, seed: wp.uint32) -> float:
     digits = _out_first(_derivatives_of_poles(_index_first(sample)) ^ _place_first(place))
-    return unit_of_bits(reverse_bits(scramble_reversed(digits, mix_bits(seed + wp.uint32(1)))))
+    return sequence_number(reverse_bits(scramble_reversed(digits, mix_bits(seed + wp.uint32(1)))))
 
 
 @wp.func
 def _second(sample: wp.uint32, place: wp.uint32, seed: wp.uint32) -> float:
     of_place = _place_second(_derivatives_of_powers(place))
     digits = _out_second(_derivatives_of_poles(_index_second(sample)) ^ of_place)
-    return unit_of_bits(reverse_bits(scramble_reversed(digits, mix_bits(seed + wp.uint32(2)))))
+    return sequence_number(reverse_bits(scramble_reversed(digits, mix_bits(seed + wp.uint32(2)))))
 
 
 @wp.func

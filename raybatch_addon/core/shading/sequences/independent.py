@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from .keys import unit_of_bits
+from .keys import sequence_number
 
 
 @wp.func
@@ -39,4 +39,4 @@ def philox_2d(key: wp.vec2ui, sample: wp.uint32, dimension: wp.uint32) -> wp.vec
     """Two numbers of a set."""
     counter = wp.vec4ui(sample, dimension, wp.uint32(0), wp.uint32(0))
     bits = philox(counter, wp.vec2ui(key[0], wp.uint32(0)))
-    return wp.vec2(unit_of_bits(bits[0]), unit_of_bits(bits[1]))
+    return wp.vec2(sequence_number(bits[0]), sequence_number(bits[1]))

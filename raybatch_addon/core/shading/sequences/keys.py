@@ -51,6 +51,6 @@ def set_seed(key: wp.uint32, dimension: wp.uint32) -> wp.uint32:
 
 
 @wp.func
-def unit_of_bits(x: wp.uint32) -> float:
+def sequence_number(x: wp.uint32) -> float:
     """The upper 24 bits as a number in [0, 1 - 2**-24], exact in float32."""
     return wp.float32(x >> wp.uint32(8)) * _ULP_BELOW_ONE

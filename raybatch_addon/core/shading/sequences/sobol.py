@@ -3,7 +3,7 @@
 import warp as wp
 
 from ...native.build import native_source
-from .keys import mix_bits, set_seed, unit_of_bits
+from .keys import mix_bits, set_seed, sequence_number
 
 
 @wp.func_native(native_source("math/reverse_bits.h"))
@@ -47,7 +47,7 @@ def sobol_1d(key: wp.vec2ui, sample: wp.uint32, dimension: wp.uint32) -> float:
     """First dimension of a set's Sobol pair, Owen-scrambled (Burley, "Practical Hash-based Owen Scrambling", 2020)."""
     seed = set_seed(key[0], dimension)
     index = _shuffled_index(sample, seed)
-    return unit_of_bits(reverse_bits(scramble_reversed(index, mix_bits(seed + wp.uint32(1)))))
+    return sequence_number(reverse_bits(scramble_reversed(index, mix_bits(seed + wp.uint32(1)))))
 
 
 @wp.func
@@ -57,4 +57,4 @@ def sobol_2d(key: wp.vec2ui, sample: wp.uint32, dimension: wp.uint32) -> wp.vec2
     index = _shuffled_index(sample, seed)
     x = reverse_bits(scramble_reversed(index, mix_bits(seed + wp.uint32(1))))
     y = reverse_bits(scramble_reversed(_sobol_second(index), mix_bits(seed + wp.uint32(2))))
-    return wp.vec2(unit_of_bits(x), unit_of_bits(y))
+    return wp.vec2(sequence_number(x), sequence_number(y))
