@@ -21,7 +21,7 @@ that; the maps below are chosen such that a pixel's samples alone are a (0, 2)-s
 import numpy as np
 import warp as wp
 
-from .keys import mix_bits, set_seed, sequence_number
+from .keys import mix_bits, sequence_number, set_seed
 from .sobol import reverse_bits, scramble_reversed
 
 _DIGITS = 16  # of 32 bits; the lower bit of a digit says whether 1 is in it, the upper one whether w is

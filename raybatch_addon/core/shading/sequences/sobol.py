@@ -3,7 +3,7 @@
 import warp as wp
 
 from ...native.build import native_source
-from .keys import mix_bits, set_seed, sequence_number
+from .keys import mix_bits, sequence_number, set_seed
 
 
 @wp.func_native(native_source("math/reverse_bits.h"))
