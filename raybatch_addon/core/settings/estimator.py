@@ -109,6 +109,12 @@ class EstimatorSettings:
                 "Owen-scrambled Sobol",
                 "Low-discrepancy points: less noise at the same sample count (Burley 2020)",
             ),
+            (
+                "BLUE_NOISE",
+                "Blue Noise",
+                "Points that neighbouring pixels share out among them: as little noise in a pixel as Sobol points, and "
+                "at few samples it is fine-grained, so that it vanishes when looked at from afar or denoised",
+            ),
             ("INDEPENDENT", "Independent", "Independent Philox numbers: error statistics are textbook Monte Carlo"),
         ),
     )
@@ -163,13 +169,22 @@ class EstimatorSettings:
         maximum=1024,
     )
     roulette_bounce: int = setting(
-        3,
+        2,
         "Roulette From",
         "Bounce from which Russian roulette may end a path that carries little light (unbiased)",
         group="LIGHT_PATHS",
         unit="bounces",
         minimum=0,
         maximum=100_000,
+    )
+    roulette_throughput: float = setting(
+        0.5,
+        "Roulette Below",
+        "Throughput, the share of light that a path carries, below which Russian roulette may end it: the path goes on "
+        "with a probability of its throughput over this",
+        group="LIGHT_PATHS",
+        minimum=1e-6,
+        maximum=1.0,
     )
     clamp_direct: float = setting(
         0.0,

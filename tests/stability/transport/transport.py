@@ -176,8 +176,8 @@ def _add_channels(sweep: Sweep, picture: np.ndarray, expected, note: str) -> Non
 @case(
     "roulette",
     "transport",
-    """Inside a closed box that emits 1 and reflects (0.95, 0.6, 0.2): with roulette from bounce 0, 1, 3 or 20, and
-    paths as long as it lets them be, radiance is 1 / (1 - a) in each channel.""",
+    """Inside a closed box that emits 1 and reflects (0.95, 0.6, 0.2): with roulette from bounce 0, 1, 3 or 20, below
+    several throughputs, and paths as long as it lets them be, radiance is 1 / (1 - a) in each channel.""",
     f"{SIGMAS:g} standard errors over pixels; 200 roundings; a path is longer than 10,000 bounces with a probability "
     "below 0.95^10000",
     quick=True,
@@ -186,12 +186,12 @@ def roulette(bench: Bench) -> Outcome:
     sweep = Sweep()
     expected = 1 / (1 - np.float64(np.float32(COLOR)))
     scene = _inside(scenes.box(), scenes.IDENTITY, wall(COLOR, 1.0), MANY)
-    for first in (0, 1, 3, 20):
+    for first, below in ((0, 0.5), (1, 1.0), (3, 0.02), (20, 0.5)):
         _add_channels(
             sweep,
-            bench.render(scene, SCATTERED, roulette_bounce=first, sample_count=128),
+            bench.render(scene, SCATTERED, roulette_bounce=first, roulette_throughput=below, sample_count=128),
             expected,
-            f"from bounce {first}",
+            f"from bounce {first}, below {below}",
         )
     return sweep.outcome()
 
@@ -199,9 +199,9 @@ def roulette(bench: Bench) -> Outcome:
 @case(
     "roulette of long paths",
     "transport",
-    """Inside a closed box that emits 1 and reflects 0.995, one path a pixel: roulette alone ends paths, after 200
-    bounces on average. Paths carry 1 until they end, so that a pixel's value is its path's length, which is geometric:
-    a share a^k of them is longer than k.""",
+    """Inside a closed box that emits 1 and reflects 0.995, one path a pixel: roulette below a throughput of 1 alone
+    ends paths, after 200 bounces on average. Paths carry 1 until they end, so that a pixel's value is its path's
+    length, which is geometric: a share a^k of them is longer than k.""",
     f"""{SIGMAS:g} standard errors: of the mean sqrt(a) / (1 - a) / sqrt(n), of a share p that is longer than k sqrt(p
     (1 - p) / n). The normal distribution is near enough, as more than 90 paths are on either side. Lengths are whole
     numbers, exact in float32""",
@@ -209,7 +209,11 @@ def roulette(bench: Bench) -> Outcome:
 def roulette_of_long_paths(bench: Bench) -> Outcome:
     sweep, albedo, frame = Sweep(), float(np.float32(0.995)), Frame(96, 96)
     lengths = bench.render(
-        _inside(scenes.box(), scenes.IDENTITY, wall(albedo, 1.0), frame), SCATTERED, bounce_max=100_000, tile_size=96
+        _inside(scenes.box(), scenes.IDENTITY, wall(albedo, 1.0), frame),
+        SCATTERED,
+        bounce_max=100_000,
+        roulette_throughput=1.0,
+        tile_size=96,
     )[..., 0]
     sweep.add(
         lengths.mean(),

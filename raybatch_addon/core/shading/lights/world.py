@@ -14,6 +14,8 @@ import warp as wp
 _FLOOR = 1e-3
 # ... and as a share of the brightest texel around it: the rim of a sun may lie between the points of a texel
 _AROUND = 0.05
+# Variance of a world, beside the square of its mean, up to which it is left to scattered rays
+_EVEN = 1e-3
 
 
 @wp.struct
@@ -41,11 +43,23 @@ class SampledWorld:
     table: WorldTable
     # irradiance of a surface with the normal n: coefficients of 1, y, z, x, xy, yz, 3 z² - 1, xz, x² - y²
     irradiance: np.ndarray  # float64, shape [9]
+    varies: bool  # else rays that surfaces scatter find its light better by themselves
 
 
 def sampled_world(light: np.ndarray, device: wp.Device) -> SampledWorld:
     """The world whose texels have the brightness `light`; see `build_world_table`."""
-    return SampledWorld(build_world_table(light, device), _irradiance(light))
+    return SampledWorld(build_world_table(light, device), _irradiance(light), _varies(light))
+
+
+def _varies(light: np.ndarray) -> bool:
+    """Whether texels differ: their variance over the sphere beside the square of their mean."""
+    height, width = light.shape
+    edges = np.cos(np.arange(height + 1) * (np.pi / height))
+    weight = np.repeat((edges[:-1] - edges[1:])[:, None] / (2 * width), width, 1)
+    largest = max(float(light.max()), 1e-30)  # squares of what is scaled by it are in range
+    share = light.astype(np.float64) / largest
+    mean = (weight * share).sum()
+    return bool((weight * (share - mean) ** 2).sum() > _EVEN * mean**2)
 
 
 def _irradiance(light: np.ndarray) -> np.ndarray:

@@ -11,7 +11,9 @@ from ...device.kernel import KERNEL_OPTIONS
 from ...rays import Rays
 from ...scene.description import CameraKind, Visibility
 from ...shading.camera import CameraData, CameraFeatures, make_camera_ray
-from ...shading.sampling import FILTER, LENS, make_sampler, pixel_key, sample_filter
+from ...shading.sampling import sample_filter
+from ...shading.sequences.keys import FILTER, LENS
+from ...shading.sequences.sampler import make_sampler
 from ..rays import VISIBILITY_SHIFT, Paths, Status, bounce_of
 from .limits import PathLimits
 from .work import TileWork
@@ -123,6 +125,7 @@ def active_number(work: TileWork, active: wp.array(dtype=int), item: wp.int64) -
 def make_begin_path(features: GenerateFeatures) -> wp.Function:
     """Function (work, limits, camera, paths, rays, path, number): the path with this number starts in slot `path`."""
     sampler = make_sampler(features.sample_sequence)
+    pixel_key = sampler.pixel_key
     sample_2d = sampler.sample_2d
     camera_ray = make_camera_ray(CameraFeatures(features.camera, features.depth_of_field))
 
@@ -133,7 +136,7 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
         where = pixel_sample(work, number)
         x = where.x
         y = where.y
-        key = pixel_key(limits.seed, wp.uint32(y) * wp.uint32(work.frame_width) + wp.uint32(x))
+        key = pixel_key(limits.seed, wp.uint32(x), wp.uint32(y), wp.uint32(work.frame_width))
         index = where.sample
         offset = sample_filter(work.filter_table, sample_2d(key, index, wp.uint32(FILTER)))
         lens = wp.vec2(0.5, 0.5)

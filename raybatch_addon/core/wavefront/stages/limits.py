@@ -15,6 +15,7 @@ class PathLimits:
     bounce_max: int
     transparent_bounce_max: int
     roulette_bounce: int
+    roulette_throughput: float
     clamp_direct: float  # 0: no limit
     clamp_indirect: float
     nee_end: int  # light is sampled left of this column of the frame
@@ -40,6 +41,7 @@ def path_limits(settings: RenderSettings, frame_width: int) -> PathLimits:
     limits.bounce_max = settings.bounce_max
     limits.transparent_bounce_max = settings.transparent_bounce_max
     limits.roulette_bounce = settings.roulette_bounce
+    limits.roulette_throughput = settings.roulette_throughput
     limits.clamp_direct = settings.clamp_direct
     limits.clamp_indirect = settings.clamp_indirect
     limits.nee_end = {"ON": frame_width, "OFF": 0, "HALF": frame_width // 2}[settings.nee]

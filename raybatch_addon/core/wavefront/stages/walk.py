@@ -29,7 +29,8 @@ from ...shading.bsdf.subsurface import (
     sampled_length,
     transmittance,
 )
-from ...shading.sampling import bitangent_of, make_sampler, pixel_key, spherical_direction, tangent_of, to_world
+from ...shading.sampling import bitangent_of, spherical_direction, tangent_of, to_world
+from ...shading.sequences.sampler import make_sampler
 from ...shading.surface import make_surface, spawn_origin
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of
 from ..scene.scene_data import SceneData
@@ -90,7 +91,7 @@ def make_walk_begin(sample_sequence: str) -> wp.Function:
         entry: wp.vec3,
         normal: wp.vec3,
         throughput: wp.vec3,
-        key: wp.uint32,
+        key: wp.vec2ui,
         sample: wp.uint32,
         surface: int,
     ) -> float:
@@ -125,6 +126,7 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
     stay as they are.
     """
     sampler = make_sampler(features.sample_sequence)
+    pixel_key = sampler.pixel_key
     sample_1d = sampler.sample_1d
     sample_2d = sampler.sample_2d
     surface_point = make_surface(features.instancing, features.smooth_normals).point
@@ -136,7 +138,7 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
         """The next step, from `position`."""
         step = paths.walk.step[path] + 1
         where = pixel_sample(work, paths.item[path])
-        key = pixel_key(limits.seed, wp.uint32(where.y) * wp.uint32(work.frame_width) + wp.uint32(where.x))
+        key = pixel_key(limits.seed, wp.uint32(where.x), wp.uint32(where.y), wp.uint32(work.frame_width))
         dimension = walk_dimension(bounce_of(paths.status[path]) + passed, step)
         albedo = paths.walk.albedo[path]
         normal = paths.walk.normal[path]

@@ -7,7 +7,7 @@ import pytest
 
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
-from raybatch_addon.core.scene.description import Frame, Image, World
+from raybatch_addon.core.scene.description import Frame, Image, Visibility, World
 from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -88,3 +88,20 @@ def test_pixels_that_may_change_are_looked_at_anew(made):
     assert len(made) == 2
     expected = Session(DEVICE).render(scene, SETTINGS)
     assert np.array_equal(film.passes["Combined"], expected.passes["Combined"])
+
+
+def test_an_even_world_is_left_to_scattered_rays():
+    """No shadow ray is sent to a world that is the same everywhere, nor to a black one, and the picture is that of the
+    plain world; one that only some rays see is aimed at all the same.
+    """
+    even = Image("sky", np.full((8, 16, 4), 0.5, np.float32))
+    seen = []
+    for world, image in ((world_of(), even), (world_of(0.0), even), (world_of(), Image("sky", PIXELS))):
+        film = Session(DEVICE).render(scene_of(world, image=image), SETTINGS)
+        seen.append((film.statistics["rays"]["shadow"], film.passes["Combined"]))
+    assert seen[0][0] == seen[1][0] == 0 < seen[2][0]
+    plain = Session(DEVICE).render(replace(scene_of(world_of()), world=World(radiance=(0.5, 0.5, 0.5))), SETTINGS)
+    np.testing.assert_allclose(seen[0][1], plain.passes["Combined"], rtol=1e-5)
+    assert not seen[1][1][..., :3].any()
+    in_part = replace(world_of(), visibility=Visibility.ALL & ~Visibility.GLOSSY)
+    assert Session(DEVICE).render(scene_of(in_part, image=even), SETTINGS).statistics["rays"]["shadow"] > 0

@@ -20,7 +20,8 @@ from ....shading.lights.light_choice import lit_point
 from ....shading.lights.light_shapes import LAMP_PROGRAM, LightSample
 from ....shading.lights.light_table import LightTable
 from ....shading.lights.lights import LightFeatures, make_lights
-from ....shading.sampling import LIGHT, LIGHT_CHOICE, make_sampler
+from ....shading.sequences.keys import LIGHT, LIGHT_CHOICE
+from ....shading.sequences.sampler import make_sampler
 from ...rays import Paths
 from ...scene.scene_data import SceneData
 from ..limits import PathLimits

@@ -26,7 +26,9 @@ from ....shading.bsdf.bsdf import (
 from ....shading.bsdf.materials import RECORD_FLOATS, SURFACE_NORMAL, ClosureRecord, address_of, new_closure
 from ....shading.lights.light_shapes import LightSample
 from ....shading.lights.lights import LightFeatures, light_weights, make_lights
-from ....shading.sampling import BSDF, LOBE, ROULETTE, TEXTURE, bitangent_of, make_sampler, tangent_of
+from ....shading.sampling import bitangent_of, tangent_of
+from ....shading.sequences.keys import BSDF, LOBE, ROULETTE, TEXTURE
+from ....shading.sequences.sampler import make_sampler
 from ....shading.surface import spawn_origin
 from ...rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, visibility_of
 from ...scene.scene_data import SceneData
@@ -254,7 +256,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 rays.visibility[path] = seen_by
             if wp.static(features.roulette):
                 if goes_on and v.bounce >= limits.roulette_bounce:
-                    survival = wp.min(wp.max(throughput[0], wp.max(throughput[1], throughput[2])), 1.0)
+                    largest = wp.max(throughput[0], wp.max(throughput[1], throughput[2]))
+                    survival = wp.min(largest / limits.roulette_throughput, 1.0)
                     if sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(ROULETTE)) >= survival:
                         goes_on = False
                     throughput = throughput / survival

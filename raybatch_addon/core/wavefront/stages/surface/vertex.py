@@ -11,7 +11,8 @@ from ....rays import Rays
 from ....shading.bsdf.materials import ShadingFrame
 from ....shading.bsdf.normals import shading_frame
 from ....shading.lights.light_choice import packed_side
-from ....shading.sampling import DIMENSIONS_PER_BOUNCE, pixel_key
+from ....shading.sequences.keys import DIMENSIONS_PER_BOUNCE
+from ....shading.sequences.sampler import make_sampler
 from ....shading.surface import SurfacePoint, make_surface
 from ...rays import SHADOW_PASS, Paths, Status, bounce_of
 from ...scene.scene_data import SceneData
@@ -34,6 +35,7 @@ class VertexFeatures:
     subsurface: bool
     shadow_rays: bool
     light_choice: bool
+    sample_sequence: str
 
 
 @wp.struct
@@ -47,7 +49,7 @@ class Vertex:
     comes_out: bool  # from below the surface, as if a white diffuse closure scattered it
     last: bool  # it scatters no more
     where: PixelSample
-    key: wp.uint32  # of the pixel's random numbers
+    key: wp.vec2ui  # of the pixel's random numbers
     dimension: wp.uint32  # of the first of this vertex
     wo: wp.vec3
     surface: SurfacePoint
@@ -58,6 +60,7 @@ class Vertex:
 @functools.cache
 def make_vertex(features: VertexFeatures) -> wp.Function:
     """Function (data, work, limits, paths, rays, path) -> Vertex."""
+    pixel_key = make_sampler(features.sample_sequence).pixel_key
     surface_point = make_surface(features.instancing, features.smooth_normals).point
 
     @wp.func
@@ -79,7 +82,7 @@ def make_vertex(features: VertexFeatures) -> wp.Function:
         if wp.static(features.transparency):
             v.passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
         v.where = pixel_sample(work, paths.item[path])
-        v.key = pixel_key(limits.seed, wp.uint32(v.where.y) * wp.uint32(work.frame_width) + wp.uint32(v.where.x))
+        v.key = pixel_key(limits.seed, wp.uint32(v.where.x), wp.uint32(v.where.y), wp.uint32(work.frame_width))
         # every surface that a path meets has numbers of its own, also those that it passes
         v.dimension = wp.uint32(v.bounce + v.passed) * wp.uint32(DIMENSIONS_PER_BOUNCE)
         if wp.static(features.subsurface):
