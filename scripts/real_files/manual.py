@@ -18,7 +18,17 @@ from real_files.listing import may_be_shown, read_listing
 from real_files.pictures import GAIN, side_by_side, write_png
 from real_files.records import Record
 from real_files.rows import DIFFERS, summary_of
-from real_files.tables import EXPLAINED, HEADS, SUMMARY_HEADS, cells, counted, remarks, summary_rows, told_of_old
+from real_files.tables import (
+    EXPLAINED,
+    HEADS,
+    SUMMARY_HEADS,
+    cells,
+    counted,
+    how_rendered,
+    remarks,
+    summary_rows,
+    told_of_old,
+)
 
 WIDTH = 120  # columns of the page
 LISTING, PAGE, FOLDER = "docs/real-files.json", "docs/real-files.md", "docs/real-files"
@@ -37,12 +47,11 @@ as OWNER/NAME/PATH, anyone can repeat it:
 
 ```
 python scripts/compare.py --list docs/real-files.json --folder FOLDER --out out/compare --superposition \\
-    --width {width} --samples {samples}{kernel_cache}
+    --width {width} --samples {samples}{more}{kernel_cache}
 python scripts/compare.py --out out/compare --table     # writes this page from what is there
 ```
 
-Both engines render {width} pixels wide with {samples} samples on the CPU, at most 8 bounces, without clamping, adaptive
-sampling and denoising, each in a process of its own. {versions}.{note}
+Both engines render {width} pixels wide with {samples} samples on the CPU, {how}, each in a process of its own. {versions}.{note}
 
 ## All files together
 
@@ -67,10 +76,14 @@ def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
     """The page's text, from a report as `results.json` keeps it and the list."""
     about = {f"{entry['repository']}/{entry['path']}": entry for entry in listing}
     versions = ", ".join(f"{name} {value}" for name, value in report["versions"].items())
+    # requests of earlier comparisons know neither
+    repeats, defaults = report["request"].get("repeats", 1), report["request"].get("defaults", False)
     lines = [
         _HEAD.format(
             width=report["request"]["width"],
             samples=report["request"]["samples"],
+            more=f" --repeats {repeats}" * (repeats > 1) + " --defaults" * defaults,
+            how=how_rendered(defaults),
             kernel_cache=_KERNEL_CACHES[report["request"]["kernel_cache"]],
             note="\n\n" + "\n".join(_wrapped(note)) if (note := report.get("note")) else "",
             versions=versions,

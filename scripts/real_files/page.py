@@ -9,7 +9,17 @@ from typing import Any
 from real_files.pictures import GAIN, png, side_by_side
 from real_files.records import Record
 from real_files.rows import DIFFERS, FAILED
-from real_files.tables import EXPLAINED, HEADS, SUMMARY_HEADS, cells, counted, remarks, summary_rows, told_of_old
+from real_files.tables import (
+    EXPLAINED,
+    HEADS,
+    SUMMARY_HEADS,
+    cells,
+    counted,
+    how_rendered,
+    remarks,
+    summary_rows,
+    told_of_old,
+)
 
 _STYLE = """
 :root { color-scheme: light dark; --bad: #b3261e; --line: #8884 }
@@ -34,7 +44,7 @@ def html_page(report: dict[str, Any], records: list[Record], command: str) -> st
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><meta name="viewport" '
         f'content="width=device-width"><title>Real files: Cycles and RayBatch</title><style>{_STYLE}</style></head><body>\n'
         f"<h1>Real files by Cycles and by RayBatch</h1>\n<p>{_text(counted(report['summary']))}; {request['width']} "
-        f"pixels wide, {request['samples']} samples, on the CPU. {_text(machine)}.</p>\n"
+        f"pixels wide, {request['samples']} samples, on the CPU, {how_rendered(request.get('defaults', False))}. {_text(machine)}.</p>\n"
         f'<div class="wide">{_table(SUMMARY_HEADS, summary_rows(report["summary"]))}</div>\n'
         + "".join(f"<p>{_text(told)}</p>\n" for told in told_of_old(report))
         + f'<h2>Files</h2>\n<div class="wide">{_table(HEADS, [cells(row) for row in report["files"]])}</div>\n'

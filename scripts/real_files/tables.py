@@ -55,6 +55,13 @@ def summary_rows(summary: dict[str, Any]) -> list[list[str]]:
     return rows
 
 
+def how_rendered(defaults: bool) -> str:
+    """How engines are set, in words; `defaults`: as in a new scene."""
+    if defaults:
+        return "with its own defaults, but without denoising"
+    return "at most 8 bounces, without clamping, adaptive\nsampling and denoising"
+
+
 def counted(summary: dict[str, Any]) -> str:
     """How many files there are, by verdict."""
     counts = ", ".join(f"{count} {verdict}" for verdict, count in summary["counts"].items() if count)

@@ -55,7 +55,7 @@ def test_a_file_is_rendered_by_both_and_judged_by_its_sources(blend, tmp_path):
     (row,) = report["files"]
     assert done.returncode == 0 and not row["errors"], (done.stderr, row)
     assert row["verdict"] == "same", row
-    assert set(row["ratios"]) == {"first", "again", "small", "all-2", "equal error"}
+    assert set(row["ratios"]) == {"first", "again", "small", "all-2", "variance", "equal error"}
     assert report["versions"]["Blender"] == bpy.app.version_string
     names = {"lamp “Left”", "lamp “Right”", "the world", "surfaces that emit"}
     assert set(row["superposition"]["sources"]) == names

@@ -18,8 +18,8 @@ scene.render.engine = "RAYBATCH"
 assert preferences._warm_up() is None
 scene.render.resolution_x, scene.render.resolution_y, scene.raybatch.sample_count = 8, 8, 1
 bpy.ops.render.render()  # while that is under way
-from raybatch_addon.core.wavefront import tier
-assert tier.general_kernels.cache_info().misses == 1, "made once"
+from raybatch_addon.core.wavefront.stages.stage import all_stages_kernel
+assert all_stages_kernel.cache_info().misses == 1, "made once"
 from raybatch_addon.blender import reports
 assert not reports.last().warnings and not reports.last().errors
 """

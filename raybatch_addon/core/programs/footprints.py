@@ -217,16 +217,20 @@ def _behind_registers(instruction: Instruction) -> Instruction:
 
 
 def _images(scene: Scene, programs: Iterable[Program]) -> tuple[Image, ...]:
-    """The images of `scene`, with levels where programs ask for them."""
+    """The images of `scene`, with levels where programs ask for them. An image by whose alpha some look-ups divide and
+    others do not has none, as it would need two sets: it is looked up as it is.
+    """
     levels: dict[int, ImageLevels] = {}
+    mixed: set[int] = set()
     for program in programs:
         for step in program.instructions:
             if step.op in _AT.values():
                 wanted = ImageLevels.DIVIDED if step.words[_DIVIDE[step.op]] else ImageLevels.PLAIN
-                levels[step.words[0]] = max(wanted, levels.get(step.words[0], wanted))
+                if levels.setdefault(step.words[0], wanted) is not wanted:
+                    mixed.add(step.words[0])
     return tuple(
         FilteredImage(image.name, image.pixels, image.encoding, image.tiles, levels[index])
-        if index in levels
+        if index in levels and index not in mixed
         else image
         for index, image in enumerate(scene.images)
     )

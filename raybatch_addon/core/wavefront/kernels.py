@@ -128,9 +128,11 @@ def without_programs(features: SceneFeatures) -> SceneFeatures:
 def _stage_functions(
     shading: SceneFeatures, aims: AimFeatures | None, world_light: bool | None = None
 ) -> dict[ShadingStage, Callable[[], wp.Function]]:
-    """What makes the functions of stages that are specialised on `shading`. `aims`: of the stage that is a part of that
-    at surfaces, if it is. `world_light`: whether the world is among
-    the emitters that lights which rays meet are weighed against (default: as `shading` has it).
+    """What makes the functions of stages that are specialised on `shading`.
+
+    `aims`: what the stage `aim` is specialised on, where it is a part of that at surfaces; else None. `world_light`:
+    whether the world is among the emitters that lights which rays meet are weighed against (default: as `shading` has
+    it).
     """
     among = shading if world_light is None else dataclasses.replace(shading, world_light=world_light)
     surface, connected = narrow(shading, SurfaceFeatures), narrow(shading, ConnectFeatures)

@@ -19,6 +19,7 @@ from raybatch_addon.core.shading.sequences.keys import (
     LIGHT_CHOICE,
     LOBE,
     ROULETTE,
+    TEXTURE,
 )
 from raybatch_addon.core.shading.sequences.sampler import make_sampler
 from tests.support.under_test import BLOCK_DIM, DEVICE
@@ -177,7 +178,7 @@ def test_philox_known_answers():
 
 @pytest.mark.parametrize("sequence", SEQUENCES)
 def test_numbers_are_uniform_and_below_one(sequence):
-    """Moments over many pixels, where both sequences are random."""
+    """Moments over many pixels, where all sequences are random."""
     samples, pixels = np.meshgrid(np.arange(64), np.arange(4096))
     one, two = numbers(sequence, samples, pixels)
     for values in (one, two[:, 0], two[:, 1]):
@@ -216,13 +217,13 @@ def test_pixels_seeds_and_dimensions_are_independent(sequence):
         "next pixel": numbers(sequence, 3, pixels + 1)[1][:, 0],
         "pixel above": numbers(sequence, 3, pixels + 1920)[1][:, 0],
         "next seed": numbers(sequence, 3, pixels, seed=1)[1][:, 0],
-        "next sample": numbers("INDEPENDENT", 4, pixels)[1][:, 0],
         "second number": numbers(sequence, 3, pixels)[1][:, 1],
         "next bounce": numbers(sequence, 3, pixels, LIGHT + DIMENSIONS_PER_BOUNCE)[1][:, 0],
     }
-    others |= {
-        f"set {d}": numbers(sequence, 3, pixels, d)[1][:, 0] for d in (FILTER, LENS, LIGHT_CHOICE, LOBE, BSDF, ROULETTE)
-    }
+    sets = (FILTER, LENS, LIGHT_CHOICE, LOBE, BSDF, ROULETTE, TEXTURE)
+    others |= {f"set {d}": numbers(sequence, 3, pixels, d)[1][:, 0] for d in sets}
+    if sequence == "INDEPENDENT":  # samples of the others keep apart from each other
+        others["next sample"] = numbers(sequence, 4, pixels)[1][:, 0]
     for name, values in others.items():
         assert abs(np.corrcoef(base, values)[0, 1]) < 5 / np.sqrt(count), name
     # within one pixel, sets are padded against each other: pairs across sets fill the square evenly

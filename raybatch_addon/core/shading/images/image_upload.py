@@ -277,7 +277,8 @@ def _upload(wanted: _Wanted, halvings: int, device) -> _Picture:
     for _ in range(halvings):
         own = halved(own)
     # three bytes take a quarter less memory, and on a CPU less time, than four; a GPU loads four at once
-    if own.shape[2] == 3 and (own.dtype != np.uint8 or device.is_cuda):
+    many = own.size > TEXELS_MAX  # bytes, which Warp counts by an int32
+    if own.shape[2] == 3 and (own.dtype != np.uint8 or device.is_cuda or many):
         opaque = 255 if own.dtype == np.uint8 else 1
         own = np.concatenate([own, np.full((*own.shape[:2], 1), opaque, own.dtype)], 2)
     height, width, channels = own.shape

@@ -107,7 +107,8 @@ def _light(pixels: np.ndarray, encoding: ImageEncoding, divided: bool) -> np.nda
 def _stored(linear: np.ndarray, dtype: np.dtype, encoding: ImageEncoding) -> np.ndarray:
     """Linear light as levels store it, by `level_encoding`."""
     if dtype != np.uint8:
-        return linear.astype(dtype)
+        most = np.finfo(dtype).max  # what is brighter as light than half floats count
+        return np.clip(linear, -most, most).astype(dtype)
     own = np.clip(linear, 0, 1)
     if encoding is ImageEncoding.SRGB:
         own[..., :3] = np.sqrt(own[..., :3])

@@ -43,23 +43,24 @@ class SampledWorld:
     table: WorldTable
     # irradiance of a surface with the normal n: coefficients of 1, y, z, x, xy, yz, 3 z² - 1, xz, x² - y²
     irradiance: np.ndarray  # float64, shape [9]
-    varies: bool  # else rays that surfaces scatter find its light better by themselves
 
 
 def sampled_world(light: np.ndarray, device: wp.Device) -> SampledWorld:
     """The world whose texels have the brightness `light`; see `build_world_table`."""
-    return SampledWorld(build_world_table(light, device), _irradiance(light), _varies(light))
+    return SampledWorld(build_world_table(light, device), _irradiance(light))
 
 
-def _varies(light: np.ndarray) -> bool:
-    """Whether texels differ: their variance over the sphere beside the square of their mean."""
+def is_even(light: np.ndarray) -> bool:
+    """Whether texels hardly differ, so that rays which surfaces scatter find the light better by themselves: by the
+    variance over the sphere beside the square of the mean. `light` is that of `build_world_table`.
+    """
     height, width = light.shape
     edges = np.cos(np.arange(height + 1) * (np.pi / height))
-    weight = np.repeat((edges[:-1] - edges[1:])[:, None] / (2 * width), width, 1)
+    weight = (edges[:-1] - edges[1:]) / (2 * width)  # of a texel in each row
     largest = max(float(light.max()), 1e-30)  # squares of what is scaled by it are in range
-    share = light.astype(np.float64) / largest
-    mean = (weight * share).sum()
-    return bool((weight * (share - mean) ** 2).sum() > _EVEN * mean**2)
+    mean = float(weight @ light.sum(1, dtype=np.float64)) / largest
+    squares = [float(np.square(row.astype(np.float64) / largest - mean).sum()) for row in light]
+    return bool(weight @ np.array(squares) <= _EVEN * mean**2)
 
 
 def _irradiance(light: np.ndarray) -> np.ndarray:

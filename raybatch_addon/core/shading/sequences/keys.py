@@ -18,7 +18,6 @@ LOBE = 4  # 1D: which closure, and which side of it
 BSDF = 5  # 2D: direction
 ROULETTE = 6  # 1D: whether the path goes on
 TEXTURE = 7  # 1D: which level of images
-TEXTURE = 7  # 1D: which level of images
 
 _ULP_BELOW_ONE = wp.constant(2.0**-24)  # spacing of the 24-bit points, and of floats in [0.5, 1)
 

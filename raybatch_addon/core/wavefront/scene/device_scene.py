@@ -15,7 +15,7 @@ from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
 from ...programs.inputs_data import upload_camera_inputs, upload_inputs, with_camera
 from ...programs.table import store_programs, upload_programs
-from ...scene.description import ClosureKind, Scene, Visibility
+from ...scene.description import ClosureKind, Scene
 from ...scene.features import SceneFeatures
 from ...settings.settings import RenderSettings
 from ...shading.bsdf.bsdf import ClosureFeatures, upload_materials
@@ -33,8 +33,6 @@ from .scene_cache import BuiltGeometry, GeometryRequest, PagedTree, SceneCache
 from .scene_data import SceneData
 from .unchanged import emission_key, inputs_key
 from .world_cache import WorldCache
-
-_SCATTERED = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
 
 
 @dataclass(kw_only=True)
@@ -200,9 +198,6 @@ def _program_light(
         worlds.clear()
     else:
         world = worlds.get(scene, device, lambda: world_texels(data, shading, scene.world.sampling_size, device))
-        # what only some kinds of rays see is left to light sampling
-        if not world.varies and int(scene.world.visibility) & _SCATTERED in (0, _SCATTERED):
-            world = None
     if features.lamp_program:
         lamps = functools.partial(brightness_of_lamps, scene, data, shading, device)
     return emitted, world, lamps

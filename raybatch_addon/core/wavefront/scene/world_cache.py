@@ -10,16 +10,19 @@ import numpy as np
 import warp as wp
 
 from ...programs.op import op_named
-from ...scene.description import Image, Scene
-from ...shading.lights.world import SampledWorld, sampled_world
+from ...scene.description import Image, Scene, Visibility, World
+from ...shading.lights.world import SampledWorld, is_even, sampled_world
 from .unchanged import Last, camera_key, pictures_of
+
+_SCATTERED = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
+_OF_RAYS = {"light_path", "path_history"}  # ops
 
 
 class WorldCache:
     """The world of the last frame."""
 
     def __init__(self) -> None:
-        self._last: Last[SampledWorld] = Last()
+        self._last: Last[SampledWorld | None] = Last()
 
     @property
     def device_bytes(self) -> int:
@@ -31,11 +34,26 @@ class WorldCache:
         """Forget it."""
         self._last.clear()
 
-    def get(self, scene: Scene, device: wp.Device, texels: Callable[[], np.ndarray]) -> SampledWorld:
-        """The world of `scene`. `texels()` computes the brightness of its texels, and is called unless this is the
-        world of the last call, with the same frozen images.
+    def get(self, scene: Scene, device: wp.Device, texels: Callable[[], np.ndarray]) -> SampledWorld | None:
+        """The world of `scene`; None for one that is the same everywhere, which is not sampled. `texels()` computes the
+        brightness of its texels, and is called unless this is the world of the last call, with the same frozen images.
         """
-        return self._last.get(_key(scene, device), lambda: sampled_world(texels(), device))
+        varies = _may_vary(scene.world)
+
+        def made() -> SampledWorld | None:
+            light = texels()
+            return sampled_world(light, device) if varies or not is_even(light) else None
+
+        pixels, values = _key(scene, device)
+        return self._last.get((pixels, (*values, varies)), made)
+
+
+def _may_vary(world: World) -> bool:
+    """Whether texels do not tell if the world is the same everywhere: where only some kinds of rays see it, or it looks
+    at the ray, of which they know one kind.
+    """
+    in_part = int(world.visibility) & _SCATTERED not in (0, _SCATTERED)
+    return in_part or not _OF_RAYS.isdisjoint(world.program.ops)
 
 
 def _key(scene: Scene, device: wp.Device) -> tuple[list[np.ndarray | None], tuple]:

@@ -105,3 +105,12 @@ def test_an_even_world_is_left_to_scattered_rays():
     assert not seen[1][1][..., :3].any()
     in_part = replace(world_of(), visibility=Visibility.ALL & ~Visibility.GLOSSY)
     assert Session(DEVICE).render(scene_of(in_part, image=even), SETTINGS).statistics["rays"]["shadow"] > 0
+
+
+def test_a_world_that_looks_at_rays_is_aimed_at_though_one_kind_sees_it_even():
+    """Texels are those that a ray of no kind sees: here all are black."""
+    builder = ProgramBuilder()
+    is_diffuse = builder.value("light_path")[2]
+    builder.closure("emission", builder.value("combine_xyz", is_diffuse, is_diffuse, is_diffuse))
+    world = World(program=builder.finish(), sampling_size=16)
+    assert Session(DEVICE).render(scene_of(world), SETTINGS).statistics["rays"]["shadow"] > 0
