@@ -90,6 +90,9 @@ class Rendering:
         rendering = 0.0  # without what observers do meanwhile [s]
         if state.end is None:
             state.begin_round(policy.next_end(state.done, 0.0, state.share))
+            if state.end is None:  # no pixel gets samples
+                self._report_progress()
+                self._show(0.0, is_last=True)
         while state.end is not None:
             start = time.perf_counter()
             samples = state.items_open / self._pixels
