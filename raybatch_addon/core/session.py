@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
 from .settings.settings import RenderSettings
 from .shading.lights.light_tree import LIGHT_TREE_KERNELS
-from .wavefront.adaptive.ranges import check_after, chosen_looks, first_active
+from .wavefront.adaptive.ranges import check_after, chosen_looks, first_active, pixels_can_end
 from .wavefront.integrator import TileIntegrator
 from .wavefront.plan.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
 from .wavefront.render.rendering import RenderEvents, Rendering, SnapshotWatcher, snapshot_watchers
@@ -210,7 +210,7 @@ class Session:
         memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
         samples = settings.sample_count * checked.frame.pixel_count
         plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory, samples)
-        features = derive_features(checked, settings)
+        features = replace(derive_features(checked, settings), adaptive=pixels_can_end(settings, sample_first))
         tier = choose_tier(features, settings.kernel_tier, self.device)
         if tier.complaint:
             warnings.append(f"kernels are specialised on the scene, not GENERAL: {tier.complaint}")

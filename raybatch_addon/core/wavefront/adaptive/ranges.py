@@ -79,6 +79,12 @@ def _active_after(film: Film, looks: Looks, last: int, threshold: float, device:
     return active if counts[-1] == last or active.share == 0.0 else None
 
 
+def pixels_can_end(settings: RenderSettings, sample_first: int) -> bool:
+    """Whether a look at the noise comes in a render from `sample_first` on, or came before it."""
+    looks = Looks.of(settings)
+    return looks is not None and looks.first <= (sample_first or settings.sample_count)
+
+
 def chosen_looks(settings: RenderSettings) -> dict[str, Choice]:
     """What `adaptive_samples_min` is where it was left open."""
     looks = Looks.of(settings)

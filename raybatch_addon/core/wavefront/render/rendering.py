@@ -101,14 +101,16 @@ class Rendering:
             seconds = time.perf_counter() - start
             rendering += seconds
             state.end_round()
-            if policy.looks_at_noise(state.done):
+            if looks := policy.looks_at_noise(state.done):
                 state.look_at_noise()
-                self._total = self._items_done() + state.items_to_come
             looked_at = self._look_at_error() if policy.looks_at_error(state.done) else None
             policy.note_round(samples, seconds, looked_at and looked_at.relmse)
             end = policy.next_end(state.done, time.perf_counter() - self._begun, state.share)
             self._show(rendering, is_last=end is None)
             state.begin_round(end)
+            if looks and end is not None:
+                state.list_active()
+                self._total = self._items_done() + state.items_to_come
         if self.error_samples != state.done:
             self._look_at_error()
         if policy.stopped_by == "error" and not _colors(self._film).any():

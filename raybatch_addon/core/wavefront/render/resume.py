@@ -161,12 +161,12 @@ class ResumeState:
         device = self.tiles[0][0].held.film.window.device
         pictures = (HalfPictures.of_tile(*(state.held for state in halves)) for halves in self.tiles)
         self.active.look(pictures, self.done, device)
-        self.list_active(device)
 
-    def list_active(self, device: wp.Device) -> None:
-        """Let the tiles know which pixels get samples."""
+    def list_active(self, device: wp.Device | None = None) -> None:
+        """Let the tiles know which pixels get samples, on `device`, or where their sums are."""
         if not self.active.stopped.any():
             return
+        device = device or self.tiles[0][0].held.film.window.device
         lists = self.active.lists([halves[0].tile for halves in self.tiles], device)
         for halves, active in zip(self.tiles, lists, strict=True):
             for state in halves:
