@@ -14,11 +14,13 @@ import queue
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from ..core.convergence.halves import half_error
 from ..core.convergence.points import ErrorPoint, Slope, fit_slope, geometric_samples, time_to
 from ..core.observers import RenderObserver
+from ..core.settings.settings import keeps_halves
 
 if TYPE_CHECKING:
     from ..core.measure.snapshot import Snapshot
@@ -68,8 +70,8 @@ class Run:
 
     @property
     def estimates_error(self) -> bool:
-        """Whether it was asked for."""
-        return self.settings["error_estimate"] == "ON" or self.settings["error_target"] > 0
+        """Whether something asked for it."""
+        return keeps_halves(SimpleNamespace(**self.settings))
 
     @property
     def slope(self) -> Slope | None:
@@ -161,13 +163,13 @@ class RateRecorder(RenderObserver):
         """The render is over; `statistics` are its film's, where there is one."""
         changes: dict[str, Any] = {"state": state}
         if statistics:
-            seconds = statistics["seconds"]["render"]
+            seconds, adaptive = statistics["seconds"]["render"], statistics.get("adaptive")
             if seconds > self._seconds:
                 self._add(seconds, float(statistics["rays"]["total"]))
             changes.update(
                 rates=tuple(self._rates),
                 seconds=seconds,
-                samples=float(statistics["samples_per_pixel"]),
+                samples=float(adaptive["samples_mean"] if adaptive else statistics["samples_per_pixel"]),
                 device=statistics["device"]["alias"],
                 stopped_by=statistics["stopped_by"],
                 error=statistics["error"],
@@ -182,7 +184,7 @@ class RateRecorder(RenderObserver):
 
 
 class ErrorRecorder(RateRecorder):
-    """Beside rays a second the error, for a render with `error_estimate` ON.
+    """Beside rays a second the error, for a render whose samples come in two halves.
 
     Pictures are handed to a thread of its own: computing errors does not hold up the render.
     """
@@ -241,7 +243,8 @@ def point_of_halves(snapshot: Snapshot) -> ErrorPoint | None:
     return ErrorPoint(
         seconds=snapshot.seconds,
         seconds_total=snapshot.seconds_total,
-        samples=snapshot.samples,
+        samples=snapshot.samples_mean,
+        samples_most=snapshot.samples,
         rays=dict(snapshot.rays),
         rmse=error.rmse,
         relmse=error.relmse,

@@ -92,7 +92,7 @@ def run_lines(run: Run, target: float) -> list[str]:
         return [*lines, "The error is not known: turn on Error Estimate in Sampling"]
     if not run.points:
         return [*lines, "No error yet: it takes two samples"]
-    lines.append(f"Error {run.points[-1].relmse:.3g} (relMSE) at {run.points[-1].samples:,} samples")
+    lines.append(f"Error {run.points[-1].relmse:.3g} (relMSE) at {run.points[-1].samples:,.0f} samples")
     slope = run.slope
     if slope is not None:
         lines.append(f"RMSE against samples: {slope.says}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from .scene.features import SceneFeatures, derive_features
 from .scene.validate import checked_scene
 from .settings.settings import RenderSettings
 from .shading.lights.light_tree import LIGHT_TREE_KERNELS
-from .wavefront.adaptive.ranges import chosen_looks, first_active
+from .wavefront.adaptive.ranges import check_after, chosen_looks, first_active, pixels_can_end
 from .wavefront.integrator import TileIntegrator
 from .wavefront.plan.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
 from .wavefront.render.rendering import RenderEvents, Rendering, SnapshotWatcher, snapshot_watchers
@@ -146,12 +146,13 @@ class Session:
             sample_first: index of the first sample of every pixel; films of adjoining ranges merge to one
                 (`Film.merge`).
             resume: the film of a cancelled render of the same scene and settings: goes on from there.
-            after: with adaptive sampling, the film of all samples up to the last look at the noise before
-                `sample_first`: by it some pixels have ended their sampling.
+            after: with adaptive sampling and a `sample_first` above 0, the finished film of all samples up to the last
+                look at the noise before it: by that some pixels have ended their sampling.
 
         Raises:
             RayBatchError: what the user can mend; the message says how.
         """
+        check_after(settings or self.settings, sample_first, resume, after)
         self._tier_changes.open()
         job = self._job(scene, settings or self.settings, sample_first, on_tile, on_progress, cancelled, observers)
         film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume, self.device)
@@ -209,7 +210,7 @@ class Session:
         memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
         samples = settings.sample_count * checked.frame.pixel_count
         plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory, samples)
-        features = derive_features(checked, settings)
+        features = replace(derive_features(checked, settings), adaptive=pixels_can_end(settings, sample_first))
         tier = choose_tier(features, settings.kernel_tier, self.device)
         if tier.complaint:
             warnings.append(f"kernels are specialised on the scene, not GENERAL: {tier.complaint}")

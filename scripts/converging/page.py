@@ -130,7 +130,7 @@ def _pictures(summary: Summary) -> str:
     )
     for label, run in shown:
         last = run.points[-1]
-        about = f"{label}, seed {run.seed}: {last.samples:,} samples, {last.seconds:.3g} s, relMSE {last.relmse:.3g}"
+        about = f"{label}, seed {run.seed}: {last.samples:,.0f} samples, {last.seconds:.3g} s, relMSE {last.relmse:.3g}"
         figures.append(_figure(_display(run.picture), about))
         if label in errors:
             figures.append(_figure(_heat(errors[label], largest), f"{label}: difference from the reference"))

@@ -189,12 +189,15 @@ def _draw_curve(axes, panel: Panel, outcome: Outcome, color: str, marker: str) -
 
 
 def medians(runs: list[Run], panel: Panel) -> tuple[list[float], list[float], list[float], list[float]]:
-    """Median of x, and least, median and most of y, at the sample counts that all runs have."""
-    by_samples: dict[int, list[ErrorPoint]] = {}
+    """Median of x, and least, median and most of y, at the sample counts that all runs have.
+
+    With adaptive sampling these are of the pixels that have most, for the mean differs from seed to seed.
+    """
+    by_samples: dict[float, list[ErrorPoint]] = {}
     for run in runs:
         for point in run.points:
             if positive(point, panel.y) and positive(point, panel.x):
-                by_samples.setdefault(point.samples, []).append(point)
+                by_samples.setdefault(point.samples_most or point.samples, []).append(point)
     rows = []
     for _, points in sorted(by_samples.items()):
         if len(points) == len(runs):

@@ -1,5 +1,6 @@
 """Records of runs and their plot, without Blender."""
 
+import dataclasses
 import math
 import threading
 import types
@@ -18,6 +19,7 @@ from raybatch_addon.convergence.records import (
     RateRecorder,
     RunStore,
     point_of_halves,
+    recorder_for,
 )
 from raybatch_addon.convergence.run_data import runs_as_data
 from raybatch_addon.convergence.run_texts import error_line, names_of, run_lines, target_line
@@ -182,6 +184,30 @@ def test_errors_are_computed_beside_the_render_and_all_there_at_its_end():
     run = store.last()
     assert run.points[-1] == point_of_halves(snapshot(8)) and run.points[-1].from_halves
     assert run.points[-1].relmse == pytest.approx(0.01 / 8 / 1.01, rel=0.2)
+
+
+def test_errors_of_adaptive_renders_lie_at_the_mean_of_their_samples():
+    store = RunStore()
+    recorder = recorder_for(store, "Scene", "Layer", 1, RenderSettings(adaptive_sampling="ON"))
+    assert isinstance(recorder, ErrorRecorder) and store.last().estimates_error
+    counts = np.full((16, 16), 8)
+    counts[:4] = 4
+    recorder.on_snapshot(dataclasses.replace(snapshot(8), counts=counts))
+    recorder.end(
+        FINISHED,
+        {
+            "seconds": {"render": 1.0},
+            "rays": {"total": 10},
+            "samples_per_pixel": 8,
+            "adaptive": {"samples_mean": 7.0},
+            "device": {"alias": "cpu"},
+            "stopped_by": "samples",
+            "error": None,
+        },
+    )
+    run = store.last()
+    assert [(each.samples, each.samples_most) for each in run.points] == [(7.0, 8)] and run.samples == 7.0
+    assert not store_of(RenderSettings()).last().estimates_error
 
 
 def test_pictures_do_not_pile_up(monkeypatch):

@@ -159,13 +159,72 @@ def test_samples_that_need_others_are_refused_with_what_to_do(session, plain):
         part(3, 10)
     with pytest.raises(RayBatchError, match="from 9 on need the film of samples 0 to 8 .*after="):
         part(9, 2)
+    unfinished = render(session, sample_count=8)
+    unfinished.complete = False
     for film in (
         plain,  # of too many samples
+        unfinished,
+        render(session, sample_count=7),  # of too few
         render(session, adaptive_sampling="OFF", sample_count=8),  # without halves
         session.render(scenes.mixed(Frame(20, 20)), ADAPTIVE.replace(sample_count=8)),
     ):
         with pytest.raises(RayBatchError, match="samples 0 to 8 of the same frame"):
             part(8, 2, film)
+
+
+def test_a_gap_in_the_film_before_is_noticed(session):
+    """Samples 8 to 12 are missing, so that the last count is that of a look that came earlier."""
+    first = render(session, sample_count=8)
+    second = first.merge(
+        session.render(scenes.mixed(FRAME), ADAPTIVE.replace(sample_count=4), sample_first=8, after=first)
+    )
+    third = session.render(scenes.mixed(FRAME), ADAPTIVE.replace(sample_count=4), sample_first=12, after=second)
+    with pytest.raises(RayBatchError, match="samples 0 to 16 of the same frame"):
+        session.render(scenes.mixed(FRAME), ADAPTIVE.replace(sample_count=4), sample_first=16, after=first.merge(third))
+
+
+def test_parts_after_every_pixel_has_ended_are_empty_and_shown(session):
+    ended = render(session, noise_threshold=1.0)
+    assert ended.statistics["stopped_by"] == "noise" and ended.counts.max() < 32
+    watcher, told = Watcher([]), []
+    part = session.render(
+        scenes.mixed(FRAME),
+        ADAPTIVE.replace(noise_threshold=1.0, sample_count=8),
+        sample_first=32,
+        after=ended,
+        observers=[watcher],
+        on_progress=told.append,
+    )
+    assert part.complete and part.statistics["stopped_by"] == "noise" and not part.counts.any()
+    assert len(watcher.got) == 1 and not watcher.got[0].picture.any() and told[-1].fraction == 1.0
+    assert_same_film(ended.merge(part), ended)
+
+
+def test_a_film_that_would_not_be_looked_at_is_refused(session, plain):
+    with stopping(120):
+        stopped = session.render(scenes.mixed(FRAME), ADAPTIVE.replace(tile_size=9))
+    for changes, more, why in (
+        ({}, dict(resume=stopped), "film to resume knows"),
+        ({}, dict(), "sample_first is 0"),
+        (dict(adaptive_sampling="OFF"), dict(sample_first=8), "adaptive_sampling is OFF"),
+    ):
+        with pytest.raises(RayBatchError, match=f"after= would not be used: .*{why}"):
+            session.render(scenes.mixed(FRAME), ADAPTIVE.replace(**changes), after=plain, **more)
+
+
+def test_a_part_has_no_error_to_end_at(session):
+    with pytest.raises(RayBatchError, match="set error_target to 0"):
+        session.render(
+            scenes.mixed(FRAME),
+            ADAPTIVE.replace(sample_count=2, error_target=0.1),
+            sample_first=8,
+            after=render(session, sample_count=8),
+        )
+
+
+def test_samples_beyond_31_bits_are_refused(session):
+    with pytest.raises(RayBatchError, match="out of range with adaptive sampling: use 0 to 2.31 - 1"):
+        session.render(scenes.mixed(FRAME), ADAPTIVE, sample_first=2**31 - 2)
 
 
 def test_a_border_has_the_samples_of_the_frame_and_ends_as_it_inside(session):
@@ -242,14 +301,21 @@ def test_sums_beyond_the_films_window_are_looked_at_too(session):
     assert_same_film(*films)
 
 
+def looking(film: Film) -> list[str]:
+    """Modules of kernels that adaptive sampling alone needs."""
+    return [name for name in film.statistics["modules"] if "active" in name or "noise" in name]
+
+
 def test_off_costs_nothing(session):
     film = render(session, adaptive_sampling="OFF", sample_count=2)
     assert film.halves is None and film.statistics["adaptive"] is None
     assert "adaptive sampling" in film.statistics["left_out"]
-    assert not [name for name in film.statistics["modules"] if "active" in name or "noise" in name]
-    adaptive = render(session, sample_count=2)
+    assert not looking(film)
+    early = render(session, sample_count=7)  # no look comes
+    assert "adaptive sampling" in early.statistics["left_out"] and not looking(early)
+    adaptive = render(session, sample_count=8)
     assert adaptive.statistics["schedule"]["bytes_per_path"] == film.statistics["schedule"]["bytes_per_path"]
-    assert "adaptive sampling" not in adaptive.statistics["left_out"]
+    assert "adaptive sampling" not in adaptive.statistics["left_out"] and looking(adaptive)
 
 
 # --- the mean

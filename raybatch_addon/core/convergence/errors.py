@@ -30,7 +30,7 @@ def squared_error_of_halves(a: np.ndarray, b: np.ndarray, samples: int | np.ndar
     `a` and `b` are independent, without bias, and have as many samples: then the mean of (a - b)^2 is twice the
     variance of one of them, and their mean has half of that variance. A bias that both have is not seen. Where both
     have an odd number of `samples` together, n and m, the factor is n m / (n + m)^2. Where pixels have different
-    numbers `samples` has shape [height, width]; one without samples has no error.
+    numbers `samples` has shape [height, width]; one with less than 2 samples has no error.
     """
     if isinstance(samples, np.ndarray):
         some = np.maximum(samples, 1).astype(np.float64)[..., None]

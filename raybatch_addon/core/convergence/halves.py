@@ -31,7 +31,7 @@ def half_error(first: np.ndarray, second: np.ndarray, samples: int | np.ndarray)
     Args:
         first, second: pictures of either half, linear float32, shape [height, width, 3].
         samples: of every pixel in both together, or of each, shape [height, width]; at least 2, and in one half as many
-            as in the other, or one more.
+            as in the other, or one more. Of several numbers those below 2 leave their pixel out.
     """
     squared = np.zeros(first.shape[:1])  # by row, so that the sum does not depend on how rows are taken together
     relative = np.zeros(first.shape[:1])
@@ -41,4 +41,7 @@ def half_error(first: np.ndarray, second: np.ndarray, samples: int | np.ndarray)
         error = squared_error_of_halves(first[part], second[part], count)
         squared[part] = error.sum((1, 2))
         relative[part] = (error / relative_to_halves(first[part], second[part])).sum((1, 2))
-    return HalfError(float(relative.sum() / first.size), math.sqrt(squared.sum() / first.size))
+    size = first.size
+    if isinstance(samples, np.ndarray):  # the others have no error, see `squared_error_of_halves`
+        size = max(np.count_nonzero(samples >= 2), 1) * first.shape[2]
+    return HalfError(float(relative.sum() / size), math.sqrt(squared.sum() / size))

@@ -66,7 +66,7 @@ class ErrorPoint:
 
     seconds: float  # of rendering alone
     seconds_total: float  # with build and compile
-    samples: int  # of every pixel
+    samples: float  # of every pixel, or where they differ in the mean
     rays: dict[str, int]  # by kind
     rmse: float
     relmse: float
@@ -78,6 +78,7 @@ class ErrorPoint:
     # What the reference's own noise adds (`noise_floor`), 0 for a closed form; None: not known
     floor_rmse: float | None = None
     floor_relmse: float | None = None
+    samples_most: int = 0  # of the pixels that have most; 0: `samples`
     from_halves: bool = False  # estimated from two halves of the render, without a reference: a bias is not in it
 
     @property
@@ -176,6 +177,8 @@ def error_point(
     elif _has_halves(snapshot):
         error = squared_error_of_halves(*snapshot.halves, snapshot.each)
         scale = relative_to_halves(*snapshot.halves)
+        if snapshot.counts is not None:
+            error, scale = (each[snapshot.counts >= 2] for each in (error, scale))
         floor = (0.0, 0.0)
     else:
         raise RayBatchError(
@@ -189,7 +192,8 @@ def error_point(
     return ErrorPoint(
         seconds=snapshot.seconds,
         seconds_total=snapshot.seconds_total,
-        samples=snapshot.samples,
+        samples=snapshot.samples_mean,
+        samples_most=snapshot.samples,
         rays=dict(snapshot.rays),
         rmse=root,
         relmse=float((error / scale).mean()),
@@ -214,7 +218,7 @@ def _rmse_spread(error: np.ndarray, root: float) -> float | None:
 
 
 def _has_halves(snapshot: Snapshot) -> bool:
-    return snapshot.halves is not None and snapshot.samples >= 2
+    return snapshot.halves is not None and np.max(snapshot.each) >= 2
 
 
 def _upright(picture: np.ndarray) -> np.ndarray:

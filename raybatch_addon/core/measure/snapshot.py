@@ -31,3 +31,8 @@ class Snapshot:
     def each(self) -> int | np.ndarray:
         """Samples of every pixel, or of each."""
         return self.samples if self.counts is None else self.counts
+
+    @property
+    def samples_mean(self) -> float:
+        """Samples of a pixel, in the mean; an integer where all have as many."""
+        return self.samples if self.counts is None else float(self.counts.mean())

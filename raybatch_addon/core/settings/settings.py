@@ -96,7 +96,7 @@ class RenderSettings(
     @property
     def half_count(self) -> int:
         """In how many films samples come: 2 where the error is estimated."""
-        return 2 if self.error_estimate == "ON" or self.error_target > 0 or self.is_adaptive else 1
+        return 2 if keeps_halves(self) else 1
 
     @property
     def is_adaptive(self) -> bool:
@@ -108,6 +108,11 @@ class RenderSettings(
         for name in changes:
             setting_info(name)
         return dataclasses.replace(self, **changes)
+
+
+def keeps_halves(settings: Any) -> bool:
+    """Whether samples come in two halves, so that the error is estimated; of settings, or of properties named alike."""
+    return settings.error_estimate == "ON" or settings.error_target > 0 or settings.adaptive_sampling == "ON"
 
 
 def block_registers(register_cap: int, block_size: int) -> int:

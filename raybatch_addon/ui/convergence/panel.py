@@ -6,6 +6,7 @@ import bpy
 
 from ...convergence.records import Run, store
 from ...convergence.run_texts import names_of, run_lines, target_line
+from ...core.settings.settings import keeps_halves
 from ..panel import EnginePanel, draw_lines
 from .operators import (
     RAYBATCH_OT_convergence_clear,
@@ -35,7 +36,7 @@ class RAYBATCH_RENDER_PT_convergence(EnginePanel, bpy.types.Panel):
         layout.use_property_split = True
         layout.use_property_decorate = False
         row = layout.row()
-        row.active = not _estimates_error(scene)  # or it is recorded anyway
+        row.active = not keeps_halves(scene.raybatch)  # or it is recorded anyway
         row.prop(scene.raybatch_convergence, "record")
         if scene.raybatch.error_target > 0:
             layout.prop(scene.raybatch, "error_target")
@@ -59,12 +60,8 @@ class RAYBATCH_RENDER_PT_convergence(EnginePanel, bpy.types.Panel):
         row.operator(RAYBATCH_OT_convergence_clear.bl_idname, text="", icon="TRASH").run = 0
 
 
-def _estimates_error(scene: bpy.types.Scene) -> bool:
-    return scene.raybatch.error_estimate == "ON" or scene.raybatch.error_target > 0
-
-
 def _hint(scene: bpy.types.Scene) -> str:
-    if _estimates_error(scene):
+    if keeps_halves(scene.raybatch):
         return "The next render is recorded, with its error"
     if scene.raybatch_convergence.record:
         return "Rays a second of the next render are recorded. For its error turn on Error Estimate in Sampling"

@@ -1,5 +1,6 @@
 """Recorder, metrics, references and their files, on pictures that are made up."""
 
+import dataclasses
 import itertools
 import math
 
@@ -138,6 +139,17 @@ def test_pixels_with_samples_of_their_own_number_have_each_its_weight():
     error = squared_error_of_halves(a, b, counts)
     assert np.array_equal(error[0], squared_error_of_halves(a, b, 4)[0]) and not error[1].any()
     assert np.array_equal(error[2:], squared_error_of_halves(a, b, 9)[2:])
+
+
+def test_pixels_without_two_samples_do_not_dilute_the_error():
+    a, b = np.random.default_rng(6).gamma(0.3, 1.0, (2, *SHAPE)).astype(np.float32)
+    counts = np.full(SHAPE[:2], 8)
+    counts[0], counts[1] = 0, 1
+    expected, found = half_error(a[2:], b[2:], 8), half_error(a, b, counts)
+    point = convergence.error_point(dataclasses.replace(snapshot(8, (a + b) / 2, (a, b)), counts=counts))
+    for each in (found, point):
+        assert (each.rmse, each.relmse) == pytest.approx((expected.rmse, expected.relmse), rel=1e-12)
+    assert point.samples == counts.mean() and point.samples_most == 8
 
 
 def test_rare_light_does_not_hide_the_error():

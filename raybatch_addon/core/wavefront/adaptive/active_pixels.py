@@ -103,8 +103,8 @@ class ActivePixels:
         return 1.0 - int(np.count_nonzero(self.stopped)) / self.stopped.size
 
     def counts(self, done: int) -> np.ndarray:
-        """Samples of each pixel where those that go on have `done`; int32, shape [height, width]."""
-        return np.where(self.stopped, self.stopped, np.int32(done))
+        """Samples of each pixel where those that go on have `done`; int64, shape [height, width]."""
+        return np.where(self.stopped, self.stopped, np.int64(done))
 
     def look(self, pictures: Iterable[HalfPictures], samples: int, device: wp.Device) -> None:
         """End the sampling of pixels with little noise around them; `pictures` are of all pixels, after `samples`

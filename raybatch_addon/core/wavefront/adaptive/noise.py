@@ -4,14 +4,15 @@ Two halves of a pixel's samples, of means A and B, differ by twice the standard 
 mean square. The squared error of one pixel has a single degree of freedom, so that by chance it is often small; the
 mean over a neighbourhood is not. A pixel's own samples have no part in that mean: where sampling ends by what the
 samples themselves show, pixels stop while a rare bright path has not come yet and go on once it has, which makes
-pictures dark (Kirk and Arvo 1991, "Unbiased sampling techniques for image synthesis"). Pixels have random numbers of
-their own, so what the neighbours show tells nothing of a pixel's own samples, and the mean of these keeps its
+pictures dark (Kirk and Arvo 1991, "Unbiased sampling techniques for image synthesis"). Where pixels have random numbers
+of their own, what the neighbours show tells nothing of a pixel's own samples, and the mean of these keeps its
 expectation. From the second look on something of them comes back, by way of the neighbours that went on because of
-them; docs/studies/adaptive.md says how much.
+them; docs/studies/adaptive.md says how much. With `sample_sequence` BLUE_NOISE neighbours share points out among them,
+so that what they show is not independent of a pixel's own samples.
 
 The error is relative as an eye sees it: to the root of the brightness (Dammertz, Hanika, Keller and Lensch 2010, "A
 hierarchical automatic stopping condition for Monte Carlo global illumination"), where a display still shows it, and to
-the brightness itself beyond.
+the brightness itself beyond. The alpha of a transparent film counts by its own error, as a brightness of 1 would.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from ...device.kernel import KERNEL_OPTIONS
 
 # Pixels whose noise decides for the one in their middle: (2 RADIUS + 1)^2 - 1
 RADIUS = 3
+# Sums of channels count for no more, so that those beyond float32 are no infinities
+SUM_MAX = 3e38
 
 
 @wp.struct
@@ -40,17 +43,26 @@ class NoisePart:
 def sample_noise(first: wp.vec4, second: wp.vec4, count: wp.int64) -> float:
     """The squared relative error that one sample of a pixel has, from the means of two halves of `count` samples.
 
-    Between 0, as of pixels without any light, and `count`.
+    Between 0, where the halves show the same, and `count`, and for alpha up to a quarter of `count` more.
     """
+    alpha = 0.5 * (first[3] - second[3])  # 0 unless the film is transparent
+    alpha_noise = alpha * alpha * float(count)
     difference = wp.abs(first[0] - second[0]) + wp.abs(first[1] - second[1]) + wp.abs(first[2] - second[2])
     if difference == 0.0:
-        return 0.0
+        return alpha_noise
     light = 0.5 * (first[0] + second[0] + first[1] + second[1] + first[2] + second[2])
     if light <= 0.0:
-        return float(count)
-    # of light below 1 the error counts by its root; the difference is no larger than the light, so nothing overflows
+        return alpha_noise + float(count)
+    # compared, for a minimum may lose what is no number
+    if difference > wp.static(SUM_MAX):
+        difference = wp.static(SUM_MAX)
+    if light > wp.static(SUM_MAX):
+        light = wp.static(SUM_MAX)
     ratio = 0.5 * difference / light
-    return ratio * ratio * wp.min(light, 1.0) * float(count)
+    if ratio > 1.0:  # with channels below 0
+        ratio = 1.0
+    # the error counts by the root of light below 1, and by the light itself beyond
+    return alpha_noise + ratio * ratio * wp.min(light, 1.0) * float(count)
 
 
 @wp.kernel(**KERNEL_OPTIONS)

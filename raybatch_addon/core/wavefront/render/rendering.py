@@ -90,6 +90,9 @@ class Rendering:
         rendering = 0.0  # without what observers do meanwhile [s]
         if state.end is None:
             state.begin_round(policy.next_end(state.done, 0.0, state.share))
+            if state.end is None:  # no pixel gets samples
+                self._report_progress()
+                self._show(0.0, is_last=True)
         while state.end is not None:
             start = time.perf_counter()
             samples = state.items_open / self._pixels
@@ -98,14 +101,16 @@ class Rendering:
             seconds = time.perf_counter() - start
             rendering += seconds
             state.end_round()
-            if policy.looks_at_noise(state.done):
+            if looks := policy.looks_at_noise(state.done):
                 state.look_at_noise()
-                self._total = self._items_done() + state.items_to_come
             looked_at = self._look_at_error() if policy.looks_at_error(state.done) else None
             policy.note_round(samples, seconds, looked_at and looked_at.relmse)
             end = policy.next_end(state.done, time.perf_counter() - self._begun, state.share)
             self._show(rendering, is_last=end is None)
             state.begin_round(end)
+            if looks and end is not None:
+                state.list_active()
+                self._total = self._items_done() + state.items_to_come
         if self.error_samples != state.done:
             self._look_at_error()
         if policy.stopped_by == "error" and not _colors(self._film).any():

@@ -11,6 +11,7 @@ import warp as wp
 from ...errors import RayBatchError
 from ...film import Film
 from ...scene.description import Frame
+from ...settings.info import INT_MAX
 from ...settings.settings import SETTINGS, RenderSettings
 from ..adaptive.active_pixels import ActivePixels, HalfPictures
 from ..integrator import TileState
@@ -160,12 +161,12 @@ class ResumeState:
         device = self.tiles[0][0].held.film.window.device
         pictures = (HalfPictures.of_tile(*(state.held for state in halves)) for halves in self.tiles)
         self.active.look(pictures, self.done, device)
-        self.list_active(device)
 
-    def list_active(self, device: wp.Device) -> None:
-        """Let the tiles know which pixels get samples."""
+    def list_active(self, device: wp.Device | None = None) -> None:
+        """Let the tiles know which pixels get samples, on `device`, or where their sums are."""
         if not self.active.stopped.any():
             return
+        device = device or self.tiles[0][0].held.film.window.device
         lists = self.active.lists([halves[0].tile for halves in self.tiles], device)
         for halves, active in zip(self.tiles, lists, strict=True):
             for state in halves:
@@ -179,9 +180,13 @@ class ResumeState:
 
 def check_samples(settings: RenderSettings, sample_first: int) -> None:
     """Raises `RayBatchError` for samples that random numbers have no place for."""
-    if sample_first < 0 or sample_first + settings.sample_count > 2**32:
+    end = sample_first + settings.sample_count
+    if sample_first < 0 or end > 2**32:
+        raise RayBatchError(f"samples {sample_first} to {end} are out of range: use 0 to 2^32")
+    if settings.is_adaptive and end > INT_MAX:
         raise RayBatchError(
-            f"samples {sample_first} to {sample_first + settings.sample_count} are out of range: use 0 to 2^32"
+            f"samples {sample_first} to {end} are out of range with adaptive sampling: use 0 to 2^31 - 1, or set "
+            "adaptive_sampling to OFF"
         )
 
 

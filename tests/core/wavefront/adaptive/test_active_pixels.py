@@ -22,7 +22,8 @@ def sample_noise(first: np.ndarray, second: np.ndarray, counts: np.ndarray) -> n
     difference = np.abs(first - second)[..., :3].sum(-1)
     light = (first + second)[..., :3].sum(-1) / 2
     ratio = np.divide(difference / 2, light, out=np.zeros_like(light), where=difference > 0)
-    return ratio**2 * np.minimum(light, 1.0) * counts
+    alpha = (first - second)[..., 3] / 2
+    return (ratio**2 * np.minimum(light, 1.0) + alpha**2) * counts
 
 
 def around(noise: np.ndarray) -> np.ndarray:
@@ -83,6 +84,23 @@ def test_pixels_end_by_the_noise_of_their_neighbours_in_any_tiles(edge):
     assert np.array_equal(active.stopped[before > 0], before[before > 0])
     assert set(np.unique(active.stopped)) == {0, 64, 128}
     assert np.array_equal(active.counts(128), np.where(active.stopped, active.stopped, 128))
+
+
+def test_alpha_is_looked_at_where_it_differs():
+    pictures = np.full((2, HEIGHT, WIDTH, 4), 0.5, np.float32)
+    pictures[0, :, :5, 3] = 0.52
+    active = ActivePixels.all_of(REGION, 0.009)
+    look(active, pictures, np.full((HEIGHT, WIDTH), 64), 64, 5)
+    assert (active.stopped[:, : 5 - RADIUS] == 0).all() and (active.stopped[:, 5 + RADIUS :] == 64).all()
+
+
+def test_light_beyond_what_can_be_summed_ends_as_any_other():
+    pictures = np.full((2, HEIGHT, WIDTH, 4), 3e38, np.float32)
+    pictures[1, ..., :3] = 1e38
+    for threshold, ended in ((0.4, 0), (0.6, 64)):  # a ratio of 0.5: all sums are at their bound
+        active = ActivePixels.all_of(REGION, threshold)
+        look(active, pictures, np.full((HEIGHT, WIDTH), 64), 64, 64)
+        assert (active.stopped == ended).all()
 
 
 def test_a_pixel_has_no_part_in_its_own_end():
