@@ -51,7 +51,8 @@ python scripts/compare.py --list docs/real-files.json --folder FOLDER --out out/
 python scripts/compare.py --out out/compare --table     # writes this page from what is there
 ```
 
-Both engines render {width} pixels wide with {samples} samples on the CPU, {how}, each in a process of its own. {versions}.{note}
+Both engines render {width} pixels wide with {samples} samples on the CPU, {how}, each in a process of its own. {versions}.\
+{note}
 
 ## All files together
 
