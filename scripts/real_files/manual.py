@@ -51,8 +51,7 @@ python scripts/compare.py --list docs/real-files.json --folder FOLDER --out out/
 python scripts/compare.py --out out/compare --table     # writes this page from what is there
 ```
 
-Both engines render {width} pixels wide with {samples} samples on the CPU, {how}, each in a process of its own. {versions}.\
-{note}
+Both engines render {width} pixels wide with {samples} samples on the CPU, {how}, each in a process of its own. {versions}
 
 ## All files together
 
@@ -79,6 +78,7 @@ def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
     versions = ", ".join(f"{name} {value}" for name, value in report["versions"].items())
     # requests of earlier comparisons know neither
     repeats, defaults = report["request"].get("repeats", 1), report["request"].get("defaults", False)
+    note = "\n\n" + "\n".join(_wrapped(report["note"])) if report.get("note") else ""
     lines = [
         _HEAD.format(
             width=report["request"]["width"],
@@ -86,8 +86,7 @@ def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
             more=f" --repeats {repeats}" * (repeats > 1) + " --defaults" * defaults,
             how=how_rendered(defaults),
             kernel_cache=_KERNEL_CACHES[report["request"]["kernel_cache"]],
-            note="\n\n" + "\n".join(_wrapped(note)) if (note := report.get("note")) else "",
-            versions=versions,
+            versions=f"{versions}.{note}",
             counted=counted(report["summary"]),
             old="".join("\n\n" + "\n".join(_wrapped(text)) for text in told_of_old(report)),
             summary=_table(SUMMARY_HEADS, summary_rows(report["summary"])),
