@@ -51,7 +51,7 @@ python scripts/compare.py --list docs/real-files.json --folder FOLDER --out out/
 python scripts/compare.py --out out/compare --table     # writes this page from what is there
 ```
 
-Both engines render {width} pixels wide with {samples} samples on the CPU, {how}, each in a process of its own. {versions}
+Both engines render {width} pixels wide with {samples} samples on the CPU, {how}
 
 ## All files together
 
@@ -84,9 +84,8 @@ def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
             width=report["request"]["width"],
             samples=report["request"]["samples"],
             more=f" --repeats {repeats}" * (repeats > 1) + " --defaults" * defaults,
-            how=how_rendered(defaults),
+            how=f"{how_rendered(defaults)}, each in a process of its own. {versions}.{note}",
             kernel_cache=_KERNEL_CACHES[report["request"]["kernel_cache"]],
-            versions=f"{versions}.{note}",
             counted=counted(report["summary"]),
             old="".join("\n\n" + "\n".join(_wrapped(text)) for text in told_of_old(report)),
             summary=_table(SUMMARY_HEADS, summary_rows(report["summary"])),
