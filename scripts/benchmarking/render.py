@@ -14,16 +14,13 @@ from rendering.request import BLEND, kind_of
 
 from benchmarking.memory import measure_against_memory, parse_budgets
 from benchmarking.progress import Steps
-from benchmarking.slopes import measure_slopes, relmse_of_pairs
+from benchmarking.slopes import SEEDS, combined, measure_slopes, quotient, relmse_of_pairs
 from benchmarking.timing import summary
 from benchmarking.whole_render import OpenedScene, RenderRequest, TimedRender, open_scene, scene_report, timed_render
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
 from raybatch_addon.core.device.devices import find_device
-from raybatch_addon.core.film import Film
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
-
-ERROR_SEEDS = (1, 2)
 
 
 def measured_settings(settings: RenderSettings, request: RenderRequest) -> RenderSettings:
@@ -80,8 +77,8 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
             }
         if request.equal_error:
             steps.begin("renders with other seeds, for the error")
-            ours = [_combined(session.render(opened.scene, settings.replace(seed=seed))) for seed in ERROR_SEEDS]
-            theirs = [cycles.picture(seed) for seed in ERROR_SEEDS]
+            ours = [combined(session.render(opened.scene, settings.replace(seed=seed))) for seed in SEEDS]
+            theirs = [cycles.picture(seed) for seed in SEEDS]
             report["equal_error"] = equal_error(
                 report["raybatch"]["seconds"], ours, report["cycles"]["seconds"], theirs
             )
@@ -131,10 +128,6 @@ def _report(opened: OpenedScene, cold: TimedRender, runs: list[TimedRender]) -> 
     }
 
 
-def _combined(film: Film) -> np.ndarray:
-    return film.passes["Combined"][..., :3].astype(np.float64)
-
-
 def equal_error(
     our_seconds: float, ours: list[np.ndarray], their_seconds: float, theirs: list[np.ndarray]
 ) -> dict[str, Any]:
@@ -150,12 +143,8 @@ def equal_error(
     costs = [our_seconds * errors[0], their_seconds * errors[1]]
     return {
         "relmse": {"raybatch": errors[0], "cycles": errors[1]},
-        "efficiency": {"raybatch": _quotient(1, costs[0]), "cycles": _quotient(1, costs[1])},
-        "raybatch_seconds_to_cycles_error": _quotient(costs[0], errors[1]),
-        "raybatch_over_cycles": _quotient(costs[0], costs[1]),
-        "mean_ratio": _quotient(means[0], means[1]),  # of the pictures' brightness: 1 where both render the same
+        "efficiency": {"raybatch": quotient(1, costs[0]), "cycles": quotient(1, costs[1])},
+        "raybatch_seconds_to_cycles_error": quotient(costs[0], errors[1]),
+        "raybatch_over_cycles": quotient(costs[0], costs[1]),
+        "mean_ratio": quotient(means[0], means[1]),  # of the pictures' brightness: 1 where both render the same
     }
-
-
-def _quotient(a: float, b: float) -> float | None:
-    return float(f"{a / b:.6g}") if b else None

@@ -71,7 +71,6 @@ def measure_slopes(
         first = {"RayBatch": cold.seconds}
         for kind, peer in peers.items():
             steps.begin(f"Cycles ({kind}): first render, with what it loads")
-            peer.choose()
             first[kind] = peer.timed_picture(SEEDS[0], counts[0])[0]
             steps.end()
         timed = {name: Timed() for name in first}
@@ -82,10 +81,8 @@ def measure_slopes(
             for count in counts:
                 render = timed_render(session, opened.scene, settings.replace(sample_count=count, seed=seed))
                 film = render.film
-                picture = film.passes["Combined"][..., :3].astype(np.float64)
-                _note(timed["RayBatch"], count == counts[0], render.seconds, picture)
+                _note(timed["RayBatch"], count == counts[0], render.seconds, combined(film))
                 for kind, peer in peers.items():
-                    peer.choose()
                     _note(timed[kind], count == counts[0], *peer.timed_picture(seed, count))
             steps.end()
     finally:
@@ -118,21 +115,26 @@ def _note(timed: Timed, shorter: bool, seconds: float, picture: np.ndarray) -> N
 def _beside(ours: dict[str, Any], theirs: dict[str, dict[str, Any]], timed: dict[str, Timed]) -> dict[str, Any]:
     """RayBatch over the quickest kind of Cycles."""
     peer = min(theirs, key=lambda kind: theirs[kind]["ms_a_sample"])
-    at_samples = _quotient(ours["ms_a_sample"], theirs[peer]["ms_a_sample"])
+    at_samples = quotient(ours["ms_a_sample"], theirs[peer]["ms_a_sample"])
     told: dict[str, Any] = {
         "peer": peer,
         "slope_raybatch_over_cycles": at_samples,
-        "fixed_raybatch_over_cycles": _quotient(ours["fixed_seconds"], theirs[peer]["fixed_seconds"]),
+        "fixed_raybatch_over_cycles": quotient(ours["fixed_seconds"], theirs[peer]["fixed_seconds"]),
     }
     pictures = [timed["RayBatch"].pictures, timed[peer].pictures]
     if all(len(each) == 2 for each in pictures):
         noise = relmse_of_pairs(*pictures)
         told["relmse"] = {"raybatch": noise[0], "cycles": noise[1]}
-        variance = _quotient(*noise)
+        variance = quotient(*noise)
         told["variance_raybatch_over_cycles"] = variance
         told["equal_error_raybatch_over_cycles"] = None if None in (at_samples, variance) else at_samples * variance
-        told["mean_ratio"] = _quotient(*(float(np.mean(each)) for each in pictures))
+        told["mean_ratio"] = quotient(*(float(np.mean(each)) for each in pictures))
     return told
+
+
+def combined(film: Film) -> np.ndarray:
+    """The colours of the film, float64 [height, width, 3]."""
+    return film.passes["Combined"][..., :3].astype(np.float64)
 
 
 def relmse_of_pairs(*pairs: list[np.ndarray]) -> list[float]:
@@ -144,5 +146,6 @@ def relmse_of_pairs(*pairs: list[np.ndarray]) -> list[float]:
     return [float((((one - other) ** 2 / 2) / square).mean()) for one, other in pairs]
 
 
-def _quotient(a: float, b: float) -> float | None:
+def quotient(a: float, b: float) -> float | None:
+    """a / b with six digits; None where `b` is not above 0."""
     return float(f"{a / b:.6g}") if b > 0 else None

@@ -22,22 +22,19 @@ class CyclesPeer:
         """`scene` is Blender's; samples, bounces and filter are those of `settings`, and `kind` one of `kinds_offered`
         (None: the first of them). Raises `UsageError`.
         """
-        self._scene, self._samples, self._device, self._kind = scene, settings.sample_count, device, kind
+        self._scene, self._samples, self._device = scene, settings.sample_count, device
         make_unbiased(scene, settings)
         if thread_count:
             scene.render.threads_mode, scene.render.threads = "FIXED", thread_count
         else:
             scene.render.threads_mode = "AUTO"
-        self.choose()
-
-    def choose(self) -> None:
-        """Let Cycles render on this peer's kind of device; needed again after another peer of the scene was chosen."""
-        self.device = use_device(self._scene, self._device, self._kind)  # as Cycles calls it
+        self.device = use_device(scene, device, kind)  # as Cycles calls it
 
     def render(self) -> float:
         """Seconds of one render, with the samples and the seed that it had last."""
         import bpy
 
+        use_device(self._scene, self._device, self.device)  # another peer of the scene may have chosen its own
         self._scene.render.engine = "CYCLES"
         start = time.perf_counter()
         bpy.ops.render.render()
