@@ -28,7 +28,7 @@ def unregister() -> None:
     import bpy
 
     from . import engine, ui
-    from .blender import reports
+    from .blender import missing, reports
 
     atexit.unregister(_unregister_at_exit)
     bpy.utils.unregister_class(engine.RayBatchRenderEngine)
@@ -44,6 +44,7 @@ def unregister() -> None:
         if (kept := sys.modules.get(f"{__name__}.export.{module}")) is not None:
             getattr(kept, forget)()
     reports.clear()
+    missing.forget_found()
 
 
 def _unregister_at_exit() -> None:

@@ -25,6 +25,7 @@ from rendering.request import (
     parse_settings,
 )
 
+from raybatch_addon.core.scene.passes import COST_PASSES, MATTE_KINDS, MATTE_PASSES
 from raybatch_addon.core.settings.presets import PRESETS
 from raybatch_addon.core.settings.settings import SETTINGS
 
@@ -39,7 +40,8 @@ FILE is one of
 
 Geometry gets a default light (a sun and a pale blue sky), and a camera that shows all of it unless --camera is given.
 Nothing is written to standard output but the statistics, for `--json -`. Progress and errors go to standard error.
-The exit code is 0, or 1 with one line that says what was wrong (2: the command line was not understood).
+The exit code is 0, or 1 with one line that says what was wrong (2: the command line was not understood; 3: --strict
+refuses to render).
 """
 OUT_HELP = """\
 where the picture goes. A name with a picture's extension (.png .exr .jpg .tif ...) is that file, in that format;
@@ -95,6 +97,20 @@ def argument_parser() -> argparse.ArgumentParser:
         metavar="NAME=VALUE",
         help="change a setting (may be repeated); see below. resolution=160x120 sets the picture's size",
     )
+    add(
+        "--settings-from",
+        choices=("cycles", "eevee"),
+        help="take over that engine's settings of the .blend (samples, bounces, clamping, filter and others; eevee:\n"
+        "also the materials' outputs for it), and tell what changed. --preset and --set then change single settings",
+    )
+    add(
+        "--strict",
+        nargs="?",
+        const="replaced",
+        choices=("missing", "replaced", "setting"),
+        help="do not render what would lack something, and end with exit code 3: if a part is missing, if something\n"
+        "else stands in for it (--strict alone), or if a setting of Cycles is not heard either",
+    )
     add("--device", metavar="DEVICE", help="AUTO, cpu or cuda:N; the same as --set device=DEVICE")
     add(
         "--json",
@@ -105,8 +121,10 @@ def argument_parser() -> argparse.ArgumentParser:
     add(
         "--passes",
         metavar="NAMES",
-        help=f"passes to render beside those of the file, with commas between: {', '.join(PASS_NAMES[1:])}.\n"
-        "The last five show what a pixel costs, as the mean over its samples, and make the render slower",
+        help="passes to render beside those of the file, with commas between: "
+        f"{', '.join(name for name in PASS_NAMES[1:] if name not in MATTE_PASSES)};\n"
+        f"{', '.join(MATTE_KINDS)}, with 00 to 07 behind: two levels of Cryptomatte each.\n"
+        f"{', '.join(COST_PASSES)} show what a pixel costs, as the mean over its samples, and make the render slower",
     )
     add(
         "--heat-map",
@@ -182,6 +200,8 @@ def request_from(options: argparse.Namespace) -> Request:
         save_scene=options.save_scene,
         camera=options.camera,
         up=options.up,
+        settings_from=(options.settings_from or "").upper(),
+        strict=(options.strict or "").upper(),
     )
 
 

@@ -15,10 +15,14 @@ from ..core.film import Film
 from ..core.observers import Progress
 from ..core.scene.description import Scene
 from ..core.settings.settings import RenderSettings
+from ..export.passed_over.look import with_light_looked_for
 from ..export.scene import export_scene
-from ..export.settings import settings_from
-from . import reports
-from .result import ResultWriter
+from ..export.settings import exposure_of, settings_from
+from ..export.view import View
+from . import missing, reports
+from .denoise_library import library_for
+from .denoising import denoise_film, whole_tile, with_guides
+from .result import ResultWriter, stamp_mattes, view_names
 from .sessions import session_for
 
 # Called with (view layer name, exported scene, film) after each view layer; for scripts that want more than pixels
@@ -47,6 +51,9 @@ def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsg
         return
     try:
         _render(engine, depsgraph, report)
+    except missing.Refused as error:
+        report.refused = True
+        _fail(engine, report, str(error))
     except RayBatchError as error:
         _fail(engine, report, str(error))
     except KeyboardInterrupt:
@@ -67,15 +74,39 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
     settings = settings_from(depsgraph.scene)
     layer_name = depsgraph.view_layer.name
     status = _Status(engine, layer_name)
+    for name in view_names(engine, layer_name, depsgraph.scene):
+        if name:
+            engine.active_view_set(name)
+        _render_view(engine, depsgraph, report, settings, status, View(engine, name))
+        if engine.test_break():
+            return
+
+
+def _render_view(
+    engine: bpy.types.RenderEngine,
+    depsgraph: bpy.types.Depsgraph,
+    report: reports.RenderReport,
+    settings: RenderSettings,
+    status: _Status,
+    view: View,
+) -> None:
+    denoiser = library_for(settings)  # an error about it comes before the render
+    layer_name = depsgraph.view_layer.name
     status.show("Reading the scene")
     started = time.perf_counter()
-    scene = export_scene(depsgraph, cancelled=engine.test_break)
+    scene = export_scene(depsgraph, cancelled=engine.test_break, view=view)
     if scene is None:
         return
     export_seconds = time.perf_counter() - started
+    scene = with_guides(with_light_looked_for(scene), settings)
+    found = missing.keep_found(depsgraph.scene, scene.warnings)
+    _report_warnings(engine, report, found)
+    if bpy.app.background and not scene_listeners:
+        missing.tell(found)
     for listener in scene_listeners:
         listener(layer_name, scene, settings)
-    writer = ResultWriter(engine, layer_name, scene.frame.region[:2])
+    missing.refuse_what_lacks(depsgraph.scene, found)
+    writer = ResultWriter(engine, layer_name, scene.frame.region[:2], view.name, exposure_of(depsgraph.scene))
 
     def on_progress(progress: Progress) -> None:
         status.update(progress)
@@ -103,10 +134,15 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
         if recorder:
             state = records.FAILED if film is None else records.FINISHED if film.complete else records.CANCELLED
             recorder.end(state, film and film.statistics)
+    if denoiser is not None:
+        status.show("Denoising")
+        denoise_film(film, settings, denoiser)
+        writer.write(whole_tile(film))
+    stamp_mattes(engine, layer_name, scene)
     seconds = film.statistics["seconds"]
     seconds["export"] = round(export_seconds, 6)
     seconds["total"] = round(seconds.get("total", 0.0) + export_seconds, 6)
-    report.statistics[layer_name] = film.statistics
+    report.statistics[f"{layer_name}, {view.name}" if view.name else layer_name] = film.statistics
     _report_warnings(engine, report, film.statistics["warnings"])
     for listener in film_listeners:
         listener(layer_name, scene, film)

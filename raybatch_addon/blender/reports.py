@@ -14,6 +14,7 @@ class RenderReport:
     frame: int
     errors: list[str] = field(default_factory=list)  # the render failed
     interrupted: bool = False  # by Ctrl-C
+    refused: bool = False  # it would have lacked what it may not lack
     warnings: list[str] = field(default_factory=list)  # it went on
     statistics: dict[str, dict[str, Any]] = field(default_factory=dict)  # by view layer, as documented for `--json`
 

@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+import json
+
 import bpy
 import numpy as np
 
 from ..core.observers import Tile
-from ..export.passes import OWN_PASS_PROPERTIES, wanted_passes
+from ..core.scene.cryptomatte import murmur_hash
+from ..core.scene.description import Scene
+from ..core.scene.passes import matte_kinds
+from ..export.passes import (
+    AOV_BEGINNINGS,
+    LIGHT_PASS_PROPERTIES,
+    MATTE_PROPERTIES,
+    NOISY_IMAGE,
+    OWN_PASS_PROPERTIES,
+    blender_name,
+    wanted_passes,
+)
 
 # channels, their letters and Blender's kind of value, by pass
 PASSES = {
@@ -14,39 +27,113 @@ PASSES = {
     "Depth": (1, "Z", "VALUE"),
     "Position": (3, "XYZ", "VECTOR"),
     "Normal": (3, "XYZ", "VECTOR"),
+    "Mist": (1, "Z", "VALUE"),
+    "UV": (3, "UVA", "VECTOR"),
+    "Object Index": (1, "X", "VALUE"),
+    "Material Index": (1, "X", "VALUE"),
+    **dict.fromkeys(LIGHT_PASS_PROPERTIES.values(), (3, "RGB", "COLOR")),
+    # lower-case letters, by which files know that they must not be compressed with loss
+    **{f"{kind}{i:02}": (4, "rgba", "COLOR") for kind in MATTE_PROPERTIES.values() for i in range(8)},
+    NOISY_IMAGE: (4, "RGBA", "COLOR"),
+    "Denoising Albedo": (3, "RGB", "COLOR"),
+    "Denoising Normal": (3, "XYZ", "VECTOR"),
+    "Denoising Depth": (1, "Z", "VALUE"),
     **dict.fromkeys(OWN_PASS_PROPERTIES.values(), (1, "X", "VALUE")),
 }
 
 
+# Passes of light, which the exposure brightens; not those of colours, values and mattes
+LIT_PASSES = frozenset(["Combined", *(name for name in LIGHT_PASS_PROPERTIES.values() if not name.endswith("Color"))])
+
+
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
     """Tell Blender which passes the render of `view_layer` will fill."""
-    for name in wanted_passes(view_layer):
-        engine.register_pass(scene, view_layer, name, *PASSES[name])
+    noisy = [NOISY_IMAGE] if getattr(scene, "raybatch", None) and scene.raybatch.denoise == "ON" else []
+    for name in (*wanted_passes(view_layer), *noisy):
+        engine.register_pass(scene, view_layer, blender_name(name), *_about(name))
+
+
+def _about(name: str) -> tuple[int, str, str]:
+    """Channels, letters and kind of the film's pass `name`."""
+    if name.startswith(AOV_BEGINNINGS["COLOR"]):
+        return 4, "RGBA", "COLOR"
+    return PASSES.get(name, (1, "X", "VALUE"))
+
+
+def stamp_mattes(engine: bpy.types.RenderEngine, layer_name: str, scene: Scene) -> None:
+    """Write into the result's metadata which name each identity of a matte stands for: files keep it, and other
+    programs find objects by it (Friedman and Jones, "Cryptomatte specification").
+    """
+    named = {
+        "CryptoObject": scene.object_names,
+        "CryptoMaterial": [material.name for material in scene.materials],
+        "CryptoAsset": scene.asset_names,
+    }
+    for kind in matte_kinds(scene.frame.passes):
+        name = f"{layer_name}.{kind}"
+        prefix = f"cryptomatte/{f'{murmur_hash(name):08x}'[:7]}/"
+        manifest = {each: f"{murmur_hash(each):08x}" for each in named[kind]}
+        fields = {
+            "name": name,
+            "hash": "MurmurHash3_32",
+            "conversion": "uint32_to_float32",
+            "manifest": json.dumps(manifest, ensure_ascii=False, separators=(",", ":")),
+        }
+        for field, value in fields.items():
+            engine.get_result().stamp_data_add_field(prefix + field, value)
+
+
+def view_names(engine: bpy.types.RenderEngine, layer_name: str, scene: bpy.types.Scene) -> list[str]:
+    """The views that the render result wants; one without name where it is no stereoscopy."""
+    if not scene.render.use_multiview:
+        return [""]
+    result = engine.begin_result(0, 0, 1, 1, layer=layer_name)
+    names = [view.name for view in result.views]
+    engine.end_result(result, cancel=True)
+    return names or [""]
 
 
 class ResultWriter:
-    """Writes tiles of one view layer; `origin` is the bottom left pixel of the rendered region in the frame."""
+    """Writes tiles of one view layer; `origin` is the bottom left pixel of the rendered region in the frame. `view` is
+    one of stereoscopy's, or no name.
+    """
 
-    def __init__(self, engine: bpy.types.RenderEngine, layer_name: str, origin: tuple[int, int]) -> None:
-        self._engine = engine
+    def __init__(
+        self,
+        engine: bpy.types.RenderEngine,
+        layer_name: str,
+        origin: tuple[int, int],
+        view: str = "",
+        exposure: float = 1.0,
+    ) -> None:
+        """Passes of light are shown `exposure` times as bright."""
+        self._engine, self._exposure = engine, exposure
         self._layer_name = layer_name
         self._origin = origin
+        self._view = view
 
     def write(self, tile: Tile) -> None:
         """Show `tile`. Blender counts its pixels from the corner of the render border."""
         x, y = tile.x - self._origin[0], tile.y - self._origin[1]
-        result = self._engine.begin_result(x, y, tile.width, tile.height, layer=self._layer_name)
+        result = self._engine.begin_result(x, y, tile.width, tile.height, layer=self._layer_name, view=self._view)
         try:
             # without a layer the view layer was renamed or removed meanwhile: there is nowhere to write
+            named = {blender_name(name): self._exposed(name, pixels) for name, pixels in tile.passes.items()}
             for layer in result.layers:
                 for target in layer.passes:
-                    pixels = tile.passes.get(target.name)
+                    pixels = named.get(target.name)
                     if pixels is not None:
                         target.rect.foreach_set(np.ascontiguousarray(pixels, np.float32).reshape(-1))
         except BaseException:
             self._engine.end_result(result, cancel=True)
             raise
         self._engine.end_result(result)
+
+    def _exposed(self, name: str, pixels: np.ndarray) -> np.ndarray:
+        """The pass `name` as bright as it is shown; alpha stays."""
+        if self._exposure == 1 or name not in LIT_PASSES:
+            return pixels
+        return pixels * np.float32([self._exposure] * 3 + [1])[: pixels.shape[-1]]
 
 
 def write_image(name: str, pixels: np.ndarray) -> bpy.types.Image:

@@ -27,6 +27,7 @@ class Rays:
     t_max: wp.array(dtype=float)  # only hits nearer than this count [m]
     # `Visibility` bit of the ray: objects without it are passed. No entries: all is seen
     visibility: wp.array(dtype=int)
+    time: wp.array(dtype=float)  # of each path, 0 to 1 while the shutter is open; no entries where nothing moves
     hit_t: wp.array(dtype=float)  # distance of the hit, or `t_max` [m]. May be the same memory as `t_max`
     # -1: nothing was hit. Of occlusion rays only this is set, and only its sign counts
     hit_instance: wp.array(dtype=int)

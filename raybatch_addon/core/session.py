@@ -27,6 +27,7 @@ from .observers import Progress, RenderObserver, Tile, call_all
 from .programs.footprints import filtered_scene, image_statistics
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
+from .scene.notice import by_weight, described
 from .scene.validate import checked_scene
 from .settings.settings import RenderSettings
 from .shading.lights.light_tree import LIGHT_TREE_KERNELS
@@ -202,15 +203,15 @@ class Session:
         cancelled: Callable[[], bool] | None,
         observers: Sequence[RenderObserver],
     ) -> _Job:
-        checked = filtered_scene(checked_scene(scene), settings)
-        warnings = list(checked.warnings)
+        checked = filtered_scene(self._cache.displaced(checked_scene(scene), self.device), settings)
         check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
         free = self._cache.free_for_geometry(checked.images, self.device)
         memory = Memory(size.needed(self.layout, self.device), free, free_memory(wp.get_device("cpu")))
         samples = settings.sample_count * checked.frame.pixel_count
-        plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory, samples)
         features = replace(derive_features(checked, settings), adaptive=pixels_can_end(settings, sample_first))
+        plan = plan_tracing(settings, size, self.layout, self.device.is_cuda, memory, samples, features.moving)
+        warnings = [*checked.warnings, *plan.complaints]
         tier = choose_tier(features, settings.kernel_tier, self.device)
         if tier.complaint:
             warnings.append(f"kernels are specialised on the scene, not GENERAL: {tier.complaint}")
@@ -393,5 +394,6 @@ class Session:
                 "invalid_samples": invalid,
                 "modules": modules,
                 "warnings": job.warnings,
+                "missing": [described(notice) for notice in by_weight(job.scene.warnings)],
             },
         )

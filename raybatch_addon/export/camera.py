@@ -7,24 +7,33 @@ import numpy as np
 
 from ..core.errors import SceneError
 from ..core.scene.description import Camera, CameraKind
+from ..core.scene.notice import Notice, Weight
+from .panorama import export_panorama, export_stereo, panorama_kind
+from .view import View
 
 # Smallest f-number of Cycles, which keeps the aperture finite
 _FSTOP_MIN = 1e-5
 
 
 def export_camera(
-    scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph, width: int, height: int, warnings: list[str]
+    scene: bpy.types.Scene,
+    depsgraph: bpy.types.Depsgraph,
+    width: int,
+    height: int,
+    warnings: list[str],
+    view: View = View(),
 ) -> Camera:
-    """The active camera of `scene` for a full frame of `width` x `height` pixels.
+    """The active camera of `scene` for a full frame of `width` x `height` pixels, as `view` has it.
 
     Raises `SceneError` if there is no camera, if the object is no camera, for a matrix that is singular or not finite,
     and for clipping that leaves nothing.
     """
-    if scene.camera is None:
+    active = view.camera(scene)
+    if active is None:
         raise SceneError(
             f"scene “{scene.name}” has no camera; add one (Add > Camera) and make it the scene's active camera"
         )
-    obj = scene.camera.evaluated_get(depsgraph)
+    obj = active.evaluated_get(depsgraph)
     if obj.type != "CAMERA":
         kind = obj.type.lower()
         raise SceneError(
@@ -32,12 +41,9 @@ def export_camera(
         )
     camera = obj.data
     name = f"camera “{obj.name}”"
-    transform = _transform(obj, name)
-    kind = CameraKind.ORTHOGRAPHIC if camera.type == "ORTHO" else CameraKind.PERSPECTIVE
-    if camera.type not in ("PERSP", "ORTHO"):
-        warnings.append(
-            f"{name}: {_type_label(camera)} cameras are not supported; it is rendered as a perspective camera"
-        )
+    kind = _kind(camera, name, warnings)
+    spherical = kind != CameraKind.ORTHOGRAPHIC and view.is_spherical(obj)
+    transform = _transform(view.matrix(obj, spherical), name)
     if camera.clip_end <= camera.clip_start:
         raise SceneError(
             f"{name}: its clip end ({camera.clip_end:g}) is not beyond its clip start ({camera.clip_start:g}); raise it"
@@ -45,16 +51,26 @@ def export_camera(
     return Camera(
         kind=kind,
         transform=transform,
-        window=_window(camera, kind, scene.render, width, height),
+        window=_window(camera, kind, view.shift(obj, spherical), scene.render, width, height),
         clip_start=float(camera.clip_start),
         clip_end=float(camera.clip_end),
         **_depth_of_field(obj, kind, transform, depsgraph, name, warnings),
+        panorama=export_panorama(camera, _span(scene.render, width, height)) if kind.is_panorama else None,
+        stereo=export_stereo(camera, view.name) if spherical else None,
     )
 
 
-def _transform(obj: bpy.types.Object, name: str) -> np.ndarray:
-    """Camera to world without scale, as Blender views through the camera: shape [3, 4]."""
-    matrix = np.array(obj.matrix_world, float)
+def _kind(camera: bpy.types.Camera, name: str, warnings: list[str]) -> CameraKind:
+    if camera.type == "PANO":
+        return panorama_kind(camera, name, warnings)
+    if camera.type not in ("PERSP", "ORTHO"):
+        text = f"{name}: {_type_label(camera)} cameras are not supported; it is rendered as a perspective camera"
+        warnings.append(Notice(text, Weight.MISSING, remedy="choose another type in the camera's Lens panel"))
+    return CameraKind.ORTHOGRAPHIC if camera.type == "ORTHO" else CameraKind.PERSPECTIVE
+
+
+def _transform(matrix: np.ndarray, name: str) -> np.ndarray:
+    """Camera to world without scale, as Blender views through the camera, from its matrix [4, 4]: shape [3, 4]."""
     if not np.isfinite(matrix).all():
         raise SceneError(f"{name}: its matrix is not finite; reset its location, rotation and scale")
     scale = np.linalg.norm(matrix[:3, :3], axis=0)
@@ -65,9 +81,23 @@ def _transform(obj: bpy.types.Object, name: str) -> np.ndarray:
     return np.column_stack([axes, matrix[:3, 3]]).astype(np.float32)
 
 
-def _window(camera: bpy.types.Camera, kind: CameraKind, render: bpy.types.RenderSettings, width: int, height: int):
-    """Left, right, bottom, top edges of the frame [m]: one metre ahead, or of an orthographic camera's view."""
-    span = np.array([width * render.pixel_aspect_x, height * render.pixel_aspect_y])
+def _span(render: bpy.types.RenderSettings, width: int, height: int) -> np.ndarray:
+    """Width and height of the frame, in pixels of no aspect: shape [2]."""
+    return np.array([width * render.pixel_aspect_x, height * render.pixel_aspect_y])
+
+
+def _window(
+    camera: bpy.types.Camera,
+    kind: CameraKind,
+    shift: tuple[float, float],
+    render: bpy.types.RenderSettings,
+    width: int,
+    height: int,
+) -> tuple[float, float, float, float]:
+    """Left, right, bottom, top edges of the frame, as `Camera.window` has them."""
+    if kind.is_panorama:
+        return shift[0], shift[0] + 1, shift[1], shift[1] + 1
+    span = _span(render, width, height)
     fit = camera.sensor_fit
     along = {"HORIZONTAL": 0, "VERTICAL": 1}.get(fit, int(span[1] > span[0]))
     if kind == CameraKind.ORTHOGRAPHIC:
@@ -76,7 +106,7 @@ def _window(camera: bpy.types.Camera, kind: CameraKind, render: bpy.types.Render
         extent = (camera.sensor_height if fit == "VERTICAL" else camera.sensor_width) / camera.lens
     # the sensor's extent lies along the axis of the fit; shift is in units of it on both axes
     half = extent / 2 * span / span[along]
-    centre = np.array([camera.shift_x, camera.shift_y]) * extent
+    centre = np.array(shift) * extent
     left, bottom = (float(edge) for edge in centre - half)
     right, top = (float(edge) for edge in centre + half)
     return left, right, bottom, top
@@ -89,7 +119,12 @@ def _depth_of_field(obj, kind: CameraKind, transform: np.ndarray, depsgraph, nam
     distance = _focus_distance(camera, transform, depsgraph)
     if not np.isfinite(distance) or distance <= 0:
         warnings.append(
-            f"{name}: its focus distance is {distance:g}, where nothing can be sharp; depth of field is left out"
+            Notice(
+                f"{name}: its focus distance is {distance:g}, where nothing can be sharp; depth of field is left out",
+                Weight.REPAIRED,
+                objects=[obj.name],
+                remedy="set a focus distance above 0, or another focus object",
+            )
         )
         return {}
     # a focal length in millimetres over twice the f-number; an orthographic camera counts as a focal length of one

@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 import bpy
 
+from ..core.scene.notice import Notice, Weight
+
 
 def failed_drivers(depsgraph: bpy.types.Depsgraph) -> list[str]:
     """One line for each driver, of any datablock of the depsgraph or its nodes, whose expression or variables fail."""
@@ -15,9 +17,14 @@ def failed_drivers(depsgraph: bpy.types.Depsgraph) -> list[str]:
             continue
         label = f"{datablock.bl_rna.name.lower()} “{datablock.name}”"
         for path in _failed(datablock):
-            lines.append(
+            text = (
                 f"{label}: the driver of “{path}” cannot be evaluated, so that its value is the last one, or that "
                 "without driver; mend its expression and variables in the Drivers Editor"
+            )
+            lines.append(
+                Notice(
+                    text, Weight.REPAIRED, objects=[datablock.name] if isinstance(datablock, bpy.types.Object) else []
+                )
             )
     return lines
 

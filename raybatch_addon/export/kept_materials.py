@@ -49,7 +49,8 @@ class KeptMaterials:
             graph = self._signatures.of(material.node_tree)
         except NoSignature:
             return None
-        return (material.name, material.pass_index, material.displacement_method, tuple(material.diffuse_color), graph)
+        own = (material.name, material.pass_index, material.displacement_method, tuple(material.diffuse_color))
+        return (*own, self._collections.engine, graph)
 
     def find(self, material: bpy.types.Material, signature: tuple) -> tuple[Material, list[str]] | None:
         """The material of that `signature` and the messages about it; None where it must be compiled."""

@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 
 from ..core.scene.description import ClosureKind, Light, LightKind, Program, Visibility
+from ..core.scene.notice import Notice, Weight, about
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph
 from .world import has_nodes, usable_emission
@@ -69,20 +70,20 @@ def export_light(
         return None
     transform, scale = placed
     if light.type == "AREA" and getattr(getattr(light, "cycles", None), "is_portal", False):
-        warnings.append(
-            f"{name}: it is a portal, which only guides the sampling of Cycles and gives no light; it is left out"
-        )
+        text = f"{name}: it is a portal, which only guides the sampling of Cycles and gives no light; it is left out"
+        warnings.append(Notice(text, Weight.SETTING, objects=[obj.name]))
         return None
     _warn_of_limits(obj, name, warnings)
 
     emission, values = _shape(light, scale)
     if values is None:
-        warnings.append(
+        text = (
             f"{name}: its area is zero, so it gives no light; it is left out. Give it a size and a scale that are not 0"
         )
+        warnings.append(Notice(text, Weight.REPAIRED, objects=[obj.name]))
         return None
     graph = (graphs or LampGraphs()).of(light)
-    warnings += [f"{name}: {note}" for note in graph.notes]
+    warnings += [about(note, name, objects=[obj.name]) for note in graph.notes]
     strength = usable_emission(_strength(light) * graph.factor * emission, name, warnings)
     if graph.program is not None:
         matrix = np.array(matrix_world, np.float32)[:3]
@@ -117,7 +118,7 @@ def _strength(light: bpy.types.Light) -> np.ndarray:
 def _lamp_graph(light: bpy.types.Light, collections: Collections) -> LampGraph:
     if not has_nodes(light):
         return LampGraph(np.ones(3), None)
-    output = light.node_tree.get_output_node("CYCLES") or light.node_tree.get_output_node("ALL")
+    output = collections.output(light.node_tree)
     if output is None:
         return LampGraph(np.zeros(3), None)
     collections.begin()
@@ -160,7 +161,8 @@ def _placement(obj: bpy.types.Object, matrix: np.ndarray, warnings: list[str]) -
     """Orthonormal light to world, shape [3, 4], and the scale along its axes, shape [3]; None for a useless matrix."""
     name = f"light “{obj.name}”"
     if not np.isfinite(matrix).all():
-        warnings.append(f"{name}: its matrix is not finite; it is left out. Reset its location, rotation and scale")
+        text = f"{name}: its matrix is not finite; it is left out. Reset its location, rotation and scale"
+        warnings.append(Notice(text, Weight.REPAIRED, objects=[obj.name]))
         return None
     columns, position = matrix[:3, :3], matrix[:3, 3]
     scale = np.linalg.norm(columns, axis=0)
@@ -168,16 +170,14 @@ def _placement(obj: bpy.types.Object, matrix: np.ndarray, warnings: list[str]) -
         return np.column_stack([np.eye(3), position]).astype(np.float32), np.ones(3)
     needed = scale if obj.data.type == "SPOT" else scale[2:]
     if (needed == 0).any():
-        warnings.append(
-            f"{name}: its scale is 0, so that it has no direction; it is left out. Give it a scale that is not 0"
-        )
+        text = f"{name}: its scale is 0, so that it has no direction; it is left out. Give it a scale that is not 0"
+        warnings.append(Notice(text, Weight.REPAIRED, objects=[obj.name]))
         return None
     unit = columns / np.where(scale > 0, scale, 1)
     z = unit[:, 2]
     if obj.data.type != "SUN" and max(abs(unit[:, i] @ unit[:, j]) for i, j in ((0, 1), (0, 2), (1, 2))) > _SHEAR_MIN:
-        warnings.append(
-            f"{name}: it is sheared, which is not supported; it keeps its direction and sizes at right angles"
-        )
+        text = f"{name}: it is sheared, which is not supported; it keeps its direction and sizes at right angles"
+        warnings.append(Notice(text, objects=[obj.name]))
     x = unit[:, 0] - (unit[:, 0] @ z) * z
     if np.linalg.norm(x) < _SHEAR_MIN:
         x = np.cross(unit[:, 1], z)
@@ -190,8 +190,8 @@ def _placement(obj: bpy.types.Object, matrix: np.ndarray, warnings: list[str]) -
 def _warn_of_limits(obj: bpy.types.Object, name: str, warnings: list[str]) -> None:
     linking = getattr(obj, "light_linking", None)
     if linking and (linking.receiver_collection or linking.blocker_collection):
-        warnings.append(
-            f"{name}: light linking is not supported; it lights every object, and every object casts its shadow"
-        )
+        text = f"{name}: light linking is not supported; it lights every object, and every object casts its shadow"
+        warnings.append(Notice(text, objects=[obj.name]))
     if getattr(getattr(obj.data, "cycles", None), "max_bounces", _MAX_BOUNCES) < _MAX_BOUNCES:
-        warnings.append(f"{name}: its limit of bounces is not supported; it shines at every bounce")
+        text = f"{name}: its limit of bounces is not supported; it shines at every bounce"
+        warnings.append(Notice(text, objects=[obj.name]))

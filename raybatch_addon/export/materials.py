@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import bpy
 
 from ..core.programs.builder import Value
+from ..core.programs.op import VOLUME_PREFIX
 from ..core.scene.description import Closure, ClosureKind, Material
+from ..core.scene.notice import Notice, as_notice
 from .kept_materials import KeptMaterials
 from .nodes.collections import Collections
-from .nodes.compile import compile_graph
+from .nodes.compile import compile_displacement, compile_graph, compile_volume, default_volume
 from .nodes.graph import find_source
 from .nodes.shaders.principled import KINDS as PRINCIPLED_KINDS
 from .nodes.shaders.principled import Layers, layered_closures
 from .world import has_nodes
 
+# Closures, and their kinds, of a surface that nobody sees
+BOUNDARY = (Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0)),), (ClosureKind.TRANSPARENT,)
 _DEFAULT_GREY = (0.8, 0.8, 0.8)  # Blender's surface without a material
+_HOLDOUT = "holdout"  # what the camera sees of holdout objects
 # Most objects that a message about their material names
 _NAMED_USERS = 3
 
@@ -51,13 +57,32 @@ class ExportedMaterials:
                 users.append(user)
         return index
 
+    def holdout(self) -> int:
+        """The index of a material that is a hole in the picture."""
+        if _HOLDOUT not in self._index:
+            self._index[_HOLDOUT] = len(self.materials)
+            kinds = (ClosureKind.HOLDOUT,)
+            self.materials.append(Material(_HOLDOUT, (Closure(ClosureKind.HOLDOUT, (1.0, 1.0, 1.0)),), kinds))
+            self.asked.append(frozenset())
+        return self._index[_HOLDOUT]
+
+    def volume_index(self) -> int:
+        """The index of Blender's default material of volume objects."""
+        if VOLUME_PREFIX not in self._index:
+            self._index[VOLUME_PREFIX] = len(self.materials)
+            self.collections.begin()
+            self.materials.append(Material("default volume", *BOUNDARY, volume=default_volume(self.collections)))
+            self.asked.append(frozenset(self.collections.asked))
+        return self._index[VOLUME_PREFIX]
+
     def _export(self, material: bpy.types.Material | None) -> tuple[Material, list[str]]:
         self.collections.begin()
         signature = self._kept.signature(material)
         found = self._kept.find(material, signature) if signature is not None else None
         if found is None:
             self.collections.begin()
-            found = export_material(material, self.collections)
+            exported, notes = export_material(material, self.collections)
+            found = replace(exported, index=material.pass_index if material else 0), notes
             if signature is not None:
                 self._kept.keep(material, signature, *found)
         return found
@@ -69,7 +94,17 @@ class ExportedMaterials:
             users = self._users[index]
             named = ", ".join(f"“{name}”" for name in users[:_NAMED_USERS])
             more = f" and {len(users) - _NAMED_USERS} more" if len(users) > _NAMED_USERS else ""
-            lines.append(f"material “{self.materials[index].name}” of {named}{more}: {'; '.join(notes)}")
+            material = self.materials[index].name
+            lines.append(
+                Notice(
+                    f"material “{material}” of {named}{more}: {'; '.join(notes)}",
+                    max(as_notice(note).weight for note in notes),
+                    objects=users,
+                    material=material,
+                    nodes=dict.fromkeys(node for note in notes for node in as_notice(note).nodes),
+                    remedy="; ".join(dict.fromkeys(as_notice(note).remedy for note in notes if as_notice(note).remedy)),
+                )
+            )
         return lines
 
 
@@ -83,23 +118,43 @@ def export_material(
     """
     collections = collections or Collections()
     if material is None:
-        return Material("default", (Closure(ClosureKind.DIFFUSE, _DEFAULT_GREY),), (ClosureKind.DIFFUSE,)), []
+        return _default_material(), []
     if not has_nodes(material):
         return Material(material.name, _viewport_closures(material), tuple(sorted(PRINCIPLED_KINDS))), []
     tree = material.node_tree
-    output = tree.get_output_node("CYCLES") or tree.get_output_node("ALL") or tree.get_output_node("EEVEE")
+    output = collections.output(tree) or tree.get_output_node("CYCLES") or tree.get_output_node("EEVEE")
     if output is None:
         return Material(material.name), []
     linked = {name for name in ("Surface", "Volume", "Displacement") if find_source(output.inputs[name])[0] is not None}
-    notes = ["not supported yet and left out: volume"] if "Volume" in linked else []
-    if "Displacement" in linked and material.displacement_method != "BUMP":
-        notes.append("displacement is rendered as bump: the surface stays where it is")
+    volume, notes = compile_volume(output.inputs["Volume"], material, collections)
+    notes = list(notes)
     if "Volume" in linked and "Surface" not in linked:  # a volume alone has no surface
-        return Material(
-            material.name, (Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0)),), (ClosureKind.TRANSPARENT,)
-        ), notes
-    compiled = compile_graph(output.inputs["Surface"], material, collections, "Displacement" in linked)
-    return Material(material.name, compiled.closures, compiled.kinds, compiled.program), [*compiled.notes, *notes]
+        return Material(material.name, *BOUNDARY, volume=volume), notes
+    moves = "Displacement" in linked and material.displacement_method != "BUMP"
+    bends = "Displacement" in linked and material.displacement_method != "DISPLACEMENT"
+    compiled = compile_graph(output.inputs["Surface"], material, collections, bends)
+    displacement = None
+    if moves:
+        moved = compile_displacement(output.inputs["Displacement"], material, collections)
+        displacement = moved.program
+        notes += [note for note in moved.notes if note not in compiled.notes]
+    return Material(
+        material.name,
+        compiled.closures,
+        compiled.kinds,
+        compiled.program,
+        displacement=displacement,
+        displacement_bends=moves and bends,
+        volume=volume,
+    ), [*compiled.notes, *notes]
+
+
+def _default_material() -> Material:
+    """What Cycles gives surfaces without a material: a Principled BSDF as Blender adds it; before 5.0 Lambert's."""
+    if bpy.app.version < (5, 0):
+        return Material("default", (Closure(ClosureKind.DIFFUSE, _DEFAULT_GREY),), (ClosureKind.DIFFUSE,))
+    closures = layered_closures(Layers(Value.of(_DEFAULT_GREY), metallic=Value.of(0.0), roughness=Value.of(0.5)))
+    return Material("default", closures, tuple(sorted({closure.kind for closure in closures})))
 
 
 def _viewport_closures(material: bpy.types.Material) -> tuple[Closure, ...]:

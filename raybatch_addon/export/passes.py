@@ -8,7 +8,21 @@ from __future__ import annotations
 import bpy
 
 # Passes that can be rendered, by the property of a view layer that asks for them
-PASS_PROPERTIES = {"use_pass_z": "Depth", "use_pass_position": "Position", "use_pass_normal": "Normal"}
+PASS_PROPERTIES = {
+    "use_pass_z": "Depth",
+    "use_pass_mist": "Mist",
+    "use_pass_position": "Position",
+    "use_pass_normal": "Normal",
+    "use_pass_uv": "UV",
+    "use_pass_object_index": "Object Index",
+    "use_pass_material_index": "Material Index",
+}
+# The same for light, in the order in which Blender draws them
+LIGHT_PASS_PROPERTIES = {
+    f"use_pass_{component.lower()}_{part.lower()}": f"{component} {part}"
+    for component in ("Diffuse", "Glossy", "Transmission")
+    for part in ("Direct", "Indirect", "Color")
+} | {"use_pass_emit": "Emission", "use_pass_environment": "Environment"}
 # Passes that show cost, by the property of a view layer's `raybatch`
 COST_PASS_PROPERTIES = {
     "use_pass_rays": "Rays",
@@ -19,10 +33,41 @@ COST_PASS_PROPERTIES = {
 }
 # Every pass by a property of a view layer's `raybatch`
 OWN_PASS_PROPERTIES = {"use_pass_sample_count": "Sample Count"} | COST_PASS_PROPERTIES
+# Passes that guide a denoiser, by Cycles' own property of a view layer
+DENOISING_PASSES = ("Denoising Albedo", "Denoising Normal", "Denoising Depth")
+# What a denoised picture was made of, which is kept beside it
+NOISY_IMAGE = "Noisy Image"
+# Kinds of mattes, by the property that asks for them
+MATTE_PROPERTIES = {
+    "use_pass_cryptomatte_object": "CryptoObject",
+    "use_pass_cryptomatte_material": "CryptoMaterial",
+    "use_pass_cryptomatte_asset": "CryptoAsset",
+}
+# Beginnings of the names that passes of materials have in the film (`core/scene/passes.py`), by the type of an AOV
+AOV_BEGINNINGS = {"COLOR": "AOV color ", "VALUE": "AOV value "}
 
 
 def wanted_passes(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
     """Names of the passes that are rendered for `view_layer`."""
     own = getattr(view_layer, "raybatch", None)  # missing while the add-on is not registered
-    passes = [name for prop, name in PASS_PROPERTIES.items() if getattr(view_layer, prop)]
-    return ("Combined", *passes, *(name for prop, name in OWN_PASS_PROPERTIES.items() if getattr(own, prop, False)))
+    blenders = PASS_PROPERTIES | LIGHT_PASS_PROPERTIES
+    passes = [name for prop, name in blenders.items() if getattr(view_layer, prop)]
+    if getattr(getattr(view_layer, "cycles", None), "denoising_store_passes", False):
+        passes += DENOISING_PASSES
+    passes += [name for prop, name in OWN_PASS_PROPERTIES.items() if getattr(own, prop, False)]
+    levels = (min(16, view_layer.pass_cryptomatte_depth) + 1) // 2  # two in each pass, as in Cycles
+    for prop, kind in MATTE_PROPERTIES.items():
+        passes += [f"{kind}{i:02}" for i in range(levels) if getattr(view_layer, prop)]
+    return ("Combined", *passes, *(name for name, _ in wanted_aovs(view_layer)))
+
+
+def wanted_aovs(view_layer: bpy.types.ViewLayer) -> list[tuple[str, str]]:
+    """Names in the film and in Blender of the passes that materials write for `view_layer`."""
+    return [(AOV_BEGINNINGS[aov.type] + aov.name, aov.name) for aov in view_layer.aovs if aov.is_valid]
+
+
+def blender_name(name: str) -> str:
+    """The name that Blender knows the film's pass `name` by."""
+    for beginning in AOV_BEGINNINGS.values():
+        name = name.removeprefix(beginning)
+    return name

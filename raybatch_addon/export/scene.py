@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import bpy
 import numpy as np
 
 from ..core.scene.description import Frame, Scene
+from ..core.scene.notice import Notice, Weight, by_weight
 from .camera import export_camera
 from .drivers import failed_drivers
 from .meshes.instances import Cancelled, collect_placements
-from .passes import PASS_PROPERTIES, wanted_passes
+from .motion.shutter import Exposure, export_shutter, open_time
+from .motion.steps import MotionSteps, camera_steps
+from .passed_over.look import passed_over
+from .passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES, wanted_passes
+from .view import View
 from .world import export_world
 
+# Exponent of the share of mist, by Blender's name
+_MIST_FALLOFFS = {"QUADRATIC": 2.0, "LINEAR": 1.0, "INVERSE_QUADRATIC": 0.5}
 
-def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool] | None = None) -> Scene | None:
-    """The view layer of the depsgraph's scene, as its active camera sees it.
+
+def export_scene(
+    depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool] | None = None, view: View = View()
+) -> Scene | None:
+    """The view layer of the depsgraph's scene, as its active camera sees it in `view`.
 
     Returns None if `cancelled()`, which is called at least once for each mesh, returned True. Raises `SceneError` for a
     scene that cannot be rendered: without a camera, or with one that cannot be used.
@@ -24,25 +35,58 @@ def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool
     scene = depsgraph.scene
     frame = export_frame(scene, depsgraph.view_layer)
     warnings: list[str] = []
-    camera = export_camera(scene, depsgraph, frame.width, frame.height, warnings)
+    exposure = open_time(scene, depsgraph.view_layer, view, warnings)
+    if exposure is None:
+        return _exported(depsgraph, frame, view, cancelled or (lambda: False), warnings)
+    exposure.go_to(0.0)
     try:
-        placements = collect_placements(depsgraph, cancelled or (lambda: False))
+        return _exported(depsgraph, frame, view, cancelled or (lambda: False), warnings, exposure)
+    finally:
+        exposure.go_back()
+
+
+def _exported(
+    depsgraph: bpy.types.Depsgraph,
+    frame: Frame,
+    view: View,
+    cancelled: Callable[[], bool],
+    warnings: list[str],
+    exposure: Exposure | None = None,
+) -> Scene | None:
+    """The scene as it is now, and what moves of it while the shutter is open."""
+    scene = depsgraph.scene
+    camera = export_camera(scene, depsgraph, frame.width, frame.height, warnings, view)
+    try:
+        placements = collect_placements(depsgraph, cancelled, exposure is not None)
     except Cancelled:
         return None
     collections = placements.materials.collections
     # evaluated: with the current values of drivers and keyframes
     world = export_world(_world(depsgraph.scene_eval, depsgraph.view_layer_eval), warnings, collections)
-    instances = placements.instances()
+    instances = placements.instances("Object Index" in frame.passes)
     warnings += (
         placements.warnings
         + collections.warnings
         + failed_drivers(depsgraph)
-        + _unsupported(scene, depsgraph.view_layer)
+        + [Notice(line, Weight.MISSING) for line in _unsupported(scene, depsgraph.view_layer)]
+        + passed_over(depsgraph)
     )
+    meshes = placements.meshes
+    if exposure is not None:
+        steps = MotionSteps(exposure, placements, camera_steps(scene, view))
+
+        def camera_now() -> tuple:
+            now = export_camera(scene, depsgraph, frame.width, frame.height, [], view)
+            return now.transform, now.window
+
+        if not steps.collect(depsgraph, camera_now, cancelled):
+            return None
+        camera = replace(steps.camera(camera), shutter=export_shutter(scene))
+        instances, meshes = steps.instances(instances), steps.meshes()
     return Scene(
         camera=camera,
         frame=frame,
-        meshes=tuple(placements.meshes),
+        meshes=tuple(meshes),
         instances=instances,
         slot_materials=np.array(placements.slot_materials, np.int32),
         materials=tuple(placements.materials.materials),
@@ -51,7 +95,8 @@ def export_scene(depsgraph: bpy.types.Depsgraph, *, cancelled: Callable[[], bool
         images=tuple(collections.images),
         attributes=tuple(collections.attributes),
         object_names=tuple(placements.object_names),
-        warnings=tuple(dict.fromkeys(warnings)),
+        asset_names=tuple(placements.asset_names),
+        warnings=tuple(by_weight(dict.fromkeys(warnings))),
     )
 
 
@@ -72,7 +117,18 @@ def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Fra
         )
         if border == (0, 0, width, height):
             border = None
-    return Frame(width, height, border, bool(render.film_transparent), wanted_passes(view_layer))
+    passes, threshold = wanted_passes(view_layer), float(view_layer.pass_alpha_threshold)
+    return Frame(
+        width, height, border, bool(render.film_transparent), passes, _mist(scene.world), alpha_threshold=threshold
+    )
+
+
+def _mist(world: bpy.types.World | None) -> tuple[float, float, float]:
+    """`Frame.mist` as the world has it."""
+    if world is None:
+        return (0.0, 100.0, 1.0)  # as Cycles has it
+    mist = world.mist_settings
+    return float(mist.start), float(mist.depth), _MIST_FALLOFFS[mist.falloff]
 
 
 def _world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bpy.types.World | None:
@@ -83,11 +139,14 @@ def _world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bpy.types
 def _unsupported(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> list[str]:
     """Settings of the scene and the view layer that are not rendered, by name."""
     lines = []
-    if scene.render.use_motion_blur and getattr(view_layer, "use_motion_blur", True):
-        lines.append(f"scene “{scene.name}”: motion blur is not supported yet; the frame is rendered sharp")
-    if scene.render.use_multiview:
-        lines.append(f"scene “{scene.name}”: stereoscopy is not supported yet; every view shows the same picture")
-    known = {"use_pass_combined", "use_pass_cryptomatte_accurate", *PASS_PROPERTIES}  # accuracy is no pass of its own
+    # accuracy is no pass of its own
+    known = {
+        "use_pass_combined",
+        "use_pass_cryptomatte_accurate",
+        *PASS_PROPERTIES,
+        *LIGHT_PASS_PROPERTIES,
+        *MATTE_PROPERTIES,
+    }
     asked = [
         p
         for p in view_layer.bl_rna.properties.keys()

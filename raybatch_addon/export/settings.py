@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-import bpy
-import numpy as np
+from typing import Any
 
+import bpy
+
+from ..core.settings.info import SettingInfo, checked
 from ..core.settings.settings import BYTES, SETTINGS, RenderSettings
+from .asked import asked
+from .taken_over.rows import ROWS, exact
 
 
 def settings_from(scene: bpy.types.Scene) -> RenderSettings:
@@ -13,7 +17,29 @@ def settings_from(scene: bpy.types.Scene) -> RenderSettings:
     properties = getattr(scene, "raybatch", None)
     if properties is None:
         return RenderSettings()
-    return RenderSettings(**{name: _exact(getattr(properties, name)) for name in SETTINGS})
+    own = {name: exact(getattr(properties, name)) for name in SETTINGS}
+    return RenderSettings(**own | engine_settings(scene, asked().settings_from))
+
+
+def output_engine(scene: bpy.types.Scene) -> str:
+    """The engine whose output node counts where a material has one for each: CYCLES or EEVEE."""
+    own = getattr(scene, "raybatch_export", None)
+    return asked().settings_from or (own.material_output if own is not None else "CYCLES")
+
+
+def exposure_of(scene: bpy.types.Scene, engine: str = "") -> float:
+    """How many times as bright pictures are shown: as the scene says, or as `engine` has it."""
+    engine = engine or asked().settings_from
+    if engine:
+        return exact(getattr(getattr(scene, "cycles", None), "film_exposure", 1.0)) if engine == "CYCLES" else 1.0
+    own = getattr(scene, "raybatch_export", None)
+    return 1.0 if own is None else exact(own.exposure)
+
+
+def engine_settings(scene: bpy.types.Scene, engine: str) -> dict[str, Any]:
+    """Our settings as `engine` has them, by name; none for no engine."""
+    found = {row.setting: row.value(scene) for row in ROWS.get(engine, ())}
+    return {name: within(SETTINGS[name], value) for name, value in found.items() if value is not None}
 
 
 def assign_setting(properties: bpy.types.PropertyGroup, name: str, value) -> None:
@@ -24,7 +50,8 @@ def assign_setting(properties: bpy.types.PropertyGroup, name: str, value) -> Non
     setattr(properties, name, str(value) if SETTINGS[name].unit == BYTES else value)
 
 
-def _exact(value):
-    # Blender keeps float32: the shortest decimal of the same float32 is the number that was typed, and lies within the
-    # range
-    return float(str(np.float32(value))) if isinstance(value, float) else value
+def within(info: SettingInfo, value: Any) -> Any:
+    """A value of another engine within the range of our setting."""
+    if info.minimum is not None:
+        value = min(max(value, info.kind(info.minimum)), info.kind(info.maximum))
+    return checked(info, value)

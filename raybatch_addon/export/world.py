@@ -6,9 +6,9 @@ import bpy
 import numpy as np
 
 from ..core.scene.description import ClosureKind, Visibility, World
+from ..core.scene.notice import Notice, Weight, about
 from .nodes.collections import Collections
-from .nodes.compile import compile_graph
-from .nodes.graph import find_source
+from .nodes.compile import compile_graph, compile_volume
 
 # Texels around a world that varies, by whose brightness it is sampled: Cycles' number unless an image asks for more
 _SAMPLING_SIZE = 1024
@@ -26,19 +26,18 @@ def export_world(world: bpy.types.World | None, warnings: list[str], collections
     if world is None:
         return World()
     radiance = np.array(world.color[:3], float)
-    program = None
+    program = volume = None
     if has_nodes(world):
-        output = world.node_tree.get_output_node("CYCLES") or world.node_tree.get_output_node("ALL")
+        output = collections.output(world.node_tree)
         compiled = compile_graph(output.inputs["Surface"] if output else None, world, collections)
-        warnings += [f"world “{world.name}”: {note}" for note in compiled.notes]
+        warnings += [about(note, f"world “{world.name}”") for note in compiled.notes]
         program = compiled.program
         lit = [closure.weight for closure in compiled.closures if closure.kind == ClosureKind.EMISSION]
         radiance = np.sum(lit, axis=0) if lit else np.zeros(3)
-        volume = output.inputs.get("Volume") if output else None
-        if volume is not None and find_source(volume)[0] is not None:
-            warnings.append(f"world “{world.name}”: volumes are not supported; the world's volume is left out")
+        volume, notes = compile_volume(output.inputs.get("Volume") if output else None, world, collections)
+        warnings += [about(note, f"world “{world.name}”") for note in notes]
     radiance = usable_emission(radiance, f"world “{world.name}”", warnings)
-    return World(radiance, _visibility(world), program, _sampling_size(world, collections))
+    return World(radiance, _visibility(world), program, _sampling_size(world, collections), volume)
 
 
 def _sampling_size(world: bpy.types.World, collections: Collections) -> int:
@@ -61,7 +60,7 @@ def has_nodes(owner) -> bool:
 def usable_emission(emission: np.ndarray, name: str, warnings: list[str]) -> tuple[float, float, float]:
     """`emission` with unusable values replaced; each repair adds a line to `warnings`."""
     if not np.isfinite(emission).all():
-        warnings.append(f"{name}: its strength is not a finite number; it is taken as 0")
+        warnings.append(Notice(f"{name}: its strength is not a finite number; it is taken as 0", Weight.REPAIRED))
         emission = np.where(np.isfinite(emission), emission, 0)
     if (emission < 0).any():
         warnings.append(f"{name}: negative strength is not supported; it is taken as 0")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from . import (
+    before_render,
     builtin_panels,
+    camera_panels,
     choices,
     convergence,
     data_panels,
@@ -20,6 +22,8 @@ _parts = (
     presets,
     render_panels,
     data_panels,
+    camera_panels,
+    before_render,
     last_render,
     convergence,
     builtin_panels,

@@ -15,9 +15,6 @@ _LEFT_OUT = {
     "DATA_PT_volume_render",
     "OBJECT_PT_shading",  # light linking
     "PARTICLE_PT_hair_shape",
-    "RENDER_PT_stereoscopy",
-    "RENDER_PT_output_views",
-    "DATA_PT_camera_stereoscopy",
     "PHYSICS_PT_fluid_domain_render",
 }
 _LEFT_OUT_FAMILIES = (

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..export.passes import COST_PASS_PROPERTIES, PASS_PROPERTIES
+from ..export.passes import COST_PASS_PROPERTIES, LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES
 from .panel import EnginePanel
 
 _GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
@@ -25,7 +25,17 @@ class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
         column = layout.column(heading="Include")
         for name in ("use_pass_combined", *PASS_PROPERTIES):
             column.prop(context.view_layer, name)
+        column.prop(context.view_layer, "pass_alpha_threshold")
         column.prop(context.view_layer.raybatch, "use_pass_sample_count")
+        if hasattr(context.view_layer, "cycles"):  # the property is Cycles' own
+            column.prop(context.view_layer.cycles, "denoising_store_passes", text="Denoising Data")
+        column = layout.column(heading="Light")
+        for name in LIGHT_PASS_PROPERTIES:
+            column.prop(context.view_layer, name)
+        column = layout.column(heading="Cryptomatte")
+        for name in MATTE_PROPERTIES:
+            column.prop(context.view_layer, name)
+        column.prop(context.view_layer, "pass_cryptomatte_depth", text="Levels")
         column = layout.column(heading="Cost")
         for name in COST_PASS_PROPERTIES:
             column.prop(context.view_layer.raybatch, name)

@@ -29,6 +29,12 @@ def _search_devices(_self, _context, text: str):
     return [choice for choice in device_names() if text.lower() in choice[0].lower()]
 
 
+def _update_passes(_self, context) -> None:
+    # the compositor's Render Layers node gets its socket, or loses it
+    if context.view_layer is not None:
+        context.view_layer.update_render_passes()
+
+
 def _property(info: SettingInfo):
     """Blender's property for one setting."""
     about = dict(name=info.label, description=_description(info), default=info.default, options=set())
@@ -37,6 +43,8 @@ def _property(info: SettingInfo):
         # says, and the render names the devices that there are. Warp starts when the list is opened.
         return bpy.props.StringProperty(search=_search_devices, search_options={"SUGGESTION"}, **about)
     if info.choices:
+        if info.name == "denoise":  # it asks for a pass
+            about["update"] = _update_passes
         return bpy.props.EnumProperty(items=list(info.choices), **about)
     if info.kind is str:
         return bpy.props.StringProperty(**about)
@@ -103,12 +111,6 @@ RayBatchSettings = type(
     (bpy.types.PropertyGroup,),
     {"__doc__": "RayBatch's settings of a scene.", "__annotations__": _annotations()},
 )
-
-
-def _update_passes(_self, context) -> None:
-    # the compositor's Render Layers node gets its socket, or loses it
-    if context.view_layer is not None:
-        context.view_layer.update_render_passes()
 
 
 def _cost_pass(name: str, description: str):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..blender.denoise_library import why_not
 from ..core.errors import SettingsError
 from ..core.settings.info import GroupInfo
 from ..core.settings.settings import BYTES, GROUPS, SETTINGS, SettingInfo, parse_setting
@@ -28,17 +29,23 @@ def _draw(self, context):
     layout = self.layout
     layout.use_property_split = True
     layout.use_property_decorate = False
+    missing = why_not(context.scene.raybatch.denoise_library) if self.group == "DENOISING" else ""
     column = layout.column()
     for info in SETTINGS.values():
         if info.group == self.group:
             row = column.row(align=True)
             row.active = _is_heard(context.scene.raybatch, info.name)
+            row.enabled = not missing or info.name == "denoise_library"
             row.prop(context.scene.raybatch, shown_name(info))
             draw_choice(row, context, info)
             if info.unit == BYTES:
                 _draw_text_complaint(column, context, info)
+    if missing:
+        draw_lines(layout.box(), context, [missing], "INFO")
     for name in _BUILTIN.get(self.group, ()):
         column.prop(context.scene.render, name)
+    if self.group == "FILM":
+        column.prop(context.scene.raybatch_export, "exposure")
     if self.group == _SCHEDULE:
         _draw_complaint(layout, context)
     elif self.group == "MEMORY":
@@ -47,6 +54,9 @@ def _draw(self, context):
 
 def _is_heard(settings, name: str) -> bool:
     """Whether a setting has a say: no other already says what it would, or leaves nothing to say."""
+    if name.startswith("denoise_"):
+        guided = name != "denoise_prefilter" or settings.denoise_inputs != "NONE"
+        return name == "denoise_library" or (settings.denoise == "ON" and guided)
     is_adaptive = settings.adaptive_sampling == "ON"
     if name == "error_estimate":
         return not (settings.error_target > 0 or is_adaptive)

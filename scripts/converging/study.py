@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 import time
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from benchmarking.progress import Steps
 from benchmarking.whole_render import OpenedScene, RenderRequest, open_scene
+from lib.command import UsageError
 from lib.output import tell_warnings
 
 from converging.flip import MISSING, flip_function
@@ -26,12 +28,17 @@ from converging.request import (
     run_settings,
     variants,
 )
+from raybatch_addon.blender.denoise_library import library_for
+from raybatch_addon.blender.denoising import with_guides
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
 from raybatch_addon.core.convergence.points import ConvergenceRecorder, ErrorPoint, error_point
+from raybatch_addon.core.denoise.library import DenoiseLibrary
+from raybatch_addon.core.denoise.picture import COMBINED, denoised
 from raybatch_addon.core.device.devices import device_description, find_device
 from raybatch_addon.core.measure.snapshot import Snapshot
 from raybatch_addon.core.measure.statistics import versions
 from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings.settings import RenderSettings
 
 WARM_UP_SAMPLES = 4  # of a first render, unless time ends the runs
 WARM_UP_SHARE, WARM_UP_SECONDS = 0.25, 2.0  # then it takes this share of a run's time, and no longer than this
@@ -89,6 +96,9 @@ def measured(request: ConvergenceRequest) -> Study:
     competing = variants(comparison, settings, request.settings)
     if request.cycles:
         competing.append(Variant(CYCLES, {"engine": CYCLES}, settings, CYCLES))
+    for variant in competing:
+        if library_for(variant.settings) and request.reference_from == "halves":
+            raise UsageError("--reference halves does not see what denoising does wrong: choose another reference")
     device = find_device(request.device)
     study = Study(opened, competing, device_description(device))
     flip = flip_function() if request.flip and request.reference_from != "halves" else None
@@ -164,7 +174,7 @@ class _Runner:
         else:  # long enough to tell how many samples a run will have
             settings = settings.replace(time_limit=min(WARM_UP_SHARE * self._request.seconds, WARM_UP_SECONDS))
         start = time.perf_counter()
-        film = self._session.render(self._study.opened.scene, settings, observers=[recorder])
+        film = self._session.render(with_guides(self._study.opened.scene, settings), settings, observers=[recorder])
         self._study.first_seconds[variant.label] = time.perf_counter() - start
         warnings = [text for text in film.statistics["warnings"] if text not in self._study.warnings]
         tell_warnings(warnings, "convergence.py")
@@ -192,5 +202,19 @@ class _Runner:
             peer = open_peer(self._study.opened, self._session.device, variant.settings)
             return cycles_snapshots(peer, seed, variant.settings.sample_count, self._request.seconds)
         recorder = ConvergenceRecorder()
-        self._session.render(self._study.opened.scene, variant.settings.replace(seed=seed), observers=[recorder])
-        return recorder.snapshots
+        scene = with_guides(self._study.opened.scene, variant.settings)
+        self._session.render(scene, variant.settings.replace(seed=seed), observers=[recorder])
+        denoiser = library_for(variant.settings)
+        if denoiser is None:
+            return recorder.snapshots
+        return [_denoised(each, variant.settings, denoiser) for each in recorder.snapshots]
+
+
+def _denoised(snapshot: Snapshot, settings: RenderSettings, library: DenoiseLibrary) -> Snapshot:
+    """`snapshot` with its picture denoised, and the time that this takes in its seconds."""
+    start = time.perf_counter()
+    picture = denoised({COMBINED: snapshot.picture} | snapshot.guides, settings, library)
+    took = time.perf_counter() - start
+    return dataclasses.replace(
+        snapshot, picture=picture, seconds=snapshot.seconds + took, seconds_total=snapshot.seconds_total + took
+    )

@@ -150,6 +150,11 @@ def _notes(study: Study, outcomes: list[Outcome]) -> list[str]:
             notes.append(
                 f"{each.variant.label}: {', '.join(clamps)} takes light away, which is a bias (0: no clamping)"
             )
+        if each.variant.settings.denoise == "ON" and each.variant.engine == RAYBATCH:
+            notes.append(
+                f"{each.variant.label}: pictures are denoised, which is a bias that more samples make smaller; their "
+                "seconds include that of denoising them"
+            )
         if each.variant.engine == CYCLES and any(point.seconds == point.seconds_total for point in each.last):
             notes.append(
                 f"{each.variant.label}: its renders are too short to tell what of them is set-up: that is in their "

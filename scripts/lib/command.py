@@ -9,11 +9,15 @@ from typing import Any
 from lib.output import OutputFolders, own_standard_output
 from raybatch_addon.core.errors import RayBatchError
 
-ERROR, STOPPED = 1, 130  # exit codes: 130 is that of an interrupt (128 + SIGINT)
+ERROR, REFUSED, STOPPED = 1, 3, 130  # exit codes: 130 is that of an interrupt (128 + SIGINT)
 
 
 class UsageError(RayBatchError):
     """Arguments that do not go together."""
+
+
+class RefusedError(RayBatchError):
+    """Something that was not done because it would have lacked what it may not lack."""
 
 
 def run_command(
@@ -49,7 +53,7 @@ def exit_code(
         # the text of a KeyError is its key in quotes
         text = str(error.args[0]) if isinstance(error, LookupError) and error.args else str(error)
         print(f"{script}: error: {' '.join(text.split())}", file=sys.stderr)
-        return ERROR
+        return REFUSED if isinstance(error, RefusedError) else ERROR
     except KeyboardInterrupt:
         print(f"{script}: {stopped}", file=sys.stderr)
         return STOPPED

@@ -107,6 +107,7 @@ def make_unbiased(scene, settings: RenderSettings) -> None:
     cycles.min_light_bounces = cycles.min_transparent_bounces = 0
     for name in ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces", "volume_bounces"):
         setattr(cycles, name, settings.bounce_max)
+    cycles.volume_bounces = min(settings.bounce_max, settings.volume_bounce_max)
     cycles.transparent_max_bounces = settings.transparent_bounce_max
 
 

@@ -124,7 +124,7 @@ def write_film(path: Path, films: list[tuple[str, Film]]) -> None:
     """
     arrays = {}
     for number, (layer, film) in enumerate(films):
-        for name, values in film.passes.items():
+        for name, values in film.shown.items():
             arrays[name if number == 0 else f"{layer}/{name}"] = values
 
     def write(temporary: Path) -> None:
@@ -172,7 +172,19 @@ def json_text(value: Any) -> str:
 
 
 # What people look for comes before the rest, and what is long behind it
-_FIRST = ("engine", "warnings", "auto", "device", "frame", "seconds", "samples", "rays", "rays_per_second", "complete")
+_FIRST = (
+    "engine",
+    "warnings",
+    "missing",
+    "auto",
+    "device",
+    "frame",
+    "seconds",
+    "samples",
+    "rays",
+    "rays_per_second",
+    "complete",
+)
 _LAST = ("batching", "counters", "settings", "left_out", "modules", "versions")
 
 
@@ -194,9 +206,16 @@ def tell_warnings(warnings: Iterable[str], script: str = "render.py") -> None:
     """Write what a render of `script` did without, or did otherwise, to standard error."""
     warnings = list(warnings)
     for text in warnings[:WARNINGS_SHOWN]:
-        print(f"{script}: warning: {text}", file=sys.stderr)
+        remedy = getattr(text, "remedy", "")
+        print(f"{script}: warning: {text}{f' ({remedy})' if remedy else ''}", file=sys.stderr)
     if len(warnings) > WARNINGS_SHOWN:
         print(f"{script}: warning: {len(warnings) - WARNINGS_SHOWN} more; --json lists them", file=sys.stderr)
+
+
+def tell_notes(texts: Iterable[str], script: str = "render.py") -> None:
+    """Write what `script` did beside what was said, to standard error."""
+    for text in texts:
+        print(f"{script}: {text}", file=sys.stderr)
 
 
 def tell_saved(path: Path, what: str = "") -> None:

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from lib.command import UsageError
+from lib.command import RefusedError, UsageError
 from lib.output import (
     OutputError,
     OutputFolders,
     described,
     numbered,
+    tell_notes,
     tell_saved,
     tell_warnings,
     write_film,
@@ -28,8 +29,9 @@ from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.export.passes import OWN_PASS_PROPERTIES, PASS_PROPERTIES
+from raybatch_addon.export.passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, OWN_PASS_PROPERTIES, PASS_PROPERTIES
 from raybatch_addon.export.settings import assign_setting, settings_from
+from raybatch_addon.export.taken_over.take import take_over
 from rendering.imported import import_geometry
 from rendering.pictures import write_heat_map
 from rendering.progress import ProgressBar
@@ -63,6 +65,7 @@ class BlenderRender:
         self._films: list[tuple[str, Film]] = []  # of the frame in work, by view layer
         self._statistics: list[dict[str, Any]] = []
         self._scene_saved = False
+        self._told: set[str] = set()  # messages about the exported scene
 
     def run(self) -> None:
         """Open, render and write what was asked for; raises `RayBatchError`."""
@@ -73,9 +76,11 @@ class BlenderRender:
             _open(request)
             scene = bpy.context.scene
             _choose_view_layers(scene, request.view_layers)
-            _apply_settings(scene, request)
             _ask_for_passes(scene, request.passes)
             frames = request.frames or (scene.frame_current,)
+            _take_over_settings(scene, request)
+            if request.strict:
+                scene.raybatch_export.strict = request.strict
             if request.save_scene and (len(frames) > 1 or sum(layer.use for layer in scene.view_layers) > 1):
                 raise UsageError(
                     "--save-scene holds one picture: choose one frame with --frame and one layer with --view-layer"
@@ -99,15 +104,16 @@ class BlenderRender:
         frame.film_listeners.append(self._on_film)
 
     def _on_scene(self, _layer: str, exported: Scene, settings: RenderSettings) -> None:
+        tell_warnings(exported.warnings)
+        self._told = set(exported.warnings)
         if self._request.save_scene and not self._scene_saved:
             save_scene(Path(self._request.save_scene).absolute(), exported, settings)
             self._scene_saved = True
             if not self._request.renders:
-                tell_warnings(exported.warnings)
                 raise _SceneSaved("the scene is saved")
 
     def _on_film(self, layer: str, _exported: Scene, film: Film) -> None:
-        tell_warnings(film.statistics["warnings"])
+        tell_warnings(text for text in film.statistics["warnings"] if text not in self._told)
         self._statistics.append(described(film, bpy.context.scene.frame_current, layer))
         if self._request.film or self._request.heat_maps:
             self._films.append((layer, film))
@@ -163,11 +169,12 @@ class BlenderRender:
             told = report.errors if report is not None and report is not before else []
             if self._scene_saved and not self._request.renders:
                 return
-            raise SceneError(told[0] if told else _one_line(error)) from None
+            kind = RefusedError if report is not None and report is not before and report.refused else SceneError
+            raise kind(told[0] if told else _one_line(error)) from None
         if (report := reports.last()) is not None and report is not before and report.errors and not self._scene_saved:
             if report.interrupted:
                 raise KeyboardInterrupt
-            raise SceneError(report.errors[0])
+            raise (RefusedError if report.refused else SceneError)(report.errors[0])
 
 
 class _Workshop:
@@ -228,6 +235,14 @@ def _choose_view_layers(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
         scene.render.use_single_layer = False
 
 
+def _take_over_settings(scene: bpy.types.Scene, request: Request) -> None:
+    """The settings of another engine, where asked for, and those of the command line on top of them."""
+    if request.settings_from:
+        changed = take_over(scene, request.settings_from)
+        tell_notes(each.text(request.settings_from) for each in changed)
+    _apply_settings(scene, request)
+
+
 def _apply_settings(scene: bpy.types.Scene, request: Request) -> None:
     for name, value in request.settings.items():
         assign_setting(scene.raybatch, name, value)
@@ -240,10 +255,18 @@ def _apply_settings(scene: bpy.types.Scene, request: Request) -> None:
 def _ask_for_passes(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
     """Let all view layers render the passes `names` beside those that they have."""
     for layer in scene.view_layers:
-        for owner, properties in ((layer, PASS_PROPERTIES), (layer.raybatch, OWN_PASS_PROPERTIES)):
+        for owner, properties in (
+            (layer, PASS_PROPERTIES | LIGHT_PASS_PROPERTIES),
+            (layer.raybatch, OWN_PASS_PROPERTIES),
+        ):
             for prop, name in properties.items():
                 if name in names:
                     setattr(owner, prop, True)
+        for prop, kind in MATTE_PROPERTIES.items():
+            levels = [2 * int(name[-2:]) + 2 for name in names if name.startswith(kind)]
+            if levels:
+                setattr(layer, prop, True)
+                layer.pass_cryptomatte_depth = max(layer.pass_cryptomatte_depth, *levels)
 
 
 def _picture_format(out: str) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from typing import BinaryIO
 import numpy as np
 from lib.output import OutputError, tell_saved, write_whole
 
+from raybatch_addon.core.denoise.picture import COMBINED, NOISY_IMAGE
 from raybatch_addon.core.film import Film
 
 FORMATS = (".png", ".exr")
@@ -43,7 +44,7 @@ def picture_path(out: Path) -> Path:
 def write_picture(path: Path, film: Film) -> None:
     """Write the rendered region of `film` to `path`, whole or not at all."""
     write = _write_exr if path.suffix.lower() == ".exr" else _write_png
-    write_whole(path, lambda temporary: write(temporary, film.passes))
+    write_whole(path, lambda temporary: write(temporary, film.shown))
 
 
 def display_pixels(combined: np.ndarray) -> np.ndarray:
@@ -99,9 +100,9 @@ def _write_exr(path: Path, passes: dict[str, np.ndarray]) -> None:
 
     channels = {}
     for name, values in passes.items():
-        letters = "RGBA" if name == "Combined" else "V" if values.shape[2] == 1 else "XYZ"
+        letters = "RGBA" if name in (COMBINED, NOISY_IMAGE) else "V" if values.shape[2] == 1 else "XYZ"
         for k, letter in enumerate(letters):
-            channels[letter if name == "Combined" else f"{name}.{letter}"] = np.ascontiguousarray(values[::-1, :, k])
+            channels[letter if name == COMBINED else f"{name}.{letter}"] = np.ascontiguousarray(values[::-1, :, k])
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, channels) as file:
         file.write(str(path))

@@ -10,6 +10,7 @@ from typing import Any
 from lib.command import UsageError
 
 from raybatch_addon.core.errors import SettingsError
+from raybatch_addon.core.scene.passes import PASSES
 from raybatch_addon.core.scene.validate import PASS_NAMES
 from raybatch_addon.core.settings.presets import preset_settings
 from raybatch_addon.core.settings.settings import parse_setting
@@ -26,7 +27,7 @@ KINDS = (
 )
 RESOLUTION_DEFAULT = (960, 540)  # of geometry, which has none of its own [pixels]
 RESOLUTION_MAX = 65_536  # Blender's own limit
-VECTOR_PASSES = ("Combined", "Position", "Normal")
+VECTOR_PASSES = tuple(name for name, channels in PASSES.items() if channels > 1)
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ class Request:
     save_scene: str | None = None
     camera: str | None = None
     up: str | None = None
+    settings_from: str = ""  # CYCLES or EEVEE: take over that engine's settings first
+    strict: str = ""  # name of a `Weight`: what weighs so much may not be missing
 
     @property
     def renders(self) -> bool:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-from lib.command import UsageError
+from lib.command import RefusedError, UsageError
 from lib.geometry_files import load_geometry, parse_view
 from lib.output import OutputFolders, described, tell_saved, tell_warnings, write_film, write_json
 
+from raybatch_addon.blender.denoise_library import library_for
+from raybatch_addon.blender.denoising import denoise_film, with_guides
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
 from raybatch_addon.core.scene.archive import load_scene, save_scene
 from raybatch_addon.core.scene.description import Camera, Scene
+from raybatch_addon.core.scene.notice import Weight, by_weight
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from rendering.pictures import picture_path, write_heat_map, write_picture
@@ -21,6 +24,8 @@ from rendering.request import ARCHIVE, RESOLUTION_DEFAULT, Request
 
 def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar, standard_output) -> None:
     """Render `request.source`, and write what was asked for; raises `RayBatchError`."""
+    if request.settings_from:
+        raise UsageError(f"{request.source} holds no settings of other engines; --settings-from is for .blend files")
     if request.frames is not None or request.view_layers:
         raise UsageError(f"{request.source} holds one picture; --frame, --frames and --view-layer are for .blend files")
     out = picture_path(Path(request.out).absolute()) if request.out else None
@@ -35,16 +40,21 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
     settings = settings.replace(**request.settings)
     if request.save_scene:
         save_scene(Path(request.save_scene).absolute(), scene, settings)
+    tell_warnings(scene.warnings)
     if not request.renders:
-        tell_warnings(scene.warnings)
         return
+    _refuse(request, scene)
+    denoiser = library_for(settings)
+    scene = with_guides(scene, settings)
     session = Session(settings.device, settings, kernel_cache_folder())
     try:
         film = session.render(scene, settings, on_progress=bar.show)
     finally:
         session.close()
         bar.close()
-    tell_warnings(film.statistics["warnings"])
+    if denoiser is not None:
+        denoise_film(film, settings, denoiser)
+    tell_warnings(text for text in film.statistics["warnings"] if text not in scene.warnings)
     if out is not None:
         write_picture(out, film)
         tell_saved(out)
@@ -54,6 +64,13 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
         write_heat_map(path, film, name)
     if request.json:
         write_json(request.json, [described(film, None, None)], standard_output)
+
+
+def _refuse(request: Request, scene: Scene) -> None:
+    """Raise `RefusedError` if the scene was exported without what `--strict` asks for."""
+    heavy = [each for each in by_weight(scene.warnings) if request.strict and each.weight >= Weight[request.strict]]
+    if heavy:
+        raise RefusedError(f"not rendered, as nothing may be missing: {heavy[0]}")
 
 
 def _scene_and_settings(request: Request) -> tuple[Scene, RenderSettings]:

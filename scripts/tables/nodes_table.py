@@ -47,7 +47,8 @@ FOLLOWED = {
         "FunctionNodeInputMenu",
         "NodeImplicitConversion",
     ),
-    "Left out: passes of shaders, and lines": ("ShaderNodeOutputAOV", "ShaderNodeOutputLineStyle"),
+    "What is linked to it goes to a pass of the view layer; in materials": ("ShaderNodeOutputAOV",),
+    "Left out: lines": ("ShaderNodeOutputLineStyle",),
 }
 _NOTHING = ("NodeFrame",)  # has no sockets
 _BASES = {"ShaderNode", "ShaderNodeTree", "ShaderNodeCustomGroup"}  # of classes, not kinds of nodes

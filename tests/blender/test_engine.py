@@ -11,12 +11,9 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import frame, reports, sessions  # noqa: E402
-from raybatch_addon.blender.result import PASSES as result_passes  # noqa: E402
 from raybatch_addon.blender.result import ResultWriter, register_passes  # noqa: E402
 from raybatch_addon.core.errors import SceneError  # noqa: E402
-from raybatch_addon.core.film import PASSES as film_passes  # noqa: E402
-from raybatch_addon.core.film.layout import COST_PASSES  # noqa: E402
-from raybatch_addon.export.passes import COST_PASS_PROPERTIES, OWN_PASS_PROPERTIES, PASS_PROPERTIES  # noqa: E402
+from raybatch_addon.export.passes import OWN_PASS_PROPERTIES  # noqa: E402
 from tests.support.blender_builders import add_object, add_triangle, material_of, node_tree  # noqa: E402
 from tests.support.blender_watch import watch_engines  # noqa: E402
 
@@ -213,13 +210,6 @@ def test_the_compositor_has_a_socket_for_each_pass(lit):
         assert name in sockets()
         setattr(layer.raybatch, prop, False)
         assert name not in sockets()
-
-
-def test_passes_of_the_panel_are_those_of_the_film():
-    names = {"Combined", *PASS_PROPERTIES.values(), *OWN_PASS_PROPERTIES.values()}
-    assert names == set(film_passes) == set(result_passes)
-    assert tuple(COST_PASS_PROPERTIES.values()) == COST_PASSES
-    assert {name: about[0] for name, about in result_passes.items()} == film_passes
 
 
 def test_every_view_layer_is_rendered_with_its_own_objects(lit, films, tmp_path):

@@ -140,7 +140,9 @@ def test_panels_are_there_for_this_engine_only(scene):
 def test_the_other_panels_draw_what_exists(scene):
     light = bpy.data.lights.new("Light", "AREA")
     obj = bpy.data.objects.new("Light", light)
-    context = context_of(scene, object=obj, light=light)
+    camera = bpy.data.cameras.new("Camera")
+    camera.type = "PANO"
+    context = context_of(scene, object=obj, light=light, camera=camera)
     drawn_properties = {}
     for panel in own_panels():
         if panel.bl_context != "render":
@@ -169,6 +171,7 @@ def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
         "RENDER_PT_frame_range",
         "RENDER_PT_color_management",
         "RENDER_PT_simplify",
+        "RENDER_PT_stereoscopy",
         "VIEWLAYER_PT_layer",
         "DATA_PT_lens",
         "DATA_PT_camera_dof",
@@ -184,13 +187,7 @@ def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
         "TEXTURE_PT_image",
     ):
         assert hasattr(bpy.types, name) and name in enabled, name
-    for name in (
-        "RENDER_PT_freestyle",
-        "DATA_PT_light",
-        "OBJECT_PT_shading",
-        "VIEWLAYER_PT_eevee_layer_passes_data",
-        "RENDER_PT_stereoscopy",
-    ):
+    for name in ("RENDER_PT_freestyle", "DATA_PT_light", "OBJECT_PT_shading", "VIEWLAYER_PT_eevee_layer_passes_data"):
         assert name not in enabled
     assert not {
         name

@@ -22,7 +22,7 @@ from raybatch_addon.core.shading.lights.light_table import upload_lights
 from raybatch_addon.core.wavefront.estimates.launch import brightness_of_lamps
 from raybatch_addon.core.wavefront.kernels import StageKernels
 from raybatch_addon.core.wavefront.scene.scene_data import SceneData
-from raybatch_addon.core.wavefront.stages.connect import connect
+from raybatch_addon.core.wavefront.stages.connect import make_connect
 from raybatch_addon.core.wavefront.stages.stage import stage_kernel
 from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from tests.stability.bench import WAITING, rays_wait
@@ -176,7 +176,7 @@ def test_scenes_pay_for_programs_of_lamps_only_where_there_are_some():
     assert changed == programs  # values compile nothing
     kernels, others = (StageKernels.choose(each, wp.get_device("cpu")).shading for each in (plain, programs))
     assert (
-        kernels[ShadingStage.CONNECT] is stage_kernel(connect)
+        kernels[ShadingStage.CONNECT] is stage_kernel(make_connect(False), ShadingStage.CONNECT)
         and kernels[ShadingStage.LIGHT_HITS] is not others[ShadingStage.LIGHT_HITS]
     )
 

@@ -194,7 +194,7 @@ def test_what_others_print_stays_off_standard_output(sheet, tmp_path, capfd, mon
     said = capfd.readouterr()
     assert json.loads(said.out)["engine"] == "RayBatch"
     # what people look for first
-    assert list(json.loads(said.out))[:3] == ["engine", "warnings", "auto"]
+    assert list(json.loads(said.out))[:4] == ["engine", "warnings", "missing", "auto"]
     assert '"region": [0, 0, 16, 12]' in said.out
     assert "from" not in said.err
     assert render.main([str(sheet), "-o", str(tmp_path / "x.png"), "--verbose", *SMALL]) == 0

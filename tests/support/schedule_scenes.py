@@ -5,12 +5,19 @@ import functools
 from checking.films import FilmComparer
 
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Scene
+from raybatch_addon.core.scene.passes import COST_PASSES, GUIDE_PASSES, MATTE_PASSES
+from raybatch_addon.core.scene.passes import PASSES as PASS_CHANNELS
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2, clamp_indirect=3.0)
-PASSES = ("Combined", "Depth", "Normal", "Position")
+# Every pass of the general tier but those that show cost, and of mattes those of two levels
+PASSES = tuple(
+    name
+    for name in PASS_CHANNELS
+    if name not in (*COST_PASSES, *GUIDE_PASSES) and (name not in MATTE_PASSES or name.endswith("00"))
+)
 
 
 def frame(width: int = 16, height: int = 12) -> Frame:

@@ -36,6 +36,7 @@ class GeometrySize:
     vertices: int
     largest: int  # triangles of the largest mesh tree
     smooth: bool  # whether there are normals
+    curves: bool = False  # whether some triangles are segments of curves
 
     @staticmethod
     def of(scene: Scene) -> GeometrySize:
@@ -53,9 +54,10 @@ class GeometrySize:
                 baked[seen[i]] = baked.get(seen[i], 0) + len(mesh.triangles)
         return GeometrySize(
             sum(len(mesh.triangles) for mesh, _ in filled),
-            sum(len(mesh.positions) for mesh, _ in filled),
+            sum(len(mesh.positions) + len(mesh.triangles) * (mesh.radii is not None) for mesh, _ in filled),
             max([0, *trees, *baked.values()]),
             any(mesh.corner_normals is not None for mesh, _ in filled),
+            any(mesh.radii is not None for mesh, _ in filled),
         )
 
     def arrays(self) -> int:

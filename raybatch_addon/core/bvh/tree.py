@@ -28,6 +28,14 @@ class Tree:
     merged_first: wp.array(dtype=int)  # first of an entry's baked instances in the next two, shape [entry_count + 1]
     merged_instance: wp.array(dtype=int)
     merged_triangle_first: wp.array(dtype=int)
+    # what moves; no entries where nothing does
+    entry_motion: wp.array(dtype=int)  # row of an entry's keys in the next; -1: it stays where it is
+    motion_keys: wp.array(dtype=float)  # `motion_keys` of what moves, shape [rows * steps * KEY_FLOATS]
+    motion_steps: int
+    # by entry: triangles, or groups of them, of one step of its vertices: those of all steps lie one behind another.
+    # 0: they do not deform
+    entry_deform: wp.array(dtype=int)
+    deform_steps: int
     # top level
     top_node: int  # its first node
     top_entry: wp.array(dtype=int)  # what its leaves list, shape [entry_count]

@@ -6,6 +6,8 @@ from typing import Any
 
 import warp as wp
 
+from .kernel import block_size_of
+
 
 class RepeatedLaunches:
     """Launches kernels on one device, for one thread.
@@ -27,7 +29,8 @@ class RepeatedLaunches:
             return
         kept = self._kept.get(kernel)
         if kept is None:
-            command = wp.launch(kernel, count, list(inputs), device=self._device, record_cmd=True)
+            options = {"block_dim": block_size_of(kernel)} if self._device.is_cuda else {}
+            command = wp.launch(kernel, count, list(inputs), device=self._device, record_cmd=True, **options)
             self._kept[kernel] = kept = _Kept(command, count, list(inputs))
         else:
             kept.change(count, inputs)

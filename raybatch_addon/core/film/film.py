@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,9 +11,11 @@ import numpy as np
 
 from ..errors import RayBatchError
 from ..scene.description import Frame
-from .layout import PASSES, ChannelLayout, layout_of, split_passes
+from ..scene.passes import matte_kinds
+from .host_samples import HostSamples
+from .layout import ChannelLayout, channels_of, layout_of, split_passes
 from .sums import WIDE_DIGITS, ExactSums, means_of, normalised
-from .tile import FinishedTile, HostSamples
+from .tile import FinishedTile
 
 
 @dataclass(kw_only=True)
@@ -38,6 +41,8 @@ class Film:
     # Films of either half of the samples, with seeds of their own, whose exact sum this is; None: all samples are here.
     # Of the passes that the first sample decides the second half has none
     halves: tuple[Film, Film] | None = field(default=None, repr=False)
+    # What was made of the passes when all was there, by name: a denoised picture, and the noisy one
+    made: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
     _sum: HostSamples | None = field(default=None, repr=False)  # of the halves, where it was asked for
 
     @staticmethod
@@ -99,6 +104,11 @@ class Film:
         means = means_of(self.sums.window, self.sums.wide, self.counts, self.layout.count)
         return split_passes(self.pass_names, self.layout, means, self._fetched().single(self.pass_names), self.shape)
 
+    @property
+    def shown(self) -> dict[str, np.ndarray]:
+        """`passes`, with what was made of them in their place."""
+        return self.passes | self.made
+
     def add_tile(self, tile: FinishedTile) -> dict[str, np.ndarray]:
         """Add the samples of `tile`, or replace the tile that it went on from by it; returns the passes of its
         rectangle.
@@ -121,7 +131,7 @@ class Film:
             return {
                 name: values[bottom : bottom + height, left : left + width] for name, values in self.picture.items()
             }
-        samples = self._fetched().part(self._pixels(x, y, width, height))
+        samples = self._fetched().part(self._pixels(x, y, width, height), self._matte_kinds)
         means = means_of(samples.sums.window, samples.sums.wide, samples.counts, self.layout.count)
         return split_passes(self.pass_names, self.layout, means, samples.single(self.pass_names), (height, width))
 
@@ -162,7 +172,11 @@ class Film:
         if self.halves:
             return FinishedTile.sum_of(*(half.tile_on(rectangle, device) for half in self.halves))
         return FinishedTile.on_device(
-            rectangle, self._fetched().part(self._pixels(*rectangle)), self.layout, self.pass_names, device
+            rectangle,
+            self._fetched().part(self._pixels(*rectangle), self._matte_kinds),
+            self.layout,
+            self.pass_names,
+            device,
         )
 
     def save_npz(self, path: str | Path) -> None:
@@ -177,7 +191,7 @@ class Film:
             self.picture = tile.passes
             return
         if self.picture is None:
-            self.picture = {name: np.zeros((*self.shape, PASSES[name]), np.float32) for name in self.pass_names}
+            self.picture = {name: np.zeros((*self.shape, channels_of(name)), np.float32) for name in self.pass_names}
             if not self.layout.transparent and "Combined" in self.picture:
                 self.picture["Combined"][..., 3] = 1
         for name, pixels in self.part(tile.x, tile.y, tile.width, tile.height).items():
@@ -207,9 +221,16 @@ class Film:
                 cells[:, pixels] = normalised(cells[:, pixels] + theirs.reshape(len(mine), -1, channels))
         self.samples.counts[pixels] += samples.counts
         for name, values in samples.first.items():
-            self.samples.first[name].reshape(-1, PASSES[name])[pixels] += values.reshape(-1, PASSES[name])
+            self.samples.first[name].reshape(-1, channels_of(name))[pixels] += values.reshape(-1, channels_of(name))
         for name, values in samples.cost.items():
             self.samples.cost[name][pixels] += values
+        if len(samples.mattes.cell):
+            mattes = self.samples.mattes.plus(samples.mattes.moved(pixels, self._matte_kinds))
+            self.samples = dataclasses.replace(self.samples, mattes=mattes)
+
+    @property
+    def _matte_kinds(self) -> int:
+        return len(matte_kinds(self.pass_names))
 
     def _pixels(self, x: int, y: int, width: int, height: int) -> np.ndarray:
         rows = np.arange(y - self.region[1], y - self.region[1] + height)

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-# Passes that show what a pixel's paths cost, as the mean over its samples
-COST_PASSES = ("Rays", "Node Steps", "Triangle Tests", "Treelet Visits", "Times Queued")
-# The pass that shows how many samples each pixel has
-SAMPLE_COUNT = "Sample Count"
-# Channels of every pass. The first sample alone decides "Depth" and "Position" (an average of them means nothing).
-PASSES: dict[str, int] = {
-    "Combined": 4,
-    "Depth": 1,
-    "Position": 3,
-    "Normal": 3,
-    **dict.fromkeys((*COST_PASSES, SAMPLE_COUNT), 1),
-}
-FIRST_SAMPLE_PASSES = ("Depth", "Position")
+from ..scene.passes import (
+    COLOR_PASSES,
+    COST_PASSES,
+    DIRECT_PASSES,
+    FIRST_SAMPLE_PASSES,
+    INDIRECT_PASSES,
+    PASSES,
+    SAMPLE_COUNT,
+    channels_of,
+    summed_passes,
+)
+
+__all__ = ["COST_PASSES", "FIRST_SAMPLE_PASSES", "PASSES", "SAMPLE_COUNT", "ChannelLayout", "channels_of", "layout_of"]
+
+# The colour that light of a pass is divided by
+_DIVIDED_BY = dict(zip((*DIRECT_PASSES, *INDIRECT_PASSES), 2 * COLOR_PASSES))
 
 
 @dataclass(frozen=True)
@@ -27,25 +31,44 @@ class ChannelLayout:
 
     transparent: bool  # alpha is summed too; otherwise it is 1
     normal: bool
+    others: tuple[str, ...] = ()  # `summed_passes`
+
+    @property
+    def others_first(self) -> int:
+        """The first channel of `others`."""
+        return 3 + self.transparent + 3 * self.normal
+
+    @property
+    def others_count(self) -> int:
+        """Channels of `others`."""
+        return sum(channels_of(name) for name in self.others)
 
     @property
     def count(self) -> int:
         """Channels of a pixel."""
-        return 3 + self.transparent + 3 * self.normal
+        return self.others_first + self.others_count
+
+    @property
+    def kind(self) -> ChannelLayout:
+        """What kernels are specialised on: the same for all layouts that have `others`, whose number kernels read."""
+        return replace(self, others=self.others and ("Mist",))
 
     def span(self, name: str) -> slice:
         """Channels of the pass `name`; raises `ValueError` for a pass that is not summed."""
         color = 3 + self.transparent
         if name == "Combined":
             return slice(0, color)
-        if name == "Normal":
+        if name == "Normal" and self.normal:
             return slice(color, color + 3)
+        if name in self.others:
+            first = self.others_first + sum(channels_of(each) for each in self.others[: self.others.index(name)])
+            return slice(first, first + channels_of(name))
         raise ValueError(f"the pass {name!r} has no channels among the sums of a film: give it some in `ChannelLayout`")
 
 
 def layout_of(passes: tuple[str, ...], transparent: bool) -> ChannelLayout:
     """The layout for these passes."""
-    return ChannelLayout(transparent, "Normal" in passes)
+    return ChannelLayout(transparent, "Normal" in passes, summed_passes(passes))
 
 
 def split_passes(
@@ -62,13 +85,36 @@ def split_passes(
     passes = {}
     for name in names:
         if name in single:
-            passes[name] = single[name].reshape(*shape, PASSES[name])
+            passes[name] = single[name].reshape(*shape, channels_of(name))
             continue
-        values = means[..., layout.span(name)]
+        values = shown_pass(name, lambda wanted: means[..., layout.span(wanted)])
         if name == "Combined" and not layout.transparent:
             values = np.concatenate([values, np.ones((*shape, 1), np.float32)], axis=-1)
         passes[name] = np.ascontiguousarray(values)
     return passes
+
+
+def shown_pass(name: str, mean_of: Callable[[str], np.ndarray]) -> np.ndarray:
+    """The pass `name` as a film shows it, float32, of what `mean_of` gives: means of summed passes by name, float32,
+    shape [..., channels].
+    """
+    mean = mean_of(name)
+    if name == "Mist":  # what is summed is how clear the view is
+        return np.clip(1 - mean, 0, 1)
+    if name in _DIVIDED_BY:
+        return divided_by_color(mean, mean_of(_DIVIDED_BY[name]))
+    return mean
+
+
+def divided_by_color(light: np.ndarray, color: np.ndarray) -> np.ndarray:
+    """Light over the colour of the surfaces that scatter it, float32, both of shape [..., 3]; where a channel has no
+    colour, the mean of the others, as in Cycles (`safe_divide_even_color`).
+    """
+    there = color != 0
+    ratio = np.divide(light, color, out=np.zeros_like(light), where=there)
+    count = there.sum(-1, keepdims=True, dtype=np.float32)
+    grey = ratio.sum(-1, keepdims=True, dtype=np.float32) / np.maximum(count, 1)
+    return np.where(there, ratio, grey).astype(np.float32)
 
 
 def mean_costs(cost: dict[str, np.ndarray], counts: np.ndarray) -> dict[str, np.ndarray]:

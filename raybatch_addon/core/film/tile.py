@@ -7,23 +7,26 @@ rounded picture. The sums follow when somebody asks for them, to merge or to go 
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
 from ..device.kernel import KERNEL_OPTIONS
+from ..scene.passes import matte_kinds
+from .host_samples import HostSamples
 from .layout import (
     COST_PASSES,
     FIRST_SAMPLE_PASSES,
-    PASSES,
     SAMPLE_COUNT,
     ChannelLayout,
+    channels_of,
     mean_costs,
     sample_counts,
-    split_passes,
+    shown_pass,
 )
-from .sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, add_wide, means_of, no_wide
+from .mattes import MatteEntry, Mattes, MatteTile, matte_tile, mattes_on_device
+from .rounding import rounded_sum
+from .sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums, add_wide, no_wide
 
 
 @wp.func
@@ -42,6 +45,9 @@ class FilmTile:
     counts: wp.array(dtype=wp.int64)  # samples of each pixel
     depth: wp.array(dtype=float)  # of the pixel's first sample [m]
     position: wp.array(dtype=wp.vec3)  # of the pixel's first sample [m]
+    object_index: wp.array(dtype=float)  # of the pixel's first sample
+    material_index: wp.array(dtype=float)  # of the pixel's first sample
+    mattes: MatteTile
     invalid: wp.array(dtype=int)  # samples that were not finite and count as black, shape [1]
     # Channels that did not fit the window while there were no wide digits
     spill_index: wp.array(dtype=int)
@@ -49,6 +55,8 @@ class FilmTile:
     spill_count: wp.array(dtype=int)  # shape [1]
 
 
+# Arrays of what the first sample of a pixel decides, by pass
+FIRST_SAMPLE_ARRAYS = {name: name.lower().replace(" ", "_") for name in FIRST_SAMPLE_PASSES}
 # Entries for channels that are set aside. When they run out the paths that found none wait until there are wide digits
 SPILL_CAPACITY = 1 << 16
 
@@ -67,6 +75,7 @@ class FilmTiles:
         """`spill_count`, int32, shape [1], counts what is set aside: whole pixels, for which there are
         `spill_capacity` entries, one a channel.
         """
+        self._mattes_aside: wp.array | None = None
         self._layout, self._passes, self._device, self._spill_count = layout, passes, device, spill_count
         capacity = max(1, spill_capacity // layout.count) * layout.count
         self._spill_index = wp.zeros(capacity, dtype=int, device=device)
@@ -82,14 +91,33 @@ class FilmTiles:
         else:
             tile = _black_tile(self._layout.count * pixel_count, self._device)
             tile.counts = wp.zeros(pixel_count, dtype=wp.int64, device=self._device)
-            tile.depth = wp.zeros(pixel_count if "Depth" in self._passes else 0, dtype=float, device=self._device)
-            tile.position = wp.zeros(
-                pixel_count if "Position" in self._passes else 0, dtype=wp.vec3, device=self._device
-            )
+            for name, array in FIRST_SAMPLE_ARRAYS.items():
+                dtype, count = FilmTile.vars[array].type.dtype, pixel_count if name in self._passes else 0
+                setattr(tile, array, wp.zeros(count, dtype=dtype, device=self._device))
+            tile.mattes = matte_tile(pixel_count, len(matte_kinds(self._passes)), self._device)
         tile.spill_index, tile.spill_value = self._spill_index, self._spill_value
         self._spill_count.zero_()
         tile.spill_count = self._spill_count
+        if self._mattes_aside is not None:
+            tile.mattes.aside, tile.mattes.aside_count = self._mattes_aside, self._mattes_aside_count
+            self._mattes_aside_count.zero_()
         return tile
+
+    def set_mattes_aside(self, matte_count: wp.array, path_count: int) -> None:
+        """Where there are mattes, set aside what finds no slot: one weight of each kind for each of `path_count` paths.
+        `matte_count`, int32, shape [1], counts them.
+        """
+        if kinds := len(matte_kinds(self._passes)):
+            self._mattes_aside = wp.zeros(kinds * path_count, dtype=MatteEntry, device=self._device)
+            self._mattes_aside_count = matte_count
+
+    def mattes_aside(self, count: int) -> Mattes:
+        """The `count` weights that found no slot, which are the caller's from now on."""
+        if count == 0:
+            return Mattes()
+        entries = Mattes.of_entries(self._mattes_aside[:count].numpy())
+        self._mattes_aside_count.zero_()
+        return entries
 
     def take_spill(self, film: FilmTile, spilled: int) -> bool:
         """Add the `spilled` channels that were set aside to wide digits; whether some found no entry, so that there is
@@ -142,120 +170,49 @@ def add_spill_kernel(film: FilmTile):
         add_wide(film.wide, film.spill_index[i], film.spill_value[i])
 
 
-@wp.func
-def rounded_sum(window: wp.array2d(dtype=wp.int64), index: int) -> wp.float64:
-    """The window's sum at `index`, rounded once to the nearest float64; its highest digit must be below 2^31."""
-    d0 = window[0, index]
-    d1 = window[1, index] + (d0 >> wp.int64(32))
-    d2 = window[2, index] + (d1 >> wp.int64(32))
-    d3 = window[3, index] + (d2 >> wp.int64(32))
-    mask = wp.int64(0xFFFFFFFF)
-    low = wp.uint64(((d1 & mask) << wp.int64(32)) | (d0 & mask))
-    high = wp.uint64((d3 << wp.int64(32)) | (d2 & mask))
-    negative = d3 < wp.int64(0)
-    if negative:
-        low = ~low + wp.uint64(1)
-        high = ~high
-        if low == wp.uint64(0):
-            high = high + wp.uint64(1)
-    if high == wp.uint64(0) and low == wp.uint64(0):
-        return wp.float64(0.0)
-    # the top bit goes to bit 63 of `high`; what is left below counts by being 0 or not, so that rounding happens once
-    scale = wp.float64(2.3283064365386963e-10)  # 2^-32: value of the lowest bit of `high`
-    if high == wp.uint64(0):
-        high = low
-        low = wp.uint64(0)
-        scale = scale * wp.static(wp.float64(2.0**-64))
-    for i in range(6):
-        step = wp.static(32) >> i
-        if (high >> wp.uint64(64 - step)) == wp.uint64(0):
-            high = (high << wp.uint64(step)) | (low >> wp.uint64(64 - step))
-            low = low << wp.uint64(step)
-            scale = scale / wp.float64(wp.uint64(1) << wp.uint64(step))
-    if low != wp.uint64(0):
-        high = high | wp.uint64(1)
-    result = wp.float64(high) * scale
-    if negative:
-        result = -result
-    return result
+def resolve_kernel(layout: ChannelLayout) -> wp.Kernel:
+    """Kernel (film, combined, normal, others): means of a tile's pixels, those of `ChannelLayout.others` as array2d
+    [pixels, channels].
+    """
+    return _resolve_kernel(layout.kind)
 
 
 @functools.cache
-def resolve_kernel(layout: ChannelLayout) -> wp.Kernel:
-    """Kernel (film, combined, normal, beyond): means of a tile's pixels; `beyond` counts sums that leave the window."""
+def _resolve_kernel(layout: ChannelLayout) -> wp.Kernel:
+    others_first, has_others = layout.others_first, bool(layout.others)
+    normal_first = layout.span("Normal").start if layout.normal else 0
 
     @wp.func
-    def mean(film: FilmTile, pixel: int, channel: int) -> float:
+    def mean(film: FilmTile, pixel: int, cell: int) -> float:
         count = wp.float64(wp.max(film.counts[pixel], wp.int64(1)))
-        return float(rounded_sum(film.window, pixel * wp.static(layout.count) + channel) / count)
+        return float(rounded_sum(film.window, film.wide, cell) / count)
 
     @wp.kernel(**KERNEL_OPTIONS)
     def resolve(
-        film: FilmTile, combined: wp.array(dtype=wp.vec4), normal: wp.array(dtype=wp.vec3), beyond: wp.array(dtype=int)
+        film: FilmTile,
+        combined: wp.array(dtype=wp.vec4),
+        normal: wp.array(dtype=wp.vec3),
+        others: wp.array2d(dtype=float),
     ):
         pixel = wp.tid()
-        for channel in range(wp.static(layout.count)):
-            # so high that carries from below could leave it
-            if wp.abs(film.window[3, pixel * wp.static(layout.count) + channel]) >= wp.static(wp.int64(2**31 - 2**16)):
-                wp.atomic_add(beyond, 0, 1)
+        channels = others_first
+        if wp.static(has_others):
+            channels = others_first + others.shape[1]
+        first = pixel * channels
         alpha = float(1.0)
         if wp.static(layout.transparent):
-            alpha = mean(film, pixel, 3)
-        combined[pixel] = wp.vec4(mean(film, pixel, 0), mean(film, pixel, 1), mean(film, pixel, 2), alpha)
+            alpha = mean(film, pixel, first + 3)
+        combined[pixel] = wp.vec4(
+            mean(film, pixel, first), mean(film, pixel, first + 1), mean(film, pixel, first + 2), alpha
+        )
         if wp.static(layout.normal):
-            first = wp.static(layout.span("Normal").start)
-            normal[pixel] = wp.vec3(
-                mean(film, pixel, first), mean(film, pixel, first + 1), mean(film, pixel, first + 2)
-            )
+            x = first + normal_first
+            normal[pixel] = wp.vec3(mean(film, pixel, x), mean(film, pixel, x + 1), mean(film, pixel, x + 2))
+        if wp.static(has_others):
+            for channel in range(others.shape[1]):
+                others[pixel, channel] = mean(film, pixel, first + others_first + channel)
 
     return resolve
-
-
-@dataclass(frozen=True)
-class HostSamples:
-    """Sums, counts and first samples in the host's memory."""
-
-    sums: ExactSums
-    counts: np.ndarray  # int64, shape [pixels]
-    first: dict[str, np.ndarray]  # float32, shape [pixels * channels]
-    cost: dict[str, np.ndarray]  # sums of cost passes, int64, shape [pixels]
-
-    @staticmethod
-    def zeros(pixel_count: int, channels: int, pass_names: tuple[str, ...]) -> HostSamples:
-        """No samples of so many pixels, with `channels` summed channels each."""
-        first = {
-            name: np.zeros(pixel_count * PASSES[name], np.float32) for name in pass_names if name in FIRST_SAMPLE_PASSES
-        }
-        cost = {name: np.zeros(pixel_count, np.int64) for name in pass_names if name in COST_PASSES}
-        return HostSamples(ExactSums.zeros(pixel_count, channels), np.zeros(pixel_count, np.int64), first, cost)
-
-    def add(self, other: HostSamples) -> HostSamples:
-        """The samples of both. Of a pixel that has its first sample in both, this one's counts."""
-        return HostSamples(
-            self.sums.add(other.sums),
-            self.counts + other.counts,
-            {name: np.where(values != 0, values, other.first[name]) for name, values in self.first.items()},
-            {name: sums + other.cost[name] for name, sums in self.cost.items()},
-        )
-
-    def part(self, pixels: np.ndarray) -> HostSamples:
-        """Those of some pixels, in the order of `pixels`."""
-        channels = self.sums.channels
-
-        def cells(sums: np.ndarray) -> np.ndarray:
-            return np.ascontiguousarray(sums.reshape(len(sums), -1, channels)[:, pixels].reshape(len(sums), -1))
-
-        wide = cells(self.sums.wide) if len(self.sums.wide) else no_wide()
-        return HostSamples(
-            ExactSums(cells(self.sums.window), wide if wide.any() else no_wide(), channels),
-            self.counts[pixels],
-            {name: values.reshape(-1, PASSES[name])[pixels].reshape(-1) for name, values in self.first.items()},
-            {name: values[pixels] for name, values in self.cost.items()},
-        )
-
-    def single(self, pass_names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Those of the passes that are no means of summed channels, float32, shape [pixels * channels]."""
-        return self.first | mean_costs(self.cost, self.counts) | sample_counts(pass_names, self.counts)
 
 
 class FinishedTile:
@@ -269,14 +226,17 @@ class FinishedTile:
         pass_names: tuple[str, ...],
         sample_count: int,
         cost: wp.array | None = None,
+        mattes: Mattes | None = None,
     ):
         """`rectangle` is x, y, width, height in the frame [pixels], `sample_count` the paths in it, `cost` (int64,
-        shape [cost passes, pixels]) the sums of those cost passes that are in `pass_names`, in their order. The
-        picture is fetched at once."""
+        shape [cost passes, pixels]) the sums of those cost passes that are in `pass_names`, in their order, `mattes`
+        those that are not in the slots of `film`. The picture is fetched at once."""
         # the worker's own arrays, which the next tile needs and this one must not keep alive
         film.spill_index, film.spill_value = (
             wp.empty(0, dtype=dtype, device=film.window.device) for dtype in (int, float)
         )
+        film.mattes.aside = wp.empty(0, dtype=MatteEntry, device=film.window.device)
+        self.mattes = mattes or Mattes()
         self.rectangle = rectangle
         self.film: FilmTile | None = film  # None: it is the sum of `halves`
         self.cost = cost
@@ -302,11 +262,14 @@ class FinishedTile:
             _added(first.film.wide, second.film.wide),
         )
         film.counts = _added(first.film.counts, second.film.counts)
-        film.depth, film.position = first.film.depth, first.film.position
+        for array in FIRST_SAMPLE_ARRAYS.values():
+            setattr(film, array, getattr(first.film, array))
+        film.mattes = matte_tile(0, 0, film.window.device)
         film.invalid, film.spill_count = (wp.zeros(1, dtype=int, device=film.window.device) for _ in range(2))
         cost = _added(first.cost, second.cost) if first.cost is not None else None
         count = first.sample_count + second.sample_count
-        tile = FinishedTile(first.rectangle, film, first._layout, first._pass_names, count, cost)
+        mattes = first._all_mattes().plus(second._all_mattes())
+        tile = FinishedTile(first.rectangle, film, first._layout, first._pass_names, count, cost, mattes)
         tile.halves, tile.invalid = (first, second), first.invalid + second.invalid
         tile.film = tile.cost = None
         return tile
@@ -325,14 +288,16 @@ class FinishedTile:
         if len(samples.sums.wide):
             film.wide = wp.array(samples.sums.wide, dtype=wp.int64, device=device)
         film.counts = wp.array(samples.counts, dtype=wp.int64, device=device)
-        film.depth = wp.array(samples.first.get("Depth", np.zeros(0, np.float32)), dtype=float, device=device)
-        film.position = wp.array(
-            samples.first.get("Position", np.zeros(0, np.float32)).reshape(-1, 3), dtype=wp.vec3, device=device
-        )
+        for name, array in FIRST_SAMPLE_ARRAYS.items():
+            dtype, values = FilmTile.vars[array].type.dtype, samples.first.get(name, np.zeros(0, np.float32))
+            values = values.reshape(-1, 3) if dtype is wp.vec3 else values
+            setattr(film, array, wp.array(values, dtype=dtype, device=device))
         film.spill_count = wp.zeros(1, dtype=int, device=device)
         costs = [samples.cost[name] for name in pass_names if name in COST_PASSES]
         cost = wp.array(np.stack(costs), dtype=wp.int64, device=device) if costs else None
-        return FinishedTile(rectangle, film, layout, pass_names, int(samples.counts.sum()), cost)
+        kinds = len(matte_kinds(pass_names))
+        film.mattes, mattes = mattes_on_device(samples.mattes, len(samples.counts), kinds, device)
+        return FinishedTile(rectangle, film, layout, pass_names, int(samples.counts.sum()), cost, mattes)
 
     def fetch(self) -> HostSamples:
         """What the pictures are made of."""
@@ -341,50 +306,51 @@ class FinishedTile:
         film = self.film
         wide = film.wide.numpy() if film.wide.shape[0] else no_wide()
         return HostSamples(
-            ExactSums(film.window.numpy(), wide, self._layout.count), film.counts.numpy(), self._first(), self._costs()
+            ExactSums(film.window.numpy(), wide, self._layout.count),
+            film.counts.numpy(),
+            self._first(),
+            self._costs(),
+            self._all_mattes(),
         )
 
     def colors(self) -> wp.array:
         """RGBA of each pixel, as "Combined" shows it, vec4, shape [pixels], on the device that has the sums."""
-        resolved = self._resolved()
-        if resolved is not None:
-            return resolved[0]
-        pixels = np.ascontiguousarray(self.passes["Combined"], np.float32).reshape(-1, 4)
-        return wp.array(pixels, dtype=wp.vec4, device=self.film.window.device)
+        return self._resolved()[0]
 
     def _costs(self) -> dict[str, np.ndarray]:
         return dict(zip(self._cost_names, self.cost.numpy())) if self._cost_names else {}
 
-    def _first(self) -> dict[str, np.ndarray]:
-        arrays = {"Depth": self.film.depth, "Position": self.film.position}
-        return {name: arrays[name].numpy().reshape(-1) for name in self._first_names}
+    def _all_mattes(self) -> Mattes:
+        return Mattes.of_device(self.film.mattes).plus(self.mattes) if matte_kinds(self._pass_names) else Mattes()
 
-    def _resolved(self) -> tuple[wp.array, wp.array] | None:
-        """Means of the pixels on the device: RGBA and Normal; None where sums have more bits than the kernel
-        handles.
-        """
-        film = self.film
-        if film.wide.shape[0]:
-            return None
-        device, pixels = film.window.device, self.width * self.height
+    def _first(self) -> dict[str, np.ndarray]:
+        return {name: getattr(self.film, FIRST_SAMPLE_ARRAYS[name]).numpy().reshape(-1) for name in self._first_names}
+
+    def _resolved(self) -> tuple[wp.array, wp.array, wp.array]:
+        """Means of the pixels on the device: RGBA, Normal and the others."""
+        device, pixels = self.film.window.device, self.width * self.height
         combined = wp.empty(pixels, dtype=wp.vec4, device=device)
         normal = wp.empty(pixels if self._layout.normal else 0, dtype=wp.vec3, device=device)
-        beyond = wp.zeros(1, dtype=int, device=device)
-        wp.launch(resolve_kernel(self._layout), pixels, [film, combined, normal, beyond], device=device)
-        return None if beyond.numpy()[0] else (combined, normal)
+        others_count = self._layout.others_count
+        others = wp.empty((pixels if others_count else 0, others_count), dtype=float, device=device)
+        wp.launch(resolve_kernel(self._layout), pixels, [self.film, combined, normal, others], device=device)
+        return combined, normal, others
 
     def _picture(self, pass_names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        shape, resolved = (self.height, self.width), self._resolved()
-        if resolved is not None:
-            means = dict(zip(("Combined", "Normal"), resolved, strict=True))
-            single = self._first()
-            if self._cost_names or SAMPLE_COUNT in pass_names:
-                counts = self.film.counts.numpy()
-                single |= mean_costs(self._costs(), counts) | sample_counts(pass_names, counts)
-            return {
-                name: (single[name] if name in single else means[name].numpy()).reshape(*shape, PASSES[name])
-                for name in pass_names
-            }
-        samples = self.fetch()
-        means = means_of(samples.sums.window, samples.sums.wide, samples.counts, self._layout.count)
-        return split_passes(pass_names, self._layout, means, samples.single(pass_names), shape)
+        shape, single = (self.height, self.width), self._first()
+        combined, normal, others = (each.numpy() for each in self._resolved())
+        means, first = {"Combined": combined, "Normal": normal}, self._layout.others_first
+        for name in self._layout.others:
+            span = self._layout.span(name)
+            means[name] = others[:, span.start - first : span.stop - first]
+        if self._cost_names or SAMPLE_COUNT in pass_names:
+            counts = self.film.counts.numpy()
+            single |= mean_costs(self._costs(), counts) | sample_counts(pass_names, counts)
+        if matte_kinds(pass_names):
+            single |= self._all_mattes().passes(pass_names, self.film.counts.numpy())
+        return {
+            name: np.ascontiguousarray(single[name] if name in single else shown_pass(name, means.__getitem__)).reshape(
+                *shape, channels_of(name)
+            )
+            for name in pass_names
+        }

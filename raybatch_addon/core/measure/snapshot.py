@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +26,9 @@ class Snapshot:
     halves: tuple[np.ndarray, np.ndarray] | None = None
     # samples of each pixel, int, shape [region height, region width]; None: all have `samples`
     counts: np.ndarray | None = None
+
+    # passes of the film that guide a denoiser, by name, as the picture; copies too
+    guides: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def each(self) -> int | np.ndarray:

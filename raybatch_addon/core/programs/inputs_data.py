@@ -4,14 +4,16 @@ import numpy as np
 import warp as wp
 
 from ..errors import SceneError
-from ..scene.description import CameraKind, Instances, Scene
+from ..scene.description import CameraKind, Instances, Panorama, Scene
 from ..scene.flatten import is_mirrored_where_baked
 from ..scene.geometry import mat34
+from ..shading.panorama import pixel_angle
 from .texture_space import generated_corners, texture_space_maps
 
 # Ops that convert between the spaces of world and object, and ops that use a mesh's texture space
 _TEXTURE_SPACE_OPS = frozenset({"generated", "radial_tangent"})
 _OBJECT_OPS = _TEXTURE_SPACE_OPS | {
+    "volume_attribute",
     "object_coordinates",
     "object_normal",
     "object_location",
@@ -72,11 +74,11 @@ def upload_inputs(scene: Scene, ops: tuple[str, ...], device: wp.Device) -> Inpu
         inputs.texture_scale = wp.array(scale[instances.mesh].astype(np.float32), dtype=wp.vec3, device=device)
         inputs.texture_offset = wp.array(offset[instances.mesh].astype(np.float32), dtype=wp.vec3, device=device)
     if "generated" in ops:
-        first, corners = _corner_values(scene, generated_corners(scene), 3)
+        first, corners = corner_values(scene, generated_corners(scene), 3)
         inputs.generated_first = wp.array(first, dtype=int, device=device)
         inputs.generated = wp.array(corners, dtype=wp.vec3, device=device)
     if "uv" in ops:
-        first, uvs = _corner_values(
+        first, uvs = corner_values(
             scene, {i: mesh.corner_uvs for i, mesh in enumerate(scene.meshes) if mesh.corner_uvs is not None}, 2
         )
         inputs.uv_first = wp.array(first, dtype=int, device=device)
@@ -100,13 +102,28 @@ def with_camera(inputs: InputData, scene: Scene) -> InputData:
 def _set_camera(inputs: InputData, scene: Scene) -> None:
     matrix = np.eye(4)
     matrix[:3] = scene.camera.transform
-    to_camera = np.diag([1.0, 1.0, -1.0, 1.0]) @ np.linalg.inv(matrix)
+    to_camera = _view_axes(scene.camera.kind) @ np.linalg.inv(matrix)
     inputs.to_camera = mat34(*to_camera[:3].ravel().tolist())
     inputs.camera_position = wp.vec3(*matrix[:3, 3].tolist())
-    inputs.perspective = int(scene.camera.kind == CameraKind.PERSPECTIVE)
+    kind, frame = scene.camera.kind, scene.frame
+    inputs.perspective = int(kind != CameraKind.ORTHOGRAPHIC)
     inputs.window = wp.vec4(*scene.camera.window)
     left, right, bottom, top = scene.camera.window
-    inputs.pixel_width = 0.5 * ((right - left) / scene.frame.width + (top - bottom) / scene.frame.height)
+    inputs.pixel_width = 0.5 * ((right - left) / frame.width + (top - bottom) / frame.height)
+    if kind.is_panorama:
+        panorama = scene.camera.panorama or Panorama()
+        inputs.pixel_width = pixel_angle(kind, panorama, scene.camera.window, frame.width, frame.height)
+
+
+def _view_axes(kind: CameraKind) -> np.ndarray:
+    """From a camera's own axes to those that programs see, as in Cycles: +Z is ahead, but panoramas look along +X with
+    +Z up, and mirror balls along -Y.
+    """
+    if kind == CameraKind.MIRROR_BALL:
+        return np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    if kind.is_panorama:
+        return np.array([[0.0, 0, -1, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    return np.diag([1.0, 1.0, -1.0, 1.0])
 
 
 def bytes_of(inputs: InputData) -> int:
@@ -167,7 +184,7 @@ def inverses(transform: np.ndarray) -> np.ndarray:
     return result.astype(np.float32)
 
 
-def _corner_values(scene: Scene, of_meshes: dict[int, np.ndarray], width: int) -> tuple[np.ndarray, np.ndarray]:
+def corner_values(scene: Scene, of_meshes: dict[int, np.ndarray], width: int) -> tuple[np.ndarray, np.ndarray]:
     """Values of meshes joined: first corner of each instance, int32, and values, float32, shape [n, width].
 
     `of_meshes` holds values by index of the mesh, each of shape [triangle_count, 3, width].

@@ -45,6 +45,7 @@ class Op:
     function: wp.Function
     closures_most: int  # most closures that it may add; 0: it computes values
     foldable: bool  # it may be run on the host, by `as_python`
+    general: bool = True  # the general kernels have it
 
     @property
     def makes_closures(self) -> bool:
@@ -65,7 +66,9 @@ class Op:
 _ops: dict[str, Op] = {}
 
 
-def _register(name: str, signature: str, foldable: bool, closures_most: int) -> Callable[[wp.Function], wp.Function]:
+def _register(
+    name: str, signature: str, foldable: bool, closures_most: int, general: bool = True
+) -> Callable[[wp.Function], wp.Function]:
     inputs, arrow, outputs = signature.partition(">")
     known = set(inputs) <= set(INPUTS) and set(outputs) <= set(OUTPUTS)
     if not known or (closures_most and (arrow or not inputs.startswith("v"))):
@@ -74,27 +77,29 @@ def _register(name: str, signature: str, foldable: bool, closures_most: int) -> 
     def register(function: wp.Function) -> wp.Function:
         if name in _ops and _ops[name].function.func.__module__ != function.func.__module__:
             raise ValueError(f"op {name!r} is there twice")
-        _ops[name] = Op(name, inputs + outputs, function, closures_most, foldable)
+        _ops[name] = Op(name, inputs + outputs, function, closures_most, foldable, general)
         return function
 
     return register
 
 
-def op(name: str, signature: str, foldable: bool = True) -> Callable[[wp.Function], wp.Function]:
+def op(name: str, signature: str, foldable: bool = True, general: bool = True) -> Callable[[wp.Function], wp.Function]:
     """Register a function (data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint) as an op.
 
     Word k of the instruction, counted from 1 as in the signature, is `data.code[pc + k]`.
     """
-    return _register(name, signature, foldable, closures_most=0)
+    return _register(name, signature, foldable, 0, general)
 
 
-def closure_op(name: str, signature: str, most: int = 1, foldable: bool = True) -> Callable[[wp.Function], wp.Function]:
+def closure_op(
+    name: str, signature: str, most: int = 1, foldable: bool = True, general: bool = True
+) -> Callable[[wp.Function], wp.Function]:
     """Register a function (data, stack, pc, point, closures: wp.array(dtype=ClosureRecord), count: int) -> int.
 
     It appends at most `most` closures, never beyond the end of `closures`, and returns their new count. It appends none
     where its weight, the first operand, is 0.
     """
-    return _register(name, signature, foldable, most)
+    return _register(name, signature, foldable, most, general)
 
 
 def op_named(name: str) -> Op:
@@ -102,6 +107,8 @@ def op_named(name: str) -> Op:
     return _ops[name]
 
 
+# Ops of volumes alone have names that begin so
+VOLUME_PREFIX = "volume_"
 # The number of an op in code is its index in `op_names()` plus this; 0 ends a program
 FIRST_OP = 1
 
@@ -115,8 +122,8 @@ def op_numbers() -> dict[str, int]:
 
 
 def op_names() -> list[str]:
-    """Names of all ops, sorted."""
-    return sorted(_ops)
+    """Names of all ops, sorted; those that general kernels lack come last, and leave the others' numbers alone."""
+    return sorted(_ops, key=lambda name: (not _ops[name].general, name))
 
 
 @wp.func

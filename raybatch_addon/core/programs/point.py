@@ -39,6 +39,7 @@ class ShadingPoint:
     ray_kind: int  # `Visibility` bit of the ray
     bounce: int  # scattering events of the path so far
     passed: int  # transparent surfaces that the ray has passed
+    time: float  # when it is there, 0 to 1; 0 where nothing moves
     history: int  # how the path has scattered: `HistoryBits`, and counts by kind above them
     # one step aside along either axis of the surface, about a pixel wide, for bump mapping: in the world, and of
     # `barycentric`
@@ -48,6 +49,29 @@ class ShadingPoint:
     step_y_barycentric: wp.vec2
 
 
+# A shift says where a value is looked up: 0 here, 1 or 2 one step aside along either axis. Steps of another width have
+# that width above the axis, in shares of a step
+SHIFT_BITS = 2
+SHIFT_UNIT = 1024
+
+
+def wide_shift(axis: int, width: float) -> int:
+    """The shift along `axis` by `width` steps, to the nearest of `SHIFT_UNIT` shares of a step, at least one."""
+    if axis == 0 or width == 1.0:
+        return axis
+    return axis | max(round(width * SHIFT_UNIT), 1) << SHIFT_BITS
+
+
+def shift_width(shift: int) -> float:
+    """How many steps `shift` goes aside."""
+    return (shift >> SHIFT_BITS) / SHIFT_UNIT if shift >> SHIFT_BITS else 1.0
+
+
+@wp.func
+def _steps(shift: int) -> float:
+    return float(shift >> wp.static(SHIFT_BITS)) * wp.static(1.0 / SHIFT_UNIT)
+
+
 @wp.func
 def shifted_position(point: ShadingPoint, shift: int) -> wp.vec3:
     """The position (shift 0), or one step aside along x (1) or y (2) [m]."""
@@ -55,6 +79,10 @@ def shifted_position(point: ShadingPoint, shift: int) -> wp.vec3:
         return point.position + point.step_x
     if shift == 2:
         return point.position + point.step_y
+    if shift > 2:
+        if (shift & 1) != 0:
+            return point.position + _steps(shift) * point.step_x
+        return point.position + _steps(shift) * point.step_y
     return point.position
 
 
@@ -65,4 +93,8 @@ def shifted_barycentric(point: ShadingPoint, shift: int) -> wp.vec2:
         return point.barycentric + point.step_x_barycentric
     if shift == 2:
         return point.barycentric + point.step_y_barycentric
+    if shift > 2:
+        if (shift & 1) != 0:
+            return point.barycentric + _steps(shift) * point.step_x_barycentric
+        return point.barycentric + _steps(shift) * point.step_y_barycentric
     return point.barycentric

@@ -61,7 +61,7 @@ _STORED = SimpleNamespace(data=wp.array(dtype=NodeData), point=wp.array(dtype=Sh
 def _make_interpreter(features: ProgramFeatures, types: SimpleNamespace) -> wp.Function:
     """Function (code, data, stack, first: int, point, closures) -> int."""
     numbers = op_numbers()
-    ops = [(numbers[name], op_named(name)) for name in sorted(features.ops)]
+    ops = [(numbers[name], op_named(name)) for name in sorted(features.ops, key=numbers.__getitem__)]
     values = [(number, op.function) for number, op in ops if not op.makes_closures]
     makers = [(number, op.function) for number, op in ops if op.makes_closures]
     if types is _STORED:

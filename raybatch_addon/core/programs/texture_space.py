@@ -9,6 +9,7 @@ import numpy as np
 
 from ..scene.description import Mesh, Scene
 from ..scene.flatten import IDENTITY
+from ..scene.motion import deforming_meshes
 
 _UNIT_BOX = ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
@@ -23,15 +24,18 @@ def texture_space_maps(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 def generated_corners(scene: Scene) -> dict[int, np.ndarray]:
     """Generated coordinates of the corners of meshes by index, float32, shape [triangle_count, 3, 3].
 
-    Included are meshes with a face along which a coordinate is constant, with a transform that is not the identity, and
-    with materials that read generated coordinates.
+    Included are meshes with materials that read generated coordinates, if a coordinate is constant along a face and
+    their transform is not the identity, or if they are displaced or deform: the coordinates are those of where vertices
+    were.
     """
     instances = scene.instances
     asking = np.array([_asks(material) for material in scene.materials], bool)
     if not asking.any() or len(instances) == 0:
         return {}
     scale, offset = texture_space_maps(scene)
-    moved = np.flatnonzero((np.asarray(instances.transform) != IDENTITY).any((1, 2)))
+    deforms = deforming_meshes(scene)
+    elsewhere = np.array([mesh.base_positions is not None for mesh in scene.meshes], bool) | deforms
+    moved = np.flatnonzero(elsewhere[instances.mesh] | (np.asarray(instances.transform) != IDENTITY).any((1, 2)))
     by_mesh = moved[np.argsort(instances.mesh[moved], kind="stable")]
     meshes, starts = np.unique(instances.mesh[by_mesh], return_index=True)
     # number of materials before each slot that read generated coordinates
@@ -43,8 +47,9 @@ def generated_corners(scene: Scene) -> dict[int, np.ndarray]:
             continue
         slots = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
         first = instances.slot_first[placed]
-        if (before[first + slots] > before[first]).any() and _has_even_faces(mesh):
-            vertices = (mesh.positions * scale[index] + offset[index]).astype(np.float32)
+        if (before[first + slots] > before[first]).any() and (elsewhere[index] or _has_even_faces(mesh)):
+            before_moving = mesh.positions if mesh.base_positions is None else mesh.base_positions
+            vertices = (before_moving * scale[index] + offset[index]).astype(np.float32)
             result[index] = vertices[mesh.triangles]
     return result
 

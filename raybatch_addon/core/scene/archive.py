@@ -21,6 +21,8 @@ from ..errors import SceneError
 from ..files import whole_file
 from ..settings.settings import RenderSettings
 from . import description
+from .frozen import freeze
+from .notice import Notice, from_told, told
 
 FORMAT = "raybatch-scene"
 VERSION = 1
@@ -47,7 +49,10 @@ def save_scene(path: str | Path, scene: description.Scene, settings: RenderSetti
 
 
 def load_scene(path: str | Path) -> tuple[description.Scene, RenderSettings]:
-    """The scene and settings of a file by `save_scene`; raises `SceneError` for any other or a damaged file."""
+    """The scene, its arrays frozen, and the settings of a file by `save_scene`.
+
+    Raises `SceneError` for any other or a damaged file.
+    """
     path = Path(path)
     try:
         loaded = np.load(path, allow_pickle=False)
@@ -64,7 +69,7 @@ def load_scene(path: str | Path) -> tuple[description.Scene, RenderSettings]:
                     f"{path} is a saved scene of format version {header.get('version')}, and this RayBatch reads "
                     f"version {VERSION}: save the scene again with this RayBatch"
                 )
-            arrays = {name: archive[name] for name in archive.files if name != "header"}
+            arrays = {name: freeze(archive[name]) for name in archive.files if name != "header"}
         scene, settings = _decode(header["scene"], arrays), _decode(header["settings"], arrays)
     except FileNotFoundError:
         raise SceneError(f"there is no file {path}") from None
@@ -96,6 +101,8 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], members: dict[int, str]) 
             members[id(value)] = name = f"array{len(arrays)}"
             arrays[name] = array
         return {"scalar" if isinstance(value, np.generic) else "array": members[id(value)]}
+    if isinstance(value, Notice):
+        return {"notice": str(value), **told(value)}
     if isinstance(value, enum.Enum):
         return {"enum": type(value).__name__, "value": value.value}
     if dataclasses.is_dataclass(value):
@@ -117,6 +124,8 @@ def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
         return tuple(_decode(item, arrays) for item in value)
     if not isinstance(value, dict):
         return value
+    if "notice" in value:
+        return from_told(value["notice"], value)
     if "array" in value:
         return arrays[value["array"]]
     if "scalar" in value:

@@ -11,7 +11,9 @@ from enum import IntEnum, IntFlag
 
 import numpy as np
 
-from .program import Instruction, Program, ProgramFeatures  # noqa: F401  (the archive finds its classes here)
+# the archive finds all classes here
+from .cameras import Camera, CameraKind, Panorama, Shutter, SphericalStereo  # noqa: F401
+from .program import Instruction, Program, ProgramFeatures  # noqa: F401
 
 _STORED_NAME = "stored_name"  # metadata of a field that is called otherwise in files
 
@@ -57,16 +59,33 @@ class ClosureKind(IntEnum):
     HOLDOUT = 15  # hole in the picture: takes light, and `weight` of it takes the film's alpha
     SHEET = 16  # facets that scatter to the other side as GLOSSY's do to this one: a rough sheet without thickness
     SUBSURFACE = 17  # light goes in and scatters below: a random walk through the medium (`shading/bsdf/subsurface.py`)
+    # a cone of light with an edge (`shading/bsdf/drawn/toon.py`); `distribution` 0: on the normal, 1: where it mirrors
+    TOON = 20
+    # Fibres (`shading/hair`): `tangent` is their direction
+    HAIR_REFLECTION = 24  # `roughness` along the fibre and `aspect` around it [rad]; `film_ior` is the shift [rad]
+    HAIR_TRANSMISSION = 25
+    PRINCIPLED_HAIR = 26  # what its fields mean `shading/hair/chiang.py` says
     # Abilities: not models, but needed by closures whose values ask for them (`Closure.needs`)
     BECKMANN = 32  # `distribution` 1
     ANISOTROPIC = 33  # `aspect` other than 1
     THIN_FILM = 35  # `film_thickness`
     OWN_NORMAL = 34  # `normal`
+    # Of volumes (`Volume`), beside EMISSION: weights are coefficients [1/m]
+    VOLUME_ABSORPTION = 48
+    HENYEY_GREENSTEIN = 49  # scattering of mean cosine `mean_cosine`
+    FOURNIER_FORAND = 50  # scattering by particles in water: `ior`, and `roughness`, the share that goes back
+    DRAINE = 51  # scattering by dust: `mean_cosine`, and `aspect`, the factor of the squared cosine
+    RAYLEIGH = 52  # scattering by what is smaller than the wavelength
 
     @property
     def is_model(self) -> bool:
         """Whether closures can be of this kind."""
         return self < ClosureKind.BECKMANN
+
+    @property
+    def is_hair(self) -> bool:
+        """Whether closures of this kind are fibres."""
+        return ClosureKind.HAIR_REFLECTION <= self <= ClosureKind.PRINCIPLED_HAIR
 
 
 class LightKind(IntEnum):
@@ -77,13 +96,6 @@ class LightKind(IntEnum):
     SUN = 2
     RECTANGLE = 3
     ELLIPSE = 4
-
-
-class CameraKind(IntEnum):
-    """Projections of cameras."""
-
-    PERSPECTIVE = 0
-    ORTHOGRAPHIC = 1
 
 
 @dataclass(frozen=True)
@@ -98,8 +110,17 @@ class Attribute:
 
 
 @dataclass(frozen=True)
+class Grid:
+    """Values on a regular grid, linear between its points, which programs of volumes read by name; 0 outside."""
+
+    name: str
+    values: np.ndarray  # float32, shape [x, y, z], or [x, y, z, 3]
+    to_index: np.ndarray  # object space to indices of `values`, float64, shape [3, 4]
+
+
+@dataclass(frozen=True)
 class Mesh:
-    """Triangles in object space, shared by any number of instances."""
+    """Triangles in object space, shared by any number of instances; or segments of curves, or points."""
 
     name: str
     positions: np.ndarray  # [m], float32, shape [vertex_count, 3]
@@ -110,6 +131,22 @@ class Mesh:
     # centre and half size of the box that generated texture coordinates span, in object space [m]; None: -1..1
     texture_space: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
     attributes: tuple[Attribute, ...] = ()  # values that programs of its materials read
+    # `positions` at evenly spaced times while the shutter is open, float32, shape [steps, vertex_count, 3]; meshes that
+    # have some have as many steps. None: it does not deform
+    motion: np.ndarray | None = None
+    motion_normals: np.ndarray | None = None  # `corner_normals` at these times, float32, shape [steps, n, 3, 3]
+    # Radius of each vertex [m], float32, shape [vertex_count]: in place of triangles there are segments of curves,
+    # whose ends are the first two vertices of each row of `triangles`. The third is the first again, also in what
+    # corners have. A segment that begins where the row before ends goes on from there; one without length is a sphere.
+    # None: triangles
+    radii: np.ndarray | None = None
+    # triangles that are flat beside others that are not: they stay so when vertices move. Bool, shape [triangle_count];
+    # None: no triangle is, or all are
+    flat: np.ndarray | None = None
+    # where the vertices were before materials displaced them, which generated coordinates are of; None: nothing did
+    base_positions: np.ndarray | None = None
+    grids: tuple[Grid, ...] = ()  # values that the programs of its volumes read
+    object_density: bool = False  # coefficients of its volumes are those of object space, not of the world [1/m]
 
 
 @dataclass(frozen=True)
@@ -146,12 +183,24 @@ class Closure:
         """The kind, and the abilities that the values ask for."""
         abilities = {
             ClosureKind.DIFFUSE: self.kind == ClosureKind.SUBSURFACE,  # light comes out again by Lambert's law
-            ClosureKind.BECKMANN: self.distribution == 1,
-            ClosureKind.ANISOTROPIC: self.aspect != 1 and any(self.tangent),
+            ClosureKind.BECKMANN: self.distribution == 1 and self.kind != ClosureKind.TOON,
+            ClosureKind.ANISOTROPIC: self.aspect != 1 and any(self.tangent) and not self.kind.is_hair,
             ClosureKind.THIN_FILM: self.film_thickness > 0,
             ClosureKind.OWN_NORMAL: any(self.normal),
         }
         return frozenset([self.kind, *(kind for kind, there in abilities.items() if there)])
+
+
+@dataclass(frozen=True)
+class Volume:
+    """What fills closed surfaces, or the world: a sum of closures of the kinds of volumes and of EMISSION.
+
+    Weights are coefficients: of scattering and absorption [1/m], of emission [W/(m³ sr)]. What fills a surface adds to
+    what is around it.
+    """
+
+    closures: tuple[Closure, ...] = ()
+    program: Program | None = None  # makes the closures at every point, instead of `closures`
 
 
 @dataclass(frozen=True)
@@ -164,6 +213,10 @@ class Material:
     # for these, so that moving a slider never compiles. Includes the kinds of `closures`.
     kinds: tuple[ClosureKind, ...] = ()
     program: Program | None = None  # makes the closures at every point, instead of `closures`
+    index: int = 0  # what the pass Material Index shows
+    displacement: Program | None = None  # moves vertices (op `vertex_offset`)
+    displacement_bends: bool = False  # `program` bends the normals of surfaces by the displacement too
+    volume: Volume | None = None  # what fills the surfaces of this material; None: nothing
 
 
 @dataclass(frozen=True)
@@ -180,6 +233,8 @@ class Instances:
     info: np.ndarray | None = None
     # RGBA attributes of objects, and of objects that place them, which programs read by index; float32, shape [n, k, 4]
     attributes: np.ndarray | None = None
+    # `transform` at evenly spaced times while the shutter is open, float32, shape [n, steps, 3, 4]; None: none moves
+    motion: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.mesh)
@@ -244,23 +299,6 @@ class Image:
 
 
 @dataclass(frozen=True)
-class Camera:
-    """A camera whose rays pass through a window one metre in front of it (PERSPECTIVE)."""
-
-    kind: CameraKind
-    transform: np.ndarray  # camera to world, orthonormal axes in the columns, float32, shape [3, 4]
-    # left, right, bottom, top edges of the full frame [m]: on the plane z = -1 (PERSPECTIVE), or on the camera's plane
-    window: tuple[float, float, float, float]
-    clip_start: float = 0.0  # distance of the near plane along the view axis [m]
-    clip_end: float = np.inf  # distance of the far plane along the view axis [m]
-    lens_radius: float = 0.0  # radius of the aperture [m]; 0: everything is sharp
-    focus_distance: float = 1.0  # distance of the sharp plane along the view axis [m]
-    blade_count: int = 0  # edges of the aperture polygon; fewer than 3: a circle
-    blade_rotation: float = 0.0  # [rad]
-    lens_ratio: float = 1.0  # anamorphic squeeze: width of the aperture is divided by this
-
-
-@dataclass(frozen=True)
 class World:
     """Light that comes to rays which leave the scene."""
 
@@ -269,6 +307,7 @@ class World:
     # the sum of its emission closures is the radiance of every direction, instead of `radiance`
     program: Program | None = None
     sampling_size: int = 1024  # texels around the world, by whose brightness a program is sampled; 0: it is not sampled
+    volume: Volume | None = None  # what fills all space; None: nothing
 
 
 @dataclass(frozen=True)
@@ -279,7 +318,10 @@ class Frame:
     height: int
     border: tuple[int, int, int, int] | None = None  # x0, y0, x1, y1: rendered part (end exclusive); None: all
     transparent: bool = False  # the world does not cover the background of the objects: alpha is below 1 there
-    passes: tuple[str, ...] = ("Combined",)  # names of `PASSES` in `film/layout.py`
+    passes: tuple[str, ...] = ("Combined",)  # names of `PASSES` in `scene/passes.py`
+    # mist: where it begins, how far behind that it is densest [m], and the exponent of the share between: 0.5, 1 or 2
+    mist: tuple[float, float, float] = (0.0, 100.0, 1.0)
+    alpha_threshold: float = 0.5  # passes of data show the first surface whose alpha is not below it
 
     @property
     def pixel_count(self) -> int:
@@ -310,5 +352,6 @@ class Scene:
     lights: tuple[Light, ...] = ()
     world: World = World()
     object_names: tuple[str, ...] = ()
+    asset_names: tuple[str, ...] = ()  # for each object: the name of its topmost parent; empty: objects have none
     # messages about objects that were skipped, repaired or replaced by the export, by name
     warnings: tuple[str, ...] = ()

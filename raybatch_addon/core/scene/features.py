@@ -14,12 +14,18 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..settings.settings import RenderSettings
-from .description import CameraKind, ClosureKind, LightKind, Scene, Visibility
+from .description import CameraKind, ClosureKind, LightKind, Scene, Visibility, Volume
+from .motion import apart
+from .passes import COST_PASSES, PASSES, SAMPLE_COUNT, guides_denoising, records_surfaces, splits_light
 from .program import ProgramFeatures, program_features
 
 T = TypeVar("T")
 # Kinds that scatter; the others emit or let light pass
 SCATTERING = tuple(k for k in ClosureKind if k not in (ClosureKind.EMISSION, ClosureKind.TRANSPARENT))
+
+
+# Passes that are no features of a scene: that which every film has, and those that counters fill
+_PASSES_OF_OTHERS = ("Combined", *COST_PASSES, SAMPLE_COUNT)
 
 
 @dataclass(frozen=True)
@@ -41,9 +47,13 @@ class SceneFeatures:
     world: bool = False  # rays that leave the scene find light
     camera: CameraKind = CameraKind.PERSPECTIVE
     depth_of_field: bool = False
+    spherical_stereo: bool = False
+    camera_motion: bool = False  # the camera moves while its shutter is open
+    moving: bool = False  # instances or vertices do
     surfaces: bool = False  # there is something to hit
     instancing: bool = False  # more than one mesh tree: instances or objects hidden from some rays
     smooth_normals: bool = False
+    curves: bool = False  # some primitives are segments of curves, or points
     film_transparent: bool = False
     passes: tuple[str, ...] = ("Combined",)
     sample_sequence: str = "SOBOL"
@@ -52,6 +62,12 @@ class SceneFeatures:
     clamping: bool = False
     roulette: bool = True
     adaptive: bool = False  # pixels end their sampling one by one
+    bounces_by_kind: bool = False  # diffuse, glossy or transmitted bounces have a limit of their own
+    filter_glossy: bool = False
+    caustics_reflective: bool = True
+    caustics_refractive: bool = True
+    volumes: bool = False  # something fills surfaces or the world
+    volume_program: ProgramFeatures = ProgramFeatures()  # needs of the shader graphs of volumes
 
     @property
     def transparency(self) -> bool:
@@ -64,9 +80,15 @@ class SceneFeatures:
         return ClosureKind.SUBSURFACE in self.closures
 
     @property
+    def motion(self) -> bool:
+        """Whether it matters when a path is."""
+        return self.camera_motion or self.moving
+
+    @property
     def shadow_rays(self) -> bool:
         """Whether there are lights to aim at, and the settings ask for it."""
-        return self.nee != "OFF" and self.surfaces and (bool(self.lights) or self.mesh_lights or self.world_light)
+        lit = self.surfaces or self.volumes
+        return self.nee != "OFF" and lit and (bool(self.lights) or self.mesh_lights or self.world_light)
 
     @property
     def light_programs(self) -> bool:
@@ -80,8 +102,8 @@ class SceneFeatures:
 
     @property
     def path_history(self) -> bool:
-        """Whether programs ask how a path has scattered so far."""
-        return "path_history" in self.programs.ops
+        """Whether programs ask how a path has scattered so far, or limits of bounces do."""
+        return "path_history" in self.programs.ops or self.bounces_by_kind
 
     @property
     def texture_levels(self) -> bool:
@@ -108,11 +130,28 @@ class SceneFeatures:
         """Whether the film has the pass Depth."""
         return "Depth" in self.passes
 
+    @property
+    def records_surfaces(self) -> bool:
+        """Whether passes show what the first surfaces of paths are, or those behind transparent ones."""
+        shown_behind = self.transparency and not {"Depth", "Position", "Normal"}.isdisjoint(self.passes)
+        return shown_behind or records_surfaces(self.passes)
+
+    @property
+    def guides(self) -> bool:
+        """Whether the film has passes that guide a denoiser."""
+        return guides_denoising(self.passes)
+
+    @property
+    def splits_light(self) -> bool:
+        """Whether light is divided among passes."""
+        return splits_light(self.passes)
+
     def left_out(self) -> list[str]:
         """Names of features that this render does without."""
-        names = {f"closure {kind.name.lower()}": kind in self.closures for kind in ClosureKind}
+        of_surfaces = [kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION]
+        names = {f"closure {kind.name.lower()}": kind in self.closures for kind in of_surfaces}
         names |= {f"light {kind.name.lower()}": kind in self.lights for kind in LightKind}
-        names |= {f"pass {name}": name in self.passes for name in ("Depth", "Position", "Normal")}
+        names |= {f"pass {name}": name in self.passes for name in PASSES if name not in _PASSES_OF_OTHERS}
         names |= {
             "shader programs": bool(self.programs),
             "world program": bool(self.world_program),
@@ -127,13 +166,21 @@ class SceneFeatures:
             "choice among emitters": self.light_choice,
             "world": self.world,
             "depth of field": self.depth_of_field,
+            "spherical stereo": self.spherical_stereo,
+            "motion of the camera": self.camera_motion,
+            "motion of objects": self.moving,
             "surfaces": self.surfaces,
             "instancing": self.instancing,
             "smooth normals": self.smooth_normals,
+            "curves": self.curves,
             "transparent film": self.film_transparent,
             "clamping": self.clamping,
             "Russian roulette": self.roulette,
             "adaptive sampling": self.adaptive,
+            "bounces by kind": self.bounces_by_kind,
+            "filtered glossy": self.filter_glossy,
+            "volumes": self.volumes,
+            "programs of volumes": bool(self.volume_program),
         }
         return sorted(name for name, there in names.items() if not there)
 
@@ -148,7 +195,10 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
             kinds.update(material.kinds)
             for closure in material.closures:
                 kinds.update(closure.needs)
-    world, is_sampled = scene.world, surfaces and settings.nee != "OFF"
+    volumes = scene_volumes(scene)
+    if volumes:
+        kinds.add(ClosureKind.TRANSPARENT)  # shadow rays go from surface to surface
+    world, is_sampled = scene.world, (surfaces or bool(volumes)) and settings.nee != "OFF"
     world_light = is_sampled and world.program is not None and world.sampling_size > 0
     return SceneFeatures(
         closures=tuple(sorted(kinds)),
@@ -170,9 +220,13 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         world=any(scene.world.radiance) or scene.world.program is not None,
         camera=scene.camera.kind,
         depth_of_field=scene.camera.lens_radius > 0,
+        spherical_stereo=scene.camera.stereo is not None and scene.camera.kind != CameraKind.ORTHOGRAPHIC,
+        camera_motion=scene.camera.motion is not None or scene.camera.window_motion is not None,
+        moving=surfaces and bool(apart(scene).any()),
         surfaces=surfaces,
         instancing=surfaces and needs_instancing(scene),
         smooth_normals=any(scene.meshes[i].corner_normals is not None for i in used_meshes),
+        curves=any(scene.meshes[i].radii is not None and len(scene.meshes[i].triangles) > 0 for i in used_meshes),
         film_transparent=scene.frame.transparent,
         passes=tuple(scene.frame.passes),
         sample_sequence=settings.sample_sequence,
@@ -181,7 +235,21 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         clamping=settings.clamp_direct > 0 or settings.clamp_indirect > 0,
         roulette=settings.roulette_bounce <= settings.bounce_max,
         adaptive=settings.is_adaptive,
+        bounces_by_kind=settings.counts_bounces_by_kind,
+        filter_glossy=settings.filter_glossy > 0,
+        caustics_reflective=settings.caustics_reflective == "ON",
+        caustics_refractive=settings.caustics_refractive == "ON",
+        volumes=bool(volumes),
+        volume_program=program_features(
+            [volume.program for volume in volumes], max((len(volume.closures) for volume in volumes), default=0)
+        ),
     )
+
+
+def scene_volumes(scene: Scene) -> list[Volume]:
+    """What fills the surfaces of `scene`, in the order of its materials, and last what fills the world."""
+    of_materials = [material.volume for material in scene.materials]
+    return [volume for volume in (*of_materials, scene.world.volume) if volume is not None]
 
 
 def _material_programs(scene: Scene) -> ProgramFeatures:
@@ -198,7 +266,7 @@ def needs_instancing(scene: Scene) -> bool:
     filled = np.array([len(mesh.triangles) > 0 for mesh in scene.meshes], bool)
     shared = bool(np.any(filled & (counts > 1)))
     seen = instances.visibility[filled[instances.mesh]] & int(Visibility.ALL)
-    return shared or bool(np.any(seen != int(Visibility.ALL)))
+    return shared or bool(apart(scene).any()) or bool(np.any(seen != int(Visibility.ALL)))
 
 
 def _can_be_met(light) -> bool:

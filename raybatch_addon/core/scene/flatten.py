@@ -12,6 +12,8 @@ import numpy as np
 
 from ..device.bulk import add_rows, copy_rows
 from .description import Mesh, Scene, Visibility
+from .motion import KEY_FLOATS, apart, deforming_meshes, motion_keys, moving_instances
+from .segments import pack_segments
 
 IDENTITY = np.eye(3, 4, dtype=np.float32)
 
@@ -26,6 +28,16 @@ class Merged:
     instance: np.ndarray  # instance ids in the order of their triangles, int32, shape [n]
     # first triangle of each instance, counted from `triangle_first`, int32, shape [n]
     instance_triangle_first: np.ndarray
+
+
+@dataclass(frozen=True)
+class FlatMotion:
+    """What moves of the geometry."""
+
+    row: np.ndarray  # by instance, row of its keys, or -1: int32, shape [n]
+    keys: np.ndarray  # `motion_keys`: float32, shape [rows, steps, KEY_FLOATS]
+    # by mesh that deforms: `Mesh.motion` and `Mesh.motion_normals`
+    steps: dict[int, tuple[np.ndarray, np.ndarray | None]]
 
 
 @dataclass(frozen=True)
@@ -44,6 +56,8 @@ class FlatGeometry:
     instance_transform: np.ndarray  # float32, shape [n, 3, 4]; the identity for baked instances
     merged: tuple[Merged, ...]
     shared: np.ndarray  # instances that are not baked, int32
+    motion: FlatMotion | None = None  # None: nothing moves
+    curves: bool = False  # whether some triangles are segments of curves, as `segments.py` packs them
 
 
 def flatten(scene: Scene) -> FlatGeometry:
@@ -54,7 +68,7 @@ def flatten(scene: Scene) -> FlatGeometry:
     )
     filled = np.array([len(mesh.triangles) > 0 for mesh in scene.meshes], bool)
     alive = filled[instances.mesh] if len(instances) else np.zeros(0, bool)
-    baked = alive & (uses[instances.mesh] == 1) if len(instances) else alive
+    baked = alive & (uses[instances.mesh] == 1) & ~apart(scene) if len(instances) else alive
     seen = instances.visibility & int(Visibility.ALL)
 
     chunks: list[_Chunk] = []
@@ -79,7 +93,23 @@ def flatten(scene: Scene) -> FlatGeometry:
     transform = np.array(instances.transform, np.float32).reshape(-1, 3, 4)
     transform[baked] = IDENTITY
     instance_mesh = np.array([mesh_position.get(int(mesh), 0) for mesh in instances.mesh], np.int32)
-    return _joined(chunks, instance_mesh, transform, tuple(merged), shared)
+    motion = _motion(scene, mesh_position) if apart(scene).any() else None
+    return _joined(chunks, instance_mesh, transform, tuple(merged), shared, motion)
+
+
+def _motion(scene: Scene, mesh_position: dict[int, int]) -> FlatMotion:
+    moving = moving_instances(scene)
+    row = np.where(moving, np.cumsum(moving) - 1, -1).astype(np.int32)
+    keys = np.zeros((0, 2, KEY_FLOATS), np.float32)
+    if moving.any():
+        keys = motion_keys(scene.instances.motion[moving])
+    deforms = deforming_meshes(scene)
+    steps = {
+        place: (scene.meshes[mesh].motion, scene.meshes[mesh].motion_normals)
+        for mesh, place in mesh_position.items()
+        if deforms[mesh]
+    }
+    return FlatMotion(row, keys, steps)
 
 
 def is_mirrored_where_baked(scene: Scene) -> np.ndarray:
@@ -91,7 +121,8 @@ def is_mirrored_where_baked(scene: Scene) -> np.ndarray:
     if len(instances) == 0:
         return np.zeros(0, bool)
     uses = np.bincount(instances.mesh, minlength=len(scene.meshes))
-    return (uses[instances.mesh] == 1) & (np.linalg.det(np.asarray(instances.transform, np.float64)[:, :, :3]) < 0)
+    baked = (uses[instances.mesh] == 1) & ~apart(scene)
+    return baked & (np.linalg.det(np.asarray(instances.transform, np.float64)[:, :, :3]) < 0)
 
 
 @dataclass(frozen=True)
@@ -100,10 +131,18 @@ class _Chunk:
     triangles: np.ndarray
     corner_normals: np.ndarray | None
     triangle_slot: np.ndarray | None
+    curves: bool = False
 
 
 def _keep(mesh: Mesh) -> _Chunk:
+    if mesh.radii is not None:
+        return _segments(mesh, mesh.positions, mesh.radii)
     return _Chunk(mesh.positions, mesh.triangles, mesh.corner_normals, mesh.triangle_slot)
+
+
+def _segments(mesh: Mesh, positions: np.ndarray, radii: np.ndarray) -> _Chunk:
+    corners, triangles = pack_segments(positions, radii, mesh.triangles)
+    return _Chunk(corners, triangles, None, mesh.triangle_slot, curves=True)
 
 
 def _bake(mesh: Mesh, transform: np.ndarray) -> _Chunk:
@@ -112,6 +151,10 @@ def _bake(mesh: Mesh, transform: np.ndarray) -> _Chunk:
         return _keep(mesh)
     linear, offset = matrix[:, :3], matrix[:, 3]
     positions = (mesh.positions.astype(np.float64) @ linear.T + offset).astype(np.float32)
+    if mesh.radii is not None:
+        # round in the world too, by the mean scale, as in Cycles
+        scale = np.cbrt(abs(np.linalg.det(linear)))
+        return _segments(mesh, positions, (mesh.radii * scale).astype(np.float32))
     triangles, normals = mesh.triangles, mesh.corner_normals
     if normals is not None:
         # the cofactor matrix is the inverse transpose times the determinant, and exists for singular matrices too
@@ -130,7 +173,7 @@ def _bake(mesh: Mesh, transform: np.ndarray) -> _Chunk:
     return _Chunk(positions, triangles, normals, mesh.triangle_slot)
 
 
-def _joined(chunks, instance_mesh, transform, merged, shared) -> FlatGeometry:
+def _joined(chunks, instance_mesh, transform, merged, shared, motion) -> FlatGeometry:
     triangle_counts = [len(chunk.triangles) for chunk in chunks]
     vertex_first = np.concatenate([[0], np.cumsum([len(chunk.positions) for chunk in chunks])]).astype(np.int64)
     triangles = _rows([chunk.triangles for chunk in chunks], np.int32, vertex_first)
@@ -155,6 +198,8 @@ def _joined(chunks, instance_mesh, transform, merged, shared) -> FlatGeometry:
         instance_transform=transform,
         merged=merged,
         shared=shared,
+        motion=motion,
+        curves=any(chunk.curves for chunk in chunks),
     )
 
 

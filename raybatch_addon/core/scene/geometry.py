@@ -24,7 +24,7 @@ mat34 = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
 
 @wp.struct
 class Geometry:
-    """Device arrays of `FlatGeometry`."""
+    """Device arrays of `FlatGeometry`. What moves lies behind the entries that are told here (`moved.py`)."""
 
     # [m], shape [vertex_count], or the corners of every triangle, shape [3 * triangle_count]
     positions: wp.array(dtype=wp.vec3)
@@ -154,7 +154,8 @@ def update_geometry(geometry: Geometry, flat: FlatGeometry, scene: Scene) -> Non
     Arrays of the same size are overwritten.
     """
     device = geometry.triangles.device
-    for name, values, dtype in _what_moves(flat, scene):
+    moving = [("instance_mesh", flat.instance_mesh, int)] if flat.motion else []
+    for name, values, dtype in _what_moves(flat, scene) + moving:
         array = getattr(geometry, name)
         if array.size == len(values):
             wp.copy(array, wp.array(values, dtype=dtype, device="cpu", copy=False))

@@ -9,24 +9,14 @@ import numpy as np
 from ..errors import SceneError
 from .description import Camera, Frame, Instances, Light, Mesh, Scene, World
 from .frozen import fact
+from .passes import PASSES, is_pass
 
 # Largest coordinate; squares of larger ones leave float32
 COORDINATE_MAX = 1e18
 # Least size; areas of smaller things leave the normal numbers of float32
 EXTENT_MIN = 1e-18
-# The passes that a film can hold (`PASSES` in `film/layout.py`)
-PASS_NAMES = (
-    "Combined",
-    "Depth",
-    "Position",
-    "Normal",
-    "Rays",
-    "Node Steps",
-    "Triangle Tests",
-    "Treelet Visits",
-    "Times Queued",
-    "Sample Count",
-)
+# The passes that a film can hold
+PASS_NAMES = tuple(PASSES)
 
 
 def checked_scene(scene: Scene) -> Scene:
@@ -37,7 +27,7 @@ def checked_scene(scene: Scene) -> Scene:
     _check_camera(scene.camera)
     _check_frame(scene.frame)
     _check_indices(scene)
-    warnings: list[str] = []
+    warnings = _unsupported_inputs(scene)
     meshes = tuple(_checked_mesh(mesh, warnings) for mesh in scene.meshes)
     checked = dataclasses.replace(
         scene,
@@ -49,6 +39,14 @@ def checked_scene(scene: Scene) -> Scene:
     if not warnings:
         return scene
     return dataclasses.replace(checked, warnings=(*scene.warnings, *warnings))
+
+
+def _unsupported_inputs(scene: Scene) -> list[str]:
+    """What programs ask for that this camera does not give, by name of the material."""
+    if not scene.camera.kind.is_panorama:
+        return []
+    names = [m.name for m in scene.materials if m.program is not None and "window_coordinates" in m.program.ops]
+    return [f"material “{name}”: window coordinates are not those of a panorama" for name in names]
 
 
 def _check_camera(camera: Camera) -> None:
@@ -74,6 +72,15 @@ def _check_camera(camera: Camera) -> None:
         raise SceneError(
             "the camera's focus distance or aperture ratio is 0; give it one above 0, or switch depth of field off"
         )
+    if camera.kind.is_panorama and camera.panorama is not None:
+        fields = dataclasses.astuple(camera.panorama)
+        if not all(np.all(np.isfinite(value)) for value in fields) or not camera.panorama.focal_length > 0:
+            raise SceneError("the camera's panorama is not finite or has a focal length of 0; reset its settings")
+    for moved in (camera.motion, camera.window_motion, camera.shutter.times):
+        if moved is not None and (len(moved) < 2 or not np.isfinite(moved).all()):
+            raise SceneError("the camera's motion or shutter is not finite; check what it follows while it is open")
+    if camera.stereo is not None and not (np.isfinite(camera.stereo.offset) and camera.stereo.convergence_distance > 0):
+        raise SceneError("the camera's stereoscopy is not finite, or converges at 0; reset its distances")
     left, right, bottom, top = camera.window
     if not (left != right and bottom != top):
         raise SceneError("the camera's window has no area; check its focal length or orthographic scale")
@@ -85,7 +92,7 @@ def _check_frame(frame: Frame) -> None:
         raise SceneError(
             f"the rendered region {frame.region} is not inside the frame of {frame.width} x {frame.height} pixels"
         )
-    unknown = [name for name in frame.passes if name not in PASS_NAMES]
+    unknown = [name for name in frame.passes if not is_pass(name)]
     if unknown or "Combined" not in frame.passes:
         raise SceneError(
             f"the passes {', '.join(frame.passes)} cannot be rendered: choose Combined and any of "
@@ -170,14 +177,53 @@ def _checked_mesh(mesh: Mesh, warnings: list[str]) -> Mesh:
             mesh.triangle_slot.shape != (len(mesh.triangles),) or fact(mesh.triangle_slot, _range)[0] < 0
         ):
             reason = "has material slots that do not belong to its faces"
+        elif mesh.radii is not None and not (
+            mesh.radii.shape == (len(mesh.positions),)
+            and fact(mesh.radii, _is_finite)
+            and 0 <= mesh.radii.min() <= mesh.radii.max() <= COORDINATE_MAX
+        ):
+            reason = "has radii that do not belong to its points, or are negative or not finite"
         elif mesh.corner_normals is not None and mesh.corner_normals.shape != (len(mesh.triangles), 3, 3):
             reason = "has normals that do not belong to its faces"
         elif not all(_belongs(attribute.values, len(mesh.triangles)) for attribute in mesh.attributes):
             reason = "has attributes that do not belong to its faces, or are not finite"
     if reason is None:
-        return mesh
+        return _with_usable_motion(mesh, warnings)
     warnings.append(f"mesh “{mesh.name}” {reason}: it is not rendered")
     return Mesh(mesh.name, np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32))
+
+
+def _with_usable_motion(mesh: Mesh, warnings: list[str]) -> Mesh:
+    """`mesh`, which stands still where its vertices cannot be followed."""
+    if mesh.motion is None:
+        return mesh
+    shape, normals = mesh.motion.shape, mesh.motion_normals
+    good = len(shape) == 3 and shape[0] >= 2 and shape[1:] == mesh.positions.shape
+    good = good and np.isfinite(mesh.motion).all() and np.abs(mesh.motion).max(initial=0) <= COORDINATE_MAX
+    if normals is not None:
+        good = good and mesh.corner_normals is not None and normals.shape == (shape[0], *mesh.corner_normals.shape)
+    if good:
+        return mesh
+    warnings.append(f"mesh “{mesh.name}” moves to places that are not finite or not its own: it stands still")
+    return dataclasses.replace(mesh, motion=None, motion_normals=None)
+
+
+def _with_usable_maps(instances: Instances, warnings: list[str]) -> Instances:
+    """`instances`, of which those stand still whose motion is not finite or comes too far."""
+    motion = instances.motion
+    if motion is None:
+        return instances
+    if motion.shape[0] != len(instances) or motion.ndim != 4 or motion.shape[1] < 2 or motion.shape[2:] != (3, 4):
+        warnings.append("the motion of objects does not belong to them: they stand still")
+        return dataclasses.replace(instances, motion=None)
+    with np.errstate(invalid="ignore"):
+        good = (np.abs(motion) <= COORDINATE_MAX).all((1, 2, 3))
+    if good.all():
+        return instances
+    warnings.append(f"{int((~good).sum()):,} objects move to places that are not finite or too far: they stand still")
+    return dataclasses.replace(
+        instances, motion=np.where(good[:, None, None, None], motion, instances.transform[:, None])
+    )
 
 
 def _belongs(values: np.ndarray, triangle_count: int) -> bool:
@@ -241,6 +287,7 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
         text = f"object “{_object_name(scene, i)}” has {why}: it is not rendered"
         if text not in warnings:
             warnings.append(text)
+    instances = _with_usable_maps(instances, warnings)
     columns = (getattr(instances, field.name) for field in dataclasses.fields(Instances))
     return Instances(*(None if column is None else column[keep] for column in columns))
 

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from .info import INT_MAX, setting
 
+# Largest limit of bounces of one kind, which counts as none: Cycles' own range
+KIND_BOUNCES_MOST = 1024
+
 
 @dataclass(frozen=True)
 class EstimatorSettings:
@@ -159,6 +162,34 @@ class EstimatorSettings:
         minimum=0,
         maximum=100_000,
     )
+    diffuse_bounce_max: int = setting(
+        KIND_BOUNCES_MOST,
+        "Diffuse Bounces",
+        "Most bounces of a path that are diffuse reflections; 1024 sets no limit but Bounces",
+        group="LIGHT_PATHS",
+        unit="bounces",
+        minimum=0,
+        maximum=KIND_BOUNCES_MOST,
+    )
+    glossy_bounce_max: int = setting(
+        KIND_BOUNCES_MOST,
+        "Glossy Bounces",
+        "Most bounces of a path that are reflections by facets, sharp or not; 1024 sets no limit but Bounces",
+        group="LIGHT_PATHS",
+        unit="bounces",
+        minimum=0,
+        maximum=KIND_BOUNCES_MOST,
+    )
+    transmission_bounce_max: int = setting(
+        KIND_BOUNCES_MOST,
+        "Transmission Bounces",
+        "Most bounces of a path that are refractions, or pass light to the other side in another way; "
+        "1024 sets no limit but Bounces",
+        group="LIGHT_PATHS",
+        unit="bounces",
+        minimum=0,
+        maximum=KIND_BOUNCES_MOST,
+    )
     transparent_bounce_max: int = setting(
         8,
         "Transparent Bounces",
@@ -167,6 +198,15 @@ class EstimatorSettings:
         unit="surfaces",
         minimum=0,
         maximum=1024,
+    )
+    volume_bounce_max: int = setting(
+        1024,
+        "Volume Bounces",
+        "Bounces of indirect light within volumes, which count as bounces too; 0: light scatters there once at most",
+        group="LIGHT_PATHS",
+        unit="bounces",
+        minimum=0,
+        maximum=100_000,
     )
     roulette_bounce: int = setting(
         2,
@@ -203,6 +243,36 @@ class EstimatorSettings:
         unit="W/(m² sr)",
         minimum=0.0,
         maximum=1e30,
+    )
+
+    filter_glossy: float = setting(
+        0.0,
+        "Filter Glossy",
+        "Roughens surfaces for paths that came by unlikely directions, so that caustics are less noisy, and blurred: "
+        "the larger the more. 0 leaves all as they are",
+        group="LIGHT_PATHS",
+        minimum=0.0,
+        maximum=100.0,
+    )
+    caustics_reflective: str = setting(
+        "ON",
+        "Reflective Caustics",
+        "Light that glossy surfaces throw on diffuse ones: noisy where the source is small",
+        group="LIGHT_PATHS",
+        choices=(
+            ("ON", "On", "All of it is rendered"),
+            ("OFF", "Off", "Surfaces that a diffuse ray meets reflect no light sharply. The picture is darker"),
+        ),
+    )
+    caustics_refractive: str = setting(
+        "ON",
+        "Refractive Caustics",
+        "Light that comes through glass to diffuse surfaces: noisy where the source is small",
+        group="LIGHT_PATHS",
+        choices=(
+            ("ON", "On", "All of it is rendered"),
+            ("OFF", "Off", "Glass that a diffuse ray meets lets no light through, and reflects none. It is darker"),
+        ),
     )
 
     texture_filter: str = setting(

@@ -37,6 +37,7 @@ GROUPS = {
     "SAMPLING": GroupInfo("Sampling", "How many paths are traced, and what decides where they go.", closed=False),
     "LIGHT_PATHS": GroupInfo("Light Paths", "How far light is followed."),
     "FILM": GroupInfo("Film", "How samples become pixels."),
+    "DENOISING": GroupInfo("Denoising", "Noise that is removed from the finished picture."),
     "PERFORMANCE": GroupInfo(
         "Performance", "How rays are traced. From here on no setting changes the picture, only the time it takes."
     ),

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import SettingsError
+from .denoise import DenoiseSettings
 from .device import TRACE_BLOCK_SIZE, DeviceSettings, LaunchSettings, MemorySettings
 from .estimator import EstimatorSettings
 from .info import BYTES, GROUPS, INT_MAX, SettingInfo, checked, infos_of
@@ -24,6 +25,8 @@ __all__ = ["BYTES", "GROUPS", "SETTINGS", "RenderSettings", "SettingInfo", "pars
 
 # 32-bit registers of a block of threads, on every CUDA device since 2014, and the steps in which a thread gets them
 REGISTERS_MAX, REGISTER_STEP = 65_536, 8
+# Paths count their bounces of a kind up to this number, which stands for all above
+KIND_BOUNCES_COUNTED = 511
 
 
 # Fields come in the order of the bases from the last to the first: that of the panel and of the manual
@@ -35,6 +38,7 @@ class RenderSettings(
     QueueSettings,
     SchedulerSettings,
     TracingSettings,
+    DenoiseSettings,
     EstimatorSettings,
     DeviceSettings,
 ):
@@ -97,6 +101,12 @@ class RenderSettings(
     def half_count(self) -> int:
         """In how many films samples come: 2 where the error is estimated."""
         return 2 if keeps_halves(self) else 1
+
+    @property
+    def counts_bounces_by_kind(self) -> bool:
+        """Whether bounces of one kind may end a path before `bounce_max` does."""
+        least = min(self.diffuse_bounce_max, self.glossy_bounce_max, self.transmission_bounce_max)
+        return least < min(self.bounce_max, KIND_BOUNCES_COUNTED)
 
     @property
     def is_adaptive(self) -> bool:

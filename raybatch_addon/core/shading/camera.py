@@ -9,8 +9,11 @@ import numpy as np
 import warp as wp
 
 from ..errors import SceneError
-from ..scene.description import Camera, CameraKind
+from ..scene.description import Camera, CameraKind, Panorama
+from ..scene.motion import motion_keys
+from .panorama import make_panorama_direction, panorama_numbers
 from .sampling import sample_aperture
+from .stereo import eye_offset, stereo_numbers, towards_convergence
 
 
 @wp.struct
@@ -32,6 +35,21 @@ class CameraData:
     blade_count: int  # fewer than 3: a circle
     blade_rotation: float  # [rad]
     lens_squeeze: float  # factor of the aperture's width
+    projection: wp.vec4  # of a panorama (`panorama_numbers`)
+    projection_more: wp.vec4
+    # motion; no entries where there is none
+    motion_keys: wp.array(dtype=float)  # `motion_keys` of camera to world
+    window_steps: wp.array(dtype=wp.vec4)  # left and lower edge, width and height of a pixel at evenly spaced times
+    shutter_times: wp.array(dtype=float)  # `Shutter.times`
+    rolling: float  # `Shutter.rolling`; below 0: none
+    frame_height: float  # [pixels]
+    stereo: wp.vec4  # of spherical stereo: offset, 1 / convergence distance, angles between which the offset fades
+
+
+def camera_axes(camera: CameraData) -> wp.mat33:
+    """Rows that bring a direction of world space into the camera's: right, up, and away from the camera."""
+    x, y, z = (np.array(axis, np.float64) for axis in (camera.axis_x, camera.axis_y, camera.axis_z))
+    return wp.mat33(*np.concatenate([x, y, -z]).tolist())
 
 
 @dataclass(frozen=True)
@@ -40,9 +58,10 @@ class CameraFeatures:
 
     camera: CameraKind = CameraKind.PERSPECTIVE
     depth_of_field: bool = False
+    spherical_stereo: bool = False
 
 
-def upload_camera(camera: Camera, width: int, height: int) -> CameraData:
+def upload_camera(camera: Camera, width: int, height: int, device: wp.Device | str = "cpu") -> CameraData:
     """`camera` for a full frame of `width` x `height` pixels; raises `SceneError` for one that sees nothing."""
     matrix = np.asarray(camera.transform, np.float64)
     left, right, bottom, top = (float(edge) for edge in camera.window)
@@ -66,7 +85,27 @@ def upload_camera(camera: Camera, width: int, height: int) -> CameraData:
     data.blade_count = camera.blade_count
     data.blade_rotation = camera.blade_rotation
     data.lens_squeeze = 1 / camera.lens_ratio
+    set_motion(data, camera, width, height, device)
+    if camera.kind.is_panorama:
+        numbers = panorama_numbers(camera.kind, camera.panorama or Panorama())
+        data.projection, data.projection_more = wp.vec4(*numbers[:4]), wp.vec4(*numbers[4:])
+    if camera.stereo:
+        offset, *more = stereo_numbers(camera.stereo)
+        data.stereo = wp.vec4(-offset if camera.kind == CameraKind.MIRROR_BALL else offset, *more)
     return data
+
+
+def set_motion(data: CameraData, camera: Camera, width: int, height: int, device: wp.Device | str) -> None:
+    """Keys, windows and shutter of a camera that is open for a while."""
+    data.rolling, data.frame_height = -1.0 if camera.shutter.rolling is None else camera.shutter.rolling, height
+    if camera.shutter.times is not None:
+        data.shutter_times = wp.array(camera.shutter.times, dtype=float, device=device)
+    if camera.motion is not None:
+        data.motion_keys = wp.array(motion_keys(camera.motion).reshape(-1), dtype=float, device=device)
+    if camera.window_motion is not None:
+        left, right, bottom, top = np.asarray(camera.window_motion, np.float64).T
+        steps = np.stack([left, bottom, (right - left) / width, (top - bottom) / height], 1)
+        data.window_steps = wp.array(steps.astype(np.float32), dtype=wp.vec4, device=device)
 
 
 @wp.func
@@ -76,14 +115,26 @@ def lens_point(camera: CameraData, u: wp.vec2) -> wp.vec2:
     return wp.vec2(p[0] * camera.lens_squeeze, p[1])
 
 
+# Squared sine of the angle to the side's axis below which a lens takes another side
+_ALONG_SIDE = 2.0**-40
+
+
+def _lens_side(kind: CameraKind) -> wp.vec3:
+    """The camera's axis that the first coordinate of its lens is turned towards."""
+    return wp.vec3(1.0, 0.0, 0.0) if kind == CameraKind.MIRROR_BALL else wp.vec3(0.0, 0.0, -1.0)
+
+
 @functools.cache
 def make_camera_ray(features: CameraFeatures) -> wp.Function:
     """`camera_ray(camera, pixel_x, pixel_y, u_lens) -> (origin, direction, t_max)` for one kind of camera.
 
     `pixel_x`, `pixel_y`: position in the full frame [pixels], (0, 0) the lower left corner of its lower left pixel.
     `u_lens`: point of the aperture, in [0, 1)^2. The origin lies on the near plane, the direction is a unit vector, and
-    `t_max` [m] ends at the far plane. Depth of field is that of a thin lens.
+    `t_max` [m] ends at the far plane; it is 0 where the camera sees nothing, as beside the circle of a fisheye. Depth
+    of field is that of a thin lens.
     """
+    if features.camera.is_panorama:
+        return _make_panorama_ray(features)
     perspective = features.camera == CameraKind.PERSPECTIVE
 
     @wp.func
@@ -113,6 +164,49 @@ def make_camera_ray(features: CameraFeatures) -> wp.Function:
         ahead = slope_x * camera.axis_x + slope_y * camera.axis_y - camera.axis_z
         origin = camera.position + start_x * camera.axis_x + start_y * camera.axis_y + camera.clip_start * ahead
         length = wp.length(ahead)
+        if wp.static(features.spherical_stereo and perspective):
+            # about the world's vertical, as Cycles does it where the picture is on a plane
+            direction = ahead / length
+            offset = eye_offset(camera.stereo, direction, wp.vec3(0.0, 0.0, 1.0))
+            direction = towards_convergence(camera.stereo, direction, offset)
+            origin = origin + offset + camera.clip_start * (length * direction - ahead)
+            return origin, direction, camera.clip_length * length
         return origin, ahead / length, camera.clip_length * length
+
+    return camera_ray
+
+
+def _make_panorama_ray(features: CameraFeatures) -> wp.Function:
+    """`camera_ray` of a panorama. Cycles has a mirror ball in axes of the other hand: its lens is mirrored."""
+    turn = -1.0 if features.camera == CameraKind.MIRROR_BALL else 1.0
+    panorama_direction = make_panorama_direction(features.camera)
+
+    @wp.func
+    def camera_ray(
+        camera: CameraData, pixel_x: float, pixel_y: float, u_lens: wp.vec2
+    ) -> tuple[wp.vec3, wp.vec3, float]:
+        x = camera.window_x + pixel_x * camera.pixel_width
+        y = camera.window_y + pixel_y * camera.pixel_height
+        local = panorama_direction(camera.projection, camera.projection_more, x, y)
+        if wp.dot(local, local) == 0.0:
+            return camera.position, -camera.axis_z, 0.0
+        start = wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(features.depth_of_field):
+            # the lens faces every ray; all rays of a pixel meet on the sphere of focus
+            lens = lens_point(camera, u_lens)
+            across = wp.static(_lens_side(features.camera))
+            side = across - wp.dot(across, local) * local
+            if wp.dot(side, side) < wp.static(_ALONG_SIDE):
+                side = wp.vec3(0.0, 1.0, 0.0)
+            side = wp.normalize(side)
+            start = lens[0] * side + wp.static(turn) * lens[1] * wp.cross(local, side)
+            local = wp.normalize(camera.focus_distance * local - start)
+        if wp.static(features.spherical_stereo):
+            offset = eye_offset(camera.stereo, local, wp.vec3(0.0, 1.0, 0.0))
+            start = start + offset
+            local = towards_convergence(camera.stereo, local, offset)
+        direction = wp.normalize(local[0] * camera.axis_x + local[1] * camera.axis_y + local[2] * camera.axis_z)
+        origin = camera.position + start[0] * camera.axis_x + start[1] * camera.axis_y + start[2] * camera.axis_z
+        return origin + camera.clip_start * direction, direction, camera.clip_length
 
     return camera_ray

@@ -9,6 +9,7 @@ import warp as wp
 
 from ..bvh.margin import TRIANGLE_TEST
 from ..scene.geometry import Geometry, corners_of, mat34, transform_vector
+from ..scene.moved import normals_at, positions_at, transform_at
 
 # Unit roundoff of float32. n operations are wrong by at most n u / (1 - n u), relatively (Higham 2002, section 3.1).
 _U = 2.0**-24
@@ -26,12 +27,13 @@ class SurfacePoint:
     geometric_normal: wp.vec3  # unit, of the front
     normal: wp.vec3  # unit, interpolated; on the same side as `geometric_normal`
     material: int
+    time: float  # when it is there, 0 to 1; 0 where nothing moves
 
 
 class SurfaceFunctions(NamedTuple):
     """Warp functions of one specialisation."""
 
-    point: Any  # (geometry, instance, primitive, uv) -> SurfacePoint
+    point: Any  # (geometry, instance, primitive, uv, time) -> SurfacePoint
 
 
 @wp.func
@@ -113,17 +115,37 @@ def material_of(geometry: Geometry, instance: int, triangle: int) -> int:
     return geometry.slot_materials[slot]
 
 
+@wp.func
+def carried_error(m: mat34, position: wp.vec3, error: wp.vec3) -> wp.vec3:
+    """Bound of the error of `position`, known to `error`, when `m` carries it to the world, and a ray back."""
+    return _row_abs(m, error) + wp.static(2.0 * _GAMMA_8) * (_row_abs(m, _abs(position)) + _abs(_offset(m)))
+
+
+@wp.func
+def moved_normal(m: mat34, n: wp.vec3) -> wp.vec3:
+    """Normal `n` under `m`, of any length."""
+    return _cofactor(m, n)
+
+
+@wp.func
+def unit_or_zero(v: wp.vec3) -> wp.vec3:
+    """`v` at length 1; 0 stays 0."""
+    return _unit(v)
+
+
 @functools.cache
-def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
-    """Functions for scenes with or without instances and interpolated normals."""
+def make_surface(instancing: bool, smooth_normals: bool, moving: bool = False) -> SurfaceFunctions:
+    """Functions for scenes with or without instances, interpolated normals, and things that move."""
 
     @wp.func
-    def point(geometry: Geometry, instance: int, primitive: int, uv: wp.vec2) -> SurfacePoint:
+    def point(geometry: Geometry, instance: int, primitive: int, uv: wp.vec2, time: float) -> SurfacePoint:
         triangle = geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive
         corners = corners_of(geometry, triangle)
         p0 = geometry.positions[corners[0]]
         p1 = geometry.positions[corners[1]]
         p2 = geometry.positions[corners[2]]
+        if wp.static(moving):
+            p0, p1, p2 = positions_at(geometry, geometry.instance_mesh[instance], corners, time)
 
         surface = SurfacePoint()
         # The point is computed from one corner along the edges. Whatever the weights are, that is a point of the
@@ -145,6 +167,8 @@ def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
         if wp.static(instancing):
             if geometry.instancing != 0:
                 matrix = geometry.instance_transform[instance]
+                if wp.static(moving):
+                    matrix = transform_at(geometry, instance, time)
                 moved = transform_vector(matrix, position)
                 offset = _offset(matrix)
                 # error of carrying the point to the world, and the ray to the object and back
@@ -154,6 +178,8 @@ def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
                 position = moved + offset
                 edge_cross = _cofactor(matrix, edge_cross)
         surface.position = position
+        if wp.static(moving):
+            surface.time = time
         surface.error = error
         surface.geometric_normal = _unit(edge_cross)
         surface.normal = surface.geometric_normal
@@ -165,9 +191,15 @@ def make_surface(instancing: bool, smooth_normals: bool) -> SurfaceFunctions:
                     + uv[0] * geometry.corner_normals[3 * triangle + 1]
                     + uv[1] * geometry.corner_normals[3 * triangle + 2]
                 )
+                if wp.static(moving):
+                    n0, n1, n2 = normals_at(geometry, geometry.instance_mesh[instance], triangle, time)
+                    n = (1.0 - uv[0] - uv[1]) * n0 + uv[0] * n1 + uv[1] * n2
                 if wp.static(instancing):
                     if geometry.instancing != 0:
-                        n = _cofactor(geometry.instance_transform[instance], n)
+                        if wp.static(moving):
+                            n = _cofactor(transform_at(geometry, instance, time), n)
+                        else:
+                            n = _cofactor(geometry.instance_transform[instance], n)
                 n = _unit(n)
                 if wp.dot(n, n) > 0.5:  # normals of flat meshes are 0
                     surface.normal = n

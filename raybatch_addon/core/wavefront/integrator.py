@@ -12,7 +12,8 @@ import warp as wp
 
 from ..device.launches import RepeatedLaunches
 from ..film import layout_of
-from ..film.tile import FilmTile, FilmTiles, FinishedTile
+from ..film.mattes import Mattes
+from ..film.tile import FIRST_SAMPLE_ARRAYS, FilmTile, FilmTiles, FinishedTile
 from ..measure.batching import BatchingTotals
 from ..measure.counters import Counters, CounterTotals
 from ..measure.timing import NoTimer
@@ -23,6 +24,7 @@ from ..shading.sampling import filter_table
 from .kernels import StageKernels
 from .order.hit_order import HitOrder
 from .order.ray_order import RayOrder
+from .passes.state import PathPasses, make_path_passes
 from .path_lists import Length, PathLists
 from .plan.plan import Method
 from .rays import RayNeeds, allocate_paths, allocate_rays
@@ -35,6 +37,7 @@ from .stages.work import ShadingStage, TileWork
 from .tier import array_features
 from .tracers.choose import make_tracer
 from .tracers.interface import Tracer
+from .volumes.volumes import with_state
 
 # A stopped tile whose rays are not at their end after this long gives them up [s]
 DRAIN_SECONDS = 0.25
@@ -86,12 +89,19 @@ class TileIntegrator:
         self._limits = self._half_limits[0]
         self._layout = layout_of(frame.passes, frame.transparent)
         self._paths = allocate_paths(count, array_features(features, scene.shading), device)
+        self._passes = make_path_passes(count, features, self._layout, scene.pass_inputs, scene.camera, device)
+        if self._passes:
+            self._paths.passes = wp.array([self._passes], dtype=PathPasses, device=device)
         tracing = scene.tracing
         needs = RayNeeds.of(features, tracing.method is Method.REFERENCE)
         self._rays = allocate_rays(count, device, dataclasses.replace(needs, shadow_rays=scene.shadow_rays))
+        self._volumes = None  # there are none
+        if scene.volumes:
+            self._volumes = with_state(scene.volumes.data, count, settings.volume_bounce_max, device)
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = PathLists(count, device, walks=features.subsurface)
         self._film_tiles = FilmTiles(self._layout, frame.passes, device, self._lists.counts.at(Length.SPILL))
+        self._film_tiles.set_mattes_aside(self._lists.counts.at(Length.MATTES), count)
         self._free: wp.array | None = None
         self._bounced = self._shadow = NO_RAYS
         counting = tracing.counters(settings, frame.passes)
@@ -120,6 +130,7 @@ class TileIntegrator:
                 self._order,
             )
         self._cost: wp.array | None = None
+        self._mattes = Mattes()  # of the tile, beside those in its slots
         self._filter = wp.array(filter_table(settings.pixel_filter, settings.filter_width), dtype=float, device=device)
         self._launches = RepeatedLaunches(device)
         self._alive = 0
@@ -155,12 +166,18 @@ class TileIntegrator:
         tile = state.tile
         if state.half:
             # the first sample of the other half decides
-            film.depth.zero_()
-            film.position.zero_()
+            for name in FIRST_SAMPLE_ARRAYS.values():
+                getattr(film, name).zero_()
         count = done + (state.held.sample_count if state.held else 0)
         with self._timer.stage("transfer"):
             finished = state.held = FinishedTile(
-                (tile.x, tile.y, tile.width, tile.height), film, self._layout, self._frame.passes, count, self._cost
+                (tile.x, tile.y, tile.width, tile.height),
+                film,
+                self._layout,
+                self._frame.passes,
+                count,
+                self._cost,
+                self._mattes,
             )
         self.invalid_samples += finished.invalid
         return finished
@@ -168,6 +185,11 @@ class TileIntegrator:
     def use_kernels(self, kernels: StageKernels) -> None:
         """Go on with `kernels` of another tier, loaded already, from the next turn on. May be called on any thread."""
         self._wanted_kernels = kernels
+
+    def release(self) -> None:
+        """Give up what was captured for the device, after the last tile; called on the thread that made this."""
+        if self._tracer:
+            self._tracer.release()
 
     # --- the steps, in the order of the loop
 
@@ -184,6 +206,7 @@ class TileIntegrator:
         self._free = self._lists.all_free(self._paths.status)
         self._limits = self._half_limits[state.half]
         held = state.held
+        self._mattes = held.mattes if held else Mattes()
         if self._counters:
             self._cost = held.cost if held and held.cost is not None else self._counters.begin_tile(tile.pixel_count)
         return work, self._film_tiles.begin(tile.pixel_count, held.film if held else None)
@@ -214,6 +237,8 @@ class TileIntegrator:
                 length,
                 *more,
             )
+            if self._volumes:
+                self._launch(self._kernels.volumes.enter, count, self._volumes, self._rays, self._free, length)
         state.items_begun += count
         self._alive += count
         self.rays.camera += count
@@ -227,8 +252,8 @@ class TileIntegrator:
         waves = [(kind, rays) for kind, rays in waves if rays.bound]
         if self._tracer is None:
             # nothing to hit: ray slots say so from the start
-            for _, rays in waves:
-                self._launch_over(self._kernels.settle, rays, self._paths, self._rays)
+            for kind, rays in waves:
+                self._take_back(kind, rays, work, film)
             return sum(rays.bound for _, rays in waves)
         for kind, rays in waves:
             if self._order and self._scene.tracing.waits:
@@ -253,6 +278,8 @@ class TileIntegrator:
         elif kind == RayKind.OCCLUSION:
             self._launch_stage(ShadingStage.CONNECT, back, work, film)
         else:
+            if self._volumes:
+                self._launch_volumes(self._kernels.volumes.transmit, back, work)
             self._launch_stage(ShadingStage.CONNECT_TRANSPARENT, back, work, film)
 
     def _shade(self, work: TileWork, film: FilmTile, bound: int) -> None:
@@ -264,6 +291,11 @@ class TileIntegrator:
             if self._kernels.walk:
                 for back in (miss, surface):
                     self._launch_over(self._kernels.walk, back, data, work, limits, paths, rays)
+            if self._volumes:
+                for back in (miss, surface):
+                    self._launch_volumes(self._kernels.volumes.scatter, back, work)
+                # without those that scattered
+                miss, surface = self._lists.back(paths.status, bound)
             self._launch_stage(ShadingStage.LIGHT_HITS, miss, work, film)
             self._launch_stage(ShadingStage.BACKGROUND, miss, work, film)
         if not self._scene.features.surfaces:
@@ -272,6 +304,9 @@ class TileIntegrator:
             with self._timer.stage("shade"):
                 for stage in (ShadingStage.LIGHT_HITS, ShadingStage.AIM, ShadingStage.SURFACE):
                     self._launch_stage(stage, hits, work, film)
+                if self._volumes:
+                    crossed = self._scene.data, self._volumes, self._paths, self._rays
+                    self._launch_over(self._kernels.volumes.cross, hits, *crossed)
 
     def _finish_paths(self, work: TileWork, film: FilmTile, generates: bool) -> int:
         """Move paths that are over to the film, and list the rays of the next turn; how many were over.
@@ -284,6 +319,8 @@ class TileIntegrator:
         with self._timer.stage("film"):
             self._launch_over(self._kernels.accumulate, done, work, self._paths, film)
         lengths = self._lists.counts.fetch()
+        if lengths[Length.MATTES]:
+            self._mattes = self._mattes.plus(self._film_tiles.mattes_aside(lengths[Length.MATTES]))
         if self._film_tiles.take_spill(film, lengths[Length.SPILL]):
             self._launch_over(self._kernels.accumulate, done, work, self._paths, film)
         self._alive -= lengths[Length.DONE]
@@ -300,6 +337,8 @@ class TileIntegrator:
         """Leave the rays that are under way; the tile can be shown but not resumed."""
         state.drained = False
         self._paths.status.zero_()
+        if self._passes:
+            self._passes.values.zero_()
         self._alive = 0
         # rays of the next turn were not traced
         self.rays.bounced -= self._bounced.bound
@@ -334,6 +373,10 @@ class TileIntegrator:
         if kernel is not None:
             work.stage = int(stage)
             self._launch_over(kernel, slots, self._scene.data, work, self._limits, self._paths, self._rays, film)
+
+    def _launch_volumes(self, kernel: wp.Kernel, slots: RayList, work: TileWork) -> None:
+        scene = self._scene.data, self._volumes
+        self._launch_over(kernel, slots, *scene, work, self._limits, self._paths, self._rays)
 
     def _launch_over(self, kernel: wp.Kernel, slots: RayList, *inputs) -> None:
         if slots.bound:

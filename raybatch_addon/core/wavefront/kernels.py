@@ -22,7 +22,7 @@ from .path_lists import path_list_kernels
 from .plan.plan import Method
 from .plan.tracing import Tracing
 from .stages.accumulate import accumulate_kernel
-from .stages.connect import ConnectFeatures, connect, make_connect_program, settle_kernel
+from .stages.connect import ConnectFeatures, make_connect, make_connect_program, settle_kernel
 from .stages.connect_transparent import make_connect_transparent
 from .stages.generate import GenerateFeatures, counted_kernel, generate_active_kernel, generate_kernel
 from .stages.shade_background import BackgroundFeatures, make_background, make_light_hits_stage
@@ -33,6 +33,7 @@ from .stages.surface.shade import make_shade_surface
 from .stages.walk import WalkFeatures, walk_kernel
 from .stages.work import ShadingStage
 from .tracers.choose import tracer_kernels
+from .volumes.volumes import VolumeKernels
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +44,7 @@ class StageKernels:
     generate_active: wp.Kernel | None  # None: all pixels get all samples
     settle: wp.Kernel
     walk: wp.Kernel | None  # None: nothing scatters below surfaces
+    volumes: VolumeKernels | None  # None: there are no volumes
     shading: dict[ShadingStage, wp.Kernel]  # without the stages for which the scene has nothing to do
     accumulate: wp.Kernel
     resolve: wp.Kernel
@@ -52,14 +54,15 @@ class StageKernels:
         """The kernels for a scene with `features`, those that shade specialised on `shading` (default: the same)."""
         layout = layout_of(features.passes, features.film_transparent)
         shading = shading or features
-        begun = dataclasses.replace(shading, camera=features.camera, depth_of_field=features.depth_of_field)
-        generated = narrow(begun, GenerateFeatures)
+        names = ("camera", "depth_of_field", "spherical_stereo", "camera_motion", "moving")
+        seen = {name: getattr(features, name) for name in names}
+        generated = narrow(dataclasses.replace(shading, **seen), GenerateFeatures)
         # flat meshes walk by what was compiled ahead for smooth ones
         walked = dataclasses.replace(features, smooth_normals=shading.smooth_normals)
         has = {
             ShadingStage.SURFACE: features.surfaces,
             ShadingStage.BACKGROUND: True,
-            ShadingStage.LIGHT_HITS: features.light_hits,
+            ShadingStage.LIGHT_HITS: features.light_hits and not features.volumes,  # which have such a stage
             ShadingStage.CONNECT: features.shadow_rays,
             ShadingStage.CONNECT_TRANSPARENT: features.shadow_rays and features.transparency,
             ShadingStage.AIM: features.shadow_rays and device.is_cuda,
@@ -69,6 +72,7 @@ class StageKernels:
             generate_active=generate_active_kernel(generated) if features.adaptive else None,
             settle=settle_kernel,
             walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
+            volumes=VolumeKernels.choose(features),
             shading=_shading_kernels(
                 features, shading, [stage for stage in ShadingStage if has[stage]], device.is_cuda
             ),
@@ -80,6 +84,8 @@ class StageKernels:
         """Everything that is launched, tracing apart."""
         stages = [self.generate, self.settle, *self.shading.values(), self.walk, self.accumulate, self.resolve]
         kernels = [*stages, *path_list_kernels(walks=self.walk is not None), add_spill_kernel]
+        if self.volumes:
+            kernels += self.volumes.all()
         if self.generate_active:
             kernels += [self.generate_active, *ADAPTIVE_KERNELS]
         return list(dict.fromkeys(kernel for kernel in kernels if kernel is not None))
@@ -97,7 +103,7 @@ def _shading_kernels(
     in_one = None if aims_apart or not shading.shadow_rays else aim
     whole = _stage_functions(shading, in_one)
     if not shading.programs.apart:
-        return {stage: stage_kernel(whole[stage]()) for stage in stages}
+        return {stage: stage_kernel(whole[stage](), stage) for stage in stages}
     any_program = bool(features.programs or features.world_program or features.lamp_program)
     runs_program = {
         ShadingStage.SURFACE: any_program,
@@ -110,7 +116,7 @@ def _shading_kernels(
     # a world that is sampled takes part in the choice among emitters, whether a stage runs its program or not
     simple = _stage_functions(without_programs(shading), in_one, shading.world_light)
     simple[ShadingStage.AIM] = whole[ShadingStage.AIM]
-    found = {stage: stage_kernel(simple[stage]()) for stage in stages if not runs_program[stage]}
+    found = {stage: stage_kernel(simple[stage](), stage) for stage in stages if not runs_program[stage]}
     if len(found) < len(stages):
         kernel = all_stages_kernel(*(whole[stage]() for stage in STAGES_OF_ALL))
         found |= {stage: kernel for stage in stages if runs_program[stage]}
@@ -140,9 +146,16 @@ def _stage_functions(
         ShadingStage.SURFACE: lambda: make_shade_surface(surface, aims),
         ShadingStage.BACKGROUND: lambda: make_background(narrow(shading, BackgroundFeatures)),
         ShadingStage.LIGHT_HITS: lambda: make_light_hits_stage(
-            narrow(among, LightHitFeatures), shading.transparency, shading.clamping, shading.subsurface
+            narrow(among, LightHitFeatures),
+            shading.transparency,
+            shading.clamping,
+            shading.subsurface,
+            shading.splits_light,
+            shading.guides,
         ),
-        ShadingStage.CONNECT: lambda: make_connect_program(connected) if shading.light_programs else connect,
+        ShadingStage.CONNECT: lambda: (
+            make_connect_program(connected) if shading.light_programs else make_connect(shading.splits_light)
+        ),
         ShadingStage.CONNECT_TRANSPARENT: lambda: make_connect_transparent(surface, connected),
         ShadingStage.AIM: lambda: make_aim(narrow(shading, AimFeatures)),
     }

@@ -44,6 +44,7 @@ class Length(IntEnum):
     SURFACE = 8  # paths that met a surface
     CAMERA = 9  # new paths
     SPILL = 10  # channels that were set aside
+    MATTES = 11  # weights of mattes that were set aside
 
 
 class ListSet(Enum):

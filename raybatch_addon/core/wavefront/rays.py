@@ -17,6 +17,8 @@ import warp as wp
 from ..bvh.tree import TRAIL_LEVELS, TopProgress
 from ..rays import Rays
 from ..scene.features import SceneFeatures
+from .passes.state import PathPasses, pass_bytes_per_path
+from .volumes.table import state_bytes_per_path
 
 
 class Status(IntFlag):
@@ -95,9 +97,11 @@ class Paths:
     # cone around the extending ray: its width where the path last scattered [m], and how that grows [m/m]; where images
     # are filtered, from the first scattering on
     cone: wp.array(dtype=wp.vec2)
+    # least density of the directions that the path has scattered to [1/sr], set by the first; where glossy is filtered
+    least_density: wp.array(dtype=float)
     walk: Walks
-    # passes, filled at the first hit
-    normal: wp.array(dtype=wp.vec3)
+    normal: wp.array(dtype=wp.vec3)  # at the first hit, for the pass
+    passes: wp.array(dtype=PathPasses)  # one entry for all paths; none where passes need none
 
 
 @wp.func
@@ -148,6 +152,7 @@ class RayNeeds:
     shadow_hits: bool = True  # shadow rays ask for closest hits
     limits: bool = True  # `t_max` is read after the hit, so that `hit_t` needs memory of its own
     visibility: bool = True  # the tracer reads which objects a ray sees
+    time: bool = False  # paths are at times of their own
 
     @staticmethod
     def of(features: SceneFeatures, reference: bool = False) -> RayNeeds:
@@ -155,14 +160,16 @@ class RayNeeds:
         nothing is hit.
         """
         through = features.transparency
-        return RayNeeds(features.shadow_rays, through, through or reference, features.instancing or reference)
+        return RayNeeds(
+            features.shadow_rays, through, through or reference, features.instancing or reference, features.motion
+        )
 
     @property
     def bytes_per_path(self) -> int:
         """Device memory of the ray slots of one path [bytes]."""
         slots = 1 + self.shadow_rays
         closest = 1 + (self.shadow_rays and self.shadow_hits)
-        return slots * (12 + 12 + 4 + 4 + 4 * self.limits + 4 * self.visibility) + closest * (4 + 8)
+        return slots * (12 + 12 + 4 + 4 + 4 * self.limits + 4 * self.visibility) + closest * (4 + 8) + 4 * self.time
 
 
 def allocate_rays(path_count: int, device: wp.Device, needs: RayNeeds = RayNeeds()) -> Rays:
@@ -175,6 +182,7 @@ def allocate_rays(path_count: int, device: wp.Device, needs: RayNeeds = RayNeeds
         rays.direction = wp.zeros(slots, dtype=wp.vec3)
         rays.t_max = wp.zeros(slots, dtype=float)
         rays.visibility = wp.zeros(slots if needs.visibility else 0, dtype=int)
+        rays.time = wp.zeros(path_count if needs.time else 0, dtype=float)
         rays.hit_t = wp.zeros(slots, dtype=float) if needs.limits else rays.t_max
         rays.hit_instance = wp.full(slots, -1, dtype=int)
         rays.hit_primitive = wp.zeros(closest, dtype=int)
@@ -183,7 +191,7 @@ def allocate_rays(path_count: int, device: wp.Device, needs: RayNeeds = RayNeeds
 
 
 def needed_arrays(features: SceneFeatures) -> dict[str, bool]:
-    """By name of an array of `Paths`: whether a scene with `features` has it. `walk` is apart."""
+    """By name of an array of `Paths`: whether a scene with `features` has it. `walk` and `passes` are apart."""
     shadow_rays, transparency, history = features.shadow_rays, features.transparency, features.path_history
     return {
         "status": True,
@@ -204,8 +212,17 @@ def needed_arrays(features: SceneFeatures) -> dict[str, bool]:
         "history": history,
         "shadow_history": history and shadow_rays,
         "cone": features.texture_levels,
+        "least_density": features.filter_glossy,
         "normal": features.normal_pass,
     }
+
+
+@wp.func
+def time_of(rays: Rays, path: int) -> float:
+    """When a path is, 0 to 1; 0 where nothing moves."""
+    if rays.time.shape[0] > 0:
+        return rays.time[path]
+    return 0.0
 
 
 def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) -> Paths:
@@ -244,4 +261,7 @@ def bytes_per_path(features: SceneFeatures, reference: bool = False, paths: Scen
     if paths.subsurface:
         arrays += Walks.vars.values()
     path = sum(wp.types.type_size_in_bytes(array.type.dtype) for array in arrays)
+    path += pass_bytes_per_path(features)
+    if features.volumes:
+        path += state_bytes_per_path()
     return path + RayNeeds.of(features, reference).bytes_per_path + LIST_BYTES_PER_PATH

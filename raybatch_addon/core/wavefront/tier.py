@@ -17,10 +17,12 @@ import warp as wp
 from ..device.devices import is_compiled, shipped_target
 from ..errors import SettingsError
 from ..programs.footprints import LEVEL_OPS
-from ..programs.op import op_numbers
+from ..programs.op import op_named, op_numbers
 from ..scene.description import ClosureKind, LightKind
 from ..scene.features import SceneFeatures
+from ..scene.passes import GUIDE_PASSES, PASSES
 from ..scene.program import ProgramFeatures
+from ..shading.bsdf.materials import HAIR_KINDS
 from .estimates.kernels import estimate_kernel
 from .estimates.work import Estimate
 from .kernels import StageKernels
@@ -30,15 +32,19 @@ VARIABLE = "RAYBATCH_KERNEL_TIER"
 TIERS = ("AUTO", "GENERAL", "SPECIALISED")
 # Programs that need more registers or closures are left to specialised kernels
 REGISTERS_MOST, CLOSURES_MOST = 64, 16
+# Closures that few scenes have are left to specialised kernels, so that the general ones need not hold their code; so
+# are ops that say so (`Op.general`)
+RARE_KINDS = frozenset({ClosureKind.TOON}) | HAIR_KINDS
 
 
 @functools.cache
 def general_features() -> SceneFeatures:
     """The features of all scenes together, as far as kernels of stages depend on them."""
-    ops = tuple(name for name in op_numbers() if name not in LEVEL_OPS)
+    ops = tuple(name for name in op_numbers() if name not in LEVEL_OPS and op_named(name).general)
     programs = ProgramFeatures(ops, REGISTERS_MOST, CLOSURES_MOST, apart=True)
+    of_surfaces = {kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION}
     return SceneFeatures(
-        closures=tuple(sorted(ClosureKind)),
+        closures=tuple(sorted(of_surfaces - RARE_KINDS)),
         closure_count=CLOSURES_MOST,
         programs=programs,
         world_program=programs,
@@ -56,7 +62,7 @@ def general_features() -> SceneFeatures:
         instancing=True,
         smooth_normals=True,
         film_transparent=True,
-        passes=("Combined", "Depth", "Position", "Normal"),
+        passes=tuple(name for name in PASSES if name not in GUIDE_PASSES),
         clamping=True,
     )
 
@@ -68,8 +74,22 @@ def why_not_general(features: SceneFeatures) -> str:
         return "general kernels have no code for mis OFF"
     if features.sample_sequence != general.sample_sequence:
         return f"general kernels have no code for sample_sequence {features.sample_sequence}"
+    if features.moving:
+        return "general kernels have no code for objects that move"
+    if features.curves:
+        return "general kernels have no code for curves and points"
+    if features.bounces_by_kind:
+        return "general kernels do not count bounces by kind"
+    if features.filter_glossy:
+        return "general kernels filter nothing glossy"
+    if not (features.caustics_reflective and features.caustics_refractive):
+        return "general kernels leave out no caustics"
+    if rare := RARE_KINDS.intersection(features.closures):
+        return f"general kernels have no code for closures of kind {', '.join(kind.name for kind in sorted(rare))}"
     if features.texture_levels:
         return "general kernels have no code for texture_filter FOOTPRINT"
+    if features.guides:
+        return "general kernels have no code for the passes that guide a denoiser"
     closure_count = features.closure_count
     for programs in (features.programs, features.world_program, features.lamp_program):
         closure_count = max(closure_count, programs.closure_count)

@@ -2,128 +2,39 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import bpy
 import numpy as np
 
-from ...core.scene.description import Instances, Light, Mesh, Visibility
+from ...core.scene.description import Light, Visibility
+from ...core.scene.notice import Notice, Weight
+from ..curves.placing import StrandMeshes
+from ..curves.sources import STRAND_KIND, hair_systems
 from ..lights import LampGraphs, export_light
-from ..materials import ExportedMaterials
+from ..motion.objects import PlacedMotions
 from ..nodes.collections import OF_INSTANCER
+from ..settings import output_engine
 from .attributes import object_value
+from .holdouts import is_holdout, with_hole
 from .kept_meshes import MeshSource, end_export
-from .mesh_shape import hashed
 from .meshes import slot_count
+from .placements import Placements, Template
+from .random_numbers import random_of
+from .volumes import export_volume
 
 # Instances between two checks for a cancelled export
 _CANCEL_INTERVAL = 256
 
-# A matrix composed in float32 from a few products has elements wrong by about this much, relatively
-_MATRIX_ERROR = 8 * 2.0**-24
-
 _OBJECT_KINDS = {"OBJECT", "INSTANCER", OF_INSTANCER}  # kinds of attributes that belong to objects
 _SOLID_TYPES = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
-_UNSUPPORTED_TYPES = {"VOLUME": "volumes", "CURVES": "hair curves", "POINTCLOUD": "point clouds"}
-
-
-_RANDOM_MOST = 2**32 - 1  # largest random number of an object
-
-
-def _random_id(name: str) -> int:
-    """The random number of an object that is no instance, as Cycles draws it from the name.
-
-    It is a hash of 32 bits, hashed by lookup3.
-    """
-    code = 0
-    for byte in name.encode():
-        code = (code * 37 + (byte if byte < 128 else byte - 256)) & 0xFFFFFFFF
-    return int(hashed(np.array([code], np.uint32), words=2)[0])
-
-
-def _random(placed: bpy.types.DepsgraphObjectInstance) -> float:
-    """The random number of a placed object, 0..1."""
-    # Blender gives the 32 bits with a sign
-    return (placed.random_id & _RANDOM_MOST if placed.is_instance else _random_id(placed.object.name)) / _RANDOM_MOST
 
 
 class Cancelled(Exception):
     """Raised when the caller of the export asks it to stop."""
-
-
-@dataclass(frozen=True)
-class _Template:
-    """Data that all placements of one mesh by one object share."""
-
-    mesh: int
-    slot_first: int
-    visibility: int
-    object: int
-    # index and value of each attribute of the object that materials read
-    attributes: tuple[tuple[int, tuple[float, ...]], ...] = ()
-    # index and name of the attributes that they read of the surface that places each instance
-    of_instancer: tuple[tuple[int, str], ...] = ()
-
-
-@dataclass
-class Placements:
-    """Everything in the depsgraph that can be placed, collected in one pass."""
-
-    meshes: list[Mesh] = field(default_factory=list)
-    materials: ExportedMaterials = field(default_factory=ExportedMaterials)
-    slot_materials: list[int] = field(default_factory=list)
-    lights: list[Light] = field(default_factory=list)
-    object_names: list[str] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    _templates: list[_Template] = field(default_factory=list)
-    _matrices: list[Any] = field(default_factory=list)
-    _info: list[tuple[float, ...]] = field(default_factory=list)  # rows of `Instances.info`
-    # instance, index and value of attributes
-    _of_instancer: list[tuple[int, int, tuple[float, ...]]] = field(default_factory=list)
-
-    def instances(self) -> Instances:
-        """The placements whose matrix can be used; the others are named in `warnings`."""
-        count = len(self._templates)
-        if count == 0:
-            return Instances.empty()
-        transform = np.array(self._matrices, np.float32).reshape(count, 4, 4)[:, :3]
-        table = np.array([(t.mesh, t.slot_first, t.visibility, t.object) for t in self._templates], np.int32)
-        usable = np.ones(count, bool)
-        finite = np.isfinite(transform).all(axis=(1, 2))
-        singular = finite & is_singular(np.where(finite[:, None, None], transform, 0))
-        for bad, reason in (
-            (~finite, "its matrix is not finite; reset its location, rotation and scale"),
-            (
-                singular,
-                "it is flattened to nothing (its matrix is singular); give it, and what it is parented to, a scale "
-                "that is not 0",
-            ),
-        ):
-            usable &= ~bad
-            for index, times in zip(*np.unique(table[bad, 3], return_counts=True)):
-                how_often = f" ({times:,} instances)" if times > 1 else ""
-                self.warnings.append(f"object “{self.object_names[index]}”{how_often} is left out: {reason}")
-        mesh, slot_first, visibility, owner = np.ascontiguousarray(table[usable].T)
-        asked = any(m.program is not None and "object_info" in m.program.ops for m in self.materials.materials)
-        info = np.array(self._info, np.float32).reshape(count, 6)[usable] if asked else None
-        return Instances(
-            mesh, np.ascontiguousarray(transform[usable]), slot_first, visibility, owner, info, self._attributes(usable)
-        )
-
-    def _attributes(self, usable: np.ndarray) -> np.ndarray | None:
-        """The array of `Instances.attributes`."""
-        asked = len(self.materials.collections.object_attributes)
-        if not asked:
-            return None
-        values = np.zeros((len(self._templates), asked, 4), np.float32)
-        for i, template in enumerate(self._templates):
-            for index, value in template.attributes:
-                values[i, index] = value
-        for i, index, value in self._of_instancer:
-            values[i, index] = value
-        return values[usable]
 
 
 def _with_attributes(light: Light, values: tuple[tuple[int, tuple[float, ...]], ...], placements: Placements) -> Light:
@@ -147,19 +58,11 @@ def _position_on_surface(placed: bpy.types.DepsgraphObjectInstance, name: str) -
     return (*(0.5 * x - 0.5 for x in placed.orco), 1.0)
 
 
-def is_singular(transform: np.ndarray) -> np.ndarray:
-    """Whether matrices [n, 3 or more, 4] collapse space, as far as float32 can show: bool, shape [n].
-
-    The determinant is at most the product of the columns' lengths (Hadamard), and known to within the error of the
-    elements relative to that product.
-    """
-    linear = transform[:, :3, :3].astype(np.float64)
-    return np.abs(np.linalg.det(linear)) <= _MATRIX_ERROR * np.linalg.norm(linear, axis=1).prod(axis=1)
-
-
-def collect_placements(depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool]) -> Placements:
-    """One pass over the objects and instances of `depsgraph`. Raises `Cancelled`."""
-    collector = _Collector(depsgraph)
+def collect_placements(
+    depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool], moving: bool = False
+) -> Placements:
+    """One pass over `depsgraph`; `moving`: with what finds things again at other times. Raises `Cancelled`."""
+    collector = _Collector(depsgraph, moving)
     try:
         for count, placed in enumerate(depsgraph.object_instances):
             if count % _CANCEL_INTERVAL == 0 and cancelled():
@@ -173,7 +76,8 @@ def collect_placements(depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], b
 class _Collector:
     """Pass over a depsgraph. The iterator's objects are temporary: only copies and keys of them are kept."""
 
-    def __init__(self, depsgraph: bpy.types.Depsgraph) -> None:
+    def __init__(self, depsgraph: bpy.types.Depsgraph, moving: bool) -> None:
+        self._motions = PlacedMotions() if moving else None
         self.view_layer = depsgraph.view_layer
         # evaluated: with the nodes as drivers and keyframes have them now
         self.material_override = depsgraph.view_layer_eval.material_override
@@ -181,9 +85,12 @@ class _Collector:
         self.placements = Placements()
         collections = self.placements.materials.collections
         collections.frame = depsgraph.scene.frame_current
+        collections.has_grids = any(obj.type == "VOLUME" for obj in depsgraph.objects)
         collections.scene, collections.view_layer = depsgraph.scene_eval, depsgraph.view_layer_eval
+        collections.engine = output_engine(depsgraph.scene)
         self._lamp_graphs = LampGraphs(collections)
-        self._templates: dict[Any, _Template | None] = {}
+        self._templates: dict[Any, Template | None] = {}
+        self._holes: dict[Any, Template | None] = {}  # what the camera sees of holdout objects
         self._meshes: dict[Any, int | None] = {}
         self._attributes_seen: dict[Any, set[tuple[str, str]]] = {}  # attributes read, by mesh
         self._object_index: dict[str, int] = {}
@@ -191,7 +98,9 @@ class _Collector:
         # objects that lack an attribute which their materials read, by attribute
         self._lacking: dict[str, list[str]] = {}
         self._visibilities: dict[int, int] = {}
-        self._light_values: list[tuple[tuple[int, tuple[float, ...]], ...]] = []  # by light: as `_Template.attributes`
+        self._use_hair = depsgraph.view_layer.use_strand
+        self._strands = StrandMeshes(self.placements.meshes, self.placements.warnings, depsgraph.scene)
+        self._light_values: list[tuple[tuple[int, tuple[float, ...]], ...]] = []  # by light: as `Template.attributes`
 
     def add(self, placed: bpy.types.DepsgraphObjectInstance, cancelled: Callable[[], bool]) -> None:
         """Take one item of the depsgraph's list."""
@@ -205,10 +114,16 @@ class _Collector:
         if kind == "LIGHT":
             self._add_light(placed, obj)
             return
-        # Curves, text, surfaces and metaballs come twice: as themselves, and as an instance of their evaluated mesh
-        if kind not in _SOLID_TYPES or not placed.show_self or not isinstance(obj.data, bpy.types.Mesh):
+        if placed.show_particles and self._use_hair:
+            for modifier in hair_systems(obj, self.viewport):
+                self._add_strands(placed, obj, modifier, cancelled)
+        if isinstance(obj.data, (bpy.types.Curves, bpy.types.PointCloud)):
+            if placed.show_self and (self._use_hair or isinstance(obj.data, bpy.types.PointCloud)):
+                self._add_strands(placed, obj, obj.data, cancelled)
             return
-        if not self.view_layer.use_solid:
+        # Curves, text, surfaces and metaballs come twice: as themselves, and as an instance of their evaluated mesh
+        is_solid = kind in _SOLID_TYPES and isinstance(obj.data, bpy.types.Mesh) and self.view_layer.use_solid
+        if not placed.show_self or not (is_solid or (kind == "VOLUME" and self.view_layer.use_volumes)):
             return
         data = obj.data
         key = (
@@ -220,16 +135,40 @@ class _Collector:
         if key not in self._templates:
             if cancelled():
                 raise Cancelled
-            self._templates[key] = self._template(placed, obj, data)
-        template = self._templates[key]
-        if template is not None:
+            wanted = self.materials_of(obj, data)
+            self._keep(key, placed, obj, wanted, functools.partial(self._mesh, obj, data))
+        self._place(placed, obj, key)
+
+    def _add_strands(self, placed, obj, data, cancelled: Callable[[], bool]) -> None:
+        """Curves, points, or the hair of the modifier `data`."""
+        owner = placed.parent.original.as_pointer() if placed.parent else 0
+        key = (obj.original.as_pointer(), owner, data.as_pointer(), type(data).__name__)
+        if key not in self._templates:
+            if cancelled():
+                raise Cancelled
+            self._keep(key, placed, obj, *self._strands.of(obj, data, self))
+        self._place(placed, obj, key)
+
+    def _keep(self, key: Any, placed, obj, wanted: list[int], mesh: Callable) -> None:
+        """Make the template of `key`, and that of what the camera sees of a holdout object."""
+        template, hole = self._template(placed, obj, wanted, mesh), None
+        if template is not None and is_holdout(placed, obj, self.view_layer):
+            template, hole = with_hole(template, self.placements, len(wanted))
+        self._templates[key], self._holes[key] = template, hole
+
+    def _place(self, placed, obj, key: Any) -> None:
+        for template in (self._templates[key], self._holes[key]):
+            if template is None:
+                continue
             if placed.is_instance:
-                instance = len(self.placements._templates)
+                instance = len(self.placements.templates)
                 for index, name in template.of_instancer:
-                    self.placements._of_instancer.append((instance, index, _position_on_surface(placed, name)))
-            self.placements._templates.append(template)
-            self.placements._matrices.append([tuple(row) for row in placed.matrix_world])
-            self.placements._info.append((*obj.color, float(obj.pass_index), _random(placed)))
+                    self.placements.of_instancer.append((instance, index, _position_on_surface(placed, name)))
+            self.placements.templates.append(template)
+            self.placements.matrices.append([tuple(row) for row in placed.matrix_world])
+            if self._motions:
+                self.placements.motion.append(self._motions.of(placed, obj, template.mesh, self.placements.meshes))
+            self.placements.info.append((*obj.color, float(obj.pass_index), random_of(placed)))
 
     def finish(self) -> Placements:
         """All placements, with the warnings that need the whole list."""
@@ -238,18 +177,21 @@ class _Collector:
             _with_attributes(light, values, placements) for light, values in zip(placements.lights, self._light_values)
         ]
         for what, names in self._unsupported.items():
-            placements.warnings.append(f"{what} not supported yet: {_named(names)}")
+            weight = Weight.MISSING if "left out" in what else Weight.REPLACED
+            objects = dict.fromkeys(name.partition("/")[0] for name in names)
+            placements.warnings.append(Notice(f"{what} not supported yet: {_named(names)}", weight, objects=objects))
         for attribute, names in self._lacking.items():
-            placements.warnings.append(
+            text = (
                 f"there is no attribute “{attribute}” on objects whose materials ask for it, and it counts as 0: "
                 f"{_named(names)}"
             )
+            placements.warnings.append(Notice(text, Weight.REPAIRED, objects=dict.fromkeys(names)))
         placements.warnings += placements.materials.warnings()
         return placements
 
     def _add_light(self, placed, obj) -> None:
         placements = self.placements
-        light = export_light(obj, placed.matrix_world.copy(), placements.warnings, self._lamp_graphs, _random(placed))
+        light = export_light(obj, placed.matrix_world.copy(), placements.warnings, self._lamp_graphs, random_of(placed))
         if light is not None:
             asked = sorted(
                 each for each in self._lamp_graphs.of(obj.data).asked if each[0] in _OBJECT_KINDS - {OF_INSTANCER}
@@ -257,15 +199,17 @@ class _Collector:
             self._light_values.append(self._object_values(obj, placed.parent, asked))
             placements.lights.append(light)
 
-    def _template(self, placed, obj, data) -> _Template | None:
+    def _template(
+        self, placed, obj, wanted: list[int], mesh_of: Callable[[list[tuple[str, str]]], int | None]
+    ) -> Template | None:
+        """`wanted`: materials of the slots. `mesh_of`: index of the mesh with the attributes that these ask for."""
         visibility = self._visibility(obj)
         if placed.is_instance and placed.parent is not None:
             visibility &= self._visibility(placed.parent)
         if visibility == 0:
             return None
-        wanted = self._materials(obj, data)
         asked = set().union(*(self.placements.materials.asked[index] for index in wanted))
-        mesh = self._mesh(obj, data, sorted((kind, name) for kind, name in asked if kind not in _OBJECT_KINDS))
+        mesh = mesh_of(sorted((kind, name) for kind, name in asked if kind not in _OBJECT_KINDS))
         if mesh is None:
             return None
         first = len(self.placements.slot_materials)
@@ -277,11 +221,13 @@ class _Collector:
         values = self._object_values(
             obj, placed.parent, sorted(each for each in asked if each[0] in _OBJECT_KINDS - {OF_INSTANCER})
         )
-        return _Template(mesh, first, visibility, self._name_index(obj.name), values, of_instancer)
+        return Template(mesh, first, visibility, self._name_index(obj), values, of_instancer)
 
     def _mesh(self, obj, data, asked: list[tuple[str, str]]) -> int | None:
         """Index of the mesh, with the attributes `asked`; None if it has no triangles."""
         key = (data.as_pointer(), data.session_uid)
+        if obj.type == "VOLUME":
+            return self._volume(obj, key, asked)
         known = key in self._meshes
         index = self._meshes.get(key)
         if known and (index is None or self._attributes_seen[key].issuperset(asked)):
@@ -297,13 +243,22 @@ class _Collector:
                 meshes.append(exported)
         if index is not None:
             seen = self._attributes_seen.setdefault(key, set())
-            added = source.attributes(each for each in asked if each not in seen)
+            added = source.attributes(each for each in asked if each not in seen and each[0] != STRAND_KIND)
             if added:
                 meshes[index] = replace(meshes[index], attributes=(*meshes[index].attributes, *added))
             seen.update(asked)
         if edited:
             obj.to_mesh_clear()
         return index
+
+    def _volume(self, obj, key: tuple, asked: list[tuple[str, str]]) -> int | None:
+        """Index of the box around a volume object, with the grids `asked`; None if there is nothing in it."""
+        if (key := (*key, *asked)) not in self._meshes:
+            made = export_volume(obj, [name for _, name in asked], self.placements.warnings)
+            self._meshes[key] = None if made is None else len(self.placements.meshes)
+            if made is not None:
+                self.placements.meshes.append(made)
+        return self._meshes[key]
 
     def _object_values(self, obj, parent, asked: list[tuple[str, str]]) -> tuple[tuple[int, tuple[float, ...]], ...]:
         """Indices and values of the object's attributes `asked`."""
@@ -316,13 +271,16 @@ class _Collector:
                 values.append((self.placements.materials.collections.object_attribute(kind, name), value))
         return tuple(values)
 
-    def _materials(self, obj, data) -> list[int]:
+    def materials_of(self, obj, data) -> list[int]:
         """The materials of the object's slots."""
         slots = obj.material_slots
         wanted = []
         for i in range(slot_count(data)):
             material = slots[i].material if i < len(slots) else data.materials[i] if i < len(data.materials) else None
             material = self.material_override or material
+            if material is None and obj.type == "VOLUME":
+                wanted.append(self.placements.materials.volume_index())
+                continue
             wanted.append(self.placements.materials.index(material, obj.name))
         return wanted
 
@@ -339,26 +297,27 @@ class _Collector:
             self._visibilities[key] = int(seen)
         return self._visibilities[key]
 
-    def _name_index(self, name: str) -> int:
+    def _name_index(self, obj) -> int:
+        name = obj.name
         if name not in self._object_index:
             self._object_index[name] = len(self.placements.object_names)
             self.placements.object_names.append(name)
+            asset = obj
+            while asset.parent is not None:
+                asset = asset.parent
+            self.placements.asset_names.append(asset.name)
         return self._object_index[name]
 
     def _note_unsupported(self, obj, placed) -> None:
         """Remember by name the parts of `obj` that are not rendered as they are."""
-        if obj.type in _UNSUPPORTED_TYPES:
-            self._note(f"{_UNSUPPORTED_TYPES[obj.type]} (left out) are", obj.name)
         if obj.type not in _SOLID_TYPES:
             return
-        if obj.is_holdout or obj.original.holdout_get(view_layer=self.view_layer):
-            self._note("holdout (rendered as an ordinary object) is", obj.name)
         if obj.is_shadow_catcher:
             self._note("shadow catcher (rendered as an ordinary object) is", obj.name)
-        if placed.show_particles:
-            for system in obj.particle_systems:
-                if system.settings.type == "HAIR" and system.settings.render_type == "PATH":
-                    self._note("particle hair (left out) is", f"{obj.name}/{system.name}")
+        if any(getattr(each, "use_adaptive_subdivision", False) and each.show_render for each in obj.modifiers):
+            self._note("adaptive subdivision (the modifier's levels for renders instead) is", obj.name)
+        if any(each.type == "FLUID" and each.fluid_type == "DOMAIN" for each in obj.modifiers):
+            self._note("simulated smoke (rendered without its grids) is", obj.name)
 
     def _note(self, what: str, name: str) -> None:
         self._unsupported.setdefault(what, []).append(name)

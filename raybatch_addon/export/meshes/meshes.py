@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Mesh
+from ...core.scene.notice import Notice, Weight
 from .mesh_arrays import read
 
 
@@ -19,16 +20,21 @@ def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | 
     count = len(mesh.loop_triangles)
     if count == 0:
         if len(mesh.vertices):
-            warnings.append(f"object “{name}”: its mesh “{mesh.name}” has no faces; there is nothing to render")
+            text = f"object “{name}”: its mesh “{mesh.name}” has no faces; there is nothing to render"
+            warnings.append(Notice(text, Weight.REPAIRED, objects=[name]))
         return None
     triangles = read(mesh.loop_triangles, "vertices", np.int32, count, 3)
     positions = read(mesh.vertices, "co", np.float32, len(mesh.vertices), 3)
-    positions, triangles = _used_vertices(positions, triangles)
+    positions, triangles = used_vertices(positions, triangles)
     if not np.isfinite(positions).all():
         bad = int(len(positions) - np.isfinite(positions).all(axis=1).sum())
         warnings.append(
-            f"object “{name}”: {bad:,} vertices of its mesh “{mesh.name}” are NaN or infinite; it is left out. "
-            "Clean up the mesh, or check its modifiers and shape keys"
+            Notice(
+                f"object “{name}”: {bad:,} vertices of its mesh “{mesh.name}” are NaN or infinite; it is left out. "
+                "Clean up the mesh, or check its modifiers and shape keys",
+                Weight.REPAIRED,
+                objects=[name],
+            )
         )
         return None
     loops = None
@@ -42,7 +48,20 @@ def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | 
             loops = read(mesh.loop_triangles, "loops", np.int32, count, 3)
         uvs = read(layer.uv, "vector", np.float32, len(mesh.loops), 2)[loops]
     space = (tuple(mesh.texspace_location), tuple(mesh.texspace_size))
-    return Mesh(mesh.name, positions, triangles, _slots(mesh, count), normals, uvs, space)
+    flat = _flat(mesh, count) if normals is not None else None
+    return Mesh(mesh.name, positions, triangles, _slots(mesh, count), normals, uvs, space, flat=flat)
+
+
+def mesh_velocity(mesh: bpy.types.Mesh, exported: Mesh) -> np.ndarray | None:
+    """The attribute “velocity” of the vertices of `exported` [m/s], shape [vertex_count, 3]; None: there is none."""
+    attribute = mesh.attributes.get("velocity")
+    if attribute is None or attribute.domain != "POINT" or attribute.data_type != "FLOAT_VECTOR":
+        return None
+    values = read(attribute.data, "vector", np.float32, len(mesh.vertices), 3)
+    mesh.calc_loop_triangles()
+    triangles = read(mesh.loop_triangles, "vertices", np.int32, len(mesh.loop_triangles), 3)
+    values, _ = used_vertices(values, triangles)
+    return values if len(values) == len(exported.positions) and np.isfinite(values).all() else None
 
 
 def slot_count(mesh: bpy.types.Mesh) -> int:
@@ -50,7 +69,7 @@ def slot_count(mesh: bpy.types.Mesh) -> int:
     return max(1, len(mesh.materials))
 
 
-def _used_vertices(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def used_vertices(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """`positions` of the vertices that `triangles` use, and the triangles with indices into them."""
     used = np.zeros(len(positions), bool)
     used[triangles.ravel()] = True
@@ -67,8 +86,12 @@ def _corner_normals(mesh: bpy.types.Mesh, loops: np.ndarray, name: str, warnings
     if not np.isfinite(normals.sum()):
         finite = np.isfinite(normals).all(axis=1)
         warnings.append(
-            f"object “{name}”: {int((~finite).sum()):,} normals of its mesh “{mesh.name}” are not finite; these "
-            "corners are flat"
+            Notice(
+                f"object “{name}”: {int((~finite).sum()):,} normals of its mesh “{mesh.name}” are not finite; these "
+                "corners are flat",
+                Weight.REPAIRED,
+                objects=[name],
+            )
         )
         normals[~finite] = 0
     return normals[loops]
@@ -83,3 +106,13 @@ def _slots(mesh: bpy.types.Mesh, count: int) -> np.ndarray | None:
     polygon = read(mesh.loop_triangle_polygons, "value", np.int32, count)
     slots = np.clip(of_polygon, 0, last)[polygon]
     return slots if slots.any() else None
+
+
+def _flat(mesh: bpy.types.Mesh, count: int) -> np.ndarray | None:
+    """Whether each triangle is of a face that is shaded flat; None where none is."""
+    if "sharp_face" not in mesh.attributes:
+        return None
+    of_polygon = read(mesh.attributes["sharp_face"].data, "value", bool, len(mesh.polygons))
+    if not of_polygon.any():
+        return None
+    return of_polygon[read(mesh.loop_triangle_polygons, "value", np.int32, count)]

@@ -24,8 +24,14 @@ class Collections:
         # what the current graph asked for: `image` with its key, `attribute` and `object_attribute` with their
         # arguments, and the answers; None: it depends on more than its nodes and these answers
         self.record: list[tuple[str, tuple, int]] | None = []
+        self.has_grids = False  # there are objects with grids, which volumes read as attributes
         self.view_layer: Any = None  # Blender's, whose properties graphs may read
         self.scene: Any = None
+        self.engine = "CYCLES"  # whose output node counts where a tree has one for each engine
+
+    def output(self, tree: Any) -> Any:
+        """The output node of a node tree that counts, None where it has none for this engine or for all."""
+        return tree.get_output_node(self.engine) or tree.get_output_node("ALL")
 
     def begin(self) -> None:
         """The next graph begins to ask."""
@@ -54,6 +60,20 @@ class Collections:
         self.asked.add((kind, name))
         place = self._object_attribute_places.setdefault((kind, name), len(self._object_attribute_places))
         return self._noted("object_attribute", (kind, name), place)
+
+    def aov(self, name: str) -> int:
+        """The number of the view layer's pass that materials write under `name`, times two, and 1 more where it is of
+        numbers; -1: it has none. As in Cycles the first of that name.
+        """
+        found = -1
+        for number, aov in enumerate(each for each in getattr(self.view_layer, "aovs", ()) if each.is_valid):
+            if aov.name == name and found < 0:
+                found = 2 * number + (aov.type == "VALUE")
+        return self._noted("aov", (name,), found)
+
+    def grids(self) -> bool:
+        """Whether there are objects with grids."""
+        return bool(self._noted("grids", (), int(self.has_grids)))
 
     def _noted(self, kind: str, what: tuple, place: int) -> int:
         if self.record is not None:

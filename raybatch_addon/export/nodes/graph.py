@@ -123,6 +123,12 @@ def find_source(
             if len(groups) > _GROUPS_MOST:
                 note(f"{node_label(groups[0])} holds groups within groups without end: nothing comes out of it")
                 return None, None
+        elif node.bl_idname == "ShaderNodeScript":
+            note(
+                f"{node_label(node)} runs a script in Open Shading Language, which is not supported: the own value of "
+                "what it is linked to stands in, as in Cycles without that language"
+            )
+            return None, own
         else:
             return Source(output, groups, tuple(reversed(through))), None
         if socket is None:

@@ -12,6 +12,7 @@ from typing import Any
 from ...core.programs.builder import Constant, ProgramBuilder, Value
 from ...core.programs.ops.values.vector_math import VectorOperation
 from ...core.scene.description import ClosureKind
+from ...core.scene.notice import Notice
 from .collections import Collections
 from .graph import SocketLinks, Source, find_source, is_group, node_label, node_name
 from .registry import shader_nodes, value_nodes
@@ -144,15 +145,15 @@ class Graph:
         self.bumped = normal
         self._known.clear()
 
-    def note(self, text: str) -> None:
-        """Remember a message about a part that is not rendered as it is."""
+    def note(self, text: str, node: Node | None = None) -> None:
+        """Remember a message about a part that is not rendered as it is, and the node that it is about."""
         if text not in self.notes:
-            self.notes.append(text)
+            self.notes.append(Notice(text, nodes=[] if node is None else [node_name(node.node)]))
 
     def _outputs(self, node: Node) -> dict[str, Value]:
         handled = value_nodes.get(node.node.bl_idname)
         if handled is None:
-            self.note(f"{node_label(node.node)} is not supported; {node.pass_through_words()}")
+            self.note(f"{node_label(node.node)} is not supported; {node.pass_through_words()}", node)
             return {"": node.passed_through()}
         result = handled.handler(node)
         if isinstance(result, dict):
@@ -161,7 +162,7 @@ class Graph:
 
     def _unknown_shader(self, node: Node, weight: Value) -> None:
         for inner in self._shader_inputs(node):
-            self.note(f"{node_label(node.node)} is not supported; its first linked shader passes through")
+            self.note(f"{node_label(node.node)} is not supported; its first linked shader passes through", node)
             self.shade(inner, weight, node.groups)
             return
         self._viewport_color(node, weight, "is not supported")
@@ -173,11 +174,11 @@ class Graph:
             for c in getattr(self.owner, "diffuse_color", getattr(self.owner, "color", (0.8, 0.8, 0.8)))[:3]
         ]
         if type(self.owner).__name__ in ("Material", "NoneType"):
-            self.note(f"{node_label(node.node)} {why}; it is a diffuse surface in the viewport colour")
+            self.note(f"{node_label(node.node)} {why}; it is a diffuse surface in the viewport colour", node)
             self.kinds.add(ClosureKind.DIFFUSE)
             node.closure("diffuse", node.times(weight, color), BLACK)
         else:
-            self.note(f"{node_label(node.node)} {why}; it gives no light")
+            self.note(f"{node_label(node.node)} {why}; it gives no light", node)
 
     @contextmanager
     def _inside(self, node: Node, what: str) -> Iterator[bool]:
@@ -307,7 +308,7 @@ class Node:
 
     def warn(self, text: str) -> None:
         """Note a part of this node that is left out or approximated."""
-        self.graph.note(f"{text} of {node_label(self.node)}")
+        self.graph.note(f"{text} of {node_label(self.node)}", self)
 
     def coordinates(self) -> Value:
         """Generated texture coordinates, the input of textures without link."""

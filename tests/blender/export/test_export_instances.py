@@ -10,7 +10,7 @@ bpy = pytest.importorskip("bpy")
 from mathutils import Matrix  # noqa: E402
 
 from raybatch_addon.core.scene.description import Visibility  # noqa: E402
-from raybatch_addon.export.meshes.instances import is_singular  # noqa: E402
+from raybatch_addon.export.meshes.placements import is_singular  # noqa: E402
 from raybatch_addon.export.scene import export_scene  # noqa: E402
 from tests.support.blender_builders import add_grid, add_object, add_triangle, exported, material_of  # noqa: E402
 
@@ -218,15 +218,23 @@ def test_small_and_stretched_objects_are_not_taken_for_singular():
 
 
 def test_what_is_not_supported_is_listed_by_name(scene):
-    add_triangle("Hole").is_holdout = True
     add_triangle("Catcher").is_shadow_catcher = True
     add_object("Smoke", bpy.data.volumes.new("Smoke"))
-    add_object("Hair", bpy.data.hair_curves.new("Hair"))
-    add_object("Points", bpy.data.pointclouds.new("Points"))
     scene.render.use_motion_blur = True
     text = "\n".join(exported().warnings)
-    for name in ("“Hole”", "“Catcher”", "“Smoke”", "“Hair”", "“Points”", "motion blur"):
+    for name in ("“Catcher”", "“Smoke”", "sharp"):
         assert name in text
+
+
+def test_a_holdout_object_is_a_hole_for_the_camera_alone(scene):
+    add_triangle("Hole").is_holdout = True
+    got = exported()
+    seen = {
+        int(bits): got.materials[got.slot_materials[slot]].name
+        for bits, slot in zip(got.instances.visibility, got.instances.slot_first)
+    }
+    assert seen == {int(Visibility.ALL & ~Visibility.CAMERA): "default", int(Visibility.CAMERA): "holdout"}
+    assert got.warnings == ()
 
 
 def test_lights_are_exported_and_instanced(scene):

@@ -29,7 +29,7 @@ FEATURES = LightFeatures(lights=tuple(LightKind), light_sphere=True)
 @functools.cache
 def probe_kernel():
     sample = make_lights(FEATURES).sample
-    intersect, miss = make_light_hits(LightHitFeatures(FEATURES.lights, FEATURES.light_sphere, light_hits=True))
+    intersect, miss, _ = make_light_hits(LightHitFeatures(FEATURES.lights, FEATURES.light_sphere, light_hits=True))
 
     @wp.kernel(**KERNEL_OPTIONS)
     def probe(table: LightTable, geometry: Geometry, point: wp.vec3, up: wp.vec3, light: wp.array(dtype=wp.vec3)):

@@ -284,7 +284,7 @@ def test_what_is_not_supported_is_replaced_and_named_with_node_and_objects(what)
         shader = add_node(tree, "ShaderNodeBsdfDiffuse")
         tree.links.new(unknown.outputs[0], shader.inputs["Color"])
     elif what == "shader":
-        shader = tree.nodes.new("ShaderNodeBsdfToon")
+        shader = tree.nodes.new("ShaderNodeEeveeSpecular")
     else:
         shader = tree.nodes.new("ShaderNodeMixShader")
         tree.links.new(unknown.outputs[0], shader.inputs[0])
@@ -302,7 +302,7 @@ def test_what_is_not_supported_is_replaced_and_named_with_node_and_objects(what)
     (warning,) = scene.warnings
     for name in (
         "“Odd”",
-        "Toon BSDF" if what == "shader" else "UV Along Stroke",
+        "Specular BSDF" if what == "shader" else "UV Along Stroke",
         "“Thing”",
         "“Other”",
         "viewport colour" if what == "shader" else "it gives 0",
@@ -360,25 +360,9 @@ def test_nothing_linked_is_black_and_a_volume_alone_has_no_surface():
     output = next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL")
     tree.links.new(tree.nodes.new("ShaderNodeVolumeScatter").outputs[0], output.inputs["Volume"])
     got, notes = export_material(material)
-    assert weights(got) == {K.TRANSPARENT: np.ones(3)}
-    assert "volume" in notes[0]
-
-
-def test_no_material_is_blenders_default_grey():
-    add_triangle()
-    (material,) = exported().materials
-    assert weights(material) == {K.DIFFUSE: np.full(3, 0.8)}
-
-
-def test_a_material_without_nodes_has_its_viewport_values():
-    material = bpy.data.materials.new("Plain")
-    if bpy.app.version >= (5, 0):
-        pytest.skip("materials have nodes always")
-    material.use_nodes = False
-    material.diffuse_color, material.metallic, material.roughness = RED, 1.0, 0.25
-    got, _ = export_material(material)
-    assert weights(got) == {K.METAL: np.array(RED[:3])}
-    assert got.closures[0].roughness == 0.25
+    assert weights(got) == {K.TRANSPARENT: np.ones(3)} and not notes
+    (closure,) = got.volume.closures
+    assert closure.kind == K.HENYEY_GREENSTEIN and np.allclose(closure.weight, 0.8)
 
 
 def test_the_output_for_cycles_counts_before_others():

@@ -132,7 +132,7 @@ def set_alike(scene: bpy.types.Scene, resolution: int = 64) -> None:
 
 def set_bounces(scene: bpy.types.Scene, count: int) -> None:
     """Limit the bounces of every kind, also through transparent surfaces, for both engines."""
-    for name in ("max", "diffuse", "glossy", "transmission", "transparent_max"):
+    for name in ("max", "diffuse", "glossy", "transmission", "volume", "transparent_max"):
         setattr(scene.cycles, f"{name}_bounces", count)
     scene.raybatch.bounce_max = scene.raybatch.transparent_bounce_max = count
 

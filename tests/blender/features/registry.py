@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-FAMILIES = ("Shaders", "Textures", "Inputs", "Utility", "World", "Surface")
+FAMILIES = ("Shaders", "Textures", "Inputs", "Utility", "World", "Surface", "Curves", "Volumes")
 # files of features in `families/`
 MODULES = (
     "shaders",
@@ -16,12 +16,17 @@ MODULES = (
     "textures_image",
     "inputs",
     "inputs_pictures",
-    "utility",
-    "utility_mix",
-    "utility_pictures",
+    "utility.values",
+    "utility.mix",
+    "utility.pictures",
     "worlds",
+    "light_paths",
     "surfaces",
     "lamps",
+    "curves",
+    "volumes",
+    "cameras",
+    "motion",
 )
 SAMPLES = 96  # samples of each of the two renders of a picture, at first
 RESOLUTION = 40  # edge of a picture [pixels]

@@ -12,6 +12,7 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.film import Film, layout_of
 from raybatch_addon.core.film import sums as sums_module
+from raybatch_addon.core.film.rounding import rounded_sum
 from raybatch_addon.core.film.sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums
 from raybatch_addon.core.film.tile import FilmTile, FilmTiles, FinishedTile
 from raybatch_addon.core.scene.description import Frame
@@ -34,6 +35,21 @@ def summed(values: np.ndarray) -> ExactSums:
     return ExactSums(on_device[0].numpy(), on_device[1].numpy(), 1)
 
 
+@wp.kernel(**KERNEL_OPTIONS)
+def round_all(
+    window: wp.array2d(dtype=wp.int64), wide: wp.array2d(dtype=wp.int64), rounded: wp.array(dtype=wp.float64)
+):
+    i = wp.tid()
+    rounded[i] = rounded_sum(window, wide, i)
+
+
+def rounded_on_device(sums: ExactSums) -> np.ndarray:
+    window, wide = (wp.array(digits, dtype=wp.int64, device=DEVICE) for digits in (sums.window, sums.wide))
+    rounded = wp.zeros(window.shape[1], dtype=wp.float64, device=DEVICE)
+    wp.launch(round_all, rounded.size, [window, wide, rounded], device=DEVICE)
+    return rounded.numpy()
+
+
 def fsums(values: np.ndarray) -> np.ndarray:
     return np.array([math.fsum(column.tolist()) for column in values.T])
 
@@ -43,7 +59,9 @@ def test_sums_equal_fsum(exponents):
     rng = np.random.default_rng(7)
     values = (rng.standard_normal((400, 32)) * 2.0 ** rng.integers(*exponents, (400, 32))).astype(np.float32)
     values[~np.isfinite(values)] = np.finfo(np.float32).max
-    assert np.array_equal(summed(values).sums()[:, 0], fsums(values))
+    sums = summed(values)
+    assert np.array_equal(sums.sums()[:, 0], fsums(values))
+    assert np.array_equal(rounded_on_device(sums), fsums(values))
 
 
 def test_ties_and_cancellation_round_once():
@@ -59,6 +77,19 @@ def test_ties_and_cancellation_round_once():
     ]
     values = np.array(columns, np.float32).T
     assert np.array_equal(summed(values).sums()[:, 0], fsums(values))
+    assert np.array_equal(rounded_on_device(summed(values)), fsums(values))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_sums_that_leave_the_window_are_rounded_once_on_the_device(sign):
+    """Digits without wide ones beside them, up to what 2^31 samples give, at ties and beside them."""
+    rng = np.random.default_rng(11)
+    window = rng.integers(-(2**62), 2**62, (WINDOW_DIGITS, 256)) >> rng.integers(0, 62, (WINDOW_DIGITS, 256))
+    window[:, :4] = 0
+    window[3, :4] = 2**53 + 1, 2**54 + 2, 2**54 + 6, 2**62
+    window[0, 1:3] = 1, -1
+    sums = ExactSums(sign * window, np.zeros((0, 0), np.int64), 1)
+    assert np.array_equal(rounded_on_device(sums), sums.sums()[:, 0])
 
 
 @settings(max_examples=60, deadline=None)

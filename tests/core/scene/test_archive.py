@@ -14,6 +14,7 @@ from hypothesis.extra import numpy as arrays_of
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.scene import description as d
 from raybatch_addon.core.scene.archive import load_scene, save_scene
+from raybatch_addon.core.scene.frozen import is_frozen
 from raybatch_addon.core.settings.settings import RenderSettings
 
 
@@ -90,6 +91,7 @@ def test_round_trip_is_exact(tmp_path):
     scene_back, settings_back = load_scene(tmp_path / "a.scene.npz")
     assert_same(scene, scene_back)
     assert_same(settings, settings_back)
+    assert all(is_frozen(mesh.positions) for mesh in scene_back.meshes), "renders would look at them again and again"
     assert [path.name for path in tmp_path.iterdir()] == ["a.scene.npz"]
 
 

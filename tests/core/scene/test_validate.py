@@ -34,7 +34,7 @@ def with_instances(**changes):
         (with_instances(slot_first=np.array([-1], np.int32)), "object 0.*material slot"),
         (with_instances(mesh=np.array([3], np.int32)), "mesh that does not exist"),
         (dataclasses.replace(plain(), slot_materials=np.array([7], np.int32)), "material that does not exist"),
-        (dataclasses.replace(plain(), frame=Frame(4, 4, passes=("Combined", "Mist"))), "Mist"),
+        (dataclasses.replace(plain(), frame=Frame(4, 4, passes=("Combined", "Fog"))), "Fog"),
         (dataclasses.replace(plain(), camera=scenes.camera(lens_radius=0.1, focus_distance=0.0)), "focus distance"),
     ],
     ids=range(7),

@@ -1,5 +1,6 @@
 """Camera rays against geometry: window, clipping, depth of field."""
 
+import dataclasses
 import functools
 
 import numpy as np
@@ -8,8 +9,9 @@ import warp as wp
 
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.errors import SceneError
-from raybatch_addon.core.scene.description import Camera, CameraKind
+from raybatch_addon.core.scene.description import Camera, CameraKind, Panorama, SphericalStereo
 from raybatch_addon.core.shading.camera import CameraData, CameraFeatures, make_camera_ray, upload_camera
+from raybatch_addon.core.shading.panorama import make_panorama_direction, panorama_numbers
 from tests.support.under_test import BLOCK_DIM, DEVICE
 
 DEVICES = [DEVICE]
@@ -45,7 +47,7 @@ def shoot(camera: Camera, pixel, lens=None, device=DEVICE):
     count = len(pixel)
     out = [wp.zeros(count, dtype=t, device=device) for t in (wp.vec3, wp.vec3, float)]
     arrays = [wp.array(a, dtype=wp.vec2, device=device) for a in (pixel, lens)]
-    kernel = kernel_for(CameraFeatures(camera.kind, camera.lens_radius > 0))
+    kernel = kernel_for(CameraFeatures(camera.kind, camera.lens_radius > 0, camera.stereo is not None))
     data = upload_camera(camera, WIDTH, HEIGHT)
     wp.launch(kernel, count, [data, *arrays], out, device=device, block_dim=BLOCK_DIM)
     origin, direction, t_max = (a.numpy().astype(float) for a in out)
@@ -84,7 +86,7 @@ def test_orthographic_rays_are_parallel(device):
     assert np.isinf(t_max).all()
 
 
-@pytest.mark.parametrize("kind", list(CameraKind))
+@pytest.mark.parametrize("kind", [CameraKind.PERSPECTIVE, CameraKind.ORTHOGRAPHIC])
 def test_depth_of_field_is_sharp_on_the_plane_of_focus_alone(kind):
     camera = Camera(
         kind, turned(), WINDOW, clip_start=0.1, clip_end=9.0, lens_radius=0.3, focus_distance=4.0, lens_ratio=2.0
@@ -105,6 +107,78 @@ def test_depth_of_field_is_sharp_on_the_plane_of_focus_alone(kind):
     assert 0.99 < radius.max() <= 1 + 1e-5
     assert abs((radius**2).mean() - 0.5) < 4 * np.sqrt(1 / 12 / 4000)
     np.testing.assert_allclose(point.mean(0), 0, atol=0.02)
+
+
+PANORAMAS = [kind for kind in CameraKind if kind.is_panorama]
+SEEN = Panorama(focal_length=20.0, polynomial=(0.0, -0.05, 0.0, 0.0, 0.0))
+
+
+@functools.cache
+def directions_kernel():
+    """Where the points of a picture look in each kind of panorama, one kind after another."""
+    functions = [make_panorama_direction(kind) for kind in PANORAMAS]
+    a, b, c, d, e, f, g = functions
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def look(numbers: wp.array2d(dtype=wp.vec4), at: wp.array(dtype=wp.vec2), out: wp.array2d(dtype=wp.vec3)):
+        i = wp.tid()
+        x = at[i][0]
+        y = at[i][1]
+        out[0, i] = a(numbers[0, 0], numbers[0, 1], x, y)
+        out[1, i] = b(numbers[1, 0], numbers[1, 1], x, y)
+        out[2, i] = c(numbers[2, 0], numbers[2, 1], x, y)
+        out[3, i] = d(numbers[3, 0], numbers[3, 1], x, y)
+        out[4, i] = e(numbers[4, 0], numbers[4, 1], x, y)
+        out[5, i] = f(numbers[5, 0], numbers[5, 1], x, y)
+        out[6, i] = g(numbers[6, 0], numbers[6, 1], x, y)
+
+    return look
+
+
+def looked(at) -> np.ndarray:
+    """Directions of all kinds: shape [kinds, points, 3]."""
+    numbers = np.array([panorama_numbers(kind, SEEN) for kind in PANORAMAS], np.float32).reshape(-1, 2, 4)
+    out = wp.zeros((len(PANORAMAS), len(at)), dtype=wp.vec3, device=DEVICE)
+    given = [wp.array(numbers, dtype=wp.vec4, device=DEVICE), wp.array(at, dtype=wp.vec2, device=DEVICE)]
+    wp.launch(directions_kernel(), len(at), given, [out], device=DEVICE, block_dim=BLOCK_DIM)
+    return out.numpy().astype(float)
+
+
+def test_panoramas_look_ahead_in_the_middle_and_to_their_sides():
+    """Right of the middle is right, above it above."""
+    seen = looked([(0.5, 0.5), (0.6, 0.5), (0.5, 0.6)])
+    np.testing.assert_allclose(np.linalg.norm(seen, axis=2), 1, rtol=1e-6)
+    np.testing.assert_allclose(seen[:, 0], np.tile([0, 0, -1], (len(PANORAMAS), 1)), atol=1e-6)
+    assert (seen[:, 1, 0] > 0.1).all() and np.abs(seen[:, 1, 1]).max() < 1e-6
+    assert (seen[:, 2, 1] > 0.1).all() and np.abs(seen[:, 2, 0]).max() < 1e-6
+
+
+def test_beside_its_circle_a_panorama_sees_nothing():
+    round_ones = [PANORAMAS.index(kind) for kind in (CameraKind.MIRROR_BALL, CameraKind.FISHEYE_EQUIDISTANT)]
+    seen = looked([(0.01, 0.01), (0.98, 0.97)])
+    assert (seen[round_ones] == 0).all() and (seen[PANORAMAS.index(CameraKind.EQUIRECTANGULAR)] != 0).any()
+
+
+def test_rays_of_a_panorama_meet_on_the_sphere_of_focus():
+    still = Camera(CameraKind.EQUIRECTANGULAR, turned(), (0, 1, 0, 1), panorama=SEEN)
+    open_wide = dataclasses.replace(still, lens_radius=0.3, focus_distance=4.0, lens_ratio=2.0)
+    lens = np.random.default_rng(0).uniform(size=(500, 2))
+    pixels = np.tile([(0.3 * WIDTH, 0.6 * HEIGHT)], (500, 1))
+    _, ahead, _ = shoot(still, pixels[:1])
+    origin, direction, _ = shoot(open_wide, pixels, lens)
+    np.testing.assert_allclose(np.cross(4.0 * ahead - origin, direction), 0, atol=1e-5)
+    np.testing.assert_allclose(origin @ ahead[0], 0, atol=1e-5)
+    assert 0.29 < np.linalg.norm(origin, axis=1).max() <= 0.3 + 1e-5
+
+
+def test_eyes_of_spherical_stereo_are_beside_every_ray():
+    eye = SphericalStereo(offset=0.1, convergence_distance=2.0)
+    camera = Camera(CameraKind.EQUIRECTANGULAR, turned(), (0, 1, 0, 1), stereo=eye)
+    pixels = [(x, HEIGHT / 2) for x in np.linspace(1, WIDTH - 1, 7)]
+    _, ahead, _ = shoot(dataclasses.replace(camera, stereo=None), pixels)
+    origin, direction, _ = shoot(camera, pixels)
+    np.testing.assert_allclose(origin, 0.1 * np.cross(ahead, [0, 1, 0]), atol=1e-5)
+    np.testing.assert_allclose(np.cross(2.0 * ahead - origin, direction), 0, atol=1e-5)
 
 
 def test_aperture_blades():

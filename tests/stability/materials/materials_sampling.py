@@ -110,7 +110,7 @@ def chi_squared_glass(bench: Bench) -> Outcome:
 def chi_squared_mixture(bench: Bench) -> Outcome:
     """Sweep over shares, sides and angles."""
     sweep = Sweep()
-    kinds = [kind for kind in K if kind.is_model and kind != K.EMISSION]
+    kinds = [kind for kind in K if kind.is_model and not kind.is_hair and kind != K.EMISSION]
     for powers in ((0,) * 7, (-6, 0, -1, -3, 0, -2, -1), (0, -30, -3, -1, -30, 0, 0)):
         closures = tuple(
             Closure(kind, (10.0**p * 0.2, 10.0**p * 0.1, 10.0**p * 0.05), 0.4, 1.4)
@@ -339,7 +339,7 @@ def finite(bench: Bench) -> Outcome:
     wos = [probe.toward(c, a) for c in (1.0, 0.5, *GRAZING, 1e-20, 0.0) for a in (0.0, 2.0)]
     wis = np.array([sign * w * mirror for w in wos for sign in (1, -1) for mirror in ([1, 1, 1], [-1, -1, 1])])
     sweep = Sweep()
-    for kind in [kind for kind in K if kind.is_model and kind not in (K.EMISSION, K.TRANSPARENT)]:
+    for kind in [kind for kind in K if kind.is_model and not kind.is_hair and kind not in (K.EMISSION, K.TRANSPARENT)]:
         for roughness, ior in itertools.product(
             (0.0, 1e-8, LEAST_ROUGH, 0.1, 1.0), (0.0, 0.1, 1.0, 1.0 + 1e-7, 1.5, 100.0, 1e9)
         ):

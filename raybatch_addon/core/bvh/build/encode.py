@@ -10,7 +10,7 @@ import warp as wp
 from ...device.kernel import KERNEL_OPTIONS
 from ...native.build import native_source
 from ..margin import SLAB_MARGIN
-from ..node import EMPTY_CHILD, Layout
+from ..node import EMPTY_CHILD, Layout, aligned_empty
 
 ENCODE_BOXES = {"SLAB_MARGIN": SLAB_MARGIN, "NODE_WORDS": Layout.BOXES.node_words, "EMPTY_CHILD": EMPTY_CHILD}
 """Macros of native functions that write nodes of BOXES."""
@@ -49,3 +49,10 @@ def place_triangles_kernel(
 def as_vectors(words: np.ndarray) -> wp.array:
     """The memory of nodes or triangle blocks as kernels on the CPU take it."""
     return wp.array(words.view(np.float32).reshape(-1, 4), dtype=wp.vec4, device="cpu", copy=False)
+
+
+def empty_vectors(count: int, device: wp.Device) -> wp.array:
+    """`count` elements of nodes or triangle blocks, aligned as traversal wants them."""
+    if device.is_cuda:
+        return wp.empty(count, dtype=wp.vec4, device=device)
+    return as_vectors(aligned_empty((count, 4), np.float32))

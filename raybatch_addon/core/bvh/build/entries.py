@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from ...scene.flatten import FlatGeometry
+from ...scene.motion import KEY_FLOATS, knots, maps_at, way_off
 from ..margin import SLAB_MARGIN
 from ..node import Layout
 from .binary import BuildOptions
@@ -32,16 +33,71 @@ class Entries:
     merged_first: np.ndarray  # first of an entry's baked instances in the next two, shape [n + 1]
     merged_instance: np.ndarray
     merged_triangle_first: np.ndarray
+    motion: np.ndarray | None = None  # row of the entry's keys, or -1
+    keys: np.ndarray | None = None  # `FlatMotion.keys`, float32, shape [rows, steps, KEY_FLOATS]
 
     def boxes(self, mesh_boxes: np.ndarray) -> np.ndarray:
         """World boxes of the entries, float64, shape [n, 2, 3], from those of the mesh trees, shape [m, 2, 3] (Arvo
         1990).
         """
         box = mesh_boxes.astype(np.float64)[self.mesh]
-        linear = self.to_world[:, :, :3]
-        middle = np.einsum("nij,nj->ni", linear, box.mean(1)) + self.to_world[:, :, 3]
-        reach = np.einsum("nij,nj->ni", np.abs(linear), (box[:, 1] - box[:, 0]) / 2)
-        return np.stack([middle - reach, middle + reach], 1)
+        found = _moved_boxes(self.to_world, box)
+        moving = self._moving()
+        for first in range(0, len(moving), _AT_ONCE):
+            some = moving[first : first + _AT_ONCE]
+            found[some] = boxes_over_time(self.keys[self.motion[some]], box[some])
+        return found
+
+    def _moving(self) -> np.ndarray:
+        """Indices of the entries that move."""
+        return np.zeros(0, int) if self.motion is None else np.flatnonzero(self.motion >= 0)
+
+    def conditions(self) -> tuple[np.ndarray, np.ndarray]:
+        """By entry, as large as they become: the product of the sizes of its map and the inverse, and the largest
+        coordinate of its origin.
+        """
+        size, reach = _condition(self.to_world, self.from_world), np.abs(self.to_world[:, :, 3]).max(1)
+        moving = self._moving()
+        for first in range(0, len(moving), _AT_ONCE):
+            some = moving[first : first + _AT_ONCE]
+            keys = self.keys[self.motion[some]]
+            maps = maps_at(keys, knots(keys))
+            usable = np.abs(np.linalg.det(maps[..., :3])) > 0
+            maps[~usable] = np.eye(3, 4)  # where there is no inverse nothing is hit
+            flat = maps.reshape(-1, 3, 4)
+            sizes = _condition(flat, inverse_transforms(flat)).reshape(maps.shape[:2])
+            size[some] = np.maximum(size[some], _BETWEEN_KNOTS * sizes.max(1))
+            reach[some] = np.maximum(reach[some], np.abs(keys[..., 4:7]).max((1, 2)))
+        return size, reach
+
+
+# Moving entries that are looked at together, for which arrays are made of each at many times
+_AT_ONCE = 1024
+# How much larger a map's condition may be than at the times that are looked at. A scale that goes by 0 between them has
+# no bound: rays there are as wrong as their own arithmetic
+_BETWEEN_KNOTS = 2.0
+
+
+def _moved_boxes(maps: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Boxes [..., 2, 3] around the boxes [..., 2, 3] under maps [..., 3, 4] (Arvo 1990)."""
+    linear = maps[..., :3]
+    middle = np.einsum("...ij,...j->...i", linear, box.mean(-2)) + maps[..., 3]
+    reach = np.einsum("...ij,...j->...i", np.abs(linear), (box[..., 1, :] - box[..., 0, :]) / 2)
+    return np.stack([middle - reach, middle + reach], -2)
+
+
+def boxes_over_time(keys: np.ndarray, box: np.ndarray) -> np.ndarray:
+    """Boxes [n, 2, 3] around all that things in the boxes [n, 2, 3] come by, moved by keys [n, steps, KEY_FLOATS]."""
+    times = knots(keys)
+    parts = (len(times) - 1) // (keys.shape[1] - 1)
+    there = _moved_boxes(maps_at(keys, times), box[:, None])
+    off = way_off(keys, np.linalg.norm(np.abs(box).max(1), axis=1), parts)[:, None]
+    return np.stack([there[:, :, 0].min(1) - off, there[:, :, 1].max(1) + off], 1)
+
+
+def _condition(to_world: np.ndarray, from_world: np.ndarray) -> np.ndarray:
+    """The product of the largest sums of a row's sizes of maps [n, 3, 4] and of their inverses: shape [n]."""
+    return np.abs(to_world[:, :, :3]).sum(2).max(1) * np.abs(from_world[:, :, :3]).sum(2).max(1)
 
 
 def entries_of(flat: FlatGeometry, visibility: np.ndarray) -> Entries:
@@ -53,6 +109,8 @@ def entries_of(flat: FlatGeometry, visibility: np.ndarray) -> Entries:
     )
     merged_end = np.cumsum([len(group.instance) for group in groups], dtype=np.int64)
     none = np.zeros(0, np.int32)
+    motion = flat.motion
+    rows = motion.row[shared] if motion else np.full(len(shared), -1)
     return Entries(
         mesh=np.concatenate([np.arange(len(groups)), len(groups) + mesh]),
         instance=np.concatenate([np.full(len(groups), -1), shared]),
@@ -62,6 +120,8 @@ def entries_of(flat: FlatGeometry, visibility: np.ndarray) -> Entries:
         merged_first=np.concatenate([[0], merged_end, np.full(len(shared), merged_end[-1] if groups else 0)]),
         merged_instance=np.concatenate([none, *(group.instance for group in groups)]),
         merged_triangle_first=np.concatenate([none, *(group.instance_triangle_first for group in groups)]),
+        motion=np.concatenate([np.full(len(groups), -1), rows]).astype(np.int32),
+        keys=motion.keys if motion else np.zeros((0, 2, KEY_FLOATS), np.float32),
     )
 
 
@@ -90,9 +150,9 @@ def build_top_level(entries: Entries, boxes: np.ndarray, layout: Layout, device:
     these into any axis of the world: together they are below 2 `SLAB_MARGIN` |A| |M| (|o| + R) there. An uneven scale
     makes |A| |M| large.
     """
-    condition = np.abs(entries.to_world[:, :, :3]).sum(2).max(1) * np.abs(entries.from_world[:, :, :3]).sum(2).max(1)
+    condition, origins = entries.conditions()
     # no coordinate of the top level's centre is larger than all boxes
-    reach = np.maximum(np.abs(boxes).max((1, 2)), np.abs(entries.to_world[:, :, 3]).max(1)) + np.abs(boxes).max()
+    reach = np.maximum(np.abs(boxes).max((1, 2)), origins) + np.abs(boxes).max()
     margin = (2 * SLAB_MARGIN * condition * reach)[:, None]
     low = np.nextafter((boxes[:, 0] - margin).astype(np.float32), np.float32(-np.inf))
     high = np.nextafter((boxes[:, 1] + margin).astype(np.float32), np.float32(np.inf))

@@ -6,7 +6,7 @@ QUANTISED; meshes with spatial splits are built by the CPU and uploaded.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,9 +18,10 @@ from ..node import TRIANGLES_MAX_QUANTISED, Layout
 from .binary import BuildOptions
 from .collapse import collapse_mesh
 from .cpu.build import build_binary
-from .cuda.build import build_mesh
-from .encode import as_vectors
+from .cuda.build import DeviceMesh, build_mesh
+from .encode import as_vectors, empty_vectors
 from .refit import NodeLevels, node_levels, refit_boxes, refit_quantised
+from .segments import place_primitives, stand_ins
 
 # A refitted tree is built anew when it costs rays so many times what it did when it was built (Wald, Boulos and Shirley
 # 2007 find 1.5 to 2 usual; but a build takes as long as some thirty refits, and a frame's rays mostly longer)
@@ -34,21 +35,27 @@ class MeshPart(NamedTuple):
     triangle_count: int
     vertex_first: int
     vertex_count: int
+    mesh: int = -1  # index of a shared mesh among all; -1: a group of baked instances
+
+    @property
+    def span(self) -> slice:
+        """Its triangles among all."""
+        return slice(self.triangle_first, self.triangle_first + self.triangle_count)
 
 
 def mesh_parts(flat: FlatGeometry) -> list[MeshPart]:
     """The parts that the mesh trees of a scene are over: the groups of baked instances, then the shared meshes in their
     order.
     """
-    starts = [(group.triangle_first, group.triangle_count) for group in flat.merged]
+    starts = [(group.triangle_first, group.triangle_count, -1) for group in flat.merged]
     first = flat.mesh_triangle_first
     starts += [
-        (int(first[i]), int(first[i + 1] - first[i])) for i in np.unique(flat.instance_mesh[flat.shared]).tolist()
+        (int(first[i]), int(first[i + 1] - first[i]), i) for i in np.unique(flat.instance_mesh[flat.shared]).tolist()
     ]
     parts = []
-    for start, count in starts:
+    for start, count, mesh in starts:
         vertex_first, vertex_end = flat.mesh_vertex_first[np.searchsorted(first, [start, start + count])].tolist()
-        parts.append(MeshPart(start, count, vertex_first, vertex_end - vertex_first))
+        parts.append(MeshPart(start, count, vertex_first, vertex_end - vertex_first, mesh))
     return parts
 
 
@@ -68,6 +75,7 @@ class MeshTree:
     split: bool  # some triangles are listed more than once
     splits: bool  # triangles were split where that pays for the positions that it has
     level_first: list[int] | None  # as `NodeLevels.first`, of nodes that lie level by level
+    step_units: int = 0  # blocks of one step of vertices that move, in `triangles` step behind step; 0: they do not
     levels: NodeLevels | None = None  # of QUANTISED, from the first refit on
 
 
@@ -97,10 +105,37 @@ class MeshTrees:
 
     def build(self, part: MeshPart) -> MeshTree:
         """A new tree. Raises `OutOfMemoryError` where it does not fit."""
+        steps = self._flat.motion.steps.get(part.mesh) if self._flat.motion else None
+        if steps is None:
+            return self._build(part, self._options)
+        vertices, _ = steps
+        # the tree of the middle, with boxes around all steps; parts of triangles would mean nothing at other times
+        made = self._build(part, replace(self._options, spatial_splits=False))
+        self._spread(made, vertices)
+        return made
+
+    def _spread(self, mesh: MeshTree, steps: np.ndarray) -> None:
+        """Give `mesh` the triangles and boxes of all `steps` of its vertices, shape [steps, vertex_count, 3]."""
+        part = mesh.part
+        triangles = self._flat.triangles[part.triangle_first : part.triangle_first + part.triangle_count]
+        device = mesh.nodes.device
+        own = wp.array(triangles - np.int32(part.vertex_first), dtype=wp.vec3i, device=device)
+        positions = [wp.array(each, dtype=wp.vec3, device=device) for each in steps]
+        mesh.step_units = mesh.triangles.size * 4 // self.layout.triangle_words
+        blocks = empty_vectors(mesh.triangles.size * len(steps), device)
+        for i in range(len(steps)):
+            wp.copy(blocks, mesh.triangles, dest_offset=i * mesh.triangles.size)
+        mesh.triangles = blocks
+        if self.layout is Layout.QUANTISED:
+            result = refit_quantised(mesh.nodes, blocks, self._levels(mesh), positions, own)
+        else:
+            result = refit_boxes(mesh.nodes, blocks, positions, own)
+        mesh.centre, mesh.box, mesh.sah = result.centre, result.box, result.sah
+
+    def _build(self, part: MeshPart, options: BuildOptions) -> MeshTree:
+        boxed = self._stand_ins(part)
         if self._on_device:
-            made = build_mesh(
-                self._geometry.positions, self._geometry.triangles, part.triangle_first, part.triangle_count
-            )
+            made = self._on_device_built(part, boxed)
             return MeshTree(
                 part=part,
                 nodes=made.nodes,
@@ -115,9 +150,12 @@ class MeshTrees:
                 splits=False,
                 level_first=made.level_first,
             )
-        positions = self._flat.positions
-        triangles = self._flat.triangles[part.triangle_first : part.triangle_first + part.triangle_count]
-        wide = collapse_mesh(build_binary(positions, triangles, self._options), positions, triangles, self.layout)
+        positions, triangles = boxed or (self._flat.positions, self._flat.triangles[part.span])
+        options = replace(options, spatial_splits=False) if boxed else options
+        wide = collapse_mesh(build_binary(positions, triangles, options), positions, triangles, self.layout)
+        if boxed:
+            own = self._flat.positions, self._flat.triangles[part.span]
+            place_primitives(as_vectors(wide.triangles), self.layout, *own)
         return MeshTree(
             part=part,
             nodes=as_vectors(wide.nodes),
@@ -129,17 +167,37 @@ class MeshTrees:
             sah=wide.sah,
             sah_built=wide.sah,
             split=wide.reference_count > part.triangle_count,
-            splits=self._options.spatial_splits,
+            splits=options.spatial_splits,
             level_first=None,
         )
+
+    def _stand_ins(self, part: MeshPart) -> tuple[np.ndarray, np.ndarray] | None:
+        """What a tree with segments of curves is built over; None for triangles alone."""
+        return stand_ins(self._flat.positions, self._flat.triangles[part.span]) if self._flat.curves else None
+
+    def _on_device_built(self, part: MeshPart, boxed: tuple[np.ndarray, np.ndarray] | None) -> DeviceMesh:
+        positions, triangles = self._geometry.positions, self._geometry.triangles
+        if boxed is None:
+            return build_mesh(positions, triangles, part.triangle_first, part.triangle_count)
+        made = build_mesh(
+            wp.array(boxed[0], dtype=wp.vec3, device=self._device),
+            wp.array(boxed[1], dtype=wp.vec3i, device=self._device),
+            0,
+            part.triangle_count,
+        )
+        place_primitives(made.triangles, self.layout, positions, triangles[part.span])
+        return made
 
     def refit(self, mesh: MeshTree) -> bool:
         """Fit `mesh` in place to the frame's positions; False when it has become so bad that it should be built anew.
 
         Parts of triangles that were split for the old positions are lost, so such a tree must cost no more than it did.
+        Trees with segments of curves are built anew.
         """
         part, positions = mesh.part, self._geometry.positions
-        triangles = self._geometry.triangles[part.triangle_first : part.triangle_first + part.triangle_count]
+        if self._stand_ins(part):
+            return False
+        triangles = self._geometry.triangles[part.span]
         if self.layout is Layout.QUANTISED:
             mesh.levels = mesh.levels or self._levels(mesh)
             result = refit_quantised(mesh.nodes, mesh.triangles, mesh.levels, positions, triangles)

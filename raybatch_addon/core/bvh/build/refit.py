@@ -12,6 +12,7 @@ is below it) makes levels needless.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,8 @@ class RefitWork:
     nodes: wp.array(dtype=wp.vec4)
     blocks: wp.array(dtype=wp.vec4)  # triangles, with their new vertices
     node_count: int
+    step_count: int  # of positions: boxes are around the triangles at all of them
+    unit_count: int  # blocks of one step, which lie one step behind another
     boxes: wp.array(
         dtype=float
     )  # box of whole triangles below each node, absolute, shape [6 n]: low corner, high corner
@@ -133,7 +136,7 @@ def refit_quantised(
     nodes: wp.array,
     blocks: wp.array,
     levels: NodeLevels,
-    positions: wp.array,
+    positions: wp.array | Sequence[wp.array],
     triangles: wp.array,
     cost: CollapseCost = QUANTISED_COST,
 ) -> RefitResult:
@@ -143,13 +146,16 @@ def refit_quantised(
         nodes: the tree's nodes, vec4, shape [5 n].
         blocks: its triangles, vec4, shape [3 t].
         levels: of its nodes, on the same device.
-        positions: new vertices, vec3.
+        positions: new vertices, vec3; or those of several steps, between which they move: then `blocks` holds as many
+            copies.
         triangles: the mesh's triangles, vec3i, indices into `positions`.
         cost: weights for `sah`.
     """
     device = nodes.device
-    work = _start(nodes, blocks, len(levels.nodes), cost)
-    wp.launch(place_triangles_kernel, dim=blocks.size // 3, inputs=[blocks, positions, triangles], device=device)
+    steps = _steps(positions)
+    work = _start(nodes, blocks, len(levels.nodes), len(steps), Layout.QUANTISED, cost)
+    for at, placed in zip(steps, _copies(blocks, len(steps))):
+        wp.launch(place_triangles_kernel, dim=work.unit_count, inputs=[placed, at, triangles], device=device)
     for first, end in zip(levels.first[-2::-1], levels.first[:0:-1]):
         wp.launch(join_quantised_kernel, dim=end - first, inputs=[work, levels.nodes, first], device=device)
     wp.launch(write_quantised_kernel, dim=work.node_count, inputs=[work], device=device)
@@ -157,21 +163,40 @@ def refit_quantised(
 
 
 def refit_boxes(
-    nodes: wp.array, blocks: wp.array, positions: wp.array, triangles: wp.array, cost: CollapseCost = BOXES_COST
+    nodes: wp.array,
+    blocks: wp.array,
+    positions: wp.array | Sequence[wp.array],
+    triangles: wp.array,
+    cost: CollapseCost = BOXES_COST,
 ) -> RefitResult:
     """Refit a tree of BOXES in place, on the CPU: nodes vec4, shape [16 n], groups vec4, shape [20 g]; the rest as
     `refit_quantised`.
     """
-    work = _start(nodes, blocks, nodes.size // 16, cost)
-    wp.launch(place_groups_kernel, dim=blocks.size // 20, inputs=[blocks, positions, triangles], device="cpu")
+    steps = _steps(positions)
+    work = _start(nodes, blocks, nodes.size // 16, len(steps), Layout.BOXES, cost)
+    for at, placed in zip(steps, _copies(blocks, len(steps))):
+        wp.launch(place_groups_kernel, dim=work.unit_count, inputs=[placed, at, triangles], device="cpu")
     wp.launch(join_boxes_kernel, dim=1, inputs=[work], device="cpu")
     wp.launch(write_boxes_kernel, dim=work.node_count, inputs=[work], device="cpu")
     return _result(work)
 
 
-def _start(nodes: wp.array, blocks: wp.array, node_count: int, cost: CollapseCost) -> RefitWork:
+def _steps(positions: wp.array | Sequence[wp.array]) -> Sequence[wp.array]:
+    return [positions] if isinstance(positions, wp.array) else positions
+
+
+def _copies(blocks: wp.array, count: int) -> list[wp.array]:
+    """The blocks of each step."""
+    size = blocks.size // count
+    return [blocks[i * size : (i + 1) * size] for i in range(count)]
+
+
+def _start(
+    nodes: wp.array, blocks: wp.array, node_count: int, step_count: int, layout: Layout, cost: CollapseCost
+) -> RefitWork:
     work = RefitWork()
     work.nodes, work.blocks, work.node_count = nodes, blocks, node_count
+    work.step_count, work.unit_count = step_count, blocks.size * 4 // layout.triangle_words // step_count
     work.boxes = wp.empty(6 * node_count, dtype=float, device=nodes.device)
     work.cost = wp.empty(node_count, dtype=wp.float64, device=nodes.device)
     work.node_cost, work.unit_cost = cost.node, cost.unit

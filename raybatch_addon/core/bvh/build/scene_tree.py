@@ -83,7 +83,7 @@ def build_scene_tree(
     built = BuiltTree(
         Tree(), layout, instancing, splits_moving, spatial_splits, [trees.build(part) for part in mesh_parts(flat)]
     )
-    _assemble(built, entries_of(flat, visibility), device, fresh=True)
+    _assemble(built, flat, entries_of(flat, visibility), device, fresh=True)
     built.note(len(built.meshes), 0, start)
     return built
 
@@ -118,7 +118,7 @@ def refit_scene_tree(
             built.meshes[i] = None
         for i in worse:
             built.meshes[i] = trees.build(parts[i])
-    _assemble(built, entries_of(flat, visibility), device, fresh=bool(worse))
+    _assemble(built, flat, entries_of(flat, visibility), device, fresh=bool(worse))
     built.note(len(worse), len(moved) - len(worse), start)
 
 
@@ -139,7 +139,7 @@ def layout_for(device: wp.Device) -> Layout:
     return Layout.QUANTISED if device.is_cuda else Layout.BOXES
 
 
-def _assemble(built: BuiltTree, entries: Entries, device: wp.Device, fresh: bool) -> None:
+def _assemble(built: BuiltTree, flat: FlatGeometry, entries: Entries, device: wp.Device, fresh: bool) -> None:
     """Put mesh trees, top level and entries together; with `fresh` mesh trees, all of them move to new arrays."""
     meshes, tree = built.meshes, Tree()
     boxes = entries.boxes(np.array([mesh.box for mesh in meshes]))
@@ -175,6 +175,12 @@ def _assemble(built: BuiltTree, entries: Entries, device: wp.Device, fresh: bool
     tree.merged_first = upload(entries.merged_first, int)
     tree.merged_instance = upload(entries.merged_instance, int)
     tree.merged_triangle_first = upload(entries.merged_triangle_first, int)
+    if flat.motion:
+        steps = np.array([mesh.step_units for mesh in meshes])[entries.mesh]
+        tree.entry_motion, tree.entry_deform = upload(entries.motion, int), upload(steps, int)
+        tree.motion_keys = wp.array(entries.keys.reshape(-1), dtype=float, device=device)
+        tree.motion_steps = entries.keys.shape[1]
+        tree.deform_steps = max((len(vertices) for vertices, _ in flat.motion.steps.values()), default=2)
     tree.entry_count = len(entries.mesh)
     tree.top_node = int(node_first[-1]) // vectors_per_node
     tree.top_entry = top.order if top else wp.empty(0, dtype=int, device=device)

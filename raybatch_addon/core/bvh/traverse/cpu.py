@@ -20,11 +20,13 @@ import warp as wp
 
 from ...native.build import native_source
 from ...rays import DeviceRayList, Rays
+from ...scene.segments import NORMAL_STEPS
 from ..intersect import EDGE_TINY
 from ..margin import DIRECTION_LEAST, SLAB_MARGIN
 from ..node import BOXES_DEFINES
 from ..tree import Tree
 from .counts import TraceCounts
+from .motion import MOTION_HEADERS
 from .options import TraceOptions, TraversalOptions
 
 # Levels of a wide tree are no more than those of the binary tree, 63 at most; each leaves up to seven children waiting.
@@ -42,24 +44,46 @@ RAY_HEADERS = (
 )
 """What rays in whole trees and in cut ones have in common."""
 
+_SEGMENT_HEADERS = (
+    *RAY_HEADERS[:-1],
+    "traverse/segments/boxes_names.h",
+    RAY_HEADERS[-1],
+    "traverse/segments/root.h",
+    "traverse/segments/meet.h",
+    "traverse/segments/boxes.h",
+)
+
+
+def ray_headers(options: TraversalOptions) -> tuple[str, ...]:
+    """`RAY_HEADERS`, with segments of curves where there are some."""
+    return _SEGMENT_HEADERS if options.curves else RAY_HEADERS
+
+
+def segment_defines(options: TraversalOptions) -> dict[str, int]:
+    """Macros of the headers of segments; none without."""
+    return {"NORMAL_STEPS": NORMAL_STEPS} if options.curves else {}
+
 
 def boxes_defines(options: TraversalOptions) -> dict[str, bool | int | float]:
     """Macros of `RAY_HEADERS`, and of loops over rays."""
     return BOXES_DEFINES | {
         "TWO_LEVEL": options.instancing,
+        "MOTION": options.motion,
         "COUNTERS": options.counters,
         "CARRIED": options.interleave,
         "STACK": _STACK_ALL if options.instancing else _STACK_MESH,
         "DIRECTION_LEAST": DIRECTION_LEAST,
         "SLAB_MARGIN": SLAB_MARGIN,
         "EDGE_TINY": EDGE_TINY,
+        **segment_defines(options),
     }
 
 
 def traversal_source(options: TraceOptions) -> str:
     """The body of the native function for `options`."""
     loop = "traverse/boxes/trace_many.h" if options.interleave > 1 else "traverse/boxes/trace_one.h"
-    headers = (*RAY_HEADERS, "traverse/boxes/trace.h", loop)
+    moving = MOTION_HEADERS if options.motion else ()
+    headers = (*moving, *ray_headers(options), "traverse/boxes/trace.h", loop)
     return native_source(*headers, device="cpu", TREELETS=False, ANY_HIT=options.any_hit, **boxes_defines(options))
 
 

@@ -18,7 +18,7 @@ from ...rays import DeviceRayList, Rays
 from ..tree import DONE, NEW, TRAIL_LEVELS, TopProgress, Tree, Treelets
 from ..treelets.links import TREELET_CHILD
 from .counts import TraceCounts
-from .cpu import RAY_HEADERS, boxes_defines
+from .cpu import boxes_defines, ray_headers
 from .options import VisitOptions
 from .task import task_defines
 
@@ -26,7 +26,7 @@ from .task import task_defines
 def boxes_visit_source(options: VisitOptions) -> str:
     """The body of the native function for `options`."""
     return native_source(
-        *RAY_HEADERS,
+        *ray_headers(options),
         "traverse/boxes/visit.h",
         "traverse/boxes/visit_moves.h",
         "traverse/boxes/visit_many.h",

@@ -22,6 +22,8 @@ from ..margin import DIRECTION_LEAST, SLAB_MARGIN
 from ..node import QUANTISED_DEFINES
 from ..tree import Tree
 from .counts import TraceCounts
+from .cpu import segment_defines
+from .motion import MOTION_HEADERS
 from .options import TraceOptions, TraversalOptions
 
 # Levels of a mesh tree and of the top level: each has at most one group of nodes on the stack, the top level one of
@@ -47,11 +49,26 @@ LANE_HEADERS = (
 )
 """What stands behind it, and before a lane's own steps and the loop."""
 
+_SEGMENT_HEADERS = (
+    *LANE_HEADERS[:-1],
+    "traverse/segments/quantised_names.h",
+    LANE_HEADERS[-1],
+    "traverse/segments/root.h",
+    "traverse/segments/meet.h",
+    "traverse/segments/quantised.h",
+)
+
+
+def lane_headers(options: TraversalOptions) -> tuple[str, ...]:
+    """`LANE_HEADERS`, with segments of curves where there are some."""
+    return _SEGMENT_HEADERS if options.curves else LANE_HEADERS
+
 
 def quantised_defines(options: TraversalOptions) -> dict[str, bool | int | float]:
     """Macros of the headers that whole trees and cut ones have in common."""
     return QUANTISED_DEFINES | {
         "TWO_LEVEL": options.instancing,
+        "MOTION": options.motion,
         "COUNTERS": options.counters,
         "REFILL": 32 if options.single_lane else options.refill,
         "SINGLE_LANE": options.single_lane,
@@ -59,15 +76,17 @@ def quantised_defines(options: TraversalOptions) -> dict[str, bool | int | float
         "DIRECTION_LEAST": DIRECTION_LEAST,
         "SLAB_MARGIN": SLAB_MARGIN,
         "EDGE_TINY": EDGE_TINY,
+        **segment_defines(options),
     }
 
 
 def trace_source(options: TraceOptions) -> str:
     """The body of the native function for `options`."""
     return native_source(
+        *(MOTION_HEADERS if options.motion else ()),
         *NODE_HEADERS,
         "traverse/quantised/lane.h",
-        *LANE_HEADERS,
+        *lane_headers(options),
         "traverse/quantised/trace.h",
         "traverse/quantised/loop.h",
         ANY_HIT=options.any_hit,

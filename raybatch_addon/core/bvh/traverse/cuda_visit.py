@@ -22,7 +22,7 @@ from ...native.build import native_source
 from ...rays import DeviceRayList, Rays
 from ..tree import DONE, TRAIL_LEVELS, TopProgress, Tree, Treelets
 from .counts import TraceCounts
-from .cuda import LANE_HEADERS, NODE_HEADERS, STACK_MESH, quantised_defines
+from .cuda import NODE_HEADERS, STACK_MESH, lane_headers, quantised_defines
 from .options import VisitOptions
 from .task import task_defines
 
@@ -35,7 +35,7 @@ def quantised_visit_source(options: VisitOptions) -> str:
     return native_source(
         *NODE_HEADERS,
         "traverse/quantised/visit_lane.h",
-        *LANE_HEADERS,
+        *lane_headers(options),
         "traverse/quantised/visit_rays.h",
         "traverse/quantised/visit_steps.h",
         "traverse/quantised/loop.h",

@@ -12,11 +12,14 @@ for (int s = 0; s < 8; ++s) {
     units[s] = (~c & 7) + 1;
     bool first = true;
     for (int g = 0; g < units[s]; ++g) {
-        const float* rows = (const float*)work.blocks.data + UNIT_WORDS * (long long)((~c >> 3) + g);
-        for (int lane = 0; lane < 8; ++lane)
-            if (((const int*)rows)[72 + lane] >= 0) {
-                for (int row = 0; row < 9; ++row) widen(box[s], rows[8 * row + lane], row % 3, first && row < 3);
-                first = false;
-            }
+        for (int step = 0; step < work.step_count; ++step) {
+            const long long unit = (~c >> 3) + g + (long long)step * work.unit_count;
+            const float* rows = (const float*)work.blocks.data + UNIT_WORDS * unit;
+            for (int lane = 0; lane < 8; ++lane)
+                if (((const int*)rows)[72 + lane] >= 0) {
+                    for (int row = 0; row < 9; ++row) widen(box[s], rows[8 * row + lane], row % 3, first && row < 3);
+                    first = false;
+                }
+        }
     }
 }

@@ -11,10 +11,12 @@ for (int s = 0; s < 8; ++s) {
     } else if (there[s]) {
         // the count is in unary
         for (unsigned int bits = meta >> 5; bits; bits >>= 1) {
-            const float* v =
-                (const float*)work.blocks.data + UNIT_WORDS * (long long)(node[5] + (meta & 31u) + units[s]);
-            for (int j = 0; j < 3; ++j)
-                for (int k = 0; k < 3; ++k) widen(box[s], v[4 * j + k], k, units[s] == 0 && j == 0);
+            for (int step = 0; step < work.step_count; ++step) {
+                const long long unit = node[5] + (meta & 31u) + units[s] + (long long)step * work.unit_count;
+                const float* v = (const float*)work.blocks.data + UNIT_WORDS * unit;
+                for (int j = 0; j < 3; ++j)
+                    for (int k = 0; k < 3; ++k) widen(box[s], v[4 * j + k], k, units[s] == 0 && step == 0 && j == 0);
+            }
             ++units[s];
         }
     }

@@ -1,7 +1,18 @@
 """The ops of programs, a file for each family of Blender's nodes."""
 
-from .closures import closure_ops, closure_ops_facets, closure_ops_soft, layers  # noqa: F401
-from .inputs import attributes, bump, coordinates, geometry_inputs, ies, object_inputs, view_inputs  # noqa: F401
+from .closures import aov, closure_ops, closure_ops_facets, closure_ops_hair, closure_ops_soft, layers, volume_ops  # noqa: F401
+from .inputs import (  # noqa: F401
+    attributes,
+    bump,
+    coordinates,
+    curve_inputs,
+    displacement,
+    geometry_inputs,
+    grids,
+    ies,
+    object_inputs,
+    view_inputs,
+)
 from .textures import (  # noqa: F401
     brick,
     checker,

@@ -10,9 +10,11 @@ from typing import NamedTuple
 import warp as wp
 
 from ...scene.description import ClosureKind
+from ..hair.closures import with_hair
 from ..sampling import bitangent_of, sample_cosine_hemisphere, spherical_direction, tangent_of, to_world
 from .albedo import AlbedoTables
 from .ashikhmin_shirley import phong_exponent, sample_phong
+from .drawn.toon import sample_toon
 from .facets import make_facets
 from .ggx import is_refraction_specular, is_specular, reflected, refracted
 from .lobes import LOBE_FLOATS, Lobe, make_lobes, relative_index
@@ -69,6 +71,7 @@ _VELVET = wp.constant(int(_K.VELVET))
 _HOLDOUT = wp.constant(int(_K.HOLDOUT))
 _SHEET = wp.constant(int(_K.SHEET))
 _SUBSURFACE = wp.constant(int(_K.SUBSURFACE))
+_TOON = wp.constant(int(_K.TOON))
 _ONE_BELOW = wp.constant(1.0 - 2.0**-24)  # the largest float32 below 1
 
 
@@ -106,6 +109,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
     has_lambert, has_cosine = has(*LAMBERTIAN), has(*LAMBERTIAN, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT)
     has_transparent, has_emission, has_holdout = has(_K.TRANSPARENT), has(_K.EMISSION), has(_K.HOLDOUT)
     has_translucent, has_sheen, has_velvet = has(_K.TRANSLUCENT), has(_K.SHEEN), has(_K.VELVET)
+    has_toon = has(_K.TOON)
     has_facets, has_passing, has_phong = features.facets, has(*PASSING_KINDS), has(_K.ASHIKHMIN_SHIRLEY)
     has_refraction, has_sheet, has_subsurface = has(_K.REFRACTION), has(_K.SHEET), has(_K.SUBSURFACE)
     has_evaluated_facets, is_evaluated_facets = (
@@ -121,10 +125,11 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         if mixture.selection > 0.0:
             result.value = mixture.value
             result.pdf = mixture.density
+            result.diffuse = mixture.soft
             if wp.static(has_lambert):
-                result.diffuse = mixture.lambert * mixture.diffuse
-                result.value += result.diffuse
-                result.diffuse += mixture.soft
+                lambert = mixture.lambert * mixture.diffuse
+                result.value += lambert
+                result.diffuse += lambert
                 result.pdf += mixture.lambert * mixture.diffuse_selection
             result.pdf = result.pdf / mixture.selection
         return result
@@ -195,6 +200,11 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
             if kind == _VELVET:
                 wi = to_world(spherical_direction(u[1], wp.TAU * u[0]), tangent, bitangent, about)
                 bits = DIFFUSE
+        if wp.static(has_toon):
+            if kind == _TOON:
+                drawn = closures[chosen].distribution
+                wi = sample_toon(drawn, closures[chosen].roughness, closures[chosen].mean_cosine, about, wo, u)
+                bits = wp.where(drawn == 1, GLOSSY, DIFFUSE)
         if wp.static(has_transparent):
             if kind == _TRANSPARENT:
                 bits = TRANSPARENT | DELTA
@@ -267,6 +277,9 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         if wp.static(has_facets):
             if (bits & (GLOSSY | TRANSMISSION)) != 0 and (bits & DIFFUSE) == 0:
                 facet_side = wp.dot(wi, n)
+        if wp.static(has_toon):
+            if kind == _TOON:
+                facet_side = side
         if (bits & (TRANSMISSION | TRANSPARENT | SUBSURFACE)) != 0:
             side = -side
             facet_side = -facet_side
@@ -347,4 +360,5 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                     share += (weight[0] + weight[1] + weight[2]) / 3.0
         return wp.min(share, 1.0)
 
-    return Bsdf(functions.look, propose, mix, value_of, complete, emission, transparency, scatters, holdout)
+    bsdf = Bsdf(functions.look, propose, mix, value_of, complete, emission, transparency, scatters, holdout)
+    return with_hair(bsdf, features)

@@ -56,6 +56,9 @@ class LobeFunctions(NamedTuple):
     look: wp.Function
     # (closures, c: int, albedo, cosine: float, entering: int) -> vec3: share of light that a facet reflects
     reflectance: wp.Function
+    mirror: (
+        wp.Function
+    )  # (closures, c: int, albedo, entering: int, cosine: float) -> MirrorAlbedo, of `REFLECTION_KINDS`
 
 
 @wp.struct
@@ -66,6 +69,15 @@ class Lobe:
     selection: float  # albedo, approximate, summed over the channels: decides how often the closure is sampled
     normal: wp.vec3  # of its facets, unit
     cosine: float  # of the angle between that and wo
+
+
+@wp.struct
+class MirrorAlbedo:
+    """How facets that let nothing through reflect, as they are seen from wo; the product of all is their albedo."""
+
+    compensation: wp.vec3  # factor for light that bounces more than once between facets
+    single: float  # albedo of facets that reflect all light, by single scattering
+    seen: wp.vec3  # share of light that they reflect, approximate
 
 
 # Floats of a lobe: kernels reserve a local array of lobes as one of closure records (`RECORD_FLOATS`)
@@ -99,6 +111,7 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
             _K.REFRACTION,
             _K.ASHIKHMIN_SHIRLEY,
             _K.SUBSURFACE,
+            _K.TOON,
         )
     )
     is_mirror, is_facets = features.test(REFLECTION_KINDS), features.test(MICROFACET_KINDS)
@@ -209,6 +222,45 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
         return bare_reflectance(closures, c, cosine, entering)
 
     @wp.func
+    def mirror(
+        closures: wp.array(dtype=ClosureRecord), c: int, tables: AlbedoTables, entering: int, cos_o: float
+    ) -> MirrorAlbedo:
+        """Closure `c`, one of `REFLECTION_KINDS`, seen at `cos_o` to the facets' normal."""
+        kind = closures[c].kind
+        roughness = table_roughness(closures, c)
+        mean = closures[c].color
+        seen = wp.vec3(1.0)
+        if wp.static(has_metal):
+            if kind == _METAL:
+                mean = f82_average(closures[c].color, closures[c].edge)
+                seen = fresnel_f82(closures[c].color, closures[c].edge, cos_o)
+        if wp.static(has_conductor):
+            if kind == _CONDUCTOR:
+                mean = conductor_average(closures[c].color, closures[c].edge)
+                seen = fresnel_conductor(closures[c].color, closures[c].edge, cos_o)
+        if wp.static(has_dielectric):
+            if kind == _DIELECTRIC:
+                ior = closures[c].ior
+                mean = tinted_dielectric(coat_fresnel_average(tables, ior), ior, closures[c].edge)
+                seen_white = fresnel_dielectric(cos_o, ior)
+                if not is_specular(roughness * roughness):
+                    if ior < 1.0:  # approximate, for want of a table: some facets always reflect totally
+                        seen_white = fresnel_dielectric(ggx_slope(roughness * roughness, cos_o), ior)
+                        seen_white = 0.5 * (seen_white + coat_fresnel_average(tables, ior))
+                    else:
+                        seen_white = coat_fresnel(tables, roughness, ior, cos_o)
+                seen = tinted_dielectric(seen_white, ior, closures[c].edge)
+        if wp.static(has_film):
+            if closures[c].film_thickness > wp.static(FILM_LEAST):
+                seen = reflectance(closures, c, tables, cos_o, entering)
+        m = compensated(closures, c, tables, roughness, cos_o, mean)
+        result = MirrorAlbedo()
+        result.compensation = wp.vec3(m[0], m[1], m[2])
+        result.single = m[3]
+        result.seen = seen
+        return result
+
+    @wp.func
     def view_lobe(
         closures: wp.array(dtype=ClosureRecord),
         c: int,
@@ -236,35 +288,9 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
                 albedo = lobe.scale
         if wp.static(has_mirror):
             if is_mirror(kind):
-                roughness = table_roughness(closures, c)
-                mean = closures[c].color
-                seen = wp.vec3(1.0)
-                if wp.static(has_metal):
-                    if kind == _METAL:
-                        mean = f82_average(closures[c].color, closures[c].edge)
-                        seen = fresnel_f82(closures[c].color, closures[c].edge, cos_o)
-                if wp.static(has_conductor):
-                    if kind == _CONDUCTOR:
-                        mean = conductor_average(closures[c].color, closures[c].edge)
-                        seen = fresnel_conductor(closures[c].color, closures[c].edge, cos_o)
-                if wp.static(has_dielectric):
-                    if kind == _DIELECTRIC:
-                        ior = closures[c].ior
-                        mean = tinted_dielectric(coat_fresnel_average(tables, ior), ior, closures[c].edge)
-                        seen_white = fresnel_dielectric(cos_o, ior)
-                        if not is_specular(roughness * roughness):
-                            if ior < 1.0:  # approximate, for want of a table: some facets always reflect totally
-                                seen_white = fresnel_dielectric(ggx_slope(roughness * roughness, cos_o), ior)
-                                seen_white = 0.5 * (seen_white + coat_fresnel_average(tables, ior))
-                            else:
-                                seen_white = coat_fresnel(tables, roughness, ior, cos_o)
-                        seen = tinted_dielectric(seen_white, ior, closures[c].edge)
-                if wp.static(has_film):
-                    if closures[c].film_thickness > wp.static(FILM_LEAST):
-                        seen = reflectance(closures, c, tables, cos_o, frame.entering)
-                m = compensated(closures, c, tables, roughness, cos_o, mean)
-                lobe.scale = wp.cw_mul(weight, wp.vec3(m[0], m[1], m[2]))
-                albedo = m[3] * wp.cw_mul(lobe.scale, seen)
+                facets = mirror(closures, c, tables, frame.entering, cos_o)
+                lobe.scale = wp.cw_mul(weight, facets.compensation)
+                albedo = facets.single * wp.cw_mul(lobe.scale, facets.seen)
         if wp.static(has_glass):
             if kind == _GLASS:
                 roughness = closures[c].roughness
@@ -314,4 +340,4 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
             lobe.cosine = cos_o
             lobes[c - first] = lobe
 
-    return LobeFunctions(look, reflectance)
+    return LobeFunctions(look, reflectance, mirror)

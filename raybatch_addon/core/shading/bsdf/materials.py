@@ -17,6 +17,8 @@ from .albedo import AlbedoTables, upload_tables
 
 # Kind of a record that is no closure: its `normal` is the surface's normal
 SURFACE_NORMAL = 64
+# Kind of a record that is no closure: its `weight` is a value for the pass of materials whose number is `distribution`
+AOV = 65
 _MODEL_BITS = 31  # kinds of models are below
 
 # Events of a sampled path (bits)
@@ -33,8 +35,10 @@ MIRROR_KINDS = frozenset({_K.GLOSSY, _K.METAL, _K.DIELECTRIC, _K.CONDUCTOR})
 PASSING_KINDS = frozenset({_K.GLASS, _K.REFRACTION})  # facets that refract
 REFLECTION_KINDS = MIRROR_KINDS | {_K.SHEET}  # facets whose albedo is that of reflection
 MICROFACET_KINDS = REFLECTION_KINDS | PASSING_KINDS | {_K.ASHIKHMIN_SHIRLEY, _K.SUBSURFACE}
+# fibres, which scatter to all sides
+HAIR_KINDS = frozenset(kind for kind in _K if kind.is_hair)
 # Light from behind the surface shines through, in other directions than straight on
-TRANSMISSIVE_KINDS = PASSING_KINDS | {_K.TRANSLUCENT, _K.SHEET}
+TRANSMISSIVE_KINDS = PASSING_KINDS | {_K.TRANSLUCENT, _K.SHEET} | HAIR_KINDS
 _COAT_KINDS = frozenset({_K.LAYERED_DIFFUSE, _K.DIELECTRIC})
 # Indices of refraction are kept in a range whose squares and their inverses are far from the ends of
 # float32; beyond it a dielectric reflects more than 99.6 % and is a mirror for all purposes.
@@ -114,7 +118,8 @@ class ClosureRecord:
     film_thickness: float  # THIN_FILM, of METAL, CONDUCTOR, DIELECTRIC and GLASS [nm]; 0: none
     film_ior: float  # relative to the outside
     normal: wp.vec3  # OWN_NORMAL: unit; 0: the normal of the frame
-    # SUBSURFACE: mean cosine of the phase function; the medium is in `color`, `edge` and `refraction`, as in `Closure`
+    # SUBSURFACE: mean cosine of the phase function; the medium is in `color`, `edge` and `refraction`, as in `Closure`.
+    # TOON: width of the edge
     mean_cosine: float
 
 
@@ -213,7 +218,7 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     first = np.cumsum([0] + [len(material.closures) for material in materials], dtype=np.int32)
     records = np.zeros(len(closures), ClosureRecord.numpy_dtype())
     for record, closure in zip(records, closures):
-        _fill(record, closure)
+        fill_record(record, closure)
 
     table = MaterialTable()
     rows = np.zeros(len(materials), MaterialRecord.numpy_dtype())
@@ -273,7 +278,7 @@ _DIRECTIONS = ("normal", "tangent")
 _NUMBERS = ("roughness", "ior", "aspect", "film_thickness", "film_ior", "mean_cosine")
 
 
-def _fill(record, closure: Closure) -> None:
+def fill_record(record, closure: Closure) -> None:
     """Write `closure` to `record`, a row of records on the host."""
     record["kind"] = int(closure.kind)
     record["weight"], record["color"] = _weight_and_color(closure)

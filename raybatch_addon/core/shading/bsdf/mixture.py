@@ -16,6 +16,7 @@ from ..sampling import tangent_of
 from .albedo import AlbedoTables
 from .ashikhmin_shirley import phong_density, phong_exponent
 from .diffuse import rough_diffuse_bsdf
+from .drawn.toon import toon_bsdf
 from .facets import make_facets
 from .ggx import is_refraction_specular, is_specular
 from .lobes import Lobe, make_lobes, relative_index
@@ -32,7 +33,8 @@ _SHEEN = wp.constant(int(_K.SHEEN))
 _VELVET = wp.constant(int(_K.VELVET))
 _SHEET = wp.constant(int(_K.SHEET))
 LAMBERTIAN = (_K.DIFFUSE, _K.LAYERED_DIFFUSE)
-SOFT = (_K.ROUGH_DIFFUSE, _K.TRANSLUCENT, _K.SHEEN, _K.VELVET)  # other diffuse closures
+_TOON = wp.constant(int(_K.TOON))
+SOFT = (_K.ROUGH_DIFFUSE, _K.TRANSLUCENT, _K.SHEEN, _K.VELVET, _K.TOON)  # other closures without facets
 
 
 class MixtureFunctions(NamedTuple):
@@ -72,7 +74,7 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
     is_mirror, is_passing = features.test(MIRROR_KINDS), features.test(PASSING_KINDS)
     has_lambert, has_soft = has(*LAMBERTIAN), has(*SOFT)
     has_glass, has_mirror, has_passing = has(_K.GLASS), has(*MIRROR_KINDS), has(*PASSING_KINDS)
-    has_rough_diffuse, has_translucent, has_sheen, has_velvet = (has(kind) for kind in SOFT)
+    has_rough_diffuse, has_translucent, has_sheen, has_velvet, has_toon = (has(kind) for kind in SOFT)
     has_phong, has_sheet, has_facets = has(_K.ASHIKHMIN_SHIRLEY), has(_K.SHEET), features.facets
     is_facets = features.test(MICROFACET_KINDS)
     bends = features.facets or features.coats
@@ -111,6 +113,14 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
             if kind == _VELVET and cosine > 0.0:
                 value = velvet_bsdf(closures[c].roughness, wo, wi, normal)
                 found = wp.vec4(value, value, value, wp.static(0.5 / math.pi))
+        if wp.static(has_toon):
+            if kind == _TOON:
+                drawn = toon_bsdf(
+                    closures[c].distribution, closures[c].roughness, closures[c].mean_cosine, normal, wo, wi
+                )
+                found = wp.vec4(drawn[0], drawn[0], drawn[0], drawn[1])
+                if closures[c].distribution == 1:
+                    return found  # no diffuse light, which alone is shadowed by bumps
         if wp.static(own):
             if kind != _TRANSLUCENT and has_own_normal(closures, c):
                 shadow = bump_shadow(normal, frame, wi)
@@ -193,7 +203,11 @@ def make_mixture(features: ClosureFeatures) -> MixtureFunctions:
                     both = soft(closures, c, albedo, frame, wo, wi)
                     value = wp.cw_mul(lobe.scale, wp.vec3(both[0], both[1], both[2]))
                     mixture.value += value
-                    mixture.soft += value
+                    if wp.static(has_toon):
+                        if kind != _TOON or closures[c].distribution == 0:
+                            mixture.soft += value
+                    else:
+                        mixture.soft += value
                     mixture.density += lobe.selection * both[3]
             if wp.static(has_facets):
                 cos_i = wp.dot(n, wi)

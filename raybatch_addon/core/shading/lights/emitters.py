@@ -14,6 +14,7 @@ import numpy as np
 from ...errors import SceneError
 from ...scene.description import ClosureKind, Light, LightKind, Material, Scene, Visibility
 from ...scene.frozen import fact
+from ...scene.motion import apart
 from ...scene.validate import box_of
 
 # Kinds of rays that leave surfaces, where lights are sampled; an emitter that none of them sees lights nothing
@@ -54,7 +55,8 @@ def find_emissive_triangles(
     by_program = np.array([emitted is not None and _may_emit(material) for material in scene.materials], bool)
     emits = emission.any(1) | by_program
     chunks: list[tuple[np.ndarray, ...]] = []
-    candidates = np.flatnonzero(instances.visibility & _LIT) if emits.any() else np.zeros(0, int)
+    # what moves is not aimed at: where it is, and how wide it is seen, is another matter at each time
+    candidates = np.flatnonzero((instances.visibility & _LIT) * ~apart(scene)) if emits.any() else np.zeros(0, int)
     for mesh_index in np.unique(instances.mesh[candidates]).tolist():
         mesh = scene.meshes[mesh_index]
         if len(mesh.triangles) == 0:

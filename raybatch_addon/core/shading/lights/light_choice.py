@@ -31,6 +31,8 @@ _COSINE_MIN = 0.1
 _LEAST, _MOST = 1e-30, 1e30
 _DRAWS = 2**24  # what a random number can be
 _SIDE_STEPS = wp.constant(32767.0)
+# In place of `packed_side` for a point in a volume, which light reaches from all sides alike
+VOLUME_SIDE = 1 << 31
 
 
 @wp.struct
@@ -84,7 +86,7 @@ def packed_side(normal: wp.vec3, both_sides: bool) -> wp.uint32:
 
 @wp.func
 def lit_point(position: wp.vec3, side: wp.uint32) -> LitPoint:
-    """The point at `position`, whose surface `packed_side` describes."""
+    """The point at `position`, whose surface `packed_side` describes; its normal is 0 where that is VOLUME_SIDE."""
     point = LitPoint()
     point.position = position
     x = float(side & wp.uint32(32767)) / _SIDE_STEPS * 2.0 - 1.0
@@ -93,7 +95,7 @@ def lit_point(position: wp.vec3, side: wp.uint32) -> LitPoint:
     fold = wp.max(-z, 0.0)
     x = x - wp.where(x < 0.0, -fold, fold)
     y = y - wp.where(y < 0.0, -fold, fold)
-    point.normal = wp.normalize(wp.vec3(x, y, z))
+    point.normal = wp.normalize(wp.vec3(x, y, z)) * float(wp.uint32(1) - (side >> wp.uint32(31)))
     point.both_sides = int((side >> wp.uint32(30)) & wp.uint32(1))
     return point
 

@@ -56,6 +56,9 @@ class LightHits(NamedTuple):
     # (table, nodes, point, direction, visibility, bsdf_pdf, bounce, passed) -> vec3: weighted radiance of the suns, for
     # a ray that leaves the scene
     miss: wp.Function
+    # (light: LightRecord, origin, direction) -> LightSample: one light, without its emission; None where no light that
+    # has a place is met
+    meet: wp.Function | None
 
 
 @functools.cache
@@ -168,4 +171,4 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
                         total += weight * radiance
         return total
 
-    return LightHits(intersect, miss)
+    return LightHits(intersect, miss, meet_shape if met_in_space else None)

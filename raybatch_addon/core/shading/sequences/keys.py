@@ -7,7 +7,7 @@ over the sample index, and sets are padded against each other.
 
 import warp as wp
 
-# Dimension sets. FILTER and LENS belong to bounce 0; the others are added to
+# Dimension sets. FILTER and LENS belong to bounce 0, TIME to none; the others are added to
 # `bounce * DIMENSIONS_PER_BOUNCE`.
 DIMENSIONS_PER_BOUNCE = 8
 FILTER = 0  # 2D: point of the pixel filter
@@ -18,6 +18,7 @@ LOBE = 4  # 1D: which closure, and which side of it
 BSDF = 5  # 2D: direction
 ROULETTE = 6  # 1D: whether the path goes on
 TEXTURE = 7  # 1D: which level of images
+TIME = 0xFFFFFFFF  # 1D: when the path is, for all of it
 
 _ULP_BELOW_ONE = wp.constant(2.0**-24)  # spacing of the 24-bit points, and of floats in [0.5, 1)
 

@@ -41,7 +41,7 @@ def make_triangle_estimate(programs: ProgramFeatures, instancing: bool, smooth_n
         sides = int(2)
         for k in range(points):
             place = wp.vec2(float(row) + 0.33, float(column) + 0.33) / float(_ROWS)
-            normal = surface_point(data.geometry, instance, primitive, place).geometric_normal
+            normal = surface_point(data.geometry, instance, primitive, place, 0.5).geometric_normal
             square = (float(k) + 0.5) / float(_POINTS)
             if k == _POINTS:
                 square = float(0.0)

@@ -60,6 +60,7 @@ class TracingPlan:
     treelet_size: int = 0  # most nodes of a treelet; 0: no limit
     choices: dict[str, Choice] = field(default_factory=dict)  # by setting
     splits: bool = False  # whether a tree that is built for this render splits triangles
+    complaints: tuple[str, ...] = ()  # what is not as the settings ask for
 
 
 def report_of(choices: dict[str, Choice]) -> dict[str, dict[str, Any]]:
@@ -88,9 +89,23 @@ def plan_tracing(
     is_cuda: bool,
     memory: Memory,
     samples: float = math.inf,
+    moving: bool = False,
 ) -> TracingPlan:
-    """The plan for a scene of `size`, of which `samples` are taken in all pixels together."""
+    """The plan for a scene of `size`, of which `samples` are taken in all pixels together; `moving`: it has things that
+    move.
+    """
+    if moving:
+        why = "things move, which rays that wait, and Warp's tree, know nothing of"
+        asked = settings.batching
+        complaints = () if asked in ("AUTO", "OFF") else (f"batching is OFF, not {asked}: {why}",)
+        return TracingPlan(Method.UNBATCHED, choices={"batching": Choice("OFF", why)}, complaints=complaints)
     plan = _plan_of_rays(settings, size, layout, is_cuda, memory)
+    if size.curves and plan.method in (Method.PAGED, Method.REFERENCE):
+        held = "Warp's tree holds" if plan.method is Method.REFERENCE else "pages hold"
+        plan = TracingPlan(
+            Method.UNBATCHED,
+            choices={"batching": Choice("OFF", f"the scene has hair, curves or points, and {held} triangles alone")},
+        )
     if plan.method is Method.REFERENCE or settings.spatial_splits != "AUTO":
         return replace(plan, splits=settings.spatial_splits == "ON")
     if not splits_triangles("AUTO", layout) or plan.method is Method.PAGED:

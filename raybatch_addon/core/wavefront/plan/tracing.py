@@ -21,12 +21,15 @@ class Tracing:
     layout: Layout | None  # of the tree; None: Warp's tree
     method: Method
     instancing: bool  # through a top level of many trees
+    curves: bool = False  # past segments of curves
+    moving: bool = False  # instances or vertices move
 
     @staticmethod
     def of(plan: TracingPlan, layout: Layout, features: SceneFeatures) -> Tracing:
         """For a scene with `features`; what is beyond memory is always many trees."""
         own = plan.method is not Method.REFERENCE
-        return Tracing(layout if own else None, plan.method, features.instancing or plan.method is Method.PAGED)
+        many = features.instancing or plan.method is Method.PAGED
+        return Tracing(layout if own else None, plan.method, many, features.curves, features.moving)
 
     @property
     def waits(self) -> bool:

@@ -18,6 +18,7 @@ from ...film import Film
 from ...film.tile import FinishedTile
 from ...measure.snapshot import Snapshot
 from ...observers import RenderObserver
+from ...scene.passes import GUIDE_PASSES
 from ..integrator import TileIntegrator, TileState
 from .resume import ResumeState
 from .rounds import sample_marks
@@ -86,6 +87,13 @@ class Rendering:
 
     def run(self) -> None:
         """Until the policy or a cancel ends it; raises what a worker or a callback raised."""
+        try:
+            self._run_rounds()
+        finally:
+            for integrator in self._integrators:
+                integrator.release()
+
+    def _run_rounds(self) -> None:
         state, policy = self._state, self._state.policy
         rendering = 0.0  # without what observers do meanwhile [s]
         if state.end is None:
@@ -234,6 +242,9 @@ class Rendering:
                     picture=_colors(self._film).copy(),
                     halves=tuple(_colors(half).copy() for half in halves) if halves else None,
                     counts=self._state.counts if self._state.active else None,
+                    guides={
+                        name: self._film.passes[name].copy() for name in self._film.pass_names if name in GUIDE_PASSES
+                    },
                 )
             )
 

@@ -27,8 +27,10 @@ from ...shading.lights.lamp_program import upload_lamp_programs
 from ...shading.lights.light_table import UploadedLights, upload_lights
 from ..estimates.launch import brightness_of_lamps, emission_of_triangles, world_texels
 from ..order.hit_order import HitKey, sorts_materials
+from ..passes.state import PassInputs, upload_pass_inputs
 from ..plan.plan import Choice, TracingPlan
 from ..plan.tracing import Tracing
+from ..volumes.upload import UploadedVolumes, upload_volumes
 from .scene_cache import BuiltGeometry, GeometryRequest, PagedTree, SceneCache
 from .scene_data import SceneData
 from .unchanged import emission_key, inputs_key
@@ -54,7 +56,9 @@ class DeviceScene:
     built: BuiltGeometry | None
     images: UploadedImages  # keeps them alive
     stored: list[wp.array]  # the programs in memory, for kernels that read them there
+    pass_inputs: PassInputs  # what passes read
     hit_bins: int  # numbers that `MaterialRecord.bin` has
+    volumes: UploadedVolumes | None = None  # None: there are none
     splits: Choice | None = None  # whether the tree splits triangles, where that is not as planned
 
     @staticmethod
@@ -123,7 +127,8 @@ class DeviceScene:
         data.world_visibility = scene.world.visibility
         matrix = np.asarray(scene.camera.transform, np.float64)
         data.view_origin = wp.vec3(*matrix[:, 3].tolist())
-        data.view_axis = wp.vec3(*(-matrix[:, 2] / np.linalg.norm(matrix[:, 2])).tolist())
+        if not scene.camera.kind.is_panorama:
+            data.view_axis = wp.vec3(*(-matrix[:, 2] / np.linalg.norm(matrix[:, 2])).tolist())
         lets_through = any(
             closure.kind == ClosureKind.TRANSPARENT and any(closure.weight)
             for material in scene.materials
@@ -131,22 +136,27 @@ class DeviceScene:
         ) or any(
             material.program is not None and ClosureKind.TRANSPARENT in material.kinds for material in scene.materials
         )
+        volumes = None
+        if features.volumes:
+            volumes = upload_volumes(scene, features, data.geometry, images.table, device)
         return DeviceScene(
             device=device,
             features=features,
             shading=shading,
             data=data,
-            camera=upload_camera(scene.camera, scene.frame.width, scene.frame.height),
+            camera=upload_camera(scene.camera, scene.frame.width, scene.frame.height, device),
             tree=built.tree if built else None,
             tracing=Tracing.of(request.plan, request.layout, features),
             treelets=treelets,
             box=built.box if built else None,
-            transparent_shadows=lets_through,
+            transparent_shadows=lets_through or features.volumes,
             lights=lights,
             shadow_rays=features.shadow_rays and lights.emitter_count > 0,
             built=built,
             images=images,
             stored=stored,
+            pass_inputs=upload_pass_inputs(scene, features, device),
+            volumes=volumes,
             hit_bins=max(material_bins(scene.materials), default=0) + 1,
             splits=_splits_of(built, request.plan) if isinstance(built, BuiltTree) else None,
         )

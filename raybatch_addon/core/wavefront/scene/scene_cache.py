@@ -24,11 +24,13 @@ from ...bvh.treelets.cut import CutRule
 from ...bvh.treelets.tree import TreeletTree, cut_scene_tree
 from ...device.bulk import digest_of
 from ...device.devices import free_memory
+from ...displacement.displaced import DisplacedMeshes
 from ...programs.inputs_data import InputData, bytes_of
 from ...scene.description import Image, Scene
 from ...scene.flatten import FlatGeometry, flatten
 from ...scene.frozen import Same
 from ...scene.geometry import Geometry, update_geometry, upload_geometry
+from ...scene.moved import with_motion
 from ...settings.settings import RenderSettings
 from ...shading.images.image_upload import ImageCache, device_bytes_of
 from ...shading.lights.emitters import EmissiveTriangles
@@ -64,12 +66,16 @@ class _Fingerprint:
             scene.instances.visibility,
             np.frombuffer(repr(kind).encode(), np.uint8),
         ]
+        moving = [flat.motion.row, flat.motion.keys] if flat.motion else []
+        # a tree does not follow vertices that move in a frame
+        steps = flat.motion.steps.values() if flat.motion else ()
+        topology += [array for each in steps for array in each if array is not None]
         parts = [flat.positions[part.vertex_first : part.vertex_first + part.vertex_count] for part in mesh_parts(flat)]
         surface = [flat.corner_normals, flat.triangle_slot, scene.instances.slot_first, scene.slot_materials]
         return _Fingerprint(
             digest_of(topology),
             tuple(digest_of([part]) for part in parts),
-            digest_of([flat.instance_transform]),
+            digest_of([flat.instance_transform, *moving]),
             digest_of(surface),
         )
 
@@ -158,6 +164,7 @@ class SceneCache:
         self.world = WorldCache()
         self.inputs: Last[InputData] = Last()  # what programs of surfaces read of the scene
         self.emissive: Last[EmissiveTriangles] = Last()
+        self._displaced = DisplacedMeshes()
         self._last: Kept | None = None
         self._lock = threading.Lock()  # the build of a cancelled render may still be going on
 
@@ -167,6 +174,7 @@ class SceneCache:
         self.world.clear()
         self.inputs.clear()
         self.emissive.clear()
+        self._displaced.clear()
         self._last = None
 
     @property
@@ -194,6 +202,12 @@ class SceneCache:
         budget = self.image_budget(device)
         images_need = 0 if budget is None else min(device_bytes_of(images), budget) - self.images.device_bytes
         return free_memory(device) + self.device_bytes + self.world.device_bytes - images_need
+
+    def displaced(self, scene: Scene, device: wp.Device) -> Scene:
+        """`scene` with the vertices where its materials move them."""
+        return self._displaced.displaced(
+            scene, lambda: self.images.upload(scene.images, device, self.image_budget(device)).table, device
+        )
 
     def get(self, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept:
         """Geometry and tree of `scene`; those of the last call cannot be used any more.
@@ -249,11 +263,20 @@ def _geometry_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarra
     meshes = [
         array
         for mesh in scene.meshes
-        for array in (mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_normals)
+        for array in (
+            mesh.positions,
+            mesh.triangles,
+            mesh.triangle_slot,
+            mesh.corner_normals,
+            mesh.radii,
+            mesh.motion,
+            mesh.motion_normals,
+        )
     ]
     instances = scene.instances
     placed = digest_of(
         [instances.mesh, instances.transform, instances.visibility, instances.slot_first, scene.slot_materials]
+        + ([] if instances.motion is None else [instances.motion])
     )
     cut = cut_rule(request.plan, request.settings) if request.plan.method is Method.BATCHED else None
     return meshes, (placed, request.kind(), request.plan.method, cut)
@@ -276,7 +299,7 @@ def _follow(last: Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Sc
     if fingerprint != before:
         if not own or fingerprint.topology != before.topology:
             return False
-        update_geometry(last.geometry, flat, scene)
+        update_geometry(last.geometry, with_motion(flat), scene)
         moved = [
             i for i, (old, new) in enumerate(zip(before.positions, fingerprint.positions, strict=True)) if old != new
         ]
@@ -293,7 +316,7 @@ def _build(
     fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, request: GeometryRequest, device: wp.Device
 ) -> Kept:
     plan, settings, layout, visibility = request.plan, request.settings, request.layout, scene.instances.visibility
-    geometry = upload_geometry(flat, scene, device, on_host=plan.method is Method.PAGED and device.is_cuda)
+    geometry = upload_geometry(with_motion(flat), scene, device, on_host=plan.method is Method.PAGED and device.is_cuda)
     if plan.method is Method.PAGED:
         paged = build_paged_scene(
             flat,

@@ -23,4 +23,13 @@ class SceneData:
     world: wp.vec3  # radiance of the world [W/(m² sr)]
     world_visibility: int
     view_origin: wp.vec3  # of the camera, for depth
-    view_axis: wp.vec3
+    view_axis: wp.vec3  # unit; 0 where depth is the distance from the camera
+
+
+@wp.func
+def depth_of(data: SceneData, position: wp.vec3) -> float:
+    """How deep in the picture a point is [m]: along the view axis, or from the camera where that has none."""
+    seen = position - data.view_origin
+    if wp.dot(data.view_axis, data.view_axis) == 0.0:
+        return wp.length(seen)
+    return wp.dot(seen, data.view_axis)

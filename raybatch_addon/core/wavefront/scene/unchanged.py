@@ -40,7 +40,7 @@ def inputs_key(scene: Scene, ops: Sequence[str], device: str) -> tuple[list[np.n
     """What the inputs of programs with `ops` follow from (`upload_inputs`), but for the camera: arrays and values."""
     arrays: list[np.ndarray | None] = []
     for mesh in scene.meshes:
-        arrays += [mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_uvs]
+        arrays += [mesh.positions, mesh.triangles, mesh.triangle_slot, mesh.corner_uvs, mesh.base_positions]
         arrays += [attribute.values for attribute in mesh.attributes]
     instances = scene.instances
     placed = [instances.mesh, instances.transform, instances.slot_first, scene.slot_materials]
@@ -80,7 +80,7 @@ def camera_key(scene: Scene, programs: Iterable[Program | None]) -> tuple:
         return ()
     camera, frame = scene.camera, scene.frame
     matrix = np.asarray(camera.transform, np.float64).tobytes()
-    return (int(camera.kind), matrix, tuple(camera.window), frame.width, frame.height)
+    return (int(camera.kind), matrix, tuple(camera.window), camera.panorama, frame.width, frame.height)
 
 
 def pictures_of(image: Image) -> list[np.ndarray | None]:

@@ -15,14 +15,19 @@ from .generate import pixel_sample
 from .work import TileWork
 
 
-@functools.cache
 def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
     """Kernel (work, paths, film, slots, count).
 
     Where there are no wide digits yet, paths for which there is no room among the channels that are set aside stay as
     they are: a second launch adds them, and no other, once there are wide digits.
     """
-    channels = layout.count
+    return _accumulate_kernel(layout.kind)
+
+
+@functools.cache
+def _accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
+    has_others, others_first = bool(layout.others), layout.others_first
+    normal_first = layout.span("Normal").start if layout.normal else 0
 
     @wp.func
     def fits(paths: Paths, path: int) -> bool:
@@ -33,10 +38,14 @@ def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
         if wp.static(layout.normal):
             normal = paths.normal[path]
             fits_all = fits_all and fits_window(normal[0]) and fits_window(normal[1]) and fits_window(normal[2])
+        if wp.static(has_others):
+            values = paths.passes[0].values
+            for c in range(values.shape[0]):
+                fits_all = fits_all and fits_window(values[c, path])
         return fits_all
 
     @wp.func
-    def spill_entries(film: FilmTile) -> int:
+    def spill_entries(film: FilmTile, channels: int) -> int:
         """First of one path's entries among the channels that are set aside, one a channel; -1: there is no room."""
         capacity = film.spill_index.shape[0]
         entry = int(-1)
@@ -68,6 +77,9 @@ def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
         if paths.status[path] == 0:
             return  # added by the launch before
         pixel = pixel_sample(work, paths.item[path]).pixel
+        channels = others_first
+        if wp.static(has_others):
+            channels = others_first + paths.passes[0].values.shape[0]
         radiance = paths.radiance[path]
         valid = wp.isfinite(radiance[0]) and wp.isfinite(radiance[1]) and wp.isfinite(radiance[2])
         if wp.static(layout.transparent):
@@ -75,11 +87,15 @@ def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
         if wp.static(layout.normal):
             normal = paths.normal[path]
             valid = valid and wp.isfinite(normal[0]) and wp.isfinite(normal[1]) and wp.isfinite(normal[2])
+        if wp.static(has_others):
+            values = paths.passes[0].values
+            for c in range(values.shape[0]):
+                valid = valid and wp.isfinite(values[c, path])
         if valid:
-            entry = int(-channels)  # below 0 for all channels: nothing is set aside
+            entry = -channels  # below 0 for all channels: nothing is set aside
             if film.wide.shape[0] == 0:
                 if not fits(paths, path):
-                    entry = spill_entries(film)
+                    entry = spill_entries(film, channels)
                     if entry < 0:
                         return
             for c in range(3):
@@ -88,10 +104,19 @@ def accumulate_kernel(layout: ChannelLayout) -> wp.Kernel:
                 add(film, pixel * channels + 3, paths.alpha[path], entry + 3)
             if wp.static(layout.normal):
                 for c in range(3):
-                    channel = wp.static(layout.span("Normal").start) + c
+                    channel = normal_first + c
                     add(film, pixel * channels + channel, normal[c], entry + channel)
+            if wp.static(has_others):
+                values = paths.passes[0].values
+                for c in range(values.shape[0]):
+                    channel = others_first + c
+                    add(film, pixel * channels + channel, values[c, path], entry + channel)
         else:
             wp.atomic_add(film.invalid, 0, 1)
+        if wp.static(has_others):
+            values = paths.passes[0].values
+            for c in range(values.shape[0]):
+                values[c, path] = 0.0  # for the next path in this slot
         wp.atomic_add(film.counts, pixel, wp.int64(1))
         paths.status[path] = 0
 

@@ -11,6 +11,7 @@ from ...rays import Rays
 from ...scene.program import ProgramFeatures
 from ...shading.lights.lamp_program import make_lamp_emission
 from ...shading.lights.light_shapes import LAMP_PROGRAM, SURFACE_PROGRAM, WORLD_PROGRAM
+from ..passes.light import make_add_light
 from ..rays import Paths, Status, bounce_to_light, passed_before_light
 from ..scene.scene_data import SceneData
 from .emitted import make_surface_emission, make_world_emission
@@ -36,13 +37,21 @@ def settle_kernel(paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: w
     paths.status[path] = status
 
 
-@wp.func
-def connect(data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, slot: int):
-    """Shadow rays are back: light that nothing hides is added to the path."""
-    path = slot - paths.status.shape[0]
-    if rays.hit_instance[slot] < 0:
-        paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
-    paths.status[path] = paths.status[path] & ~wp.static(SHADOW_OUT)
+@functools.cache
+def make_connect(splits_light: bool) -> wp.Function:
+    """The stage's function, as `stage_kernel` takes it: light that nothing hides is added to its path."""
+    add_light = make_add_light(splits_light)
+
+    @wp.func
+    def connect(
+        data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, slot: int
+    ):
+        path = slot - paths.status.shape[0]
+        if rays.hit_instance[slot] < 0:
+            add_light(paths, path, paths.shadow_light[path], bounce_to_light(paths.status[path]), True)
+        paths.status[path] = paths.status[path] & ~wp.static(SHADOW_OUT)
+
+    return connect
 
 
 @dataclass(frozen=True)
@@ -57,6 +66,7 @@ class ConnectFeatures:
     instancing: bool
     smooth_normals: bool
     clamping: bool
+    splits_light: bool = False
 
 
 @functools.cache
@@ -134,6 +144,7 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
 def make_connect_program(features: ConnectFeatures) -> wp.Function:
     """As `connect`, where programs say what light there is."""
     arrived = make_arrived(features)
+    add_light = make_add_light(features.splits_light)
 
     @wp.func
     def connect_program(
@@ -141,7 +152,8 @@ def make_connect_program(features: ConnectFeatures) -> wp.Function:
     ):
         path = slot - paths.status.shape[0]
         if rays.hit_instance[slot] < 0:
-            paths.radiance[path] = paths.radiance[path] + arrived(data, limits, paths, rays, path, slot)
+            light = arrived(data, limits, paths, rays, path, slot)
+            add_light(paths, path, light, bounce_to_light(paths.status[path]), True)
         paths.status[path] = paths.status[path] & ~wp.static(SHADOW_OUT)
 
     return connect_program

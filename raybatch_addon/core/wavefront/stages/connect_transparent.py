@@ -13,8 +13,10 @@ from ...rays import Rays
 from ...scene.description import Visibility
 from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
 from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
-from ...shading.surface import make_surface, spawn_origin
-from ..rays import SHADOW_PASS, Paths, Status, bounce_to_light
+from ...shading.segments import make_surface_point
+from ...shading.surface import spawn_origin
+from ..passes.light import make_add_light
+from ..rays import SHADOW_PASS, Paths, Status, bounce_to_light, time_of
 from ..scene.scene_data import SceneData
 from .connect import ConnectFeatures, make_arrived
 from .limits import PathLimits, has_light
@@ -35,9 +37,10 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
     They come back with closest hits, in order, and go on behind each surface that is not opaque. In the general tier it
     is the stage `CONNECT` too, whose rays end at any hit: light that arrives is one piece of code.
     """
-    surface_point = make_surface(features.instancing, features.smooth_normals).point
+    surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
     transparency = make_bsdf(ClosureFeatures(features.closures)).transparency
     arrived = make_arrived(connect)
+    add_light = make_add_light(features.splits_light)
     programs = features.programs
     run_surface = make_surface_program(programs)
 
@@ -50,11 +53,14 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
         passed = paths.passed[path]
         if rays.hit_instance[slot] < 0:
             if wp.static(features.light_programs):
-                paths.radiance[path] = paths.radiance[path] + arrived(data, limits, paths, rays, path, slot)
+                brought = arrived(data, limits, paths, rays, path, slot)
+                add_light(paths, path, brought, bounce_to_light(status), True)
             else:
-                paths.radiance[path] = paths.radiance[path] + paths.shadow_light[path]
+                add_light(paths, path, paths.shadow_light[path], bounce_to_light(status), True)
         elif wp.static(not programs.apart) or work.stage != wp.static(CONNECT):
-            surface = surface_point(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot])
+            surface = surface_point(
+                data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot], time_of(rays, path)
+            )
             if wp.static(bool(programs)):
                 address = fixed_closures(data, surface.material)
                 first = int(0)

@@ -76,7 +76,7 @@ def make_surface_emission(programs: ProgramFeatures, instancing: bool, smooth_no
         passed: int,
         history: int,
     ) -> wp.vec3:
-        surface = surface_point(data.geometry, instance, primitive, barycentric)
+        surface = surface_point(data.geometry, instance, primitive, barycentric, 0.5)
         point = shading_point(surface, incoming, instance, primitive, barycentric, distance)
         point.bounce = bounce
         point.passed = passed

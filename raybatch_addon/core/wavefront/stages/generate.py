@@ -10,9 +10,11 @@ import warp as wp
 from ...device.kernel import KERNEL_OPTIONS
 from ...rays import Rays
 from ...scene.description import CameraKind, Visibility
+from ...scene.features import narrow
 from ...shading.camera import CameraData, CameraFeatures, make_camera_ray
+from ...shading.camera_motion import camera_at, shutter_time
 from ...shading.sampling import sample_filter
-from ...shading.sequences.keys import FILTER, LENS
+from ...shading.sequences.keys import FILTER, LENS, TIME
 from ...shading.sequences.sampler import make_sampler
 from ..rays import VISIBILITY_SHIFT, Paths, Status, bounce_of
 from .limits import PathLimits
@@ -35,6 +37,10 @@ class GenerateFeatures:
     film_transparent: bool
     normal_pass: bool
     path_history: bool = False
+    guides: bool = False
+    spherical_stereo: bool = False
+    camera_motion: bool = False
+    motion: bool = False
 
 
 @wp.func
@@ -126,8 +132,9 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
     """Function (work, limits, camera, paths, rays, path, number): the path with this number starts in slot `path`."""
     sampler = make_sampler(features.sample_sequence)
     pixel_key = sampler.pixel_key
+    sampler_1d = sampler.sample_1d
     sample_2d = sampler.sample_2d
-    camera_ray = make_camera_ray(CameraFeatures(features.camera, features.depth_of_field))
+    camera_ray = make_camera_ray(narrow(features, CameraFeatures))
 
     @wp.func
     def begin_path(
@@ -142,7 +149,13 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
         lens = wp.vec2(0.5, 0.5)
         if wp.static(features.depth_of_field):
             lens = sample_2d(key, index, wp.uint32(LENS))
-        origin, direction, t_max = camera_ray(camera, float(x) + 0.5 + offset[0], float(y) + 0.5 + offset[1], lens)
+        seen = camera
+        if wp.static(features.motion):
+            time = shutter_time(camera, float(y) + 0.5, sampler_1d(key, index, wp.uint32(TIME)))
+            rays.time[path] = time
+            if wp.static(features.camera_motion):
+                seen = camera_at(camera, time)
+        origin, direction, t_max = camera_ray(seen, float(x) + 0.5 + offset[0], float(y) + 0.5 + offset[1], lens)
 
         rays.origin[path] = origin
         rays.direction[path] = direction
@@ -151,6 +164,9 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
             rays.visibility[path] = wp.static(CAMERA_RAY)
         paths.item[path] = number
         paths.throughput[path] = wp.vec3(1.0, 1.0, 1.0)
+        if wp.static(features.camera.is_panorama):
+            if t_max == 0.0:  # the camera sees nothing there
+                paths.throughput[path] = wp.vec3(0.0, 0.0, 0.0)
         paths.radiance[path] = wp.vec3(0.0, 0.0, 0.0)
         paths.pdf[path] = 0.0
         if wp.static(features.transparency):
@@ -164,6 +180,8 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
         if wp.static(features.normal_pass):
             if paths.normal.shape[0] > 0:
                 paths.normal[path] = wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(features.guides):
+            paths.passes[0].carried[path] = wp.vec3(1.0)
         paths.status[path] = wp.static(NEW_PATH)
 
     return begin_path

@@ -13,11 +13,16 @@ class PathLimits:
 
     seed: wp.uint32
     bounce_max: int
+    # bounces of a kind; a count of 511 stands for all above
+    diffuse_bounce_max: int
+    glossy_bounce_max: int
+    transmission_bounce_max: int
     transparent_bounce_max: int
     roulette_bounce: int
     roulette_throughput: float
     clamp_direct: float  # 0: no limit
     clamp_indirect: float
+    filter_glossy: float  # 0: off
     nee_end: int  # light is sampled left of this column of the frame
 
 
@@ -39,11 +44,15 @@ def path_limits(settings: RenderSettings, frame_width: int) -> PathLimits:
     limits = PathLimits()
     limits.seed = settings.seed
     limits.bounce_max = settings.bounce_max
+    limits.diffuse_bounce_max = settings.diffuse_bounce_max
+    limits.glossy_bounce_max = settings.glossy_bounce_max
+    limits.transmission_bounce_max = settings.transmission_bounce_max
     limits.transparent_bounce_max = settings.transparent_bounce_max
     limits.roulette_bounce = settings.roulette_bounce
     limits.roulette_throughput = settings.roulette_throughput
     limits.clamp_direct = settings.clamp_direct
     limits.clamp_indirect = settings.clamp_indirect
+    limits.filter_glossy = settings.filter_glossy
     limits.nee_end = {"ON": frame_width, "OFF": 0, "HALF": frame_width // 2}[settings.nee]
     return limits
 

@@ -18,6 +18,9 @@ from ...shading.lights.light_choice import ChoiceFeatures, lit_point, make_light
 from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
 from ...shading.lights.lights import is_lit_in_part, light_weights
 from ...shading.lights.world import world_pdf
+from ..passes.guides import note_seen_light
+from ..passes.light import make_add_light, shows_environment, split_light
+from ..passes.record import DEPTH_OF_NOTHING, record_background
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of, left_side, visibility_of
 from ..scene.scene_data import SceneData
 from .emitted import make_world_emission
@@ -26,8 +29,6 @@ from .limits import PathLimits, clamped
 from .work import TileWork
 
 ENDED, INSIDE = int(Status.ENDED), int(Status.INSIDE)
-# What Blender writes as the depth of nothing [m]
-DEPTH_OF_NOTHING = 1e10
 
 
 @dataclass(frozen=True)
@@ -45,14 +46,23 @@ class BackgroundFeatures:
     world_light: bool = False
     mis: bool = True
     subsurface: bool = False
+    splits_light: bool = False
+    records_surfaces: bool = False
+    guides: bool = False
 
 
 @functools.cache
 def make_light_hits_stage(
-    features: LightHitFeatures, transparency: bool, clamping: bool, subsurface: bool = False
+    features: LightHitFeatures,
+    transparency: bool,
+    clamping: bool,
+    subsurface: bool = False,
+    splits_light: bool = False,
+    guides: bool = False,
 ) -> wp.Function:
     """The stage's function, as `stage_kernel` takes it: lights that rays met on their way."""
-    intersect, miss = make_light_hits(features)
+    intersect, miss, _ = make_light_hits(features)
+    add_light = make_add_light(splits_light)
 
     @wp.func
     def light_hits(
@@ -86,7 +96,10 @@ def make_light_hits_stage(
         light = wp.cw_mul(paths.throughput[path], light)
         if wp.static(clamping):
             light = clamped(limits, light, bounce)
-        paths.radiance[path] = paths.radiance[path] + light
+        before = paths.radiance[path]
+        add_light(paths, path, light, bounce, False)
+        if wp.static(guides):
+            note_seen_light(paths, path, before)
 
     return light_hits
 
@@ -115,7 +128,10 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
                 shows_world = False
                 paths.alpha[path] = paths.alpha[path] - (throughput[0] + throughput[1] + throughput[2]) / 3.0
         if wp.static(features.world):
-            if shows_world and (data.world_visibility & visibility_of(status)) != 0:
+            shines = shows_world
+            if wp.static(features.splits_light and features.film_transparent):
+                shines = shows_world or shows_environment(paths)  # the pass has what a transparent film leaves out
+            if shines and (data.world_visibility & visibility_of(status)) != 0:
                 light = wp.cw_mul(throughput, data.world)
                 if wp.static(has_program):
                     if data.world_nodes.program_first.shape[0] > 0:
@@ -141,7 +157,17 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
                                     light = hit_weight(pdf, chosen * world_pdf(data.lights.world, direction)) * light
                 if wp.static(features.clamping):
                     light = clamped(limits, light, bounce)
-                paths.radiance[path] = paths.radiance[path] + light
+                if shows_world:
+                    before = paths.radiance[path]
+                    paths.radiance[path] = before + light
+                    if wp.static(features.guides):
+                        note_seen_light(paths, path, before)
+                if wp.static(features.splits_light):
+                    if paths.passes.shape[0] > 0:
+                        split_light(paths, path, light, bounce, False, paths.passes[0].environment)
+        if wp.static(features.records_surfaces):
+            if bounce == 0 and paths.passes.shape[0] > 0:
+                record_background(work, paths, film, path)
         if wp.static(features.depth_pass):
             if bounce == 0 and film.depth.shape[0] > 0:
                 where = pixel_sample(work, paths.item[path])

@@ -30,9 +30,10 @@ from ...shading.bsdf.subsurface import (
     transmittance,
 )
 from ...shading.sampling import bitangent_of, spherical_direction, tangent_of, to_world
+from ...shading.segments import make_surface_point
 from ...shading.sequences.sampler import make_sampler
-from ...shading.surface import make_surface, spawn_origin
-from ..rays import SHADOW_PASS, Paths, Status, bounce_of
+from ...shading.surface import spawn_origin
+from ..rays import SHADOW_PASS, Paths, Status, bounce_of, time_of
 from ..scene.scene_data import SceneData
 from .generate import pixel_sample
 from .limits import PathLimits, has_light
@@ -55,7 +56,9 @@ class WalkFeatures:
 
     instancing: bool
     smooth_normals: bool
+    curves: bool
     sample_sequence: str
+    moving: bool = False
 
 
 @wp.func
@@ -129,7 +132,7 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
     pixel_key = sampler.pixel_key
     sample_1d = sampler.sample_1d
     sample_2d = sampler.sample_2d
-    surface_point = make_surface(features.instancing, features.smooth_normals).point
+    surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
 
     @wp.func
     def scattered(
@@ -215,7 +218,11 @@ def walk_kernel(features: WalkFeatures) -> wp.Kernel:
                     reach = first_reach(length, extinction)
                 if at < reach:
                     surface = surface_point(
-                        data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path]
+                        data.geometry,
+                        rays.hit_instance[path],
+                        rays.hit_primitive[path],
+                        rays.hit_uv[path],
+                        time_of(rays, path),
                     )
                     rays.origin[path] = spawn_origin(
                         surface.position, surface.error, surface.geometric_normal, direction

@@ -32,11 +32,12 @@ def tracer_kernels(
     """
     if tracing.method is Method.BATCHED:
         cut = TREELET_KERNELS if device.is_cuda else ()
-        return [*batching_kernels(tracing.layout, tracing.instancing, counts, settings, device), *cut]
+        return [*batching_kernels(tracing.layout, tracing.instancing, counts, settings, device, tracing.curves), *cut]
     if tracing.method is Method.PAGED:
         made = (*CHUNK_KERNELS, *ENCODE_KERNELS) if device.is_cuda else ()
-        return [*compiled_ahead(tracing.layout, counts, settings), *partition_kernels(device), *made]
-    stages = tracing_stages(tracing.layout, tracing.instancing, counts, Launch.of(settings))
+        return [*compiled_ahead(tracing.layout, counts, settings, tracing.curves), *partition_kernels(device), *made]
+    launch = Launch.of(settings)
+    stages = tracing_stages(tracing.layout, tracing.instancing, counts, launch, tracing.curves, tracing.moving)
     return [
         kernel for kind, stage in stages.items() if shadow_rays or kind == RayKind.CLOSEST for kernel in stage.kernels
     ]
@@ -71,9 +72,10 @@ def make_tracer(
         rays=rays, path_count=path_count, shadow_kind=shadow_kind, device=scene.device, timer=timer, counts=counts
     )
     if scene.treelets:
-        return BatchingTracer(scene.treelets, worker, settings, tracing.instancing)
+        return BatchingTracer(scene.treelets, worker, settings, tracing.instancing, curves=tracing.curves)
     if scene.paged:
-        return StreamingTracer(scene.paged.scene, scene.paged.residency, worker, settings)
-    stages = tracing_stages(tracing.layout, tracing.instancing, counts is not None, Launch.of(settings))
+        return StreamingTracer(scene.paged.scene, scene.paged.residency, worker, settings, curves=tracing.curves)
+    launch, counting = Launch.of(settings), counts is not None
+    stages = tracing_stages(tracing.layout, tracing.instancing, counting, launch, tracing.curves, tracing.moving)
     work = counters.work if counters else None
     return UnbatchedTracer(scene.tree, rays, stages, order=order, timer=timer, counts=work)

@@ -30,6 +30,9 @@ class Tracer(Protocol):
         tracer's.
         """
 
+    def release(self) -> None:
+        """Give up what was captured for the device. Called between rays, on the thread that made the tracer."""
+
 
 class UnbatchedTracer:
     """A `Tracer` in which every ray visits the whole tree as soon as it is told to advance."""
@@ -74,3 +77,6 @@ class UnbatchedTracer:
 
     def forget(self) -> None:
         self._under_way, self._finished = [], []
+
+    def release(self) -> None:
+        pass

@@ -39,11 +39,20 @@ def trace_stage(layout: Layout | None, options: TraceOptions, launch: Launch = L
 
 
 def tracing_stages(
-    layout: Layout | None, instancing: bool, counters: bool, launch: Launch = Launch()
+    layout: Layout | None,
+    instancing: bool,
+    counters: bool,
+    launch: Launch = Launch(),
+    curves: bool = False,
+    moving: bool = False,
 ) -> dict[RayKind, TraceStage]:
     """The stages by what is asked of a ray."""
     closest, occlusion = (
-        trace_stage(layout, TraceOptions(any_hit=any_hit, instancing=instancing, counters=counters), launch)
+        trace_stage(
+            layout,
+            TraceOptions(any_hit=any_hit, instancing=instancing, counters=counters, curves=curves, motion=moving),
+            launch,
+        )
         for any_hit in (False, True)
     )
     return {

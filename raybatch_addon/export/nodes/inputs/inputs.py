@@ -5,6 +5,7 @@ from __future__ import annotations
 from ....core.programs.builder import Value
 from ..node import Node, own_value
 from ..registry import values
+from ..volume_builder import is_in_volume
 from .attributes import mesh_attribute, of_instancer
 
 _AXES = {"X": 0, "Y": 1, "Z": 2}
@@ -162,15 +163,20 @@ def ambient_occlusion(node: Node) -> dict[str, Value]:
     return {"Color": node.color("Color"), "AO": node.constant(1.0)}
 
 
-@values(
-    "ShaderNodeHairInfo",
-    "ShaderNodeParticleInfo",
-    "ShaderNodePointInfo",
-    "ShaderNodeVolumeInfo",
-    family="Inputs",
-    note="gives 0, as on any mesh: hair, particles, points and volumes are not supported",
-)
+@values("ShaderNodeParticleInfo", family="Inputs", note="gives 0, as on any mesh: particles are not supported")
 def of_no_mesh(node: Node) -> Value:
     """0 for data that no mesh has."""
-    node.warn("hair, particles, points and volumes are not supported; 0 is the output")
+    node.warn("particles are not supported; 0 is the output")
     return node.constant(0.0)
+
+
+@values("ShaderNodeVolumeInfo", family="Inputs")
+def volume_info(node: Node) -> dict[str, Value]:
+    """Grids of a volume object; 0 elsewhere."""
+    if not is_in_volume(node.graph):
+        return {name: node.constant(0.0) for name in ("Color", "Density", "Flame", "Temperature")}
+    outputs = {}
+    for name in ("Color", "Density", "Flame", "Temperature"):
+        if node.wants(name):
+            outputs[name] = mesh_attribute(node, "GEOMETRY", name.lower())[0 if name == "Color" else 1]
+    return outputs

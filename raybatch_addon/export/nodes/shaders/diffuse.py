@@ -1,4 +1,4 @@
-"""Diffuse, Translucent, Transparent, Sheen and Holdout."""
+"""Diffuse, Translucent, Transparent, Sheen, Toon and Holdout."""
 
 from __future__ import annotations
 
@@ -73,6 +73,14 @@ def sheen(node: Node, weight: Value) -> None:
     """Fibres, or Ashikhmin's velvet."""
     op = "velvet" if node.node.distribution == "ASHIKHMIN" else "sheen"
     node.closure(op, node.times(weight, node.color("Color")), node.number("Roughness"), node.own_normal())
+
+
+@shader("ShaderNodeBsdfToon", kinds=(_K.TOON,))
+def toon(node: Node, weight: Value) -> None:
+    """A cone of light with an edge."""
+    mirrors = int(node.node.component == "GLOSSY")
+    color = node.times(weight, node.color("Color"))
+    node.closure("toon", color, mirrors, node.number("Size"), node.number("Smooth"), node.own_normal())
 
 
 @shader("ShaderNodeHoldout", kinds=(_K.HOLDOUT,))

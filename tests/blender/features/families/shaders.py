@@ -30,6 +30,17 @@ def shader(name: str, kind: str, quick: bool = False, properties: dict | None = 
 
 
 shader("Diffuse BSDF", "ShaderNodeBsdfDiffuse", quick=True, Color=COLOR, Roughness=0.0)
+for _component in ("DIFFUSE", "GLOSSY"):
+    for _name, _size, _smooth in (("", 0.5, 0.0), (" with an edge", 0.3, 0.4)):
+        shader(
+            f"Toon BSDF: {_component.lower()}{_name}",
+            "ShaderNodeBsdfToon",
+            False,
+            {"component": _component},
+            Color=COLOR,
+            Size=_size,
+            Smooth=_smooth,
+        )
 shader("Diffuse BSDF: Oren-Nayar", "ShaderNodeBsdfDiffuse", Color=COLOR, Roughness=0.8)
 for _name, _distribution, _roughness in (
     ("GGX", "GGX", 0.35),

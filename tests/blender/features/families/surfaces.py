@@ -341,3 +341,24 @@ def even_faces(scene: bpy.types.Scene) -> None:
     obj.location, obj.rotation_euler, obj.scale = (1.7, -0.8, 0.7), (1.3, 0.2, -0.4), (0.6, 0.6, 0.6)
     material_graph(obj, sheet)
     look(scene, (0, -5, 2.5), (0, 0, 0.6), lens=40)
+
+
+def wide_bump(width: float) -> None:
+    """A feature of heights that are compared over `width` pixels, more than the height's own detail."""
+
+    @feature(f"Bump compared over {width:g} pixels", "Surface", "picture")
+    def build(scene: bpy.types.Scene) -> None:
+        def surface(graph: Graph):
+            noise = graph.value(
+                "ShaderNodeTexNoise",
+                {"Vector": graph.value("ShaderNodeTexCoord", output="Object"), "Scale": 9.0},
+                "Fac",
+            )
+            bump = graph.value("ShaderNodeBump", {"Height": noise, "Distance": 0.4, "Filter Width": width})
+            return graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.7, 0.5), "Normal": bump})
+
+        studio(scene, surface)
+
+
+wide_bump(1.0)
+wide_bump(6.0)

@@ -2,6 +2,7 @@
 
 import bpy
 
+from tests.blender.features.build import studio
 from tests.blender.features.graph import Graph
 from tests.blender.features.images import file_of, image_of, pattern, sky_map, tiles
 from tests.blender.features.registry import feature
@@ -169,3 +170,47 @@ def ies(graph: Graph):
     node = graph.node("ShaderNodeTexIES", {"Vector": vector, "Strength": 0.05}, mode="INTERNAL")
     node.ies = text
     return node.outputs[0]
+
+
+@feature("Missing images in normals, heights and roughness", "Textures", "picture")
+def missing_in_nodes(scene: bpy.types.Scene) -> None:
+    """An image that is not there is magenta in every node that reads it, also where that makes odd normals."""
+
+    def absent(graph: Graph, colorspace: str, **properties):
+        image = bpy.data.images.new("Gone", 4, 4)
+        image.source, image.filepath = "FILE", "//not/there.png"
+        image.colorspace_settings.name = colorspace
+        node = graph.node(
+            "ShaderNodeTexImage", {"Vector": graph.value("ShaderNodeTexCoord", output="UV")}, **properties
+        )
+        node.image = image
+        return node
+
+    def surface(graph: Graph):
+        mapped = graph.value(
+            "ShaderNodeNormalMap", {"Color": absent(graph, "Non-Color").outputs["Color"], "Strength": 0.5}
+        )
+        raised = {"Height": absent(graph, "Non-Color").outputs["Color"], "Normal": mapped, "Distance": 0.3}
+        return graph.value(
+            "ShaderNodeBsdfPrincipled",
+            {
+                "Base Color": absent(graph, "sRGB", projection="BOX").outputs["Color"],
+                "Roughness": absent(graph, "Non-Color").outputs["Color"],
+                "Metallic": absent(graph, "sRGB").outputs["Alpha"],
+                "Normal": graph.value("ShaderNodeBump", raised),
+            },
+        )
+
+    studio(scene, surface)
+
+
+@feature("Normal maps without an image", "Textures", "picture")
+def without_image(scene: bpy.types.Scene) -> None:
+    """A node that has no image at all gives magenta too, and a map of object space takes it for a direction."""
+
+    def surface(graph: Graph):
+        empty = graph.node("ShaderNodeTexImage")
+        mapped = graph.value("ShaderNodeNormalMap", {"Color": empty.outputs["Color"]}, space="OBJECT")
+        return graph.value("ShaderNodeBsdfDiffuse", {"Color": empty.outputs["Color"], "Normal": mapped})
+
+    studio(scene, surface)

@@ -31,6 +31,7 @@ CLOSURES = (
     "rough_diffuse",
     "sheen",
     "velvet",
+    "toon",
     "glossy",
     "ashikhmin_shirley",
     "metal",

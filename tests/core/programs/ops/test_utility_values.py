@@ -245,7 +245,7 @@ def test_vectors_from_space_to_space_and_back(kind):
         VectorKind.VECTOR: POINTS @ to_world[:3, :3].T,
         VectorKind.NORMAL: (normal / np.linalg.norm(normal, axis=0)).T,
     }[kind]
-    met, missed = SimpleNamespace(instance=0), SimpleNamespace(instance=-1)
+    met, missed = SimpleNamespace(instance=0, primitive=-1), SimpleNamespace(instance=-1, primitive=-1)
 
     def moved(source, target, points, point=met):
         return on_host("vector_transform", (kind, source, target), points, inputs=inputs, point=point)

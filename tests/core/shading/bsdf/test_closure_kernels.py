@@ -31,7 +31,7 @@ def test_extremes_stay_finite():
     normal_ish = [toward(c, a) for c in (1.0, 0.5, 1e-3, 1e-7, 0.0) for a in (0.0, 2.0)]
     wis = np.array(normal_ish + [-d for d in normal_ish] + [[-d[0], -d[1], d[2]] for d in normal_ish])
     corner = np.array(list(itertools.product((0.0, 0.5, 1 - 2.0**-24), repeat=3)), np.float32)
-    kinds = [k for k in K if k.is_model and k not in (K.EMISSION, K.TRANSPARENT)]
+    kinds = [k for k in EVERYTHING.kinds if k.is_model and k not in (K.EMISSION, K.TRANSPARENT)]
     for kind, roughness in itertools.product(kinds, (0.0, SMOOTH, 1.12 * SMOOTH, 0.1, 1.0)):
         refracts = kind in (K.GLASS, K.DIELECTRIC, K.LAYERED_DIFFUSE, K.REFRACTION)
         # velvet of the least sigma is 1e4 / pi times as bright as its mean along the surface, and its samples are
@@ -49,7 +49,7 @@ def test_extremes_stay_finite():
                 np.testing.assert_allclose(np.linalg.norm(direction[lobe != 0], axis=1), 1, atol=1e-5)
 
 
-@pytest.mark.parametrize("kind", [(k,) for k in K if k.is_model and k != K.EMISSION] + [()], ids=str)
+@pytest.mark.parametrize("kind", [(k,) for k in EVERYTHING.kinds if k.is_model and k != K.EMISSION] + [()], ids=str)
 def test_a_module_for_one_kind_gives_the_same_numbers(kind):
     """Kinds that a module is compiled for besides a material's change none of its samples."""
     closures = tuple(Closure(k, (0.5, 0.7, 0.9), 0.4, 1.5) for k in kind)

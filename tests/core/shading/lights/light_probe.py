@@ -70,7 +70,7 @@ class Answers:
 @functools.cache
 def kernel_for(features: LightFeatures):
     sample, hit_pdf = make_lights(features)
-    intersect, miss = make_light_hits(
+    intersect, miss, _ = make_light_hits(
         LightHitFeatures(features.lights, features.light_sphere, features == ALL, mesh_lights=features.mesh_lights)
     )
 

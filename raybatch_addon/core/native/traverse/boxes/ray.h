@@ -29,6 +29,9 @@ struct RayState {
     int entry, hit_entry;  // the tree that the ray is in (-1: the top level); that of the closest hit so far
     const char *nodes, *triangles;
     Slabs top_slabs;
+#if MOTION
+    BetweenSteps between;  // in bytes
+#endif
 #if TREELETS
     bool any;                       // asks whether anything is hit
     int index;                      // in the list
@@ -105,7 +108,15 @@ auto set_entry = [&](Ray& ray, int entry) INLINE -> bool {
     // coordinate by coordinate: a copied vector is stored in other pieces than it is read in, which takes a while
     float o[3] = {p[0], p[1], p[2]}, d[3] = {v[0], v[1], v[2]};
     if (TWO_LEVEL) {
+#if MOTION
+        const float time = time_of(ray.slot);
+        const auto from_world = from_world_at(entry, time);
+        ray.between = between_steps(entry, time);
+        ray.between.first *= GROUP;
+        ray.between.next *= GROUP;
+#else
         const auto& from_world = tree.entry_from_world.data[entry];
+#endif
         const auto moved = transformed_point(from_world, p), turned = transformed_vector(from_world, v);
         for (int k = 0; k < 3; ++k) {
             o[k] = moved[k];

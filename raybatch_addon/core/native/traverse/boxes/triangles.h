@@ -29,7 +29,17 @@ auto keep = [&](Ray& ray, float t, int face, float v, float w) INLINE {
 // The group of triangles at `p`
 auto test = [&](Ray& ray, const char* p) INLINE {
     const Floats ox = all(ray.ox), oy = all(ray.oy), oz = all(ray.oz), sx = all(-ray.sx), sy = all(-ray.sy);
+#if MOTION
+    // never beyond the corners of both steps, so that boxes around these hold it
+    const char *before = p + ray.between.first, *behind = before + ray.between.next;
+    auto corner = [&](int row) INLINE -> Floats {
+        const Floats a = *(const Floats*)(before + row), b = *(const Floats*)(behind + row);
+        const Floats low = smaller(a, b), high = larger(a, b), mixed = a + all(ray.between.share) * (b - a);
+        return smaller(larger(mixed, low), high);
+    };
+#else
     auto corner = [&](int row) INLINE -> Floats { return *(const Floats*)(p + row); };
+#endif
     const Floats az = corner(ray.z) - oz, bz = corner(ray.z + 96) - oz, cz = corner(ray.z + 192) - oz;
     const Floats ax = fused(sx, az, corner(ray.x) - ox), ay = fused(sy, az, corner(ray.y) - oy);
     const Floats bx = fused(sx, bz, corner(ray.x + 96) - ox), by = fused(sy, bz, corner(ray.y + 96) - oy);

@@ -24,6 +24,9 @@ bool turned = false;     // the ray has come to another tree, for which `ray` is
 unsigned first_node = 0u, first_triangle = 0u;
 unsigned top_order = 0u;  // `ray.order` in the top level
 Group stack[STACK_SIZE];
+#if MOTION
+BetweenSteps between = {0, 0, 0.0f};  // in triangles
+#endif
 
 // What the steps that whole and cut trees share ask of a lane
 auto in_top_level = [&]() -> bool { return entry < 0; };

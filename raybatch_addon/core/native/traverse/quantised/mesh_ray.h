@@ -12,7 +12,13 @@ auto make_ray = [&]() {
         top_order = ray.order;
         to_top_blocks();
     } else {
+#if MOTION
+        const float time = time_of(slot);
+        const auto from_world = from_world_at(entry, time);
+        between = between_steps(entry, time);
+#else
         const auto& from_world = tree.entry_from_world.data[entry];
+#endif
         const auto p = transformed_point(from_world, o), v = transformed_vector(from_world, d);
         const auto c = tree.entry_centre.data[entry];
         ray = begin_ray(p[0], p[1], p[2], v[0], v[1], v[2], c[0], c[1], c[2], SLAB_MARGIN);

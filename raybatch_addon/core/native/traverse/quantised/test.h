@@ -4,7 +4,31 @@ auto test = [&]() {
     const unsigned bit = highest_bit(leaf.y);
     leaf.y ^= 1u << bit;
     const Words* p = triangles + TRIANGLE * (leaf.x + bit);
+#if MOTION
+    p += TRIANGLE * between.first;
+    Words a = read(p), b = read(p + 1), c = read(p + 2);
+    if (between.next) {
+        p += TRIANGLE * between.next;
+        const Words d = read(p), e = read(p + 1), f = read(p + 2);
+        // never beyond the corners of both steps, so that boxes around these hold it
+        auto mix = [&](unsigned& before, unsigned behind) {
+            const float x = as_float(before), y = as_float(behind), z = x + between.share * (y - x);
+            const float low = x < y ? x : y, high = x < y ? y : x;
+            before = (unsigned)as_bits(z < low ? low : z > high ? high : z);
+        };
+        mix(a.x, d.x);
+        mix(a.y, d.y);
+        mix(a.z, d.z);
+        mix(b.x, e.x);
+        mix(b.y, e.y);
+        mix(b.z, e.z);
+        mix(c.x, f.x);
+        mix(c.y, f.y);
+        mix(c.z, f.z);
+    }
+#else
     const Words a = read(p), b = read(p + 1), c = read(p + 2);
+#endif
     if (leaf.y == 0u) {
         leaf = later;
         later.y = 0u;

@@ -102,6 +102,29 @@ def velvet(
     return _soft_closure(data, stack, pc, wp.static(int(ClosureKind.VELVET)), closures, count)
 
 
+@closure_op("toon", "vinnv", general=False)
+@wp.func
+def toon(
+    data: NodeData,
+    stack: wp.array(dtype=float),
+    pc: int,
+    point: ShadingPoint,
+    closures: wp.array(dtype=ClosureRecord),
+    count: int,
+) -> int:
+    """A cone of light: weight, whether it mirrors (1), size, width of its edge, normal."""
+    w = usable_weight(vector(data, stack, pc + 1))
+    if is_black(w) or count >= closures.shape[0]:
+        return count
+    record = new_closure(wp.static(int(ClosureKind.TOON)), w)
+    record.distribution = data.code[pc + 2]
+    record.roughness = unit_number(number(data, stack, pc + 3))
+    record.mean_cosine = unit_number(number(data, stack, pc + 4))
+    record.normal = usable_normal(vector(data, stack, pc + 5))
+    closures[count] = record
+    return count + 1
+
+
 @closure_op("subsurface", "vvvninnv", most=2)
 @wp.func
 def subsurface(

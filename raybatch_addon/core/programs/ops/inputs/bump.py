@@ -6,6 +6,7 @@ import warp as wp
 
 from ....scene.geometry import transform_vector
 from ....shading.bsdf.materials import SURFACE_NORMAL, ClosureRecord, new_closure
+from ...object_space import object_to_world
 from ...op import NodeData, closure_op, number, op, put_vector, vector
 from ...point import ShadingPoint
 from ..closures.closure_ops import usable_normal
@@ -152,7 +153,7 @@ def displacement(data: NodeData, stack: wp.array(dtype=float), pc: int, point: S
     """Displacement of the surface by a height of 1 along a normal [m], in the world (word 1: 0) or object space (1)."""
     value = vector(data, stack, pc + 2)
     if data.code[pc + 1] == 1 and point.instance >= 0:
-        value = transform_vector(data.inputs.to_world[point.instance], object_normal(data, point, value))
+        value = transform_vector(object_to_world(data, point), object_normal(data, point, value))
     put_vector(data, stack, pc + 3, value)
 
 

@@ -3,6 +3,7 @@
 import warp as wp
 
 from ....scene.geometry import transform_point
+from ...object_space import world_to_object
 from ...op import NodeData, op, put_vector
 from ...point import ShadingPoint, shifted_barycentric, shifted_position
 
@@ -12,7 +13,7 @@ def object_position(data: NodeData, point: ShadingPoint, shift: int) -> wp.vec3:
     """The point in its object's space; in the world the ray's direction."""
     if point.instance < 0:
         return -point.incoming
-    return transform_point(data.inputs.to_object[point.instance], shifted_position(point, shift))
+    return transform_point(world_to_object(data, point), shifted_position(point, shift))
 
 
 @op("object_coordinates", "s>V", foldable=False)

@@ -2,7 +2,9 @@
 
 import warp as wp
 
-from ....scene.geometry import transform_point, triangle_vertices
+from ....scene.geometry import transform_point
+from ....scene.moved import triangle_vertices_at
+from ...object_space import object_to_world, world_to_object
 from ...op import NodeData, number, op, put_number, put_vector
 from ...point import ShadingPoint, shifted_barycentric, shifted_position
 from ..values.spaces import transposed_vector
@@ -15,7 +17,7 @@ def object_normal(data: NodeData, point: ShadingPoint, normal: wp.vec3) -> wp.ve
     if point.instance < 0:
         return normal
     # normals go from the object to the world by the transposed inverse, and back by the transposed map
-    return wp.normalize(transposed_vector(data.inputs.to_world[point.instance], normal))
+    return wp.normalize(transposed_vector(object_to_world(data, point), normal))
 
 
 @wp.func
@@ -23,7 +25,7 @@ def world_normal(data: NodeData, point: ShadingPoint, normal: wp.vec3) -> wp.vec
     """A normal of the object in world space, unit."""
     if point.instance < 0:
         return normal
-    return wp.normalize(transposed_vector(data.inputs.to_object[point.instance], normal))
+    return wp.normalize(transposed_vector(world_to_object(data, point), normal))
 
 
 @op("position", "s>V", foldable=False)
@@ -193,7 +195,7 @@ def wireframe(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Shad
                 * 0.5
                 * (_seen_length(axis, point.incoming) + _seen_length(other, point.incoming))
             )
-        a, b, c = triangle_vertices(data.geometry, point.instance, point.primitive)
+        a, b, c = triangle_vertices_at(data.geometry, point.instance, point.primitive, point.time)
         if (
             _distance(a, b, point.position) < half
             or _distance(b, c, point.position) < half

@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from ...object_space import object_to_world
 from ...op import NodeData, op, put_number, put_vector
 from ...point import ShadingPoint
 
@@ -12,7 +13,7 @@ def object_location(data: NodeData, stack: wp.array(dtype=float), pc: int, point
     """Position of the object's origin in the world [m]."""
     value = wp.vec3(0.0)
     if point.instance >= 0:
-        m = data.inputs.to_world[point.instance]
+        m = object_to_world(data, point)
         value = wp.vec3(m[0, 3], m[1, 3], m[2, 3])
     put_vector(data, stack, pc + 1, value)
 

@@ -5,6 +5,7 @@ from enum import IntEnum
 import warp as wp
 
 from ....scene.geometry import mat34, transform_point, transform_vector
+from ...object_space import object_to_world, world_to_object
 from ...op import NodeData, op, put_vector, vector
 from ...point import ShadingPoint
 from .vector_math import safe_normalize
@@ -83,11 +84,11 @@ def vector_transform(data: NodeData, stack: wp.array(dtype=float), pc: int, poin
     v = vector(data, stack, pc + 4)
     if source != target:
         if source == Space.OBJECT and point.instance >= 0:
-            v = transformed(kind, data.inputs.to_world[point.instance], data.inputs.to_object[point.instance], v)
+            v = transformed(kind, object_to_world(data, point), world_to_object(data, point), v)
         if source == Space.CAMERA:
             v = transformed(kind, camera_to_world(data.inputs.to_camera), data.inputs.to_camera, v)
         if target == Space.OBJECT and point.instance >= 0:
-            v = transformed(kind, data.inputs.to_object[point.instance], data.inputs.to_world[point.instance], v)
+            v = transformed(kind, world_to_object(data, point), object_to_world(data, point), v)
         if target == Space.CAMERA:
             v = transformed(kind, data.inputs.to_camera, camera_to_world(data.inputs.to_camera), v)
     put_vector(data, stack, pc + 5, v)

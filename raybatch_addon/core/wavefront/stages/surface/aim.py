@@ -38,10 +38,12 @@ class AimFeatures:
 
     instancing: bool
     smooth_normals: bool
+    curves: bool
     transparency: bool
     subsurface: bool
     shadow_rays: bool
     sample_sequence: str
+    moving: bool
     lights: tuple[LightKind, ...]
     light_sphere: bool
     light_choice: bool
@@ -50,6 +52,7 @@ class AimFeatures:
     world_light: bool
     light_programs: bool
     lamp_programs: bool
+    bounces_by_kind: bool
 
 
 @wp.func

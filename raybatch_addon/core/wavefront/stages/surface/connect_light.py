@@ -12,6 +12,7 @@ from ....shading.bsdf.bsdf import BsdfValue
 from ....shading.lights.light_shapes import LightSample
 from ....shading.lights.lights import is_lit_in_part, light_weights
 from ....shading.surface import spawn_origin
+from ...passes.light import divide_shadow_ray, make_add_light
 from ...rays import Paths, Status, bounce_of
 from ..limits import PathLimits, clamped, has_light
 from .features import SurfaceFeatures
@@ -40,6 +41,7 @@ def make_connect_light(features: SurfaceFeatures) -> wp.Function:
     """
     programs = features.programs
     sample_weight = light_weights(features.mis)[0]
+    add_light = make_add_light(features.splits_light)
 
     @wp.func
     def connect_light(
@@ -62,8 +64,15 @@ def make_connect_light(features: SurfaceFeatures) -> wp.Function:
                 contribution = clamped(limits, contribution, bounce_of(paths.status[path]) + 1)
         if not has_light(contribution):
             return 0
+        if wp.static(features.splits_light):
+            if paths.passes.shape[0] > 0:
+                reflected = wp.dot(light.direction, v.frame.geometric_normal) > 0.0
+                diffuse = bsdf.diffuse
+                if is_lit_in_part(light.visibility):
+                    diffuse = lit_value(diffuse, diffuse, light.visibility, reflected)
+                divide_shadow_ray(paths, path, v.bounce, value, diffuse, reflected)
         if light.casts_shadow == 0 and light.program == 0:
-            paths.radiance[path] = paths.radiance[path] + contribution
+            add_light(paths, path, contribution, bounce_of(paths.status[path]) + 1, True)
             return 0
         origin = spawn_origin(v.surface.position, v.surface.error, v.frame.geometric_normal, light.direction)
         slot = paths.status.shape[0] + path

@@ -8,19 +8,22 @@ from ....rays import Rays
 from ....shading.bsdf.materials import ClosureRecord
 from ....shading.lights.light_choice import lit_point
 from ....shading.lights.lights import is_lit_in_part
+from ...passes.light import make_add_light
 from ...rays import Paths, bounce_of, left_side
 from ...scene.scene_data import SceneData
 from ..limits import PathLimits, clamped, has_light
 
 
 def make_gather_emission(
-    bsdf_emission: wp.Function, light_hit_pdf: wp.Function, hit_weight: wp.Function, clamping: bool
+    bsdf_emission: wp.Function, light_hit_pdf: wp.Function, hit_weight: wp.Function, clamping: bool, splits: bool
 ) -> wp.Function:
     """Function (data, limits, paths, rays, path, closures, first, end, seen_from: float) that adds what the surface
     emits to the path's light. `seen_from`: how far the path came straight on before its ray began [m].
 
-    The first three are `Bsdf.emission`, `Lights.hit_pdf` and the weight of hits of `light_weights`.
+    The first three are `Bsdf.emission`, `Lights.hit_pdf` and the weight of hits of `light_weights`; `splits`: light is
+    divided among passes.
     """
+    add_light = make_add_light(splits)
 
     @wp.func
     def gather_emission(
@@ -56,6 +59,6 @@ def make_gather_emission(
             light = weight * wp.cw_mul(paths.throughput[path], emission)
             if wp.static(clamping):
                 light = clamped(limits, light, bounce_of(paths.status[path]))
-            paths.radiance[path] = paths.radiance[path] + light
+            add_light(paths, path, light, bounce_of(paths.status[path]), False)
 
     return gather_emission

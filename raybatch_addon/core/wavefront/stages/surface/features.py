@@ -28,16 +28,30 @@ class SurfaceFeatures:
     shadow_rays: bool
     instancing: bool
     smooth_normals: bool
+    curves: bool
     sample_sequence: str
     passes: tuple[str, ...]
     clamping: bool
     roulette: bool
+    bounces_by_kind: bool = False
+    filter_glossy: bool = False
+    caustics_reflective: bool = True
+    caustics_refractive: bool = True
+    moving: bool = False  # instances or vertices move
     film_holes: bool = False  # surfaces cut holes into a film that has alpha
+    records_surfaces: bool = False  # passes show what the first surfaces are
+    splits_light: bool = False  # light is divided among passes
+    guides: bool = False  # the film has passes that guide a denoiser
 
     @property
     def transparency(self) -> bool:
         """Surfaces that rays pass straight through."""
         return ClosureKind.TRANSPARENT in self.closures
+
+    @property
+    def lacks_caustics(self) -> bool:
+        """Light that glossy surfaces throw on diffuse ones is left out, or a part of it."""
+        return not (self.caustics_reflective and self.caustics_refractive)
 
     @property
     def subsurface(self) -> bool:

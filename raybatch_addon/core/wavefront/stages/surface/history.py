@@ -4,11 +4,23 @@ import warp as wp
 
 from ....programs.point import DEPTH_BITS, DEPTH_SHIFT, HistoryBits
 from ....shading.bsdf.bsdf import DELTA, DIFFUSE, TRANSMISSION
+from ..limits import PathLimits
 
 _MOST = (1 << DEPTH_BITS) - 1
 DEPTHS = ((1 << (DEPTH_SHIFT + 3 * DEPTH_BITS)) - 1) & ~(
     (1 << DEPTH_SHIFT) - 1
 )  # all but the bits of the last scattering
+
+
+@wp.func
+def is_spent(limits: PathLimits, history: int) -> bool:
+    """Whether a path has scattered as often as paths may, by one of the kinds that are counted."""
+    counts = history >> wp.static(DEPTH_SHIFT)
+    return (
+        (counts & wp.static(_MOST)) > limits.diffuse_bounce_max
+        or ((counts >> wp.static(DEPTH_BITS)) & wp.static(_MOST)) > limits.glossy_bounce_max
+        or ((counts >> wp.static(2 * DEPTH_BITS)) & wp.static(_MOST)) > limits.transmission_bounce_max
+    )
 
 
 @wp.func

@@ -8,7 +8,7 @@ from ....programs.op import NodeData
 from ....programs.ops.inputs.geometry_inputs import footprint_axis, pixel_footprint
 from ....programs.point import ShadingPoint
 from ....programs.run import make_run
-from ....scene.geometry import triangle_vertices
+from ....scene.moved import triangle_vertices_at
 from ....scene.program import ProgramFeatures
 from ....shading.bsdf.materials import ClosureRecord, address_of
 from ....shading.surface import SurfacePoint
@@ -35,6 +35,7 @@ def shading_point(
     point.primitive = primitive
     point.barycentric = barycentric
     point.ray_length = ray_length
+    point.time = surface.time
     return point
 
 
@@ -54,7 +55,7 @@ def with_steps(data: NodeData, point: ShadingPoint) -> ShadingPoint:
     across = footprint_axis(n)
     point.step_x = length * across
     point.step_y = length * wp.cross(n, across)
-    a, b, c = triangle_vertices(data.geometry, point.instance, point.primitive)
+    a, b, c = triangle_vertices_at(data.geometry, point.instance, point.primitive, point.time)
     point.step_x_barycentric = _in_triangle(b - a, c - a, point.step_x)
     point.step_y_barycentric = _in_triangle(b - a, c - a, point.step_y)
     return point

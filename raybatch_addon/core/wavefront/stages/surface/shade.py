@@ -19,27 +19,33 @@ from ....shading.bsdf.bsdf import (
     SUBSURFACE,
     TRANSMISSION,
     TRANSPARENT,
+    BsdfValue,
     ClosureFeatures,
     Lobe,
     make_bsdf,
 )
-from ....shading.bsdf.materials import RECORD_FLOATS, SURFACE_NORMAL, ClosureRecord, address_of, new_closure
+from ....shading.bsdf.materials import AOV, RECORD_FLOATS, SURFACE_NORMAL, ClosureRecord, address_of, new_closure
 from ....shading.lights.light_shapes import LightSample
 from ....shading.lights.lights import LightFeatures, light_weights, make_lights
 from ....shading.sampling import bitangent_of, tangent_of
 from ....shading.sequences.keys import BSDF, LOBE, ROULETTE, TEXTURE
 from ....shading.sequences.sampler import make_sampler
 from ....shading.surface import spawn_origin
+from ...passes.guides import make_note_surface, note_seen_light
+from ...passes.light import divide_extending_ray
+from ...passes.record import make_record_surface, record_aov, settles
 from ...rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, visibility_of
-from ...scene.scene_data import SceneData
+from ...scene.scene_data import SceneData, depth_of
 from ..limits import PathLimits, has_light
 from ..walk import make_walk_begin
 from ..work import TileWork
 from .aim import AimFeatures, aimed_light, is_aimed, make_choose_light
+from .caustics import make_leave_out_caustics
 from .cone import cone_width, make_filtered_program, make_scattered_cone, path_cone
 from .connect_light import make_connect_light
 from .emission import make_gather_emission
 from .features import SurfaceFeatures
+from .filter_glossy import blur_alpha, make_blur
 from .history import history_after
 from .program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
 from .vertex import VertexFeatures, make_vertex
@@ -65,7 +71,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     bsdf_holdout = bsdf.holdout
     lights = make_lights(narrow(features, LightFeatures))
     gather_emission = make_gather_emission(
-        bsdf.emission, lights.hit_pdf, light_weights(features.mis)[1], features.clamping
+        bsdf.emission, lights.hit_pdf, light_weights(features.mis)[1], features.clamping, features.splits_light
     )
     connect_light = make_connect_light(features)
     programs = features.programs
@@ -74,6 +80,14 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     scattered_cone = make_scattered_cone(features.smooth_normals)
     begin_walk = make_walk_begin(features.sample_sequence)
     lobes_most = features.lobes_most
+    note_surface = make_note_surface(ClosureFeatures(features.closures)) if features.guides else None
+    record_surface = None
+    if features.records_surfaces:
+        record_surface = make_record_surface(ClosureFeatures(features.closures), features.transparency)
+    blur = make_blur(ClosureFeatures(features.closures))
+    leave_out_caustics = make_leave_out_caustics(
+        ClosureFeatures(features.closures), features.caustics_reflective, features.caustics_refractive
+    )
 
     @wp.func
     def shade_surface(
@@ -121,6 +135,12 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                     frame.normal = made[0].normal
                     frame.tangent = tangent_of(frame.normal)
                     frame.bitangent = bitangent_of(frame.normal)
+            if wp.static("aov" in programs.ops):
+                while first < end and made[first].kind == wp.static(AOV):
+                    if wp.static(features.records_surfaces):
+                        if v.bounce == 0 and not v.comes_out:
+                            record_aov(paths, path, v.passed, made[first].distribution, made[first].weight)
+                    first += 1
             if wp.static(features.subsurface):
                 if v.comes_out:  # Lambert's law, about the medium's own normal
                     white = new_closure(wp.static(int(ClosureKind.DIFFUSE)), wp.vec3(1.0))
@@ -143,14 +163,18 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                     end = closures.shape[0]
                     first = end - 1
 
-        if v.bounce == 0 and v.passed == 0 and not v.comes_out:
+        shows_first = v.bounce == 0 and v.passed == 0 and not v.comes_out
+        if wp.static(features.records_surfaces and features.transparency):
+            # else `record_surface` decides which surface is shown
+            shows_first = shows_first and not settles(paths)
+        if shows_first:
             if wp.static("Normal" in features.passes):
                 if paths.normal.shape[0] > 0:
                     paths.normal[path] = frame.normal
             if v.where.sample == wp.uint32(0):
                 if wp.static("Depth" in features.passes):
                     if film.depth.shape[0] > 0:
-                        film.depth[v.where.pixel] = wp.dot(surface.position - data.view_origin, data.view_axis)
+                        film.depth[v.where.pixel] = depth_of(data, surface.position)
                 if wp.static("Position" in features.passes):
                     if film.position.shape[0] > 0:
                         film.position[v.where.pixel] = surface.position
@@ -162,10 +186,13 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 paths.alpha[path] = paths.alpha[path] - seen * bsdf_holdout(closures, first, end)
 
         if wp.static(features.emission):
+            before = paths.radiance[path]
             gather_emission(data, limits, paths, rays, path, closures, first, end, passed_t)
+            if wp.static(features.guides):
+                note_seen_light(paths, path, before)
 
         # at its last surface a path scatters no more, but still passes what is transparent, as shadow rays do
-        if wp.static(not features.transparency):
+        if wp.static(not (features.transparency or features.guides)):
             if v.last:
                 paths.status[path] = status | wp.static(ENDED)
                 return
@@ -173,6 +200,37 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
         of_lobes = wp.zeros(wp.static(lobes_most * LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(of_lobes), shape=(wp.static(lobes_most),), dtype=Lobe)
         look(closures, first, end, data.materials.albedo, frame, wo, lobes)
+        if wp.static(features.guides):
+            note_surface(paths, path, closures, first, end, lobes, data.materials.albedo, frame, hit_t)
+        if wp.static(features.records_surfaces):
+            if v.bounce == 0 and not v.comes_out and paths.passes.shape[0] > 0:
+                record_surface(
+                    data,
+                    paths,
+                    film,
+                    path,
+                    v,
+                    frame,
+                    rays.hit_instance[path],
+                    rays.hit_primitive[path],
+                    rays.hit_uv[path],
+                    closures,
+                    first,
+                    end,
+                    lobes,
+                )
+        if wp.static(features.lacks_caustics):
+            leave_out_caustics(closures, first, end, lobes, visibility_of(status))
+        if wp.static(features.filter_glossy):  # colours are those of the facets as they are
+            of_blurred = wp.zeros(wp.static(lobes_most * RECORD_FLOATS), dtype=float)
+            blurred = wp.array(ptr=address_of(of_blurred), shape=(wp.static(lobes_most),), dtype=ClosureRecord)
+            least = float(0.0)
+            if v.bounce > 0:
+                least = blur_alpha(limits.filter_glossy, paths.least_density[path])
+            blur(closures, first, end, blurred, least)
+            closures = blurred
+            end = end - first
+            first = 0
         scattered = propose(
             closures,
             first,
@@ -193,6 +251,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                     light = choose_light(data, paths, path, v)
                 else:
                     light = aimed_light(paths, rays, path)
+        if wp.static(features.splits_light):
+            first_value = BsdfValue()  # in the direction of the path
         turn = int(0)
         while turn < 2:
             wi = light.direction
@@ -204,10 +264,16 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 mixture = mix(closures, first, end, lobes, data.materials.albedo, frame, wo, wi)
                 if turn == 1:
                     scattered = complete(scattered, mixture)
+                    if wp.static(features.splits_light):
+                        first_value = value(mixture)
                 else:
                     if wp.static(features.shadow_rays):
                         status = status | connect_light(limits, paths, rays, path, v, light, value(mixture))
             turn += 1
+        if wp.static(features.splits_light):
+            if paths.passes.shape[0] > 0 and v.bounce == 0 and (scattered.lobe & (TRANSPARENT | SUBSURFACE)) == 0:
+                reflected = wp.dot(scattered.direction, frame.geometric_normal) > 0.0
+                divide_extending_ray(paths, path, first_value.value, first_value.diffuse, scattered.lobe, reflected)
         throughput = wp.cw_mul(paths.throughput[path], scattered.weight)
         goes_on = has_light(throughput) and (not v.last or (scattered.lobe & TRANSPARENT) != 0)
 
@@ -231,6 +297,13 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
             if (scattered.lobe & DELTA) != 0 or v.where.x >= limits.nee_end:
                 pdf = 0.0
             paths.pdf[path] = pdf
+            if wp.static(features.filter_glossy):
+                density = float(scattered.pdf)
+                if (scattered.lobe & DELTA) != 0:
+                    density = wp.inf
+                if v.bounce > 0:
+                    density = wp.min(density, paths.least_density[path])
+                paths.least_density[path] = density
             if wp.static(features.texture_levels):
                 paths.cone[path] = scattered_cone(
                     data.geometry,

@@ -11,15 +11,17 @@ from ....rays import Rays
 from ....shading.bsdf.materials import ShadingFrame
 from ....shading.bsdf.normals import shading_frame
 from ....shading.lights.light_choice import packed_side
+from ....shading.segments import make_surface_point
 from ....shading.sequences.keys import DIMENSIONS_PER_BOUNCE
 from ....shading.sequences.sampler import make_sampler
-from ....shading.surface import SurfacePoint, make_surface
-from ...rays import SHADOW_PASS, Paths, Status, bounce_of
+from ....shading.surface import SurfacePoint
+from ...rays import SHADOW_PASS, Paths, Status, bounce_of, time_of
 from ...scene.scene_data import SceneData
 from ..generate import PixelSample, pixel_sample
 from ..limits import PathLimits
 from ..walk import STEPS_MOST, walk_dimension
 from ..work import TileWork
+from .history import is_spent
 
 INSIDE = int(Status.INSIDE)
 _CAME_BACK = int(Status.HIT | Status.STRAIGHT)
@@ -31,11 +33,14 @@ class VertexFeatures:
 
     instancing: bool
     smooth_normals: bool
+    curves: bool
     transparency: bool
     subsurface: bool
     shadow_rays: bool
     light_choice: bool
     sample_sequence: str
+    bounces_by_kind: bool
+    moving: bool = False
 
 
 @wp.struct
@@ -61,7 +66,7 @@ class Vertex:
 def make_vertex(features: VertexFeatures) -> wp.Function:
     """Function (data, work, limits, paths, rays, path) -> Vertex."""
     pixel_key = make_sampler(features.sample_sequence).pixel_key
-    surface_point = make_surface(features.instancing, features.smooth_normals).point
+    surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
 
     @wp.func
     def vertex(data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, path: int) -> Vertex:
@@ -79,6 +84,8 @@ def make_vertex(features: VertexFeatures) -> wp.Function:
                 v.wo = direction
         v.there = True
         v.last = v.bounce > limits.bounce_max
+        if wp.static(features.bounces_by_kind):
+            v.last = v.last or is_spent(limits, paths.history[path])
         if wp.static(features.transparency):
             v.passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
         v.where = pixel_sample(work, paths.item[path])
@@ -88,7 +95,9 @@ def make_vertex(features: VertexFeatures) -> wp.Function:
         if wp.static(features.subsurface):
             if v.comes_out:
                 v.dimension = walk_dimension(v.bounce + v.passed, wp.static(STEPS_MOST + 1))
-        v.surface = surface_point(data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path])
+        v.surface = surface_point(
+            data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], time_of(rays, path)
+        )
         v.frame = shading_frame(v.surface, v.wo)
         if wp.static(features.shadow_rays and features.light_choice):
             v.side = packed_side(v.frame.normal, data.materials.records[v.surface.material].transmits != 0)

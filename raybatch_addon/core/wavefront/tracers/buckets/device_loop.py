@@ -2,12 +2,19 @@
 
 The body of the loop holds kernels, memsets and sorts alone. How many rays a step has is known on the device only, so
 the body holds every step for several sizes of launches, and the policy says which of them is next.
+
+Warp keeps a list of captures under way for the whole process, without a lock, and what is freed on another thread
+meanwhile can get into a capture or break it (NVIDIA/warp issues 1678 and 1714). So loops are captured and released one
+at a time, on the thread that makes and ends a render, while its workers do nothing, and never by the garbage collector.
 """
 
 from __future__ import annotations
 
+import gc
+import threading
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import warp as wp
@@ -28,6 +35,20 @@ def mask_choice_kernel(moves: Moves, policy: PolicyState):
 
 
 LOOP_KERNELS = [mask_choice_kernel]
+_capturing = threading.Lock()
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Captures and releases of other threads wait, and so does the garbage collector."""
+    with _capturing:
+        collects = gc.isenabled()
+        gc.disable()
+        try:
+            yield
+        finally:
+            if collects:
+                gc.enable()
 
 
 class DeviceLoop:
@@ -55,7 +76,7 @@ class DeviceLoop:
         for kernel in self._kernels:  # which must not happen while capturing
             kernel.module.load(self._device, block_size_of(kernel))
         try:
-            with wp.ScopedCapture(self._device) as capture:
+            with _alone(), wp.ScopedCapture(self._device) as capture:
                 self._loop()
         except Exception as error:  # of whatever kind a driver has: the host can lead as well
             warnings.warn(
@@ -66,6 +87,13 @@ class DeviceLoop:
             return False
         self._graph = capture.graph
         return True
+
+    def release(self) -> None:
+        """Give the captured loop up, once the device is through with it."""
+        if self._graph is not None:
+            wp.synchronize_device(self._device)
+            with _alone():
+                self._graph = None
 
     def run(self) -> None:
         """Take steps as long as `PolicyState.choice[GO]` says so."""

@@ -34,6 +34,9 @@ class Steps(Protocol):
     def serve(self, step: Step, choice: list[int]) -> None:
         """Do the chosen step, which is TOP or TREELET."""
 
+    def release(self) -> None:
+        """Give up what was captured; no step is under way, and none comes."""
+
 
 class LaunchedSteps:
     """The host chooses, takes, traces and puts, each by launches of its own."""
@@ -55,6 +58,9 @@ class LaunchedSteps:
         """Serve the chosen queue."""
         self._server.serve(step, [choice[QUEUE]], choice[AMOUNT])
 
+    def release(self) -> None:
+        """Nothing is captured."""
+
 
 class LoopSteps(LaunchedSteps):
     """The device takes steps by itself, in a captured loop, and the host those that a loop cannot. Where the device
@@ -63,12 +69,10 @@ class LoopSteps(LaunchedSteps):
 
     def __init__(self, policy: DevicePolicy, server: QueueServer, timer: StageTimer | NoTimer, loop: DeviceLoop):
         super().__init__(policy, server, timer)
-        self._loop: DeviceLoop | None = loop
+        self._loop = loop if loop.prepare() else None
 
     def begin(self, target: int) -> None:
         """Let the device lead for `LOOP_STEPS` steps."""
-        if self._loop and not self._loop.prepare():
-            self._loop = None
         self._policy.begin(target, LOOP_STEPS if self._loop else -1)
 
     def choose(self) -> list[int]:
@@ -79,6 +83,11 @@ class LoopSteps(LaunchedSteps):
         with self._timer.stage("treelet"):
             self._loop.run()
         return self._policy.fetch()
+
+    def release(self) -> None:
+        """As `Steps.release`."""
+        if self._loop:
+            self._loop.release()
 
 
 @wp.kernel(**KERNEL_OPTIONS)
@@ -134,3 +143,6 @@ class FusedSteps:
         self._server.trace(batch, VisitTask.TOP if step == Step.TOP else VisitTask.TREELET)
         with self._timer.stage("queue"):
             self._put[step].launch(host_put_kernel, 1, *self._put_inputs[step])
+
+    def release(self) -> None:
+        """Nothing is captured."""

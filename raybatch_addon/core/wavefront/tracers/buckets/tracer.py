@@ -53,14 +53,14 @@ def selection_of(settings: RenderSettings, is_cuda: bool) -> Selection:
 
 
 def visit_stages(
-    layout: Layout, instancing: bool, counters: bool, settings: RenderSettings
+    layout: Layout, instancing: bool, counters: bool, settings: RenderSettings, curves: bool = False
 ) -> dict[VisitTask, VisitStage]:
     """The stages that rays go through."""
     interlocked = settings.top_level_traversal == "INTERLOCKED"
     return {
         task: visit_stage(
             layout,
-            VisitOptions(task=task, instancing=instancing, counters=counters, interlocked=interlocked),
+            VisitOptions(task=task, instancing=instancing, counters=counters, interlocked=interlocked, curves=curves),
             Launch.of(settings),
         )
         for task in VisitTask
@@ -68,10 +68,10 @@ def visit_stages(
 
 
 def batching_kernels(
-    layout: Layout, instancing: bool, counters: bool, settings: RenderSettings, device: wp.Device
+    layout: Layout, instancing: bool, counters: bool, settings: RenderSettings, device: wp.Device, curves: bool = False
 ) -> list[wp.Kernel]:
     """What a `BatchingTracer` launches, to be compiled ahead."""
-    stages = visit_stages(layout, instancing, counters, settings)
+    stages = visit_stages(layout, instancing, counters, settings, curves)
     kernels = [*queue_kernels(device), *policy_kernels(device), *SPLIT_KERNELS]
     kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
     kernels += STORAGES[settings.ray_storage].kernels
@@ -110,8 +110,9 @@ class BatchingTracer:
         rays_few: int | None = None,
         parallel: bool | None = None,
         capacity: int = 0,
+        curves: bool = False,
     ):
-        """Traces the rays of `worker` in `treelet_tree`.
+        """Traces the rays of `worker` in `treelet_tree`, past segments of curves where there are `curves`.
 
         `stages`: what tracing does. `rays_few`: with fewer in every bucket, rays go on unbatched. `parallel`: the way
         of CUDA devices, on the CPU too. `capacity`: rays of a batch at most. Where these are not given they are chosen.
@@ -145,7 +146,7 @@ class BatchingTracer:
         )
         is_given = stages is not None  # and so are their kernels, which are loaded already
         if stages is None:
-            stages = visit_stages(treelet_tree.layout, instancing, counts is not None, settings)
+            stages = visit_stages(treelet_tree.layout, instancing, counts is not None, settings, curves)
         for stage in stages.values():
             stage.prepare(device)
         served = treelet_tree, stages, self._queues, self._storage, self._numbers
@@ -155,7 +156,9 @@ class BatchingTracer:
         self._steps: Steps
         if is_stepwise and parallel_queues and counts is None:
             untimed = QueueServer(*served, NoTimer())  # the loop is timed as one
-            kernels = [] if is_given else batching_kernels(treelet_tree.layout, instancing, False, settings, device)
+            kernels = (
+                [] if is_given else batching_kernels(treelet_tree.layout, instancing, False, settings, device, curves)
+            )
             self._steps = LoopSteps(*led, DeviceLoop(policy, parallel_queues.moves, untimed.serve_marked, kernels))
         elif is_stepwise and not parallel_queues and storage is InPlace:
             self._steps = FusedSteps(*led, self._queues, self._rules)
@@ -216,6 +219,10 @@ class BatchingTracer:
         self._forgotten += self._queues.waiting
         self._forgotten_done += int(self._queues.fetch_counts()[self._numbers.done])
         self._queues.clear()
+
+    def release(self) -> None:
+        """As `Tracer.release`."""
+        self._steps.release()
 
     def totals(self) -> BatchingTotals:
         """What was done so far; waits for the device."""

@@ -57,15 +57,16 @@ def streaming_bytes_per_path(path_count: int, shadow_rays: bool, levels: int) ->
     return math.ceil(slots * (streaming_bytes_per_slot(slots * path_count) + 4 + 4 * trail_words(levels)))
 
 
-def go_on_stage(layout: Layout, counters: bool, settings: RenderSettings) -> VisitStage:
+def go_on_stage(layout: Layout, counters: bool, settings: RenderSettings, curves: bool = False) -> VisitStage:
     """The stage that traces."""
-    options = VisitOptions(task=VisitTask.GO_ON, instancing=True, counters=counters)
+    options = VisitOptions(task=VisitTask.GO_ON, instancing=True, counters=counters, curves=curves)
     return visit_stage(layout, options, Launch.of(settings))
 
 
-def compiled_ahead(layout: Layout, counters: bool, settings: RenderSettings) -> list[wp.Kernel]:
+def compiled_ahead(layout: Layout, counters: bool, settings: RenderSettings, curves: bool = False) -> list[wp.Kernel]:
     """Kernels of a `StreamingTracer`."""
-    return [*streaming_kernels(), address_kernel, *PAGE_KERNELS, *go_on_stage(layout, counters, settings).kernels]
+    stage = go_on_stage(layout, counters, settings, curves)
+    return [*streaming_kernels(), address_kernel, *PAGE_KERNELS, *stage.kernels]
 
 
 @dataclass(frozen=True)
@@ -89,8 +90,10 @@ class StreamingTracer:
         *,
         stage: VisitStage | None = None,
         capacity: int = 0,
+        curves: bool = False,
     ):
-        """Traces the rays of `worker`; `residency`, of the same scene, is shared by all workers. To be closed.
+        """Traces the rays of `worker`, past segments of curves where there are `curves`; `residency`, of the same
+        scene, is shared by all workers. To be closed.
 
         `stage`: what tracing does. `capacity`: rays of a batch at most. Where these are not given they are chosen.
         """
@@ -99,7 +102,7 @@ class StreamingTracer:
         self._shadow_kind, self._timer, self._trace_counts = worker.shadow_kind, worker.timer, worker.counts
         self._any_first = path_count if worker.shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
         self._debug = settings.debug_checks == "ON"
-        self._stage = stage or go_on_stage(paged.layout, worker.counts is not None, settings)
+        self._stage = stage or go_on_stage(paged.layout, worker.counts is not None, settings, curves)
         self._progress = allocate_progress(slot_count, trail_words(paged.levels), True, device)
         self._waiting = WaitingRays(slot_count, path_count, residency.page_of, len(paged.pages), device, capacity)
         self._view = residency.view()
@@ -219,6 +222,9 @@ class StreamingTracer:
         totals.treelet_visits = self._known.visits
         totals.rays = totals.finished + self._forgotten + self._slot_count - self._known.idle
         return totals
+
+    def release(self) -> None:
+        """As `Tracer.release`: nothing is captured."""
 
     def close(self) -> None:
         """Nobody waits here any more; rays under way are given up."""

@@ -104,6 +104,35 @@ def displacement(scene: bpy.types.Scene) -> None:
     obj.data.materials[0].displacement_method = "BUMP"
 
 
+def _displaced(name: str, kind: str, method: str, **properties) -> None:
+    @feature(f"{kind}, {name}", "Utility", "picture")
+    def build(scene: bpy.types.Scene) -> None:
+        def surface(graph: Graph):
+            place = graph.value("ShaderNodeTexCoord", output="UV" if method == "BOTH" else "Object")
+            # by UV maps, since positions are those of the moved surface in the bumps of BOTH
+            inputs = {"Vector": place, "Scale": 6.0 if method == "BOTH" else 2.0}
+            if kind == "Displacement":
+                height = graph.value("ShaderNodeTexNoise", inputs, "Fac")
+                given = {"Height": height, "Midlevel": 0.5, "Scale": 0.3 if method == "BOTH" else 0.6}
+            else:
+                given = {"Vector": graph.value("ShaderNodeTexNoise", inputs, "Color"), "Midlevel": 0.5, "Scale": 0.5}
+            moved = graph.value(f"ShaderNode{kind.replace(' ', '')}", given, **properties)
+            output = next(node for node in graph.tree.nodes if node.type == "OUTPUT_MATERIAL")
+            graph.set(output.inputs["Displacement"], moved)
+            return graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.6, 0.4)})
+
+        obj = studio(scene, surface)
+        obj.rotation_euler, obj.scale = (0.2, 0.3, 0.5), (1.0, 0.8, 1.1)
+        obj.data.materials[0].displacement_method = method
+
+
+for _space in ("OBJECT", "WORLD"):
+    _displaced(f"true, {_space.lower()}", "Displacement", "DISPLACEMENT", space=_space)
+for _space in ("OBJECT", "WORLD", "TANGENT"):
+    _displaced(f"true, {_space.lower()}", "Vector Displacement", "DISPLACEMENT", space=_space)
+_displaced("true and as bump", "Displacement", "BOTH")
+
+
 def _falloff(output: str) -> None:
     @feature(f"Light Falloff: {output.lower()}", "Utility", "picture")
     def build(scene: bpy.types.Scene) -> None:

@@ -1,6 +1,6 @@
 """Mixing, colours, ramps and curves, alone."""
 
-from tests.blender.features.families.utility import operations
+from tests.blender.features.families.utility.values import operations
 from tests.blender.features.graph import Graph
 from tests.blender.features.registry import feature
 

@@ -1,0 +1,46 @@
+"""The denoised picture of a film, in Blender and in scripts."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+from ..core.convergence.halves import filtered_half_error
+from ..core.denoise.library import DenoiseLibrary
+from ..core.denoise.picture import COMBINED, NOISY_IMAGE, denoised, description, guiding_passes
+from ..core.film import Film
+from ..core.observers import Tile
+from ..core.scene.description import Scene
+from ..core.settings.settings import RenderSettings
+
+
+def with_guides(scene: Scene, settings: RenderSettings) -> Scene:
+    """`scene` with the passes that guide the denoiser among those of its frame."""
+    passes = dict.fromkeys((*scene.frame.passes, *guiding_passes(settings)))
+    return dataclasses.replace(scene, frame=dataclasses.replace(scene.frame, passes=tuple(passes)))
+
+
+def denoise_film(film: Film, settings: RenderSettings, library: DenoiseLibrary) -> None:
+    """Make the denoised picture of `film`, which is then `film.made["Combined"]` beside "Noisy Image".
+
+    Its sums and passes stay as they are; its statistics say what was done under `denoise`, with the error of the
+    denoised halves where the film has halves. Of a cancelled render only "Noisy Image" is made. Raises `RayBatchError`.
+    """
+    passes, start = film.passes, time.perf_counter()
+    if not film.complete:
+        film.made = {NOISY_IMAGE: passes[COMBINED]}
+        return
+    film.made = {COMBINED: denoised(passes, settings, library), NOISY_IMAGE: passes[COMBINED]}
+    told = description(settings, library, time.perf_counter() - start)
+    if film.halves:
+        halves = [half.passes for half in film.halves]
+        noisy = [half[COMBINED][..., :3] for half in halves]
+        clean = [denoised(half, settings, library)[..., :3] for half in halves]
+        told["error_of_halves"] = dataclasses.asdict(filtered_half_error(*noisy, *clean))
+    film.statistics["denoise"] = told
+
+
+def whole_tile(film: Film) -> Tile:
+    """The region of `film` as one tile, as it is shown."""
+    x0, y0, x1, y1 = film.region
+    return Tile(x0, y0, x1 - x0, y1 - y0, film.shown)

@@ -1,0 +1,75 @@
+"""What a scene would be rendered without, told before the render; and renders that are refused for it."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import sys
+from collections.abc import Sequence
+
+import bpy
+
+from ..core.errors import RayBatchError
+from ..core.scene.notice import Notice, Weight, by_weight
+from ..export.asked import asked
+
+REFUSED = 3  # exit code of a process whose render was refused
+
+_found: dict[str, list[Notice]] = {}  # by name of a scene: of the last look, or the last render
+
+
+class Refused(RayBatchError):
+    """A render that would lack what it may not lack."""
+
+
+def found_in(scene: bpy.types.Scene) -> list[Notice] | None:
+    """What the last look at `scene` found, the weightiest first; None where nobody has looked."""
+    return _found.get(scene.name)
+
+
+def keep_found(scene: bpy.types.Scene, messages: Sequence[str]) -> list[Notice]:
+    """Remember what was found in `scene`, for the panel."""
+    _found[scene.name] = by_weight(messages)
+    return _found[scene.name]
+
+
+def forget_found() -> None:
+    """Forget what was found."""
+    _found.clear()
+
+
+def strictness(scene: bpy.types.Scene) -> Weight | None:
+    """The weight from which on nothing may be missing; None: everything may. Raises `SettingsError`."""
+    strict = asked().strict
+    if strict is not None:
+        return strict
+    own = getattr(getattr(scene, "raybatch_export", None), "strict", "OFF")
+    return None if own == "OFF" else Weight[own]
+
+
+def refuse_what_lacks(scene: bpy.types.Scene, notices: Sequence[Notice]) -> None:
+    """Raise `Refused` if something among `notices` may not be missing."""
+    least = strictness(scene)
+    if least is None:
+        return
+    heavy = [notice for notice in notices if notice.weight >= least]
+    if not heavy:
+        return
+    if asked().strict is not None and bpy.app.background:
+        # Blender goes on after a render that failed, and ends with 0
+        atexit.register(_end_as_refused)
+    more = f"; and {len(heavy) - 1} more" if len(heavy) > 1 else ""
+    raise Refused(f"not rendered, as nothing may be missing: {heavy[0]}{more}")
+
+
+def tell(notices: Sequence[Notice], start: str = "RayBatch: warning") -> None:
+    """Write `notices` to standard error, each in a line, with what to do."""
+    for notice in notices:
+        remedy = f" ({notice.remedy})" if notice.remedy else ""
+        print(f"{start}: {notice}{remedy}", file=sys.stderr)
+
+
+def _end_as_refused() -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(REFUSED)

@@ -1,0 +1,1 @@
+"""Displacement: vertices that their materials move before trees are built."""

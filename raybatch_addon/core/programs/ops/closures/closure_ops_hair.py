@@ -1,0 +1,143 @@
+"""Ops that make closures of hair, and the absorption of fibres."""
+
+import warp as wp
+
+from ....scene.description import ClosureKind
+from ....shading.bsdf.materials import ClosureRecord, new_closure
+from ...op import NodeData, closure_op, number, op, put_vector, vector
+from ...point import ShadingPoint
+from ..inputs.curve_inputs import curve_tangent
+from .closure_ops import is_black, usable_index, usable_weight
+
+# Widths of lobes, and roughnesses, are in this range
+_LEAST, _MOST = 0.001, 1.0
+
+
+@wp.func
+def _finite(x: float) -> float:
+    return wp.where(wp.isfinite(x), x, 0.0)
+
+
+@wp.func
+def _lobe(
+    data: NodeData,
+    stack: wp.array(dtype=float),
+    pc: int,
+    point: ShadingPoint,
+    kind: int,
+    closures: wp.array(dtype=ClosureRecord),
+    count: int,
+) -> int:
+    w = usable_weight(vector(data, stack, pc + 1))
+    if is_black(w) or count >= closures.shape[0]:
+        return count
+    record = new_closure(kind, w)
+    record.roughness = wp.clamp(_finite(number(data, stack, pc + 2)), wp.static(_LEAST), wp.static(_MOST))
+    record.aspect = wp.clamp(_finite(number(data, stack, pc + 3)), wp.static(_LEAST), wp.static(_MOST))
+    record.tangent = curve_tangent(data, point)
+    record.film_ior = 0.0
+    if wp.dot(record.tangent, record.tangent) > 0.5:  # surfaces of meshes are not shifted
+        record.film_ior = -_finite(number(data, stack, pc + 4))
+    given = vector(data, stack, pc + 5)
+    if wp.dot(given, given) > 0.0 and wp.isfinite(wp.dot(given, given)):
+        record.tangent = wp.normalize(given)
+    closures[count] = record
+    return count + 1
+
+
+@closure_op("hair_reflection", "vnnnv", foldable=False, general=False)
+@wp.func
+def hair_reflection(
+    data: NodeData,
+    stack: wp.array(dtype=float),
+    pc: int,
+    point: ShadingPoint,
+    closures: wp.array(dtype=ClosureRecord),
+    count: int,
+) -> int:
+    """Light that a fibre reflects: weight, roughness along it and around it, shift [rad], tangent (0: the curve's)."""
+    return _lobe(data, stack, pc, point, wp.static(int(ClosureKind.HAIR_REFLECTION)), closures, count)
+
+
+@closure_op("hair_transmission", "vnnnv", foldable=False, general=False)
+@wp.func
+def hair_transmission(
+    data: NodeData,
+    stack: wp.array(dtype=float),
+    pc: int,
+    point: ShadingPoint,
+    closures: wp.array(dtype=ClosureRecord),
+    count: int,
+) -> int:
+    """Light that passes a fibre: weight, roughness along it and around it, shift [rad], tangent (0: the curve's)."""
+    return _lobe(data, stack, pc, point, wp.static(int(ClosureKind.HAIR_TRANSMISSION)), closures, count)
+
+
+@wp.func
+def variance_along(roughness: float) -> float:
+    """Variance along a fibre of a roughness 0..1 (Chiang et al. 2016, equation 7)."""
+    x = 0.726 * roughness + 0.812 * roughness * roughness + 3.7 * wp.pow(roughness, 20.0)
+    return x * x
+
+
+@wp.func
+def scale_around(roughness: float) -> float:
+    """Scale of the logistic distribution around a fibre of a roughness 0..1 (equation 8)."""
+    x = 0.265 * roughness + 1.194 * roughness * roughness + 5.372 * wp.pow(roughness, 22.0)
+    return wp.static((3.141592653589793 / 8.0) ** 0.5) * x
+
+
+@closure_op("principled_hair", "vvnnnnn", foldable=False, general=False)
+@wp.func
+def principled_hair(
+    data: NodeData,
+    stack: wp.array(dtype=float),
+    pc: int,
+    point: ShadingPoint,
+    closures: wp.array(dtype=ClosureRecord),
+    count: int,
+) -> int:
+    """A fibre that absorbs: weight, absorption, roughness along it and around it, coat, index, tilt [rad]."""
+    w = usable_weight(vector(data, stack, pc + 1))
+    if is_black(w) or count >= closures.shape[0]:
+        return count
+    record = new_closure(wp.static(int(ClosureKind.PRINCIPLED_HAIR)), w)
+    sigma = vector(data, stack, pc + 2)
+    record.color = wp.vec3(
+        wp.max(_finite(sigma[0]), 0.0), wp.max(_finite(sigma[1]), 0.0), wp.max(_finite(sigma[2]), 0.0)
+    )
+    along = wp.clamp(_finite(number(data, stack, pc + 3)), wp.static(_LEAST), wp.static(_MOST))
+    around = wp.clamp(_finite(number(data, stack, pc + 4)), wp.static(_LEAST), wp.static(_MOST))
+    coat = wp.clamp(_finite(number(data, stack, pc + 5)), 0.0, 1.0)
+    record.roughness = variance_along(along)
+    record.aspect = scale_around(around)
+    record.mean_cosine = variance_along(wp.clamp((1.0 - coat) * along, wp.static(_LEAST), wp.static(_MOST)))
+    record.ior = usable_index(number(data, stack, pc + 6), 1.0e-3)
+    record.film_ior = -_finite(number(data, stack, pc + 7))
+    record.tangent = curve_tangent(data, point)
+    closures[count] = record
+    return count + 1
+
+
+@op("hair_absorption_of_color", "vn>V", general=False)
+@wp.func
+def hair_absorption_of_color(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """Absorption of a fibre among others that look as the colour does: colour, roughness around it (equation 9)."""
+    color = vector(data, stack, pc + 1)
+    b = number(data, stack, pc + 2)
+    fit = 5.969 + b * (-0.215 + b * (2.532 + b * (-10.73 + b * (5.574 + b * 0.245))))
+    sigma = wp.vec3(0.0)
+    for k in range(3):
+        x = wp.log(wp.clamp(color[k], 1.0e-5, 1.0)) / fit
+        sigma[k] = x * x
+    put_vector(data, stack, pc + 3, sigma)
+
+
+@op("hair_absorption_of_melanin", "nn>V", general=False)
+@wp.func
+def hair_absorption_of_melanin(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """Absorption by melanin: its amount 0..1, the share of pheomelanin (equation 6; d'Eon et al. 2011)."""
+    amount = -wp.log(wp.max(1.0 - number(data, stack, pc + 1), 0.0001))
+    red = amount * number(data, stack, pc + 2)
+    brown = amount - red
+    put_vector(data, stack, pc + 3, brown * wp.vec3(0.506, 0.841, 1.653) + red * wp.vec3(0.343, 0.733, 1.924))

@@ -1,0 +1,121 @@
+"""Motion while the shutter is open: what moves, its keys, and how far it comes.
+
+Between evenly spaced steps the map of an instance is taken apart into a rotation, a stretch and a translation (Shoemake
+and Duff 1992, "Matrix animation and polar decomposition"); the rotation goes along great arcs, the others along lines.
+Vertices go along lines. Cycles does both alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .description import Scene
+
+# Of a step: quaternion (real part last), translation, stretch row by row, and nothing up to the size of two maps
+KEY_FLOATS = 24
+# Parts of a step in which a rotation turns by at most so much [rad], where boxes are found; and the most parts of one
+_TURN, _PARTS_MOST = 0.1, 64
+
+
+def moving_instances(scene: Scene) -> np.ndarray:
+    """Whether the map of each instance is another at another time: bool, shape [n]."""
+    motion = scene.instances.motion
+    if motion is None or motion.shape[1] < 2:
+        return np.zeros(len(scene.instances), bool)
+    return (motion != motion[:, :1]).any((1, 2, 3))
+
+
+def deforming_meshes(scene: Scene) -> np.ndarray:
+    """Whether the vertices of each mesh move: bool, shape [mesh_count]."""
+    whole = [mesh.motion is not None and mesh.radii is None and len(mesh.triangles) > 0 for mesh in scene.meshes]
+    return np.array(whole, bool)
+
+
+def apart(scene: Scene) -> np.ndarray:
+    """Whether each instance needs a tree of its own, because it moves or its mesh deforms: bool, shape [n]."""
+    return moving_instances(scene) | deforming_meshes(scene)[scene.instances.mesh]
+
+
+def motion_keys(matrices: np.ndarray) -> np.ndarray:
+    """The keys of maps [..., steps, 3, 4]: float32, shape [..., steps, KEY_FLOATS]."""
+    matrices = np.asarray(matrices, np.float64)
+    left, sizes, right = np.linalg.svd(matrices[..., :3])
+    rotation = left @ right
+    stretch = np.swapaxes(right, -1, -2) @ (sizes[..., None] * right)
+    hand = np.where(np.linalg.det(rotation) < 0, -1.0, 1.0)[..., None, None]
+    quaternion = _quaternions(rotation * hand)
+    for step in range(1, quaternion.shape[-2]):  # the shorter way from each step to the next
+        away = (quaternion[..., step, :] * quaternion[..., step - 1, :]).sum(-1, keepdims=True) < 0
+        quaternion[..., step, :] *= np.where(away, -1.0, 1.0)
+    flat = (stretch * hand).reshape(*matrices.shape[:-2], 9)
+    unused = np.zeros((*matrices.shape[:-2], KEY_FLOATS - 16))
+    return np.concatenate([quaternion, matrices[..., 3], flat, unused], -1).astype(np.float32)
+
+
+def _quaternions(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternions, real part last, of rotations [..., 3, 3] (Bar-Itzhack 2000): the largest eigenvector."""
+    r = rotation
+    k = np.zeros((*r.shape[:-2], 4, 4))
+    for i in range(3):
+        j, m = (i + 1) % 3, (i + 2) % 3
+        k[..., i, i] = r[..., i, i] - r[..., j, j] - r[..., m, m]
+        k[..., i, j] = k[..., j, i] = r[..., i, j] + r[..., j, i]
+        k[..., i, 3] = k[..., 3, i] = r[..., m, j] - r[..., j, m]
+    k[..., 3, 3] = np.trace(r, axis1=-2, axis2=-1)
+    return np.linalg.eigh(k)[1][..., :, -1]
+
+
+def maps_at(keys: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """The maps of keys [n, steps, KEY_FLOATS] at `times` [t], as in `native/math/motion.h`: float64, [n, t, 3, 4]."""
+    keys = keys.astype(np.float64)
+    steps = keys.shape[1]
+    at = np.asarray(times, np.float64) * (steps - 1)
+    step = np.clip(at.astype(int), 0, steps - 2)
+    t = (at - step)[None, :, None]
+    a, b = keys[:, step], keys[:, step + 1]
+    cosine = (a[..., :4] * b[..., :4]).sum(-1, keepdims=True)
+    angle = np.arccos(np.clip(cosine, -1, 1))
+    sine = np.sin(angle)
+    arc = (cosine < 0.9995) & (sine > 0)
+    safe = np.where(arc, sine, 1)
+    share_a = np.where(arc, np.sin(angle * (1 - t)) / safe, 1 - t)
+    share_b = np.where(arc, np.sin(angle * t) / safe, t)
+    q = share_a * a[..., :4] + share_b * b[..., :4]
+    q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    x, y, z, w = np.moveaxis(q, -1, 0)
+    rotation = np.stack(
+        [
+            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
+            np.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
+            np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
+        ],
+        -2,
+    )
+    mixed = (1 - t) * a[..., 4:] + t * b[..., 4:]
+    linear = rotation @ mixed[..., 3:12].reshape(*mixed.shape[:-1], 3, 3)
+    return np.concatenate([linear, mixed[..., :3, None]], -1)
+
+
+def knots(keys: np.ndarray) -> np.ndarray:
+    """Times between which no rotation of keys [n, steps, KEY_FLOATS] turns far, from 0 to 1: shape [t]."""
+    cosine = (keys[:, 1:, :4].astype(np.float64) * keys[:, :-1, :4]).sum(-1)
+    turn = 2 * np.arccos(np.clip(cosine.min(initial=1.0), -1, 1))
+    parts = int(np.clip(np.ceil(turn / _TURN), 1, _PARTS_MOST))
+    return np.linspace(0, 1, parts * (keys.shape[1] - 1) + 1)
+
+
+def way_off(keys: np.ndarray, reach: np.ndarray, parts: int) -> np.ndarray:
+    """How far points within `reach` [n, m] of the origins are off the lines between their places at the ends of
+    `parts` parts of each step of keys [n, steps, KEY_FLOATS] [m]: shape [n].
+
+    A line is left by at most an eighth of the second derivative times the square of the time. With the angle w, the
+    stretch S and its change D in a step that is |w|^2 |S| + 2 |w| |D|, times the reach. (A blend of quaternions that is
+    normalised, for small angles, has less than twice as much.)
+    """
+    cosine = (keys[:, 1:, :4].astype(np.float64) * keys[:, :-1, :4]).sum(-1)
+    turn = 2 * np.arccos(np.clip(cosine, -1, 1))
+    stretch = keys[..., 7:16].astype(np.float64).reshape(*keys.shape[:2], 3, 3)
+    size = np.linalg.norm(stretch, axis=(2, 3)).max(1, keepdims=True)
+    change = np.linalg.norm(stretch[:, 1:] - stretch[:, :-1], axis=(2, 3))
+    second = turn**2 * size + 2 * turn * change
+    return 2 * second.max(1) * reach / (8 * parts**2)

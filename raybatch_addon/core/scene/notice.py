@@ -1,0 +1,85 @@
+"""Notices: what of a scene is not rendered as it was made, with where it is and what to do about it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import IntEnum
+from typing import Any
+
+
+class Weight(IntEnum):
+    """How much a picture differs by what a notice is about."""
+
+    REPAIRED = 0  # data that is broken and was mended or left out: no other engine would show it
+    SETTING = 1  # a setting of another engine that is passed over: noise, time, and light of late bounces
+    REPLACED = 2  # something else stands in for it
+    MISSING = 3  # it is not in the picture, or the picture is another one
+
+
+class Notice(str):
+    """A message, and what it is about; the text stands for itself wherever messages are printed."""
+
+    __slots__ = ("material", "nodes", "objects", "remedy", "weight")
+
+    def __new__(
+        cls,
+        text: str,
+        weight: Weight = Weight.REPLACED,
+        *,
+        objects: Iterable[str] = (),
+        material: str = "",
+        nodes: Iterable[str] = (),
+        remedy: str = "",
+    ) -> Notice:
+        """`objects`, `material` and `nodes` are names in the file, `remedy` says what a user can do."""
+        notice = super().__new__(cls, text)
+        notice.weight, notice.objects, notice.material = weight, tuple(objects), material
+        notice.nodes, notice.remedy = tuple(nodes), remedy
+        return notice
+
+    def __reduce__(self):
+        return _again, (str(self), self.weight, self.objects, self.material, self.nodes, self.remedy)
+
+
+def _again(text: str, weight: Weight, objects, material: str, nodes, remedy: str) -> Notice:
+    return Notice(text, weight, objects=objects, material=material, nodes=nodes, remedy=remedy)
+
+
+def as_notice(message: str) -> Notice:
+    """`message` itself, or a notice with its text: what nobody weighed counts as replaced."""
+    return message if isinstance(message, Notice) else Notice(message)
+
+
+def about(message: str, name: str, objects: Iterable[str] = ()) -> Notice:
+    """`message` with what it is about, the thing called `name`, before it."""
+    notice = as_notice(message)
+    text = f"{name}: {notice}"
+    return Notice(text, notice.weight, objects=objects, nodes=notice.nodes, remedy=notice.remedy)
+
+
+def by_weight(messages: Iterable[str]) -> list[Notice]:
+    """All `messages` as notices, the weightiest first, else in their order."""
+    return sorted(map(as_notice, messages), key=lambda notice: -notice.weight)
+
+
+def told(notice: Notice) -> dict[str, Any]:
+    """All that a notice says beside its text; what it does not say is left out."""
+    every = {
+        "weight": notice.weight.name,
+        "objects": list(notice.objects),
+        "material": notice.material,
+        "nodes": list(notice.nodes),
+        "remedy": notice.remedy,
+    }
+    return {name: value for name, value in every.items() if value}
+
+
+def from_told(text: str, told: dict[str, Any]) -> Notice:
+    """The notice with that `text` of which `told` is what the function of this name gave."""
+    rest = {name: told[name] for name in ("objects", "material", "nodes", "remedy") if name in told}
+    return Notice(text, Weight[told["weight"]], **rest)
+
+
+def described(notice: Notice) -> dict[str, Any]:
+    """A notice as statistics have it: `what` it says, and the rest."""
+    return {"what": str(notice), **told(notice)}

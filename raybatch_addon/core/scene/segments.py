@@ -1,0 +1,127 @@
+"""Curves and points as primitives of three corners, which go wherever triangles go.
+
+A curve is a chain of *segments*: cones between two points, each with its radius, that end where the bisecting plane of
+two segments cuts both, so that neighbours meet without a gap and without surfaces inside each other. A segment without
+length is a sphere. Only the outside is met: a ray that begins within leaves without a hit (hair closures speak of the
+whole fibre, and so does Cycles).
+
+The first two corners of a segment are its points. The third is no point but three words:
+
+    x   both radii: the upper 16 bits of their float32, without the sign, which are 8 bits of mantissa; the first lowest
+    y   bits 0 to 21: normal of the plane at the first point
+    z   a NaN, which tells that the primitive is a segment: no coordinate of a triangle is one. Bits 0 to 21: normal of
+        the plane at the second point
+
+A normal is a point on the octahedron (Meyer, Süssmuth, Sußner, Stamminger and Greiner 2010, "On floating-point normal
+vectors"), 11 bits a coordinate. Neighbours have the same radius and the same plane at their joint, as rounded.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+NORMAL_STEPS = 2047
+"""Steps of a coordinate of a normal from -1 to 1."""
+BEND_MOST = np.cos(np.radians(60.0))
+"""Cosine of half the angle of a bend, in which two segments still share a plane; beyond each ends straight."""
+_NAN = np.uint32(0x7FC00000)
+_NORMAL_MASK = np.uint32((1 << 22) - 1)
+
+
+def pack_segments(positions: np.ndarray, radii: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners and triangles of the segments of a mesh.
+
+    Args:
+        positions: points [m], float32, shape [n, 3].
+        radii: of the points [m], float32, shape [n].
+        segments: rows of which the first two numbers are points, int32, shape [m, 3]. Where one begins with the point
+            that the row before ends with, it goes on from there.
+
+    Returns:
+        positions, float32, shape [n + m, 3], and indices into them, int32, shape [m, 3].
+    """
+    first, second = segments[:, 0], segments[:, 1]
+    along = positions[second].astype(np.float64) - positions[first]
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    axis = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
+    begin, end = axis.copy(), axis.copy()
+    if len(segments) > 1:
+        bisector = axis[:-1] + axis[1:]
+        size = np.linalg.norm(bisector, axis=1, keepdims=True)
+        # the sum of two unit vectors has twice the cosine of half their angle as its length
+        joined = (second[:-1] == first[1:]) & (size[:, 0] > 2 * BEND_MOST)
+        begin[1:][joined] = end[:-1][joined] = (bisector / np.where(size > 0, size, 1))[joined]
+    size = (radii.astype(np.float32).view(np.uint32) + np.uint32(1 << 14)) >> np.uint32(15)
+    packed = np.empty((len(segments), 3), np.uint32)
+    packed[:, 0] = size[first] | size[second] << np.uint32(16)
+    packed[:, 1] = _packed_normal(begin)
+    packed[:, 2] = _NAN | _packed_normal(end)
+    count = len(positions)
+    corners = np.empty((count + len(segments), 3), np.float32)
+    corners[:count], corners[count:] = positions, packed.view(np.float32)
+    triangles = np.empty((len(segments), 3), np.int32)
+    triangles[:, :2] = segments[:, :2]
+    triangles[:, 2] = np.arange(count, len(corners), dtype=np.int32)
+    return corners, triangles
+
+
+def are_segments(positions: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Which primitives are segments: bool, shape [m]."""
+    return np.isnan(positions[triangles[:, 2], 2])
+
+
+def segment_boxes(positions: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest coordinates of packed segments, float32, shape [m, 3] both.
+
+    A segment ends `reach` behind its point at most, where the plane there cuts its cone; the traversal accepts no hit
+    farther out than that (`native/traverse/segments/meet.h`).
+    """
+    ends = positions[segments[:, :2]].astype(np.float64)
+    packed = np.ascontiguousarray(positions[segments[:, 2]]).view(np.uint32)
+    radius = np.stack([packed[:, 0] & np.uint32(0xFFFF), packed[:, 0] >> np.uint32(16)], 1) << np.uint32(15)
+    radius = radius.astype(np.uint32).view(np.float32).astype(np.float64)
+    most = radius.max(1)
+    along = ends[:, 1] - ends[:, 0]
+    length = np.linalg.norm(along, axis=1)
+    is_cone = length > 0
+    axis = np.divide(along, length[:, None], out=np.zeros_like(along), where=is_cone[:, None])
+    taper = np.divide(radius[:, 1] - radius[:, 0], length, out=np.zeros_like(length), where=is_cone)
+    low, high = np.full((len(segments), 3), np.inf), np.full((len(segments), 3), -np.inf)
+    for k, outwards in ((0, -taper), (1, taper)):
+        normal = _unpacked_normal(packed[:, 1 + k])
+        cosine = np.abs((normal * axis).sum(1)) / np.linalg.norm(normal, axis=1)
+        tangent = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 1e-3)
+        shrink = 1 - outwards * tangent
+        reach = np.where(shrink > 0.01, radius[:, k] * tangent / np.maximum(shrink, 0.01), np.inf)
+        reach = np.minimum(reach, 2 * most)
+        wide = np.minimum(radius[:, k] + np.maximum(outwards, 0) * reach, 2 * most)
+        # a disk across the axis, moved along it; of a sphere all of it, and 2 % for roundings of radii and planes
+        across = np.sqrt(np.maximum(1 - axis**2, 0))
+        half = 1.02 * (wide[:, None] * across + reach[:, None] * np.abs(axis)) + 0.02 * most[:, None]
+        low, high = np.minimum(low, ends[:, k] - half), np.maximum(high, ends[:, k] + half)
+    least, greatest = low.astype(np.float32), high.astype(np.float32)
+    return np.nextafter(least, np.float32(-np.inf)), np.nextafter(greatest, np.float32(np.inf))
+
+
+def _packed_normal(normal: np.ndarray) -> np.ndarray:
+    """Unit vectors as 22 bits: uint32, shape [m]."""
+    flat = normal / np.maximum(np.abs(normal).sum(1, keepdims=True), 1e-30)
+    x, y = flat[:, 0], flat[:, 1]
+    folded = flat[:, 2] < 0
+    x, y = (
+        np.where(folded, (1 - np.abs(y)) * np.where(x < 0, -1, 1), x),
+        np.where(folded, (1 - np.abs(x)) * np.where(y < 0, -1, 1), y),
+    )
+    steps = [np.rint((value + 1) * (0.5 * NORMAL_STEPS)).astype(np.uint32) for value in (x, y)]
+    return steps[0] | steps[1] << np.uint32(11)
+
+
+def _unpacked_normal(bits: np.ndarray) -> np.ndarray:
+    """The vectors of `_packed_normal`, of any length: float64, shape [m, 3]."""
+    bits = bits & _NORMAL_MASK
+    x, y = (
+        (bits >> np.uint32(shift) & np.uint32(0x7FF)).astype(np.float64) * (2 / NORMAL_STEPS) - 1 for shift in (0, 11)
+    )
+    z = 1 - np.abs(x) - np.abs(y)
+    fold = np.maximum(-z, 0)
+    return np.stack([x - np.where(x < 0, -fold, fold), y - np.where(y < 0, -fold, fold), z], 1)

@@ -1,0 +1,1 @@
+"""Reflections as they are drawn: light and shade with an edge between them."""

@@ -1,0 +1,1 @@
+"""Closures of hair: how a thin fibre scatters light, seen from any side of it."""

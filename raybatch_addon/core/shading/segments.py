@@ -1,0 +1,185 @@
+"""The surface at a hit of a curve's segment or of a point, which are `scene/segments.py`'s primitives.
+
+A hit's two numbers say where on the surface it is. On a segment the first is the place along the axis, 0 at its first
+point and 1 at its second, and the second number the direction around it: |v| runs from 0 to 2 along the edge of a
+square, on the side that the sign says. On a sphere both are those of the normal on an octahedron. Corner values do not
+depend on the second number, since the third corner of a segment has what the first has.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ..bvh.margin import TRIANGLE_TEST
+from ..scene.geometry import Geometry, corners_of, transform_vector
+from ..scene.moved import transform_at
+from ..scene.segments import NORMAL_STEPS
+from .surface import SurfacePoint, carried_error, make_surface, material_of, moved_normal, unit_or_zero
+
+_U = 2.0**-24
+# Position on a segment, and the next ray's test of it: roundings of numbers of the segment's size
+_SEGMENT_TEST = 3.0 * TRIANGLE_TEST
+
+
+@wp.struct
+class Segment:
+    """A segment in the space of its mesh."""
+
+    first: wp.vec3  # its first point [m]
+    axis: wp.vec3  # to its second point [m]; 0: a sphere
+    first_radius: float  # [m]
+    second_radius: float
+    first_normal: wp.vec3  # of the planes at its ends, towards the second point, of any length: the curve's tangents
+    second_normal: wp.vec3
+
+
+@wp.func_native("int bits; memcpy(&bits, &x, 4); return bits;")
+def _bits_of(x: float) -> int: ...
+
+
+@wp.func_native("float x; memcpy(&x, &bits, 4); return x;")
+def _float_of(bits: int) -> float: ...
+
+
+@wp.func
+def _normal_of(bits: int) -> wp.vec3:
+    x = float(bits & 0x7FF) * wp.static(2.0 / NORMAL_STEPS) - 1.0
+    y = float((bits >> 11) & 0x7FF) * wp.static(2.0 / NORMAL_STEPS) - 1.0
+    z = 1.0 - wp.abs(x) - wp.abs(y)
+    fold = wp.max(-z, 0.0)
+    return wp.vec3(x - wp.where(x < 0.0, -fold, fold), y - wp.where(y < 0.0, -fold, fold), z)
+
+
+@wp.func
+def is_segment(geometry: Geometry, triangle: int) -> bool:
+    """Whether a primitive, numbered through all meshes, is a segment."""
+    return not wp.isfinite(geometry.positions[corners_of(geometry, triangle)[2]][2])
+
+
+@wp.func
+def segment_of(geometry: Geometry, triangle: int) -> Segment:
+    """The segment that a primitive is."""
+    corners = corners_of(geometry, triangle)
+    packed = geometry.positions[corners[2]]
+    s = Segment()
+    s.first = geometry.positions[corners[0]]
+    s.axis = geometry.positions[corners[1]] - s.first
+    radii = _bits_of(packed[0])
+    s.first_radius = _float_of((radii & 0xFFFF) << 15)
+    s.second_radius = _float_of(((radii >> 16) & 0xFFFF) << 15)
+    s.first_normal = _normal_of(_bits_of(packed[1]))
+    s.second_normal = _normal_of(_bits_of(packed[2]))
+    return s
+
+
+@wp.func
+def _outwards(unit_axis: wp.vec3, v: float) -> wp.vec3:
+    """The unit vector across the axis that the second number of a hit says."""
+    sign = wp.where(unit_axis[2] < 0.0, -1.0, 1.0)
+    p = -1.0 / (sign + unit_axis[2])
+    r = unit_axis[0] * unit_axis[1] * p
+    i = 1.0 - wp.abs(v)
+    j = 1.0 - wp.abs(i)
+    if v < 0.0:
+        j = -j
+    across = i * wp.vec3(1.0 + sign * unit_axis[0] * unit_axis[0] * p, sign * r, -sign * unit_axis[0])
+    across = across + j * wp.vec3(r, sign + unit_axis[1] * unit_axis[1] * p, -unit_axis[1])
+    return wp.normalize(across)
+
+
+@wp.func
+def _on_octahedron(uv: wp.vec2) -> wp.vec3:
+    z = 1.0 - wp.abs(uv[0]) - wp.abs(uv[1])
+    n = wp.vec3(uv[0], uv[1], z)
+    if z < 0.0:
+        x = 1.0 - wp.abs(uv[1])
+        y = 1.0 - wp.abs(uv[0])
+        n = wp.vec3(wp.where(uv[0] < 0.0, -x, x), wp.where(uv[1] < 0.0, -y, y), z)
+    return wp.normalize(n)
+
+
+@wp.func
+def _tangent_at(s: Segment, along: float) -> wp.vec3:
+    return wp.normalize(wp.normalize(s.first_normal) * (1.0 - along) + wp.normalize(s.second_normal) * along)
+
+
+@functools.cache
+def make_segment_point(instancing: bool, moving: bool = False) -> wp.Function:
+    """Function (geometry, instance, triangle: int, uv, time: float) -> SurfacePoint of a segment, which is numbered
+    through all meshes.
+    """
+
+    @wp.func
+    def segment_point(geometry: Geometry, instance: int, triangle: int, uv: wp.vec2, time: float) -> SurfacePoint:
+        s = segment_of(geometry, triangle)
+        unit_axis = unit_or_zero(s.axis)
+        if wp.dot(unit_axis, unit_axis) > 0.5:
+            length = wp.dot(unit_axis, s.axis)
+            taper = s.second_radius - s.first_radius
+            outwards = _outwards(unit_axis, uv[1])
+            radius = s.first_radius + uv[0] * taper
+            position = s.first + uv[0] * s.axis + radius * outwards
+            geometric = unit_or_zero(outwards * length - taper * unit_axis)
+            # the curve's own tangent turns from joint to joint, and the normal with it
+            tangent = _tangent_at(s, uv[0])
+            across = wp.normalize(outwards - wp.dot(outwards, tangent) * tangent)
+            smooth = unit_or_zero(across * length - taper * tangent)
+        else:
+            geometric = _on_octahedron(uv)
+            position = s.first + s.first_radius * geometric
+            smooth = geometric
+        reach = wp.abs(s.axis[0]) + wp.abs(s.axis[1]) + wp.abs(s.axis[2])
+        reach = wp.static(_SEGMENT_TEST) * (reach + 2.0 * wp.max(s.first_radius, s.second_radius))
+        surface = SurfacePoint()
+        surface.error = wp.vec3(reach, reach, reach) + wp.static(3.0 * _U) * wp.vec3(
+            wp.abs(position[0]), wp.abs(position[1]), wp.abs(position[2])
+        )
+        if wp.static(instancing):
+            if geometry.instancing != 0:
+                matrix = geometry.instance_transform[instance]
+                if wp.static(moving):
+                    matrix = transform_at(geometry, instance, time)
+                surface.error = carried_error(matrix, position, surface.error)
+                position = transform_vector(matrix, position) + wp.vec3(matrix[0, 3], matrix[1, 3], matrix[2, 3])
+                geometric = unit_or_zero(moved_normal(matrix, geometric))
+                smooth = unit_or_zero(moved_normal(matrix, smooth))
+        surface.position = position
+        surface.geometric_normal = geometric
+        surface.normal = smooth
+        if not (wp.dot(smooth, geometric) > 0.0):
+            surface.normal = geometric
+        surface.material = material_of(geometry, instance, triangle)
+        if wp.static(moving):
+            surface.time = time
+        return surface
+
+    return segment_point
+
+
+@wp.func
+def segment_tangent(geometry: Geometry, instance: int, triangle: int, uv: wp.vec2) -> wp.vec3:
+    """The unit tangent of the curve at a hit, in world space; 0 for a sphere."""
+    s = segment_of(geometry, triangle)
+    if wp.dot(s.axis, s.axis) == 0.0:
+        return wp.vec3(0.0)
+    return unit_or_zero(transform_vector(geometry.instance_transform[instance], _tangent_at(s, uv[0])))
+
+
+@functools.cache
+def make_surface_point(instancing: bool, smooth_normals: bool, curves: bool, moving: bool = False) -> wp.Function:
+    """`make_surface(...).point`, for segments too where there are `curves`."""
+    triangle_point = make_surface(instancing, smooth_normals, moving).point
+    if not curves:
+        return triangle_point
+    segment_point = make_segment_point(instancing, moving)
+
+    @wp.func
+    def surface_point(geometry: Geometry, instance: int, primitive: int, uv: wp.vec2, time: float) -> SurfacePoint:
+        triangle = geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive
+        if is_segment(geometry, triangle):
+            return segment_point(geometry, instance, triangle, uv, time)
+        return triangle_point(geometry, instance, primitive, uv, time)
+
+    return surface_point

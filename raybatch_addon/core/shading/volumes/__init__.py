@@ -1,0 +1,1 @@
+"""Volumes: the phase functions by which they scatter, and what several of them are together at a point."""

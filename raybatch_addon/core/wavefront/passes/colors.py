@@ -1,0 +1,83 @@
+"""Colours of a material by component: the light that its closures would scatter in a white world, approximate."""
+
+import functools
+
+import warp as wp
+
+from ...scene.description import ClosureKind
+from ...shading.bsdf.albedo import AlbedoTables
+from ...shading.bsdf.lobes import Lobe, make_lobes
+from ...shading.bsdf.materials import MICROFACET_KINDS, REFLECTION_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
+
+_K = ClosureKind
+_GLASS = wp.constant(int(_K.GLASS))
+_SHEET = wp.constant(int(_K.SHEET))
+_REFRACTION = wp.constant(int(_K.REFRACTION))
+_PHONG = wp.constant(int(_K.ASHIKHMIN_SHIRLEY))
+# Closures that scatter by no facets; light below a surface comes out of it by Lambert's law
+_DIFFUSE_KINDS = tuple(
+    kind
+    for kind in ClosureKind
+    if kind.is_model and kind not in MICROFACET_KINDS | {_K.TRANSPARENT, _K.EMISSION, _K.HOLDOUT}
+) + (_K.SUBSURFACE,)
+
+
+@wp.struct
+class ClosureColors:
+    """Sums over the closures of a material, by component."""
+
+    diffuse: wp.vec3
+    glossy: wp.vec3
+    transmission: wp.vec3
+
+
+@functools.cache
+def make_closure_colors(features: ClosureFeatures) -> wp.Function:
+    """Function (closures, first, end, lobes, albedo, frame) -> ClosureColors; `lobes` are the closures as `Bsdf.look`
+    sees them from wo.
+    """
+    functions = make_lobes(features)
+    reflectance, mirror = functions.reflectance, functions.mirror
+    is_diffuse, is_mirror = features.test(_DIFFUSE_KINDS), features.test(REFLECTION_KINDS)
+    has_mirror, has_glass = features.has(*REFLECTION_KINDS), features.has(_K.GLASS)
+    has_refraction, has_phong = features.has(_K.REFRACTION), features.has(_K.ASHIKHMIN_SHIRLEY)
+
+    @wp.func
+    def closure_colors(
+        closures: wp.array(dtype=ClosureRecord),
+        first: int,
+        end: int,
+        lobes: wp.array(dtype=Lobe),
+        albedo: AlbedoTables,
+        frame: ShadingFrame,
+    ) -> ClosureColors:
+        colors = ClosureColors()
+        for c in range(first, end):
+            kind = closures[c].kind
+            lobe = lobes[c - first]
+            if is_diffuse(kind):
+                colors.diffuse += lobe.scale
+            if wp.static(has_mirror):
+                if is_mirror(kind) and lobe.selection > 0.0:
+                    facets = mirror(closures, c, albedo, frame.entering, lobe.cosine)
+                    color = wp.cw_mul(lobe.scale, facets.seen)
+                    if closures[c].multiscatter == 1:
+                        color = facets.single * color
+                    if kind == _SHEET:
+                        colors.transmission += color
+                    else:
+                        colors.glossy += color
+            if wp.static(has_phong):
+                if kind == _PHONG:
+                    colors.glossy += lobe.scale
+            if wp.static(has_refraction):
+                if kind == _REFRACTION:
+                    colors.transmission += lobe.scale
+            if wp.static(has_glass):
+                if kind == _GLASS and lobe.selection > 0.0:
+                    f = reflectance(closures, c, albedo, lobe.cosine, frame.entering)
+                    colors.glossy += wp.cw_mul(lobe.scale, f)
+                    colors.transmission += wp.cw_mul(lobe.scale, wp.cw_mul(wp.vec3(1.0) - f, closures[c].refraction))
+        return colors
+
+    return closure_colors

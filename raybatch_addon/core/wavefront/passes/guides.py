@@ -1,0 +1,109 @@
+"""What guides a denoiser: albedo, normal and depth of what a pixel shows, seen through mirrors and glass.
+
+As in Cycles (`kernel/film/denoising_passes.h`): closures that are rough count as diffuse. Where they are more than a
+quarter of a surface, by how often they are sampled, albedo and normal are those of this surface, and the path notes no
+more. Elsewhere the path goes on, and what it meets next counts by the albedo of the smooth closures. Light that is seen
+before the end counts as albedo. Depth is the sum over the way of its parts, each by what it counts; unlike in Cycles
+the world behind everything adds no depth.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ...scene.description import ClosureKind
+from ...shading.bsdf.albedo import AlbedoTables
+from ...shading.bsdf.facets import make_facets
+from ...shading.bsdf.lobes import Lobe, make_lobes
+from ...shading.bsdf.materials import MICROFACET_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
+from ..rays import Paths
+from ..stages.limits import has_light
+from .state import add_channels
+
+_K = ClosureKind
+# Facets with a larger alpha count as diffuse, as in Cycles
+ALPHA_SMOOTH = 0.075
+_TRANSPARENT = wp.constant(int(_K.TRANSPARENT))
+_GLASS = wp.constant(int(_K.GLASS))
+
+
+@wp.func
+def note_seen_light(paths: Paths, path: int, before: wp.vec3):
+    """Count as albedo what the path's light has grown by since it was `before`."""
+    passes = paths.passes[0]
+    carried = passes.carried[path]
+    if has_light(carried):
+        add_channels(passes, passes.albedo, path, wp.cw_mul(carried, paths.radiance[path] - before))
+
+
+@functools.cache
+def make_note_surface(features: ClosureFeatures) -> wp.Function:
+    """Function (paths, path, closures, first, end, lobes, tables, frame, distance: float) that notes a surface, seen at
+    the end of a ray of length `distance` [m].
+    """
+    has = features.has
+    mean_alpha, reflectance = make_facets(features).alpha, make_lobes(features).reflectance
+    # the light that goes below a surface has scattered there; that which a rough surface refracts has its colour
+    is_facets, has_facets = features.test(MICROFACET_KINDS - {_K.SUBSURFACE}), has(*MICROFACET_KINDS - {_K.SUBSURFACE})
+    is_clear = features.test((_K.GLASS, _K.REFRACTION))
+    has_transparent = has(_K.TRANSPARENT)
+
+    @wp.func
+    def note_surface(
+        paths: Paths,
+        path: int,
+        closures: wp.array(dtype=ClosureRecord),
+        first: int,
+        end: int,
+        lobes: wp.array(dtype=Lobe),
+        tables: AlbedoTables,
+        frame: ShadingFrame,
+        distance: float,
+    ):
+        passes = paths.passes[0]
+        carried = passes.carried[path]
+        if not has_light(carried):
+            return
+        mean = (carried[0] + carried[1] + carried[2]) / 3.0
+        if passes.depth >= 0:
+            passes.values[passes.depth, path] = passes.values[passes.depth, path] + mean * distance
+        normal = wp.vec3(0.0)
+        rough = wp.vec3(0.0)  # albedo of closures by what they count as
+        smooth = wp.vec3(0.0)
+        rough_share = float(0.0)
+        share = float(0.0)
+        for c in range(first, end):
+            lobe = lobes[c - first]
+            if lobe.selection > 0.0:
+                is_rough = bool(True)
+                color = lobe.scale
+                if wp.static(has_transparent):
+                    if closures[c].kind == _TRANSPARENT:
+                        is_rough = False
+                if wp.static(has_facets):
+                    if is_facets(closures[c].kind):
+                        is_rough = mean_alpha(closures, c) > wp.static(ALPHA_SMOOTH)
+                        if not is_clear(closures[c].kind):
+                            color = wp.cw_mul(color, reflectance(closures, c, tables, lobe.cosine, frame.entering))
+                # as large as the closure's albedo, of the colour that it has here
+                total = color[0] + color[1] + color[2]
+                if total > 0.0 and total < wp.inf:
+                    color = (lobe.selection / total) * color
+                share += lobe.selection
+                normal += lobe.selection * lobe.normal
+                if is_rough:
+                    rough_share += lobe.selection
+                    rough += color
+                else:
+                    smooth += color
+        if share > 0.0 and 4.0 * rough_share <= share:
+            passes.carried[path] = wp.cw_mul(carried, smooth)
+            return
+        if share > 0.0:
+            add_channels(passes, passes.normal, path, passes.to_camera * ((mean / share) * normal))
+            add_channels(passes, passes.albedo, path, wp.cw_mul(carried, rough))
+        passes.carried[path] = wp.vec3(0.0)
+
+    return note_surface

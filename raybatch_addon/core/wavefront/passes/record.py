@@ -1,0 +1,178 @@
+"""Passes of a path's first surfaces: up to the first that is not transparent."""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ...film.mattes import MatteTile, add_matte
+from ...film.tile import FilmTile
+from ...shading.bsdf.bsdf import ClosureFeatures, ClosureRecord, Lobe, ShadingFrame, make_bsdf
+from ..rays import Paths
+from ..scene.scene_data import SceneData
+from ..stages.generate import pixel_sample
+from ..stages.surface.vertex import Vertex
+from ..stages.work import TileWork
+from .colors import make_closure_colors
+from .state import PassInputs, add_channels
+
+# What Blender writes as the depth of nothing [m]
+DEPTH_OF_NOTHING = 1e10
+
+
+@wp.func
+def settles(paths: Paths) -> bool:
+    """Whether `record_surface` decides which surface the passes show, where surfaces may be transparent."""
+    return paths.passes.shape[0] > 0
+
+
+@wp.func
+def mean_channel(color: wp.vec3) -> float:
+    """The mean of the channels."""
+    return (color[0] + color[1] + color[2]) / 3.0
+
+
+@wp.func
+def clear_view(data: SceneData, inputs: PassInputs, position: wp.vec3) -> float:
+    """Share of a point's light that mist lets through, in [0, 1]."""
+    ray = position - data.view_origin
+    distance = wp.length(ray)
+    if inputs.orthographic != 0:
+        distance = wp.abs(wp.dot(ray, data.view_axis))
+    mist = wp.clamp((distance - inputs.mist_start) * inputs.mist_scale, 0.0, 1.0)
+    if inputs.mist_falloff == 2.0:
+        mist = mist * mist
+    elif inputs.mist_falloff == 0.5:
+        mist = wp.sqrt(mist)
+    return 1.0 - mist
+
+
+@wp.func
+def uv_at(inputs: PassInputs, instance: int, primitive: int, barycentric: wp.vec2) -> wp.vec3:
+    """Coordinates of the object's active UV map there, and 1; 0 where it has none."""
+    result = wp.vec3(0.0, 0.0, 0.0)
+    first = inputs.uv_first[instance]
+    if first >= 0:
+        corner = first + 3 * primitive
+        a = inputs.uvs[corner]
+        uv = a + barycentric[0] * (inputs.uvs[corner + 1] - a) + barycentric[1] * (inputs.uvs[corner + 2] - a)
+        result = wp.vec3(uv[0], uv[1], 1.0)
+    return result
+
+
+@wp.func
+def add_mattes(mattes: MatteTile, inputs: PassInputs, pixel: int, instance: int, material: int, weight: float):
+    """Add `weight` to the identities of what is seen."""
+    if inputs.object_matte >= 0:
+        add_matte(mattes, inputs.object_matte, pixel, inputs.object_identity[instance], weight)
+    if inputs.material_matte >= 0:
+        add_matte(mattes, inputs.material_matte, pixel, inputs.material_identity[material], weight)
+    if inputs.asset_matte >= 0:
+        add_matte(mattes, inputs.asset_matte, pixel, inputs.asset_identity[instance], weight)
+
+
+@wp.func
+def record_aov(paths: Paths, path: int, passed: int, number: int, value: wp.vec3):
+    """A material's value for one of its passes, seen through `passed` transparent surfaces."""
+    if paths.passes.shape[0] > 0:
+        passes = paths.passes[0]
+        settled = bool(False)
+        if passed > 0 and passes.settled.shape[0] > 0:
+            settled = passes.settled[path] != 0
+        if number < passes.aov.shape[0] and not settled:
+            place = passes.aov[number]
+            for c in range(place[1]):
+                added = float(1.0)  # a colour's alpha
+                if c < 3:
+                    added = value[c]
+                passes.values[place[0] + c, path] = passes.values[place[0] + c, path] + added
+
+
+@wp.func
+def record_background(work: TileWork, paths: Paths, film: FilmTile, path: int):
+    """A path left the scene before it scattered: indices are those of a surface that was transparent no more."""
+    passes = paths.passes[0]
+    if passes.settled.shape[0] > 0 and paths.passed[path] != 0 and passes.settled[path] == 0:
+        where = pixel_sample(work, paths.item[path])
+        if where.sample == wp.uint32(0):
+            if film.object_index.shape[0] > 0:
+                film.object_index[where.pixel] = 0.0
+            if film.material_index.shape[0] > 0:
+                film.material_index[where.pixel] = 0.0
+            if film.depth.shape[0] > 0:
+                film.depth[where.pixel] = wp.static(DEPTH_OF_NOTHING)
+            if film.position.shape[0] > 0:
+                film.position[where.pixel] = wp.vec3(0.0, 0.0, 0.0)
+
+
+@functools.cache
+def make_record_surface(features: ClosureFeatures, transparency: bool) -> wp.Function:
+    """Function (data, paths, film, path, v: Vertex, frame: ShadingFrame, instance, primitive, barycentric, closures,
+    first, end, lobes): what passes show of a surface that a path meets before it scatters. Depth, Position and Normal
+    are among them where surfaces may be transparent (`transparency`).
+    """
+    let_through = make_bsdf(features).transparency
+    closure_colors = make_closure_colors(features)
+
+    @wp.func
+    def record_surface(
+        data: SceneData,
+        paths: Paths,
+        film: FilmTile,
+        path: int,
+        v: Vertex,
+        frame: ShadingFrame,
+        instance: int,
+        primitive: int,
+        barycentric: wp.vec2,
+        closures: wp.array(dtype=ClosureRecord),
+        first: int,
+        end: int,
+        lobes: wp.array(dtype=Lobe),
+    ):
+        passes = paths.passes[0]
+        throughput = paths.throughput[path]
+        alpha = wp.vec3(1.0, 1.0, 1.0)
+        settled = int(0)
+        if wp.static(transparency):
+            through = let_through(closures, first, end)
+            for c in range(3):
+                alpha[c] = wp.clamp(1.0 - through[c], 0.0, 1.0)
+            if passes.settled.shape[0] > 0 and v.passed > 0:
+                settled = passes.settled[path]
+        if settled == 0:
+            if v.where.sample == wp.uint32(0):
+                if film.object_index.shape[0] > 0:
+                    film.object_index[v.where.pixel] = passes.inputs.object_index[instance]
+                if film.material_index.shape[0] > 0:
+                    film.material_index[v.where.pixel] = passes.inputs.material_index[v.surface.material]
+                if wp.static(transparency):
+                    if film.depth.shape[0] > 0:
+                        film.depth[v.where.pixel] = wp.dot(v.surface.position - data.view_origin, data.view_axis)
+                    if film.position.shape[0] > 0:
+                        film.position[v.where.pixel] = v.surface.position
+            if mean_channel(alpha) >= passes.inputs.alpha_threshold:
+                settled = 1
+                if wp.static(transparency):
+                    if paths.normal.shape[0] > 0:
+                        paths.normal[path] = frame.normal
+                if passes.uv >= 0:
+                    add_channels(passes, passes.uv, path, uv_at(passes.inputs, instance, primitive, barycentric))
+        if wp.static(transparency):
+            if passes.settled.shape[0] > 0:
+                passes.settled[path] = settled
+        if film.mattes.identity.shape[0] > 0:
+            weight = mean_channel(throughput) * mean_channel(alpha)
+            if weight > 0.0:
+                add_mattes(film.mattes, passes.inputs, v.where.pixel, instance, v.surface.material, weight)
+        if passes.mist >= 0:
+            seen = clear_view(data, passes.inputs, v.surface.position) * mean_channel(wp.cw_mul(throughput, alpha))
+            passes.values[passes.mist, path] = passes.values[passes.mist, path] + seen
+        if passes.color[0] >= 0 or passes.color[1] >= 0 or passes.color[2] >= 0:
+            colors = closure_colors(closures, first, end, lobes, data.materials.albedo, frame)
+            add_channels(passes, passes.color[0], path, wp.cw_mul(throughput, colors.diffuse))
+            add_channels(passes, passes.color[1], path, wp.cw_mul(throughput, colors.glossy))
+            add_channels(passes, passes.color[2], path, wp.cw_mul(throughput, colors.transmission))
+
+    return record_surface

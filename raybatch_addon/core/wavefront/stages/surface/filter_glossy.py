@@ -1,0 +1,53 @@
+"""Filter Glossy: facets are rougher to paths that came by unlikely directions, so that their light is less noisy.
+
+It is biased, and off unless chosen. As in Cycles: a path remembers the least density of its directions so far, and
+where that is below the setting, facets are at least as rough as it says.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ....scene.description import ClosureKind
+from ....shading.bsdf.materials import MICROFACET_KINDS, ClosureFeatures, ClosureRecord
+
+
+@functools.cache
+def make_blur(features: ClosureFeatures) -> wp.Function:
+    """Function (closures, first, end, blurred, least_alpha: float): copies closures to the begin of `blurred`, with
+    facets of at least that alpha along either axis.
+    """
+    is_facets = features.test(MICROFACET_KINDS - {ClosureKind.SUBSURFACE})
+
+    @wp.func
+    def blur(
+        closures: wp.array(dtype=ClosureRecord),
+        first: int,
+        end: int,
+        blurred: wp.array(dtype=ClosureRecord),
+        least_alpha: float,
+    ):
+        for c in range(first, end):
+            record = closures[c]
+            if is_facets(record.kind):
+                alpha = record.roughness * record.roughness
+                along = wp.max(alpha * record.aspect, least_alpha)
+                across = wp.max(alpha / record.aspect, least_alpha)
+                if along > alpha * record.aspect or across > alpha / record.aspect:
+                    record.roughness = wp.min(wp.sqrt(wp.sqrt(along * across)), 1.0)
+                    record.aspect = wp.sqrt(along / across)
+            blurred[c - first] = record
+
+    return blur
+
+
+@wp.func
+def blur_alpha(filter_glossy: float, least_density: float) -> float:
+    """The least alpha of facets to a path whose least density so far is `least_density` [1/sr]; 0: as they are."""
+    likely = least_density / filter_glossy
+    alpha = float(0.0)
+    if likely < 1.0:
+        alpha = 0.5 * wp.sqrt(1.0 - likely)
+    return alpha

@@ -1,0 +1,154 @@
+"""Bounds of the extinction of volumes whose coefficients programs give: found before the render, on grids of cells.
+
+A program is evaluated at some points of each cell, and the largest extinction of the cell and its neighbours counts.
+That is an estimate: where a program exceeds it, the volume is rendered as dense as the bound.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from ...device.devices import load_module
+from ...device.kernel import KERNEL_OPTIONS
+from ...scene.description import Scene
+from ...scene.program import ProgramFeatures
+from ...shading.bsdf.materials import address_of
+from ...shading.sequences.keys import mix_bits, sequence_number
+from ...shading.volumes.phase import PhaseLobe
+from .medium import LOBE_FLOATS, LOBES_MOST, make_medium
+from .segment import ray_point
+from .table import Bounds, VolumeData
+
+# Cells along each axis at most, cells of all volumes together, and points of a cell
+CELLS_MOST, CELLS_TOGETHER = 32, 1 << 20
+_POINTS = 8
+# A volume is taken to be this much denser than at the densest point that was found
+_MARGIN = 1.1
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """A volume with a program, where an instance has it; instance -1 is the world."""
+
+    instance: int
+    volume: int
+    box: np.ndarray  # two corners in the space of the instance, or in the world [m], float64, shape [2, 3]
+    to_world: np.ndarray  # float64, shape [3, 4]
+
+
+@functools.cache
+def bound_kernel(programs: ProgramFeatures) -> wp.Kernel:
+    """Kernel (volumes, inside: vec4i, origin: vec3, edges: mat33, cells: int, found): entry i of `found` gets the
+    largest extinction at points of cell i of a box. The box has a corner at `origin` and the columns of `edges` from
+    there on, each divided into `cells`.
+    """
+    medium = make_medium(programs)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def bound(
+        volumes: VolumeData,
+        inside: wp.vec4i,
+        origin: wp.vec3,
+        edges: wp.mat33,
+        cells: int,
+        found: wp.array(dtype=float),
+    ):
+        i = wp.tid()
+        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
+        z = i % cells
+        y = (i / cells) % cells
+        x = i / (cells * cells)
+        largest = float(0.0)
+        points = int(_POINTS)
+        for k in range(points):
+            seed = mix_bits(wp.uint32(i * points + k))
+            u = wp.vec3(
+                float(x) + sequence_number(seed),
+                float(y) + sequence_number(mix_bits(seed + wp.uint32(1))),
+                float(z) + sequence_number(mix_bits(seed + wp.uint32(2))),
+            )
+            point = ray_point(origin + edges * (u / float(cells)), wp.vec3(0.0, 0.0, 1.0), 0, 0)
+            m = medium(volumes, inside, point, lobes)
+            for axis in range(3):
+                # an emission alone must be met too, however little is there
+                light = wp.where(m.emission[axis] > 0.0, 1.0e-6, 0.0)
+                largest = wp.max(largest, wp.max(m.extinction[axis], light))
+        found[i] = wp.min(largest, 1.0e18)
+
+    return bound
+
+
+def find_bounds(
+    volumes: VolumeData, bounded: list[Bounded], programs: ProgramFeatures, world_box: np.ndarray, device: wp.Device
+) -> None:
+    """Fill in the bounds of `volumes`, of which everything else is there."""
+    if not bounded:
+        return
+    kernel = bound_kernel(programs)
+    load_module(kernel, device)
+    cells = int(np.clip((CELLS_TOGETHER / len(bounded)) ** (1 / 3), 1, CELLS_MOST))
+    count = cells**3
+    found = wp.zeros(len(bounded) * count, dtype=float, device=device)
+    grids = np.zeros(len(bounded), Bounds.numpy_dtype())
+    world = volumes.world
+    for number, each in enumerate(bounded):
+        low, high = each.box
+        size = np.maximum(high - low, 1e-6 * max(float(np.abs(each.box).max()), 1e-12))
+        linear, offset = each.to_world[:, :3], each.to_world[:, 3]
+        origin, edges = linear @ low + offset, linear * size
+        inverse = np.linalg.inv(edges) * cells
+        grids[number]["to_cells"] = np.column_stack([inverse, -inverse @ origin])
+        grids[number]["size"] = (cells,) * 3
+        grids[number]["first"] = number * count
+        code = 0
+        if each.instance >= 0:
+            code = 1 + each.instance * volumes.volume_count + each.volume
+            volumes.world = -1  # each alone
+        else:
+            volumes.world = world
+        wp.launch(
+            kernel,
+            count,
+            [volumes, wp.vec4i(code, 0, 0, 0), wp.vec3(*origin), wp.mat33(*edges.ravel()), cells]
+            + [found[number * count : (number + 1) * count]],
+            device=device,
+        )
+    volumes.world = world
+    numbers = found.numpy().reshape(-1, cells, cells, cells)
+    volumes.bounds = wp.array((_MARGIN * _with_neighbours(numbers)).ravel(), dtype=float, device=device)
+    volumes.grids = wp.array(grids, dtype=Bounds, device=device)
+
+
+def _with_neighbours(cells: np.ndarray) -> np.ndarray:
+    """The largest of each cell and those around it; shape [n, x, y, z]."""
+    for axis in (1, 2, 3):
+        padded = np.pad(cells, [(int(axis == k), int(axis == k)) for k in range(4)], mode="edge")
+        parts = [np.take(padded, np.arange(first, first + cells.shape[axis]), axis) for first in range(3)]
+        cells = np.maximum.reduce(parts)
+    return cells
+
+
+def bounded_volumes(
+    scene: Scene, volume_of: np.ndarray, has_program: list[bool], world_box: np.ndarray
+) -> list[Bounded]:
+    """All volumes of `scene` with programs, of each instance one; the world's is taken to fill `world_box`."""
+    result = []
+    instances = scene.instances
+    for instance, mesh_index in enumerate(instances.mesh.tolist()):
+        mesh = scene.meshes[mesh_index]
+        if len(mesh.triangles) == 0:
+            continue
+        slots = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
+        first = int(instances.slot_first[instance])
+        for volume in sorted({int(volume_of[m]) for m in scene.slot_materials[first : first + slots]}):
+            if volume >= 0 and has_program[volume]:
+                box = np.stack([mesh.positions.min(0), mesh.positions.max(0)]).astype(np.float64)
+                result.append(Bounded(instance, volume, box, np.asarray(instances.transform[instance], np.float64)))
+    if scene.world.volume is not None and has_program[-1]:
+        result.append(Bounded(-1, len(has_program) - 1, world_box, np.eye(3, 4)))
+    return result

@@ -1,0 +1,218 @@
+"""The medium at a point: the sum of all volumes that are there."""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ...programs.point import ShadingPoint
+from ...programs.run import make_run
+from ...scene.description import ClosureKind
+from ...scene.geometry import transform_point, transform_vector
+from ...scene.program import ProgramFeatures
+from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
+from ...shading.volumes.phase import PhaseLobe, phase_pdf, phase_value, sampled_cosine
+from .table import INSIDE_MOST, VolumeData, entry
+
+# Scattering closures of a point; those beyond them scatter as the last one
+LOBES_MOST = 16
+LOBE_FLOATS = PhaseLobe.numpy_dtype()["itemsize"] // 4
+_FARTHEST = 1e30
+# How far a ray goes into the next cell at least [cells]
+_CELL_STEP = 1e-3
+
+
+@wp.struct
+class Coefficients:
+    """Coefficients at a point, by channel."""
+
+    scattering: wp.vec3  # [1/m]
+    extinction: wp.vec3  # absorption too [1/m]
+    emission: wp.vec3  # [W/(m³ sr)]
+    lobes: int  # entries of the lobes that go with it
+
+
+@wp.struct
+class Reach:
+    """How far a bound of the extinction holds."""
+
+    bound: float  # [1/m]
+    length: float  # [m]
+
+
+@wp.struct
+class PhaseSum:
+    """All lobes of a point for one direction."""
+
+    value: wp.vec3  # the phase function, by channel [1/sr]
+    pdf: float  # density with which the direction is sampled [1/sr]
+
+
+@wp.func
+def passes(extinction: wp.vec3, length: float) -> wp.vec3:
+    """Share of light that passes `length` [m] of a medium, by channel; also where there is no end."""
+    reach = wp.min(length, wp.static(_FARTHEST))
+    return wp.vec3(wp.exp(-extinction[0] * reach), wp.exp(-extinction[1] * reach), wp.exp(-extinction[2] * reach))
+
+
+@wp.func_native("return reinterpret_cast<wp::uint64>(closures.data + first);")
+def _address_of_closures(closures: wp.array(dtype=ClosureRecord), first: int) -> wp.uint64: ...
+
+
+@functools.cache
+def make_medium(programs: ProgramFeatures) -> wp.Function:
+    """Function (volumes, inside: vec4i, point: ShadingPoint, lobes: array of PhaseLobe) -> Coefficients: what there is
+    at `point`, of which instance and primitive are set here. Scattering closures are written to `lobes`. Without
+    `programs` volumes that have one count as empty.
+    """
+    run = make_run(programs)
+
+    @wp.func
+    def medium(
+        volumes: VolumeData, inside: wp.vec4i, point: ShadingPoint, lobes: wp.array(dtype=PhaseLobe)
+    ) -> Coefficients:
+        m = Coefficients()
+        place = int(0)
+        while place <= wp.static(INSIDE_MOST):
+            found = entry(volumes, inside, place)
+            place += 1
+            volume = found[1]
+            if volume >= 0:
+                first = volumes.closure_first[volume]
+                count = volumes.closure_first[volume + 1] - first
+                address = _address_of_closures(volumes.closures, first)
+                if wp.static(bool(programs)):
+                    word = volumes.nodes.program_first[volume]
+                    if word >= 0:
+                        here = point
+                        here.instance = found[0]
+                        here.primitive = -1
+                        stack = wp.zeros(wp.static(programs.register_count), dtype=float)
+                        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+                        address = address_of(records)
+                        made = wp.array(ptr=address, shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
+                        count = run(volumes.nodes, stack, word, here, made)
+                scale = float(1.0)
+                if found[0] >= 0 and volumes.density_scale.shape[0] > 0:
+                    scale = volumes.density_scale[found[0]]
+                closures = wp.array(ptr=address, shape=(count,), dtype=ClosureRecord)
+                for c in range(count):
+                    kind = closures[c].kind
+                    weight = scale * closures[c].weight
+                    if kind == wp.static(int(ClosureKind.EMISSION)):
+                        m.emission += weight
+                    elif kind == wp.static(int(ClosureKind.VOLUME_ABSORPTION)):
+                        m.extinction += weight
+                    elif kind > wp.static(int(ClosureKind.VOLUME_ABSORPTION)):
+                        m.extinction += weight
+                        m.scattering += weight
+                        if m.lobes < wp.static(LOBES_MOST):
+                            lobe = PhaseLobe()
+                            lobe.kind = kind
+                            lobe.weight = weight
+                            lobe.first = closures[c].mean_cosine
+                            lobe.second = closures[c].aspect
+                            if kind == wp.static(int(ClosureKind.FOURNIER_FORAND)):
+                                lobe.first = closures[c].ior
+                                lobe.second = closures[c].roughness
+                            lobes[m.lobes] = lobe
+                            m.lobes += 1
+                        else:
+                            lobes[wp.static(LOBES_MOST - 1)].weight = lobes[wp.static(LOBES_MOST - 1)].weight + weight
+        return m
+
+    return medium
+
+
+@wp.func
+def has_program(volumes: VolumeData, inside: wp.vec4i) -> bool:
+    """Whether coefficients change along a ray."""
+    if volumes.nodes.program_first.shape[0] > 0:
+        for place in range(wp.static(INSIDE_MOST + 1)):
+            found = entry(volumes, inside, place)
+            if found[1] >= 0:
+                if volumes.nodes.program_first[found[1]] >= 0:
+                    return True
+    return False
+
+
+@wp.func
+def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, direction: wp.vec3) -> Reach:
+    """A bound of the extinction ahead of `origin`: of what programs give an estimate, of constants their sum."""
+    reach = Reach()
+    reach.length = wp.static(_FARTHEST)
+    for place in range(wp.static(INSIDE_MOST + 1)):
+        found = entry(volumes, inside, place)
+        volume = found[1]
+        if volume >= 0:
+            if volumes.nodes.program_first[volume] < 0:
+                total = wp.vec3(0.0)
+                for c in range(volumes.closure_first[volume], volumes.closure_first[volume + 1]):
+                    if volumes.closures[c].kind != wp.static(int(ClosureKind.EMISSION)):
+                        total += volumes.closures[c].weight
+                scale = float(1.0)
+                if found[0] >= 0 and volumes.density_scale.shape[0] > 0:
+                    scale = volumes.density_scale[found[0]]
+                reach.bound += scale * wp.max(total[0], wp.max(total[1], total[2]))
+            else:
+                number = volumes.world_bounds
+                if found[0] >= 0:
+                    number = volumes.bounds_of[found[0] * volumes.volume_count + volume]
+                grid = volumes.grids[number]
+                at = transform_point(grid.to_cells, origin)
+                ahead = transform_vector(grid.to_cells, direction)
+                cell = wp.vec3i(0, 0, 0)
+                length = float(wp.static(_FARTHEST))
+                for axis in range(3):
+                    k = wp.clamp(int(wp.floor(wp.clamp(at[axis], -1.0, 1.0e6))), 0, grid.size[axis] - 1)
+                    cell[axis] = k
+                    if ahead[axis] > 0.0 and k < grid.size[axis] - 1:
+                        length = wp.min(length, wp.max(float(k + 1) - at[axis], wp.static(_CELL_STEP)) / ahead[axis])
+                    if ahead[axis] < 0.0 and k > 0:
+                        length = wp.min(length, wp.max(at[axis] - float(k), wp.static(_CELL_STEP)) / -ahead[axis])
+                index = grid.first + (cell[0] * grid.size[1] + cell[1]) * grid.size[2] + cell[2]
+                reach.bound += volumes.bounds[index]
+                reach.length = wp.min(reach.length, length)
+    return reach
+
+
+@wp.func
+def _share(lobe: PhaseLobe, throughput: wp.vec3) -> float:
+    # a share of the plain mean, too: light that is lacking in one channel must not hide a lobe of that colour
+    return wp.dot(lobe.weight, throughput + wp.vec3(1.0e-3 * (throughput[0] + throughput[1] + throughput[2])))
+
+
+@wp.func
+def phase_sum(lobes: wp.array(dtype=PhaseLobe), m: Coefficients, throughput: wp.vec3, cosine: float) -> PhaseSum:
+    """All lobes at `cosine`, for light that was scattered with `throughput`, the coefficient not in it."""
+    result = PhaseSum()
+    total = float(0.0)
+    for k in range(m.lobes):
+        share = _share(lobes[k], throughput)
+        total += share
+        result.pdf += share * phase_pdf(lobes[k], cosine)
+        result.value += phase_value(lobes[k], cosine) * lobes[k].weight
+    if total > 0.0:
+        result.pdf = result.pdf / total
+    for axis in range(3):
+        if m.scattering[axis] > 0.0:
+            result.value[axis] = result.value[axis] / m.scattering[axis]
+    return result
+
+
+@wp.func
+def phase_sample(
+    lobes: wp.array(dtype=PhaseLobe), m: Coefficients, throughput: wp.vec3, u_lobe: float, u: float
+) -> float:
+    """Cosine of a direction of the density that `phase_sum` tells."""
+    total = float(0.0)
+    for k in range(m.lobes):
+        total += _share(lobes[k], throughput)
+    chosen = int(0)
+    below = float(0.0)
+    for k in range(m.lobes):
+        below += _share(lobes[k], throughput)
+        if u_lobe * total >= below and k + 1 < m.lobes:
+            chosen = k + 1
+    return sampled_cosine(lobes[chosen], u)

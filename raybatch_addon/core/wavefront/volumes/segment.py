@@ -1,0 +1,139 @@
+"""A piece of a ray in volumes: what of its light passes, and where it scatters."""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ...programs.point import ShadingPoint
+from ...scene.program import ProgramFeatures
+from ...shading.bsdf.materials import address_of
+from ...shading.bsdf.subsurface import channel_shares
+from ...shading.volumes.phase import PhaseLobe
+from .medium import LOBE_FLOATS, LOBES_MOST, has_program, make_medium, passes
+from .table import VolumeData
+from .track import PASSED, SCATTERED, Track, make_track, make_transmitted
+
+_FARTHEST = 1e30
+_U = 2.0**-24
+# Depths below which 1 - exp(-x) is x, to rounding
+_SHALLOW = 1e-4
+
+
+@wp.func
+def ray_point(origin: wp.vec3, direction: wp.vec3, ray_kind: int, bounce: int) -> ShadingPoint:
+    """What programs of volumes know of a ray at its begin."""
+    point = ShadingPoint()
+    point.position = origin
+    point.incoming = -direction
+    point.normal = -direction
+    point.geometric_normal = -direction
+    point.instance = -1
+    point.primitive = -1
+    point.ray_kind = ray_kind
+    point.bounce = bounce
+    return point
+
+
+@wp.func
+def _light_along(extinction: float, length: float) -> float:
+    """The integral of the transmittance over `length` [m]."""
+    depth = extinction * length
+    if depth < wp.static(_SHALLOW):
+        return length * (1.0 - 0.5 * depth)
+    return (1.0 - wp.exp(-depth)) / extinction
+
+
+@functools.cache
+def make_passed(programs: ProgramFeatures) -> wp.Function:
+    """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, stream: uint32) -> vec3: the share of light
+    that passes `length` [m] from `point` on; exact where coefficients are constant, else an estimate.
+    """
+    medium = make_medium(ProgramFeatures())
+    transmitted = make_transmitted(programs)
+
+    @wp.func
+    def passed(volumes: VolumeData, inside: wp.vec4i, point: ShadingPoint, length: float, stream: wp.uint32) -> wp.vec3:
+        reach = wp.min(length, wp.static(_FARTHEST))
+        if wp.static(bool(programs)):
+            if has_program(volumes, inside):
+                return transmitted(volumes, inside, point, reach, stream)
+        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
+        m = medium(volumes, inside, point, lobes)
+        return passes(m.extinction, reach)
+
+    return passed
+
+
+@functools.cache
+def make_segment(programs: ProgramFeatures) -> wp.Function:
+    """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, throughput: vec3, scatters: bool, u: vec2,
+    stream: uint32) -> Track: the way of light of `throughput` from `point` on, which ends at the latest after `length`
+    [m]. `u` decides the channel and the length where coefficients are constant.
+    """
+    medium = make_medium(ProgramFeatures())
+    track = make_track(programs)
+
+    @wp.func
+    def constant(m_scattering: wp.vec3, extinction: wp.vec3, length: float, throughput: wp.vec3, u: wp.vec2) -> Track:
+        """The way through a medium that is the same everywhere: sampled by one channel, weighed by all of them."""
+        way = Track()
+        albedo = wp.vec3(0.0)
+        for axis in range(3):
+            if extinction[axis] > 0.0:
+                albedo[axis] = m_scattering[axis] / extinction[axis]
+        shares = channel_shares(throughput, albedo)
+        chosen = extinction[2]
+        if u[0] < shares[0]:
+            chosen = extinction[0]
+        elif u[0] < shares[0] + shares[1]:
+            chosen = extinction[1]
+        # the middle of the numbers that u stands for, so that no flight has length 0
+        flight = float(wp.static(_FARTHEST))
+        if chosen > 0.0:
+            flight = -wp.log(1.0 - u[1] - wp.static(0.5 * _U)) / chosen
+        if flight < length:
+            left = passes(extinction, flight)
+            density = wp.dot(shares, wp.cw_mul(extinction, left))
+            way.weight = wp.cw_mul(m_scattering, left) / wp.max(density, 1.0e-30)
+            way.length = flight
+            way.event = wp.static(SCATTERED)
+        else:
+            left = passes(extinction, length)
+            way.weight = left / wp.max(wp.dot(shares, left), 1.0e-30)
+            way.length = length
+            way.event = wp.static(PASSED)
+        return way
+
+    @wp.func
+    def segment(
+        volumes: VolumeData,
+        inside: wp.vec4i,
+        point: ShadingPoint,
+        length: float,
+        throughput: wp.vec3,
+        scatters: bool,
+        u: wp.vec2,
+        stream: wp.uint32,
+    ) -> Track:
+        reach = wp.min(length, wp.static(_FARTHEST))
+        if wp.static(bool(programs)):
+            if has_program(volumes, inside):
+                return track(volumes, inside, point, reach, throughput, scatters, stream)
+        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
+        m = medium(volumes, inside, point, lobes)
+        way = Track()
+        if scatters and m.lobes > 0:
+            way = constant(m.scattering, m.extinction, reach, throughput, u)
+        else:
+            way.weight = passes(m.extinction, reach)
+            way.length = reach
+        for axis in range(3):
+            if m.emission[axis] > 0.0:
+                way.emitted[axis] = m.emission[axis] * _light_along(m.extinction[axis], reach)
+        return way
+
+    return segment

@@ -1,0 +1,125 @@
+"""What kernels read of volumes, and which of them each path and its shadow ray are in."""
+
+from __future__ import annotations
+
+import warp as wp
+
+from ...programs.op import NodeData
+from ...scene.geometry import mat34
+from ...shading.bsdf.materials import ClosureRecord
+
+# Volumes of meshes that a ray is in at once; those that it enters beyond them are not noticed
+INSIDE_MOST = 4
+# How a path met the surface where its ray ended: `MediaState.side`
+FRONT, BACK = 1, 2
+
+
+@wp.struct
+class Enclosure:
+    """The surface of a volume in which cameras may be."""
+
+    mesh: wp.uint64  # `wp.Mesh` of its triangles in the world
+    code: int  # see `MediaState.inside`
+
+
+@wp.struct
+class Bounds:
+    """A grid of cells that bound the extinction of one volume whose coefficients a program gives."""
+
+    to_cells: mat34  # world to cells: cell (i, j, k) is from (i, j, k) to (i + 1, j + 1, k + 1)
+    size: wp.vec3i  # cells along each axis; the outermost go on without end
+    first: int  # of its cells in `VolumeData.bounds`, the last axis changing fastest
+
+
+@wp.struct
+class MediaState:
+    """Where paths are, one entry each."""
+
+    # The volumes of meshes that the extending ray is in: 0, or 1 + instance * volume_count + volume
+    inside: wp.array(dtype=wp.vec4i)
+    shadow_inside: wp.array(dtype=wp.vec4i)  # those of the shadow ray
+    side: wp.array(dtype=int)  # FRONT, BACK: side of the surface that the path came from; 0: it is at none
+    segment: wp.array(dtype=int)  # pieces of its way that the path has passed
+    shadow_segment: wp.array(dtype=int)  # the same of its shadow ray
+    scattered: wp.array(dtype=int)  # scattering events in volumes so far
+
+
+@wp.struct
+class VolumeData:
+    """Volumes of a scene, numbered in the order of the materials that have them, the world's last."""
+
+    volume_of: wp.array(dtype=int)  # volume of each material; -1: none
+    is_boundary: wp.array(dtype=int)  # 1: the surface of a material is seen by nothing but its volume
+    volume_count: int
+    world: int  # volume of the world; -1: none
+    closure_first: wp.array(dtype=int)  # volume v has the closures [closure_first[v], closure_first[v + 1])
+    closures: wp.array(dtype=ClosureRecord)
+    nodes: NodeData  # programs of volumes; `program_first` by volume
+    density_scale: wp.array(dtype=float)  # of each instance: factor of all coefficients; empty: 1
+    bounds_of: wp.array(dtype=int)  # entry in `grids`, by instance * volume_count + volume; -1: there is no program
+    world_bounds: int
+    grids: wp.array(dtype=Bounds)
+    bounds: wp.array(dtype=float)  # largest extinction of each cell [1/m]
+    enclosures: wp.array(dtype=Enclosure)
+    bounce_max: int  # a path scatters in volumes once more at most
+    state: MediaState
+
+
+def state_bytes_per_path() -> int:
+    """Device memory of the state of one path [bytes]."""
+    return sum(wp.types.type_size_in_bytes(array.type.dtype) for array in MediaState.vars.values())
+
+
+@wp.func
+def entry(volumes: VolumeData, inside: wp.vec4i, place: int) -> wp.vec2i:
+    """Instance and volume at `place` of those that a ray is in, the world's behind the others; volume -1: none."""
+    if place < wp.static(INSIDE_MOST):
+        code = inside[place] - 1
+        if code < 0:
+            return wp.vec2i(-1, -1)
+        instance = code / volumes.volume_count
+        return wp.vec2i(instance, code - instance * volumes.volume_count)
+    return wp.vec2i(-1, volumes.world)
+
+
+@wp.func
+def is_empty(volumes: VolumeData, inside: wp.vec4i) -> bool:
+    """Whether a ray is in no volume."""
+    return volumes.world < 0 and inside[0] == 0 and inside[1] == 0 and inside[2] == 0 and inside[3] == 0
+
+
+@wp.func
+def entered(inside: wp.vec4i, code: int) -> wp.vec4i:
+    """`inside` with `code`, in which a ray may be already."""
+    result = inside
+    free = int(-1)
+    for k in range(wp.static(INSIDE_MOST)):
+        if inside[k] == code:
+            return inside
+        if inside[k] == 0 and free < 0:
+            free = k
+    if free >= 0:
+        result[free] = code
+    return result
+
+
+@wp.func
+def left(inside: wp.vec4i, code: int) -> wp.vec4i:
+    """`inside` without `code`."""
+    result = inside
+    for k in range(wp.static(INSIDE_MOST)):
+        if inside[k] == code:
+            result[k] = 0
+    return result
+
+
+@wp.func
+def across(volumes: VolumeData, inside: wp.vec4i, instance: int, material: int, side: int) -> wp.vec4i:
+    """`inside` on the other side of a surface, which a ray met from its `side`."""
+    volume = volumes.volume_of[material]
+    if volume < 0:
+        return inside
+    code = 1 + instance * volumes.volume_count + volume
+    if side == wp.static(FRONT):
+        return entered(inside, code)
+    return left(inside, code)

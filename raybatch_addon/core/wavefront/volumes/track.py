@@ -1,0 +1,173 @@
+"""Light along a ray through volumes whose coefficients programs give: by free flights between bounds of the extinction.
+
+A flight ends where a medium of the bound's extinction scatters, and a part of that is what is there; the rest is null.
+Transmittance is estimated by the ratio of the null part to the bound at each of these points (ratio tracking; Novák,
+Selle and Jarosz, "Residual Ratio Tracking for Estimating Attenuation in Participating Media", 2014), distances to a
+scattering by a choice that the light carried so far decides (Kutz, Habel, Li and Novák, "Spectral and Decomposition
+Tracking for Rendering Heterogeneous Volumes", 2017).
+"""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ...programs.point import ShadingPoint
+from ...scene.program import ProgramFeatures
+from ...shading.bsdf.materials import address_of
+from ...shading.volumes.phase import PhaseLobe
+from .medium import LOBE_FLOATS, LOBES_MOST, bound_ahead, make_medium
+from .numbers import stream_number
+from .table import VolumeData
+
+# Flights of a path between two rays: longer ways go on with a new ray
+FLIGHTS_MOST = 256
+# Of what is transmitted, below this much chance decides
+_ROULETTE_BELOW = 0.05
+_LENGTH_LEAST = 1e-30
+
+
+@wp.struct
+class Track:
+    """Where a way through volumes ends."""
+
+    length: float  # [m]
+    weight: wp.vec3  # the throughput is multiplied by this
+    emitted: wp.vec3  # by the volumes on the way, as seen from its begin [W/(m² sr)]
+    event: int  # SCATTERED, PASSED, or STOPPED: the way goes on from here
+
+
+PASSED, SCATTERED, STOPPED = 0, 1, 2
+
+
+@functools.cache
+def make_transmitted(programs: ProgramFeatures) -> wp.Function:
+    """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, stream: uint32) -> vec3: an estimate of the
+    share of light that passes `length` [m] from `point` on, against `point.incoming`.
+    """
+    medium = make_medium(programs)
+
+    @wp.func
+    def transmitted(
+        volumes: VolumeData, inside: wp.vec4i, point: ShadingPoint, length: float, stream: wp.uint32
+    ) -> wp.vec3:
+        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
+        direction = -point.incoming
+        begin = point.position
+        share = wp.vec3(1.0)
+        t = float(0.0)
+        number = wp.uint32(0)
+        while t < length:
+            here = begin + t * direction
+            reach = bound_ahead(volumes, inside, here, direction)
+            end = wp.min(t + reach.length, length)
+            flight = float(wp.inf)
+            if reach.bound > 0.0:
+                flight = -wp.log(1.0 - stream_number(stream, number)) / reach.bound
+            number += wp.uint32(1)
+            if not t + flight < end:
+                if not end > t:  # the steps that are left are smaller than the distance can tell
+                    break
+                t = end
+            else:
+                t += wp.max(flight, wp.static(_LENGTH_LEAST))
+                point.position = begin + t * direction
+                m = medium(volumes, inside, point, lobes)
+                for axis in range(3):
+                    share[axis] = share[axis] * wp.max(1.0 - m.extinction[axis] / reach.bound, 0.0)
+                largest = wp.max(share[0], wp.max(share[1], share[2]))
+                if not largest > 0.0:
+                    return wp.vec3(0.0)
+                if largest < wp.static(_ROULETTE_BELOW):
+                    survival = largest / wp.static(_ROULETTE_BELOW)
+                    if stream_number(stream, number) >= survival:
+                        return wp.vec3(0.0)
+                    share = share / survival
+                    number += wp.uint32(1)
+        return share
+
+    return transmitted
+
+
+@functools.cache
+def make_track(programs: ProgramFeatures) -> wp.Function:
+    """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, throughput: vec3, scatters: bool, stream:
+    uint32) -> Track: the way of light of `throughput` from `point` on, which ends at the latest after `length` [m].
+    """
+    medium = make_medium(programs)
+
+    @wp.func
+    def track(
+        volumes: VolumeData,
+        inside: wp.vec4i,
+        point: ShadingPoint,
+        length: float,
+        throughput: wp.vec3,
+        scatters: bool,
+        stream: wp.uint32,
+    ) -> Track:
+        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
+        direction = -point.incoming
+        begin = point.position
+        way = Track()
+        way.weight = wp.vec3(1.0)
+        t = float(0.0)
+        number = wp.uint32(0)
+        flights = int(0)
+        while t < length:
+            if flights >= wp.static(FLIGHTS_MOST):
+                way.event = wp.static(STOPPED)
+                way.length = t
+                return way
+            flights += 1
+            here = begin + t * direction
+            reach = bound_ahead(volumes, inside, here, direction)
+            end = wp.min(t + reach.length, length)
+            flight = float(wp.inf)
+            if reach.bound > 0.0:
+                flight = -wp.log(1.0 - stream_number(stream, number)) / reach.bound
+            number += wp.uint32(1)
+            if not t + flight < end:
+                if not end > t:
+                    break
+                t = end
+            else:
+                t += wp.max(flight, wp.static(_LENGTH_LEAST))
+                point.position = begin + t * direction
+                point.ray_length = t
+                m = medium(volumes, inside, point, lobes)
+                carried = wp.cw_mul(throughput, way.weight)
+                way.emitted += wp.cw_mul(way.weight, m.emission) / reach.bound
+                scattered = m.scattering / reach.bound
+                null = wp.vec3(0.0)
+                for axis in range(3):
+                    null[axis] = wp.max(1.0 - m.extinction[axis] / reach.bound, 0.0)
+                likely = wp.dot(carried, scattered)
+                total = likely + wp.dot(carried, null)
+                chance = float(0.0)
+                if scatters and total > 0.0:
+                    chance = likely / total
+                if stream_number(stream, number) < chance:
+                    way.weight = wp.cw_mul(way.weight, scattered) / chance
+                    way.event = wp.static(SCATTERED)
+                    way.length = t
+                    return way
+                way.weight = wp.cw_mul(way.weight, null) / (1.0 - chance)
+                number += wp.uint32(1)
+                largest = wp.max(way.weight[0], wp.max(way.weight[1], way.weight[2]))
+                if not largest > 0.0:
+                    break
+                if largest < wp.static(_ROULETTE_BELOW):
+                    survival = largest / wp.static(_ROULETTE_BELOW)
+                    if stream_number(stream, number) >= survival:
+                        way.weight = wp.vec3(0.0)
+                        break
+                    way.weight = way.weight / survival
+                    number += wp.uint32(1)
+        way.length = length
+        return way
+
+    return track

@@ -1,0 +1,80 @@
+"""Stage: shadow rays are back, which volumes dim on their way. Next: `connect_transparent`."""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ...device.kernel import KERNEL_OPTIONS
+from ...rays import Rays
+from ...scene.description import Visibility
+from ...shading.segments import make_surface_point
+from ...shading.sequences.sampler import make_sampler
+from ..rays import SHADOW_PASS, Paths, bounce_to_light, time_of
+from ..scene.scene_data import SceneData
+from ..stages.generate import pixel_sample
+from ..stages.limits import PathLimits
+from ..stages.work import TileWork
+from .features import VolumeFeatures
+from .numbers import SHADOW_STREAM, stream_of
+from .scatter import SEGMENTS_MOST
+from .segment import make_passed, ray_point
+from .table import BACK, FRONT, VolumeData, across, is_empty
+
+# Pieces of a shadow ray that have random numbers of their own
+_PIECES = 1 << 10
+
+
+@functools.cache
+def transmit_kernel(features: VolumeFeatures) -> wp.Kernel:
+    """Kernel (data, volumes, work, limits, paths, rays, slots, count): pieces of shadow rays, to the next surface."""
+    pixel_key = make_sampler(features.sample_sequence).pixel_key
+    surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
+    attenuated = make_passed(features.volume_program)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def transmit(
+        data: SceneData,
+        volumes: VolumeData,
+        work: TileWork,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
+    ):
+        i = wp.tid()
+        if i >= count[0]:
+            return
+        slot = slots[i]
+        path = slot - paths.status.shape[0]
+        inside = volumes.state.shadow_inside[path]
+        number = volumes.state.shadow_segment[path]
+        volumes.state.shadow_segment[path] = number + 1
+        direction = rays.direction[slot]
+        hit = bool(rays.hit_instance[slot] >= 0)
+        length = rays.t_max[slot]
+        if hit:
+            length = rays.hit_t[slot]
+        if not is_empty(volumes, inside):
+            where = pixel_sample(work, paths.item[path])
+            key = pixel_key(limits.seed, wp.uint32(where.x), wp.uint32(where.y), wp.uint32(work.frame_width))
+            # the path's number of pieces tells its vertices apart
+            piece = wp.uint32(volumes.state.segment[path] * wp.static(_PIECES) + wp.min(number, wp.static(_PIECES - 1)))
+            stream = stream_of(key, where.sample, piece | wp.uint32(wp.static(SHADOW_STREAM)))
+            begin = ray_point(
+                rays.origin[slot], direction, wp.static(int(Visibility.SHADOW)), bounce_to_light(paths.status[path])
+            )
+            share = attenuated(volumes, inside, begin, length, stream)
+            paths.shadow_light[path] = wp.cw_mul(paths.shadow_light[path], share)
+        if hit:
+            surface = surface_point(
+                data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot], time_of(rays, path)
+            )
+            side = wp.where(wp.dot(surface.geometric_normal, direction) > 0.0, wp.static(BACK), wp.static(FRONT))
+            volumes.state.shadow_inside[path] = across(volumes, inside, rays.hit_instance[slot], surface.material, side)
+            if volumes.is_boundary[surface.material] != 0 and number < wp.static(SEGMENTS_MOST):
+                paths.passed[path] = paths.passed[path] - wp.static(SHADOW_PASS)
+
+    return transmit

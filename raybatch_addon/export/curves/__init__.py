@@ -1,0 +1,1 @@
+"""Hair, curves and point clouds as the core's segments, with what their materials read of them."""

@@ -1,0 +1,76 @@
+"""Meshes of strands and points among those of a scene: each made once, with the attributes that materials ask for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import bpy
+
+from ...core.scene.description import Mesh
+from .sources import CurvesSource, ParticleHair, PointsSource
+
+_Asked = list[tuple[str, str]]
+
+
+class StrandMeshes:
+    """The strands and points of an export."""
+
+    def __init__(self, meshes: list[Mesh], warnings: list[str], scene: bpy.types.Scene) -> None:
+        """New meshes go to `meshes`, messages to `warnings`."""
+        self._meshes, self._warnings = meshes, warnings
+        shape = getattr(getattr(scene, "cycles_curves", None), "shape", "THICK")
+        self._linear = shape == "THICK_LINEAR"
+        self._ribbons = scene.name if shape == "RIBBONS" else ""
+        self._made: dict[Any, tuple[Any, int | None]] = {}
+        self._seen: dict[Any, set[tuple[str, str]]] = {}
+
+    def of(self, obj: bpy.types.Object, data: Any, collector: Any) -> tuple[list[int], Callable[[_Asked], int | None]]:
+        """Materials of the slots of `data` (curves, points, or the modifier of a particle system) of `obj`, and the
+        function that makes its mesh, with attributes.
+        """
+        placements = collector.placements
+        if isinstance(data, (bpy.types.Curves, bpy.types.PointCloud)):
+            wanted = collector.materials_of(obj, data)
+        else:
+            slots = obj.material_slots
+            slot = min(data.particle_system.settings.material, len(slots)) - 1
+            material = slots[slot].material if slot >= 0 else None
+            wanted = [placements.materials.index(collector.material_override or material, obj.name)]
+        programs = [placements.materials.materials[index].program for index in wanted]
+        reads_uv = any(
+            program is not None and any(each.op in ("uv", "uv_tangent") for each in program.instructions)
+            for program in programs
+        )
+        return wanted, lambda asked: self._mesh(obj, data, asked, reads_uv)
+
+    def _mesh(self, obj: bpy.types.Object, data: Any, asked: _Asked, reads_uv: bool) -> int | None:
+        key = (data.as_pointer(), reads_uv)
+        if key not in self._made:
+            source = self._source(obj, data)
+            mesh = source.exported(reads_uv, self._warnings)
+            if self._ribbons and mesh is not None and not isinstance(source, PointsSource):
+                self._warnings.append(
+                    f"scene “{self._ribbons}”: hair as rounded ribbons is not supported yet; it is rendered as round "
+                    "curves"
+                )
+                self._ribbons = ""  # said once
+            self._made[key] = source, None if mesh is None else len(self._meshes)
+            if mesh is not None:
+                self._meshes.append(mesh)
+        source, index = self._made[key]
+        if index is not None:
+            seen = self._seen.setdefault(key, set())
+            added = source.attributes(each for each in asked if each not in seen)
+            mesh = self._meshes[index]
+            self._meshes[index] = replace(mesh, attributes=(*mesh.attributes, *added))
+            seen.update(asked)
+        return index
+
+    def _source(self, obj: bpy.types.Object, data: Any) -> CurvesSource | ParticleHair | PointsSource:
+        if isinstance(data, bpy.types.Curves):
+            return CurvesSource(data, obj.name, self._linear)
+        if isinstance(data, bpy.types.PointCloud):
+            return PointsSource(data, obj.name)
+        return ParticleHair(obj, data, self._linear)

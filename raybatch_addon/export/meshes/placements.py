@@ -1,0 +1,108 @@
+"""What is placed in a scene, as it is collected, and which placements can be rendered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...core.scene.description import Instances, Light, Mesh
+from ...core.scene.notice import Notice, Weight
+from ..materials import ExportedMaterials
+from ..motion.objects import PlacedMotion
+
+# A matrix composed in float32 from a few products has elements wrong by about this much, relatively
+_MATRIX_ERROR = 8 * 2.0**-24
+
+
+@dataclass(frozen=True)
+class Template:
+    """Data that all placements of one mesh by one object share."""
+
+    mesh: int
+    slot_first: int
+    visibility: int
+    object: int
+    # index and value of each attribute of the object that materials read
+    attributes: tuple[tuple[int, tuple[float, ...]], ...] = ()
+    # index and name of the attributes that they read of the surface that places each instance
+    of_instancer: tuple[tuple[int, str], ...] = ()
+
+
+@dataclass
+class Placements:
+    """Everything in the depsgraph that can be placed, collected in one pass."""
+
+    meshes: list[Mesh] = field(default_factory=list)
+    materials: ExportedMaterials = field(default_factory=ExportedMaterials)
+    slot_materials: list[int] = field(default_factory=list)
+    lights: list[Light] = field(default_factory=list)
+    object_names: list[str] = field(default_factory=list)
+    asset_names: list[str] = field(default_factory=list)  # as in `Scene.asset_names`
+    warnings: list[str] = field(default_factory=list)
+    motion: list[PlacedMotion] = field(default_factory=list)  # of all placements; none where motion is not asked for
+    matrices: list[Any] = field(default_factory=list)  # of all placements
+    usable: np.ndarray | None = None  # which of them are instances: bool, once `instances` was called
+    templates: list[Template] = field(default_factory=list)
+    info: list[tuple[float, ...]] = field(default_factory=list)  # rows of `Instances.info`
+    # instance, index and value of attributes
+    of_instancer: list[tuple[int, int, tuple[float, ...]]] = field(default_factory=list)
+
+    def instances(self, with_info: bool = False) -> Instances:
+        """The placements whose matrix can be used; the others are named in `warnings`. `with_info`: with values of
+        their objects (`Instances.info`) whether programs read them or not.
+        """
+        count = len(self.templates)
+        if count == 0:
+            return Instances.empty()
+        transform = np.array(self.matrices, np.float32).reshape(count, 4, 4)[:, :3]
+        table = np.array([(t.mesh, t.slot_first, t.visibility, t.object) for t in self.templates], np.int32)
+        usable = np.ones(count, bool)
+        finite = np.isfinite(transform).all(axis=(1, 2))
+        singular = finite & is_singular(np.where(finite[:, None, None], transform, 0))
+        for bad, reason in (
+            (~finite, "its matrix is not finite; reset its location, rotation and scale"),
+            (
+                singular,
+                "it is flattened to nothing (its matrix is singular); give it, and what it is parented to, a scale "
+                "that is not 0",
+            ),
+        ):
+            usable &= ~bad
+            for index, times in zip(*np.unique(table[bad, 3], return_counts=True)):
+                how_often = f" ({times:,} instances)" if times > 1 else ""
+                name = self.object_names[index]
+                text = f"object “{name}”{how_often} is left out: {reason}"
+                self.warnings.append(Notice(text, Weight.REPAIRED, objects=[name]))
+        self.usable = usable
+        mesh, slot_first, visibility, owner = np.ascontiguousarray(table[usable].T)
+        programs = [p for m in self.materials.materials for p in (m.program, m.displacement) if p is not None]
+        asked = with_info or any("object_info" in program.ops for program in programs)
+        info = np.array(self.info, np.float32).reshape(count, 6)[usable] if asked else None
+        return Instances(
+            mesh, np.ascontiguousarray(transform[usable]), slot_first, visibility, owner, info, self._attributes(usable)
+        )
+
+    def _attributes(self, usable: np.ndarray) -> np.ndarray | None:
+        """The array of `Instances.attributes`."""
+        asked = len(self.materials.collections.object_attributes)
+        if not asked:
+            return None
+        values = np.zeros((len(self.templates), asked, 4), np.float32)
+        for i, template in enumerate(self.templates):
+            for index, value in template.attributes:
+                values[i, index] = value
+        for i, index, value in self.of_instancer:
+            values[i, index] = value
+        return values[usable]
+
+
+def is_singular(transform: np.ndarray) -> np.ndarray:
+    """Whether matrices [n, 3 or more, 4] collapse space, as far as float32 can show: bool, shape [n].
+
+    The determinant is at most the product of the columns' lengths (Hadamard), and known to within the error of the
+    elements relative to that product.
+    """
+    linear = transform[:, :3, :3].astype(np.float64)
+    return np.abs(np.linalg.det(linear)) <= _MATRIX_ERROR * np.linalg.norm(linear, axis=1).prod(axis=1)

@@ -1,0 +1,173 @@
+"""What moves while the shutter is open: the camera, the maps of instances, and the vertices of meshes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...core.scene.description import Camera, Instances, Mesh
+from ...core.scene.motion import maps_at, motion_keys
+from ..meshes.mesh_arrays import read
+from ..meshes.meshes import used_vertices
+from ..meshes.placements import Placements
+from .objects import object_steps, placed_key
+from .shutter import Exposure
+
+
+class MotionSteps:
+    """What is known of things at evenly spaced times while the shutter is open."""
+
+    def __init__(self, exposure: Exposure, placements: Placements, camera_steps: int) -> None:
+        """Take what was exported in the middle."""
+        self._exposure, self._placements = exposure, placements
+        most = max([*(each.steps for each in placements.motion), 0])
+        self._camera_steps = camera_steps
+        self.count = max(most, camera_steps)
+        self._maps = np.repeat(np.array(placements.matrices, np.float32).reshape(-1, 1, 4, 4), max(self.count, 1), 1)
+        self._seen = np.zeros((len(placements.motion), max(self.count, 1)), bool)
+        self._index: dict[Any, list[int]] = {}
+        for i, each in enumerate(placements.motion):
+            self._index.setdefault(each.key, []).append(i)
+        self._positions: dict[int, list[tuple[np.ndarray, np.ndarray | None] | None]] = {}
+        self._cameras: list[Any] = []
+
+    def collect(
+        self, depsgraph: bpy.types.Depsgraph, camera_now: Callable[[], Any], cancelled: Callable[[], bool]
+    ) -> bool:
+        """Go through all times; False where `cancelled()`. `camera_now` says how the camera is."""
+        try:
+            for step in range(self.count):
+                time = 2 * step / (self.count - 1) - 1
+                if cancelled():
+                    return False
+                self._exposure.go_to(time)
+                self._cameras.append(camera_now())
+                self._add(depsgraph, step)
+        finally:
+            self._exposure.go_back()
+        return True
+
+    def _add(self, depsgraph: bpy.types.Depsgraph, step: int) -> None:
+        left = {key: iter(indices) for key, indices in self._index.items()}
+        done: set[int] = set()
+        for placed in depsgraph.object_instances:
+            obj = placed.object
+            index = next(left.get(placed_key(placed, obj), iter(())), None)
+            if index is None:
+                continue
+            each = self._placements.motion[index]
+            if each.steps == 0:
+                continue
+            self._maps[index, step] = placed.matrix_world
+            self._seen[index, step] = True
+            if each.deforms and each.mesh not in done and isinstance(obj.data, bpy.types.Mesh):
+                done.add(each.mesh)
+                self._positions.setdefault(each.mesh, [None] * self.count)[step] = self._vertices(
+                    obj.data, self._placements.meshes[each.mesh]
+                )
+
+    def _vertices(self, data: bpy.types.Mesh, mesh: Mesh) -> tuple[np.ndarray, np.ndarray | None] | None:
+        """Vertices and normals of `data`, which was `mesh` in the middle; None where it has other triangles now."""
+        data.calc_loop_triangles()
+        if len(data.loop_triangles) != len(mesh.triangles):
+            return None
+        triangles = read(data.loop_triangles, "vertices", np.int32, len(data.loop_triangles), 3)
+        positions = read(data.vertices, "co", np.float32, len(data.vertices), 3)
+        positions, triangles = used_vertices(positions, triangles)
+        same = len(positions) == len(mesh.positions) and np.array_equal(triangles, mesh.triangles)
+        if not (same and np.isfinite(positions).all()):
+            return None
+        normals = None
+        if mesh.corner_normals is not None:
+            loops = read(data.loop_triangles, "loops", np.int32, len(data.loop_triangles), 3)
+            normals = read(data.corner_normals, "vector", np.float32, len(data.loops), 3)[loops]
+            normals = normals if np.isfinite(normals.sum()) else mesh.corner_normals
+        return positions, normals
+
+    # --- results
+
+    def camera(self, camera: Camera) -> Camera:
+        """`camera`, which moves as it did."""
+        if self._camera_steps < 2 or len(self._cameras) != self.count:
+            return camera
+        maps = np.stack([each[0] for each in self._cameras])
+        windows = np.array([each[1] for each in self._cameras], np.float32)[:: (self.count - 1) // 2]
+        moves, zooms = (maps != maps[:1]).any(), (windows != windows[:1]).any()
+        return replace(
+            camera,
+            motion=_with_steps(maps[None], self._camera_steps)[0] if moves else None,
+            window_motion=windows if zooms else None,
+        )
+
+    def instances(self, instances: Instances) -> Instances:
+        """`instances`, which move as they did. What is not there all the time stands still."""
+        if self.count == 0 or len(instances) == 0:
+            return instances
+        usable = self._placements.usable
+        maps = self._maps[usable][:, :, :3]
+        there = self._seen[usable].all(1) & np.isfinite(maps).all((1, 2, 3))
+        maps = np.where(there[:, None, None, None], maps, instances.transform[:, None])
+        moving = np.flatnonzero((maps != maps[:, :1]).any((1, 2, 3)))
+        if not len(moving):
+            return instances
+        steps = np.array([each.steps for each in self._placements.motion])[usable]
+        for count in np.unique(steps[moving]).tolist():
+            some = moving[steps[moving] == count]
+            maps[some] = _with_steps(maps[some], count)
+        return replace(instances, motion=np.ascontiguousarray(maps))
+
+    def meshes(self) -> list[Mesh]:
+        """All meshes, with vertices that move as they did."""
+        found = list(self._placements.meshes)
+        for index, steps in self._positions.items():
+            if any(each is None for each in steps):
+                continue
+            positions, count = np.stack([each[0] for each in steps]), self._steps_of(index)
+            if (positions == positions[:1]).all():
+                continue
+            normals = None
+            if found[index].corner_normals is not None:
+                normals = _lines(np.stack([each[1] for each in steps]), count)
+            found[index] = replace(found[index], motion=_lines(positions, count), motion_normals=normals)
+        velocities = {each.mesh: each.velocity for each in self._placements.motion if each.steps}
+        for index, velocity in velocities.items():
+            if velocity is not None and velocity.any():
+                half = velocity * np.float32(self._exposure.length / 2 / self._exposure.fps)
+                times = np.linspace(-1, 1, max(self.count, 3), dtype=np.float32)
+                found[index] = replace(found[index], motion=found[index].positions + times[:, None, None] * half)
+        return found
+
+    def _steps_of(self, mesh: int) -> int:
+        return max(each.steps for each in self._placements.motion if each.mesh == mesh)
+
+
+def _with_steps(maps: np.ndarray, count: int) -> np.ndarray:
+    """Maps [n, steps, 3, 4] as if only `count` of their steps were known, where the others lie between."""
+    steps = maps.shape[1]
+    if count >= steps:
+        return maps
+    kept = maps[:, :: (steps - 1) // (count - 1)]
+    return maps_at(motion_keys(kept), np.linspace(0, 1, steps)).astype(np.float32)
+
+
+def _lines(positions: np.ndarray, count: int) -> np.ndarray:
+    """Positions or normals [steps, ...] as if only `count` of their steps were known, with lines between them."""
+    steps = len(positions)
+    if count >= steps:
+        return positions
+    every = (steps - 1) // (count - 1)
+    at = np.arange(steps) / every
+    before = np.minimum(at.astype(int), count - 2)
+    share = (at - before).astype(np.float32).reshape(-1, *[1] * (positions.ndim - 1))
+    kept = positions[::every]
+    return kept[before] + share * (kept[before + 1] - kept[before])
+
+
+def camera_steps(scene: bpy.types.Scene, view) -> int:
+    """Times at which the camera's place is known; 0: it does not move."""
+    camera = view.camera(scene)
+    return object_steps(camera, None) if camera else 0

@@ -1,0 +1,118 @@
+"""Settings of a scene and its view layer that are passed over, Blender's own and those of Cycles."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ...core.scene.notice import Weight
+from .row import Row, unlike_new
+
+
+def _cycles(scene: bpy.types.Scene) -> Any:
+    return getattr(scene, "cycles", None)  # there as long as that add-on is enabled
+
+
+def _cycles_of(layer: bpy.types.ViewLayer) -> Any:
+    return getattr(layer, "cycles", None)
+
+
+def _denoises(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
+    """Whether Cycles would denoise, by a choice that someone made, and RayBatch does not.
+
+    It is on in new scenes of every engine: that alone is no choice.
+    """
+    own, ours = _cycles(scene), getattr(scene, "raybatch", None)
+    if ours is not None and ours.denoise == "ON":
+        return False
+    return own is not None and own.use_denoising and own.is_property_set("use_denoising")
+
+
+def _light_groups(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
+    return ", ".join(f"“{each.name}”" for each in layer.lightgroups)
+
+
+def _cycles_passes(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
+    return unlike_new(
+        _cycles_of(layer),
+        "use_pass_shadow_catcher",
+        "pass_render_time",
+        "use_pass_volume_direct",
+        "use_pass_volume_indirect",
+        "use_pass_volume_scatter",
+        "use_pass_volume_transmit",
+        "use_pass_volume_majorant",
+    )
+
+
+def _glass(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> bool:
+    own = _cycles(scene)
+    return bool(own and scene.render.film_transparent and own.film_transparent_glass)
+
+
+def _simplified(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
+    if not scene.render.use_simplify:
+        return ""
+    own = _cycles(scene)
+    return unlike_new(own, "texture_limit_render", "texture_resolution_render", "use_camera_cull", "use_distance_cull")
+
+
+SCENE_ROWS = (
+    Row(
+        "light groups are not supported yet and their passes stay empty: {found}",
+        _light_groups,
+        Weight.MISSING,
+        "remove them from Light Groups in the view layer's properties, or render them in Cycles",
+    ),
+    Row(
+        "these passes of Cycles are not supported yet and stay empty: {found}",
+        _cycles_passes,
+        Weight.MISSING,
+        "turn them off in the view layer's passes",
+    ),
+    Row(
+        "Freestyle lines are not supported and left out",
+        lambda scene, layer: scene.render.use_freestyle and layer.use_freestyle,
+        Weight.MISSING,
+        "turn off Freestyle in the render properties",
+    ),
+    Row(
+        "Denoise is on in Cycles and off in RayBatch: the picture keeps its noise",
+        _denoises,
+        Weight.SETTING,
+        "turn on Denoise in RayBatch's panel Denoising, or turn it off in Cycles' sampling settings",
+    ),
+    Row(
+        "a transparent film shows through glass in Cycles; here glass shows the background as black",
+        _glass,
+        Weight.REPLACED,
+        "turn off Transparent Glass in Cycles' film settings",
+    ),
+    Row(
+        "Cycles' fast global illumination is not supported: late bounces are traced",
+        lambda scene, _layer: getattr(_cycles(scene), "use_fast_gi", False),
+        Weight.REPLACED,
+        "turn off Fast GI Approximation in Cycles' light path settings",
+    ),
+    Row("these settings of Simplify are not supported: {found}", _simplified, Weight.REPLACED, "turn off Simplify"),
+    Row(
+        "Use Volumes of the view layer is off, which is not heard",
+        lambda _scene, layer: not layer.use_volumes,
+        Weight.REPLACED,
+        "exclude the volumes' collection instead",
+    ),
+    Row(
+        "the layer's own number of samples is not heard: {found}",
+        lambda scene, layer: (
+            layer.samples and getattr(_cycles(scene), "use_layer_samples", "IGNORE") != "IGNORE" and layer.samples
+        ),
+        Weight.SETTING,
+        "set Samples in RayBatch's sampling settings",
+    ),
+    Row(
+        "these settings of Cycles are not heard: {found}",
+        lambda scene, _layer: unlike_new(_cycles(scene), "use_guiding", "shading_system"),
+        Weight.SETTING,
+    ),
+)

@@ -1,0 +1,77 @@
+"""What corresponds to what: a row for each of our settings that another engine has too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+
+CYCLES, EEVEE = "CYCLES", "EEVEE"
+
+
+def exact(value: Any) -> Any:
+    """`value` of a property of Blender, as it was typed."""
+    # Blender keeps float32: the shortest decimal of the same float32 is the number that was typed, and lies within the
+    # range
+    return float(str(np.float32(value))) if isinstance(value, float) else value
+
+
+@dataclass(frozen=True)
+class Taken:
+    """One of our settings, and how an engine's properties say it."""
+
+    setting: str  # name in `RenderSettings`
+    owner: str  # property of Blender's scene that holds the engine's settings
+    name: str  # of the property there
+    convert: Callable[[Any], Any] = lambda value: value
+
+    def value(self, scene: bpy.types.Scene) -> Any:
+        """What the engine has; None where it has no such property."""
+        owner = getattr(scene, self.owner, None)
+        value = getattr(owner, self.name, None)
+        return None if value is None else self.convert(exact(value))
+
+    def is_chosen(self, scene: bpy.types.Scene) -> bool:
+        """Whether someone gave the property a value other than that of a new scene."""
+        owner = getattr(scene, self.owner, None)
+        prop = owner.bl_rna.properties.get(self.name) if owner is not None else None
+        return prop is not None and getattr(owner, self.name) != prop.default
+
+
+def _switch(value: bool) -> str:
+    return "ON" if value else "OFF"
+
+
+_OF_CYCLES = (
+    Taken("sample_count", "cycles", "samples"),
+    Taken("adaptive_sampling", "cycles", "use_adaptive_sampling", _switch),
+    Taken("noise_threshold", "cycles", "adaptive_threshold"),
+    Taken("adaptive_samples_min", "cycles", "adaptive_min_samples"),
+    Taken("time_limit", "cycles", "time_limit"),
+    Taken("seed", "cycles", "seed"),
+    Taken("bounce_max", "cycles", "max_bounces"),
+    Taken("diffuse_bounce_max", "cycles", "diffuse_bounces"),
+    Taken("glossy_bounce_max", "cycles", "glossy_bounces"),
+    Taken("transmission_bounce_max", "cycles", "transmission_bounces"),
+    Taken("volume_bounce_max", "cycles", "volume_bounces"),
+    Taken("filter_glossy", "cycles", "blur_glossy"),
+    Taken("caustics_reflective", "cycles", "caustics_reflective", _switch),
+    Taken("caustics_refractive", "cycles", "caustics_refractive", _switch),
+    Taken("transparent_bounce_max", "cycles", "transparent_max_bounces"),
+    Taken("clamp_direct", "cycles", "sample_clamp_direct"),
+    Taken("clamp_indirect", "cycles", "sample_clamp_indirect"),
+    Taken("pixel_filter", "cycles", "pixel_filter_type"),
+    Taken("filter_width", "cycles", "filter_width"),
+)
+# EEVEE's film has the filter of Cycles, with a width of its own
+_OF_EEVEE = (
+    Taken("sample_count", "eevee", "taa_render_samples"),
+    Taken("clamp_direct", "eevee", "clamp_surface_direct"),
+    Taken("clamp_indirect", "eevee", "clamp_surface_indirect"),
+    Taken("pixel_filter", "render", "filter_size", lambda _width: "BLACKMAN_HARRIS"),
+    Taken("filter_width", "render", "filter_size"),
+)
+ROWS = {CYCLES: _OF_CYCLES, EEVEE: _OF_EEVEE}

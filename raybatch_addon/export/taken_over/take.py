@@ -1,0 +1,83 @@
+"""Taking over: the settings of another engine become ours, and what differs is told."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+
+from ...core.scene.notice import Notice, Weight
+from ...core.settings.settings import SETTINGS
+from ..settings import assign_setting, engine_settings, exposure_of, settings_from
+from .rows import CYCLES, EEVEE, ROWS
+
+ENGINE_LABELS = {CYCLES: "Cycles", EEVEE: "EEVEE"}
+
+
+EXPOSURE = "exposure"  # no setting of the core: pictures are shown brighter, films are as they are
+# Limits that count only as far as those of all bounces let them
+_OF_KINDS = ("diffuse_bounce_max", "glossy_bounce_max", "transmission_bounce_max", "volume_bounce_max")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One of our settings that another engine has with another value."""
+
+    setting: str
+    theirs: Any
+    ours: Any
+
+    def text(self, engine: str) -> str:
+        """It in words."""
+        label = "Exposure" if self.setting == EXPOSURE else SETTINGS[self.setting].label
+        return f"{label}: {_shown(self.theirs)} in {ENGINE_LABELS[engine]}, {_shown(self.ours)} here"
+
+
+def differences(scene: bpy.types.Scene, engine: str, chosen: bool = False) -> list[Difference]:
+    """Settings of `engine` that are not ours; with `chosen` those alone that someone changed from a new scene's."""
+    theirs, settings = engine_settings(scene, engine), settings_from(scene)
+    ours = {name: getattr(settings, name) for name in theirs}
+    wanted = {row.setting for row in ROWS[engine] if row.is_chosen(scene) or not chosen}
+    found = [
+        Difference(name, value, ours[name])
+        for name, value in theirs.items()
+        if name in wanted and _counting(name, theirs) != _counting(name, ours)
+    ]
+    exposures = exposure_of(scene, engine), exposure_of(scene)
+    return found + ([Difference(EXPOSURE, *exposures)] if exposures[0] != exposures[1] else [])
+
+
+def _counting(name: str, settings: dict[str, Any]) -> Any:
+    """The setting `name` as far as it has a say."""
+    return min(settings[name], settings["bounce_max"]) if name in _OF_KINDS else settings[name]
+
+
+def take_over(scene: bpy.types.Scene, engine: str) -> list[Difference]:
+    """Make the settings of `engine` ours; what was changed."""
+    found = differences(scene, engine)
+    for each in found:
+        if each.setting == EXPOSURE:
+            scene.raybatch_export.exposure = each.theirs
+        else:
+            assign_setting(scene.raybatch, each.setting, each.theirs)
+    scene.raybatch_export.material_output = engine
+    return found
+
+
+def passed_over_settings(scene: bpy.types.Scene) -> list[Notice]:
+    """A notice of what someone chose in Cycles' settings and is another way here."""
+    if not hasattr(scene, "raybatch"):
+        return []
+    # another seed is another noise alone
+    found = [each for each in differences(scene, CYCLES, chosen=True) if each.setting != "seed"]
+    if not found:
+        return []
+    told = "; ".join(each.text(CYCLES) for each in found)
+    remedy = "take them over: Settings From in the panel Before the Render, or render.py --settings-from cycles"
+    weight = Weight.REPLACED if any(each.setting == EXPOSURE for each in found) else Weight.SETTING
+    return [Notice(f"scene “{scene.name}”: settings of Cycles are not used. {told}", weight, remedy=remedy)]
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

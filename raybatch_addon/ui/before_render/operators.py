@@ -1,0 +1,117 @@
+"""Operators: look at the scene, show where something is missing, take over settings of another engine."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..panel import ENGINE
+
+
+class _OfEngine:
+    @classmethod
+    def poll(cls, context):
+        return context.scene is not None and context.engine == ENGINE
+
+
+class RAYBATCH_OT_check_scene(_OfEngine, bpy.types.Operator):
+    """Read the scene as a render does, and list what the render would lack"""
+
+    bl_idname = "raybatch.check_scene"
+    bl_label = "Check Scene"
+
+    def execute(self, context):
+        from ...blender import missing
+        from ...core.errors import RayBatchError
+        from ...export.passed_over.look import with_light_looked_for
+        from ...export.scene import export_scene
+
+        try:
+            exported = with_light_looked_for(export_scene(context.evaluated_depsgraph_get()))
+        except RayBatchError as error:
+            self.report({"ERROR"}, f"RayBatch: {error}")
+            return {"CANCELLED"}
+        found = missing.keep_found(context.scene, exported.warnings)
+        missing.tell(found)
+        self.report({"INFO"}, f"RayBatch: {len(found)} found" if found else "RayBatch: nothing is missing")
+        return {"FINISHED"}
+
+
+class RAYBATCH_OT_select_object(_OfEngine, bpy.types.Operator):
+    """Select the objects that this is about, and make the first the active one"""
+
+    bl_idname = "raybatch.select_object"
+    bl_label = "Select"
+    bl_options = {"REGISTER", "UNDO"}
+
+    number: bpy.props.IntProperty(name="Number", description="Place in the list", min=0)
+
+    def execute(self, context):
+        from ...blender import missing
+
+        found = missing.found_in(context.scene) or []
+        if self.number >= len(found):
+            return {"CANCELLED"}
+        notice = found[self.number]
+        there = [context.view_layer.objects.get(name) for name in notice.objects]
+        there = [obj for obj in there if obj is not None]
+        if not there:
+            self.report({"WARNING"}, "RayBatch: these objects are not in this view layer")
+            return {"CANCELLED"}
+        for obj in context.view_layer.objects:
+            obj.select_set(obj in there)
+        context.view_layer.objects.active = there[0]
+        _show_node(there[0], notice)
+        return {"FINISHED"}
+
+
+def _show_node(obj: bpy.types.Object, notice) -> None:
+    """Make the material of `notice` the object's active one, and its first node the tree's."""
+    for index, slot in enumerate(obj.material_slots):
+        if slot.material is None or slot.material.name != notice.material:
+            continue
+        obj.active_material_index = index
+        tree = slot.material.node_tree
+        node = tree.nodes.get(notice.nodes[0]) if tree is not None and notice.nodes else None
+        if node is not None:
+            tree.nodes.active = node
+
+
+class RAYBATCH_OT_settings_from(_OfEngine, bpy.types.Operator):
+    """Give samples, bounces, clamping, filter and what else both have the values of another engine"""
+
+    bl_idname = "raybatch.settings_from"
+    bl_label = "Settings From"
+    bl_options = {"REGISTER", "UNDO"}
+
+    engine: bpy.props.EnumProperty(
+        name="Engine",
+        items=[
+            ("CYCLES", "Cycles", "The settings of Cycles of this scene"),
+            ("EEVEE", "EEVEE", "The settings of EEVEE of this scene, and the materials' outputs for it"),
+        ],
+    )
+
+    def execute(self, context):
+        from ...export.taken_over.take import take_over
+
+        changed = take_over(context.scene, self.engine)
+        for each in changed:
+            self.report({"INFO"}, each.text(self.engine))
+        if not changed:
+            self.report({"INFO"}, "RayBatch: the settings are those already")
+        return {"FINISHED"}
+
+
+_classes = (RAYBATCH_OT_check_scene, RAYBATCH_OT_select_object, RAYBATCH_OT_settings_from)
+
+
+def register() -> None:
+    """Add the operators."""
+    for cls in _classes:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Remove the operators."""
+    for cls in reversed(_classes):
+        bpy.utils.unregister_class(cls)

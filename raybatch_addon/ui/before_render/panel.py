@@ -1,0 +1,84 @@
+"""The panel of what a render would lack, with a button to what each line is about."""
+
+from __future__ import annotations
+
+import bpy
+
+from ...blender import missing
+from ...core.scene.notice import Notice, Weight
+from ...export.taken_over.rows import CYCLES, EEVEE
+from ...export.taken_over.take import ENGINE_LABELS, differences
+from ..panel import EnginePanel, draw_lines
+from .operators import RAYBATCH_OT_check_scene, RAYBATCH_OT_select_object, RAYBATCH_OT_settings_from
+
+ICONS = {Weight.MISSING: "ERROR", Weight.REPLACED: "QUESTION", Weight.SETTING: "PREFERENCES", Weight.REPAIRED: "INFO"}
+SHOWN_MOST = 20  # lines; the others are in the statistics
+
+
+class RAYBATCH_RENDER_PT_before_render(EnginePanel, bpy.types.Panel):
+    """What a render of this scene would lack."""
+
+    bl_label = "Before the Render"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header(self, context):
+        found = missing.found_in(context.scene)
+        if found:
+            self.layout.label(text="", icon=ICONS[found[0].weight])
+
+    def draw(self, context):
+        layout = self.layout
+        layout.prop(context.scene.raybatch_export, "strict")
+        layout.operator(RAYBATCH_OT_check_scene.bl_idname, icon="VIEWZOOM")
+        found = missing.found_in(context.scene)
+        if found is None:
+            return
+        for number, notice in enumerate(found[:SHOWN_MOST]):
+            _draw_notice(layout, context, number, notice)
+        if len(found) > SHOWN_MOST:
+            layout.label(text=f"and {len(found) - SHOWN_MOST} more")
+        if not found:
+            layout.label(text="Nothing is missing", icon="CHECKMARK")
+
+
+def _draw_notice(layout, context, number: int, notice: Notice) -> None:
+    box = layout.box()
+    draw_lines(box, context, [notice], ICONS[notice.weight])
+    if notice.remedy:
+        draw_lines(box, context, [f"To do: {notice.remedy}"])
+    if notice.objects:
+        text = notice.objects[0] if len(notice.objects) == 1 else f"{len(notice.objects)} objects"
+        select = box.operator(RAYBATCH_OT_select_object.bl_idname, text=f"Select {text}", icon="RESTRICT_SELECT_OFF")
+        select.number = number
+
+
+class RAYBATCH_RENDER_PT_settings_from(EnginePanel, bpy.types.Panel):
+    """Settings of Cycles and EEVEE that are others here."""
+
+    bl_label = "Settings of Other Engines"
+    bl_options = {"DEFAULT_CLOSED"}
+    bl_parent_id = "RAYBATCH_RENDER_PT_before_render"
+
+    def draw(self, context):
+        layout = self.layout
+        layout.prop(context.scene.raybatch_export, "material_output")
+        for engine in (CYCLES, EEVEE):
+            found = differences(context.scene, engine)
+            text = f"Settings From {ENGINE_LABELS[engine]}"
+            layout.operator(RAYBATCH_OT_settings_from.bl_idname, text=text, icon="IMPORT").engine = engine
+            draw_lines(layout, context, [each.text(engine) for each in found] or ["They are the same"])
+
+
+_classes = (RAYBATCH_RENDER_PT_before_render, RAYBATCH_RENDER_PT_settings_from)
+
+
+def register() -> None:
+    """Add the panels."""
+    for cls in _classes:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Remove the panels."""
+    for cls in reversed(_classes):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,107 @@
+"""Panels of panoramic cameras and of motion blur, whose settings Blender shows to its own engines alone."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..export.panorama import panorama_settings
+from .panel import EnginePanel
+
+# Settings of each type of panorama
+_PANORAMAS = {
+    "EQUIRECTANGULAR": ("latitude_min", "latitude_max", "longitude_min", "longitude_max"),
+    "FISHEYE_EQUIDISTANT": ("fisheye_fov",),
+    "FISHEYE_EQUISOLID": ("fisheye_lens", "fisheye_fov"),
+    "FISHEYE_LENS_POLYNOMIAL": ("fisheye_fov", *(f"fisheye_polynomial_k{power}" for power in range(5))),
+    "CENTRAL_CYLINDRICAL": (
+        *(f"central_cylindrical_range_{axis}_{end}" for axis in "vu" for end in ("min", "max")),
+        "central_cylindrical_radius",
+    ),
+}
+
+
+class RAYBATCH_CAMERA_PT_panorama(EnginePanel, bpy.types.Panel):
+    """The projection of a panoramic camera."""
+
+    bl_label = "Panorama"
+    bl_context = "data"
+    bl_parent_id = "DATA_PT_lens"
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and context.camera is not None and context.camera.type == "PANO"
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        settings = panorama_settings(context.camera)
+        if settings is None:
+            layout.label(text="Enable the add-on Cycles, which has the settings", icon="INFO")
+            return
+        layout.prop(settings, "panorama_type")
+        for name in _PANORAMAS.get(settings.panorama_type, ()):
+            layout.prop(settings, name)
+
+
+class RAYBATCH_RENDER_PT_motion_blur(EnginePanel, bpy.types.Panel):
+    """The shutter."""
+
+    bl_label = "Motion Blur"
+    bl_context = "render"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.render, "use_motion_blur", text="")
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        render = context.scene.render
+        layout.active = render.use_motion_blur
+        layout.prop(render, "motion_blur_position", text="Position")
+        layout.prop(render, "motion_blur_shutter")
+        cycles = getattr(context.scene, "cycles", None)
+        if cycles is not None:
+            layout.prop(cycles, "rolling_shutter_type")
+            if cycles.rolling_shutter_type != "NONE":
+                layout.prop(cycles, "rolling_shutter_duration")
+        layout.template_curve_mapping(render, "motion_blur_shutter_curve")
+
+
+class RAYBATCH_OBJECT_PT_motion_blur(EnginePanel, bpy.types.Panel):
+    """What an object says of its motion: settings of Cycles."""
+
+    bl_label = "Motion Blur"
+    bl_context = "object"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and getattr(context.object, "cycles", None) is not None
+
+    def draw_header(self, context):
+        self.layout.prop(context.object.cycles, "use_motion_blur", text="")
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        cycles = context.object.cycles
+        layout.active = context.scene.render.use_motion_blur and cycles.use_motion_blur
+        layout.prop(cycles, "motion_steps", text="Steps")
+        if context.object.type != "CAMERA":
+            layout.prop(cycles, "use_deform_motion", text="Deformation")
+
+
+_classes = (RAYBATCH_CAMERA_PT_panorama, RAYBATCH_RENDER_PT_motion_blur, RAYBATCH_OBJECT_PT_motion_blur)
+
+
+def register() -> None:
+    """Add the panels."""
+    for cls in _classes:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Remove the panels."""
+    for cls in reversed(_classes):
+        bpy.utils.unregister_class(cls)

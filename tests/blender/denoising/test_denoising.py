@@ -1,0 +1,127 @@
+"""Denoised renders in Blender, and the passes that guide the denoiser."""
+
+import bpy
+import numpy as np
+import pytest
+
+from raybatch_addon.blender import frame
+from raybatch_addon.blender.reports import last
+from tests.blender.features.compare import add_world
+
+OpenEXR = pytest.importorskip("OpenEXR")
+DIFFUSE, MIRROR, LEFT, TINT = (0.5, 0.4, 0.3), 0.5, 0.25, (0.8, 0.4, 0.2)
+
+
+@pytest.fixture
+def room(scene):
+    """Seen from straight above, from left to right: a tilted diffuse plane, a mirror, tinted glass without refraction
+    over the plane's colour, and the world.
+    """
+    scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 4.0
+    scene.camera.location, scene.camera.data.clip_start = (0, 0, 5), 0.5
+    scene.render.resolution_x, scene.render.resolution_y = 16, 8
+    scene.raybatch.pixel_filter, scene.raybatch.sample_count = "BOX", 4
+    scene.raybatch.kernel_tier = "SPECIALISED"
+    add_world(scene, 1.0, TINT)
+    diffuse = material("ShaderNodeBsdfDiffuse", Color=(*DIFFUSE, 1))
+    add_plane(-1.5, 0.0, diffuse, tilt=LEFT)
+    add_plane(-0.5, 0.0, material("ShaderNodeBsdfAnisotropic", Color=(MIRROR,) * 3 + (1,), Roughness=0.0))
+    add_plane(0.5, 1.0, material("ShaderNodeBsdfTransparent", Color=(0.5,) * 3 + (1,)))
+    add_plane(0.5, 0.0, diffuse)
+    return scene
+
+
+def material(kind: str, **inputs) -> bpy.types.Material:
+    made = bpy.data.materials.new(kind)
+    made.use_nodes = True
+    tree = made.node_tree
+    tree.nodes.clear()
+    shader, output = tree.nodes.new(kind), tree.nodes.new("ShaderNodeOutputMaterial")
+    for name, value in inputs.items():
+        shader.inputs[name].default_value = value
+    tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    return made
+
+
+def add_plane(x: float, z: float, of: bpy.types.Material, tilt: float = 0.0) -> None:
+    mesh = bpy.data.meshes.new("Plane")
+    mesh.from_pydata([(-0.5, -4, 0), (0.5, -4, 0), (0.5, 4, 0), (-0.5, 4, 0)], [], [(0, 1, 2, 3)])
+    mesh.materials.append(of)
+    made = bpy.data.objects.new("Plane", mesh)
+    made.location, made.rotation_euler = (x, 0, z), (tilt, 0, 0)
+    bpy.context.scene.collection.objects.link(made)
+
+
+def rendered_film(scene):
+    films = []
+
+    def listen(_layer, _exported, film):
+        films.append(film)
+
+    frame.film_listeners.append(listen)
+    try:
+        bpy.ops.render.render()
+    finally:
+        frame.film_listeners.remove(listen)
+    assert not last().errors
+    return films[0]
+
+
+def test_guides_are_those_of_cycles_through_mirrors_and_transparent_surfaces(room):
+    bpy.context.view_layer.cycles.denoising_store_passes = True
+    passes = rendered_film(room).passes
+    albedo, normal, depth = (passes[f"Denoising {name}"][4] for name in ("Albedo", "Normal", "Depth"))
+    quarters = [slice(1, 3), slice(5, 7), slice(9, 11), slice(13, 15)]
+    # Cycles 5.2 gives the same numbers for these surfaces; only its depth of the world is not 0
+    expected_albedo = [DIFFUSE, np.multiply(MIRROR * MIRROR, TINT), np.multiply(0.5, DIFFUSE), TINT]
+    expected_normal = [(0, -np.sin(LEFT), -np.cos(LEFT)), (0, 0, 0), (0, 0, -0.5), (0, 0, 0)]
+    for quarter, color, direction in zip(quarters, expected_albedo, expected_normal, strict=True):
+        assert albedo[quarter] == pytest.approx(np.tile(color, (2, 1)), abs=2e-6)
+        assert normal[quarter] == pytest.approx(np.tile(direction, (2, 1)), abs=2e-6)
+    # each part of the way counts by what is left; the camera's rays begin at its near plane
+    assert depth[quarters[1]] == pytest.approx(4.5, abs=1e-5)
+    assert depth[quarters[2]] == pytest.approx(3.5 + 0.5 * 1.0, abs=1e-5)
+    assert np.all(depth[quarters[3]] == 0)
+
+
+def test_guides_leave_the_picture_as_it_is_and_no_schedule_changes_them(room):
+    plain = rendered_film(room)
+    bpy.context.view_layer.cycles.denoising_store_passes = True
+    guided = rendered_film(room)
+    assert np.array_equal(plain.passes["Combined"], guided.passes["Combined"])
+    room.raybatch.tile_size, room.raybatch.thread_count, room.raybatch.error_estimate = 8, 2, "OFF"
+    again = rendered_film(room)
+    assert all(np.array_equal(values, again.passes[name]) for name, values in guided.passes.items())
+    assert np.array_equal(guided.sums.sums(), again.sums.sums())
+
+
+def test_a_denoised_render_keeps_the_noisy_picture_and_leaves_the_film_alone(room, tmp_path):
+    plain = rendered_film(room).passes["Combined"]
+    room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
+    image = room.render.image_settings
+    if hasattr(image, "media_type"):
+        image.media_type = "MULTI_LAYER_IMAGE"
+    image.file_format, image.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    room.render.filepath = str(tmp_path / "passes.exr")
+    films = []
+    frame.film_listeners.append(lambda _layer, _exported, film: films.append(film))
+    try:
+        bpy.ops.render.render(write_still=True)
+    finally:
+        frame.film_listeners.pop()
+    film = films[0]
+    assert np.array_equal(film.passes["Combined"], plain) and np.array_equal(film.made["Noisy Image"], plain)
+    assert not np.array_equal(film.made["Combined"], plain)
+    assert film.statistics["denoise"]["inputs"] == "ALBEDO_NORMAL"
+    with OpenEXR.File(room.render.filepath, separate_channels=True) as file:
+        found = {name.split(".", 1)[1]: c.pixels[::-1] for part in file.parts for name, c in part.channels.items()}
+    for name in ("Combined", "Noisy Image"):
+        pixels = np.stack([found[f"{name}.{letter}"] for letter in "RGBA"], -1)
+        assert np.array_equal(pixels, film.made[name])
+
+
+def test_a_library_that_is_missing_ends_the_render_before_it_begins(room):
+    room.raybatch.denoise, room.raybatch.denoise_library = "ON", "/nowhere/lib.so"
+    with pytest.raises(RuntimeError, match="there is no file /nowhere/lib.so"):
+        bpy.ops.render.render()
+    assert not last().statistics

@@ -1,0 +1,117 @@
+"""Curves, particle hair and point clouds as segments: what is kept, what is dropped and named, and what they say."""
+
+import bpy
+import numpy as np
+import pytest
+
+from raybatch_addon.export.curves.strands import CutStrands, hair_attribute, sound_strands
+from raybatch_addon.export.scene import export_scene
+from tests.support.blender_builders import add_grid, add_object
+
+
+def add_camera() -> None:
+    bpy.context.scene.camera = add_object("Camera", bpy.data.cameras.new("Camera"))
+
+
+def add_curves(points, sizes, radii=None):
+    curves = bpy.data.hair_curves.new("Hair")
+    curves.add_curves(sizes)
+    curves.position_data.foreach_set("vector", np.asarray(points, np.float32).ravel())
+    if radii is not None:
+        attribute = curves.attributes.new("radius", "FLOAT", "POINT")
+        attribute.data.foreach_set("value", np.asarray(radii, np.float32))
+    return add_object("Hair", curves)
+
+
+def exported():
+    return export_scene(bpy.context.evaluated_depsgraph_get())
+
+
+@pytest.fixture(autouse=True)
+def empty():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.cycles_curves.shape = "THICK"
+    add_camera()
+
+
+def test_strands_that_cannot_be_rendered_are_named():
+    good = [(0, 0, 0), (0, 0, 1), (0, 0, 2)]
+    points = [*good, (1, 0, 0), (5, 5, 5), (5, 5, 5), (np.nan, 0, 0), (0, 1, 0), (2, 0, 0), (2, 0, 1)]
+    add_curves(points, [3, 1, 2, 2, 2], [0.1] * 8 + [0.0] * 2)
+    scene = exported()
+    (mesh,) = scene.meshes
+    assert len(mesh.triangles) == 2 and np.array_equal(mesh.positions, good)
+    (line,) = scene.warnings
+    assert "“Hair”" in line
+    assert "1 with points or radii that are not finite" in line
+    assert "2 without length" in line and "1 without radius" in line
+
+
+def test_curves_without_radius_have_that_of_cycles():
+    add_curves([(0, 0, 0), (0, 0, 1)], [2])
+    assert exported().meshes[0].radii == pytest.approx(0.005)
+
+
+def test_a_bent_strand_is_cut_finer_and_a_straight_one_is_not():
+    straight = np.float32([(0, 0, z) for z in range(5)])
+    bent = np.float32([(np.cos(a), np.sin(a), 0) for a in np.linspace(0, 2, 5)])
+    first, radii = np.int32([0, 5]), np.full(5, 0.01, np.float32)
+    assert len(CutStrands(sound_strands(straight, radii, first)).segments) == 4
+    cut = CutStrands(sound_strands(bent, radii, first))
+    assert len(cut.segments) > 8
+    # on the circle, as far as the spline is; and as many as they are if they are to be straight
+    middle = cut.mesh("bent").positions
+    assert np.linalg.norm(middle, axis=1) == pytest.approx(1, abs=0.02)
+    assert len(CutStrands(sound_strands(bent, radii, first), linear=True).segments) == 4
+
+
+def test_what_a_strand_says_of_itself():
+    points = np.float32([(0, 0, 0), (0, 0, 1), (0, 0, 3), (1, 0, 0), (1, 0, 2)])
+    strands = sound_strands(points, np.float32([0.2, 0.1, 0.0, 0.1, 0.1]), np.int32([0, 3, 5]))
+    cut = CutStrands(strands, linear=True)
+    said = {name: hair_attribute(cut, name).values for name in ("intercept", "length", "thickness", "random")}
+    assert said["intercept"][:, :2, 0] == pytest.approx(np.float32([[0, 1 / 3], [1 / 3, 1], [0, 1]]))
+    assert said["length"][:, 0] == pytest.approx([3, 3, 2])
+    assert said["thickness"][:, :2, 0] == pytest.approx(np.float32([[0.4, 0.2], [0.2, 0], [0.2, 0.2]]))
+    assert said["random"][0] == said["random"][1] != said["random"][2]
+    # the third corner is the first: values do not depend on where around the strand a hit is
+    assert np.array_equal(said["intercept"][:, 2], said["intercept"][:, 0])
+
+
+def test_particle_hair_grows_in_the_object_s_space():
+    ground = add_grid("Ground", 2)
+    ground.location, ground.scale = (5, 0, 1), (2, 2, 2)
+    ground.modifiers.new("Hair", "PARTICLE_SYSTEM")
+    settings = ground.particle_systems[0].settings
+    settings.type, settings.count, settings.hair_length, settings.render_step = "HAIR", 10, 1.0, 3
+    settings.root_radius, settings.tip_radius, settings.radius_scale = 1.0, 0.5, 0.1
+    scene = exported()
+    hair = next(mesh for mesh in scene.meshes if mesh.radii is not None)
+    assert "Ground" in hair.name
+    roots = hair.positions[np.setdiff1d(hair.triangles[:, 0], hair.triangles[:, 1])]
+    assert len(roots) == 10 and roots[:, 2] == pytest.approx(0, abs=1e-5) and np.abs(roots[:, :2]).max() <= 1
+    assert hair.radii.max() == pytest.approx(0.05, rel=1e-5) and hair.radii.min() <= 0.025001
+
+
+def test_empty_curves_and_clouds_are_nothing():
+    add_object("Hair", bpy.data.hair_curves.new("Hair"))
+    add_object("Points", bpy.data.pointclouds.new("Points"))
+    scene = exported()
+    assert scene.meshes == () and scene.warnings == ()
+
+
+def test_points_are_spheres():
+    cloud = bpy.data.pointclouds.new("Cloud")
+    cloud.resize(3)
+    cloud.attributes["position"].data.foreach_set("vector", np.float32([0, 0, 0, 1, 0, 0, np.inf, 0, 0]))
+    add_object("Cloud", cloud)
+    scene = exported()
+    (mesh,) = scene.meshes
+    assert np.array_equal(mesh.triangles, [[0, 0, 0], [1, 1, 1]]) and mesh.radii == pytest.approx(0.01)
+    assert any("“Cloud”" in line and "1 points" in line for line in scene.warnings)
+
+
+def test_ribbons_are_said_to_be_round():
+    bpy.context.scene.cycles_curves.shape = "RIBBONS"
+    add_curves([(0, 0, 0), (0, 0, 1)], [2])
+    assert any("ribbons" in line for line in exported().warnings)

@@ -1,0 +1,124 @@
+"""Features of hair, curves and point clouds, as round curves in both engines."""
+
+import bpy
+import numpy as np
+
+from tests.blender.features.build import add_world, floor, lamp, look, material_graph
+from tests.blender.features.graph import Graph
+from tests.blender.features.registry import feature
+from tests.support.blender_builders import add_grid, add_object
+
+
+def _light(scene: bpy.types.Scene) -> None:
+    scene.cycles_curves.shape = "THICK"
+    add_world(scene, 0.5, (0.6, 0.75, 1.0))
+    lamp("SUN", (0, 0, 5), target=(2, 3, 0), energy=2.0, angle=0.1)
+    floor()
+    look(scene, (0, -4.5, 2.2), (0, 0, 0.7), lens=50)
+
+
+def tuft(name: str = "Tuft", count: int = 60, steps: int = 7, radius: float = 0.04) -> bpy.types.Object:
+    """A Curves object of bent strands that become thin, with a colour at each point."""
+    rng = np.random.default_rng(5)
+    along = np.linspace(0, 1, steps)
+    points = np.zeros((count, steps, 3))
+    points[:, :, :2] = rng.uniform(-1, 1, (count, 1, 2)) + rng.normal(0, 0.5, (count, 1, 2)) * along[:, None] ** 2
+    points[:, :, 2] = 1.4 * along
+    curves = bpy.data.hair_curves.new(name)
+    curves.add_curves([steps] * count)
+    curves.position_data.foreach_set("vector", points.astype(np.float32).ravel())
+    radii = curves.attributes.new("radius", "FLOAT", "POINT")
+    radii.data.foreach_set("value", np.tile(radius * (1 - 0.8 * along), count).astype(np.float32))
+    colors = np.ones((count, steps, 4), np.float32)
+    colors[:, :, 0], colors[:, :, 1] = along, rng.random((count, 1))
+    curves.attributes.new("tone", "FLOAT_COLOR", "POINT").data.foreach_set("color", colors.ravel())
+    return add_object(name, curves)
+
+
+def _principled(**values):
+    def build(graph: Graph):
+        node = graph.node("ShaderNodeBsdfHairPrincipled", {})
+        node.parametrization = values.get("parametrization", "COLOR")
+        for name, value in values.items():
+            for socket in node.inputs:
+                if socket.name == name:
+                    socket.default_value = value
+        return node.outputs[0]
+
+    return build
+
+
+@feature("Curves: Principled Hair by colour", "Curves", "picture")
+def by_color(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    material_graph(tuft(), _principled(Color=(0.8, 0.4, 0.2, 1.0), Offset=0.1, Coat=0.5))
+
+
+@feature("Curves: Principled Hair by melanin, at random", "Curves", "picture")
+def by_melanin(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    values = {"Melanin": 0.4, "Random Color": 0.7, "Random Roughness": 0.4, "Radial Roughness": 0.6}
+    material_graph(tuft(), _principled(parametrization="MELANIN", **values))
+
+
+@feature("Curves: an attribute as the colour of a diffuse surface", "Curves", "picture")
+def attribute(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    material_graph(
+        tuft(),
+        lambda graph: graph.value(
+            "ShaderNodeBsdfDiffuse", {"Color": graph.value("ShaderNodeAttribute", None, "Color", attribute_name="tone")}
+        ),
+    )
+
+
+@feature("Curves Info: intercept and random", "Curves", "picture")
+def info(scene: bpy.types.Scene) -> None:
+    _light(scene)
+
+    def build(graph: Graph):
+        node = graph.node("ShaderNodeHairInfo", {})
+        color = graph.node("ShaderNodeCombineColor", {})
+        graph.tree.links.new(node.outputs["Intercept"], color.inputs[0])
+        graph.tree.links.new(node.outputs["Random"], color.inputs[1])
+        return graph.value("ShaderNodeBsdfDiffuse", {"Color": color.outputs[0]})
+
+    material_graph(tuft(), build)
+
+
+@feature("Curves: scaled and turned, in two places", "Curves", "picture")
+def placed(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    first = tuft()
+    material_graph(first, lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.7, 0.3, 0.2, 1.0)}))
+    first.scale, first.location = (0.5, 0.5, 0.5), (-0.8, 0, 0)
+    second = add_object("Second", first.data)
+    second.scale, second.rotation_euler, second.location = (0.7, 0.7, 0.7), (0.4, 0.1, 0.8), (0.8, 0, 0)
+
+
+@feature("Particle hair with children", "Curves", "picture")
+def particle_hair(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    ground = add_grid("Emitter", 4)
+    ground.location.z = 0.02
+    material_graph(ground, lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.3, 0.6, 0.2, 1.0)}))
+    ground.modifiers.new("Hair", "PARTICLE_SYSTEM")
+    settings = ground.particle_systems[0].settings
+    settings.type, settings.count, settings.hair_length = "HAIR", 40, 1.0
+    settings.child_type, settings.rendered_child_count = "SIMPLE", 5
+    settings.root_radius, settings.tip_radius, settings.radius_scale = 1.0, 0.2, 0.06
+
+
+@feature("Point cloud", "Curves", "picture")
+def points(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    rng = np.random.default_rng(6)
+    cloud = bpy.data.pointclouds.new("Points")
+    cloud.resize(60)
+    positions = rng.uniform((-1, -1, 0.2), (1, 1, 1.6), (60, 3)).astype(np.float32)
+    cloud.attributes["position"].data.foreach_set("vector", positions.ravel())
+    radii = cloud.attributes.get("radius") or cloud.attributes.new("radius", "FLOAT", "POINT")
+    radii.data.foreach_set("value", rng.uniform(0.03, 0.15, 60).astype(np.float32))
+    material_graph(
+        add_object("Points", cloud), lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.5, 0.3, 1.0)})
+    )

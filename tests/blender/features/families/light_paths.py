@@ -1,0 +1,58 @@
+"""Limits of bounces by kind, and switches of caustics: a ball of glass and one of metal in a bright corner."""
+
+import bpy
+
+from tests.blender.features.build import add_world, ball, diffuse, floor, lamp, look, quad, shaded
+from tests.blender.features.registry import feature
+
+
+def corner(scene: bpy.types.Scene) -> None:
+    """A floor with a wall behind it, and two balls that throw light on both."""
+    add_world(scene, 0.5, (0.6, 0.75, 1.0))
+    diffuse(floor(), (0.7, 0.6, 0.5))
+    quad("Wall", [(-3, 2, 0), (3, 2, 0), (3, 2, 3), (-3, 2, 3)], (0.8, 0.8, 0.8))
+    lamp("AREA", (0, -2, 4), target=(0, 0.5, 0.5), energy=150.0, size=2.0)
+    shaded(ball("Glass", (-0.8, 0.4, 0.8), 0.8), "ShaderNodeBsdfGlass", Roughness=0.2, IOR=1.45)
+    shaded(ball("Metal", (0.9, 0.4, 0.8), 0.8), "ShaderNodeBsdfAnisotropic", Roughness=0.25)
+    look(scene, (0, -4.5, 2.0), (0, 0.4, 0.8), lens=45)
+
+
+def limited(kind: str, count: int) -> None:
+    """A feature with `count` bounces of one kind."""
+
+    @feature(f"Bounces: {count} {kind}", "Surface", "picture")
+    def build(scene: bpy.types.Scene) -> None:
+        corner(scene)
+        setattr(scene.cycles, f"{kind}_bounces", count)
+        setattr(scene.raybatch, f"{kind}_bounce_max", count)
+
+
+limited("diffuse", 0)
+limited("diffuse", 1)
+limited("glossy", 0)
+limited("transmission", 1)
+
+
+def without(kind: str) -> None:
+    """A feature without caustics of one kind."""
+
+    @feature(f"Caustics: not {kind}", "Surface", "picture")
+    def build(scene: bpy.types.Scene) -> None:
+        corner(scene)
+        if kind in ("reflective", "reflective or refractive"):
+            scene.cycles.caustics_reflective, scene.raybatch.caustics_reflective = False, "OFF"
+        if kind in ("refractive", "reflective or refractive"):
+            scene.cycles.caustics_refractive, scene.raybatch.caustics_refractive = False, "OFF"
+
+
+without("reflective or refractive")
+
+
+@feature("Filter Glossy", "Surface", "picture")
+def filter_glossy(scene: bpy.types.Scene) -> None:
+    """Sharp glass and metal that throw light: roughened to what comes from diffuse surfaces."""
+    corner(scene)
+    for name in ("Glass", "Metal"):
+        node = next(n for n in bpy.data.materials[f"{name} material"].node_tree.nodes if "Roughness" in n.inputs)
+        node.inputs["Roughness"].default_value = 0.05
+    scene.cycles.blur_glossy = scene.raybatch.filter_glossy = 4.0

@@ -1,0 +1,1 @@
+"""Features of nodes that compute: values, mixing, and pictures made of them."""

@@ -1,0 +1,222 @@
+"""What is missing is said before the render: weighed, with objects, nodes and remedies, and refused where asked."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from raybatch_addon.blender import frame, missing, reports  # noqa: E402
+from raybatch_addon.core.scene.archive import load_scene, save_scene  # noqa: E402
+from raybatch_addon.core.scene.notice import Notice, Weight, by_weight, described  # noqa: E402
+from raybatch_addon.core.settings.settings import RenderSettings  # noqa: E402
+from raybatch_addon.export.asked import asked  # noqa: E402
+from raybatch_addon.export.scene import export_scene  # noqa: E402
+from tests.support.blender_builders import add_grid  # noqa: E402
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def found(scene):
+    """Notices of an export of `scene`."""
+    return by_weight(export_scene(bpy.context.evaluated_depsgraph_get()).warnings)
+
+
+def the_one(scene, words):
+    (notice,) = (each for each in found(scene) if words in each)
+    return notice
+
+
+def lamp(scene):
+    obj = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    scene.collection.objects.link(obj)
+    return obj
+
+
+def unknown_node(name):
+    """A material whose shader hangs on a node that RayBatch does not know."""
+    material = bpy.data.materials.new(name)
+    nodes = material.node_tree.nodes
+    diffuse = nodes.new("ShaderNodeBsdfDiffuse")
+    mixed = nodes.new("ShaderNodeMixShader")
+    output = next(node for node in nodes if node.bl_idname == "ShaderNodeOutputMaterial")
+    unknown = nodes.new("ShaderNodeUVAlongStroke")
+    unknown.name = "Strand"
+    material.node_tree.links.new(unknown.outputs[0], mixed.inputs[0])
+    material.node_tree.links.new(diffuse.outputs[0], mixed.inputs[1])
+    material.node_tree.links.new(mixed.outputs[0], output.inputs["Surface"])
+    return material
+
+
+def test_notices_are_texts_that_keep_what_they_are_about(tmp_path, scene):
+    notice = Notice("a thing", Weight.MISSING, objects=["A"], material="M", nodes=["N"], remedy="mend it")
+    assert notice == "a thing" and f"{notice}" == "a thing"
+    assert described(notice) == {
+        "what": "a thing",
+        "weight": "MISSING",
+        "objects": ["A"],
+        "material": "M",
+        "nodes": ["N"],
+        "remedy": "mend it",
+    }
+    assert [each.weight for each in by_weight(["plain", notice])] == [Weight.MISSING, Weight.REPLACED]
+    scene.cycles.use_guiding = True
+    exported = export_scene(bpy.context.evaluated_depsgraph_get())
+    save_scene(tmp_path / "a.scene.npz", exported, RenderSettings())
+    kept = load_scene(tmp_path / "a.scene.npz")[0].warnings
+    assert [described(each) for each in kept] == [described(each) for each in exported.warnings] and kept
+
+
+def test_what_is_missing_is_said_before_the_render(scene, monkeypatch):
+    lamp(scene)
+    scene.view_layers[0].lightgroups.add(name="Key")
+    order = []
+    monkeypatch.setattr(frame, "scene_listeners", [lambda *_: order.append(list(missing.found_in(scene)))])
+    monkeypatch.setattr(frame, "film_listeners", [lambda _layer, _scene, film: order.append(film.statistics)])
+    bpy.ops.render.render()
+    before, statistics = order
+    assert before[0].weight == Weight.MISSING and "“Key”" in before[0] and before[0].remedy
+    assert statistics["missing"][0] == described(before[0]) and str(before[0]) in statistics["warnings"]
+
+
+@pytest.mark.parametrize("what", ["light group", "guiding", "linking", "culling", "samples", "Freestyle"])
+def test_what_was_passed_over_is_named(scene, what):
+    obj = add_grid("Host", 1)
+    layer = scene.view_layers[0]
+    if what == "light group":
+        layer.lightgroups.add(name="Key")
+        assert the_one(scene, "“Key”").weight == Weight.MISSING
+    elif what == "guiding":
+        scene.cycles.use_guiding = True
+        assert the_one(scene, "Guiding on").weight == Weight.SETTING
+    elif what == "linking":
+        obj.light_linking.receiver_collection = bpy.data.collections.new("Receivers")
+        assert the_one(scene, "light linking").objects == ("Host",)
+    elif what == "culling":
+        obj.cycles.use_camera_cull = True
+        assert the_one(scene, "culling").objects == ("Host",)
+    elif what == "samples":
+        scene.cycles.samples = 77
+        assert "Samples: 77 in Cycles" in the_one(scene, "settings of Cycles")
+    else:
+        scene.render.use_freestyle = layer.use_freestyle = True
+        assert the_one(scene, "Freestyle").weight == Weight.MISSING
+
+
+def test_a_new_scene_lacks_nothing_but_light(scene):
+    assert found(scene) == []
+    bpy.ops.render.render()
+    (notice,) = missing.found_in(scene)
+    assert "nothing gives light" in notice and notice.weight == Weight.MISSING
+    lamp(scene)
+    bpy.ops.render.render()
+    assert missing.found_in(scene) == []
+
+
+def test_a_material_is_named_with_its_nodes_and_objects(scene):
+    obj = add_grid("Host", 1)
+    obj.data.materials.append(unknown_node("Odd"))
+    (notice,) = (each for each in found(scene) if each.material == "Odd")
+    assert notice.objects == ("Host",) and notice.nodes == ("Strand",) and "Strand" in notice
+
+
+def test_the_panel_checks_and_selects(scene):
+    lamp(scene)
+    first, second = add_grid("First", 1), add_grid("Second", 1)
+    second.cycles.use_camera_cull = True
+    assert bpy.ops.raybatch.check_scene() == {"FINISHED"}
+    assert len(missing.found_in(scene)) == 1
+    first.select_set(True)
+    assert bpy.ops.raybatch.select_object(number=0) == {"FINISHED"}
+    assert bpy.context.view_layer.objects.active == second
+    assert second.select_get() and not first.select_get()
+    assert bpy.ops.raybatch.select_object(number=5) == {"CANCELLED"}
+
+
+@pytest.mark.parametrize(
+    ("strict", "refused"), [("OFF", False), ("MISSING", False), ("REPLACED", False), ("SETTING", True)]
+)
+def test_a_render_is_refused_by_weight(scene, strict, refused):
+    lamp(scene)
+    scene.cycles.use_guiding = True
+    scene.raybatch_export.strict = strict
+    if refused:
+        with pytest.raises(RuntimeError, match="nothing may be missing"):
+            bpy.ops.render.render()
+    else:
+        bpy.ops.render.render()
+    assert reports.last().refused == refused and bool(reports.last().statistics) != refused
+
+
+def test_options_behind_two_dashes_are_read():
+    assert asked(["blender", "-b", "x.blend"]).strict is None
+    assert asked(["blender", "--", "--raybatch-strict"]).strict == Weight.REPLACED
+    read = asked(["blender", "--", "--raybatch-strict", "setting", "--raybatch-settings-from", "eevee"])
+    assert (read.strict, read.settings_from) == (Weight.SETTING, "EEVEE")
+
+
+def test_a_process_ends_with_a_code_of_its_own_where_a_render_is_refused(scene, tmp_path):
+    lamp(scene)
+    scene.view_layers[0].lightgroups.add(name="Key")
+    file = tmp_path / "grouped.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(file), copy=True)
+    code = (
+        f"import sys; sys.path.insert(0, {str(ROOT)!r}); import bpy, raybatch_addon; raybatch_addon.register()\n"
+        f"bpy.ops.wm.open_mainfile(filepath={str(file)!r}); bpy.context.scene.render.engine = 'RAYBATCH'\n"
+        "try:\n    bpy.ops.render.render()\nexcept RuntimeError: pass"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code, "--", "--raybatch-strict"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == missing.REFUSED, done.stderr
+    assert "“Key”" in done.stderr
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "scripts/render.py"), str(file), "--strict", "--json", "-"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == missing.REFUSED and "not rendered" in done.stderr and not done.stdout
+
+
+def test_another_engines_settings_are_taken_over_on_the_command_line(scene, tmp_path):
+    lamp(scene)
+    scene.cycles.samples, scene.cycles.use_adaptive_sampling, scene.cycles.max_bounces = 3, False, 5
+    file = tmp_path / "own.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(file), copy=True)
+    done = subprocess.run(
+        [
+            *(sys.executable, str(ROOT / "scripts/render.py"), str(file), "--settings-from", "cycles"),
+            *("--set", "bounce_max=1", "--json", "-"),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    settings = json.loads(done.stdout)["settings"]
+    assert settings["sample_count"] == 3 and settings["bounce_max"] == 1
+    assert "Samples: 3 in Cycles, 2 here" in done.stderr
+
+
+def test_a_script_in_osl_is_named_and_the_sockets_own_value_stands_in(scene):
+    obj = add_grid("Host", 1)
+    material = bpy.data.materials.new("Scripted")
+    obj.data.materials.append(material)
+    tree = material.node_tree
+    script = tree.nodes.new("ShaderNodeScript")
+    script.name = "Mine"
+    script.outputs.new("NodeSocketColor", "Out")
+    diffuse = tree.nodes.new("ShaderNodeBsdfDiffuse")
+    diffuse.inputs["Color"].default_value = (0.25, 0.5, 0.75, 1.0)
+    output = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
+    tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
+    tree.links.new(script.outputs[0], diffuse.inputs["Color"])
+    notice = the_one(scene, "Open Shading Language")
+    assert notice.material == "Scripted" and "“Mine”" in notice
+    exported = export_scene(bpy.context.evaluated_depsgraph_get())
+    (made,) = (each for each in exported.materials if each.name == "Scripted")
+    assert made.closures[0].weight == (0.25, 0.5, 0.75)

@@ -1,0 +1,85 @@
+"""Settings of Cycles and EEVEE as ours."""
+
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from raybatch_addon.core.settings.settings import SETTINGS  # noqa: E402
+from raybatch_addon.export.materials import export_material  # noqa: E402
+from raybatch_addon.export.nodes.collections import Collections  # noqa: E402
+from raybatch_addon.export.settings import settings_from  # noqa: E402
+from raybatch_addon.export.taken_over.rows import CYCLES, EEVEE, ROWS  # noqa: E402
+from raybatch_addon.export.taken_over.take import differences, take_over  # noqa: E402
+
+
+@pytest.mark.parametrize("engine", [CYCLES, EEVEE])
+def test_every_row_names_a_setting_and_a_property(scene, engine):
+    for row in ROWS[engine]:
+        assert row.setting in SETTINGS and row.value(scene) is not None
+    assert len({row.setting for row in ROWS[engine]}) == len(ROWS[engine])
+
+
+def test_what_differs_is_told_and_taken_over(scene):
+    own = scene.cycles
+    own.samples, own.max_bounces, own.sample_clamp_indirect, own.adaptive_threshold = 123, 3, 2.5, 0.02
+    own.pixel_filter_type, own.filter_width = "GAUSSIAN", 1.75
+    told = {each.setting: each.theirs for each in differences(scene, CYCLES)}
+    assert told["sample_count"] == 123 and told["clamp_indirect"] == 2.5
+    assert take_over(scene, CYCLES) and not differences(scene, CYCLES)
+    settings = settings_from(scene)
+    assert (settings.sample_count, settings.bounce_max, settings.clamp_indirect) == (123, 3, 2.5)
+    assert (settings.noise_threshold, settings.pixel_filter, settings.filter_width) == (0.02, "GAUSSIAN", 1.75)
+
+
+def test_exposure_brightens_what_blender_shows(scene, tmp_path):
+    scene.world = bpy.data.worlds.new("Sky")
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.25, 0.5, 1.0, 1.0)
+    scene.cycles.film_exposure = 2.5
+    assert [each.setting for each in differences(scene, CYCLES, chosen=True)] == ["exposure"]
+    take_over(scene, CYCLES)
+    scene.raybatch.sample_count = 1
+    image = scene.render.image_settings
+    image.file_format, image.color_depth = "OPEN_EXR", "32"
+    scene.render.filepath = str(tmp_path / "picture")
+    bpy.ops.render.render(write_still=True)
+    (written,) = tmp_path.iterdir()
+    loaded = bpy.data.images.load(str(written))
+    loaded.colorspace_settings.name = "Non-Color"
+    assert tuple(loaded.pixels[:3]) == (0.625, 1.25, 2.5)
+
+
+def test_limits_by_kind_count_as_far_as_that_of_all(scene):
+    scene.cycles.max_bounces = scene.raybatch.bounce_max = 4
+    scene.cycles.diffuse_bounces = 6
+    assert "diffuse_bounce_max" not in {each.setting for each in differences(scene, CYCLES)}
+    scene.cycles.diffuse_bounces = 3
+    assert "diffuse_bounce_max" in {each.setting for each in differences(scene, CYCLES)}
+
+
+def test_values_out_of_our_range_become_its_ends(scene):
+    scene.cycles.transparent_max_bounces = 1024
+    scene.cycles.adaptive_threshold = 0
+    take_over(scene, CYCLES)
+    assert settings_from(scene).transparent_bounce_max == 1024 and settings_from(scene).noise_threshold == 0
+
+
+def test_the_button_takes_over_and_eevee_brings_its_outputs(scene):
+    scene.eevee.taa_render_samples = 33
+    assert bpy.ops.raybatch.settings_from(engine="EEVEE") == {"FINISHED"}
+    assert settings_from(scene).sample_count == 33 and scene.raybatch_export.material_output == "EEVEE"
+
+
+@pytest.mark.parametrize(("engine", "color"), [(CYCLES, (1.0, 0.0, 0.0)), (EEVEE, (0.0, 1.0, 0.0))])
+def test_the_output_of_the_engine_counts(scene, engine, color):
+    material = bpy.data.materials.new("Both")
+    tree = material.node_tree
+    tree.nodes.clear()
+    for target, shown in ((CYCLES, (1, 0, 0, 1)), (EEVEE, (0, 1, 0, 1))):
+        output, diffuse = tree.nodes.new("ShaderNodeOutputMaterial"), tree.nodes.new("ShaderNodeBsdfDiffuse")
+        output.target = target
+        diffuse.inputs["Color"].default_value = shown
+        tree.links.new(diffuse.outputs[0], output.inputs["Surface"])
+    collections = Collections()
+    collections.engine = engine
+    exported, _ = export_material(material, collections)
+    assert exported.closures[0].weight == color

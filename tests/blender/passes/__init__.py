@@ -1,0 +1,1 @@
+"""Tests of passes in Blender: names, files, and beside those of Cycles."""

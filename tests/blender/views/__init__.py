@@ -1,0 +1,1 @@
+"""Views through cameras: stereoscopy, and what moves while a shutter is open."""

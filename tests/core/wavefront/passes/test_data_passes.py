@@ -1,0 +1,108 @@
+"""Passes of what is seen: distances, coordinates, numbers, values of materials."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
+from raybatch_addon.core.programs.builder import ProgramBuilder
+from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame
+from raybatch_addon.core.scene.passes import AOV_COLOR, AOV_VALUE
+from raybatch_addon.core.settings.settings import RenderSettings
+from tests.support import scenes
+
+SETTINGS = RenderSettings(sample_count=4, bounce_max=2)
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
+
+def looking_down(*objects, passes, **frame):
+    """What lies on the planes z = 0, -1, -2, seen from z = 3 in parallel."""
+    view = dataclasses.replace(scenes.camera(eye=(0, 0, 3), up=(0, 1, 0), half_width=1.0), kind=CameraKind.ORTHOGRAPHIC)
+    placed = [(scenes.plane(size=8), scenes.translation(0, 0, -i), surface) for i, surface in enumerate(objects)]
+    return scenes.scene(placed, view=view, frame=Frame(8, 8, passes=("Combined", *passes), **frame), world=0.3)
+
+
+def veil(share):
+    return scenes.material(
+        Closure(ClosureKind.TRANSPARENT, (share,) * 3), Closure(ClosureKind.DIFFUSE, (1 - share,) * 3), name="veil"
+    )
+
+
+@pytest.mark.parametrize(("falloff", "mist"), [(1.0, 0.25), (2.0, 0.0625), (0.5, 0.5)])
+def test_mist_grows_with_the_distance(session, falloff, mist):
+    scene = looking_down(scenes.diffuse(), passes=("Mist",), mist=(2.0, 4.0, falloff))
+    assert session.render(scene, SETTINGS).passes["Mist"] == pytest.approx(mist, abs=1e-6)
+
+
+def test_nothing_lies_in_the_densest_mist(session):
+    scene = scenes.scene([], frame=Frame(4, 4, passes=("Combined", "Mist")))
+    assert np.all(session.render(scene, SETTINGS).passes["Mist"] == 1)
+
+
+def test_mist_counts_what_is_seen_through_a_veil(session):
+    """Half of the view ends in mist of 0.25, the other half in mist of 0.5: in the mean of samples."""
+    scene = looking_down(veil(0.5), scenes.diffuse(), passes=("Mist",), mist=(2.0, 4.0, 1.0))
+    found = session.render(scene, SETTINGS.replace(sample_count=256)).passes["Mist"]
+    assert found.mean() == pytest.approx(1 - (0.75 + 0.5) / 2, abs=3 * float(found.std()) / 8)
+
+
+def test_uv_is_the_map_and_0_without_one(session):
+    scene = looking_down(scenes.diffuse(), passes=("UV", "Position"))
+    assert not session.render(scene, SETTINGS).passes["UV"].any()
+    mesh = scene.meshes[0]
+    corners = (mesh.positions[mesh.triangles][..., :2] / 8 + 0.5).astype(np.float32)
+    mapped = dataclasses.replace(scene, meshes=(dataclasses.replace(mesh, corner_uvs=corners),))
+    passes = session.render(mapped, SETTINGS.replace(sample_count=1)).passes
+    assert passes["UV"][..., :2] == pytest.approx(passes["Position"][..., :2] / 8 + 0.5, abs=1e-5)
+    assert np.all(passes["UV"][..., 2] == 1)
+
+
+def numbered(scene):
+    """`scene` with objects and materials numbered from 1."""
+    info = np.zeros((len(scene.instances), 6), np.float32)
+    info[:, 4] = np.arange(len(info)) + 1
+    materials = tuple(dataclasses.replace(each, index=10 * (i + 1)) for i, each in enumerate(scene.materials))
+    instances = dataclasses.replace(scene.instances, info=info)
+    return dataclasses.replace(scene, instances=instances, materials=materials)
+
+
+@pytest.mark.parametrize(("share", "seen"), [(0.4, 1), (0.6, 2)])
+def test_data_are_those_of_the_first_surface_that_is_not_transparent(session, share, seen):
+    names = ("Object Index", "Material Index", "Depth", "Position")
+    # a threshold of alpha of a half; without black closures every path passes what it may
+    surface = scenes.material(Closure(ClosureKind.TRANSPARENT, (share,) * 3))
+    scene = numbered(looking_down(surface, scenes.diffuse(), passes=names))
+    passes = session.render(scene, SETTINGS).passes
+    expected = {"Object Index": seen, "Material Index": 10 * seen, "Depth": 2 + seen}
+    for name, value in expected.items():
+        assert np.all(passes[name] == value), name
+    assert np.all(passes["Position"][..., 2] == 1 - seen)
+
+
+def test_indices_are_0_where_nothing_is_seen(session):
+    scene = numbered(looking_down(veil(0.9), passes=("Object Index", "Depth"), alpha_threshold=1.0))
+    surface = scenes.material(Closure(ClosureKind.TRANSPARENT, (0.9,) * 3))
+    passes = session.render(dataclasses.replace(scene, materials=(surface,)), SETTINGS).passes
+    assert not passes["Object Index"].any() and np.all(passes["Depth"] == 1e10)
+
+
+def with_aovs(surface, *values):
+    """A material that writes `values` to its passes, and scatters as `surface` does."""
+    builder = ProgramBuilder()
+    for number, value in enumerate(values):
+        builder.closure("aov", value, number)
+    (closure,) = surface.closures
+    builder.closure("diffuse", closure.weight, (0.0, 0.0, 0.0))
+    return dataclasses.replace(surface, closures=(), kinds=(ClosureKind.DIFFUSE,), program=builder.finish())
+
+
+def test_materials_write_their_own_passes(session):
+    names = (f"{AOV_COLOR}hue", f"{AOV_VALUE}amount")
+    surface = with_aovs(scenes.diffuse(0.6), (0.5, -1.0, 2.0), (0.25, 0.0, 0.0))
+    passes = session.render(looking_down(surface, passes=names), SETTINGS).passes
+    assert np.all(passes[names[0]] == (0.5, -1, 2, 1)) and np.all(passes[names[1]] == 0.25)
+    plain = session.render(looking_down(scenes.diffuse(0.6), passes=names), SETTINGS).passes
+    assert not plain[names[0]].any() and np.array_equal(plain["Combined"], passes["Combined"])
+    unasked = session.render(looking_down(surface, passes=()), SETTINGS).passes
+    assert np.array_equal(unasked["Combined"], passes["Combined"])

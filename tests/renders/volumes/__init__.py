@@ -1,0 +1,1 @@
+"""Renders of volumes: closed forms, and what schedules must not change."""
