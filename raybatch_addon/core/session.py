@@ -89,11 +89,14 @@ class Session:
         settings: RenderSettings | None = None,
         cache_folder: str | Path | None = None,
         page_folder: str | Path | None = None,
+        compile_between_renders: bool = False,
     ):
         """Open `device` (AUTO, cpu or cuda:N; default: that of `settings`); raises `DeviceError`.
 
         Compiled kernels are cached in `cache_folder` (default: Warp's own folder in the user's cache), and geometry
         beyond memory in `page_folder` (default: a folder beside them), where the setting `geometry_store` is DISK.
+        With `compile_between_renders`, for sessions whose process stays, kernels specialised on a scene that general
+        ones rendered are compiled once the render is over, in a process of low priority.
         """
         self.settings = settings or RenderSettings()
         start_warp(cache_folder)
@@ -101,7 +104,7 @@ class Session:
         self.device = find_device(device or self.settings.device)
         self.layout = layout_for(self.device)  # of trees
         self._cache = SceneCache()
-        self._tier_changes = TierChanges(self.device)
+        self._tier_changes = TierChanges(self.device, compile_between_renders)
         self._building: Future | None = None  # the last build
 
     def close(self) -> None:
@@ -117,9 +120,11 @@ class Session:
         Default: what any scene can begin with: trees, tracing without queues, and on a CPU the general kernels.
         """
         plan = TracingPlan(Method.UNBATCHED)
-        requests = [CompileRequest(each, self.settings, plan) for each in features or ()]
-        kernels = [kernel for each in requests or [GeneralRequest()] for kernel in each.kernels(self.device)]
-        kernels += [*build_kernels(self.device), *LIGHT_TREE_KERNELS]
+        kernels = [] if features else GeneralRequest().kernels(self.device)
+        for each in features or ():
+            kernels += CompileRequest(each, self.settings, plan).kernels(self.device)
+        if features:
+            kernels += [*build_kernels(self.device), *LIGHT_TREE_KERNELS]
         return load_kernels(kernels, self.device, on_progress or (lambda *_: None))
 
     def render(
