@@ -24,8 +24,7 @@ from .measure.batching import batching_statistics
 from .measure.hardware import hardware_counters
 from .measure.statistics import render_statistics
 from .observers import Progress, RenderObserver, Tile, call_all
-from .programs.footprints import image_statistics
-from .programs.requests import prepared_scene
+from .programs import footprints, requests
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
 from .scene.notice import by_weight, described
@@ -209,7 +208,7 @@ class Session:
         cancelled: Callable[[], bool] | None,
         observers: Sequence[RenderObserver],
     ) -> _Job:
-        checked = prepared_scene(self._cache.displaced(checked_scene(scene), self.device), settings)
+        checked = requests.prepared_scene(self._cache.displaced(checked_scene(scene), self.device), settings)
         check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
         free = self._cache.free_for_geometry(checked.images, self.device)
@@ -396,7 +395,7 @@ class Session:
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),
                 "lights": len(job.scene.lights),
-                "images": image_statistics(job.scene, device_scene.images if device_scene else None),
+                "images": footprints.image_statistics(job.scene, device_scene.images if device_scene else None),
                 "invalid_samples": invalid,
                 "modules": modules,
                 "warnings": job.warnings,

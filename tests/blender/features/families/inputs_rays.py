@@ -54,7 +54,7 @@ def bevel_bent(scene: bpy.types.Scene) -> None:
 
 @feature("Bevel: of mirrored instances", "Inputs", "picture")
 def bevel_instances(scene: bpy.types.Scene) -> None:
-    """One mesh placed three times, mirrored and seen from inside; its faces are smooth."""
+    """One mesh placed three times, mirrored and seen from inside; half of its faces are smooth."""
     studio(scene).hide_render = True
     first = _box(lambda graph: _glossy(graph, graph.value("ShaderNodeBevel", {"Radius": 0.2})))
     first.scale, first.location = (0.8, 0.8, 0.8), (-1.0, 0, 0.5)
@@ -63,7 +63,8 @@ def bevel_instances(scene: bpy.types.Scene) -> None:
     mirrored = add_object("Mirrored", first.data)
     mirrored.scale, mirrored.location, mirrored.rotation_euler.z = (-0.8, 0.8, 0.8), (0.6, 0, 0.5), 0.3
     around = add_object("Around", first.data)
-    around.scale, around.location, around.visible_shadow = (9, -9, 6), (0, 0, 2.9), False
+    around.scale, around.location = (9, -9, 6), (0, 0, 2.9)
+    around.visible_diffuse = around.visible_glossy = around.visible_transmission = around.visible_shadow = False
 
 
 @feature("Ambient Occlusion", "Inputs", "picture", quick=True)
