@@ -16,7 +16,7 @@ import numpy as np
 from ..settings.settings import RenderSettings
 from .description import CameraKind, ClosureKind, LightKind, Scene, Visibility, Volume
 from .motion import apart
-from .passes import COST_PASSES, PASSES, SAMPLE_COUNT, guides_denoising, records_surfaces, splits_light
+from .passes import COST_PASSES, OCCLUSION_PASS, PASSES, SAMPLE_COUNT, guides_denoising, records_surfaces, splits_light
 from .program import ProgramFeatures, program_features
 
 T = TypeVar("T")
@@ -110,6 +110,11 @@ class SceneFeatures:
     def requests(self) -> bool:
         """Whether materials ask for rays."""
         return bool(self.request_program)
+
+    @property
+    def occlusion_pass(self) -> bool:
+        """Whether the film has the pass Ambient Occlusion, of surfaces."""
+        return self.surfaces and OCCLUSION_PASS in self.passes
 
     @property
     def least_density(self) -> bool:

@@ -99,7 +99,7 @@ class TileIntegrator:
         self._volumes = None  # there are none
         if scene.volumes:
             self._volumes = with_state(scene.volumes.data, count, settings.volume_bounce_max, device)
-        self._requests = RequestTurns(count, device) if features.requests else None
+        self._requests = RequestTurns(count, device) if features.requests or features.occlusion_pass else None
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = PathLists(count, device, walks=features.subsurface)
         self._film_tiles = FilmTiles(self._layout, frame.passes, device, self._lists.counts.at(Length.SPILL))
@@ -292,8 +292,8 @@ class TileIntegrator:
         with self._timer.stage("shade"):
             if self._requests:
                 inputs, back = (data, work, limits, paths, rays), (miss, surface)
-                asked = self._kernels.requests, inputs, paths, self._lists, back
-                miss, surface = self._requests.turn(self._launch_over, *asked)
+                kernels = self._kernels.requests, self._kernels.occlusion
+                miss, surface = self._requests.turn(self._launch_over, kernels, inputs, self._lists, back)
             if self._kernels.walk:
                 for back in (miss, surface):
                     self._launch_over(self._kernels.walk, back, data, work, limits, paths, rays)

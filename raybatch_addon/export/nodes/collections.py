@@ -9,6 +9,12 @@ OF_INSTANCER = "OF_INSTANCER"
 _FARTHEST = 3e38  # without a world [m]
 
 
+def occlusion_distance(scene: Any, view_layer: Any) -> float:
+    """How far occlusion reaches in Blender's `scene` where nothing else says so [m]."""
+    world = getattr(view_layer, "world_override", None) or getattr(scene, "world", None)
+    return _FARTHEST if world is None else float(world.light_settings.distance)
+
+
 class Collections:
     """Images and attributes of all graphs of a scene."""
 
@@ -74,9 +80,7 @@ class Collections:
 
     def occlusion_distance(self) -> float:
         """How far a node looks for occlusion whose own distance is 0: that of the world [m]."""
-        world = getattr(self.view_layer, "world_override", None) or getattr(self.scene, "world", None)
-        distance = _FARTHEST if world is None else world.light_settings.distance
-        return self._noted("occlusion_distance", (), distance)
+        return self._noted("occlusion_distance", (), occlusion_distance(self.scene, self.view_layer))
 
     def grids(self) -> bool:
         """Whether there are objects with grids."""

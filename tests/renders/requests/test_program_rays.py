@@ -8,7 +8,7 @@ import pytest
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.programs.ops.inputs.ray_inputs import INSIDE, ONLY_LOCAL, ROUNDED, SAMPLES_SHIFT
-from raybatch_addon.core.scene.description import CameraKind, ClosureKind, Frame, Material, Mesh
+from raybatch_addon.core.scene.description import CameraKind, Closure, ClosureKind, Frame, Material, Mesh
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 from tests.support.watched_renders import stopping
@@ -151,18 +151,43 @@ def mixed(frame=(20, 14)):
             (scenes.plane("veil", size=1.2), scenes.look_at((0.3, -2.0, 0.2), (0, -4, 0)), veil()),
         ],
         view=scenes.camera(eye=(0, -4, 1)),
-        frame=Frame(*frame),
+        frame=Frame(*frame, passes=("Combined", "Ambient Occlusion"), occlusion_distance=1.5),
         world=0.5,
         lights=[scenes.sun(2.0, 0.1, scenes.look_at((1.5, -2.0, 2.0), (0, 0, 0)))],
     )
 
 
+def test_the_pass_shows_how_open_a_floor_is(session):
+    """Under a pane that lets a part of the light pass, and a ceiling above it."""
+    tint = (0.2, 0.5, 0.8)
+    pane = Material("pane", (Closure(ClosureKind.TRANSPARENT, tint),), (ClosureKind.TRANSPARENT,))
+    floor = (scenes.plane(size=200.0), scenes.IDENTITY, scenes.diffuse())
+    above = [
+        (scenes.plane(name, size=200.0), scenes.translation(0, 0, height), material)
+        for name, height, material in (("pane", 0.5, pane), ("ceiling", 0.8, scenes.diffuse()))
+    ]
+    scene = scenes.scene([floor, *above], **from_above())
+    passes = ("Combined", "Ambient Occlusion")
+    scene = dataclasses.replace(scene, frame=dataclasses.replace(scene.frame, passes=passes, occlusion_distance=1.0))
+    film = session.render(scene, SETTINGS.replace(sample_count=64))
+    expected = 0.25 + (0.64 - 0.25) * np.array(tint)
+    np.testing.assert_allclose(film.passes["Ambient Occlusion"].mean((0, 1)), expected, atol=0.004)
+
+
 PATHS = RenderSettings(sample_count=2, bounce_max=3, roulette_bounce=2)
+
+
+def same(film, plain) -> None:
+    assert film.statistics["invalid_samples"] == 0
+    for name in ("Combined", "Ambient Occlusion"):
+        np.testing.assert_array_equal(film.passes[name], plain.passes[name])
 
 
 @pytest.fixture(scope="module")
 def plain(session):
-    return session.render(mixed(), PATHS.replace(batching="OFF")).passes["Combined"]
+    film = session.render(mixed(), PATHS.replace(batching="OFF"))
+    assert all(film.passes[name][..., :3].std() > 0.05 for name in ("Combined", "Ambient Occlusion"))
+    return film
 
 
 @pytest.mark.thorough
@@ -177,9 +202,7 @@ def plain(session):
     ],
 )
 def test_any_schedule_gives_the_same_film(session, plain, change):
-    film = session.render(mixed(), PATHS.replace(**change))
-    assert film.statistics["invalid_samples"] == 0
-    np.testing.assert_array_equal(film.passes["Combined"], plain)
+    same(session.render(mixed(), PATHS.replace(**change)), plain)
 
 
 @pytest.mark.thorough
@@ -188,5 +211,4 @@ def test_requests_take_part_in_resuming(session, plain):
     with stopping(40):
         stopped = session.render(mixed(), settings)
     assert not stopped.complete
-    film = session.render(mixed(), settings, resume=stopped)
-    np.testing.assert_array_equal(film.passes["Combined"], plain)
+    same(session.render(mixed(), settings, resume=stopped), plain)

@@ -17,20 +17,18 @@ from ...scene.features import narrow
 from ...shading.segments import make_surface_point
 from ...shading.sequences.sampler import make_sampler
 from ...shading.surface import SurfacePoint, spawn_origin
-from ..rays import SHADOW_PASS, Paths, Status, bounce_of, time_of, visibility_of
+from ..rays import SHADOW_PASS, Paths, Status, bounce_of, time_of
 from ..scene.scene_data import SceneData
 from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits
 from ..stages.surface.vertex import VertexFeatures, make_vertex
 from ..stages.work import TileWork
 from .ask import AskFeatures, make_ask
+from .held import FIRST_DIMENSION, REQUESTS_MOST, give_back, hold, send
 from .probes import Probe, edge_probe, edge_weight, occlusion_probe
 from .state import Phase, Requests
 
-RAY_NEW, HIT, BELOW = int(Status.RAY_NEW), int(Status.HIT), int(Status.INSIDE)
-# Dimension sets of requests: between those of walks and of volumes, one for each of so many of a surface
-_FIRST_DIMENSION = 2 << 30
-_REQUESTS = 256
+BELOW = int(Status.INSIDE)
 # Surfaces that a ray of an edge counts, and others that any ray passes
 _EDGES_MOST = 16
 _PASSED_MOST = 4096
@@ -64,8 +62,8 @@ def request_kernel(features: RequestFeatures) -> wp.Kernel:
         number = bounce_of(paths.status[path])
         if wp.static(features.transparency):
             number += paths.passed[path] & wp.static(SHADOW_PASS - 1)
-        dimension = wp.uint32(wp.static(_FIRST_DIMENSION)) + wp.uint32(
-            number * wp.static(_REQUESTS) + requests.known[path]
+        dimension = wp.uint32(wp.static(FIRST_DIMENSION)) + wp.uint32(
+            number * wp.static(REQUESTS_MOST) + requests.known[path]
         )
         index = where.sample * wp.uint32(asked >> SAMPLES_SHIFT) + wp.uint32(requests.turn[path])
         u = sample_2d(key, index, dimension)
@@ -77,16 +75,6 @@ def request_kernel(features: RequestFeatures) -> wp.Kernel:
         return occlusion_probe(surface, normal, requests.distance[path], u)
 
     @wp.func
-    def send(
-        requests: Requests, paths: Paths, rays: Rays, path: int, origin: wp.vec3, direction: wp.vec3, length: float
-    ):
-        requests.left[path] = length
-        rays.origin[path] = origin
-        rays.direction[path] = direction
-        rays.t_max[path] = length
-        paths.status[path] = (paths.status[path] & wp.static(~HIT)) | wp.static(RAY_NEW)
-
-    @wp.func
     def begin(
         requests: Requests, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, path: int, s: SurfacePoint
     ):
@@ -94,29 +82,6 @@ def request_kernel(features: RequestFeatures) -> wp.Kernel:
         probe = probe_of(requests, work, limits, paths, path, s)
         requests.passed[path] = 0
         send(requests, paths, rays, path, probe.origin, probe.direction, probe.length)
-
-    @wp.func
-    def hold(requests: Requests, rays: Rays, path: int):
-        requests.origin[path] = rays.origin[path]
-        requests.direction[path] = rays.direction[path]
-        requests.t_max[path] = rays.t_max[path]
-        requests.hit_t[path] = rays.hit_t[path]
-        requests.hit_instance[path] = rays.hit_instance[path]
-        requests.hit_primitive[path] = rays.hit_primitive[path]
-        requests.hit_uv[path] = rays.hit_uv[path]
-
-    @wp.func
-    def give_back(requests: Requests, paths: Paths, rays: Rays, path: int):
-        rays.origin[path] = requests.origin[path]
-        rays.direction[path] = requests.direction[path]
-        rays.t_max[path] = requests.t_max[path]
-        rays.hit_t[path] = requests.hit_t[path]  # last: it may share memory with `t_max`
-        rays.hit_instance[path] = requests.hit_instance[path]
-        rays.hit_primitive[path] = requests.hit_primitive[path]
-        rays.hit_uv[path] = requests.hit_uv[path]
-        if rays.visibility.shape[0] > 0:
-            rays.visibility[path] = visibility_of(paths.status[path])
-        paths.status[path] = paths.status[path] | wp.static(HIT)
 
     @wp.func
     def note_answer(requests: Requests, paths: Paths, path: int, own: SurfacePoint):
@@ -209,6 +174,8 @@ def request_kernel(features: RequestFeatures) -> wp.Kernel:
         if i >= count[0]:
             return
         path = slots[i]
+        if requests.phase[path] == wp.static(int(Phase.PASS)):
+            return
         if requests.phase[path] == wp.static(int(Phase.WAITING)):
             if come_back(data, requests, work, limits, paths, rays, path):
                 return

@@ -14,6 +14,7 @@ class Phase(IntEnum):
 
     NONE = 0  # nothing is asked for, or all of it is answered
     WAITING = 1  # a ray of a request is under way
+    PASS = 2  # one of the pass Ambient Occlusion
 
 
 @wp.struct
@@ -50,7 +51,7 @@ def allocate_requests(path_count: int, device: wp.Device) -> Requests:
 
 
 def request_bytes_per_path(features: SceneFeatures) -> int:
-    """Device memory of the state of one path, its answers apart [bytes]; 0 where nothing is asked for."""
-    if not features.requests:
+    """Device memory of the state of one path, its answers apart [bytes]; 0 where no rays are asked for."""
+    if not (features.requests or features.occlusion_pass):
         return 0
     return sum(wp.types.type_size_in_bytes(array.type.dtype) for array in Requests.vars.values())

@@ -1,4 +1,4 @@
-"""Requests of one worker: the state of its paths, and the launch of their stage."""
+"""Requests of one worker: the state of its paths, and the launches of their stages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import warp as wp
 
 from ...rays import RayList
 from ..path_lists import PathLists
-from ..rays import Paths
 from .state import allocate_requests
 
 
@@ -21,19 +20,19 @@ class RequestTurns:
     def turn(
         self,
         launch_over: Callable,
-        kernel: wp.Kernel,
+        kernels: tuple[wp.Kernel | None, ...],
         inputs: tuple,
-        paths: Paths,
         lists: PathLists,
         back: tuple[RayList, RayList],
     ) -> tuple[RayList, RayList]:
         """The lists `back` of paths that left the scene and that met a surface, without those that wait for answers
-        now. `inputs` of `kernel`: the scene before the state, and what comes behind it.
+        now. `inputs` of the kernels: scene, work, limits, paths and rays.
         """
         scene, *others = inputs
-        for slots in back:
-            launch_over(kernel, slots, scene, self.state, *others)
-        return lists.back(paths.status, back[0].bound)
+        for kernel in kernels:
+            for slots in back if kernel else ():
+                launch_over(kernel, slots, scene, self.state, *others)
+        return lists.back(inputs[3].status, back[0].bound)
 
     def give_up(self) -> None:
         """Forget what is under way."""
