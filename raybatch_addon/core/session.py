@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,13 @@ from .bvh.memory import GeometrySize
 from .device.devices import find_device, free_memory, load_kernels, start_warp, warp_cache_folder, worker_count
 from .film import Film
 from .film.tile import FinishedTile, add_integers_kernel
+from .job import Job
 from .measure.batching import batching_statistics
 from .measure.hardware import hardware_counters
 from .measure.statistics import render_statistics
 from .observers import Progress, RenderObserver, Tile, call_all
-from .programs import footprints, requests
+from .programs.footprints import image_statistics
+from .programs.requests import prepared_scene
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
 from .scene.notice import by_weight, described
@@ -34,7 +36,7 @@ from .shading.lights.light_tree import LIGHT_TREE_KERNELS
 from .wavefront.adaptive.ranges import check_after, chosen_looks, first_active, pixels_can_end
 from .wavefront.integrator import TileIntegrator
 from .wavefront.plan.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
-from .wavefront.render.rendering import RenderEvents, Rendering, SnapshotWatcher, snapshot_watchers
+from .wavefront.render.rendering import RenderEvents, Rendering, snapshot_watchers
 from .wavefront.render.resume import ResumeState, check_samples, film_to_fill
 from .wavefront.render.rounds import RoundPolicy
 from .wavefront.render.summary import batching_totals, ray_totals, rounds_summary, workers_summary
@@ -42,41 +44,7 @@ from .wavefront.render.workers import make_workers
 from .wavefront.scene.device_scene import DeviceScene
 from .wavefront.scene.scene_cache import GeometryRequest, SceneCache
 from .wavefront.scheduler import round_tile_edge, tile_edge
-from .wavefront.tier import TierChoice, choose_tier
-
-
-@dataclass(kw_only=True)
-class _Job:
-    """What one call of `render` was asked for."""
-
-    scene: Scene
-    settings: RenderSettings
-    features: SceneFeatures
-    tier: TierChoice
-    plan: TracingPlan
-    sample_first: int
-    on_tile: Callable[[Tile], None]
-    on_progress: Callable[[Progress], None]
-    cancelled: Callable[[], bool]
-    watchers: list[SnapshotWatcher]
-    started: float
-    warnings: list[str]
-    # filled while the render runs
-    seconds: dict[str, float] = field(default_factory=dict)  # by stage
-    hardware: dict[str, Any] = field(default_factory=dict)  # counts of the processor
-    chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open until the scene was read
-    path_bytes: int = 0  # device memory of one path alive, with all that grows with their number
-    rendering: Rendering | None = None  # from the first ray on
-
-    @property
-    def request(self) -> CompileRequest:
-        """The kernels of the render."""
-        return CompileRequest(self.features, self.settings, self.plan, self.tier.shading)
-
-    @property
-    def marks(self) -> list[int]:
-        """Sample counts at which pictures are wanted."""
-        return [mark for watcher in self.watchers for mark in watcher.marks]
+from .wavefront.tier import choose_tier
 
 
 class Session:
@@ -207,8 +175,8 @@ class Session:
         on_progress: Callable[[Progress], None] | None,
         cancelled: Callable[[], bool] | None,
         observers: Sequence[RenderObserver],
-    ) -> _Job:
-        checked = requests.prepared_scene(self._cache.displaced(checked_scene(scene), self.device), settings)
+    ) -> Job:
+        checked = prepared_scene(self._cache.displaced(checked_scene(scene), self.device), settings)
         check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
         free = self._cache.free_for_geometry(checked.images, self.device)
@@ -220,7 +188,7 @@ class Session:
         tier = choose_tier(features, settings.kernel_tier, self.device)
         if tier.complaint:
             warnings.append(f"kernels are specialised on the scene, not GENERAL: {tier.complaint}")
-        return _Job(
+        return Job(
             scene=checked,
             settings=settings,
             features=features,
@@ -236,7 +204,7 @@ class Session:
             chosen=chosen_looks(settings),
         )
 
-    def _all_tiles(self, job: _Job, after: Film | None) -> ResumeState:
+    def _all_tiles(self, job: Job, after: Film | None) -> ResumeState:
         """The state of a render that begins."""
         settings, policy = job.settings, RoundPolicy.of(job.settings, job.marks, job.sample_first)
         active = first_active(job.scene.frame, settings, job.sample_first, after, self.device)
@@ -251,7 +219,7 @@ class Session:
             state.list_active(self.device)
         return state
 
-    def _prepare(self, job: _Job) -> tuple[DeviceScene | None, list[str]]:
+    def _prepare(self, job: Job) -> tuple[DeviceScene | None, list[str]]:
         """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""
         kernels = job.request.kernels(self.device) + [add_integers_kernel] * (job.settings.half_count - 1)
         preparation = Preparation(kernels, self.device, self._building, self._tier_changes.is_closed)
@@ -279,7 +247,7 @@ class Session:
             job.warnings += preparation.warnings
             self._building = preparation.build
 
-    def _workers(self, job: _Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
+    def _workers(self, job: Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
         last = state.end == state.policy.sample_count
         areas = [halves[0].tile.pixel_count for halves in (state.open_tiles if last else state.tiles)]
         # of a pixel in one half: halves are rendered one after the other
@@ -292,7 +260,7 @@ class Session:
 
     # --- the render itself
 
-    def _run(self, job: _Job, integrators: list[TileIntegrator], state: ResumeState, film: Film) -> None:
+    def _run(self, job: Job, integrators: list[TileIntegrator], state: ResumeState, film: Film) -> None:
         """Let the integrators render what is left of `state`; callbacks are called on this thread."""
 
         def on_tile(tile: FinishedTile, passes: dict[str, np.ndarray]) -> None:
@@ -336,7 +304,7 @@ class Session:
 
     def _progress(
         self,
-        job: _Job,
+        job: Job,
         stage: str,
         fraction: float,
         message: str,
@@ -366,7 +334,7 @@ class Session:
 
     def _statistics(
         self,
-        job: _Job,
+        job: Job,
         film: Film,
         state: ResumeState,
         integrators: list[TileIntegrator],
@@ -395,7 +363,7 @@ class Session:
                 "triangles": sum(len(job.scene.meshes[i].triangles) for i in job.scene.instances.mesh),
                 "instances": len(job.scene.instances),
                 "lights": len(job.scene.lights),
-                "images": footprints.image_statistics(job.scene, device_scene.images if device_scene else None),
+                "images": image_statistics(job.scene, device_scene.images if device_scene else None),
                 "invalid_samples": invalid,
                 "modules": modules,
                 "warnings": job.warnings,
