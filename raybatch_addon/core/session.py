@@ -25,7 +25,8 @@ from .measure.batching import batching_statistics
 from .measure.hardware import hardware_counters
 from .measure.statistics import render_statistics
 from .observers import Progress, RenderObserver, Tile, call_all
-from .programs.footprints import filtered_scene, image_statistics
+from .programs.footprints import image_statistics
+from .programs.requests import prepared_scene
 from .scene.description import Scene
 from .scene.features import SceneFeatures, derive_features
 from .scene.notice import by_weight, described
@@ -175,7 +176,7 @@ class Session:
         cancelled: Callable[[], bool] | None,
         observers: Sequence[RenderObserver],
     ) -> Job:
-        checked = filtered_scene(self._cache.displaced(checked_scene(scene), self.device), settings)
+        checked = prepared_scene(self._cache.displaced(checked_scene(scene), self.device), settings)
         check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
         free = self._cache.free_for_geometry(checked.images, self.device)

@@ -22,7 +22,11 @@ LIGHT_PASS_PROPERTIES = {
     f"use_pass_{component.lower()}_{part.lower()}": f"{component} {part}"
     for component in ("Diffuse", "Glossy", "Transmission")
     for part in ("Direct", "Indirect", "Color")
-} | {"use_pass_emit": "Emission", "use_pass_environment": "Environment"}
+} | {
+    "use_pass_emit": "Emission",
+    "use_pass_environment": "Environment",
+    "use_pass_ambient_occlusion": "Ambient Occlusion",
+}
 # Passes that show cost, by the property of a view layer's `raybatch`
 COST_PASS_PROPERTIES = {
     "use_pass_rays": "Rays",

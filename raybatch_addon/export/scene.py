@@ -15,6 +15,7 @@ from .drivers import failed_drivers
 from .meshes.instances import Cancelled, collect_placements
 from .motion.shutter import Exposure, export_shutter, open_time
 from .motion.steps import MotionSteps, camera_steps
+from .nodes.collections import occlusion_distance
 from .passed_over.look import passed_over
 from .passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES, wanted_passes
 from .view import View
@@ -119,7 +120,14 @@ def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Fra
             border = None
     passes, threshold = wanted_passes(view_layer), float(view_layer.pass_alpha_threshold)
     return Frame(
-        width, height, border, bool(render.film_transparent), passes, _mist(scene.world), alpha_threshold=threshold
+        width,
+        height,
+        border,
+        bool(render.film_transparent),
+        passes,
+        _mist(scene.world),
+        threshold,
+        occlusion_distance(scene, view_layer),
     )
 
 

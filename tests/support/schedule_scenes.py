@@ -5,18 +5,19 @@ import functools
 from checking.films import FilmComparer
 
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Scene
-from raybatch_addon.core.scene.passes import COST_PASSES, GUIDE_PASSES, MATTE_PASSES
+from raybatch_addon.core.scene.passes import COST_PASSES, GUIDE_PASSES, MATTE_PASSES, OCCLUSION_PASS
 from raybatch_addon.core.scene.passes import PASSES as PASS_CHANNELS
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2, clamp_indirect=3.0)
-# Every pass of the general tier but those that show cost, and of mattes those of two levels
+# Every pass of the general tier but those that show cost, and of mattes those of two levels. Ambient Occlusion has
+# kernels of its own (`tests/renders/requests`)
 PASSES = tuple(
     name
     for name in PASS_CHANNELS
-    if name not in (*COST_PASSES, *GUIDE_PASSES) and (name not in MATTE_PASSES or name.endswith("00"))
+    if name not in (*COST_PASSES, *GUIDE_PASSES, OCCLUSION_PASS) and (name not in MATTE_PASSES or name.endswith("00"))
 )
 
 

@@ -322,6 +322,7 @@ class Frame:
     # mist: where it begins, how far behind that it is densest [m], and the exponent of the share between: 0.5, 1 or 2
     mist: tuple[float, float, float] = (0.0, 100.0, 1.0)
     alpha_threshold: float = 0.5  # passes of data show the first surface whose alpha is not below it
+    occlusion_distance: float = 3e38  # how far the pass Ambient Occlusion looks [m]
 
     @property
     def pixel_count(self) -> int:

@@ -16,7 +16,7 @@ import numpy as np
 from ..settings.settings import RenderSettings
 from .description import CameraKind, ClosureKind, LightKind, Scene, Visibility, Volume
 from .motion import apart
-from .passes import COST_PASSES, PASSES, SAMPLE_COUNT, guides_denoising, records_surfaces, splits_light
+from .passes import COST_PASSES, OCCLUSION_PASS, PASSES, SAMPLE_COUNT, guides_denoising, records_surfaces, splits_light
 from .program import ProgramFeatures, program_features
 
 T = TypeVar("T")
@@ -68,6 +68,7 @@ class SceneFeatures:
     caustics_refractive: bool = True
     volumes: bool = False  # something fills surfaces or the world
     volume_program: ProgramFeatures = ProgramFeatures()  # needs of the shader graphs of volumes
+    request_program: ProgramFeatures = ProgramFeatures()  # needs of the parts of materials that ask for rays
 
     @property
     def transparency(self) -> bool:
@@ -104,6 +105,21 @@ class SceneFeatures:
     def path_history(self) -> bool:
         """Whether programs ask how a path has scattered so far, or limits of bounces do."""
         return "path_history" in self.programs.ops or self.bounces_by_kind
+
+    @property
+    def requests(self) -> bool:
+        """Whether materials ask for rays."""
+        return bool(self.request_program)
+
+    @property
+    def occlusion_pass(self) -> bool:
+        """Whether the film has the pass Ambient Occlusion, of surfaces."""
+        return self.surfaces and OCCLUSION_PASS in self.passes
+
+    @property
+    def least_density(self) -> bool:
+        """Whether it matters how widely a path has scattered."""
+        return self.filter_glossy or "bevel" in self.programs.ops
 
     @property
     def texture_levels(self) -> bool:
@@ -181,6 +197,7 @@ class SceneFeatures:
             "filtered glossy": self.filter_glossy,
             "volumes": self.volumes,
             "programs of volumes": bool(self.volume_program),
+            "rays for programs": self.requests,
         }
         return sorted(name for name, there in names.items() if not there)
 
@@ -204,6 +221,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         closures=tuple(sorted(kinds)),
         closure_count=max((len(material.closures) for material in scene.materials), default=0) if surfaces else 0,
         programs=_material_programs(scene) if surfaces else ProgramFeatures(),
+        request_program=program_features(m.program.requests for m in scene.materials if surfaces and m.program),
         world_program=program_features([scene.world.program]),
         lamp_program=program_features([light.program for light in scene.lights]),
         lights=tuple(sorted({light.kind for light in scene.lights})),

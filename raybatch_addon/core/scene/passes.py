@@ -16,13 +16,15 @@ DIRECT_PASSES = tuple(f"{component} Direct" for component in COMPONENTS)
 INDIRECT_PASSES = tuple(f"{component} Indirect" for component in COMPONENTS)
 # Light that reaches the camera without scattering: of surfaces and lights, and of the world
 SEEN_PASSES = ("Emission", "Environment")
+# How much of the half-space about a surface is open
+OCCLUSION_PASS = "Ambient Occlusion"
 # Passes that guide a denoiser (`wavefront/passes/guides.py`)
 GUIDE_PASSES = ("Denoising Albedo", "Denoising Normal", "Denoising Depth")
 # Channels of passes whose samples are summed beside those of Combined and Normal
 SUMMED_PASSES: dict[str, int] = {
     "Mist": 1,
     "UV": 3,
-    **dict.fromkeys((*DIRECT_PASSES, *INDIRECT_PASSES, *COLOR_PASSES, *SEEN_PASSES), 3),
+    **dict.fromkeys((*DIRECT_PASSES, *INDIRECT_PASSES, *COLOR_PASSES, *SEEN_PASSES, OCCLUSION_PASS), 3),
     **dict(zip(GUIDE_PASSES, (3, 3, 1))),
 }
 # Kinds of identities that mattes are made by. Each has passes of two levels, which are numbered behind its name

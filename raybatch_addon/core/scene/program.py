@@ -37,6 +37,9 @@ class Program:
     # Names of all ops that the graph's nodes may need when values change; kernels are compiled for these. Includes the
     # ops of `instructions`.
     ops: tuple[str, ...] = ()
+    # of a render: answers that rays give to any program, in the last registers; and what asks for them
+    answer_count: int = 0
+    requests: Program | None = None
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class ProgramFeatures:
     register_count: int = 1  # size of the stack [floats]
     closure_count: int = 1  # most closures of a material
     apart: bool = False  # the interpreter is compiled once, for all kernels of the general tier, and called
+    answer_count: int = 0  # answers of rays at most; in the last registers
 
     def __bool__(self) -> bool:
         return bool(self.ops)
@@ -64,9 +68,15 @@ def program_features(programs: Iterable[Program | None], closure_count: int = 0)
     ops.update(instruction.op for program in there for instruction in program.instructions)
     return ProgramFeatures(
         tuple(sorted(ops)),
-        _rounded_up(max(program.register_count for program in there), 16),
+        rounded_registers(max(program.register_count for program in there)),
         _rounded_up(max(closure_count, *(program.closure_count for program in there)), 4),
+        answer_count=max(program.answer_count for program in there),
     )
+
+
+def rounded_registers(count: int) -> int:
+    """The size of the stack for programs of `count` registers at most."""
+    return _rounded_up(count, 16)
 
 
 def _rounded_up(count: int, least: int) -> int:

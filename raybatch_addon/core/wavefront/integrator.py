@@ -28,6 +28,7 @@ from .passes.state import PathPasses, make_path_passes
 from .path_lists import Length, PathLists
 from .plan.plan import Method
 from .rays import RayNeeds, allocate_paths, allocate_rays
+from .requests.turns import RequestTurns
 from .scene.device_scene import DeviceScene
 from .scheduler import Rectangle, WaterMarks
 from .stages import generate
@@ -98,6 +99,7 @@ class TileIntegrator:
         self._volumes = None  # there are none
         if scene.volumes:
             self._volumes = with_state(scene.volumes.data, count, settings.volume_bounce_max, device)
+        self._requests = RequestTurns(count, device) if features.requests or features.occlusion_pass else None
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = PathLists(count, device, walks=features.subsurface)
         self._film_tiles = FilmTiles(self._layout, frame.passes, device, self._lists.counts.at(Length.SPILL))
@@ -288,6 +290,10 @@ class TileIntegrator:
         with self._timer.stage("lists"):
             miss, surface = self._lists.back(paths.status, bound)
         with self._timer.stage("shade"):
+            if self._requests:
+                inputs, back = (data, work, limits, paths, rays), (miss, surface)
+                kernels = self._kernels.requests, self._kernels.occlusion
+                miss, surface = self._requests.turn(self._launch_over, kernels, inputs, self._lists, back)
             if self._kernels.walk:
                 for back in (miss, surface):
                     self._launch_over(self._kernels.walk, back, data, work, limits, paths, rays)
@@ -339,6 +345,8 @@ class TileIntegrator:
         self._paths.status.zero_()
         if self._passes:
             self._passes.values.zero_()
+        if self._requests:
+            self._requests.give_up()
         self._alive = 0
         # rays of the next turn were not traced
         self.rays.bounced -= self._bounced.bound

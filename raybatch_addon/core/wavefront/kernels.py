@@ -21,6 +21,8 @@ from .order.ray_order import order_kernels
 from .path_lists import path_list_kernels
 from .plan.plan import Method
 from .plan.tracing import Tracing
+from .requests.occlusion import OcclusionFeatures, occlusion_kernel
+from .requests.stage import RequestFeatures, request_kernel
 from .stages.accumulate import accumulate_kernel
 from .stages.connect import ConnectFeatures, make_connect, make_connect_program, settle_kernel
 from .stages.connect_transparent import make_connect_transparent
@@ -44,6 +46,8 @@ class StageKernels:
     generate_active: wp.Kernel | None  # None: all pixels get all samples
     settle: wp.Kernel
     walk: wp.Kernel | None  # None: nothing scatters below surfaces
+    requests: wp.Kernel | None  # None: no program asks for rays
+    occlusion: wp.Kernel | None  # None: there is no pass of it
     volumes: VolumeKernels | None  # None: there are no volumes
     shading: dict[ShadingStage, wp.Kernel]  # without the stages for which the scene has nothing to do
     accumulate: wp.Kernel
@@ -72,6 +76,8 @@ class StageKernels:
             generate_active=generate_active_kernel(generated) if features.adaptive else None,
             settle=settle_kernel,
             walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
+            requests=request_kernel(narrow(features, RequestFeatures)) if features.requests else None,
+            occlusion=occlusion_kernel(narrow(features, OcclusionFeatures)) if features.occlusion_pass else None,
             volumes=VolumeKernels.choose(features),
             shading=_shading_kernels(
                 features, shading, [stage for stage in ShadingStage if has[stage]], device.is_cuda
@@ -86,6 +92,7 @@ class StageKernels:
         kernels = [*stages, *path_list_kernels(walks=self.walk is not None), add_spill_kernel]
         if self.volumes:
             kernels += self.volumes.all()
+        kernels += [self.requests, self.occlusion]
         if self.generate_active:
             kernels += [self.generate_active, *ADAPTIVE_KERNELS]
         return list(dict.fromkeys(kernel for kernel in kernels if kernel is not None))

@@ -18,6 +18,7 @@ from ..bvh.tree import TRAIL_LEVELS, TopProgress
 from ..rays import Rays
 from ..scene.features import SceneFeatures
 from .passes.state import PathPasses, pass_bytes_per_path
+from .requests.state import request_bytes_per_path
 from .volumes.table import state_bytes_per_path
 
 
@@ -97,8 +98,11 @@ class Paths:
     # cone around the extending ray: its width where the path last scattered [m], and how that grows [m/m]; where images
     # are filtered, from the first scattering on
     cone: wp.array(dtype=wp.vec2)
-    # least density of the directions that the path has scattered to [1/sr], set by the first; where glossy is filtered
+    # least density of the directions that the path has scattered to [1/sr], set by the first; where glossy is
+    # filtered, or edges are rounded
     least_density: wp.array(dtype=float)
+    # what rays answered to the program of the surface, all first answers before all second ones; see `ray_inputs.py`
+    answers: wp.array(dtype=wp.vec3)
     walk: Walks
     normal: wp.array(dtype=wp.vec3)  # at the first hit, for the pass
     passes: wp.array(dtype=PathPasses)  # one entry for all paths; none where passes need none
@@ -191,7 +195,7 @@ def allocate_rays(path_count: int, device: wp.Device, needs: RayNeeds = RayNeeds
 
 
 def needed_arrays(features: SceneFeatures) -> dict[str, bool]:
-    """By name of an array of `Paths`: whether a scene with `features` has it. `walk` and `passes` are apart."""
+    """By name of an array of `Paths`: whether a scene with `features` has it. Those of other shapes are apart."""
     shadow_rays, transparency, history = features.shadow_rays, features.transparency, features.path_history
     return {
         "status": True,
@@ -212,7 +216,7 @@ def needed_arrays(features: SceneFeatures) -> dict[str, bool]:
         "history": history,
         "shadow_history": history and shadow_rays,
         "cone": features.texture_levels,
-        "least_density": features.filter_glossy,
+        "least_density": features.least_density,
         "normal": features.normal_pass,
     }
 
@@ -231,6 +235,7 @@ def allocate_paths(path_count: int, features: SceneFeatures, device: wp.Device) 
     for name, is_needed in needed_arrays(features).items():
         dtype = Paths.vars[name].type.dtype
         setattr(paths, name, wp.zeros(path_count if is_needed else 0, dtype=dtype, device=device))
+    paths.answers = wp.zeros(path_count * features.request_program.answer_count, dtype=wp.vec3, device=device)
     for name, array in Walks.vars.items():
         entry_count = path_count if features.subsurface else 0
         setattr(paths.walk, name, wp.zeros(entry_count, dtype=array.type.dtype, device=device))
@@ -262,6 +267,7 @@ def bytes_per_path(features: SceneFeatures, reference: bool = False, paths: Scen
         arrays += Walks.vars.values()
     path = sum(wp.types.type_size_in_bytes(array.type.dtype) for array in arrays)
     path += pass_bytes_per_path(features)
+    path += request_bytes_per_path(features) + 12 * features.request_program.answer_count
     if features.volumes:
         path += state_bytes_per_path()
     return path + RayNeeds.of(features, reference).bytes_per_path + LIST_BYTES_PER_PATH

@@ -80,6 +80,8 @@ def why_not_general(features: SceneFeatures) -> str:
         return "general kernels have no code for curves and points"
     if features.bounces_by_kind:
         return "general kernels do not count bounces by kind"
+    if features.requests:
+        return "general kernels trace no rays for programs"
     if features.filter_glossy:
         return "general kernels filter nothing glossy"
     if not (features.caustics_reflective and features.caustics_refractive):

@@ -6,6 +6,13 @@ from typing import Any
 
 # Kind of an attribute: position of instances on the surface that places them, `generated` or `uv`
 OF_INSTANCER = "OF_INSTANCER"
+_FARTHEST = 3e38  # without a world [m]
+
+
+def occlusion_distance(scene: Any, view_layer: Any) -> float:
+    """How far occlusion reaches in Blender's `scene` where nothing else says so [m]."""
+    world = getattr(view_layer, "world_override", None) or getattr(scene, "world", None)
+    return _FARTHEST if world is None else float(world.light_settings.distance)
 
 
 class Collections:
@@ -23,7 +30,7 @@ class Collections:
         self.asked: set[tuple[str, str]] = set()  # attributes that the current graph reads
         # what the current graph asked for: `image` with its key, `attribute` and `object_attribute` with their
         # arguments, and the answers; None: it depends on more than its nodes and these answers
-        self.record: list[tuple[str, tuple, int]] | None = []
+        self.record: list[tuple[str, tuple, float]] | None = []
         self.has_grids = False  # there are objects with grids, which volumes read as attributes
         self.view_layer: Any = None  # Blender's, whose properties graphs may read
         self.scene: Any = None
@@ -71,11 +78,15 @@ class Collections:
                 found = 2 * number + (aov.type == "VALUE")
         return self._noted("aov", (name,), found)
 
+    def occlusion_distance(self) -> float:
+        """How far a node looks for occlusion whose own distance is 0: that of the world [m]."""
+        return self._noted("occlusion_distance", (), occlusion_distance(self.scene, self.view_layer))
+
     def grids(self) -> bool:
         """Whether there are objects with grids."""
         return bool(self._noted("grids", (), int(self.has_grids)))
 
-    def _noted(self, kind: str, what: tuple, place: int) -> int:
+    def _noted(self, kind: str, what: tuple, place: Any) -> Any:
         if self.record is not None:
             self.record.append((kind, what, place))
         return place

@@ -16,6 +16,7 @@ MODULES = (
     "textures_image",
     "inputs",
     "inputs_pictures",
+    "inputs_rays",
     "utility.values",
     "utility.mix",
     "utility.pictures",

@@ -68,6 +68,7 @@ def still_life(scene):
     objects[4].parent = objects[1]
     objects[4].matrix_parent_inverse = objects[1].matrix_world.inverted()
     scene.world.mist_settings.start, scene.world.mist_settings.depth = 2, 6
+    scene.world.light_settings.distance = 0.9
     layer = scene.view_layers[0]
     for name, kind in (("hue", "COLOR"), ("amount", "VALUE")):
         aov = layer.aovs.add()

@@ -10,7 +10,10 @@ from raybatch_addon.core.bvh.build.scene_tree import layout_for
 from raybatch_addon.core.device.devices import find_device
 from raybatch_addon.core.film import sums
 from raybatch_addon.core.film import tile as film_tile
-from raybatch_addon.core.scene.description import Frame
+from raybatch_addon.core.programs.builder import ProgramBuilder
+from raybatch_addon.core.programs.ops.inputs.ray_inputs import ROUNDED, SAMPLES_SHIFT
+from raybatch_addon.core.programs.requests import requesting_scene
+from raybatch_addon.core.scene.description import ClosureKind, Frame, Material
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.scene.validate import checked_scene
 from raybatch_addon.core.session import Session
@@ -94,7 +97,7 @@ def bytes_held(integrator: TileIntegrator, scene: DeviceScene) -> int:
 
 def test_the_table_of_paths_has_all_their_arrays():
     features = derive_features(checked_scene(lit()), RenderSettings())
-    assert needed_arrays(features).keys() == Paths.vars.keys() - {"walk", "passes"}
+    assert needed_arrays(features).keys() == Paths.vars.keys() - {"walk", "passes", "answers"}
 
 
 # Each compiles kernels of its own
@@ -110,6 +113,27 @@ def test_memory_grows_by_what_is_told(case):
     features = derive_features(checked_scene(scene), settings)
     for asked, has in HAS.items():
         assert has(features) == (asked in case), (case, asked)
+    told, grown = told_and_grown(scene, settings)
+    assert told - 1 <= grown <= told, (case, told, grown)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("passes", [("Combined",), ("Combined", "Ambient Occlusion")])
+def test_rays_for_programs_and_passes_take_what_is_told(passes):
+    program = ProgramBuilder()
+    normal = program.value("normals")[0]
+    rounded = program.value("bevel", normal, 0.1, ROUNDED | 2 << SAMPLES_SHIFT, -1, -1)
+    seen = program.value("ambient_occlusion", rounded, 0.5, 2 << SAMPLES_SHIFT, -1, -1)
+    program.closure("diffuse", program.value("splat", seen), normal)
+    material = Material("dirt", (), (ClosureKind.DIFFUSE,), program.finish())
+    scene = requesting_scene(lit(material, Frame(32, 32, passes=passes)))
+    told, grown = told_and_grown(scene, SETTINGS)
+    assert told - 1 <= grown <= told, (told, grown)
+
+
+def told_and_grown(scene, settings) -> tuple[int, float]:
+    """Bytes of a path, and by how many a worker grows with each."""
+    features = derive_features(checked_scene(scene), settings)
     held = []
     for path_count in (LEAST, 3 * LEAST):
         integrator, built = integrator_of(scene, settings, path_count)
@@ -117,8 +141,7 @@ def test_memory_grows_by_what_is_told(case):
         sorting = hit_order_bytes(path_count) if built.hits_sorted_by(settings) else 0
         held.append(bytes_held(integrator, built) - sorting)
     told = bytes_per_path(features, settings.batching == "REFERENCE")
-    grown = (held[1] - held[0]) / (2 * LEAST)
-    assert told - 1 <= grown <= told, (case, told, grown)
+    return told, (held[1] - held[0]) / (2 * LEAST)
 
 
 def test_a_path_of_an_opaque_scene_with_lights_is_small():

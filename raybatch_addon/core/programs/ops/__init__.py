@@ -11,6 +11,7 @@ from .inputs import (  # noqa: F401
     grids,
     ies,
     object_inputs,
+    ray_inputs,
     view_inputs,
 )
 from .textures import (  # noqa: F401

@@ -19,6 +19,7 @@ from ...scene.passes import (
     GUIDE_PASSES,
     INDIRECT_PASSES,
     MATTE_KINDS,
+    OCCLUSION_PASS,
     aov_passes,
     channels_of,
     matte_kinds,
@@ -48,6 +49,7 @@ class PassInputs:
     mist_falloff: float  # exponent
     orthographic: int  # 1: mist counts distances along the view
     alpha_threshold: float  # least alpha of the surface whose data passes show
+    occlusion_distance: float  # [m]
 
 
 @wp.struct
@@ -70,6 +72,7 @@ class PathPasses:
     albedo: int  # of what guides a denoiser, as `normal` and `depth`
     normal: int
     depth: int
+    occlusion: int
     emission: int
     environment: int
     color: wp.vec3i  # by component: diffuse, glossy, transmission
@@ -104,7 +107,7 @@ def make_path_passes(
     device: wp.Device,
 ) -> PathPasses | None:
     """The state of `path_count` paths for the passes of `features`; None where they need none."""
-    if not (features.records_surfaces or features.splits_light or features.guides):
+    if not (features.records_surfaces or features.splits_light or features.guides or features.occlusion_pass):
         return None
 
     def first(name: str) -> int:
@@ -124,6 +127,7 @@ def make_path_passes(
     passes.mist, passes.uv = first("Mist"), first("UV")
     passes.albedo, passes.normal, passes.depth = map(first, GUIDE_PASSES)
     passes.to_camera = camera_axes(camera)
+    passes.occlusion = first(OCCLUSION_PASS)
     passes.emission, passes.environment = first("Emission"), first("Environment")
     passes.color = wp.vec3i(*map(first, COLOR_PASSES))
     passes.direct = wp.vec3i(*map(first, DIRECT_PASSES))
@@ -139,6 +143,7 @@ def upload_pass_inputs(scene: Scene, features: SceneFeatures, device: wp.Device)
     inputs.mist_start, inputs.mist_scale, inputs.mist_falloff = start, 1 / depth if depth > 0 else 0.0, falloff
     inputs.orthographic = int(scene.camera.kind == CameraKind.ORTHOGRAPHIC)
     inputs.alpha_threshold = scene.frame.alpha_threshold
+    inputs.occlusion_distance = scene.frame.occlusion_distance
     if "Object Index" in names:
         info = scene.instances.info
         values = np.zeros(len(scene.instances), np.float32) if info is None else np.asarray(info, np.float32)[:, 4]

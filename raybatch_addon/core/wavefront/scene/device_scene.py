@@ -88,6 +88,8 @@ class DeviceScene:
             data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
             programs = [material.program for material in scene.materials]
+            if features.requests:
+                programs += [program.requests if program else None for program in programs]
             inputs = None
             if not features.programs:
                 cache.inputs.clear()

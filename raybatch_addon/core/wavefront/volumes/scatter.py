@@ -146,6 +146,11 @@ def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
             paths.side[path] = v.side
         if paths.cone.shape[0] > 0:
             paths.cone[path] = wp.vec2(0.0, 0.0)
+        if paths.least_density.shape[0] > 0:
+            density = float(chosen.pdf)
+            if v.bounce > 0:
+                density = wp.min(density, paths.least_density[path])
+            paths.least_density[path] = density
         if paths.shadow_history.shape[0] > 0:
             paths.shadow_history[path] = paths.history[path]
         rays.origin[path] = v.surface.position

@@ -149,20 +149,6 @@ def wireframe(node: Node) -> Value:
     return node.op("wireframe", int(node.node.use_pixel_size), node.number("Size"))
 
 
-@values("ShaderNodeBevel", family="Inputs", note="not supported: the normal passes through")
-def bevel(node: Node) -> Value:
-    """The unchanged normal."""
-    node.warn("rounding is not supported, and its normal passes through; this is the effect")
-    return node.normal()
-
-
-@values("ShaderNodeAmbientOcclusion", family="Inputs", note="not supported: nothing is occluded")
-def ambient_occlusion(node: Node) -> dict[str, Value]:
-    """The unchanged colour."""
-    node.warn("occlusion is not supported and taken as none; this is the result")
-    return {"Color": node.color("Color"), "AO": node.constant(1.0)}
-
-
 @values("ShaderNodeParticleInfo", family="Inputs", note="gives 0, as on any mesh: particles are not supported")
 def of_no_mesh(node: Node) -> Value:
     """0 for data that no mesh has."""

@@ -2,7 +2,7 @@
 
 import bpy
 
-from tests.blender.features.build import ball, box, diffuse, floor, look, material_graph, studio
+from tests.blender.features.build import ball, diffuse, floor, look, material_graph, studio
 from tests.blender.features.compare import add_world
 from tests.blender.features.graph import Graph
 from tests.blender.features.registry import feature
@@ -74,26 +74,6 @@ def shadow_ray(scene: bpy.types.Scene) -> None:
         shadow = graph.value("ShaderNodeLightPath", output="Is Shadow Ray")
         base = graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.5, 0.2)})
         return graph.value("ShaderNodeMixShader", {0: shadow, 1: base, 2: graph.value("ShaderNodeBsdfTransparent")})
-
-    studio(scene, surface)
-
-
-@feature("Bevel", "Inputs", "picture")
-def bevel(scene: bpy.types.Scene) -> None:
-    studio(scene).hide_render = True
-    obj = box("Box", (0, 0, 0.8), (1.4, 1.4, 1.4), 0.5, (0.8, 0.5, 0.2))
-    obj.data.materials.clear()
-    material_graph(
-        obj,
-        lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Normal": graph.value("ShaderNodeBevel", {"Radius": 0.4})}),
-    )
-
-
-@feature("Ambient Occlusion", "Inputs", "picture")
-def ambient_occlusion(scene: bpy.types.Scene) -> None:
-    def surface(graph: Graph):
-        color = graph.value("ShaderNodeAmbientOcclusion", {"Color": (0.9, 0.6, 0.3), "Distance": 1.0})
-        return graph.value("ShaderNodeEmission", {"Color": color})
 
     studio(scene, surface)
 

@@ -54,6 +54,11 @@ class SurfaceFeatures:
         return not (self.caustics_reflective and self.caustics_refractive)
 
     @property
+    def least_density(self) -> bool:
+        """It matters how widely a path has scattered."""
+        return self.filter_glossy or "bevel" in self.programs.ops
+
+    @property
     def subsurface(self) -> bool:
         """Light that scatters below surfaces."""
         return ClosureKind.SUBSURFACE in self.closures

@@ -40,6 +40,7 @@ from ..limits import PathLimits, has_light
 from ..walk import make_walk_begin
 from ..work import TileWork
 from .aim import AimFeatures, aimed_light, is_aimed, make_choose_light
+from .answered import make_answered_program
 from .caustics import make_leave_out_caustics
 from .cone import cone_width, make_filtered_program, make_scattered_cone, path_cone
 from .connect_light import make_connect_light
@@ -77,6 +78,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     programs = features.programs
     run_surface = make_surface_program(programs)
     run_filtered = make_filtered_program(programs)
+    run_answered = make_answered_program(programs)
     scattered_cone = make_scattered_cone(features.smooth_normals)
     begin_walk = make_walk_begin(features.sample_sequence)
     lobes_most = features.lobes_most
@@ -122,6 +124,12 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 if wp.static(features.texture_levels):
                     width = cone_width(path_cone(data.nodes, paths, path, v.bounce), point.ray_length)
                     chance = sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(TEXTURE))
+                if wp.static(programs.answer_count > 0):
+                    if wp.static(not features.texture_levels):
+                        width = float(0.0)
+                        chance = float(0.0)
+                    end = run_answered(data, paths, path, program, point, records, width, chance)
+                elif wp.static(features.texture_levels):
                     end = run_filtered(data, program, point, records, width, chance)
                 else:
                     end = run_surface(data, program, point, records)
@@ -297,7 +305,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
             if (scattered.lobe & DELTA) != 0 or v.where.x >= limits.nee_end:
                 pdf = 0.0
             paths.pdf[path] = pdf
-            if wp.static(features.filter_glossy):
+            if wp.static(features.least_density):
                 density = float(scattered.pdf)
                 if (scattered.lobe & DELTA) != 0:
                     density = wp.inf

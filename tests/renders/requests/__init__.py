@@ -1,0 +1,1 @@
+"""Rays that programs and passes ask for, in whole renders."""
