@@ -140,6 +140,7 @@ class Mesh:
     # corners have. A segment that begins where the row before ends goes on from there; one without length is a sphere.
     # None: triangles
     radii: np.ndarray | None = None
+    ribbons: bool = False  # with `radii`: segments are strips that face each ray, instead of round
     # triangles that are flat beside others that are not: they stay so when vertices move. Bool, shape [triangle_count];
     # None: no triangle is, or all are
     flat: np.ndarray | None = None

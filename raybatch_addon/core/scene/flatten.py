@@ -141,7 +141,7 @@ def _keep(mesh: Mesh) -> _Chunk:
 
 
 def _segments(mesh: Mesh, positions: np.ndarray, radii: np.ndarray) -> _Chunk:
-    corners, triangles = pack_segments(positions, radii, mesh.triangles)
+    corners, triangles = pack_segments(positions, radii, mesh.triangles, mesh.ribbons)
     return _Chunk(corners, triangles, None, mesh.triangle_slot, curves=True)
 
 

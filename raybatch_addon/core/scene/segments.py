@@ -3,12 +3,13 @@
 A curve is a chain of *segments*: cones between two points, each with its radius, that end where the bisecting plane of
 two segments cuts both, so that neighbours meet without a gap and without surfaces inside each other. A segment without
 length is a sphere. Only the outside is met: a ray that begins within leaves without a hit (hair closures speak of the
-whole fibre, and so does Cycles).
+whole fibre, and so does Cycles). A segment may be a *ribbon*: a strip that faces each ray, as wide as the cone, and
+shaded as the cone is. It is met where the ray passes its axis, unless that is nearer than its width.
 
 The first two corners of a segment are its points. The third is no point but three words:
 
     x   both radii: the upper 16 bits of their float32, without the sign, which are 8 bits of mantissa; the first lowest
-    y   bits 0 to 21: normal of the plane at the first point
+    y   bits 0 to 21: normal of the plane at the first point; bit 22: the segment is a ribbon
     z   a NaN, which tells that the primitive is a segment: no coordinate of a triangle is one. Bits 0 to 21: normal of
         the plane at the second point
 
@@ -26,9 +27,12 @@ BEND_MOST = np.cos(np.radians(60.0))
 """Cosine of half the angle of a bend, in which two segments still share a plane; beyond each ends straight."""
 _NAN = np.uint32(0x7FC00000)
 _NORMAL_MASK = np.uint32((1 << 22) - 1)
+_RIBBON = np.uint32(1 << 22)
 
 
-def pack_segments(positions: np.ndarray, radii: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def pack_segments(
+    positions: np.ndarray, radii: np.ndarray, segments: np.ndarray, ribbons: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Corners and triangles of the segments of a mesh.
 
     Args:
@@ -36,6 +40,7 @@ def pack_segments(positions: np.ndarray, radii: np.ndarray, segments: np.ndarray
         radii: of the points [m], float32, shape [n].
         segments: rows of which the first two numbers are points, int32, shape [m, 3]. Where one begins with the point
             that the row before ends with, it goes on from there.
+        ribbons: whether segments are strips that face each ray.
 
     Returns:
         positions, float32, shape [n + m, 3], and indices into them, int32, shape [m, 3].
@@ -54,7 +59,7 @@ def pack_segments(positions: np.ndarray, radii: np.ndarray, segments: np.ndarray
     size = (radii.astype(np.float32).view(np.uint32) + np.uint32(1 << 14)) >> np.uint32(15)
     packed = np.empty((len(segments), 3), np.uint32)
     packed[:, 0] = size[first] | size[second] << np.uint32(16)
-    packed[:, 1] = _packed_normal(begin)
+    packed[:, 1] = _packed_normal(begin) | (_RIBBON if ribbons else np.uint32(0))
     packed[:, 2] = _NAN | _packed_normal(end)
     count = len(positions)
     corners = np.empty((count + len(segments), 3), np.float32)
@@ -87,6 +92,7 @@ def segment_boxes(positions: np.ndarray, segments: np.ndarray) -> tuple[np.ndarr
     axis = np.divide(along, length[:, None], out=np.zeros_like(along), where=is_cone[:, None])
     taper = np.divide(radius[:, 1] - radius[:, 0], length, out=np.zeros_like(length), where=is_cone)
     low, high = np.full((len(segments), 3), np.inf), np.full((len(segments), 3), -np.inf)
+    faces = (packed[:, 1] & _RIBBON) != 0
     for k, outwards in ((0, -taper), (1, taper)):
         normal = _unpacked_normal(packed[:, 1 + k])
         cosine = np.abs((normal * axis).sum(1)) / np.linalg.norm(normal, axis=1)
@@ -98,6 +104,7 @@ def segment_boxes(positions: np.ndarray, segments: np.ndarray) -> tuple[np.ndarr
         # a disk across the axis, moved along it; of a sphere all of it, and 2 % for roundings of radii and planes
         across = np.sqrt(np.maximum(1 - axis**2, 0))
         half = 1.02 * (wide[:, None] * across + reach[:, None] * np.abs(axis)) + 0.02 * most[:, None]
+        half[faces] = 1.02 * most[faces, None]  # seen from any side it ends in the round
         low, high = np.minimum(low, ends[:, k] - half), np.maximum(high, ends[:, k] + half)
     least, greatest = low.astype(np.float32), high.astype(np.float32)
     return np.nextafter(least, np.float32(-np.inf)), np.nextafter(greatest, np.float32(np.inf))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from ...core.scene.description import Attribute, Mesh
 from ..meshes.attributes import ATTRIBUTE_TYPES
 from ..meshes.mesh_arrays import read
-from .strands import CutStrands, Strands, hair_attribute, random_numbers, sound_strands
+from .strands import CurveShape, CutStrands, Strands, hair_attribute, random_numbers, sound_strands
 
 # What Cycles takes where curves, and points, have no radius [m]
 _CURVE_RADIUS, _POINT_RADIUS = 0.005, 0.01
@@ -23,7 +24,7 @@ STRAND_KIND = "CURVE"
 class CurvesSource:
     """A Curves data-block."""
 
-    def __init__(self, curves: bpy.types.Curves, user: str, linear: bool) -> None:
+    def __init__(self, curves: bpy.types.Curves, user: str, shape: CurveShape) -> None:
         self._curves, self._user = curves, user
         count = len(curves.position_data)
         points = read(curves.position_data, "vector", np.float32, count, 3)
@@ -32,7 +33,7 @@ class CurvesSource:
         first = read(offsets, "value", np.int32, len(offsets)) if count else np.zeros(1, np.int32)
         radii = _stored(curves, "radius", count)
         radii = np.full(count, _CURVE_RADIUS, np.float32) if radii is None else radii[:, 0]
-        self._cut = CutStrands(sound_strands(points, radii, first), linear)
+        self._cut = CutStrands(sound_strands(points, radii, first), shape)
 
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
         """Its mesh; None where nothing of it can be rendered."""
@@ -47,7 +48,7 @@ class CurvesSource:
             return mesh
         slot = np.clip(slots, 0, len(self._curves.materials) - 1)
         of_segment = self._cut.of_given_strands(slot)[:, 0].astype(np.int32)
-        return Mesh(mesh.name, mesh.positions, mesh.triangles, of_segment, corner_uvs=mesh.corner_uvs, radii=mesh.radii)
+        return replace(mesh, triangle_slot=of_segment)
 
     def _surface_uvs(self) -> np.ndarray | None:
         values = _stored(self._curves, "surface_uv_coordinate", len(self._curves.curve_offset_data) - 1)
@@ -76,11 +77,11 @@ class CurvesSource:
 class ParticleHair:
     """The hair of a particle system, as the evaluated object `owner` wears it."""
 
-    def __init__(self, owner: bpy.types.Object, modifier: Any, linear: bool) -> None:
+    def __init__(self, owner: bpy.types.Object, modifier: Any, shape: CurveShape) -> None:
         self._owner, self._modifier, self._system = owner, modifier, modifier.particle_system
         points, first = _paths(owner, self._system)
         self._count = len(first) - 1
-        self._cut = CutStrands(sound_strands(points, _radii(self._system.settings, points, first), first), linear)
+        self._cut = CutStrands(sound_strands(points, _radii(self._system.settings, points, first), first), shape)
 
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
         """Its mesh; None where there is no hair."""

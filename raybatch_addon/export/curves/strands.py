@@ -8,9 +8,10 @@ the strand alone.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
+import bpy
 import numpy as np
 
 from ...core.scene.description import Attribute, Mesh
@@ -81,12 +82,21 @@ def sound_strands(points: np.ndarray, radii: np.ndarray, first: np.ndarray) -> S
     )
 
 
+@dataclass(frozen=True)
+class CurveShape:
+    """What curves are: round, straight between points, or strips that face each ray."""
+
+    linear: bool = False
+    ribbons: bool = False
+    parts_most: int = _PARTS_MOST  # segments between two points
+
+
 @dataclass
 class CutStrands:
     """Strands cut into segments, and where their points came from, for values that are given at points."""
 
     strands: Strands
-    linear: bool = False  # straight between points
+    shape: CurveShape = CurveShape()
 
     @cached_property
     def _ends(self) -> np.ndarray:
@@ -113,7 +123,7 @@ class CutStrands:
     @cached_property
     def _parts(self) -> np.ndarray:
         """Segments of each piece, int64."""
-        if self.linear:
+        if self.shape.linear or self.shape.parts_most == 1:
             return np.ones(len(self._ends), np.int64)
         k, rows = self._ends, self._rows
         chord = rows[k + 1] - rows[k]
@@ -128,7 +138,7 @@ class CutStrands:
         off = (_length(end - begin) + _length(begin + end)) / 8
         may = np.maximum(_OFF_RADII * np.maximum(rows[k, 3], rows[k + 1, 3]), _OFF_LENGTHS * length)
         parts = np.ceil(np.sqrt(off / np.maximum(may, 1e-30)))
-        return np.clip(np.nan_to_num(parts, nan=1), 1, _PARTS_MOST).astype(np.int64)
+        return np.clip(np.nan_to_num(parts, nan=1), 1, self.shape.parts_most).astype(np.int64)
 
     @cached_property
     def _origin(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -154,16 +164,11 @@ class CutStrands:
             np.ascontiguousarray(vertices[:, :3]),
             self.segments,
             radii=np.maximum(vertices[:, 3], 0, dtype=np.float32),
+            ribbons=self.shape.ribbons,
         )
         if uvs is not None:
             of_segment = uvs[self.vertex_strand[self.segments[:, 0]]]
-            mesh = Mesh(
-                mesh.name,
-                mesh.positions,
-                mesh.triangles,
-                corner_uvs=np.repeat(of_segment[:, None], 3, 1),
-                radii=mesh.radii,
-            )
+            mesh = replace(mesh, corner_uvs=np.repeat(of_segment[:, None], 3, 1))
         return mesh
 
     def _vertices(self) -> np.ndarray:
@@ -245,6 +250,15 @@ def hair_attribute(cut: CutStrands, name: str) -> Attribute | None:
     """The attribute of kind CURVE called `name`."""
     values = cut.hair_value(name)
     return None if values is None else Attribute("CURVE", name, np.ascontiguousarray(values))
+
+
+def curve_shape(scene: bpy.types.Scene) -> CurveShape:
+    """The shape that `scene` says (a setting of Cycles, where its add-on is enabled)."""
+    settings = getattr(scene, "cycles_curves", None)
+    shape = getattr(settings, "shape", "THICK")
+    if shape == "RIBBONS":
+        return CurveShape(ribbons=True, parts_most=min(1 << settings.subdivisions, _PARTS_MOST))
+    return CurveShape(linear=shape == "THICK_LINEAR")
 
 
 def _length(rows: np.ndarray) -> np.ndarray:
