@@ -158,25 +158,21 @@ class CutStrands:
 
     def mesh(self, name: str, uvs: np.ndarray | None = None) -> Mesh:
         """The mesh of all segments; `uvs`: UV coordinates of each strand, float32, shape [strand_count, 2]."""
-        vertices = self._rows if (self._parts == 1).all() else self._vertices()
-        mesh = Mesh(
-            name,
-            np.ascontiguousarray(vertices[:, :3]),
-            self.segments,
-            radii=np.maximum(vertices[:, 3], 0, dtype=np.float32),
-            ribbons=self.shape.ribbons,
-        )
+        positions, radii = self.strands.points, self.strands.radii
+        if (self._parts > 1).any():
+            positions, radii = self._vertices()
+        mesh = Mesh(name, positions, self.segments, radii=radii, ribbons=self.shape.ribbons)
         if uvs is not None:
             of_segment = uvs[self.vertex_strand[self.segments[:, 0]]]
             mesh = replace(mesh, corner_uvs=np.repeat(of_segment[:, None], 3, 1))
         return mesh
 
-    def _vertices(self) -> np.ndarray:
-        """Positions and radii of all vertices, float32, shape [v, 4]."""
+    def _vertices(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and radii of all vertices, float32, shape [v, 3] and [v]."""
         rows, ends = self._rows, self._ends
         begin, end = self._tangents
         piece, along, _ = self._origin
-        vertices = np.empty((len(piece), 4), np.float32)
+        positions, radii = np.empty((len(piece), 3), np.float32), np.empty(len(piece), np.float32)
 
         def fill(first: int) -> None:
             part = slice(first, first + _BLOCK)
@@ -184,11 +180,13 @@ class CutStrands:
             a, b = u * u * (3 - 2 * u), u * (1 - u)  # Hermite's basis
             low = rows[ends[k]]
             at = low + (rows[ends[k] + 1] - low) * a
-            vertices[part] = at + (begin[k] * (1 - u) - end[k] * u) * b
+            at += (begin[k] * (1 - u) - end[k] * u) * b
+            positions[part] = at[:, :3]
+            np.maximum(at[:, 3], 0, out=radii[part])
 
         with ThreadPoolExecutor() as pool:
             list(pool.map(fill, range(0, len(piece), _BLOCK)))
-        return vertices
+        return positions, radii
 
     @cached_property
     def vertex_strand(self) -> np.ndarray:
@@ -198,9 +196,14 @@ class CutStrands:
     @cached_property
     def segments(self) -> np.ndarray:
         """Rows as in `Mesh.triangles`, int32, shape [m, 3]."""
-        strand = self.vertex_strand
-        first = np.flatnonzero(strand[:-1] == strand[1:]).astype(np.int32)
-        return np.stack([first, first + np.int32(1), first], 1)
+        # all vertices but the last ones of strands
+        total = np.concatenate([[0], np.cumsum(self._parts)])[self.strands.first - np.arange(len(self.strands.first))]
+        first = np.arange(total[-1], dtype=np.int32)
+        first += np.repeat(np.arange(len(total) - 1, dtype=np.int32), np.diff(total))
+        rows = np.empty((len(first), 3), np.int32)
+        rows[:, 0] = rows[:, 2] = first
+        np.add(first, 1, out=rows[:, 1])
+        return rows
 
     def of_points(self, values: np.ndarray) -> np.ndarray:
         """Values of the points given, float32, shape [n, width], as values of the segments' corners."""
