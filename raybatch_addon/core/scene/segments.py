@@ -125,6 +125,22 @@ def segment_boxes(positions: np.ndarray, segments: np.ndarray) -> tuple[np.ndarr
     return least, greatest
 
 
+def segment_boxes_over(steps: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same of segments whose points, float32, shape [steps, n, 3], move along lines from step to step.
+
+    However a segment turns meanwhile, no hit is farther from the nearer point than twice the largest radius, along the
+    axis and across it.
+    """
+    low, high = np.inf, -np.inf
+    for positions in steps:
+        ends = positions[segments[:, :2]]
+        packed = np.ascontiguousarray(positions[segments[:, 2], 0]).view(np.uint32)
+        radius = np.maximum(packed & np.uint32(0xFFFF), packed >> np.uint32(16)) << np.uint32(15)
+        room = (3 * radius.view(np.float32))[:, None]  # above the root of 8
+        low, high = np.minimum(low, ends.min(1) - room), np.maximum(high, ends.max(1) + room)
+    return np.nextafter(low, np.float32(-np.inf)), np.nextafter(high, np.float32(np.inf))
+
+
 def _boxes(positions: np.ndarray, segments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ends = positions[segments[:, :2]].astype(np.float64)
     packed = np.ascontiguousarray(positions[segments[:, 2]]).view(np.uint32)
@@ -161,10 +177,7 @@ def _packed_normal(normal: Sequence[np.ndarray]) -> np.ndarray:
     size = np.maximum(np.abs(x) + np.abs(y) + np.abs(z), 1e-30)
     x, y = x / size, y / size
     folded = z < 0
-    x, y = (
-        np.where(folded, np.copysign(1 - np.abs(y), x), x),
-        np.where(folded, np.copysign(1 - np.abs(x), y), y),
-    )
+    x, y = (np.where(folded, np.copysign(1 - np.abs(y), x), x), np.where(folded, np.copysign(1 - np.abs(x), y), y))
     steps = [np.rint((value + 1) * (0.5 * NORMAL_STEPS)).astype(np.uint32) for value in (x, y)]
     return steps[0] | steps[1] << np.uint32(11)
 

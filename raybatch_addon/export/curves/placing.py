@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 
 from ...core.scene.description import Mesh
-from .sources import CurvesSource, ParticleHair, PointsSource
+from .sources import CurvesSource, ParticleHair, PointsSource, Source
 from .strands import curve_shape
 
 _Asked = list[tuple[str, str]]
@@ -23,6 +23,7 @@ class StrandMeshes:
         self._meshes, self._warnings = meshes, warnings
         self._shape = curve_shape(scene)
         self._made: dict[Any, tuple[Any, int | None]] = {}
+        self.sources: dict[int, Source] = {}  # by mesh
         self._seen: dict[Any, set[tuple[str, str]]] = {}
 
     def of(self, obj: bpy.types.Object, data: Any, collector: Any) -> tuple[list[int], Callable[[_Asked], int | None]]:
@@ -51,6 +52,7 @@ class StrandMeshes:
             mesh = source.exported(reads_uv, self._warnings)
             self._made[key] = source, None if mesh is None else len(self._meshes)
             if mesh is not None:
+                self.sources[len(self._meshes)] = source
                 self._meshes.append(mesh)
         source, index = self._made[key]
         if index is not None:
@@ -61,7 +63,7 @@ class StrandMeshes:
             seen.update(asked)
         return index
 
-    def _source(self, obj: bpy.types.Object, data: Any) -> CurvesSource | ParticleHair | PointsSource:
+    def _source(self, obj: bpy.types.Object, data: Any) -> Source:
         if isinstance(data, bpy.types.Curves):
             return CurvesSource(data, obj.name, self._shape)
         if isinstance(data, bpy.types.PointCloud):

@@ -35,6 +35,25 @@ class CurvesSource:
         radii = np.full(count, _CURVE_RADIUS, np.float32) if radii is None else radii[:, 0]
         self._cut = CutStrands(sound_strands(points, radii, first), shape)
 
+        self._given = count
+
+    def vertices_of(self, obj: bpy.types.Object) -> np.ndarray | None:
+        """Positions of the vertices of the mesh as `obj`, evaluated at another time, has them; None where it has other
+        points then.
+        """
+        count = len(obj.data.position_data) if isinstance(obj.data, bpy.types.Curves) else -1
+        if count != self._given:
+            return None
+        return _moved(self._cut, read(obj.data.position_data, "vector", np.float32, count, 3))
+
+    def velocity(self) -> np.ndarray | None:
+        """Velocity of the vertices [m/s], float32, shape [vertex_count, 3]; None without the attribute “velocity”."""
+        values = _stored(self._curves, "velocity", self._given)
+        if values is None or values.shape[1] != 3 or not np.isfinite(values).all():
+            return None
+        points, kept = self._cut.strands.points, self._cut.strands.kept
+        return self._cut.moved(points + (values if kept is None else values[kept])) - self._cut.moved(points)
+
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
         """Its mesh; None where nothing of it can be rendered."""
         strands = self._cut.strands
@@ -80,8 +99,19 @@ class ParticleHair:
     def __init__(self, owner: bpy.types.Object, modifier: Any, shape: CurveShape) -> None:
         self._owner, self._modifier, self._system = owner, modifier, modifier.particle_system
         points, first = _paths(owner, self._system)
-        self._count = len(first) - 1
+        self._count, self._given, self._name = len(first) - 1, len(points), modifier.name
         self._cut = CutStrands(sound_strands(points, _radii(self._system.settings, points, first), first), shape)
+
+    def vertices_of(self, obj: bpy.types.Object) -> np.ndarray | None:
+        """As in `CurvesSource`."""
+        modifier = obj.modifiers.get(self._name)
+        if modifier is None or modifier.type != "PARTICLE_SYSTEM":
+            return None
+        points, _ = _paths(obj, modifier.particle_system)
+        return _moved(self._cut, points) if len(points) == self._given else None
+
+    def velocity(self) -> None:
+        """Particle hair has none."""
 
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
         """Its mesh; None where there is no hair."""
@@ -134,6 +164,21 @@ class PointsSource:
         self._kept = np.isfinite(points).all(1) & np.isfinite(radii) & (radii > 0)
         self._points, self._radii = points[self._kept], radii[self._kept]
 
+    def vertices_of(self, obj: bpy.types.Object) -> np.ndarray | None:
+        """As in `CurvesSource`."""
+        count = len(obj.data.points) if isinstance(obj.data, bpy.types.PointCloud) else -1
+        if count != len(self._kept):
+            return None
+        points = read(obj.data.points, "co", np.float32, count, 3)[self._kept]
+        return points if np.isfinite(points).all() else None
+
+    def velocity(self) -> np.ndarray | None:
+        """As in `CurvesSource`."""
+        values = _stored(self._cloud, "velocity", len(self._kept))
+        if values is None or values.shape[1] != 3 or not np.isfinite(values).all():
+            return None
+        return values[self._kept]
+
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
         """Its mesh; None where it has no points."""
         lost = len(self._kept) - len(self._points)
@@ -167,6 +212,14 @@ class PointsSource:
 
     def _random(self) -> np.ndarray:
         return random_numbers(np.flatnonzero(self._kept))[:, None]
+
+
+Source = CurvesSource | ParticleHair | PointsSource
+
+
+def _moved(cut: CutStrands, points: np.ndarray) -> np.ndarray | None:
+    points = points if cut.strands.kept is None else points[cut.strands.kept]
+    return cut.moved(points) if np.isfinite(points).all() else None
 
 
 def _warn_dropped(strands: Strands, what: str, warnings: list[str]) -> None:

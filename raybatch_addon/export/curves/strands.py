@@ -188,6 +188,14 @@ class CutStrands:
             list(pool.map(fill, range(0, len(piece), _BLOCK)))
         return positions, radii
 
+    def moved(self, points: np.ndarray) -> np.ndarray:
+        """Positions of the vertices where the points of the strands are at `points`, float32, shape [n, 3]."""
+        if (self._parts == 1).all():
+            return points
+        other = CutStrands(replace(self.strands, points=points), self.shape)
+        other.__dict__.update(_parts=self._parts, _origin=self._origin)  # cut as it was
+        return other._vertices()[0]
+
     @cached_property
     def vertex_strand(self) -> np.ndarray:
         """Strand of each vertex, int32."""
