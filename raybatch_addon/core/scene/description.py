@@ -65,6 +65,7 @@ class ClosureKind(IntEnum):
     HAIR_REFLECTION = 24  # `roughness` along the fibre and `aspect` around it [rad]; `film_ior` is the shift [rad]
     HAIR_TRANSMISSION = 25
     PRINCIPLED_HAIR = 26  # what its fields mean `shading/hair/chiang.py` says
+    FACET_HAIR = 27  # and of this `shading/hair/huang.py`
     # Abilities: not models, but needed by closures whose values ask for them (`Closure.needs`)
     BECKMANN = 32  # `distribution` 1
     ANISOTROPIC = 33  # `aspect` other than 1
@@ -85,7 +86,7 @@ class ClosureKind(IntEnum):
     @property
     def is_hair(self) -> bool:
         """Whether closures of this kind are fibres."""
-        return ClosureKind.HAIR_REFLECTION <= self <= ClosureKind.PRINCIPLED_HAIR
+        return ClosureKind.HAIR_REFLECTION <= self <= ClosureKind.FACET_HAIR
 
 
 class LightKind(IntEnum):

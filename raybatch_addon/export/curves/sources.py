@@ -81,6 +81,9 @@ class CurvesSource:
         return [found for kind, name in asked if (found := self._attribute(kind, name)) is not None]
 
     def _attribute(self, kind: str, name: str) -> Attribute | None:
+        if kind == STRAND_KIND and name == "normal":
+            values = read(self._curves.normals, "vector", np.float32, self._given, 3)
+            return Attribute(kind, name, np.ascontiguousarray(np.nan_to_num(self._cut.of_points(values))))
         if kind == STRAND_KIND:
             return hair_attribute(self._cut, name)
         attribute = self._curves.attributes.get(name) if name else None

@@ -142,3 +142,30 @@ def coarse_ribbons(scene: bpy.types.Scene) -> None:
 def straight(scene: bpy.types.Scene) -> None:
     _light(scene, "THICK_LINEAR")
     material_graph(tuft(steps=4), lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.3, 0.6, 0.2, 1.0)}))
+
+
+def _huang(**values):
+    build = _principled(**values)
+
+    def made(graph: Graph):
+        socket = build(graph)
+        socket.node.model = "HUANG"
+        for name in ("Aspect Ratio", "Roughness"):
+            if name in values:
+                socket.node.inputs[name].default_value = values[name]
+        return socket
+
+    return made
+
+
+@feature("Curves: Principled Hair by Huang, round", "Curves", "picture", samples=512)
+def round_facets(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    material_graph(tuft(), _huang(Color=(0.8, 0.4, 0.2, 1.0), **{"Aspect Ratio": 1.0, "Roughness": 0.4}))
+
+
+@feature("Curves: Principled Hair by Huang, elliptical ribbons", "Curves", "picture", samples=512)
+def elliptical_facets(scene: bpy.types.Scene) -> None:
+    _light(scene, "RIBBONS")
+    values = {"Melanin": 0.4, "Roughness": 0.3, "Aspect Ratio": 0.7}
+    material_graph(tuft(radius=0.05), _huang(parametrization="MELANIN", **values))
