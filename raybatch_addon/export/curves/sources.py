@@ -31,11 +31,30 @@ class CurvesSource:
         # an empty data-block says that it has an offset, and does not give it
         offsets = curves.curve_offset_data
         first = read(offsets, "value", np.int32, len(offsets)) if count else np.zeros(1, np.int32)
-        radii = _stored(curves, "radius", count)
+        self._first, self._notes = first, []
+        radii = self._adapted("radius", "POINT")
         radii = np.full(count, _CURVE_RADIUS, np.float32) if radii is None else radii[:, 0]
         self._cut = CutStrands(sound_strands(points, radii, first), shape)
 
         self._given = count
+
+    def _adapted(self, name: str, domain: str) -> np.ndarray | None:
+        """The attribute `name` for points or curves, carried over from the other domain as Blender does it; None where
+        there is none of numbers.
+        """
+        attribute = self._curves.attributes.get(name)
+        values = None if attribute is None else _values(attribute)
+        if values is None or attribute.domain == domain:
+            if attribute is not None and values is None:
+                self._notes.append(f"attribute “{name}” is no number, and is not used")
+            return values
+        sizes = np.diff(self._first)
+        if domain == "POINT":
+            self._notes.append(f"attribute “{name}” is given for curves, and all points of each have it")
+            return np.repeat(values, sizes, axis=0)
+        self._notes.append(f"attribute “{name}” is given for points, and curves have its mean")
+        sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, 0, np.float64)])[self._first]
+        return (np.diff(sums, axis=0) / np.maximum(sizes, 1)[:, None]).astype(np.float32)
 
     def vertices_of(self, obj: bpy.types.Object) -> np.ndarray | None:
         """Positions of the vertices of the mesh as `obj`, evaluated at another time, has them; None where it has other
@@ -62,15 +81,16 @@ class CurvesSource:
             return None
         uvs = self._surface_uvs() if uvs_asked else None
         mesh = self._cut.mesh(self._curves.name, uvs)
-        slots = _stored(self._curves, "material_index", len(self._curves.curve_offset_data) - 1)
+        slots = self._adapted("material_index", "CURVE")
+        warnings += [f"object “{self._user}”: {each}" for each in self._notes]
         if slots is None or not slots.any() or len(self._curves.materials) < 2:
             return mesh
-        slot = np.clip(slots, 0, len(self._curves.materials) - 1)
+        slot = np.clip(np.rint(slots), 0, len(self._curves.materials) - 1)
         of_segment = self._cut.of_given_strands(slot)[:, 0].astype(np.int32)
         return replace(mesh, triangle_slot=of_segment)
 
     def _surface_uvs(self) -> np.ndarray | None:
-        values = _stored(self._curves, "surface_uv_coordinate", len(self._curves.curve_offset_data) - 1)
+        values = self._adapted("surface_uv_coordinate", "CURVE")
         if values is None or values.shape[1] != 2:
             return None
         number = self._cut.strands.number
@@ -82,7 +102,9 @@ class CurvesSource:
 
     def _attribute(self, kind: str, name: str) -> Attribute | None:
         if kind == STRAND_KIND and name == "normal":
-            values = read(self._curves.normals, "vector", np.float32, self._given, 3)
+            # one by one: `foreach_get` reads memory here that Blender has freed already
+            each = chain.from_iterable(normal.vector for normal in self._curves.normals)
+            values = np.fromiter(each, np.float32, 3 * self._given).reshape(-1, 3)
             return Attribute(kind, name, np.ascontiguousarray(np.nan_to_num(self._cut.of_points(values))))
         if kind == STRAND_KIND:
             return hair_attribute(self._cut, name)

@@ -47,6 +47,28 @@ def test_strands_that_cannot_be_rendered_are_named():
     assert "2 without length" in line and "1 without radius" in line
 
 
+def test_attributes_of_the_other_domain_are_carried_over_and_named():
+    hair = add_curves([(0, 0, 0), (0, 0, 1), (1, 0, 0), (1, 0, 1), (1, 0, 2)], [2, 3])
+    hair.data.attributes.new("radius", "FLOAT", "CURVE").data.foreach_set("value", [0.1, 0.2])
+    slots = hair.data.attributes.new("material_index", "INT", "POINT")
+    slots.data.foreach_set("value", [0, 0, 1, 1, 1])
+    for name in "ab":
+        hair.data.materials.append(bpy.data.materials.new(name))
+    scene = exported()
+    (mesh,) = scene.meshes
+    assert mesh.radii == pytest.approx([0.1, 0.1, 0.2, 0.2, 0.2])
+    assert mesh.triangle_slot.tolist() == [0, 1, 1]
+    assert [("radius" in line, "material_index" in line) for line in scene.warnings] == [(True, False), (False, True)]
+    assert all("“Hair”" in line for line in scene.warnings)
+
+
+def test_a_radius_that_is_no_number_is_named():
+    hair = add_curves([(0, 0, 0), (0, 0, 1)], [2])
+    hair.data.attributes.new("radius", "FLOAT4X4", "POINT")
+    scene = exported()
+    assert scene.meshes[0].radii == pytest.approx(0.005) and "“radius”" in scene.warnings[0]
+
+
 def test_curves_without_radius_have_that_of_cycles():
     add_curves([(0, 0, 0), (0, 0, 1)], [2])
     assert exported().meshes[0].radii == pytest.approx(0.005)
@@ -120,3 +142,19 @@ def test_the_shape_of_curves_is_the_scene_s():
     assert scene.meshes[0].ribbons and len(scene.meshes[0].triangles) == 6 and scene.warnings == ()
     settings.shape = "THICK"
     assert not exported().meshes[0].ribbons and len(exported().meshes[0].triangles) > 6
+
+
+def test_ellipses_of_curves_know_the_normals_of_their_points():
+    hair = add_curves([(0, 0, 0), (0, 0, 1), (0, 1, 2)], [3])
+    material = bpy.data.materials.new("Hair")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    node = tree.nodes.new("ShaderNodeBsdfHairPrincipled")
+    node.model = "HUANG"
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(node.outputs[0], output.inputs["Surface"])
+    hair.data.materials.append(material)
+    scene = exported()
+    (normals,) = (each.values for each in scene.meshes[0].attributes if each.name == "normal")
+    assert normals.shape[1:] == (3, 3) and np.linalg.norm(normals, axis=2) == pytest.approx(1, abs=0.3)
