@@ -255,15 +255,20 @@ def fibre_of(
                     f.scale3 = 1.0 / glass_albedo(albedo, wp.sqrt(f.alpha), inverse, cos_i3)
                     t3 = wp.max(1.0 - fresnel_dielectric(cos_i3, inverse), wp.static(_PASSES_LEAST))
                     f.seen[2] = factors[2] * f.t1 * f.r2 * t3 * _mean(wp.cw_mul(f.passed, f.passed2))
-            if factors[1] > 0.0 or factors[2] > 0.0:
-                # attenuations of the way before
-                average = wp.max(1.0 - f.r2, 1.0e-5)
-                for k in range(3):
-                    a = f.passed[k]
-                    f.rest[k] = f.t1 * f.r2 * f.r2 * average * a * a * a / (1.0 - a * (1.0 - average))
-                if factors[2] <= 0.0:
-                    f.rest = wp.vec3(0.0)
-                f.seen[3] = _mean(f.rest)
+                    # what stays inside once more, and from there on a series of means of what there was before
+                    h3 = _facet_of(f.m3, f.wtr, f.alpha, wp.vec2(_number(wo, wn, 5), _number(wo, wn, 6)))
+                    r3 = fresnel_dielectric(wp.dot(f.wtr, h3), inverse)
+                    cos_o3 = wp.dot(f.m3, reflected(f.wtr, h3))
+                    if cos_o3 > 0.0:
+                        inside = f.t1 * f.scale1 * _left(f.alpha, cos_i1, cos_o1)
+                        inside = inside * f.r2 * f.scale2 * _left(f.alpha, cos_i2, cos_o2)
+                        inside = inside * r3 * f.scale3 * _left(f.alpha, cos_i3, cos_o3)
+                        passes = wp.max(1.0 - 0.5 * (f.r2 + r3), 1.0e-5)
+                        for k in range(3):
+                            both = f.passed[k] * f.passed2[k]
+                            a = wp.sqrt(both)
+                            f.rest[k] = inside * both * a * passes / (1.0 - a * (1.0 - passes))
+                        f.seen[3] = _mean(f.rest)
     total = f.seen[0] + f.seen[1] + f.seen[2] + f.seen[3]
     if total > 0.0:
         for k in range(4):

@@ -58,7 +58,7 @@ def principled_hair(node: Node, weight: Value) -> None:
     else:
         sigma = node.op("hair_absorption_of_color", node.color("Color"), around)
     if huang:
-        factors = [node.number(name, 1.0) for name in ("R", "TT", "TRT")]
+        factors = [node.number(name, 1.0) for name in ("Reflection", "Transmission", "Secondary Reflection")]
         ellipse = node.number("Aspect Ratio", 1.0), node.number("IOR"), node.number("Offset")
         own = mesh_attribute(node, "CURVE", "normal")[0]
         major = node.op("vector_transform", VectorKind.NORMAL, Space.OBJECT, Space.WORLD, own)
