@@ -30,7 +30,7 @@ def hair(node: Node, weight: Value) -> None:
 @shader(
     "ShaderNodeBsdfHairPrincipled",
     kinds=lambda node: (_K.FACET_HAIR, _K.TRANSPARENT) if node.node.model == "HUANG" else (_K.PRINCIPLED_HAIR,),
-    note="on meshes the fibres run in no particular direction; ellipses of particle hair lie in none",
+    note="on meshes the fibres, and on particle hair the ellipses, lie in no particular direction",
 )
 def principled_hair(node: Node, weight: Value) -> None:
     """A fibre that absorbs."""
