@@ -27,10 +27,10 @@ def native_source(*headers: str, device: str = "", **defines: bool | int | float
         device: "cpu" or "cuda" leaves the function empty on the other one; "" is for headers that know both.
         defines: values by name. A float becomes a float32 literal, a bool 1 or 0; a str stays as it is.
     """
-    texts = {header: _read(header) for header in headers}
-    macros = [*defines, *(name for text in texts.values() for name in _MACRO.findall(text) if name not in defines)]
+    texts = [(header, _read(header)) for header in headers]
+    macros = [*defines, *(name for _, text in texts for name in _MACRO.findall(text) if name not in defines)]
     lines = [f"#define {name} {_literal(value)}" for name, value in defines.items()]
-    for header, text in texts.items():
+    for header, text in texts:
         lines += [f'#line 1 "raybatch native: {header}"', text.rstrip("\n")]
     lines += ['#line 1 "raybatch native: end"', *(f"#undef {name}" for name in dict.fromkeys(macros))]
     if device:

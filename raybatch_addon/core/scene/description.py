@@ -65,6 +65,7 @@ class ClosureKind(IntEnum):
     HAIR_REFLECTION = 24  # `roughness` along the fibre and `aspect` around it [rad]; `film_ior` is the shift [rad]
     HAIR_TRANSMISSION = 25
     PRINCIPLED_HAIR = 26  # what its fields mean `shading/hair/chiang.py` says
+    FACET_HAIR = 27  # and of this `shading/hair/huang.py`
     # Abilities: not models, but needed by closures whose values ask for them (`Closure.needs`)
     BECKMANN = 32  # `distribution` 1
     ANISOTROPIC = 33  # `aspect` other than 1
@@ -85,7 +86,7 @@ class ClosureKind(IntEnum):
     @property
     def is_hair(self) -> bool:
         """Whether closures of this kind are fibres."""
-        return ClosureKind.HAIR_REFLECTION <= self <= ClosureKind.PRINCIPLED_HAIR
+        return ClosureKind.HAIR_REFLECTION <= self <= ClosureKind.FACET_HAIR
 
 
 class LightKind(IntEnum):
@@ -140,6 +141,7 @@ class Mesh:
     # corners have. A segment that begins where the row before ends goes on from there; one without length is a sphere.
     # None: triangles
     radii: np.ndarray | None = None
+    ribbons: bool = False  # with `radii`: segments are strips that face each ray, instead of round
     # triangles that are flat beside others that are not: they stay so when vertices move. Bool, shape [triangle_count];
     # None: no triangle is, or all are
     flat: np.ndarray | None = None

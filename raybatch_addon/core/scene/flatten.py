@@ -104,12 +104,15 @@ def _motion(scene: Scene, mesh_position: dict[int, int]) -> FlatMotion:
     if moving.any():
         keys = motion_keys(scene.instances.motion[moving])
     deforms = deforming_meshes(scene)
-    steps = {
-        place: (scene.meshes[mesh].motion, scene.meshes[mesh].motion_normals)
-        for mesh, place in mesh_position.items()
-        if deforms[mesh]
-    }
+    steps = {place: _steps_of(scene.meshes[mesh]) for mesh, place in mesh_position.items() if deforms[mesh]}
     return FlatMotion(row, keys, steps)
+
+
+def _steps_of(mesh: Mesh) -> tuple[np.ndarray, np.ndarray | None]:
+    if mesh.radii is None:
+        return mesh.motion, mesh.motion_normals
+    packed = [pack_segments(each, mesh.radii, mesh.triangles, mesh.ribbons)[0] for each in mesh.motion]
+    return np.stack(packed), None
 
 
 def is_mirrored_where_baked(scene: Scene) -> np.ndarray:
@@ -141,7 +144,7 @@ def _keep(mesh: Mesh) -> _Chunk:
 
 
 def _segments(mesh: Mesh, positions: np.ndarray, radii: np.ndarray) -> _Chunk:
-    corners, triangles = pack_segments(positions, radii, mesh.triangles)
+    corners, triangles = pack_segments(positions, radii, mesh.triangles, mesh.ribbons)
     return _Chunk(corners, triangles, None, mesh.triangle_slot, curves=True)
 
 

@@ -27,8 +27,7 @@ def moving_instances(scene: Scene) -> np.ndarray:
 
 def deforming_meshes(scene: Scene) -> np.ndarray:
     """Whether the vertices of each mesh move: bool, shape [mesh_count]."""
-    whole = [mesh.motion is not None and mesh.radii is None and len(mesh.triangles) > 0 for mesh in scene.meshes]
-    return np.array(whole, bool)
+    return np.array([mesh.motion is not None and len(mesh.triangles) > 0 for mesh in scene.meshes], bool)
 
 
 def apart(scene: Scene) -> np.ndarray:

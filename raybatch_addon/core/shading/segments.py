@@ -14,7 +14,7 @@ import warp as wp
 
 from ..bvh.margin import TRIANGLE_TEST
 from ..scene.geometry import Geometry, corners_of, transform_vector
-from ..scene.moved import transform_at
+from ..scene.moved import positions_at, step_place, transform_at
 from ..scene.segments import NORMAL_STEPS
 from .surface import SurfacePoint, carried_error, make_surface, material_of, moved_normal, unit_or_zero
 
@@ -75,6 +75,36 @@ def segment_of(geometry: Geometry, triangle: int) -> Segment:
 
 
 @wp.func
+def _mixed_normal(before: float, behind: float, share: float) -> wp.vec3:
+    """As traversal mixes them."""
+    a = wp.normalize(_normal_of(_bits_of(before)))
+    return a + share * (wp.normalize(_normal_of(_bits_of(behind))) - a)
+
+
+@wp.func
+def segment_at(geometry: Geometry, mesh: int, triangle: int, time: float) -> Segment:
+    """The segment that a primitive of `mesh` is at `time`."""
+    s = segment_of(geometry, triangle)
+    place = step_place(geometry, mesh, time, 0)
+    if place.stride != 0:
+        corners = corners_of(geometry, triangle)
+        first, second, _ = positions_at(geometry, mesh, wp.vec3i(corners[0], corners[1], corners[0]), time)
+        before = geometry.positions[place.first + corners[2]]
+        behind = geometry.positions[place.first + corners[2] + place.stride]
+        s.first = first
+        s.axis = second - first
+        a = _bits_of(before[0])
+        b = _bits_of(behind[0])
+        r = _float_of((a & 0xFFFF) << 15)
+        s.first_radius = r + place.share * (_float_of((b & 0xFFFF) << 15) - r)
+        r = _float_of(((a >> 16) & 0xFFFF) << 15)
+        s.second_radius = r + place.share * (_float_of(((b >> 16) & 0xFFFF) << 15) - r)
+        s.first_normal = _mixed_normal(before[1], behind[1], place.share)
+        s.second_normal = _mixed_normal(before[2], behind[2], place.share)
+    return s
+
+
+@wp.func
 def _outwards(unit_axis: wp.vec3, v: float) -> wp.vec3:
     """The unit vector across the axis that the second number of a hit says."""
     sign = wp.where(unit_axis[2] < 0.0, -1.0, 1.0)
@@ -114,6 +144,8 @@ def make_segment_point(instancing: bool, moving: bool = False) -> wp.Function:
     @wp.func
     def segment_point(geometry: Geometry, instance: int, triangle: int, uv: wp.vec2, time: float) -> SurfacePoint:
         s = segment_of(geometry, triangle)
+        if wp.static(moving):
+            s = segment_at(geometry, geometry.instance_mesh[instance], triangle, time)
         unit_axis = unit_or_zero(s.axis)
         if wp.dot(unit_axis, unit_axis) > 0.5:
             length = wp.dot(unit_axis, s.axis)
@@ -159,12 +191,12 @@ def make_segment_point(instancing: bool, moving: bool = False) -> wp.Function:
 
 
 @wp.func
-def segment_tangent(geometry: Geometry, instance: int, triangle: int, uv: wp.vec2) -> wp.vec3:
+def segment_tangent(geometry: Geometry, instance: int, triangle: int, uv: wp.vec2, time: float) -> wp.vec3:
     """The unit tangent of the curve at a hit, in world space; 0 for a sphere."""
-    s = segment_of(geometry, triangle)
+    s = segment_at(geometry, geometry.instance_mesh[instance], triangle, time)
     if wp.dot(s.axis, s.axis) == 0.0:
         return wp.vec3(0.0)
-    return unit_or_zero(transform_vector(geometry.instance_transform[instance], _tangent_at(s, uv[0])))
+    return unit_or_zero(transform_vector(transform_at(geometry, instance, time), _tangent_at(s, uv[0])))
 
 
 @functools.cache

@@ -9,7 +9,8 @@ from typing import Any
 import bpy
 
 from ...core.scene.description import Mesh
-from .sources import CurvesSource, ParticleHair, PointsSource
+from .sources import CurvesSource, ParticleHair, PointsSource, Source
+from .strands import curve_shape
 
 _Asked = list[tuple[str, str]]
 
@@ -20,10 +21,9 @@ class StrandMeshes:
     def __init__(self, meshes: list[Mesh], warnings: list[str], scene: bpy.types.Scene) -> None:
         """New meshes go to `meshes`, messages to `warnings`."""
         self._meshes, self._warnings = meshes, warnings
-        shape = getattr(getattr(scene, "cycles_curves", None), "shape", "THICK")
-        self._linear = shape == "THICK_LINEAR"
-        self._ribbons = scene.name if shape == "RIBBONS" else ""
+        self._shape = curve_shape(scene)
         self._made: dict[Any, tuple[Any, int | None]] = {}
+        self.sources: dict[int, Source] = {}  # by mesh
         self._seen: dict[Any, set[tuple[str, str]]] = {}
 
     def of(self, obj: bpy.types.Object, data: Any, collector: Any) -> tuple[list[int], Callable[[_Asked], int | None]]:
@@ -50,14 +50,9 @@ class StrandMeshes:
         if key not in self._made:
             source = self._source(obj, data)
             mesh = source.exported(reads_uv, self._warnings)
-            if self._ribbons and mesh is not None and not isinstance(source, PointsSource):
-                self._warnings.append(
-                    f"scene “{self._ribbons}”: hair as rounded ribbons is not supported yet; it is rendered as round "
-                    "curves"
-                )
-                self._ribbons = ""  # said once
             self._made[key] = source, None if mesh is None else len(self._meshes)
             if mesh is not None:
+                self.sources[len(self._meshes)] = source
                 self._meshes.append(mesh)
         source, index = self._made[key]
         if index is not None:
@@ -68,9 +63,9 @@ class StrandMeshes:
             seen.update(asked)
         return index
 
-    def _source(self, obj: bpy.types.Object, data: Any) -> CurvesSource | ParticleHair | PointsSource:
+    def _source(self, obj: bpy.types.Object, data: Any) -> Source:
         if isinstance(data, bpy.types.Curves):
-            return CurvesSource(data, obj.name, self._linear)
+            return CurvesSource(data, obj.name, self._shape)
         if isinstance(data, bpy.types.PointCloud):
             return PointsSource(data, obj.name)
-        return ParticleHair(obj, data, self._linear)
+        return ParticleHair(obj, data, self._shape)

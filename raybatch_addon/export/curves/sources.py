@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from ...core.scene.description import Attribute, Mesh
 from ..meshes.attributes import ATTRIBUTE_TYPES
 from ..meshes.mesh_arrays import read
-from .strands import CutStrands, Strands, hair_attribute, random_numbers, sound_strands
+from .strands import CurveShape, CutStrands, Strands, hair_attribute, random_numbers, sound_strands
 
 # What Cycles takes where curves, and points, have no radius [m]
 _CURVE_RADIUS, _POINT_RADIUS = 0.005, 0.01
@@ -23,16 +24,54 @@ STRAND_KIND = "CURVE"
 class CurvesSource:
     """A Curves data-block."""
 
-    def __init__(self, curves: bpy.types.Curves, user: str, linear: bool) -> None:
+    def __init__(self, curves: bpy.types.Curves, user: str, shape: CurveShape) -> None:
         self._curves, self._user = curves, user
         count = len(curves.position_data)
         points = read(curves.position_data, "vector", np.float32, count, 3)
         # an empty data-block says that it has an offset, and does not give it
         offsets = curves.curve_offset_data
         first = read(offsets, "value", np.int32, len(offsets)) if count else np.zeros(1, np.int32)
-        radii = _stored(curves, "radius", count)
+        self._first, self._notes = first, []
+        radii = self._adapted("radius", "POINT")
         radii = np.full(count, _CURVE_RADIUS, np.float32) if radii is None else radii[:, 0]
-        self._cut = CutStrands(sound_strands(points, radii, first), linear)
+        self._cut = CutStrands(sound_strands(points, radii, first), shape)
+
+        self._given = count
+
+    def _adapted(self, name: str, domain: str) -> np.ndarray | None:
+        """The attribute `name` for points or curves, carried over from the other domain as Blender does it; None where
+        there is none of numbers.
+        """
+        attribute = self._curves.attributes.get(name)
+        values = None if attribute is None else _values(attribute)
+        if values is None or attribute.domain == domain:
+            if attribute is not None and values is None:
+                self._notes.append(f"attribute “{name}” is no number, and is not used")
+            return values
+        sizes = np.diff(self._first)
+        if domain == "POINT":
+            self._notes.append(f"attribute “{name}” is given for curves, and all points of each have it")
+            return np.repeat(values, sizes, axis=0)
+        self._notes.append(f"attribute “{name}” is given for points, and curves have its mean")
+        sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, 0, np.float64)])[self._first]
+        return (np.diff(sums, axis=0) / np.maximum(sizes, 1)[:, None]).astype(np.float32)
+
+    def vertices_of(self, obj: bpy.types.Object) -> np.ndarray | None:
+        """Positions of the vertices of the mesh as `obj`, evaluated at another time, has them; None where it has other
+        points then.
+        """
+        count = len(obj.data.position_data) if isinstance(obj.data, bpy.types.Curves) else -1
+        if count != self._given:
+            return None
+        return _moved(self._cut, read(obj.data.position_data, "vector", np.float32, count, 3))
+
+    def velocity(self) -> np.ndarray | None:
+        """Velocity of the vertices [m/s], float32, shape [vertex_count, 3]; None without the attribute “velocity”."""
+        values = _stored(self._curves, "velocity", self._given)
+        if values is None or values.shape[1] != 3 or not np.isfinite(values).all():
+            return None
+        points, kept = self._cut.strands.points, self._cut.strands.kept
+        return self._cut.moved(points + (values if kept is None else values[kept])) - self._cut.moved(points)
 
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
         """Its mesh; None where nothing of it can be rendered."""
@@ -42,15 +81,16 @@ class CurvesSource:
             return None
         uvs = self._surface_uvs() if uvs_asked else None
         mesh = self._cut.mesh(self._curves.name, uvs)
-        slots = _stored(self._curves, "material_index", len(self._curves.curve_offset_data) - 1)
+        slots = self._adapted("material_index", "CURVE")
+        warnings += [f"object “{self._user}”: {each}" for each in self._notes]
         if slots is None or not slots.any() or len(self._curves.materials) < 2:
             return mesh
-        slot = np.clip(slots, 0, len(self._curves.materials) - 1)
+        slot = np.clip(np.rint(slots), 0, len(self._curves.materials) - 1)
         of_segment = self._cut.of_given_strands(slot)[:, 0].astype(np.int32)
-        return Mesh(mesh.name, mesh.positions, mesh.triangles, of_segment, corner_uvs=mesh.corner_uvs, radii=mesh.radii)
+        return replace(mesh, triangle_slot=of_segment)
 
     def _surface_uvs(self) -> np.ndarray | None:
-        values = _stored(self._curves, "surface_uv_coordinate", len(self._curves.curve_offset_data) - 1)
+        values = self._adapted("surface_uv_coordinate", "CURVE")
         if values is None or values.shape[1] != 2:
             return None
         number = self._cut.strands.number
@@ -61,6 +101,11 @@ class CurvesSource:
         return [found for kind, name in asked if (found := self._attribute(kind, name)) is not None]
 
     def _attribute(self, kind: str, name: str) -> Attribute | None:
+        if kind == STRAND_KIND and name == "normal":
+            # one by one: `foreach_get` reads memory here that Blender has freed already
+            each = chain.from_iterable(normal.vector for normal in self._curves.normals)
+            values = np.fromiter(each, np.float32, 3 * self._given).reshape(-1, 3)
+            return Attribute(kind, name, np.ascontiguousarray(np.nan_to_num(self._cut.of_points(values))))
         if kind == STRAND_KIND:
             return hair_attribute(self._cut, name)
         attribute = self._curves.attributes.get(name) if name else None
@@ -76,11 +121,22 @@ class CurvesSource:
 class ParticleHair:
     """The hair of a particle system, as the evaluated object `owner` wears it."""
 
-    def __init__(self, owner: bpy.types.Object, modifier: Any, linear: bool) -> None:
+    def __init__(self, owner: bpy.types.Object, modifier: Any, shape: CurveShape) -> None:
         self._owner, self._modifier, self._system = owner, modifier, modifier.particle_system
         points, first = _paths(owner, self._system)
-        self._count = len(first) - 1
-        self._cut = CutStrands(sound_strands(points, _radii(self._system.settings, points, first), first), linear)
+        self._count, self._given, self._name = len(first) - 1, len(points), modifier.name
+        self._cut = CutStrands(sound_strands(points, _radii(self._system.settings, points, first), first), shape)
+
+    def vertices_of(self, obj: bpy.types.Object) -> np.ndarray | None:
+        """As in `CurvesSource`."""
+        modifier = obj.modifiers.get(self._name)
+        if modifier is None or modifier.type != "PARTICLE_SYSTEM":
+            return None
+        points, _ = _paths(obj, modifier.particle_system)
+        return _moved(self._cut, points) if len(points) == self._given else None
+
+    def velocity(self) -> None:
+        """Particle hair has none."""
 
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
         """Its mesh; None where there is no hair."""
@@ -133,6 +189,21 @@ class PointsSource:
         self._kept = np.isfinite(points).all(1) & np.isfinite(radii) & (radii > 0)
         self._points, self._radii = points[self._kept], radii[self._kept]
 
+    def vertices_of(self, obj: bpy.types.Object) -> np.ndarray | None:
+        """As in `CurvesSource`."""
+        count = len(obj.data.points) if isinstance(obj.data, bpy.types.PointCloud) else -1
+        if count != len(self._kept):
+            return None
+        points = read(obj.data.points, "co", np.float32, count, 3)[self._kept]
+        return points if np.isfinite(points).all() else None
+
+    def velocity(self) -> np.ndarray | None:
+        """As in `CurvesSource`."""
+        values = _stored(self._cloud, "velocity", len(self._kept))
+        if values is None or values.shape[1] != 3 or not np.isfinite(values).all():
+            return None
+        return values[self._kept]
+
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
         """Its mesh; None where it has no points."""
         lost = len(self._kept) - len(self._points)
@@ -166,6 +237,14 @@ class PointsSource:
 
     def _random(self) -> np.ndarray:
         return random_numbers(np.flatnonzero(self._kept))[:, None]
+
+
+Source = CurvesSource | ParticleHair | PointsSource
+
+
+def _moved(cut: CutStrands, points: np.ndarray) -> np.ndarray | None:
+    points = points if cut.strands.kept is None else points[cut.strands.kept]
+    return cut.moved(points) if np.isfinite(points).all() else None
 
 
 def _warn_dropped(strands: Strands, what: str, warnings: list[str]) -> None:

@@ -8,9 +8,10 @@ the strand alone.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
+import bpy
 import numpy as np
 
 from ...core.scene.description import Attribute, Mesh
@@ -81,12 +82,21 @@ def sound_strands(points: np.ndarray, radii: np.ndarray, first: np.ndarray) -> S
     )
 
 
+@dataclass(frozen=True)
+class CurveShape:
+    """What curves are: round, straight between points, or strips that face each ray."""
+
+    linear: bool = False
+    ribbons: bool = False
+    parts_most: int = _PARTS_MOST  # segments between two points
+
+
 @dataclass
 class CutStrands:
     """Strands cut into segments, and where their points came from, for values that are given at points."""
 
     strands: Strands
-    linear: bool = False  # straight between points
+    shape: CurveShape = CurveShape()
 
     @cached_property
     def _ends(self) -> np.ndarray:
@@ -113,7 +123,7 @@ class CutStrands:
     @cached_property
     def _parts(self) -> np.ndarray:
         """Segments of each piece, int64."""
-        if self.linear:
+        if self.shape.linear or self.shape.parts_most == 1:
             return np.ones(len(self._ends), np.int64)
         k, rows = self._ends, self._rows
         chord = rows[k + 1] - rows[k]
@@ -128,7 +138,7 @@ class CutStrands:
         off = (_length(end - begin) + _length(begin + end)) / 8
         may = np.maximum(_OFF_RADII * np.maximum(rows[k, 3], rows[k + 1, 3]), _OFF_LENGTHS * length)
         parts = np.ceil(np.sqrt(off / np.maximum(may, 1e-30)))
-        return np.clip(np.nan_to_num(parts, nan=1), 1, _PARTS_MOST).astype(np.int64)
+        return np.clip(np.nan_to_num(parts, nan=1), 1, self.shape.parts_most).astype(np.int64)
 
     @cached_property
     def _origin(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -148,30 +158,21 @@ class CutStrands:
 
     def mesh(self, name: str, uvs: np.ndarray | None = None) -> Mesh:
         """The mesh of all segments; `uvs`: UV coordinates of each strand, float32, shape [strand_count, 2]."""
-        vertices = self._rows if (self._parts == 1).all() else self._vertices()
-        mesh = Mesh(
-            name,
-            np.ascontiguousarray(vertices[:, :3]),
-            self.segments,
-            radii=np.maximum(vertices[:, 3], 0, dtype=np.float32),
-        )
+        positions, radii = self.strands.points, self.strands.radii
+        if (self._parts > 1).any():
+            positions, radii = self._vertices()
+        mesh = Mesh(name, positions, self.segments, radii=radii, ribbons=self.shape.ribbons)
         if uvs is not None:
             of_segment = uvs[self.vertex_strand[self.segments[:, 0]]]
-            mesh = Mesh(
-                mesh.name,
-                mesh.positions,
-                mesh.triangles,
-                corner_uvs=np.repeat(of_segment[:, None], 3, 1),
-                radii=mesh.radii,
-            )
+            mesh = replace(mesh, corner_uvs=np.repeat(of_segment[:, None], 3, 1))
         return mesh
 
-    def _vertices(self) -> np.ndarray:
-        """Positions and radii of all vertices, float32, shape [v, 4]."""
+    def _vertices(self) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and radii of all vertices, float32, shape [v, 3] and [v]."""
         rows, ends = self._rows, self._ends
         begin, end = self._tangents
         piece, along, _ = self._origin
-        vertices = np.empty((len(piece), 4), np.float32)
+        positions, radii = np.empty((len(piece), 3), np.float32), np.empty(len(piece), np.float32)
 
         def fill(first: int) -> None:
             part = slice(first, first + _BLOCK)
@@ -179,11 +180,21 @@ class CutStrands:
             a, b = u * u * (3 - 2 * u), u * (1 - u)  # Hermite's basis
             low = rows[ends[k]]
             at = low + (rows[ends[k] + 1] - low) * a
-            vertices[part] = at + (begin[k] * (1 - u) - end[k] * u) * b
+            at += (begin[k] * (1 - u) - end[k] * u) * b
+            positions[part] = at[:, :3]
+            np.maximum(at[:, 3], 0, out=radii[part])
 
         with ThreadPoolExecutor() as pool:
             list(pool.map(fill, range(0, len(piece), _BLOCK)))
-        return vertices
+        return positions, radii
+
+    def moved(self, points: np.ndarray) -> np.ndarray:
+        """Positions of the vertices where the points of the strands are at `points`, float32, shape [n, 3]."""
+        if (self._parts == 1).all():
+            return points
+        other = CutStrands(replace(self.strands, points=points), self.shape)
+        other.__dict__.update(_parts=self._parts, _origin=self._origin)  # cut as it was
+        return other._vertices()[0]
 
     @cached_property
     def vertex_strand(self) -> np.ndarray:
@@ -193,9 +204,14 @@ class CutStrands:
     @cached_property
     def segments(self) -> np.ndarray:
         """Rows as in `Mesh.triangles`, int32, shape [m, 3]."""
-        strand = self.vertex_strand
-        first = np.flatnonzero(strand[:-1] == strand[1:]).astype(np.int32)
-        return np.stack([first, first + np.int32(1), first], 1)
+        # all vertices but the last ones of strands
+        total = np.concatenate([[0], np.cumsum(self._parts)])[self.strands.first - np.arange(len(self.strands.first))]
+        first = np.arange(total[-1], dtype=np.int32)
+        first += np.repeat(np.arange(len(total) - 1, dtype=np.int32), np.diff(total))
+        rows = np.empty((len(first), 3), np.int32)
+        rows[:, 0] = rows[:, 2] = first
+        np.add(first, 1, out=rows[:, 1])
+        return rows
 
     def of_points(self, values: np.ndarray) -> np.ndarray:
         """Values of the points given, float32, shape [n, width], as values of the segments' corners."""
@@ -245,6 +261,15 @@ def hair_attribute(cut: CutStrands, name: str) -> Attribute | None:
     """The attribute of kind CURVE called `name`."""
     values = cut.hair_value(name)
     return None if values is None else Attribute("CURVE", name, np.ascontiguousarray(values))
+
+
+def curve_shape(scene: bpy.types.Scene) -> CurveShape:
+    """The shape that `scene` says (a setting of Cycles, where its add-on is enabled)."""
+    settings = getattr(scene, "cycles_curves", None)
+    shape = getattr(settings, "shape", "THICK")
+    if shape == "RIBBONS":
+        return CurveShape(ribbons=True, parts_most=min(1 << settings.subdivisions, _PARTS_MOST))
+    return CurveShape(linear=shape == "THICK_LINEAR")
 
 
 def _length(rows: np.ndarray) -> np.ndarray:

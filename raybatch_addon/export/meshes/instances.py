@@ -100,10 +100,13 @@ class _Collector:
         self._visibilities: dict[int, int] = {}
         self._use_hair = depsgraph.view_layer.use_strand
         self._strands = StrandMeshes(self.placements.meshes, self.placements.warnings, depsgraph.scene)
+        self.placements.strands = self._strands.sources
+        self._item = -1  # of the depsgraph's list
         self._light_values: list[tuple[tuple[int, tuple[float, ...]], ...]] = []  # by light: as `Template.attributes`
 
     def add(self, placed: bpy.types.DepsgraphObjectInstance, cancelled: Callable[[], bool]) -> None:
         """Take one item of the depsgraph's list."""
+        self._item += 1
         obj = placed.object
         kind = obj.type
         of_itself = not placed.is_instance or (placed.parent is not None and placed.parent.original == obj.original)
@@ -167,7 +170,7 @@ class _Collector:
             self.placements.templates.append(template)
             self.placements.matrices.append([tuple(row) for row in placed.matrix_world])
             if self._motions:
-                self.placements.motion.append(self._motions.of(placed, obj, template.mesh, self.placements.meshes))
+                self.placements.motion.append(self._motions.of(placed, obj, template.mesh, self.placements, self._item))
             self.placements.info.append((*obj.color, float(obj.pass_index), random_of(placed)))
 
     def finish(self) -> Placements:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...core.scene.description import Instances, Light, Mesh
 from ...core.scene.notice import Notice, Weight
+from ..curves.sources import Source
 from ..materials import ExportedMaterials
 from ..motion.objects import PlacedMotion
 
@@ -42,6 +43,7 @@ class Placements:
     asset_names: list[str] = field(default_factory=list)  # as in `Scene.asset_names`
     warnings: list[str] = field(default_factory=list)
     motion: list[PlacedMotion] = field(default_factory=list)  # of all placements; none where motion is not asked for
+    strands: dict[int, Source] = field(default_factory=dict)  # what meshes of curves and points were made of, by mesh
     matrices: list[Any] = field(default_factory=list)  # of all placements
     usable: np.ndarray | None = None  # which of them are instances: bool, once `instances` was called
     templates: list[Template] = field(default_factory=list)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import bpy
 import numpy as np
 
-from ...core.scene.description import Mesh
 from ..meshes.meshes import mesh_velocity
 
 
@@ -20,6 +18,7 @@ class PlacedMotion(NamedTuple):
     steps: int  # of its map
     deforms: bool  # its vertices may move
     velocity: np.ndarray | None = None  # of its vertices [m/s], shape [vertex_count, 3]
+    item: int = 0  # of the depsgraph's list, which may have been placed as several things
 
 
 def placed_key(placed: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object) -> tuple:
@@ -40,17 +39,34 @@ def object_steps(obj: bpy.types.Object, parent: bpy.types.Object | None) -> int:
     return (2 << (max([1, *(each.motion_steps for each in settings)]) - 1)) + 1
 
 
-def may_deform(obj: bpy.types.Object, parent: bpy.types.Object | None) -> bool:
-    """Whether the vertices of an object may move, as far as they follow from anything."""
-    for each in (obj, parent):
-        settings = getattr(each, "cycles", None)
-        if settings is not None and not settings.use_deform_motion:
-            return False
-    original = obj.original
-    if original.type != "MESH" or original.modifiers or (parent is not None and parent.original.modifiers):
+def _moves_vertices(obj: bpy.types.Object, parent: bpy.types.Object | None) -> bool:
+    settings = [getattr(each, "cycles", None) for each in (obj, parent)]
+    return all(each is None or each.use_deform_motion for each in settings)
+
+
+def may_deform(obj: bpy.types.Object, parent: bpy.types.Object | None, hair: bool = False) -> bool:
+    """Whether the vertices of an object may move, as far as they follow from anything; or the `hair` on it."""
+    if not _moves_vertices(obj, parent):
+        return False
+    original, modifiers = obj.original, list(obj.original.modifiers)
+    if hair:
+        modifiers = [each for each in modifiers if each.type != "PARTICLE_SYSTEM" or _has_moving_hair(each)]
+    if parent is not None:
+        modifiers += parent.original.modifiers
+    if original.type not in _STILL_TYPES or modifiers:
         return True
     data = original.data
-    return data.shape_keys is not None or data.animation_data is not None
+    return getattr(data, "shape_keys", None) is not None or data.animation_data is not None
+
+
+# Their vertices move by modifiers, shape keys and animation alone
+_STILL_TYPES = ("MESH", "CURVES", "POINTCLOUD")
+
+
+def _has_moving_hair(modifier: bpy.types.Modifier) -> bool:
+    system = modifier.particle_system
+    settings = system.settings
+    return system.use_hair_dynamics or settings.animation_data is not None or settings.force_field_1.type != "NONE"
 
 
 class PlacedMotions:
@@ -60,14 +76,22 @@ class PlacedMotions:
         self._known: dict[Any, tuple[int, bool, np.ndarray | None]] = {}
 
     def of(
-        self, placed: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, mesh: int, meshes: Sequence[Mesh]
+        self, placed: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, mesh: int, made: Any, item: int
     ) -> PlacedMotion:
-        """That of `placed`, which is `meshes[mesh]`."""
+        """That of `placed`, number `item` of the depsgraph's list, which is mesh number `mesh` of `made`, the
+        `Placements`.
+        """
         parent = placed.parent if placed.is_instance else None
         place = (mesh, obj.original.as_pointer(), parent.original.as_pointer() if parent else 0)
         if place not in self._known:
-            is_mesh = isinstance(obj.data, bpy.types.Mesh) and meshes[mesh].radii is None
-            deforms = is_mesh and may_deform(obj, parent)
-            velocity = mesh_velocity(obj.data, meshes[mesh]) if deforms else None
+            strands = made.strands.get(mesh)
+            is_mesh = isinstance(obj.data, bpy.types.Mesh) and strands is None
+            hair = isinstance(obj.data, bpy.types.Mesh) and strands is not None
+            velocity = None
+            if strands is not None and _moves_vertices(obj, parent):
+                velocity = strands.velocity()
+            deforms = (is_mesh or strands is not None) and (velocity is not None or may_deform(obj, parent, hair))
+            if deforms and is_mesh:
+                velocity = mesh_velocity(obj.data, made.meshes[mesh])
             self._known[place] = object_steps(obj, parent), deforms and velocity is None, velocity
-        return PlacedMotion(placed_key(placed, obj), mesh, *self._known[place])
+        return PlacedMotion(placed_key(placed, obj), mesh, *self._known[place], item)

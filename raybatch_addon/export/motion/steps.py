@@ -29,9 +29,11 @@ class MotionSteps:
         self.count = max(most, camera_steps)
         self._maps = np.repeat(np.array(placements.matrices, np.float32).reshape(-1, 1, 4, 4), max(self.count, 1), 1)
         self._seen = np.zeros((len(placements.motion), max(self.count, 1)), bool)
-        self._index: dict[Any, list[int]] = {}
+        # by key: of each item of the depsgraph's list what it was placed as
+        items: dict[Any, dict[int, list[int]]] = {}
         for i, each in enumerate(placements.motion):
-            self._index.setdefault(each.key, []).append(i)
+            items.setdefault(each.key, {}).setdefault(each.item, []).append(i)
+        self._index = {key: list(groups.values()) for key, groups in items.items()}
         self._positions: dict[int, list[tuple[np.ndarray, np.ndarray | None] | None]] = {}
         self._cameras: list[Any] = []
 
@@ -56,19 +58,23 @@ class MotionSteps:
         done: set[int] = set()
         for placed in depsgraph.object_instances:
             obj = placed.object
-            index = next(left.get(placed_key(placed, obj), iter(())), None)
-            if index is None:
-                continue
-            each = self._placements.motion[index]
-            if each.steps == 0:
-                continue
-            self._maps[index, step] = placed.matrix_world
-            self._seen[index, step] = True
-            if each.deforms and each.mesh not in done and isinstance(obj.data, bpy.types.Mesh):
-                done.add(each.mesh)
-                self._positions.setdefault(each.mesh, [None] * self.count)[step] = self._vertices(
-                    obj.data, self._placements.meshes[each.mesh]
-                )
+            for index in next(left.get(placed_key(placed, obj), iter(())), ()):
+                each = self._placements.motion[index]
+                if each.steps == 0:
+                    continue
+                self._maps[index, step] = placed.matrix_world
+                self._seen[index, step] = True
+                if each.deforms and each.mesh not in done:
+                    done.add(each.mesh)
+                    self._positions.setdefault(each.mesh, [None] * self.count)[step] = self._now(obj, each.mesh)
+
+    def _now(self, obj: bpy.types.Object, mesh: int) -> tuple[np.ndarray, np.ndarray | None] | None:
+        """Vertices and normals of `obj`, which was `mesh` in the middle."""
+        strands = self._placements.strands.get(mesh)
+        if strands is not None:
+            vertices = strands.vertices_of(obj)
+            return None if vertices is None else (vertices, None)
+        return self._vertices(obj.data, self._placements.meshes[mesh]) if isinstance(obj.data, bpy.types.Mesh) else None
 
     def _vertices(self, data: bpy.types.Mesh, mesh: Mesh) -> tuple[np.ndarray, np.ndarray | None] | None:
         """Vertices and normals of `data`, which was `mesh` in the middle; None where it has other triangles now."""

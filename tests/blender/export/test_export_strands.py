@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from raybatch_addon.export.curves.strands import CutStrands, hair_attribute, sound_strands
+from raybatch_addon.export.curves.strands import CurveShape, CutStrands, hair_attribute, sound_strands
 from raybatch_addon.export.scene import export_scene
 from tests.support.blender_builders import add_grid, add_object
 
@@ -47,6 +47,28 @@ def test_strands_that_cannot_be_rendered_are_named():
     assert "2 without length" in line and "1 without radius" in line
 
 
+def test_attributes_of_the_other_domain_are_carried_over_and_named():
+    hair = add_curves([(0, 0, 0), (0, 0, 1), (1, 0, 0), (1, 0, 1), (1, 0, 2)], [2, 3])
+    hair.data.attributes.new("radius", "FLOAT", "CURVE").data.foreach_set("value", [0.1, 0.2])
+    slots = hair.data.attributes.new("material_index", "INT", "POINT")
+    slots.data.foreach_set("value", [0, 0, 1, 1, 1])
+    for name in "ab":
+        hair.data.materials.append(bpy.data.materials.new(name))
+    scene = exported()
+    (mesh,) = scene.meshes
+    assert mesh.radii == pytest.approx([0.1, 0.1, 0.2, 0.2, 0.2])
+    assert mesh.triangle_slot.tolist() == [0, 1, 1]
+    assert [("radius" in line, "material_index" in line) for line in scene.warnings] == [(True, False), (False, True)]
+    assert all("“Hair”" in line for line in scene.warnings)
+
+
+def test_a_radius_that_is_no_number_is_named():
+    hair = add_curves([(0, 0, 0), (0, 0, 1)], [2])
+    hair.data.attributes.new("radius", "FLOAT4X4", "POINT")
+    scene = exported()
+    assert scene.meshes[0].radii == pytest.approx(0.005) and "“radius”" in scene.warnings[0]
+
+
 def test_curves_without_radius_have_that_of_cycles():
     add_curves([(0, 0, 0), (0, 0, 1)], [2])
     assert exported().meshes[0].radii == pytest.approx(0.005)
@@ -62,13 +84,13 @@ def test_a_bent_strand_is_cut_finer_and_a_straight_one_is_not():
     # on the circle, as far as the spline is; and as many as they are if they are to be straight
     middle = cut.mesh("bent").positions
     assert np.linalg.norm(middle, axis=1) == pytest.approx(1, abs=0.02)
-    assert len(CutStrands(sound_strands(bent, radii, first), linear=True).segments) == 4
+    assert len(CutStrands(sound_strands(bent, radii, first), CurveShape(linear=True)).segments) == 4
 
 
 def test_what_a_strand_says_of_itself():
     points = np.float32([(0, 0, 0), (0, 0, 1), (0, 0, 3), (1, 0, 0), (1, 0, 2)])
     strands = sound_strands(points, np.float32([0.2, 0.1, 0.0, 0.1, 0.1]), np.int32([0, 3, 5]))
-    cut = CutStrands(strands, linear=True)
+    cut = CutStrands(strands, CurveShape(linear=True))
     said = {name: hair_attribute(cut, name).values for name in ("intercept", "length", "thickness", "random")}
     assert said["intercept"][:, :2, 0] == pytest.approx(np.float32([[0, 1 / 3], [1 / 3, 1], [0, 1]]))
     assert said["length"][:, 0] == pytest.approx([3, 3, 2])
@@ -111,7 +133,28 @@ def test_points_are_spheres():
     assert any("“Cloud”" in line and "1 points" in line for line in scene.warnings)
 
 
-def test_ribbons_are_said_to_be_round():
-    bpy.context.scene.cycles_curves.shape = "RIBBONS"
-    add_curves([(0, 0, 0), (0, 0, 1)], [2])
-    assert any("ribbons" in line for line in exported().warnings)
+def test_the_shape_of_curves_is_the_scene_s():
+    settings = bpy.context.scene.cycles_curves
+    settings.shape, settings.subdivisions = "RIBBONS", 1
+    points = [(np.cos(a), np.sin(a), 0) for a in np.linspace(0, 2, 4)]
+    add_curves(points, [4])
+    scene = exported()
+    assert scene.meshes[0].ribbons and len(scene.meshes[0].triangles) == 6 and scene.warnings == ()
+    settings.shape = "THICK"
+    assert not exported().meshes[0].ribbons and len(exported().meshes[0].triangles) > 6
+
+
+def test_ellipses_of_curves_know_the_normals_of_their_points():
+    hair = add_curves([(0, 0, 0), (0, 0, 1), (0, 1, 2)], [3])
+    material = bpy.data.materials.new("Hair")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    node = tree.nodes.new("ShaderNodeBsdfHairPrincipled")
+    node.model = "HUANG"
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(node.outputs[0], output.inputs["Surface"])
+    hair.data.materials.append(material)
+    scene = exported()
+    (normals,) = (each.values for each in scene.meshes[0].attributes if each.name == "normal")
+    assert normals.shape[1:] == (3, 3) and np.linalg.norm(normals, axis=2) == pytest.approx(1, abs=0.3)

@@ -109,9 +109,25 @@ class MeshTrees:
         if steps is None:
             return self._build(part, self._options)
         vertices, _ = steps
+        if self._flat.curves and np.isnan(vertices[0, -1, 2]):
+            return self._with_steps_of_segments(part, vertices)
         # the tree of the middle, with boxes around all steps; parts of triangles would mean nothing at other times
         made = self._build(part, replace(self._options, spatial_splits=False))
         self._spread(made, vertices)
+        return made
+
+    def _with_steps_of_segments(self, part: MeshPart, steps: np.ndarray) -> MeshTree:
+        """A tree over segments alone, whose boxes hold them at all `steps`, shape [steps, vertex_count, 3]."""
+        triangles = self._flat.triangles[part.span]
+        made = self._build(part, self._options, stand_ins(self._flat.positions, triangles, steps, part.vertex_first))
+        made.step_units = made.triangles.size * 4 // self.layout.triangle_words
+        own, blocks = triangles - np.int32(part.vertex_first), made.triangles
+        device = blocks.device
+        joined = empty_vectors(blocks.size * len(steps), device)
+        for i, positions in enumerate(steps):
+            place_primitives(blocks, self.layout, positions, own)
+            wp.copy(joined, blocks, dest_offset=i * blocks.size)
+        made.triangles = joined
         return made
 
     def _spread(self, mesh: MeshTree, steps: np.ndarray) -> None:
@@ -132,8 +148,10 @@ class MeshTrees:
             result = refit_boxes(mesh.nodes, blocks, positions, own)
         mesh.centre, mesh.box, mesh.sah = result.centre, result.box, result.sah
 
-    def _build(self, part: MeshPart, options: BuildOptions) -> MeshTree:
-        boxed = self._stand_ins(part)
+    def _build(
+        self, part: MeshPart, options: BuildOptions, boxed: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> MeshTree:
+        boxed = boxed or self._stand_ins(part)
         if self._on_device:
             made = self._on_device_built(part, boxed)
             return MeshTree(

@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...scene.segments import are_segments, segment_boxes
+from ...scene.segments import are_segments, segment_boxes, segment_boxes_over
 from ..node import Layout
 from .encode import place_groups_kernel, place_triangles_kernel
 
 
-def stand_ins(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+def stand_ins(
+    positions: np.ndarray, triangles: np.ndarray, steps: np.ndarray | None = None, first: int = 0
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Positions and triangles with the boxes of the primitives given, or None where none of these is a segment.
 
     Such a triangle is a diagonal of its box, and must not be split.
@@ -20,11 +22,16 @@ def stand_ins(positions: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray,
     Args:
         positions: float32, shape [n, 3].
         triangles: int32, shape [m, 3], some of which are segments (`scene/segments.py`).
+        steps: the positions from the one numbered `first` on, at several times between which all of them move along
+            lines, shape [k, n, 3]. All triangles are segments then.
     """
     marked = are_segments(positions, triangles)
     if not marked.any():
         return None
-    low, high = segment_boxes(positions, triangles[marked])
+    if steps is None:
+        low, high = segment_boxes(positions, triangles[marked])
+    else:
+        low, high = segment_boxes_over(steps, triangles - np.int32(first))
     first = len(positions) + np.arange(len(low), dtype=np.int32)
     replaced = triangles.copy()
     replaced[marked] = np.stack([first, first + len(low), first + len(low)], 1)

@@ -55,6 +55,8 @@ _SEGMENT_HEADERS = (
     LANE_HEADERS[-1],
     "traverse/segments/root.h",
     "traverse/segments/meet.h",
+    "traverse/segments/quantised_meet.h",
+    LANE_HEADERS[-1],
     "traverse/segments/quantised.h",
 )
 

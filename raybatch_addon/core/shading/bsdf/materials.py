@@ -231,7 +231,7 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
         device,
         reflection=features.coats or features.has(*REFLECTION_KINDS),
         coat=features.coats,
-        glass=features.has(_K.GLASS),
+        glass=features.has(_K.GLASS, _K.FACET_HAIR),
         sheen=features.has(_K.SHEEN),
         film=features.has(_K.THIN_FILM),
     )

@@ -15,10 +15,12 @@ from ..bsdf.lobes import Lobe
 from ..bsdf.materials import GLOSSY, HAIR_KINDS, TRANSMISSION, BsdfSample, ClosureFeatures, ClosureRecord, ShadingFrame
 from ..bsdf.mixture import Mixture
 from .chiang import HairDirection, cylinder_albedo, cylinder_of, principled_hair_value, sample_principled_hair
+from .huang import facet_hair_value, fibre_albedo, fibre_of, sample_facet_hair
 from .lobes import hair_lobe_value, sample_hair_lobe
 
 _TRANSMISSION = wp.constant(int(ClosureKind.HAIR_TRANSMISSION))
 _PRINCIPLED = wp.constant(int(ClosureKind.PRINCIPLED_HAIR))
+_FACETS = wp.constant(int(ClosureKind.FACET_HAIR))
 _ONE_BELOW = wp.constant(1.0 - 2.0**-24)
 
 
@@ -29,6 +31,7 @@ def with_hair(bsdf: Any, features: ClosureFeatures) -> Any:
     is_hair = features.test(HAIR_KINDS)
     has_lobes = features.has(ClosureKind.HAIR_REFLECTION, ClosureKind.HAIR_TRANSMISSION)
     has_principled = features.has(ClosureKind.PRINCIPLED_HAIR)
+    has_facets = features.has(ClosureKind.FACET_HAIR)
     look_other, propose_other, mix_other, scatters_other = bsdf.look, bsdf.propose, bsdf.mix, bsdf.scatters
 
     @wp.func
@@ -51,6 +54,9 @@ def with_hair(bsdf: Any, features: ClosureFeatures) -> Any:
                 if wp.static(has_principled):
                     if closures[c].kind == _PRINCIPLED:
                         seen = wp.cw_mul(weight, cylinder_albedo(cylinder_of(closures, c, frame, wo)))
+                if wp.static(has_facets):
+                    if closures[c].kind == _FACETS:
+                        seen = weight * fibre_albedo(fibre_of(closures, c, albedo, frame, wo))
                 lobe.selection = seen[0] + seen[1] + seen[2]
                 lobes[c - first] = lobe
 
@@ -85,12 +91,16 @@ def with_hair(bsdf: Any, features: ClosureFeatures) -> Any:
             if wp.static(has_principled):
                 if closures[chosen].kind == _PRINCIPLED:
                     found = sample_principled_hair(closures, chosen, cylinder_of(closures, chosen, frame, wo), left, u)
+            if wp.static(has_facets):
+                if closures[chosen].kind == _FACETS:
+                    found = sample_facet_hair(fibre_of(closures, chosen, albedo, frame, wo), left, u)
             if wp.static(has_lobes):
-                if closures[chosen].kind != _PRINCIPLED:
+                if closures[chosen].kind < _PRINCIPLED:
                     found = sample_hair_lobe(closures, chosen, frame, wo, u, closures[chosen].kind == _TRANSMISSION)
             result = BsdfSample()
             result.direction = found.direction
-            result.lobe = wp.where(found.passes == 1, TRANSMISSION, GLOSSY)
+            if wp.dot(found.direction, found.direction) > 0.0:  # else it was lost between facets
+                result.lobe = wp.where(found.passes == 1, TRANSMISSION, GLOSSY)
             return result
         return propose_other(closures, first, end, lobes, albedo, frame, wo, u_lobe, u)
 
@@ -114,8 +124,13 @@ def with_hair(bsdf: Any, features: ClosureFeatures) -> Any:
                         both = principled_hair_value(closures, c, cylinder_of(closures, c, frame, wo), wi)
                         mixture.value += wp.cw_mul(lobe.scale, wp.vec3(both[0], both[1], both[2]))
                         mixture.density += lobe.selection * both[3]
+                if wp.static(has_facets):
+                    if closures[c].kind == _FACETS:
+                        both = facet_hair_value(closures, c, fibre_of(closures, c, albedo, frame, wo), wi)
+                        mixture.value += wp.cw_mul(lobe.scale, wp.vec3(both[0], both[1], both[2]))
+                        mixture.density += lobe.selection * both[3]
                 if wp.static(has_lobes):
-                    if closures[c].kind != _PRINCIPLED:
+                    if closures[c].kind < _PRINCIPLED:
                         bright = hair_lobe_value(closures, c, frame, wo, wi, closures[c].kind == _TRANSMISSION)
                         mixture.value += bright * lobe.scale
                         mixture.density += lobe.selection * bright

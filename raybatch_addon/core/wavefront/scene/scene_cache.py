@@ -279,7 +279,8 @@ def _geometry_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarra
         + ([] if instances.motion is None else [instances.motion])
     )
     cut = cut_rule(request.plan, request.settings) if request.plan.method is Method.BATCHED else None
-    return meshes, (placed, request.kind(), request.plan.method, cut)
+    ribbons = tuple(mesh.ribbons for mesh in scene.meshes)
+    return meshes, (placed, ribbons, request.kind(), request.plan.method, cut)
 
 
 def _serves(built: BuiltGeometry, plan: TracingPlan) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ....core.programs.builder import Value
 from ....core.programs.ops.values.math import MathOperation
+from ....core.programs.ops.values.spaces import Space, VectorKind
 from ....core.programs.ops.values.vector_math import VectorOperation
 from ....core.scene.description import ClosureKind
 from ..inputs.attributes import mesh_attribute
@@ -28,13 +29,11 @@ def hair(node: Node, weight: Value) -> None:
 
 @shader(
     "ShaderNodeBsdfHairPrincipled",
-    kinds=(_K.PRINCIPLED_HAIR,),
-    note="Huang's model is rendered as Chiang's; on meshes the fibres run in no particular direction",
+    kinds=lambda node: (_K.FACET_HAIR, _K.TRANSPARENT) if node.node.model == "HUANG" else (_K.PRINCIPLED_HAIR,),
+    note="on meshes the fibres, and on particle hair the ellipses, lie in no particular direction",
 )
 def principled_hair(node: Node, weight: Value) -> None:
     """A fibre that absorbs."""
-    if node.node.model == "HUANG":
-        node.warn("Huang's model is not supported and is rendered as Chiang's; this is the model")
     random = node.number("Random") if node.linked("Random") else mesh_attribute(node, "CURVE", "random")[1]
 
     def varied(value: Value, by: str) -> Value:
@@ -58,7 +57,14 @@ def principled_hair(node: Node, weight: Value) -> None:
         sigma = node.op("vector_math", VectorOperation.ADD, of_melanin, tint, (0.0, 0.0, 0.0), 1.0)[0]
     else:
         sigma = node.op("hair_absorption_of_color", node.color("Color"), around)
-    coat = node.constant(0.0) if huang else node.number("Coat")
+    if huang:
+        factors = [node.number(name, 1.0) for name in ("Reflection", "Transmission", "Secondary Reflection")]
+        ellipse = node.number("Aspect Ratio", 1.0), node.number("IOR"), node.number("Offset")
+        own = mesh_attribute(node, "CURVE", "normal")[0]
+        major = node.op("vector_transform", VectorKind.NORMAL, Space.OBJECT, Space.WORLD, own)
+        node.closure("facet_hair", weight, sigma, along, *ellipse, node.op("combine_xyz", *factors), major)
+        return
+    coat = node.number("Coat")
     node.closure("principled_hair", weight, sigma, along, around, coat, node.number("IOR"), node.number("Offset"))
 
 

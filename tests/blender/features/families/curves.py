@@ -1,4 +1,4 @@
-"""Features of hair, curves and point clouds, as round curves in both engines."""
+"""Features of hair, curves and point clouds, as round curves and as ribbons."""
 
 import bpy
 import numpy as np
@@ -9,8 +9,8 @@ from tests.blender.features.registry import feature
 from tests.support.blender_builders import add_grid, add_object
 
 
-def _light(scene: bpy.types.Scene) -> None:
-    scene.cycles_curves.shape = "THICK"
+def _light(scene: bpy.types.Scene, shape: str = "THICK") -> None:
+    scene.cycles_curves.shape = shape
     add_world(scene, 0.5, (0.6, 0.75, 1.0))
     lamp("SUN", (0, 0, 5), target=(2, 3, 0), energy=2.0, angle=0.1)
     floor()
@@ -122,3 +122,50 @@ def points(scene: bpy.types.Scene) -> None:
     material_graph(
         add_object("Points", cloud), lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.5, 0.3, 1.0)})
     )
+
+
+@feature("Curves: ribbons of Principled Hair", "Curves", "picture")
+def ribbons(scene: bpy.types.Scene) -> None:
+    _light(scene, "RIBBONS")
+    material_graph(tuft(), _principled(Color=(0.8, 0.4, 0.2, 1.0), Offset=0.1, Coat=0.5))
+
+
+@feature("Curves: diffuse ribbons of two subdivisions", "Curves", "picture")
+def coarse_ribbons(scene: bpy.types.Scene) -> None:
+    _light(scene, "RIBBONS")
+    scene.cycles_curves.subdivisions = 1
+    color = {"Color": (0.3, 0.6, 0.2, 1.0)}
+    material_graph(tuft(steps=4), lambda graph: graph.value("ShaderNodeBsdfDiffuse", color))
+
+
+@feature("Curves: straight between points", "Curves", "picture")
+def straight(scene: bpy.types.Scene) -> None:
+    _light(scene, "THICK_LINEAR")
+    material_graph(tuft(steps=4), lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.3, 0.6, 0.2, 1.0)}))
+
+
+def _huang(**values):
+    build = _principled(**values)
+
+    def made(graph: Graph):
+        socket = build(graph)
+        socket.node.model = "HUANG"
+        for name in ("Aspect Ratio", "Roughness"):
+            if name in values:
+                socket.node.inputs[name].default_value = values[name]
+        return socket
+
+    return made
+
+
+@feature("Curves: Principled Hair by Huang, round", "Curves", "picture", samples=512)
+def round_facets(scene: bpy.types.Scene) -> None:
+    _light(scene)
+    material_graph(tuft(), _huang(Color=(0.8, 0.4, 0.2, 1.0), **{"Aspect Ratio": 1.0, "Roughness": 0.4}))
+
+
+@feature("Curves: Principled Hair by Huang, elliptical ribbons", "Curves", "picture", samples=512)
+def elliptical_facets(scene: bpy.types.Scene) -> None:
+    _light(scene, "RIBBONS")
+    values = {"Melanin": 0.4, "Roughness": 0.3, "Aspect Ratio": 0.7}
+    material_graph(tuft(radius=0.05), _huang(parametrization="MELANIN", **values))

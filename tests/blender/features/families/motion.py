@@ -9,7 +9,9 @@ import numpy as np
 
 from tests.blender.features.build import ball, box, floor, lamp, look, material_graph, shaded
 from tests.blender.features.compare import add_world
+from tests.blender.features.families.curves import tuft
 from tests.blender.features.registry import feature
+from tests.support.blender_builders import add_grid
 
 
 def linear(action_owner) -> None:
@@ -268,3 +270,33 @@ def volumes(scene: bpy.types.Scene) -> None:
     glass = ball("Glass", (0.9, 0, 0.7), 0.6)
     shaded(glass, "ShaderNodeBsdfGlass", Roughness=0.3)
     keyed(glass, "location", (0.9, 0, 0.7), (0.9, 0.4, 1.4))
+
+
+@blurred("hair on what deforms", samples=256)
+def hair(scene: bpy.types.Scene) -> None:
+    stage(scene)
+    ground = add_grid("Emitter", 6)
+    shaded(ground, "ShaderNodeBsdfDiffuse", Color=(0.3, 0.6, 0.2, 1))
+    twist = ground.modifiers.new("Twist", "SIMPLE_DEFORM")
+    twist.deform_method, twist.deform_axis = "TWIST", "Z"
+    for frame, angle in ((9, 0.0), (11, 1.2)):
+        twist.angle = angle
+        twist.keyframe_insert("angle", frame=frame)
+    linear(ground)
+    ground.modifiers.new("Hair", "PARTICLE_SYSTEM")
+    settings = ground.particle_systems[0].settings
+    settings.type, settings.count, settings.hair_length = "HAIR", 60, 1.0
+    settings.root_radius, settings.tip_radius, settings.radius_scale = 1.0, 0.4, 0.08
+    keyed(ground, "location", (-0.3, 0, 0.02), (0.3, 0, 0.02))
+
+
+@blurred("strands with a velocity", samples=256)
+def strands(scene: bpy.types.Scene) -> None:
+    stage(scene)
+    made = tuft(count=40, radius=0.05)
+    material_graph(made, lambda graph: graph.value("ShaderNodeBsdfDiffuse", {"Color": (0.8, 0.5, 0.3, 1)}))
+    points = np.empty(3 * len(made.data.position_data), np.float32)
+    made.data.position_data.foreach_get("vector", points)
+    values = np.zeros((len(points) // 3, 3), np.float32)
+    values[:, 0] = 18 * points.reshape(-1, 3)[:, 2]
+    made.data.attributes.new("velocity", "FLOAT_VECTOR", "POINT").data.foreach_set("vector", values.ravel())

@@ -8,33 +8,67 @@ auto test_segments = [&](Ray& ray, const char* p, unsigned marked) INLINE {
     o[ray.y >> 5] = ray.oy;
     o[ray.z >> 5] = ray.oz;
     for (int k = 0; k < 3; ++k) d[k] = 1.0f / ray.slabs.inverse[k];
+    const Ints face = *(const Ints*)(p + GROUP_FACE);
+    auto radius_of = [&](const char* group, int shift) INLINE -> Floats {
+        return (Floats)((*(const Ints*)(group + 192) >> shift & (int)RADIUS_MASK) << 15);
+    };
+#if MOTION
+    const char *before = p + ray.between.first, *behind = before + ray.between.next;
+    const float share = ray.between.share;
+    auto row = [&](int k) INLINE -> Floats {
+        const Floats a = *(const Floats*)(before + 32 * k), b = *(const Floats*)(behind + 32 * k);
+        const Floats low = smaller(a, b), high = larger(a, b), mixed = a + all(share) * (b - a);
+        return smaller(larger(mixed, low), high);
+    };
+    auto radius = [&](int shift) INLINE -> Floats {
+        const Floats a = radius_of(before, shift);
+        return a + all(share) * (radius_of(behind, shift) - a);
+    };
+    auto normal = [&](int word, float* n) INLINE {
+        mixed_normal(((const unsigned*)before)[word], ((const unsigned*)behind)[word], share, n);
+    };
+    p = before;
+#else
     auto row = [&](int k) INLINE -> Floats { return *(const Floats*)(p + 32 * k); };
-    const Ints radii = (Ints)row(6), face = *(const Ints*)(p + GROUP_FACE);
-    const Floats r0 = (Floats)((radii & (int)RADIUS_MASK) << 15);
-    const Floats r1 = (Floats)((radii >> 16 & (int)RADIUS_MASK) << 15);
-    Floats t, s, qx, qy, qz, good;
-    enter_segment(o, d, row(0), row(1), row(2), row(3), row(4), row(5), r0, r1, t, s, qx, qy, qz, good);
+    auto radius = [&](int shift) INLINE -> Floats { return radius_of(p, shift); };
+    auto normal = [&](int word, float* n) INLINE { segment_normal(((const unsigned*)p)[word], n); };
+#endif
+    const Floats ax = row(0), ay = row(1), az = row(2), bx = row(3), by = row(4), bz = row(5);
+    const Floats r0 = radius(0), r1 = radius(16);
 #if COUNTERS
     ray.triangle_tests += __builtin_popcount(marked);
 #endif
     const Floats limit = all(ray.best), finite = all(3e38f);
-    unsigned hits = marked & at_most(all(0.0f), good) & below(all(0.0f), t) & below(t, finite);
-    hits &= asks_any(ray) ? below(t, limit) : at_most(t, limit);
-    for (; hits; hits &= hits - 1u) {
-        const int k = __builtin_ctz(hits);
-        const float* corners = (const float*)p + k;
-        const float e[3] = {corners[24] - corners[0], corners[32] - corners[8], corners[40] - corners[16]};
-        const float q[3] = {((const float*)&qx)[k], ((const float*)&qy)[k], ((const float*)&qz)[k]};
-        const unsigned* bits = (const unsigned*)corners;
-        float u, v;
-        if (!place_on_segment(e, bits[56], bits[64], q, ((const float*)&s)[k], u, v)) continue;
-        if (asks_any(ray)) {
-            ray.face = 0;
-            ray.top = 8;
-            return;
+    const unsigned ribbons = marked & negative(*(const Ints*)(p + 224) << 9);
+    // of ribbons or of others, which `chosen` says
+    auto test_alike = [&](unsigned chosen, bool flat) INLINE {
+        Floats t, s, qx, qy, qz, good;
+        if (flat) enter_ribbon(o, d, ax, ay, az, bx, by, bz, r0, r1, t, s, qx, qy, qz, good);
+        else enter_segment(o, d, ax, ay, az, bx, by, bz, r0, r1, t, s, qx, qy, qz, good);
+        unsigned hits = chosen & at_most(all(0.0f), good) & below(all(0.0f), t) & below(t, finite);
+        hits &= asks_any(ray) ? below(t, limit) : at_most(t, limit);
+        for (; hits; hits &= hits - 1u) {
+            const int k = __builtin_ctz(hits);
+            auto element = [&](const Floats& x) INLINE -> float { return ((const float*)&x)[k]; };
+            const float e[3] = {element(bx) - element(ax), element(by) - element(ay), element(bz) - element(az)};
+            const float q[3] = {element(qx), element(qy), element(qz)};
+            float n[3], m[3], u, v;
+            normal(56 + k, n);
+            normal(64 + k, m);
+            if (flat) {
+                const float width = element(r0) + element(s) * (element(r1) - element(r0));
+                if (!place_on_ribbon(e, d, width, n, m, q, element(s), u, v)) continue;
+            } else if (!place_on_segment(e, n, m, q, element(s), u, v)) continue;
+            if (asks_any(ray)) {
+                ray.face = 0;
+                ray.top = 8;
+                return;
+            }
+            keep(ray, element(t), ((const int*)&face)[k], u, v);
         }
-        keep(ray, ((const float*)&t)[k], ((const int*)&face)[k], u, v);
-    }
+    };
+    if (marked != ribbons) test_alike(marked & ~ribbons, false);
+    if (ribbons) test_alike(ribbons, true);
 };
 // The leaf that `child` and `at` say
 auto test_leaf = [&](Ray& ray) INLINE {

@@ -8,7 +8,7 @@
 
 // Rays closer to the axis's direction than this, squared, keep their origin: nothing says where they are nearest to it
 constexpr float PARALLEL = 1e-10f;
-constexpr unsigned RADIUS_MASK = 0xffffu, NORMAL_MASK = 0x7ffu;
+constexpr unsigned RADIUS_MASK = 0xffffu, NORMAL_MASK = 0x7ffu, RIBBON = 1u << 22;
 // t, how far along the axis (0 at the first point, 1 at the second), and the point relative to the middle. Whether t is
 // a hit is in `good`: not below 0 where it is.
 auto enter_segment = [&](const float* o, const float* d, auto ax, auto ay, auto az, auto bx, auto by, auto bz, auto r0,
@@ -51,8 +51,34 @@ auto enter_segment = [&](const float* o, const float* d, auto ax, auto ay, auto 
     least = least < room ? least : room;
     good = met > 2.0f * most ? -1.0f + zero : least;
 };
+// The same of a strip that faces the ray: where the ray passes the axis, or the nearer end of it, at most a radius away.
+// Nearer to the ray's origin than twice the radius no strip is met: not the one that the ray leaves.
+auto enter_ribbon = [&](const float* o, const float* d, auto ax, auto ay, auto az, auto bx, auto by, auto bz, auto r0,
+                        auto r1, auto& t, auto& s, auto& qx, auto& qy, auto& qz, auto& good) INLINE_SEGMENT {
+    const float dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+    const auto ex = bx - ax, ey = by - ay, ez = bz - az;
+    const auto px = (ax - o[0]) + 0.5f * ex, py = (ay - o[1]) + 0.5f * ey, pz = (az - o[2]) + 0.5f * ez;
+    const auto to_middle = (px * d[0] + py * d[1] + pz * d[2]) / dd;
+    const auto ox = to_middle * d[0] - px, oy = to_middle * d[1] - py, oz = to_middle * d[2] - pz;
+    // the axis as the ray sees it
+    const auto speed = (d[0] * ex + d[1] * ey + d[2] * ez) / dd;
+    const auto fx = ex - speed * d[0], fy = ey - speed * d[1], fz = ez - speed * d[2];
+    const auto ff = fx * fx + fy * fy + fz * fz;
+    const auto zero = ff - ff;
+    auto along = ff > 0.0f ? (ox * fx + oy * fy + oz * fz) / ff : zero;
+    along = along < -0.5f ? zero - 0.5f : along > 0.5f ? zero + 0.5f : along;
+    const auto radius = 0.5f * (r0 + r1) + (r1 - r0) * along;
+    const auto x = ox - along * fx, y = oy - along * fy, z = oz - along * fz;
+    t = to_middle + along * speed;
+    s = along + 0.5f;
+    qx = x + along * ex;
+    qy = y + along * ey;
+    qz = z + along * ez;
+    const auto far = t * t * dd - 4.0f * (radius * radius), near = radius * radius - (x * x + y * y + z * z);
+    good = ff > 0.0f ? (far < near ? far : near) : zero - 1.0f;
+};
 // A vector of 22 bits, of any length
-auto segment_normal = [](unsigned bits, float* n) INLINE_SEGMENT {
+auto segment_normal = [&](unsigned bits, float* n) INLINE_SEGMENT {
     const float x = (float)(bits & NORMAL_MASK) * (2.0f / NORMAL_STEPS) - 1.0f;
     const float y = (float)(bits >> 11 & NORMAL_MASK) * (2.0f / NORMAL_STEPS) - 1.0f;
     const float z = 1.0f - fabsf(x) - fabsf(y), fold = z < 0.0f ? -z : 0.0f;
@@ -60,31 +86,20 @@ auto segment_normal = [](unsigned bits, float* n) INLINE_SEGMENT {
     n[1] = y < 0.0f ? y + fold : y - fold;
     n[2] = z;
 };
-// Whether the point q, relative to the middle, lies between the planes of a segment with the axis e; its place on the
-// surface (`shading/segments.py`): along the axis, and around it
-auto place_on_segment = [&](const float* e, unsigned first, unsigned second, const float* q, float s, float& u,
-                            float& v) INLINE_SEGMENT -> bool {
-    const float largest = fabsf(e[0]) + fabsf(e[1]) + fabsf(e[2]);
-    if (largest == 0.0f) {  // a sphere: the octahedron's coordinates
-        const float size = fabsf(q[0]) + fabsf(q[1]) + fabsf(q[2]);
-        if (!(size > 0.0f)) return false;
-        const float x = q[0] / size, y = q[1] / size;
-        u = q[2] < 0.0f ? (x < 0.0f ? fabsf(y) - 1.0f : 1.0f - fabsf(y)) : x;
-        v = q[2] < 0.0f ? (y < 0.0f ? fabsf(x) - 1.0f : 1.0f - fabsf(x)) : y;
-        return true;
-    }
-    float n[3], m[3];
-    segment_normal(first, n);
-    segment_normal(second, m);
-    float before = 0.0f, behind = 0.0f;
-    for (int k = 0; k < 3; ++k) {
-        before += (q[k] + 0.5f * e[k]) * n[k];
-        behind += (q[k] - 0.5f * e[k]) * m[k];
-    }
-    if (!(before >= 0.0f && behind <= 0.0f)) return false;
-    u = s < 0.0f ? 0.0f : s > 1.0f ? 1.0f : s;
-    // axes across the unit vector a (Duff et al. 2017), and the corner of a square that is turned to the point
-    const float scale = 1.0f / largest, ax = e[0] * scale, ay = e[1] * scale, az = e[2] * scale;
+// Between two steps; of a length that is not 1
+auto mixed_normal = [&](unsigned before, unsigned behind, float share, float* n) INLINE_SEGMENT {
+    float m[3];
+    segment_normal(before, n);
+    segment_normal(behind, m);
+    const float size = 1.0f / square_root(n[0] * n[0] + n[1] * n[1] + n[2] * n[2]);
+    const float other = 1.0f / square_root(m[0] * m[0] + m[1] * m[1] + m[2] * m[2]);
+    for (int k = 0; k < 3; ++k) n[k] = n[k] * size + share * (m[k] * other - n[k] * size);
+};
+// Where around the axis e the direction q points: the corner of a square that is turned to it
+auto turn_of = [&](const float* e, const float* q, float& v) INLINE_SEGMENT -> bool {
+    // axes across the unit vector a (Duff et al. 2017)
+    const float scale = 1.0f / (fabsf(e[0]) + fabsf(e[1]) + fabsf(e[2]));
+    const float ax = e[0] * scale, ay = e[1] * scale, az = e[2] * scale;
     const float inverse = 1.0f / square_root(ax * ax + ay * ay + az * az);
     const float x = ax * inverse, y = ay * inverse, z = az * inverse, sign = z < 0.0f ? -1.0f : 1.0f;
     const float p = -1.0f / (sign + z), r = x * y * p;
@@ -94,4 +109,67 @@ auto place_on_segment = [&](const float* e, unsigned first, unsigned second, con
     if (!(size > 0.0f)) return false;
     v = j < 0.0f ? i / size - 1.0f : 1.0f - i / size;
     return true;
+};
+// Whether the point q, relative to the middle, lies between the planes, normals n and m, of a segment with the axis e;
+// its place on the
+// surface (`shading/segments.py`): along the axis, and around it
+auto place_on_segment = [&](const float* e, const float* n, const float* m, const float* q, float s, float& u, float& v)
+                            INLINE_SEGMENT -> bool {
+    const float largest = fabsf(e[0]) + fabsf(e[1]) + fabsf(e[2]);
+    if (largest == 0.0f) {  // a sphere: the octahedron's coordinates
+        const float size = fabsf(q[0]) + fabsf(q[1]) + fabsf(q[2]);
+        if (!(size > 0.0f)) return false;
+        const float x = q[0] / size, y = q[1] / size;
+        u = q[2] < 0.0f ? (x < 0.0f ? fabsf(y) - 1.0f : 1.0f - fabsf(y)) : x;
+        v = q[2] < 0.0f ? (y < 0.0f ? fabsf(x) - 1.0f : 1.0f - fabsf(x)) : y;
+        return true;
+    }
+    float before = 0.0f, behind = 0.0f;
+    for (int k = 0; k < 3; ++k) {
+        before += (q[k] + 0.5f * e[k]) * n[k];
+        behind += (q[k] - 0.5f * e[k]) * m[k];
+    }
+    if (!(before >= 0.0f && behind <= 0.0f)) return false;
+    u = s < 0.0f ? 0.0f : s > 1.0f ? 1.0f : s;
+    return turn_of(e, q, v);
+};
+// Whether the point q, relative to the middle, lies between the planes of a strip, turned until the ray lies in them; its
+// place on the surface of the round curve that the strip stands for, in front of q. s: 0 to 1
+auto place_on_ribbon = [&](const float* e, const float* d, float radius, const float* n, const float* m, const float* q,
+                           float s, float& u, float& v) INLINE_SEGMENT -> bool {
+    float dd = 0.0f, ed = 0.0f, ee = 0.0f, nd = 0.0f, md = 0.0f, qd = 0.0f, nq = 0.0f, mq = 0.0f, ne = 0.0f, me = 0.0f;
+    for (int k = 0; k < 3; ++k) {
+        dd += d[k] * d[k];
+        ed += e[k] * d[k];
+        ee += e[k] * e[k];
+        nd += n[k] * d[k];
+        md += m[k] * d[k];
+        qd += q[k] * d[k];
+        nq += n[k] * q[k];
+        mq += m[k] * q[k];
+        ne += n[k] * e[k];
+        me += m[k] * e[k];
+    }
+    const float before = nq + 0.5f * ne - nd * (qd + 0.5f * ed) / dd,
+                behind = mq - 0.5f * me - md * (qd - 0.5f * ed) / dd;
+    if (!(before >= 0.0f && behind <= 0.0f)) return false;
+    u = s;
+    // as far to the side as the ray passes the axis, and towards the viewer
+    const float w[3] = {e[1] * d[2] - e[2] * d[1], e[2] * d[0] - e[0] * d[2], e[0] * d[1] - e[1] * d[0]};
+    const float ww = w[0] * w[0] + w[1] * w[1] + w[2] * w[2];
+    float side = 0.0f, f[3], ff = 0.0f;
+    for (int k = 0; k < 3; ++k) {
+        side += (q[k] - (s - 0.5f) * e[k]) * w[k];
+        f[k] = e[k] * (ed / ee) - d[k];
+        ff += f[k] * f[k];
+    }
+    if (!(ww > 0.0f && ff > 0.0f && radius > 0.0f)) return false;
+    side = side / (square_root(ww) * radius);
+    side = side < -1.0f ? -1.0f : side > 1.0f ? 1.0f : side;
+    const float by_side = side / square_root(ww),
+                forwards = square_root((1.0f - side) * (1.0f + side)) / square_root(ff);
+    const float outwards[3] = {
+        by_side * w[0] + forwards * f[0], by_side * w[1] + forwards * f[1], by_side * w[2] + forwards * f[2]
+    };
+    return turn_of(e, outwards, v);
 };

@@ -4,6 +4,7 @@ import warp as wp
 
 from ....scene.description import ClosureKind
 from ....shading.bsdf.materials import ClosureRecord, new_closure
+from ....shading.sampling import tangent_of
 from ...op import NodeData, closure_op, number, op, put_vector, vector
 from ...point import ShadingPoint
 from ..inputs.curve_inputs import curve_tangent
@@ -115,6 +116,67 @@ def principled_hair(
     record.ior = usable_index(number(data, stack, pc + 6), 1.0e-3)
     record.film_ior = -_finite(number(data, stack, pc + 7))
     record.tangent = curve_tangent(data, point)
+    closures[count] = record
+    return count + 1
+
+
+@closure_op("facet_hair", "vvnnnnvv", foldable=False, general=False)
+@wp.func
+def facet_hair(
+    data: NodeData,
+    stack: wp.array(dtype=float),
+    pc: int,
+    point: ShadingPoint,
+    closures: wp.array(dtype=ClosureRecord),
+    count: int,
+) -> int:
+    """A fibre of facets that absorbs: weight, absorption, roughness, minor over major axis, index, tilt [rad], factors
+    of what is reflected, passes and is reflected inside, direction of the major axis (0: none in particular).
+
+    Beside an ellipse, which is narrower than the curve seen from its sharp end, the curve is transparent.
+    """
+    w = usable_weight(vector(data, stack, pc + 1))
+    if is_black(w) or count >= closures.shape[0]:
+        return count
+    factors = vector(data, stack, pc + 7)
+    factors = wp.vec3(
+        wp.max(_finite(factors[0]), 0.0), wp.max(_finite(factors[1]), 0.0), wp.max(_finite(factors[2]), 0.0)
+    )
+    if factors[0] + factors[1] + factors[2] <= 0.0:
+        return count
+    record = new_closure(wp.static(int(ClosureKind.FACET_HAIR)), w)
+    sigma = vector(data, stack, pc + 2)
+    record.color = wp.vec3(
+        wp.max(_finite(sigma[0]), 0.0), wp.max(_finite(sigma[1]), 0.0), wp.max(_finite(sigma[2]), 0.0)
+    )
+    record.roughness = wp.clamp(_finite(number(data, stack, pc + 3)), wp.static(_LEAST), wp.static(_MOST))
+    aspect = wp.max(_finite(number(data, stack, pc + 4)), wp.static(_LEAST))
+    record.aspect = wp.min(aspect, 1.0 / aspect)
+    record.ior = usable_index(number(data, stack, pc + 5), 1.0e-3)
+    record.film_ior = -_finite(number(data, stack, pc + 6))
+    record.edge = factors
+    record.tangent = curve_tangent(data, point)
+    record.normal = wp.vec3(0.0)
+    along = record.tangent
+    if record.aspect != 1.0 and wp.dot(along, along) > 0.5:
+        major = vector(data, stack, pc + 8)
+        major = major - wp.dot(major, along) * along
+        size = wp.length(major)
+        if size > 0.0 and wp.isfinite(size):
+            record.normal = major / size
+        else:
+            record.normal = tangent_of(along)
+        # the half width of the ellipse that is seen, and where on it the curve was met
+        seen = point.incoming - wp.dot(point.incoming, along) * along
+        across = wp.dot(seen, record.normal)
+        share = across * across / wp.max(wp.dot(seen, seen), 1.0e-20)
+        beside = wp.cross(along, seen)
+        outwards = point.geometric_normal - wp.dot(point.geometric_normal, along) * along
+        offset = wp.dot(outwards, beside)
+        offset = offset * offset / wp.max(wp.dot(outwards, outwards) * wp.dot(beside, beside), 1.0e-20)
+        if offset >= 1.0 - (1.0 - record.aspect * record.aspect) * share:
+            closures[count] = new_closure(wp.static(int(ClosureKind.TRANSPARENT)), w)
+            return count + 1
     closures[count] = record
     return count + 1
 

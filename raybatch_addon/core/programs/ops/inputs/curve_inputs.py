@@ -14,7 +14,7 @@ def curve_tangent(data: NodeData, point: ShadingPoint) -> wp.vec3:
         geometry = data.geometry
         triangle = geometry.mesh_triangle_first[geometry.instance_mesh[point.instance]] + point.primitive
         if is_segment(geometry, triangle):
-            return segment_tangent(geometry, point.instance, triangle, point.barycentric)
+            return segment_tangent(geometry, point.instance, triangle, point.barycentric, point.time)
     return wp.vec3(0.0)
 
 
