@@ -62,7 +62,11 @@ def _exported(
         return None
     collections = placements.materials.collections
     # evaluated: with the current values of drivers and keyframes
-    world = export_world(_world(depsgraph.scene_eval, depsgraph.view_layer_eval), warnings, collections)
+    shown = _world(depsgraph.scene_eval, depsgraph.view_layer_eval)
+    world = export_world(shown, warnings, collections)
+    groups = [each.name for each in depsgraph.view_layer.lightgroups]
+    if shown is not None and shown.lightgroup in groups:
+        world = replace(world, light_group=groups.index(shown.lightgroup))
     instances = placements.instances("Object Index" in frame.passes)
     warnings += (
         placements.warnings
@@ -95,6 +99,7 @@ def _exported(
         images=tuple(collections.images),
         attributes=tuple(collections.attributes),
         object_names=tuple(placements.object_names),
+        light_groups=tuple(each.name for each in depsgraph.view_layer.lightgroups),
         asset_names=tuple(placements.asset_names),
         warnings=tuple(by_weight(dict.fromkeys(warnings))),
     )
