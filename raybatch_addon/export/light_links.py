@@ -61,6 +61,7 @@ class _Sets:
         self, what: str, collections: list[bpy.types.Collection | None], most: int, warnings: list[str]
     ) -> None:
         self.of: dict[int, int] = {}  # set by pointer of an object
+        self._all = (1 << most) - 1
         self._numbers = {each.as_pointer(): i for i, each in enumerate(dict.fromkeys(filter(None, collections)))}
         states: dict[int, dict[int, str]] = {}  # by object, then by collection
         names: dict[int, str] = {}
@@ -90,7 +91,7 @@ class _Sets:
     def lit_by(self, collection: bpy.types.Collection | None) -> int:
         """Bits of the sets that belong to an emitter with `collection`."""
         if collection is None:
-            return (1 << 64) - 1
+            return self._all
         number = self._numbers[collection.as_pointer()]
         by_default = number not in self._includes
         bits = 0
@@ -99,7 +100,7 @@ class _Sets:
             if state == "INCLUDE" or (state is None and by_default):
                 bits |= 1 << index
         if by_default:  # and all sets that there are not
-            bits |= ((1 << 64) - 1) & ~((1 << self.count) - 1)
+            bits |= self._all & ~((1 << self.count) - 1)
         return bits
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.scene.description import ALL_SHADOW_SETS, Light, Visibility
+from ...core.scene.description import Light, Visibility
 from ...core.scene.linking import shadow_bit
 from ...core.scene.notice import Notice, Weight
 from ..curves.placing import StrandMeshes
@@ -207,7 +207,7 @@ class _Collector:
                 light = replace(
                     light,
                     light_sets=links.lights,
-                    shadow_sets=links.shadows & ALL_SHADOW_SETS,
+                    shadow_sets=links.shadows,
                     light_group=self._groups.get(obj.lightgroup, -1),
                 )
             self._light_values.append(self._object_values(obj, placed.parent, asked))

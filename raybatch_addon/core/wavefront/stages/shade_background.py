@@ -152,8 +152,6 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
             shines = shows_world
             if wp.static(features.splits_light and features.film_transparent):
                 shines = shows_world or shows_environment(paths)  # the pass has what a transparent film leaves out
-            if wp.static(features.light_groups):
-                shines = True  # as the group of the world has
             if shines and (data.world_visibility & visibility_of(status)) != 0:
                 light = wp.cw_mul(throughput, data.world)
                 if wp.static(has_program):
@@ -183,10 +181,10 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
                 if shows_world:
                     before = paths.radiance[path]
                     paths.radiance[path] = before + light
+                    if wp.static(features.light_groups):
+                        add_to_group(paths, path, light, group_of(data.lights, owner_of_world(data.lights)))
                     if wp.static(features.guides):
                         note_seen_light(paths, path, before)
-                if wp.static(features.light_groups):
-                    add_to_group(paths, path, light, group_of(data.lights, owner_of_world(data.lights)))
                 if wp.static(features.splits_light):
                     if paths.passes.shape[0] > 0:
                         split_light(paths, path, light, bounce, False, paths.passes[0].environment)
