@@ -30,6 +30,7 @@ PASSES = {
     "Position": (3, "XYZ", "VECTOR"),
     "Normal": (3, "XYZ", "VECTOR"),
     "Mist": (1, "Z", "VALUE"),
+    "Vector": (4, "XYZW", "VECTOR"),
     "UV": (3, "UVA", "VECTOR"),
     "Object Index": (1, "X", "VALUE"),
     "Material Index": (1, "X", "VALUE"),

@@ -13,6 +13,7 @@ PASS_PROPERTIES = {
     "use_pass_mist": "Mist",
     "use_pass_position": "Position",
     "use_pass_normal": "Normal",
+    "use_pass_vector": "Vector",
     "use_pass_uv": "UV",
     "use_pass_object_index": "Object Index",
     "use_pass_material_index": "Material Index",

@@ -143,6 +143,8 @@ class Mesh:
     # have some have as many steps. None: it does not deform
     motion: np.ndarray | None = None
     motion_normals: np.ndarray | None = None  # `corner_normals` at these times, float32, shape [steps, n, 3, 3]
+    # `positions` a frame before and a frame after, for the pass Vector; float32, shape [2, vertex_count, 3]
+    frames: np.ndarray | None = None
     # Radius of each vertex [m], float32, shape [vertex_count]: in place of triangles there are segments of curves,
     # whose ends are the first two vertices of each row of `triangles`. The third is the first again, also in what
     # corners have. A segment that begins where the row before ends goes on from there; one without length is a sphere.
@@ -248,6 +250,8 @@ class Instances:
     # the number of the light set that the instance is lit as, and bits of the light sets that its own light falls on
     # and of the shadow sets that block it; uint64, shape [n, 3]. None: set 0, and all sets
     links: np.ndarray | None = None
+    # `transform` a frame before and a frame after, for the pass Vector; float32, shape [n, 2, 3, 4]. None: none moves
+    frames: np.ndarray | None = None
     light_group: np.ndarray | None = None  # index into `Scene.light_groups`, int32, shape [n]; -1, or None: no group
 
     def __len__(self) -> int:

@@ -19,6 +19,8 @@ from ...scene.passes import (
     GUIDE_PASSES,
     INDIRECT_PASSES,
     MATTE_KINDS,
+    VECTOR,
+    VECTOR_WEIGHT,
     VOLUME_PASSES,
     aov_passes,
     channels_of,
@@ -27,6 +29,7 @@ from ...scene.passes import (
     summed_passes,
 )
 from ...shading.camera import CameraData, camera_axes
+from .vectors import VectorInputs, upload_vectors
 
 
 @wp.struct
@@ -45,6 +48,7 @@ class PassInputs:
     object_matte: int
     material_matte: int
     asset_matte: int
+    vector: VectorInputs
     mist_start: float  # [m]
     mist_scale: float  # one over the distance from there to the densest mist [1/m]; 0: there is none
     mist_falloff: float  # exponent
@@ -71,6 +75,8 @@ class PathPasses:
     # first channels
     mist: int
     uv: int
+    vector: int
+    vector_weight: int
     albedo: int  # of what guides a denoiser, as `normal` and `depth`
     normal: int
     depth: int
@@ -129,7 +135,8 @@ def make_path_passes(
         passes.settled = wp.zeros(path_count if settles else 0, dtype=int)
         aovs = [(first(name), channels_of(name)) for name in aov_passes(features.passes)]
         passes.aov = wp.array(np.array(aovs, np.int32).reshape(-1, 2), dtype=wp.vec2i)
-    passes.mist, passes.uv = first("Mist"), first("UV")
+    passes.mist, passes.uv, passes.vector = first("Mist"), first("UV"), first(VECTOR)
+    passes.vector_weight = first(VECTOR_WEIGHT)
     passes.albedo, passes.normal, passes.depth = map(first, GUIDE_PASSES)
     passes.to_camera = camera_axes(camera)
     passes.emission, passes.environment = first("Emission"), first("Environment")
@@ -162,6 +169,8 @@ def upload_pass_inputs(scene: Scene, features: SceneFeatures, device: wp.Device)
         corner_first, uvs = corner_values(scene, maps, 2)
         inputs.uv_first = wp.array(corner_first, dtype=int, device=device)
         inputs.uvs = wp.array(uvs, dtype=wp.vec2, device=device)
+    if VECTOR in names:
+        inputs.vector = upload_vectors(scene, device)
     kinds = matte_kinds(names)
     numbers = {kind: kinds.index(kind) if kind in kinds else -1 for kind in MATTE_KINDS}
     inputs.object_matte, inputs.material_matte, inputs.asset_matte = numbers.values()
