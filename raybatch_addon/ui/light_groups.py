@@ -44,6 +44,10 @@ class RAYBATCH_OBJECT_PT_light_group(EnginePanel, bpy.types.Panel):
     bl_parent_id = "OBJECT_PT_shading"
     bl_options = {"DEFAULT_CLOSED"}
 
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and context.object is not None
+
     def draw(self, context):
         _draw_group(self.layout, context.object, context.view_layer)
 
