@@ -13,10 +13,12 @@ from ..core.scene.description import Scene
 from ..core.scene.passes import matte_kinds
 from ..export.passes import (
     AOV_BEGINNINGS,
+    LIGHT_GROUP,
     LIGHT_PASS_PROPERTIES,
     MATTE_PROPERTIES,
     NOISY_IMAGE,
     OWN_PASS_PROPERTIES,
+    VOLUME_PASS_PROPERTIES,
     blender_name,
     wanted_passes,
 )
@@ -28,10 +30,11 @@ PASSES = {
     "Position": (3, "XYZ", "VECTOR"),
     "Normal": (3, "XYZ", "VECTOR"),
     "Mist": (1, "Z", "VALUE"),
+    "Vector": (4, "XYZW", "VECTOR"),
     "UV": (3, "UVA", "VECTOR"),
     "Object Index": (1, "X", "VALUE"),
     "Material Index": (1, "X", "VALUE"),
-    **dict.fromkeys(LIGHT_PASS_PROPERTIES.values(), (3, "RGB", "COLOR")),
+    **dict.fromkeys((*LIGHT_PASS_PROPERTIES.values(), *VOLUME_PASS_PROPERTIES.values()), (3, "RGB", "COLOR")),
     # lower-case letters, by which files know that they must not be compressed with loss
     **{f"{kind}{i:02}": (4, "rgba", "COLOR") for kind in MATTE_PROPERTIES.values() for i in range(8)},
     NOISY_IMAGE: (4, "RGBA", "COLOR"),
@@ -43,7 +46,8 @@ PASSES = {
 
 
 # Passes of light, which the exposure brightens; not those of colours, values and mattes
-LIT_PASSES = frozenset(["Combined", *(name for name in LIGHT_PASS_PROPERTIES.values() if not name.endswith("Color"))])
+_LIGHT_PASSES = (*LIGHT_PASS_PROPERTIES.values(), *VOLUME_PASS_PROPERTIES.values())
+LIT_PASSES = frozenset(["Combined", *(name for name in _LIGHT_PASSES if not name.endswith("Color"))])
 
 
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
@@ -57,6 +61,8 @@ def _about(name: str) -> tuple[int, str, str]:
     """Channels, letters and kind of the film's pass `name`."""
     if name.startswith(AOV_BEGINNINGS["COLOR"]):
         return 4, "RGBA", "COLOR"
+    if name.startswith(LIGHT_GROUP):
+        return 3, "RGB", "COLOR"
     return PASSES.get(name, (1, "X", "VALUE"))
 
 
@@ -131,7 +137,7 @@ class ResultWriter:
 
     def _exposed(self, name: str, pixels: np.ndarray) -> np.ndarray:
         """The pass `name` as bright as it is shown; alpha stays."""
-        if self._exposure == 1 or name not in LIT_PASSES:
+        if self._exposure == 1 or not (name in LIT_PASSES or name.startswith(LIGHT_GROUP)):
             return pixels
         return pixels * np.float32([self._exposure] * 3 + [1])[: pixels.shape[-1]]
 

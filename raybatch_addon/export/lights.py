@@ -188,10 +188,6 @@ def _placement(obj: bpy.types.Object, matrix: np.ndarray, warnings: list[str]) -
 
 
 def _warn_of_limits(obj: bpy.types.Object, name: str, warnings: list[str]) -> None:
-    linking = getattr(obj, "light_linking", None)
-    if linking and (linking.receiver_collection or linking.blocker_collection):
-        text = f"{name}: light linking is not supported; it lights every object, and every object casts its shadow"
-        warnings.append(Notice(text, objects=[obj.name]))
     if getattr(getattr(obj.data, "cycles", None), "max_bounces", _MAX_BOUNCES) < _MAX_BOUNCES:
         text = f"{name}: its limit of bounces is not supported; it shines at every bounce"
         warnings.append(Notice(text, objects=[obj.name]))

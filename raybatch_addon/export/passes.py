@@ -13,6 +13,7 @@ PASS_PROPERTIES = {
     "use_pass_mist": "Mist",
     "use_pass_position": "Position",
     "use_pass_normal": "Normal",
+    "use_pass_vector": "Vector",
     "use_pass_uv": "UV",
     "use_pass_object_index": "Object Index",
     "use_pass_material_index": "Material Index",
@@ -47,6 +48,10 @@ MATTE_PROPERTIES = {
     "use_pass_cryptomatte_material": "CryptoMaterial",
     "use_pass_cryptomatte_asset": "CryptoAsset",
 }
+# Light that volumes scatter, by Cycles' own property of a view layer
+VOLUME_PASS_PROPERTIES = {"use_pass_volume_direct": "Volume Direct", "use_pass_volume_indirect": "Volume Indirect"}
+# Beginning of the names of passes of light groups
+LIGHT_GROUP = "Combined_"
 # Beginnings of the names that passes of materials have in the film (`core/scene/passes.py`), by the type of an AOV
 AOV_BEGINNINGS = {"COLOR": "AOV color ", "VALUE": "AOV value "}
 
@@ -58,10 +63,13 @@ def wanted_passes(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
     passes = [name for prop, name in blenders.items() if getattr(view_layer, prop)]
     if getattr(getattr(view_layer, "cycles", None), "denoising_store_passes", False):
         passes += DENOISING_PASSES
+    cycles = getattr(view_layer, "cycles", None)  # missing while that add-on is not enabled
+    passes += [name for prop, name in VOLUME_PASS_PROPERTIES.items() if getattr(cycles, prop, False)]
     passes += [name for prop, name in OWN_PASS_PROPERTIES.items() if getattr(own, prop, False)]
     levels = (min(16, view_layer.pass_cryptomatte_depth) + 1) // 2  # two in each pass, as in Cycles
     for prop, kind in MATTE_PROPERTIES.items():
         passes += [f"{kind}{i:02}" for i in range(levels) if getattr(view_layer, prop)]
+    passes += [LIGHT_GROUP + group.name for group in view_layer.lightgroups]
     return ("Combined", *passes, *(name for name, _ in wanted_aovs(view_layer)))
 
 

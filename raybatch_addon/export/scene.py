@@ -13,8 +13,8 @@ from ..core.scene.notice import Notice, Weight, by_weight
 from .camera import export_camera
 from .drivers import failed_drivers
 from .meshes.instances import Cancelled, collect_placements
-from .motion.shutter import Exposure, export_shutter, open_time
-from .motion.steps import MotionSteps, camera_steps
+from .motion.shutter import Exposure, export_shutter, neighbours, open_time
+from .motion.steps import MotionSteps, camera_steps, with_frames
 from .nodes.collections import occlusion_distance
 from .passed_over.look import passed_over
 from .passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES, wanted_passes
@@ -37,11 +37,13 @@ def export_scene(
     frame = export_frame(scene, depsgraph.view_layer)
     warnings: list[str] = []
     exposure = open_time(scene, depsgraph.view_layer, view, warnings)
+    beside = neighbours(scene, depsgraph.view_layer, view, warnings)
+    exposure = exposure or beside
     if exposure is None:
         return _exported(depsgraph, frame, view, cancelled or (lambda: False), warnings)
     exposure.go_to(0.0)
     try:
-        return _exported(depsgraph, frame, view, cancelled or (lambda: False), warnings, exposure)
+        return _exported(depsgraph, frame, view, cancelled or (lambda: False), warnings, exposure, beside is not None)
     finally:
         exposure.go_back()
 
@@ -53,8 +55,9 @@ def _exported(
     cancelled: Callable[[], bool],
     warnings: list[str],
     exposure: Exposure | None = None,
+    sharp: bool = False,
 ) -> Scene | None:
-    """The scene as it is now, and what moves of it while the shutter is open."""
+    """The scene as it is now, and what moves of it in the time of `exposure`; if it is `sharp`, for passes alone."""
     scene = depsgraph.scene
     camera = export_camera(scene, depsgraph, frame.width, frame.height, warnings, view)
     try:
@@ -63,7 +66,11 @@ def _exported(
         return None
     collections = placements.materials.collections
     # evaluated: with the current values of drivers and keyframes
-    world = export_world(_world(depsgraph.scene_eval, depsgraph.view_layer_eval), warnings, collections)
+    shown = _world(depsgraph.scene_eval, depsgraph.view_layer_eval)
+    world = export_world(shown, warnings, collections)
+    groups = [each.name for each in depsgraph.view_layer.lightgroups]
+    if shown is not None and shown.lightgroup in groups:
+        world = replace(world, light_group=groups.index(shown.lightgroup))
     instances = placements.instances("Object Index" in frame.passes)
     warnings += (
         placements.warnings
@@ -82,8 +89,11 @@ def _exported(
 
         if not steps.collect(depsgraph, camera_now, cancelled):
             return None
-        camera = replace(steps.camera(camera), shutter=export_shutter(scene))
-        instances, meshes = steps.instances(instances), steps.meshes()
+        moved = steps.camera(camera), steps.instances(instances), steps.meshes()
+        if sharp:
+            camera, instances, meshes = with_frames((camera, instances, meshes), moved)
+        else:
+            camera, instances, meshes = replace(moved[0], shutter=export_shutter(scene)), *moved[1:]
     return Scene(
         camera=camera,
         frame=frame,
@@ -96,6 +106,7 @@ def _exported(
         images=tuple(collections.images),
         attributes=tuple(collections.attributes),
         object_names=tuple(placements.object_names),
+        light_groups=tuple(each.name for each in depsgraph.view_layer.lightgroups),
         asset_names=tuple(placements.asset_names),
         warnings=tuple(by_weight(dict.fromkeys(warnings))),
     )

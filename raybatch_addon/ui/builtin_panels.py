@@ -13,7 +13,6 @@ _LEFT_OUT = {
     "NODE_DATA_PT_light",
     "DATA_PT_preview",
     "DATA_PT_volume_render",
-    "OBJECT_PT_shading",  # light linking
     "PARTICLE_PT_hair_shape",
     "PHYSICS_PT_fluid_domain_render",
 }

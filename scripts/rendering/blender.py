@@ -29,7 +29,13 @@ from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.export.passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, OWN_PASS_PROPERTIES, PASS_PROPERTIES
+from raybatch_addon.export.passes import (
+    LIGHT_PASS_PROPERTIES,
+    MATTE_PROPERTIES,
+    OWN_PASS_PROPERTIES,
+    PASS_PROPERTIES,
+    VOLUME_PASS_PROPERTIES,
+)
 from raybatch_addon.export.settings import assign_setting, settings_from
 from raybatch_addon.export.taken_over.take import take_over
 from rendering.imported import import_geometry
@@ -257,10 +263,11 @@ def _ask_for_passes(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
     for layer in scene.view_layers:
         for owner, properties in (
             (layer, PASS_PROPERTIES | LIGHT_PASS_PROPERTIES),
+            (getattr(layer, "cycles", None), VOLUME_PASS_PROPERTIES),
             (layer.raybatch, OWN_PASS_PROPERTIES),
         ):
             for prop, name in properties.items():
-                if name in names:
+                if name in names and owner is not None:
                     setattr(owner, prop, True)
         for prop, kind in MATTE_PROPERTIES.items():
             levels = [2 * int(name[-2:]) + 2 for name in names if name.startswith(kind)]

@@ -142,7 +142,7 @@ def test_the_other_panels_draw_what_exists(scene):
     obj = bpy.data.objects.new("Light", light)
     camera = bpy.data.cameras.new("Camera")
     camera.type = "PANO"
-    context = context_of(scene, object=obj, light=light, camera=camera)
+    context = context_of(scene, object=obj, light=light, camera=camera, world=bpy.data.worlds.new("World"))
     drawn_properties = {}
     for panel in own_panels():
         if panel.bl_context != "render":
@@ -183,11 +183,12 @@ def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
         "EEVEE_WORLD_PT_surface",
         "WORLD_PT_context_world",
         "OBJECT_PT_visibility",
+        "OBJECT_PT_shading",
         "PARTICLE_PT_render",
         "TEXTURE_PT_image",
     ):
         assert hasattr(bpy.types, name) and name in enabled, name
-    for name in ("RENDER_PT_freestyle", "DATA_PT_light", "OBJECT_PT_shading", "VIEWLAYER_PT_eevee_layer_passes_data"):
+    for name in ("RENDER_PT_freestyle", "DATA_PT_light", "VIEWLAYER_PT_eevee_layer_passes_data"):
         assert name not in enabled
     assert not {
         name

@@ -35,6 +35,18 @@ class Layout:
     def template_icon(self, icon_value, scale=1.0):
         self.notes.append(("icon", icon_value, scale))
 
+    def separator(self):
+        self.notes.append(("separator", "", ""))
+
+    def template_list(self, kind, _name, owner, collection, active_owner, active, **_options):
+        assert hasattr(bpy.types, kind) and collection in owner.bl_rna.properties
+        assert active in active_owner.bl_rna.properties
+        self.notes.append(("list", kind, collection))
+
+    def prop_search(self, owner, name, source, collection, **_options):
+        assert name in owner.bl_rna.properties and collection in source.bl_rna.properties
+        self.notes.append(("prop", owner.bl_rna.identifier, name))
+
     def operator(self, name, text="", emboss=True, icon="NONE", depress=False):
         assert icon in bpy.types.UILayout.bl_rna.functions["operator"].parameters["icon"].enum_items
         group, _, each = name.partition(".")

@@ -14,7 +14,8 @@ import warp as wp
 
 from ..device.devices import free_memory, total_memory
 from ..errors import OutOfMemoryError, SceneError
-from ..scene.description import Scene, Visibility
+from ..scene.description import Scene
+from ..scene.linking import RAY_BITS
 from .build.cuda.build import BYTES_EACH
 from .node import Layout
 
@@ -45,9 +46,7 @@ class GeometrySize:
         meshes = [scene.meshes[i] for i in used.tolist()]
         filled = [(mesh, count) for mesh, count in zip(meshes, uses.tolist(), strict=True) if len(mesh.triangles)]
         trees = [len(mesh.triangles) for mesh, count in filled if count > 1]
-        seen = dict(
-            zip(scene.instances.mesh.tolist(), (scene.instances.visibility & int(Visibility.ALL)).tolist(), strict=True)
-        )
+        seen = dict(zip(scene.instances.mesh.tolist(), (scene.instances.visibility & RAY_BITS).tolist(), strict=True))
         baked: dict[int, int] = {}  # those that are placed once share a tree where they are seen alike
         for i, mesh, count in zip(used.tolist(), meshes, uses.tolist(), strict=True):
             if count == 1:

@@ -15,6 +15,8 @@ from ..scene.passes import (
     INDIRECT_PASSES,
     PASSES,
     SAMPLE_COUNT,
+    VECTOR,
+    VECTOR_WEIGHT,
     channels_of,
     summed_passes,
 )
@@ -101,6 +103,9 @@ def shown_pass(name: str, mean_of: Callable[[str], np.ndarray]) -> np.ndarray:
     mean = mean_of(name)
     if name == "Mist":  # what is summed is how clear the view is
         return np.clip(1 - mean, 0, 1)
+    if name == VECTOR:
+        weight = mean_of(VECTOR_WEIGHT)
+        return np.divide(mean, weight, out=np.zeros_like(mean), where=weight > 0)
     if name in _DIVIDED_BY:
         return divided_by_color(mean, mean_of(_DIVIDED_BY[name]))
     return mean

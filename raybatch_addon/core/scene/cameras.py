@@ -87,3 +87,7 @@ class Camera:
     motion: np.ndarray | None = None
     window_motion: np.ndarray | None = None  # `window` at such times, float32, shape [steps, 4]; None: it stays
     shutter: Shutter = Shutter()
+    # for the pass Vector: `transform` and `window` a frame before and a frame after, float32, shapes [2, 3, 4], [2, 4];
+    # None: they stay
+    frames: np.ndarray | None = None
+    window_frames: np.ndarray | None = None

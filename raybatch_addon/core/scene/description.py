@@ -34,6 +34,14 @@ class Visibility(IntFlag):
     ALL = 31
 
 
+# Light linking: emitters light the receivers of some sets of objects, and the objects of some sets block their light.
+# Bits of all sets; a number of bits that are in sets is an unsigned integer
+LIGHT_SETS, SHADOW_SETS = 64, 26
+ALL_LIGHT_SETS, ALL_SHADOW_SETS = (1 << LIGHT_SETS) - 1, (1 << SHADOW_SETS) - 1
+# In visibilities the bits of shadow sets lie from here on
+SHADOW_SET_SHIFT = 5
+
+
 class ClosureKind(IntEnum):
     """Scattering and emission models that a material mixes (see `shading/bsdf/bsdf.py`), and abilities of closures.
 
@@ -136,6 +144,8 @@ class Mesh:
     # have some have as many steps. None: it does not deform
     motion: np.ndarray | None = None
     motion_normals: np.ndarray | None = None  # `corner_normals` at these times, float32, shape [steps, n, 3, 3]
+    # `positions` a frame before and a frame after, for the pass Vector; float32, shape [2, vertex_count, 3]
+    frames: np.ndarray | None = None
     # Radius of each vertex [m], float32, shape [vertex_count]: in place of triangles there are segments of curves,
     # whose ends are the first two vertices of each row of `triangles`. The third is the first again, also in what
     # corners have. A segment that begins where the row before ends goes on from there; one without length is a sphere.
@@ -228,7 +238,9 @@ class Instances:
     mesh: np.ndarray  # index into `Scene.meshes`, int32, shape [n]
     transform: np.ndarray  # object to world, float32, shape [n, 3, 4]
     slot_first: np.ndarray  # first entry of the instance in `Scene.slot_materials`, int32, shape [n]
-    visibility: np.ndarray  # `Visibility` bits, int32, shape [n]
+    # `Visibility` bits, int32, shape [n]; where light is linked to blockers also the bit of the instance's shadow set,
+    # from `SHADOW_SET_SHIFT` on, if shadow rays see it
+    visibility: np.ndarray
     object: np.ndarray  # index into `Scene.object_names`, int32, shape [n]
     # values that shader programs read: red, green, blue, alpha of the object's colour, its index, and a random number;
     # float32, shape [n, 6]
@@ -237,6 +249,12 @@ class Instances:
     attributes: np.ndarray | None = None
     # `transform` at evenly spaced times while the shutter is open, float32, shape [n, steps, 3, 4]; None: none moves
     motion: np.ndarray | None = None
+    # the number of the light set that the instance is lit as, and bits of the light sets that its own light falls on
+    # and of the shadow sets that block it; uint64, shape [n, 3]. None: set 0, and all sets
+    links: np.ndarray | None = None
+    # `transform` a frame before and a frame after, for the pass Vector; float32, shape [n, 2, 3, 4]. None: none moves
+    frames: np.ndarray | None = None
+    light_group: np.ndarray | None = None  # index into `Scene.light_groups`, int32, shape [n]; -1, or None: no group
 
     def __len__(self) -> int:
         return len(self.mesh)
@@ -275,6 +293,9 @@ class Light:
     object_transform: np.ndarray | None = None
     info: tuple[float, ...] | None = None
     attributes: np.ndarray | None = None  # a row as in `Instances.attributes`; float32, shape [k, 4]
+    light_sets: int = ALL_LIGHT_SETS  # bits of the light sets that it lights
+    shadow_sets: int = ALL_SHADOW_SETS  # bits of the shadow sets that block its light
+    light_group: int = -1  # index into `Scene.light_groups`; -1: no group
 
 
 class ImageEncoding(IntEnum):
@@ -310,6 +331,7 @@ class World:
     program: Program | None = None
     sampling_size: int = 1024  # texels around the world, by whose brightness a program is sampled; 0: it is not sampled
     volume: Volume | None = None  # what fills all space; None: nothing
+    light_group: int = -1  # index into `Scene.light_groups`; -1: no group
 
 
 @dataclass(frozen=True)
@@ -355,6 +377,7 @@ class Scene:
     lights: tuple[Light, ...] = ()
     world: World = World()
     object_names: tuple[str, ...] = ()
+    light_groups: tuple[str, ...] = ()  # names of groups of emitters, which have passes of their own
     asset_names: tuple[str, ...] = ()  # for each object: the name of its topmost parent; empty: objects have none
     # messages about objects that were skipped, repaired or replaced by the export, by name
     warnings: tuple[str, ...] = ()

@@ -15,8 +15,18 @@ import numpy as np
 
 from ..settings.settings import RenderSettings
 from .description import CameraKind, ClosureKind, LightKind, Scene, Visibility, Volume
+from .linking import RAY_BITS, links_lights, links_shadows
 from .motion import apart
-from .passes import COST_PASSES, OCCLUSION_PASS, PASSES, SAMPLE_COUNT, guides_denoising, records_surfaces, splits_light
+from .passes import (
+    COST_PASSES,
+    OCCLUSION_PASS,
+    PASSES,
+    SAMPLE_COUNT,
+    guides_denoising,
+    light_group_passes,
+    records_surfaces,
+    splits_light,
+)
 from .program import ProgramFeatures, program_features
 
 T = TypeVar("T")
@@ -66,6 +76,8 @@ class SceneFeatures:
     filter_glossy: bool = False
     caustics_reflective: bool = True
     caustics_refractive: bool = True
+    light_links: bool = False  # some emitters light some objects alone
+    shadow_links: bool = False  # the light of some emitters is blocked by some objects alone
     volumes: bool = False  # something fills surfaces or the world
     volume_program: ProgramFeatures = ProgramFeatures()  # needs of the shader graphs of volumes
     request_program: ProgramFeatures = ProgramFeatures()  # needs of the parts of materials that ask for rays
@@ -158,6 +170,11 @@ class SceneFeatures:
         return guides_denoising(self.passes)
 
     @property
+    def light_groups(self) -> bool:
+        """Whether the film has passes of the light of groups of emitters."""
+        return bool(light_group_passes(self.passes))
+
+    @property
     def splits_light(self) -> bool:
         """Whether light is divided among passes."""
         return splits_light(self.passes)
@@ -195,6 +212,9 @@ class SceneFeatures:
             "adaptive sampling": self.adaptive,
             "bounces by kind": self.bounces_by_kind,
             "filtered glossy": self.filter_glossy,
+            "light linking": self.light_links,
+            "shadow linking": self.shadow_links,
+            "light groups": self.light_groups,
             "volumes": self.volumes,
             "programs of volumes": bool(self.volume_program),
             "rays for programs": self.requests,
@@ -230,7 +250,8 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
             for light in scene.lights
         ),
         light_hits=any(_can_be_met(light) for light in scene.lights),
-        light_choice=is_sampled and (ClosureKind.EMISSION in kinds or len(scene.lights) + world_light > 1),
+        light_choice=is_sampled
+        and (ClosureKind.EMISSION in kinds or len(scene.lights) + world_light > 1 or links_lights(scene)),
         mesh_lights=ClosureKind.EMISSION in kinds,
         mesh_programs=surfaces
         and any(m.program is not None and ClosureKind.EMISSION in m.kinds for m in scene.materials),
@@ -257,6 +278,8 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         filter_glossy=settings.filter_glossy > 0,
         caustics_reflective=settings.caustics_reflective == "ON",
         caustics_refractive=settings.caustics_refractive == "ON",
+        light_links=links_lights(scene),
+        shadow_links=is_sampled and links_shadows(scene),
         volumes=bool(volumes),
         volume_program=program_features(
             [volume.program for volume in volumes], max((len(volume.closures) for volume in volumes), default=0)
@@ -283,7 +306,7 @@ def needs_instancing(scene: Scene) -> bool:
     counts = np.bincount(instances.mesh, minlength=len(scene.meshes))
     filled = np.array([len(mesh.triangles) > 0 for mesh in scene.meshes], bool)
     shared = bool(np.any(filled & (counts > 1)))
-    seen = instances.visibility[filled[instances.mesh]] & int(Visibility.ALL)
+    seen = instances.visibility[filled[instances.mesh]] & RAY_BITS
     return shared or bool(apart(scene).any()) or bool(np.any(seen != int(Visibility.ALL)))
 
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..device.bulk import add_rows, copy_rows
-from .description import Mesh, Scene, Visibility
+from .description import Mesh, Scene
+from .linking import RAY_BITS
 from .motion import KEY_FLOATS, apart, deforming_meshes, motion_keys, moving_instances
 from .segments import pack_segments
 
@@ -69,7 +70,7 @@ def flatten(scene: Scene) -> FlatGeometry:
     filled = np.array([len(mesh.triangles) > 0 for mesh in scene.meshes], bool)
     alive = filled[instances.mesh] if len(instances) else np.zeros(0, bool)
     baked = alive & (uses[instances.mesh] == 1) & ~apart(scene) if len(instances) else alive
-    seen = instances.visibility & int(Visibility.ALL)
+    seen = instances.visibility & RAY_BITS
 
     chunks: list[_Chunk] = []
     merged: list[Merged] = []

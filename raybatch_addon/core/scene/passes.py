@@ -18,13 +18,18 @@ INDIRECT_PASSES = tuple(f"{component} Indirect" for component in COMPONENTS)
 SEEN_PASSES = ("Emission", "Environment")
 # How much of the half-space about a surface is open
 OCCLUSION_PASS = "Ambient Occlusion"
+# Light that volumes scatter first, over one scattering and over more
+VOLUME_PASSES = ("Volume Direct", "Volume Indirect")
+# Motion in the picture, and what its sum is divided by: the samples that met something
+VECTOR, VECTOR_WEIGHT = "Vector", "Vector Weight"
 # Passes that guide a denoiser (`wavefront/passes/guides.py`)
 GUIDE_PASSES = ("Denoising Albedo", "Denoising Normal", "Denoising Depth")
 # Channels of passes whose samples are summed beside those of Combined and Normal
 SUMMED_PASSES: dict[str, int] = {
     "Mist": 1,
     "UV": 3,
-    **dict.fromkeys((*DIRECT_PASSES, *INDIRECT_PASSES, *COLOR_PASSES, *SEEN_PASSES, OCCLUSION_PASS), 3),
+    VECTOR: 4,
+    **dict.fromkeys((*DIRECT_PASSES, *INDIRECT_PASSES, *COLOR_PASSES, *SEEN_PASSES, *VOLUME_PASSES, OCCLUSION_PASS), 3),
     **dict(zip(GUIDE_PASSES, (3, 3, 1))),
 }
 # Kinds of identities that mattes are made by. Each has passes of two levels, which are numbered behind its name
@@ -44,27 +49,38 @@ PASSES: dict[str, int] = {
 }
 # Beginnings of the names of passes that materials write by themselves (AOVs): of a colour, of a number
 AOV_COLOR, AOV_VALUE = "AOV color ", "AOV value "
+# Beginning of the names of passes of the light of a group of emitters, as Cycles has it
+LIGHT_GROUP = "Combined_"
 # Passes whose values are known at the first surface of a path
-_RECORDED = frozenset(("Mist", "UV", "Object Index", "Material Index", *COLOR_PASSES, *MATTE_PASSES))
+_RECORDED = frozenset(("Mist", "UV", VECTOR, "Object Index", "Material Index", *COLOR_PASSES, *MATTE_PASSES))
 # Passes that light is divided among
-_SPLIT = frozenset((*DIRECT_PASSES, *INDIRECT_PASSES, *SEEN_PASSES))
+_SPLIT = frozenset((*DIRECT_PASSES, *INDIRECT_PASSES, *SEEN_PASSES, *VOLUME_PASSES))
 
 
 def channels_of(name: str) -> int:
     """Channels of the pass `name`; raises `KeyError` where there is no such pass."""
     if name.startswith(AOV_COLOR):
         return 4
+    if name.startswith(LIGHT_GROUP):
+        return 3
+    if name == VECTOR_WEIGHT:
+        return 1
     return 1 if name.startswith(AOV_VALUE) else PASSES[name]
 
 
 def is_pass(name: str) -> bool:
     """Whether a film can have a pass of this name."""
-    return name in PASSES or name.startswith((AOV_COLOR, AOV_VALUE))
+    return name in PASSES or name.startswith((AOV_COLOR, AOV_VALUE, LIGHT_GROUP))
 
 
 def aov_passes(passes: tuple[str, ...]) -> tuple[str, ...]:
     """Those of `passes` that materials write; their places are the numbers that programs know them by."""
     return tuple(name for name in passes if name.startswith((AOV_COLOR, AOV_VALUE)))
+
+
+def light_group_passes(passes: tuple[str, ...]) -> tuple[str, ...]:
+    """Those of `passes` that show the light of a group of emitters."""
+    return tuple(name for name in passes if name.startswith(LIGHT_GROUP))
 
 
 def matte_kinds(pass_names: tuple[str, ...]) -> tuple[str, ...]:
@@ -79,7 +95,13 @@ def summed_passes(passes: tuple[str, ...]) -> tuple[str, ...]:
     wanted = set(passes)
     for light in (DIRECT_PASSES, INDIRECT_PASSES):
         wanted.update(color for name, color in zip(light, COLOR_PASSES) if name in passes)
-    return (*(name for name in SUMMED_PASSES if name in wanted), *aov_passes(passes))
+    weights = (VECTOR_WEIGHT,) if VECTOR in wanted else ()
+    return (
+        *(name for name in SUMMED_PASSES if name in wanted),
+        *weights,
+        *light_group_passes(passes),
+        *aov_passes(passes),
+    )
 
 
 def records_surfaces(passes: tuple[str, ...]) -> bool:

@@ -17,6 +17,7 @@ import warp as wp
 from ..bvh.tree import TRAIL_LEVELS, TopProgress
 from ..rays import Rays
 from ..scene.features import SceneFeatures
+from ..shading.lights.light_choice import LitPoint, lit_point
 from .passes.state import PathPasses, pass_bytes_per_path
 from .requests.state import request_bytes_per_path
 from .volumes.table import state_bytes_per_path
@@ -79,6 +80,7 @@ class Paths:
     radiance: wp.array(dtype=wp.vec3)  # summed in bounce order
     pdf: wp.array(dtype=float)  # solid-angle density of the extending ray; 0: specular or from the camera
     side: wp.array(dtype=wp.uint32)  # `packed_side` the surface that it left; where there are several emitters
+    receiver: wp.array(dtype=int)  # the light set of what it left; where light is linked
     shadow_light: wp.array(dtype=wp.vec3)  # what the shadow ray adds to `radiance` if nothing is in its way
     # light of programs, which is multiplied in when the shadow ray is back
     light_program: wp.array(dtype=int)  # WORLD_PROGRAM, SURFACE_PROGRAM, LAMP_PROGRAM; 0: `shadow_light` is all
@@ -143,6 +145,15 @@ def left_side(paths: Paths, path: int) -> wp.uint32:
 
 
 @wp.func
+def left_point(paths: Paths, path: int, origin: wp.vec3) -> LitPoint:
+    """Where the path's extending ray left a surface or a volume: at `origin`."""
+    point = lit_point(origin, left_side(paths, path))
+    if paths.receiver.shape[0] > 0 and bounce_of(paths.status[path]) > 0:
+        point.receiver = paths.receiver[path]
+    return point
+
+
+@wp.func
 def visibility_of(status: int) -> int:
     """The `Visibility` bit of a path's extending ray."""
     return (status >> wp.static(VISIBILITY_SHIFT)) & 31
@@ -204,6 +215,7 @@ def needed_arrays(features: SceneFeatures) -> dict[str, bool]:
         "radiance": True,
         "pdf": True,
         "side": shadow_rays and features.light_choice,
+        "receiver": features.light_links,
         "shadow_light": shadow_rays,
         "light_program": features.light_programs,
         "light_instance": features.light_programs,

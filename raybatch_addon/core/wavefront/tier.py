@@ -92,6 +92,10 @@ def why_not_general(features: SceneFeatures) -> str:
         return "general kernels have no code for texture_filter FOOTPRINT"
     if features.guides:
         return "general kernels have no code for the passes that guide a denoiser"
+    if features.light_links or features.shadow_links:
+        return "general kernels have no code for light linking"
+    if features.light_groups:
+        return "general kernels have no code for the passes of light groups"
     closure_count = features.closure_count
     for programs in (features.programs, features.world_program, features.lamp_program):
         closure_count = max(closure_count, programs.closure_count)

@@ -11,9 +11,11 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Light, Visibility
+from ...core.scene.linking import shadow_bit
 from ...core.scene.notice import Notice, Weight
 from ..curves.placing import StrandMeshes
 from ..curves.sources import STRAND_KIND, hair_systems
+from ..light_links import LightLinking
 from ..lights import LampGraphs, export_light
 from ..motion.objects import PlacedMotions
 from ..nodes.collections import OF_INSTANCER
@@ -98,6 +100,10 @@ class _Collector:
         # objects that lack an attribute which their materials read, by attribute
         self._lacking: dict[str, list[str]] = {}
         self._visibilities: dict[int, int] = {}
+        self._linking = LightLinking((each.original for each in depsgraph.objects), self.placements.warnings)
+        self.placements.linked = bool(self._linking)
+        self._groups = {each.name: i for i, each in enumerate(self.view_layer.lightgroups)}
+        self.placements.grouped = bool(self._groups)
         self._use_hair = depsgraph.view_layer.use_strand
         self._strands = StrandMeshes(self.placements.meshes, self.placements.warnings, depsgraph.scene)
         self.placements.strands = self._strands.sources
@@ -199,6 +205,14 @@ class _Collector:
             asked = sorted(
                 each for each in self._lamp_graphs.of(obj.data).asked if each[0] in _OBJECT_KINDS - {OF_INSTANCER}
             )
+            links = self._linking.of(obj.original)
+            if self._linking or self._groups:
+                light = replace(
+                    light,
+                    light_sets=links.lights,
+                    shadow_sets=links.shadows,
+                    light_group=self._groups.get(obj.lightgroup, -1),
+                )
             self._light_values.append(self._object_values(obj, placed.parent, asked))
             placements.lights.append(light)
 
@@ -224,7 +238,19 @@ class _Collector:
         values = self._object_values(
             obj, placed.parent, sorted(each for each in asked if each[0] in _OBJECT_KINDS - {OF_INSTANCER})
         )
-        return Template(mesh, first, visibility, self._name_index(obj), values, of_instancer)
+        links = self._linking.of(obj.original, placed.parent.original if placed.parent else None)
+        if self._linking.links_shadows and visibility & Visibility.SHADOW:
+            visibility |= shadow_bit(links.blocker)
+        return Template(
+            mesh,
+            first,
+            visibility,
+            self._name_index(obj),
+            values,
+            of_instancer,
+            links,
+            self._groups.get(obj.lightgroup, -1),
+        )
 
     def _mesh(self, obj, data, asked: list[tuple[str, str]]) -> int | None:
         """Index of the mesh, with the attributes `asked`; None if it has no triangles."""

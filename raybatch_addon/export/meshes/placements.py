@@ -10,6 +10,7 @@ import numpy as np
 from ...core.scene.description import Instances, Light, Mesh
 from ...core.scene.notice import Notice, Weight
 from ..curves.sources import Source
+from ..light_links import ObjectLinks
 from ..materials import ExportedMaterials
 from ..motion.objects import PlacedMotion
 
@@ -29,6 +30,8 @@ class Template:
     attributes: tuple[tuple[int, tuple[float, ...]], ...] = ()
     # index and name of the attributes that they read of the surface that places each instance
     of_instancer: tuple[tuple[int, str], ...] = ()
+    links: ObjectLinks = ObjectLinks()
+    light_group: int = -1  # as in `Instances.light_group`
 
 
 @dataclass
@@ -47,6 +50,8 @@ class Placements:
     matrices: list[Any] = field(default_factory=list)  # of all placements
     usable: np.ndarray | None = None  # which of them are instances: bool, once `instances` was called
     templates: list[Template] = field(default_factory=list)
+    linked: bool = False  # light is linked to receivers or blockers
+    grouped: bool = False  # emitters are in groups
     info: list[tuple[float, ...]] = field(default_factory=list)  # rows of `Instances.info`
     # instance, index and value of attributes
     of_instancer: list[tuple[int, int, tuple[float, ...]]] = field(default_factory=list)
@@ -82,8 +87,22 @@ class Placements:
         programs = [p for m in self.materials.materials for p in (m.program, m.displacement) if p is not None]
         asked = with_info or any("object_info" in program.ops for program in programs)
         info = np.array(self.info, np.float32).reshape(count, 6)[usable] if asked else None
+        links = groups = None
+        if self.linked:
+            sets = [(each.links.receiver, each.links.lights, each.links.shadows) for each in self.templates]
+            links = np.array(sets, np.uint64)[usable]
+        if self.grouped:
+            groups = np.array([each.light_group for each in self.templates], np.int32)[usable]
         return Instances(
-            mesh, np.ascontiguousarray(transform[usable]), slot_first, visibility, owner, info, self._attributes(usable)
+            mesh,
+            np.ascontiguousarray(transform[usable]),
+            slot_first,
+            visibility,
+            owner,
+            info,
+            self._attributes(usable),
+            links=links,
+            light_group=groups,
         )
 
     def _attributes(self, usable: np.ndarray) -> np.ndarray | None:

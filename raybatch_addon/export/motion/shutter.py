@@ -57,6 +57,18 @@ def open_time(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, view: Vie
     return Exposure(view, frame, middle, length, render.fps / render.fps_base)
 
 
+def neighbours(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, view: View, warnings: list[str]):
+    """The time from the frame before to the frame after, for the pass Vector; None where it is not asked for."""
+    if not view_layer.use_pass_vector or view.engine is None:
+        return None
+    if scene.render.use_motion_blur:
+        text = f"scene “{scene.name}”: with motion blur the pass Vector shows no motion, as in Cycles"
+        warnings.append(Notice(text, Weight.SETTING, remedy="turn off Motion Blur, or the pass"))
+        return None
+    frame = scene.frame_current + scene.frame_subframe
+    return Exposure(view, frame, frame, 2.0, scene.render.fps / scene.render.fps_base)
+
+
 def export_shutter(scene: bpy.types.Scene) -> Shutter:
     """The shutter's curve, and how rows are exposed (a setting of Cycles)."""
     cycles = getattr(scene, "cycles", None)

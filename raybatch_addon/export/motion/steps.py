@@ -173,6 +173,25 @@ def _lines(positions: np.ndarray, count: int) -> np.ndarray:
     return kept[before] + share * (kept[before + 1] - kept[before])
 
 
+def with_frames(still: tuple, moving: tuple) -> tuple[Camera, Instances, list[Mesh]]:
+    """Camera, instances and meshes as they stand `still`, with where they are at the ends of the time in which they are
+    `moving`.
+    """
+    ends = [0, -1]
+    camera, instances, meshes = still
+    if moving[0].motion is not None:
+        camera = replace(camera, frames=moving[0].motion[ends])
+    if moving[0].window_motion is not None:
+        camera = replace(camera, window_frames=moving[0].window_motion[ends])
+    if moving[1].motion is not None:
+        instances = replace(instances, frames=np.ascontiguousarray(moving[1].motion[:, ends]))
+    meshes = [
+        mesh if moved.motion is None else replace(mesh, frames=np.ascontiguousarray(moved.motion[ends]))
+        for mesh, moved in zip(meshes, moving[2], strict=True)
+    ]
+    return camera, instances, meshes
+
+
 def camera_steps(scene: bpy.types.Scene, view) -> int:
     """Times at which the camera's place is known; 0: it does not move."""
     camera = view.camera(scene)

@@ -14,24 +14,12 @@ def _cycles(obj: bpy.types.Object, name: str) -> Any:
     return getattr(getattr(obj, "cycles", None), name, False)
 
 
-def _is_linked(obj: bpy.types.Object) -> bool:
-    linking = getattr(obj, "light_linking", None)
-    # lamps tell it with the rest of what they cannot do
-    return obj.type != "LIGHT" and bool(linking and (linking.receiver_collection or linking.blocker_collection))
-
-
 def _casts_caustics(obj: bpy.types.Object) -> bool:
     lamp = obj.data if obj.type == "LIGHT" else None
     return bool(getattr(getattr(lamp, "cycles", None), "is_caustics_light", False))
 
 
 OBJECT_ROWS = (
-    Row(
-        "light linking is not supported; these light every object, and every object casts their shadow: {found}",
-        _is_linked,
-        Weight.REPLACED,
-        "clear the collections in the object's Shading panel",
-    ),
     Row(
         "shadow caustics of Cycles are not supported: the light of these comes through glass by whole paths alone: "
         "{found}",

@@ -29,17 +29,11 @@ def _denoises(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
     return own is not None and own.use_denoising and own.is_property_set("use_denoising")
 
 
-def _light_groups(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
-    return ", ".join(f"“{each.name}”" for each in layer.lightgroups)
-
-
 def _cycles_passes(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
     return unlike_new(
         _cycles_of(layer),
         "use_pass_shadow_catcher",
         "pass_render_time",
-        "use_pass_volume_direct",
-        "use_pass_volume_indirect",
         "use_pass_volume_scatter",
         "use_pass_volume_transmit",
         "use_pass_volume_majorant",
@@ -59,12 +53,6 @@ def _simplified(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
 
 
 SCENE_ROWS = (
-    Row(
-        "light groups are not supported yet and their passes stay empty: {found}",
-        _light_groups,
-        Weight.MISSING,
-        "remove them from Light Groups in the view layer's properties, or render them in Cycles",
-    ),
     Row(
         "these passes of Cycles are not supported yet and stay empty: {found}",
         _cycles_passes,

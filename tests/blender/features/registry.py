@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-FAMILIES = ("Shaders", "Textures", "Inputs", "Utility", "World", "Surface", "Curves", "Volumes")
+FAMILIES = ("Shaders", "Textures", "Inputs", "Utility", "World", "Surface", "Curves", "Volumes", "Light linking")
 # files of features in `families/`
 MODULES = (
     "shaders",
@@ -24,6 +24,7 @@ MODULES = (
     "light_paths",
     "surfaces",
     "lamps",
+    "linking",
     "curves",
     "volumes",
     "cameras",

@@ -72,29 +72,26 @@ def test_notices_are_texts_that_keep_what_they_are_about(tmp_path, scene):
 
 def test_what_is_missing_is_said_before_the_render(scene, monkeypatch):
     lamp(scene)
-    scene.view_layers[0].lightgroups.add(name="Key")
+    scene.view_layers[0].cycles.use_pass_shadow_catcher = True
     order = []
     monkeypatch.setattr(frame, "scene_listeners", [lambda *_: order.append(list(missing.found_in(scene)))])
     monkeypatch.setattr(frame, "film_listeners", [lambda _layer, _scene, film: order.append(film.statistics)])
     bpy.ops.render.render()
     before, statistics = order
-    assert before[0].weight == Weight.MISSING and "“Key”" in before[0] and before[0].remedy
+    assert before[0].weight == Weight.MISSING and "Shadow Catcher" in before[0] and before[0].remedy
     assert statistics["missing"][0] == described(before[0]) and str(before[0]) in statistics["warnings"]
 
 
-@pytest.mark.parametrize("what", ["light group", "guiding", "linking", "culling", "samples", "Freestyle"])
+@pytest.mark.parametrize("what", ["shadow catcher", "guiding", "culling", "samples", "Freestyle"])
 def test_what_was_passed_over_is_named(scene, what):
     obj = add_grid("Host", 1)
     layer = scene.view_layers[0]
-    if what == "light group":
-        layer.lightgroups.add(name="Key")
-        assert the_one(scene, "“Key”").weight == Weight.MISSING
+    if what == "shadow catcher":
+        layer.cycles.use_pass_shadow_catcher = True
+        assert the_one(scene, "Shadow Catcher").weight == Weight.MISSING
     elif what == "guiding":
         scene.cycles.use_guiding = True
         assert the_one(scene, "Guiding on").weight == Weight.SETTING
-    elif what == "linking":
-        obj.light_linking.receiver_collection = bpy.data.collections.new("Receivers")
-        assert the_one(scene, "light linking").objects == ("Host",)
     elif what == "culling":
         obj.cycles.use_camera_cull = True
         assert the_one(scene, "culling").objects == ("Host",)
@@ -160,7 +157,7 @@ def test_options_behind_two_dashes_are_read():
 
 def test_a_process_ends_with_a_code_of_its_own_where_a_render_is_refused(scene, tmp_path):
     lamp(scene)
-    scene.view_layers[0].lightgroups.add(name="Key")
+    scene.view_layers[0].cycles.use_pass_shadow_catcher = True
     file = tmp_path / "grouped.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(file), copy=True)
     code = (
@@ -172,7 +169,7 @@ def test_a_process_ends_with_a_code_of_its_own_where_a_render_is_refused(scene, 
         [sys.executable, "-c", code, "--", "--raybatch-strict"], capture_output=True, text=True, check=False
     )
     assert done.returncode == missing.REFUSED, done.stderr
-    assert "“Key”" in done.stderr
+    assert "Shadow Catcher" in done.stderr
     done = subprocess.run(
         [sys.executable, str(ROOT / "scripts/render.py"), str(file), "--strict", "--json", "-"],
         capture_output=True,

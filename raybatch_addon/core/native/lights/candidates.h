@@ -3,6 +3,16 @@
 const auto& choice_table = *table.choice.data;
 auto within = [](float x, float least, float most) { return wp::min(wp::max(x, least), most); };
 
+#if LINKS
+// Whether bits of light sets have that of the point; -1: it has none, and all light comes there.
+auto is_linked = [&](wp::uint64 sets) { return point.receiver < 0 || ((sets >> point.receiver) & 1u) != 0u; };
+auto is_distant_linked = [&](int number) {
+    const auto& owners = choice_table.links.lights;
+    const int emitter = choice_table.distant.data[number];
+    return is_linked(owners.data[emitter < table.light_count ? emitter : owners.shape[0] - 1]);
+};
+#endif
+
 #if LOCAL
 // Nodes of a block at once: a vector on the CPU, one after another on a GPU.
 #if defined(__CUDA_ARCH__)
@@ -51,6 +61,9 @@ auto node_light = [&](const Lanes* node) -> Lanes {
 
 #if SUNS || WORLD
 auto distant_light = [&](int number) -> float {
+#if LINKS
+    if (!is_distant_linked(number)) return 0.0f;
+#endif
 #if SUNS
     const int emitter = choice_table.distant.data[number];
     if (emitter < table.light_count) {
@@ -110,7 +123,14 @@ auto shares_in = [&](int block) {
     typedef int Counts __attribute__((ext_vector_type(WIDTH)));
     Lanes node[FIELDS];
     __builtin_memcpy(node, choice_table.blocks.data + block * (FIELDS * WIDTH), sizeof(node));
+#if LINKS
+    Lanes light = node_light(node);
+    for (int k = 0; k < WIDTH; ++k) {
+        if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
+    }
+#else
     const Lanes light = node_light(node);
+#endif
     total += sum(light);
     const float scale = scale_of(total, WIDTH + 1);
     const Counts draws =
@@ -127,6 +147,9 @@ auto shares_in = [&](int block) {
 #pragma unroll
         for (int field = 0; field < FIELDS; ++field) node[field] = fields[field * WIDTH + k];
         light[k] = node_light(node);
+#if LINKS
+        if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
+#endif
         total += light[k];
     }
 #else

@@ -25,6 +25,22 @@ FIELDS = (
 
 
 @wp.struct
+class LightLinks:
+    """What emitters light, and the groups that they are in; arrays that a scene does not need have no entries.
+
+    Owners of light are lights without mesh, then instances, and last the world.
+    """
+
+    receiver: wp.array(dtype=int)  # the light set that each instance is lit as
+    lights: wp.array(dtype=wp.uint64)  # of each owner: bits of the light sets that it lights
+    nodes: wp.array(dtype=wp.uint64)  # the same of all that lies below each node of `ChoiceTable.blocks`
+    shadows: wp.array(dtype=int)  # of each owner: bits of the shadow sets that block its light
+    group: wp.array(dtype=int)  # of each owner: the number of its group among the passes of groups; -1: none
+    group_count: int
+    instance_count: int
+
+
+@wp.struct
 class ChoiceTable:
     """What the choice among emitters reads: a tree over all that have a place, and what is distant.
 
@@ -43,3 +59,4 @@ class ChoiceTable:
     # the world's irradiance of a surface with the normal n, in the same units: coefficients of 1, y, z, x, xy, yz,
     # 3 z² - 1, xz, x² - y²; shape [9]
     world_irradiance: wp.array(dtype=float)
+    links: LightLinks

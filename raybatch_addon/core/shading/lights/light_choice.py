@@ -42,6 +42,8 @@ class LitPoint:
     position: wp.vec3  # [m]
     normal: wp.vec3  # unit, of the shading
     both_sides: int  # 1: light from behind counts too
+    receiver: int  # the light set of what is lit, where light is linked; -1: it is seen by all light
+    group: int  # of lights that rays meet: -1: all count, else those of this group alone
 
 
 @wp.struct
@@ -97,6 +99,8 @@ def lit_point(position: wp.vec3, side: wp.uint32) -> LitPoint:
     y = y - wp.where(y < 0.0, -fold, fold)
     point.normal = wp.normalize(wp.vec3(x, y, z)) * float(wp.uint32(1) - (side >> wp.uint32(31)))
     point.both_sides = int((side >> wp.uint32(30)) & wp.uint32(1))
+    point.receiver = -1
+    point.group = -1
     return point
 
 
@@ -123,6 +127,7 @@ class ChoiceFeatures:
     light_choice: bool
     mesh_lights: bool
     world_light: bool
+    light_links: bool = False
 
 
 def make_light_choice(features: ChoiceFeatures) -> LightChoice:
@@ -131,14 +136,16 @@ def make_light_choice(features: ChoiceFeatures) -> LightChoice:
     if not features.light_choice:
         return LightChoice(_choose_only, _only_pdf)
     local = features.mesh_lights or any(kind != LightKind.SUN for kind in lights)
-    return _make_choice(LightKind.SUN in lights, features.world_light, local)
+    return _make_choice(LightKind.SUN in lights, features.world_light, local, features.light_links)
 
 
 @functools.cache
-def _make_choice(has_suns: bool, has_world: bool, local: bool) -> LightChoice:
-    """`local`: there are emitters with a place."""
+def _make_choice(has_suns: bool, has_world: bool, local: bool, linked: bool) -> LightChoice:
+    """`local`: there are emitters with a place; `linked`: some light some objects alone."""
     numbers = dict(COSINE_MIN=_COSINE_MIN, COSINE_ERROR=COSINE_ERROR, LEAST=_LEAST, MOST=_MOST, UNIT=1 / _DRAWS)
-    kinds = dict(SUNS=has_suns, WORLD=has_world, LOCAL=local, FIELDS=len(FIELDS), WIDTH=WIDTH, DRAWS=_DRAWS)
+    kinds = dict(
+        SUNS=has_suns, WORLD=has_world, LOCAL=local, FIELDS=len(FIELDS), WIDTH=WIDTH, DRAWS=_DRAWS, LINKS=linked
+    )
     fields = {f"FIELD_{name.upper()}": place for place, name in enumerate(FIELDS)}
     headers = functools.partial(native_source, "lights/candidates.h", **numbers, **kinds, **fields)
 

@@ -20,7 +20,8 @@ from .lamp_program import make_lamp_emission
 from .light_choice import ChoiceFeatures, LitPoint, make_light_choice
 from .light_shapes import LightSample, meet_disk, meet_sphere, meet_sun, spot_factor
 from .light_table import LightRecord, LightTable
-from .lights import is_lit_in_part, light_weights
+from .lights import light_weights
+from .links import make_counts, make_found_by_sampling
 
 _POINT = wp.constant(int(LightKind.POINT))
 _SPOT = wp.constant(int(LightKind.SPOT))
@@ -40,6 +41,9 @@ class LightHitFeatures:
     world_light: bool = False  # the world is sampled
     mis: bool = True  # False: light sampling alone finds what it can find
     lamp_program: ProgramFeatures = ProgramFeatures()
+    light_links: bool = False
+    shadow_links: bool = False
+    light_groups: bool = False
 
 
 class LightHits(NamedTuple):
@@ -74,6 +78,8 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
     hit_weight = light_weights(features.mis)[1]
     lamp_emission = make_lamp_emission(features.lamp_program) if has_programs else None
     selection_pdf = make_light_choice(narrow(features, ChoiceFeatures)).pdf
+    found_by_sampling = make_found_by_sampling(features.shadow_links)
+    counts = make_counts(features.light_links, features.light_groups)
 
     @wp.func
     def meet_shape(light: LightRecord, origin: wp.vec3, direction: wp.vec3) -> LightSample:
@@ -118,8 +124,8 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
                 while wp.bvh_query_next(query, item, t_max * wp.static(1.0 + 2.0 * ERROR_SHARE_MOST)):
                     emitter = table.tree_light[item]
                     light = table.lights[emitter]
-                    sampled = bsdf_pdf > 0.0 and is_lit_in_part(light.visibility)
-                    if (light.visibility & visibility) != 0 and not sampled:
+                    sampled = bsdf_pdf > 0.0 and found_by_sampling(table, emitter, light.visibility)
+                    if (light.visibility & visibility) != 0 and not sampled and counts(table, emitter, point):
                         met = meet_shape(light, origin, direction)
                         # what lies in the plane of a lamp is behind it, as for rays that are aimed at the lamp
                         t = met.distance - met.distance_error
@@ -154,8 +160,8 @@ def make_light_hits(features: LightHitFeatures) -> LightHits:
             for i in range(table.sun_count):
                 emitter = table.suns[i]
                 light = table.lights[emitter]
-                sampled = bsdf_pdf > 0.0 and is_lit_in_part(light.visibility)
-                if (light.visibility & visibility) != 0 and not sampled:
+                sampled = bsdf_pdf > 0.0 and found_by_sampling(table, emitter, light.visibility)
+                if (light.visibility & visibility) != 0 and not sampled and counts(table, emitter, point):
                     met = meet_sun(light, direction)
                     if met.pdf > 0.0:
                         radiance = light.emission

@@ -35,10 +35,13 @@ class LightSample:
     pdf: float
     delta: int  # 1: rays that a BSDF scatters never meet it
     casts_shadow: int  # 0: it shines through everything
-    visibility: int  # `Visibility` bits: kinds of scattering that the light reaches
+    # `Visibility` bits: kinds of scattering that the light reaches; where light is linked to blockers also bits of the
+    # shadow sets that block it, from `SHADOW_SET_SHIFT` on
+    visibility: int
     instance: int  # instance of a mesh light; number of a light without mesh whose program gives its radiance; else -1
     primitive: int  # triangle of a mesh light, else -1
     barycentric: wp.vec2  # barycentric coordinates of the point on a mesh light
+    emitter: int  # number among all emitters, of light that is sampled
     # `radiance` multiplies the result of a program: WORLD_PROGRAM, SURFACE_PROGRAM, LAMP_PROGRAM; 0: it is the radiance
     program: int
 

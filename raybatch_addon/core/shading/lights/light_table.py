@@ -13,6 +13,7 @@ from ...scene.geometry import Geometry
 from .choice_table import ChoiceTable
 from .emitters import EmissiveTriangles, find_emissive_triangles, light_area, light_strengths, triangle_strengths
 from .light_tree import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel, fill_blocks
+from .link_table import upload_links
 from .world import SampledWorld, WorldTable
 
 _FLOAT = np.finfo(np.float32)
@@ -162,6 +163,7 @@ def upload_lights(
     visibility = scene.instances.visibility.astype(np.int32)
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
     choice = _choice_table(table, records, strength, triangles, geometry, world, device)
+    upload_links(scene, choice, triangles.instance, device)
     table.choice = wp.array([choice], dtype=ChoiceTable, device=device)
     return UploadedLights(table, choice, tree, len(triangles))
 

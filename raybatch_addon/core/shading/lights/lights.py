@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from ...scene.description import LightKind, Visibility
+from ...scene.description import LightKind
 from ...scene.features import narrow
 from ...scene.geometry import Geometry
 from .area_shapes import sample_area_light, sample_parallel_light
@@ -28,13 +28,13 @@ from .light_shapes import (
 )
 from .light_table import LightRecord, LightTable
 from .light_triangles import find_triangle, sample_triangle_light, triangle_pdf
+from .links import blocking_visibility, is_linked, owner_of
 from .world import sample_world
 
 _POINT = wp.constant(int(LightKind.POINT))
 _SPOT = wp.constant(int(LightKind.SPOT))
 _SUN = wp.constant(int(LightKind.SUN))
 _ELLIPSE = wp.constant(int(LightKind.ELLIPSE))
-_SCATTERED = wp.constant(int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION))
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,8 @@ class LightFeatures:
     mesh_programs: bool = False  # emissive triangles whose radiance comes from programs
     world_light: bool = False  # the world is sampled
     lamp_programs: bool = False  # lights without mesh whose radiance comes from programs
+    light_links: bool = False  # some emitters light some objects alone
+    shadow_links: bool = False  # some objects alone block the light of some emitters
 
 
 class Lights(NamedTuple):
@@ -119,17 +121,6 @@ def light_weights(mis: bool) -> tuple[wp.Function, wp.Function]:
     light_pdf).
     """
     return (power_heuristic, mis_weight) if mis else (full_weight, left_weight)
-
-
-@wp.func
-def is_lit_in_part(visibility: int) -> bool:
-    """Whether a light is seen by some kinds of scattered rays but not by all.
-
-    Such lights are left to light sampling, which knows the kinds of lobes apart; a scattered ray stands for all of
-    them.
-    """
-    kinds = visibility & _SCATTERED
-    return kinds != 0 and kinds != _SCATTERED
 
 
 @functools.cache
@@ -221,6 +212,12 @@ def make_lights(features: LightFeatures) -> Lights:
                     if emitter == table.world_emitter:
                         s = sample_world_light(table, u)
             s.pdf = s.pdf * choice.pdf
+            s.emitter = emitter
+            if wp.static(features.light_links):
+                if not is_linked(table, owner_of(table, emitter), point.receiver):
+                    s.pdf = 0.0
+            if wp.static(features.shadow_links):
+                s.visibility = s.visibility | blocking_visibility(table, owner_of(table, emitter))
             # beyond the range of numbers: too near or too small to count
             if not s.pdf < wp.inf:
                 s.pdf = 0.0

@@ -6,6 +6,7 @@ import warp as wp
 
 from ...scene.description import ClosureKind
 from ...shading.bsdf.albedo import AlbedoTables
+from ...shading.bsdf.ggx import ggx_slope
 from ...shading.bsdf.lobes import Lobe, make_lobes
 from ...shading.bsdf.materials import MICROFACET_KINDS, REFLECTION_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
 
@@ -31,6 +32,12 @@ class ClosureColors:
     transmission: wp.vec3
 
 
+@wp.func
+def facet_cosine(roughness: float, cosine: float) -> float:
+    """Cosine between a direction and the facets that it sees, about their mean (`shading/bsdf/albedo.py`)."""
+    return ggx_slope(roughness * roughness, cosine)
+
+
 @functools.cache
 def make_closure_colors(features: ClosureFeatures) -> wp.Function:
     """Function (closures, first, end, lobes, albedo, frame) -> ClosureColors; `lobes` are the closures as `Bsdf.look`
@@ -40,6 +47,7 @@ def make_closure_colors(features: ClosureFeatures) -> wp.Function:
     reflectance, mirror = functions.reflectance, functions.mirror
     is_diffuse, is_mirror = features.test(_DIFFUSE_KINDS), features.test(REFLECTION_KINDS)
     has_mirror, has_glass = features.has(*REFLECTION_KINDS), features.has(_K.GLASS)
+    has_opaque, is_opaque = features.has(_K.METAL, _K.CONDUCTOR), features.test((_K.METAL, _K.CONDUCTOR))
     has_refraction, has_phong = features.has(_K.REFRACTION), features.has(_K.ASHIKHMIN_SHIRLEY)
 
     @wp.func
@@ -60,7 +68,12 @@ def make_closure_colors(features: ClosureFeatures) -> wp.Function:
             if wp.static(has_mirror):
                 if is_mirror(kind) and lobe.selection > 0.0:
                     facets = mirror(closures, c, albedo, frame.entering, lobe.cosine)
-                    color = wp.cw_mul(lobe.scale, facets.seen)
+                    seen = facets.seen
+                    if wp.static(has_opaque):
+                        if is_opaque(kind):  # of a facet as they are turned on average
+                            cosine = facet_cosine(closures[c].roughness, lobe.cosine)
+                            seen = reflectance(closures, c, albedo, cosine, frame.entering)
+                    color = wp.cw_mul(lobe.scale, seen)
                     if closures[c].multiscatter == 1:
                         color = facets.single * color
                     if kind == _SHEET:
@@ -75,7 +88,8 @@ def make_closure_colors(features: ClosureFeatures) -> wp.Function:
                     colors.transmission += lobe.scale
             if wp.static(has_glass):
                 if kind == _GLASS and lobe.selection > 0.0:
-                    f = reflectance(closures, c, albedo, lobe.cosine, frame.entering)
+                    cosine = facet_cosine(closures[c].roughness, lobe.cosine)
+                    f = reflectance(closures, c, albedo, cosine, frame.entering)
                     colors.glossy += wp.cw_mul(lobe.scale, f)
                     colors.transmission += wp.cw_mul(lobe.scale, wp.cw_mul(wp.vec3(1.0) - f, closures[c].refraction))
         return colors

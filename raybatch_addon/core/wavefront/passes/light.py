@@ -48,6 +48,16 @@ def divide_extending_ray(paths: Paths, path: int, value: wp.vec3, diffuse: wp.ve
 
 
 @wp.func
+def mark_volume(paths: Paths, path: int, bounce: int):
+    """Note that light comes by a volume, where the path scatters in it first."""
+    passes = paths.passes[0]
+    if bounce == 0 and passes.share.shape[0] > 0:
+        passes.share[path] = wp.vec4(0.0, 0.0, 0.0, 2.0)
+    if passes.shadow_share.shape[0] > 0:
+        passes.shadow_share[path] = passes.share[path]
+
+
+@wp.func
 def split_light(paths: Paths, path: int, light: wp.vec3, bounce: int, by_shadow_ray: bool, seen: int):
     """Add `light` to the passes of `path` that it belongs to. `bounce`: how often it was scattered on its way;
     `seen`: the first channel of light that was not.
@@ -65,8 +75,10 @@ def split_light(paths: Paths, path: int, light: wp.vec3, bounce: int, by_shadow_
         diffuse = wp.cw_mul(light, wp.vec3(share[0], share[1], share[2]))
         add_channels(passes, channels[0], path, diffuse)
         other = channels[2]
-        if share[3] != 0.0:
+        if share[3] == 1.0:
             other = channels[1]
+        elif share[3] == 2.0:
+            other = passes.volume[wp.where(bounce > 1, 1, 0)]
         add_channels(passes, other, path, light - diffuse)
 
 
@@ -78,10 +90,18 @@ def shows_environment(paths: Paths) -> bool:
     return False
 
 
+@wp.func
+def add_to_group(paths: Paths, path: int, light: wp.vec3, group: int):
+    """Add `light` to the pass of the light group of this number; -1: to none."""
+    if group >= 0 and paths.passes.shape[0] > 0:
+        add_channels(paths.passes[0], paths.passes[0].group + 3 * group, path, light)
+
+
 @functools.cache
-def make_add_light(splits: bool) -> wp.Function:
+def make_add_light(splits: bool, groups: bool = False) -> wp.Function:
     """Function (paths, path, light: vec3, bounce: int, by_shadow_ray: bool) that adds light of surfaces and lights to a
-    path, and where it `splits` to the passes as well.
+    path, and where it `splits` to the passes as well. With `groups` what a shadow ray brings goes to the pass of its
+    light group too; whoever adds other light adds it to its group (`add_to_group`).
     """
 
     @wp.func
@@ -90,5 +110,8 @@ def make_add_light(splits: bool) -> wp.Function:
         if wp.static(splits):
             if paths.passes.shape[0] > 0:
                 split_light(paths, path, light, bounce, by_shadow_ray, paths.passes[0].emission)
+        if wp.static(groups):
+            if by_shadow_ray:
+                add_to_group(paths, path, light, paths.passes[0].shadow_group[path])
 
     return add_light

@@ -16,6 +16,7 @@ from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork
 from .colors import make_closure_colors
 from .state import PassInputs, add_channels
+from .vectors import motion_vector
 
 # What Blender writes as the depth of nothing [m]
 DEPTH_OF_NOTHING = 1e10
@@ -159,6 +160,11 @@ def make_record_surface(features: ClosureFeatures, transparency: bool) -> wp.Fun
                         paths.normal[path] = frame.normal
                 if passes.uv >= 0:
                     add_channels(passes, passes.uv, path, uv_at(passes.inputs, instance, primitive, barycentric))
+                if passes.vector >= 0:
+                    moved = motion_vector(passes.inputs.vector, instance, primitive, barycentric, v.surface.position)
+                    for c in range(4):
+                        passes.values[passes.vector + c, path] = moved[c]
+                    passes.values[passes.vector_weight, path] = 1.0
         if wp.static(transparency):
             if passes.settled.shape[0] > 0:
                 passes.settled[path] = settled

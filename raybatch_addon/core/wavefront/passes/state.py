@@ -20,12 +20,17 @@ from ...scene.passes import (
     INDIRECT_PASSES,
     MATTE_KINDS,
     OCCLUSION_PASS,
+    VECTOR,
+    VECTOR_WEIGHT,
+    VOLUME_PASSES,
     aov_passes,
     channels_of,
+    light_group_passes,
     matte_kinds,
     summed_passes,
 )
 from ...shading.camera import CameraData, camera_axes
+from .vectors import VectorInputs, upload_vectors
 
 
 @wp.struct
@@ -44,6 +49,7 @@ class PassInputs:
     object_matte: int
     material_matte: int
     asset_matte: int
+    vector: VectorInputs
     mist_start: float  # [m]
     mist_scale: float  # one over the distance from there to the densest mist [1/m]; 0: there is none
     mist_falloff: float  # exponent
@@ -59,9 +65,11 @@ class PathPasses:
     # samples to come, a row for each channel of `ChannelLayout.others`; 0 where a path starts; shape [channels, paths]
     values: wp.array2d(dtype=float)
     # how light is divided that comes by the path's extending ray, and by its shadow ray: the share that a diffuse
-    # closure scattered where the path scattered first, by color, and 1 where it was reflected, 0 where transmitted
+    # closure scattered where the path scattered first, by color, and 1 where it was reflected, 0 where transmitted, 2
+    # where a volume scattered it
     share: wp.array(dtype=wp.vec4)
     shadow_share: wp.array(dtype=wp.vec4)
+    shadow_group: wp.array(dtype=int)  # number of the light group that the shadow ray is aimed at; -1: none
     settled: wp.array(dtype=int)  # 1: the surface that data passes show has been met; where surfaces may be transparent
     carried: wp.array(dtype=wp.vec3)  # `guides.py`: share that counts of what is met next; 0 when nothing does any more
     to_camera: wp.mat33  # for guides: from world space to the camera's: right, up, and away from it; unit rows
@@ -69,12 +77,16 @@ class PathPasses:
     # first channels
     mist: int
     uv: int
+    vector: int
+    vector_weight: int
     albedo: int  # of what guides a denoiser, as `normal` and `depth`
     normal: int
     depth: int
     occlusion: int
     emission: int
     environment: int
+    group: int  # of light groups, one behind another
+    volume: wp.vec2i  # of light that volumes scatter first: direct, indirect
     color: wp.vec3i  # by component: diffuse, glossy, transmission
     direct: wp.vec3i
     indirect: wp.vec3i
@@ -94,7 +106,7 @@ def pass_bytes_per_path(features: SceneFeatures) -> int:
     channels = ChannelLayout(False, False, summed_passes(features.passes)).others_count
     settles = features.records_surfaces and features.transparency
     set_aside = MatteEntry.numpy_dtype()["itemsize"] * len(matte_kinds(features.passes))
-    set_aside += 12 * features.guides
+    set_aside += 12 * features.guides + 4 * (features.light_groups and features.shadow_rays)
     return set_aside + 4 * channels + 16 * features.splits_light * (1 + features.shadow_rays) + 4 * settles
 
 
@@ -107,7 +119,8 @@ def make_path_passes(
     device: wp.Device,
 ) -> PathPasses | None:
     """The state of `path_count` paths for the passes of `features`; None where they need none."""
-    if not (features.records_surfaces or features.splits_light or features.guides or features.occlusion_pass):
+    asked = (features.records_surfaces, features.splits_light, features.guides, features.light_groups)
+    if not (any(asked) or features.occlusion_pass):
         return None
 
     def first(name: str) -> int:
@@ -120,15 +133,21 @@ def make_path_passes(
         passes.values = wp.zeros((layout.others_count, path_count), dtype=float)
         passes.share = wp.zeros(path_count if split else 0, dtype=wp.vec4)
         passes.shadow_share = wp.zeros(path_count if shadow else 0, dtype=wp.vec4)
+        grouped = features.light_groups and features.shadow_rays
+        passes.shadow_group = wp.zeros(path_count if grouped else 0, dtype=int)
         passes.carried = wp.zeros(path_count if features.guides else 0, dtype=wp.vec3)
         passes.settled = wp.zeros(path_count if settles else 0, dtype=int)
         aovs = [(first(name), channels_of(name)) for name in aov_passes(features.passes)]
         passes.aov = wp.array(np.array(aovs, np.int32).reshape(-1, 2), dtype=wp.vec2i)
-    passes.mist, passes.uv = first("Mist"), first("UV")
+    passes.mist, passes.uv, passes.vector = first("Mist"), first("UV"), first(VECTOR)
+    passes.vector_weight = first(VECTOR_WEIGHT)
     passes.albedo, passes.normal, passes.depth = map(first, GUIDE_PASSES)
     passes.to_camera = camera_axes(camera)
     passes.occlusion = first(OCCLUSION_PASS)
     passes.emission, passes.environment = first("Emission"), first("Environment")
+    groups = light_group_passes(layout.others)
+    passes.group = first(groups[0]) if groups else -1
+    passes.volume = wp.vec2i(*map(first, VOLUME_PASSES))
     passes.color = wp.vec3i(*map(first, COLOR_PASSES))
     passes.direct = wp.vec3i(*map(first, DIRECT_PASSES))
     passes.indirect = wp.vec3i(*map(first, INDIRECT_PASSES))
@@ -156,6 +175,8 @@ def upload_pass_inputs(scene: Scene, features: SceneFeatures, device: wp.Device)
         corner_first, uvs = corner_values(scene, maps, 2)
         inputs.uv_first = wp.array(corner_first, dtype=int, device=device)
         inputs.uvs = wp.array(uvs, dtype=wp.vec2, device=device)
+    if VECTOR in names:
+        inputs.vector = upload_vectors(scene, device)
     kinds = matte_kinds(names)
     numbers = {kind: kinds.index(kind) if kind in kinds else -1 for kind in MATTE_KINDS}
     inputs.object_matte, inputs.material_matte, inputs.asset_matte = numbers.values()

@@ -38,9 +38,9 @@ def settle_kernel(paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: w
 
 
 @functools.cache
-def make_connect(splits_light: bool) -> wp.Function:
+def make_connect(splits_light: bool, light_groups: bool = False) -> wp.Function:
     """The stage's function, as `stage_kernel` takes it: light that nothing hides is added to its path."""
-    add_light = make_add_light(splits_light)
+    add_light = make_add_light(splits_light, light_groups)
 
     @wp.func
     def connect(
@@ -67,6 +67,7 @@ class ConnectFeatures:
     smooth_normals: bool
     clamping: bool
     splits_light: bool = False
+    light_groups: bool = False
 
 
 @functools.cache
@@ -144,7 +145,7 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
 def make_connect_program(features: ConnectFeatures) -> wp.Function:
     """As `connect`, where programs say what light there is."""
     arrived = make_arrived(features)
-    add_light = make_add_light(features.splits_light)
+    add_light = make_add_light(features.splits_light, features.light_groups)
 
     @wp.func
     def connect_program(

@@ -40,7 +40,7 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
     surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
     transparency = make_bsdf(ClosureFeatures(features.closures)).transparency
     arrived = make_arrived(connect)
-    add_light = make_add_light(features.splits_light)
+    add_light = make_add_light(features.splits_light, features.light_groups)
     programs = features.programs
     run_surface = make_surface_program(programs)
 

@@ -14,14 +14,16 @@ from ...rays import Rays
 from ...scene.description import LightKind
 from ...scene.features import narrow
 from ...scene.program import ProgramFeatures
-from ...shading.lights.light_choice import ChoiceFeatures, lit_point, make_light_choice
+from ...shading.lights.light_choice import ChoiceFeatures, LitPoint, make_light_choice
 from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
-from ...shading.lights.lights import is_lit_in_part, light_weights
+from ...shading.lights.light_visibility import is_lit_in_part
+from ...shading.lights.lights import light_weights
+from ...shading.lights.links import group_of, owner_of_world
 from ...shading.lights.world import world_pdf
 from ..passes.guides import note_seen_light
-from ..passes.light import make_add_light, shows_environment, split_light
+from ..passes.light import add_to_group, make_add_light, shows_environment, split_light
 from ..passes.record import DEPTH_OF_NOTHING, record_background
-from ..rays import SHADOW_PASS, Paths, Status, bounce_of, left_side, visibility_of
+from ..rays import SHADOW_PASS, Paths, Status, bounce_of, left_point, visibility_of
 from ..scene.scene_data import SceneData
 from .emitted import make_world_emission
 from .generate import pixel_sample
@@ -49,6 +51,8 @@ class BackgroundFeatures:
     splits_light: bool = False
     records_surfaces: bool = False
     guides: bool = False
+    light_links: bool = False
+    light_groups: bool = False
 
 
 @functools.cache
@@ -65,6 +69,24 @@ def make_light_hits_stage(
     add_light = make_add_light(splits_light)
 
     @wp.func
+    def met(
+        data: SceneData, point: LitPoint, direction: wp.vec3, reach: wp.vec2, leaves: bool, paths: Paths, path: int
+    ) -> wp.vec3:
+        status = paths.status[path]
+        visibility = visibility_of(status)
+        pdf = paths.pdf[path]
+        bounce = bounce_of(status)
+        passed = int(0)
+        if wp.static(transparency):
+            passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
+        light = intersect(
+            data.lights, data.lamp_nodes, point, direction, reach[0], reach[1], visibility, pdf, bounce + 1, passed
+        )
+        if leaves:
+            light = light + miss(data.lights, data.lamp_nodes, point, direction, visibility, pdf, bounce + 1, passed)
+        return light
+
+    @wp.func
     def light_hits(
         data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, path: int
     ):
@@ -73,8 +95,6 @@ def make_light_hits_stage(
         if wp.static(subsurface):
             if (status & wp.static(INSIDE)) != 0:
                 return
-        visibility = visibility_of(status)
-        pdf = paths.pdf[path]
         t_min = float(0.0)
         if wp.static(transparency):
             t_min = paths.passed_t[path]
@@ -84,20 +104,21 @@ def make_light_hits_stage(
         # densities are those at the last scattering, behind the transparent surfaces that were passed since
         origin = rays.origin[path] - t_min * direction
         bounce = bounce_of(status)
-        passed = int(0)
-        if wp.static(transparency):
-            passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
-        point = lit_point(origin, left_side(paths, path))
-        light = intersect(
-            data.lights, data.lamp_nodes, point, direction, t_min, t_max, visibility, pdf, bounce + 1, passed
-        )
-        if rays.hit_instance[path] < 0:
-            light = light + miss(data.lights, data.lamp_nodes, point, direction, visibility, pdf, bounce + 1, passed)
+        point = left_point(paths, path, origin)
+        light = met(data, point, direction, wp.vec2(t_min, t_max), rays.hit_instance[path] < 0, paths, path)
         light = wp.cw_mul(paths.throughput[path], light)
         if wp.static(clamping):
             light = clamped(limits, light, bounce)
         before = paths.radiance[path]
         add_light(paths, path, light, bounce, False)
+        if wp.static(features.light_groups):
+            for group in range(data.lights.choice[0].links.group_count):
+                point.group = group
+                of_group = met(data, point, direction, wp.vec2(t_min, t_max), rays.hit_instance[path] < 0, paths, path)
+                of_group = wp.cw_mul(paths.throughput[path], of_group)
+                if wp.static(clamping):
+                    of_group = clamped(limits, of_group, bounce)
+                add_to_group(paths, path, of_group, group)
         if wp.static(guides):
             note_seen_light(paths, path, before)
 
@@ -152,7 +173,7 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
                                     origin = rays.origin[path]
                                     if paths.passed_t.shape[0] > 0:
                                         origin = origin - paths.passed_t[path] * direction
-                                    point = lit_point(origin, left_side(paths, path))
+                                    point = left_point(paths, path, origin)
                                     chosen = selection_pdf(data.lights, point, data.lights.world_emitter)
                                     light = hit_weight(pdf, chosen * world_pdf(data.lights.world, direction)) * light
                 if wp.static(features.clamping):
@@ -160,6 +181,8 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
                 if shows_world:
                     before = paths.radiance[path]
                     paths.radiance[path] = before + light
+                    if wp.static(features.light_groups):
+                        add_to_group(paths, path, light, group_of(data.lights, owner_of_world(data.lights)))
                     if wp.static(features.guides):
                         note_seen_light(paths, path, before)
                 if wp.static(features.splits_light):

@@ -14,7 +14,8 @@ from ...shading.lights.lamp_program import make_lamp_emission
 from ...shading.lights.light_choice import ChoiceFeatures, LitPoint, make_light_choice
 from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
 from ...shading.lights.light_table import LightTable
-from ...shading.lights.lights import is_lit_in_part, light_weights
+from ...shading.lights.lights import light_weights
+from ...shading.lights.links import make_counts, make_found_by_sampling
 from ...shading.sequences.keys import mix_bits
 from .features import VolumeFeatures
 from .segment import make_passed
@@ -41,6 +42,8 @@ def make_lights_ahead(features: VolumeFeatures) -> wp.Function:
     """
     meet = make_light_hits(narrow(features, LightHitFeatures)).meet
     selection_pdf = make_light_choice(narrow(features, ChoiceFeatures)).pdf
+    found_by_sampling = make_found_by_sampling(features.shadow_links)
+    counts = make_counts(features.light_links, features.light_groups)
     hit_weight = light_weights(features.mis)[1]
     attenuated = make_passed(features.volume_program)
     has_programs = bool(features.lamp_program)
@@ -60,8 +63,9 @@ def make_lights_ahead(features: VolumeFeatures) -> wp.Function:
                 while wp.bvh_query_next(query, item, t_max * wp.static(1.0 + 2.0 * ERROR_SHARE_MOST)):
                     emitter = table.tree_light[item]
                     light = table.lights[emitter]
-                    sampled = way.bsdf_pdf > 0.0 and is_lit_in_part(light.visibility)
-                    if (light.visibility & way.begin.ray_kind) != 0 and not sampled:
+                    sampled = way.bsdf_pdf > 0.0 and found_by_sampling(table, emitter, light.visibility)
+                    seen = (light.visibility & way.begin.ray_kind) != 0 and not sampled
+                    if seen and counts(table, emitter, point):
                         met = meet(light, origin, direction)
                         t = met.distance - met.distance_error
                         if met.pdf > 0.0 and t >= way.before and t < t_max:

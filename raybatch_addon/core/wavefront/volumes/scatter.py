@@ -13,16 +13,17 @@ from ...device.kernel import KERNEL_OPTIONS
 from ...rays import Rays
 from ...scene.description import Visibility
 from ...scene.features import narrow
-from ...shading.bsdf.bsdf import DIFFUSE, BsdfValue
+from ...shading.bsdf.bsdf import BsdfValue
 from ...shading.bsdf.materials import address_of
-from ...shading.lights.light_choice import VOLUME_SIDE, lit_point
+from ...shading.lights.light_choice import VOLUME_SIDE
 from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
+from ...shading.lights.links import group_of, is_linked, owner_of_world
 from ...shading.sampling import bitangent_of, spherical_direction, tangent_of, to_world
 from ...shading.segments import make_surface_point
 from ...shading.sequences.keys import BSDF, DIMENSIONS_PER_BOUNCE, LOBE, ROULETTE
 from ...shading.sequences.sampler import make_sampler
 from ...shading.volumes.phase import PhaseLobe
-from ..passes.light import divide_extending_ray, make_add_light
+from ..passes.light import add_to_group, make_add_light, mark_volume
 from ..rays import (
     BOUNCE_SHIFT,
     SHADOW_PASS,
@@ -30,7 +31,7 @@ from ..rays import (
     Paths,
     Status,
     bounce_of,
-    left_side,
+    left_point,
     time_of,
     visibility_of,
 )
@@ -46,7 +47,7 @@ from .lights import Way, make_lights_ahead
 from .medium import LOBE_FLOATS, LOBES_MOST, make_medium, phase_sample, phase_sum
 from .numbers import CHANNEL, LENGTH, piece_dimension, stream_of
 from .segment import make_segment, ray_point
-from .table import BACK, FRONT, VolumeData, is_empty
+from .table import BACK, FRONT, VolumeData, innermost_instance, is_empty
 from .track import STOPPED
 
 RAY_NEW, ENDED, HIT, INSIDE = int(Status.RAY_NEW), int(Status.ENDED), int(Status.HIT), int(Status.INSIDE)
@@ -72,15 +73,17 @@ def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
     lights_ahead = make_lights_ahead(features)
     miss = make_light_hits(narrow(features, LightHitFeatures)).miss
     choose_light = make_choose_light(narrow(features, AimFeatures))
-    add_light = make_add_light(features.splits_light)
-    connect_light = make_connect_light(narrow(features, type(features).__base__))
+    add_light = make_add_light(features.splits_light, features.light_groups)
+    connect_light = make_connect_light(narrow(features, type(features).__base__), in_volume=True)
 
     @wp.func
-    def gather(limits: PathLimits, paths: Paths, path: int, light: wp.vec3, bounce: int):
+    def gather(limits: PathLimits, paths: Paths, path: int, light: wp.vec3, bounce: int, group: int):
         added = light
         if wp.static(features.clamping):
             added = clamped(limits, light, bounce)
         add_light(paths, path, added, bounce, False)
+        if wp.static(features.light_groups):
+            add_to_group(paths, path, added, group)
 
     @wp.func
     def scattered(
@@ -136,14 +139,15 @@ def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
         if not goes_on:
             return status | wp.static(ENDED)
         if wp.static(features.splits_light):
-            if v.bounce == 0 and paths.passes.shape[0] > 0:  # to passes it is diffuse light
-                white = wp.vec3(1.0)
-                divide_extending_ray(paths, path, white, white, wp.static(DIFFUSE), True)
+            if paths.passes.shape[0] > 0:
+                mark_volume(paths, path, v.bounce)
         paths.throughput[path] = carried
         paths.pdf[path] = wp.where(v.where.x < limits.nee_end, chosen.pdf, 0.0)
         paths.passed_t[path] = 0.0
         if paths.side.shape[0] > 0:
             paths.side[path] = v.side
+        if paths.receiver.shape[0] > 0:
+            paths.receiver[path] = v.receiver
         if paths.cone.shape[0] > 0:
             paths.cone[path] = wp.vec2(0.0, 0.0)
         if paths.least_density.shape[0] > 0:
@@ -227,8 +231,19 @@ def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
             if event != 0:
                 reach = way.length
             left = wp.cw_mul(throughput, way.weight)
-            if has_light(way.emitted):
-                gather(limits, paths, path, wp.cw_mul(throughput, way.emitted), bounce)
+            emits = has_light(way.emitted)
+            group = int(-1)
+            if wp.static(features.light_links or features.light_groups):
+                owner = owner_of_world(data.lights)
+                instance = innermost_instance(inside, volumes.volume_count)
+                if instance >= 0:
+                    owner = data.lights.light_count + instance
+                if wp.static(features.light_links):
+                    emits = emits and is_linked(data.lights, owner, left_point(paths, path, origin).receiver)
+                if wp.static(features.light_groups):
+                    group = group_of(data.lights, owner)
+            if emits:
+                gather(limits, paths, path, wp.cw_mul(throughput, way.emitted), bounce, group)
 
         if wp.static(features.light_hits):
             ahead = Way()
@@ -241,14 +256,26 @@ def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
             ahead.bsdf_pdf = pdf
             ahead.passed = passed
             ahead.stream = stream
-            last = lit_point(origin - before * direction, left_side(paths, path))
+            last = left_point(paths, path, origin - before * direction)
             met = lights_ahead(volumes, data.lights, data.lamp_nodes, last, ahead)
-            gather(limits, paths, path, wp.cw_mul(throughput, met), bounce)
+            gather(limits, paths, path, wp.cw_mul(throughput, met), bounce, -1)
             if not hit and event == 0:
                 suns = miss(
                     data.lights, data.lamp_nodes, last, direction, visibility_of(status), pdf, bounce + 1, passed
                 )
-                gather(limits, paths, path, wp.cw_mul(left, suns), bounce)
+                gather(limits, paths, path, wp.cw_mul(left, suns), bounce, -1)
+            if wp.static(features.light_groups):
+                for of in range(data.lights.choice[0].links.group_count):
+                    last.group = of
+                    of_group = wp.cw_mul(throughput, lights_ahead(volumes, data.lights, data.lamp_nodes, last, ahead))
+                    if not hit and event == 0:
+                        suns = miss(
+                            data.lights, data.lamp_nodes, last, direction, ahead.begin.ray_kind, pdf, bounce + 1, passed
+                        )
+                        of_group = of_group + wp.cw_mul(left, suns)
+                    if wp.static(features.clamping):
+                        of_group = clamped(limits, of_group, bounce)
+                    add_to_group(paths, path, of_group, of)
 
         if event == 0:
             paths.throughput[path] = left
@@ -279,6 +306,10 @@ def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
         v.wo = -direction
         v.surface.position = origin + reach * direction
         v.side = wp.uint32(VOLUME_SIDE)
+        if wp.static(features.light_links):
+            instance = innermost_instance(inside, volumes.volume_count)
+            if instance >= 0:
+                v.receiver = data.lights.choice[0].links.receiver[instance]
         paths.status[path] = scattered(data, volumes, limits, paths, rays, path, v, inside, left)
 
     return scatter

@@ -83,6 +83,16 @@ def entry(volumes: VolumeData, inside: wp.vec4i, place: int) -> wp.vec2i:
 
 
 @wp.func
+def innermost_instance(inside: wp.vec4i, volume_count: int) -> int:
+    """The instance whose volume a ray entered last, of those that it is in; -1: it is in none."""
+    instance = int(-1)
+    for place in range(wp.static(INSIDE_MOST)):
+        if inside[place] > 0:
+            instance = (inside[place] - 1) / volume_count
+    return instance
+
+
+@wp.func
 def is_empty(volumes: VolumeData, inside: wp.vec4i) -> bool:
     """Whether a ray is in no volume."""
     return volumes.world < 0 and inside[0] == 0 and inside[1] == 0 and inside[2] == 0 and inside[3] == 0

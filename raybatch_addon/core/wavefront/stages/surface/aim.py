@@ -14,12 +14,13 @@ import warp as wp
 
 from ....film.tile import FilmTile
 from ....rays import Rays
-from ....scene.description import LightKind
+from ....scene.description import LightKind, Visibility
 from ....scene.features import narrow
 from ....shading.lights.light_choice import lit_point
 from ....shading.lights.light_shapes import LAMP_PROGRAM, LightSample
 from ....shading.lights.light_table import LightTable
 from ....shading.lights.lights import LightFeatures, make_lights
+from ....shading.lights.links import group_of, owner_of
 from ....shading.sequences.keys import LIGHT, LIGHT_CHOICE
 from ....shading.sequences.sampler import make_sampler
 from ...rays import Paths
@@ -53,6 +54,9 @@ class AimFeatures:
     light_programs: bool
     lamp_programs: bool
     bounces_by_kind: bool
+    light_links: bool = False
+    shadow_links: bool = False
+    light_groups: bool = False
 
 
 @wp.func
@@ -75,13 +79,22 @@ def make_choose_light(features: AimFeatures) -> wp.Function:
 
     @wp.func
     def choose_light(data: SceneData, paths: Paths, path: int, v: Vertex) -> LightSample:
+        point = lit_point(v.surface.position, v.side)
+        if wp.static(features.light_links):
+            point.receiver = v.receiver
         light = light_sample(
             data.lights,
             data.geometry,
-            lit_point(v.surface.position, v.side),
+            point,
             sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(LIGHT_CHOICE)),
             sample_2d(v.key, v.where.sample, v.dimension + wp.uint32(LIGHT)),
         )
+        if wp.static(features.light_groups):
+            if paths.passes.shape[0] > 0:
+                group = int(-1)
+                if light.pdf > 0.0:
+                    group = group_of(data.lights, owner_of(data.lights, light.emitter))
+                paths.passes[0].shadow_group[path] = group
         if wp.static(features.light_programs):
             # the program says how bright the light is when the ray is back, if nothing hides it
             paths.light_program[path] = light.program
@@ -111,7 +124,11 @@ def make_aim(features: AimFeatures) -> wp.Function:
         light = choose_light(data, paths, path, v)
         slot = paths.status.shape[0] + path
         bits = light.delta | (light.casts_shadow * wp.static(_CASTS_SHADOW))
-        bits = bits | (light.visibility << wp.static(_VISIBILITY_SHIFT)) | (light.program << wp.static(_PROGRAM_SHIFT))
+        visibility = light.visibility
+        if wp.static(features.shadow_links):
+            rays.visibility[slot] = visibility  # whose bits are too many for a float
+            visibility = visibility & wp.static(int(Visibility.ALL))
+        bits = bits | (visibility << wp.static(_VISIBILITY_SHIFT)) | (light.program << wp.static(_PROGRAM_SHIFT))
         rays.origin[slot] = wp.vec3(light.pdf, light.distance_error, float(bits))
         rays.direction[slot] = light.direction
         rays.t_max[slot] = light.distance

@@ -7,12 +7,13 @@ import functools
 import warp as wp
 
 from ....rays import Rays
-from ....scene.description import Visibility
+from ....scene.description import ALL_SHADOW_SETS, SHADOW_SET_SHIFT, Visibility
 from ....shading.bsdf.bsdf import BsdfValue
 from ....shading.lights.light_shapes import LightSample
-from ....shading.lights.lights import is_lit_in_part, light_weights
+from ....shading.lights.light_visibility import is_lit_in_part
+from ....shading.lights.lights import light_weights
 from ....shading.surface import spawn_origin
-from ...passes.light import divide_shadow_ray, make_add_light
+from ...passes.light import divide_shadow_ray, make_add_light, mark_volume
 from ...rays import Paths, Status, bounce_of
 from ..limits import PathLimits, clamped, has_light
 from .features import SurfaceFeatures
@@ -35,13 +36,14 @@ def lit_value(value: wp.vec3, diffuse: wp.vec3, visibility: int, reflected: bool
 
 
 @functools.cache
-def make_connect_light(features: SurfaceFeatures) -> wp.Function:
+def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp.Function:
     """Function (limits, paths, rays, path: int, v: Vertex, light: LightSample, bsdf: BsdfValue) -> int: sends a shadow
     ray to `light`, in whose direction the BSDF is `bsdf`; the status bit that submits it, or 0.
+    `in_volume`: the vertex is one of a volume.
     """
     programs = features.programs
     sample_weight = light_weights(features.mis)[0]
-    add_light = make_add_light(features.splits_light)
+    add_light = make_add_light(features.splits_light, features.light_groups)
 
     @wp.func
     def connect_light(
@@ -56,6 +58,9 @@ def make_connect_light(features: SurfaceFeatures) -> wp.Function:
             )
         elif light.delta == 0:
             weight = sample_weight(light.pdf, bsdf.pdf) / light.pdf
+            if wp.static(features.shadow_links):
+                if light.visibility >> wp.static(SHADOW_SET_SHIFT) != wp.static(ALL_SHADOW_SETS):
+                    weight = 1.0 / light.pdf  # scattered rays know nothing of what blocks the light
         if not has_light(value):
             return 0
         contribution = weight * wp.cw_mul(wp.cw_mul(paths.throughput[path], value), light.radiance)
@@ -70,7 +75,10 @@ def make_connect_light(features: SurfaceFeatures) -> wp.Function:
                 diffuse = bsdf.diffuse
                 if is_lit_in_part(light.visibility):
                     diffuse = lit_value(diffuse, diffuse, light.visibility, reflected)
-                divide_shadow_ray(paths, path, v.bounce, value, diffuse, reflected)
+                if wp.static(in_volume):
+                    mark_volume(paths, path, v.bounce)
+                else:
+                    divide_shadow_ray(paths, path, v.bounce, value, diffuse, reflected)
         if light.casts_shadow == 0 and light.program == 0:
             add_light(paths, path, contribution, bounce_of(paths.status[path]) + 1, True)
             return 0
@@ -92,7 +100,10 @@ def make_connect_light(features: SurfaceFeatures) -> wp.Function:
         rays.direction[slot] = direction
         rays.t_max[slot] = distance
         if rays.visibility.shape[0] > 0:
-            rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
+            if wp.static(features.shadow_links):  # shadow sets have bits of their own
+                rays.visibility[slot] = light.visibility & wp.static(ALL_SHADOW_SETS << SHADOW_SET_SHIFT)
+            else:
+                rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
         paths.shadow_light[path] = contribution
         if wp.static(features.transparency and bool(programs)):
             paths.shadow_t[path] = 0.0

@@ -37,6 +37,9 @@ class SurfaceFeatures:
     filter_glossy: bool = False
     caustics_reflective: bool = True
     caustics_refractive: bool = True
+    light_links: bool = False
+    shadow_links: bool = False
+    light_groups: bool = False
     moving: bool = False  # instances or vertices move
     film_holes: bool = False  # surfaces cut holes into a film that has alpha
     records_surfaces: bool = False  # passes show what the first surfaces are

@@ -71,9 +71,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     look, propose, mix, value, complete = bsdf.look, bsdf.propose, bsdf.mix, bsdf.value, bsdf.complete
     bsdf_holdout = bsdf.holdout
     lights = make_lights(narrow(features, LightFeatures))
-    gather_emission = make_gather_emission(
-        bsdf.emission, lights.hit_pdf, light_weights(features.mis)[1], features.clamping, features.splits_light
-    )
+    gather_emission = make_gather_emission(bsdf.emission, lights.hit_pdf, light_weights(features.mis)[1], features)
     connect_light = make_connect_light(features)
     programs = features.programs
     run_surface = make_surface_program(programs)
@@ -259,6 +257,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                     light = choose_light(data, paths, path, v)
                 else:
                     light = aimed_light(paths, rays, path)
+                    if wp.static(features.shadow_links):
+                        light.visibility = rays.visibility[paths.status.shape[0] + path]
         if wp.static(features.splits_light):
             first_value = BsdfValue()  # in the direction of the path
         turn = int(0)
@@ -325,6 +325,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 )
             if wp.static(features.shadow_rays and features.light_choice):
                 paths.side[path] = v.side
+            if wp.static(features.light_links):
+                paths.receiver[path] = v.receiver
             seen_by = wp.static(int(Visibility.GLOSSY))
             if (scattered.lobe & TRANSMISSION) != 0:
                 seen_by = wp.static(int(Visibility.TRANSMISSION))

@@ -41,6 +41,7 @@ class VertexFeatures:
     sample_sequence: str
     bounces_by_kind: bool
     moving: bool = False
+    light_links: bool = False
 
 
 @wp.struct
@@ -60,6 +61,7 @@ class Vertex:
     surface: SurfacePoint
     frame: ShadingFrame
     side: wp.uint32  # `packed_side`, for the choice among emitters
+    receiver: int  # the light set of the instance, where light is linked
 
 
 @functools.cache
@@ -101,6 +103,8 @@ def make_vertex(features: VertexFeatures) -> wp.Function:
         v.frame = shading_frame(v.surface, v.wo)
         if wp.static(features.shadow_rays and features.light_choice):
             v.side = packed_side(v.frame.normal, data.materials.records[v.surface.material].transmits != 0)
+        if wp.static(features.light_links):
+            v.receiver = data.lights.choice[0].links.receiver[rays.hit_instance[path]]
         return v
 
     return vertex

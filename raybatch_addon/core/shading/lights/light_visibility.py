@@ -1,0 +1,18 @@
+"""Lights that some kinds of scattered rays alone see."""
+
+import warp as wp
+
+from ...scene.description import Visibility
+
+_SCATTERED = wp.constant(int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION))
+
+
+@wp.func
+def is_lit_in_part(visibility: int) -> bool:
+    """Whether a light is seen by some kinds of scattered rays but not by all.
+
+    Such lights are left to light sampling, which knows the kinds of lobes apart; a scattered ray stands for all of
+    them.
+    """
+    kinds = visibility & _SCATTERED
+    return kinds != 0 and kinds != _SCATTERED

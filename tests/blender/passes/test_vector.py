@@ -1,0 +1,70 @@
+"""The pass Vector against Cycles' own of the same .blend."""
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from tests.blender.features.build import ball, diffuse, floor, look  # noqa: E402
+from tests.blender.features.compare import add_world, set_alike  # noqa: E402
+from tests.blender.passes import test_passes  # noqa: E402
+
+
+def keyed(owner, path, *values):
+    """Values of a property in the frames 1, 2 and 3."""
+    for frame, value in enumerate(values, 1):
+        setattr(owner, path, value)
+        owner.keyframe_insert(path, frame=frame)
+
+
+def moving(scene, camera_moves):
+    """Balls that go, turn, and swell by a shape key, on a floor that stands still."""
+    set_alike(scene, 32)
+    add_world(scene, 1.0)
+    floor()
+    goes = diffuse(ball("Goes", (0, 0, 0.5), 0.5), (0.2, 0.3, 0.8))
+    keyed(goes, "location", (-1.2, 0, 0.5), (-0.9, 0.1, 0.5), (-0.4, 0.1, 0.7))
+    turns = diffuse(ball("Turns", (0.2, 0.4, 0.5), 0.5), (0.8, 0.3, 0.2))
+    keyed(turns, "rotation_euler", (0, 0, 0), (0, 0.2, 0.3), (0, 0.2, 0.9))
+    swells = diffuse(ball("Swells", (1.2, 0, 0.5), 0.4), (0.2, 0.8, 0.3))
+    swells.shape_key_add(name="Basis")
+    key = swells.shape_key_add(name="Wide")
+    for point in key.data:
+        point.co.x *= 1.5
+    keyed(key, "value", 0.0, 0.4, 1.0)
+    again = swells.copy()  # the mesh is shared
+    again.location, again.scale = (0.3, -0.9, 0.25), (0.5, 0.5, 0.5)
+    scene.collection.objects.link(again)
+    look(scene, (0, -4.2, 2.0), (0, 0, 0.4), lens=45)
+    if camera_moves:
+        place = tuple(scene.camera.location)
+        keyed(scene.camera, "location", (place[0] - 0.2, *place[1:]), place, (place[0], place[1] + 0.3, place[2]))
+        keyed(scene.camera.data, "lens", 44.0, 45.0, 48.0)
+    scene.frame_set(2)
+    layer = scene.view_layers[0]
+    layer.use_pass_vector = layer.use_pass_cryptomatte_object = True
+
+
+@pytest.mark.parametrize(
+    "camera", ["PERSP", pytest.param("ORTHO", marks=pytest.mark.thorough), pytest.param("", marks=pytest.mark.thorough)]
+)
+def test_vectors_are_those_of_cycles(scene, tmp_path, monkeypatch, camera, general_kernels):
+    """`camera`: the kind of one that moves; none for one that stands still."""
+    monkeypatch.setattr(test_passes, "SAMPLES", 32)
+    moving(scene, bool(camera))
+    if camera == "ORTHO":
+        scene.camera.data.type, scene.camera.data.ortho_scale = "ORTHO", 4.0
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    pages = {
+        engine: test_passes.rendered(scene, engine, tmp_path / f"{engine}.exr", 1) for engine in ("RAYBATCH", "CYCLES")
+    }
+    ours, theirs = pages["RAYBATCH"]["Vector"], pages["CYCLES"]["Vector"]
+    assert ours.shape == theirs.shape
+    # one object fills the pixel in both
+    full = np.logical_and.reduce([np.abs(each["CryptoObject00"][..., 2] - 1) < 1e-6 for each in pages.values()])
+    assert full.mean() > 0.4 and np.abs(theirs[full]).max() > 1
+    difference = np.abs(ours - theirs)[full]
+    print(difference.max(), difference.mean(), np.abs(theirs[full]).mean())
+    assert (
+        difference.mean() < 0.02 * np.abs(theirs[full]).mean() and difference.max() < 0.1 * np.abs(theirs[full]).max()
+    )
