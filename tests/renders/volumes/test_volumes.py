@@ -132,7 +132,8 @@ def test_a_white_furnace(session, depth):
 def test_single_scattering_of_a_sun(session):
     """One scattering of a sun that shines along the view, in a slab: the integral along the ray is known."""
     sigma, height = 0.7, 2.0
-    scene = in_box(medium(scattering=sigma), world=0.0, sun=1.0)
+    view = scenes.camera(eye=(0, -4, 0), half_width=0.0005)
+    scene = in_box(medium(scattering=sigma), view, 0.0, sun=1.0)
     # the sun comes from above, through 1 m at most: light at the middle passes 1 m, then what lies before it
     expected = sigma / (4 * math.pi) * math.exp(-sigma * 1.0) * (1 - math.exp(-sigma * height)) / sigma
     assert_mean(session, scene, np.full(3, expected), bounce_max=0, roulette_bounce=0)

@@ -13,7 +13,8 @@ from tests.support.blender_builders import add_object, material_of, node_tree
 
 
 def volume_of(obj: bpy.types.Object, build, surface: str | None = None) -> bpy.types.Object:
-    """`obj` with a material whose volume is the shader that `build(graph)` returns; `surface`: its node there."""
+    """`obj` with a material whose volume is the shader that `build(graph)` returns, in place of those it has; `surface`: its node there."""
+    obj.data.materials.clear()
     tree, socket = node_tree(material_of(obj, f"{obj.name} volume"))
     for link in list(socket.links):
         tree.links.remove(link)
