@@ -46,8 +46,8 @@ from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light
 from ..stages.surface.connect_light import make_connect_light
 from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork
-from .features import VolumeFeatures
 from .along import lit_length
+from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
 from .medium import LOBE_FLOATS, LOBES_MOST, has_program, make_medium, passes, phase_sample, phase_sum
 from .numbers import CHANNEL, LENGTH, LIGHTS, piece_dimension, stream_of
