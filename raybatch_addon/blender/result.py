@@ -17,6 +17,7 @@ from ..export.passes import (
     MATTE_PROPERTIES,
     NOISY_IMAGE,
     OWN_PASS_PROPERTIES,
+    VOLUME_PASS_PROPERTIES,
     blender_name,
     wanted_passes,
 )
@@ -31,7 +32,7 @@ PASSES = {
     "UV": (3, "UVA", "VECTOR"),
     "Object Index": (1, "X", "VALUE"),
     "Material Index": (1, "X", "VALUE"),
-    **dict.fromkeys(LIGHT_PASS_PROPERTIES.values(), (3, "RGB", "COLOR")),
+    **dict.fromkeys((*LIGHT_PASS_PROPERTIES.values(), *VOLUME_PASS_PROPERTIES.values()), (3, "RGB", "COLOR")),
     # lower-case letters, by which files know that they must not be compressed with loss
     **{f"{kind}{i:02}": (4, "rgba", "COLOR") for kind in MATTE_PROPERTIES.values() for i in range(8)},
     NOISY_IMAGE: (4, "RGBA", "COLOR"),
@@ -43,7 +44,10 @@ PASSES = {
 
 
 # Passes of light, which the exposure brightens; not those of colours, values and mattes
-LIT_PASSES = frozenset(["Combined", *(name for name in LIGHT_PASS_PROPERTIES.values() if not name.endswith("Color"))])
+LIT_PASSES = frozenset(
+    ["Combined", *VOLUME_PASS_PROPERTIES.values()]
+    + [name for name in LIGHT_PASS_PROPERTIES.values() if not name.endswith("Color")]
+)
 
 
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:

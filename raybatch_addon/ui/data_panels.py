@@ -6,7 +6,13 @@ from __future__ import annotations
 
 import bpy
 
-from ..export.passes import COST_PASS_PROPERTIES, LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES
+from ..export.passes import (
+    COST_PASS_PROPERTIES,
+    LIGHT_PASS_PROPERTIES,
+    MATTE_PROPERTIES,
+    PASS_PROPERTIES,
+    VOLUME_PASS_PROPERTIES,
+)
 from .panel import EnginePanel
 
 _GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
@@ -32,6 +38,8 @@ class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
         column = layout.column(heading="Light")
         for name in LIGHT_PASS_PROPERTIES:
             column.prop(context.view_layer, name)
+        for name in VOLUME_PASS_PROPERTIES if hasattr(context.view_layer, "cycles") else ():
+            column.prop(context.view_layer.cycles, name)
         column = layout.column(heading="Cryptomatte")
         for name in MATTE_PROPERTIES:
             column.prop(context.view_layer, name)

@@ -29,7 +29,13 @@ from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.export.passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, OWN_PASS_PROPERTIES, PASS_PROPERTIES
+from raybatch_addon.export.passes import (
+    LIGHT_PASS_PROPERTIES,
+    MATTE_PROPERTIES,
+    OWN_PASS_PROPERTIES,
+    PASS_PROPERTIES,
+    VOLUME_PASS_PROPERTIES,
+)
 from raybatch_addon.export.settings import assign_setting, settings_from
 from raybatch_addon.export.taken_over.take import take_over
 from rendering.imported import import_geometry
@@ -258,6 +264,7 @@ def _ask_for_passes(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
         for owner, properties in (
             (layer, PASS_PROPERTIES | LIGHT_PASS_PROPERTIES),
             (layer.raybatch, OWN_PASS_PROPERTIES),
+            (layer.cycles, VOLUME_PASS_PROPERTIES),
         ):
             for prop, name in properties.items():
                 if name in names:

@@ -14,6 +14,8 @@ COLOR_PASSES = tuple(f"{component} Color" for component in COMPONENTS)
 # Light over one scattering and over more; in the film's pass it is divided by the colour of its component
 DIRECT_PASSES = tuple(f"{component} Direct" for component in COMPONENTS)
 INDIRECT_PASSES = tuple(f"{component} Indirect" for component in COMPONENTS)
+# Light that volumes scatter first: once, and more often
+VOLUME_PASSES = ("Volume Direct", "Volume Indirect")
 # Light that reaches the camera without scattering: of surfaces and lights, and of the world
 SEEN_PASSES = ("Emission", "Environment")
 # Passes that guide a denoiser (`wavefront/passes/guides.py`)
@@ -22,7 +24,7 @@ GUIDE_PASSES = ("Denoising Albedo", "Denoising Normal", "Denoising Depth")
 SUMMED_PASSES: dict[str, int] = {
     "Mist": 1,
     "UV": 3,
-    **dict.fromkeys((*DIRECT_PASSES, *INDIRECT_PASSES, *COLOR_PASSES, *SEEN_PASSES), 3),
+    **dict.fromkeys((*DIRECT_PASSES, *INDIRECT_PASSES, *COLOR_PASSES, *VOLUME_PASSES, *SEEN_PASSES), 3),
     **dict(zip(GUIDE_PASSES, (3, 3, 1))),
 }
 # Kinds of identities that mattes are made by. Each has passes of two levels, which are numbered behind its name
@@ -45,7 +47,7 @@ AOV_COLOR, AOV_VALUE = "AOV color ", "AOV value "
 # Passes whose values are known at the first surface of a path
 _RECORDED = frozenset(("Mist", "UV", "Object Index", "Material Index", *COLOR_PASSES, *MATTE_PASSES))
 # Passes that light is divided among
-_SPLIT = frozenset((*DIRECT_PASSES, *INDIRECT_PASSES, *SEEN_PASSES))
+_SPLIT = frozenset((*DIRECT_PASSES, *INDIRECT_PASSES, *VOLUME_PASSES, *SEEN_PASSES))
 
 
 def channels_of(name: str) -> int:

@@ -38,8 +38,6 @@ def _cycles_passes(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
         _cycles_of(layer),
         "use_pass_shadow_catcher",
         "pass_render_time",
-        "use_pass_volume_direct",
-        "use_pass_volume_indirect",
         "use_pass_volume_scatter",
         "use_pass_volume_transmit",
         "use_pass_volume_majorant",

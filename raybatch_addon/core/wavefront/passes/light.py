@@ -48,6 +48,16 @@ def divide_extending_ray(paths: Paths, path: int, value: wp.vec3, diffuse: wp.ve
 
 
 @wp.func
+def scattered_by_volume(paths: Paths, path: int, by_shadow_ray: bool):
+    """Note that a volume scattered a path first, for the light that its extending ray or its shadow ray brings."""
+    passes = paths.passes[0]
+    if by_shadow_ray and passes.shadow_share.shape[0] > 0:
+        passes.shadow_share[path] = wp.vec4(0.0, 0.0, 0.0, 2.0)
+    elif passes.share.shape[0] > 0:
+        passes.share[path] = wp.vec4(0.0, 0.0, 0.0, 2.0)
+
+
+@wp.func
 def split_light(paths: Paths, path: int, light: wp.vec3, bounce: int, by_shadow_ray: bool, seen: int):
     """Add `light` to the passes of `path` that it belongs to. `bounce`: how often it was scattered on its way;
     `seen`: the first channel of light that was not.
@@ -65,8 +75,10 @@ def split_light(paths: Paths, path: int, light: wp.vec3, bounce: int, by_shadow_
         diffuse = wp.cw_mul(light, wp.vec3(share[0], share[1], share[2]))
         add_channels(passes, channels[0], path, diffuse)
         other = channels[2]
-        if share[3] != 0.0:
+        if share[3] == 1.0:
             other = channels[1]
+        elif share[3] > 1.0:
+            other = passes.volume[wp.where(bounce > 1, 1, 0)]
         add_channels(passes, other, path, light - diffuse)
 
 

@@ -19,6 +19,7 @@ from ...scene.passes import (
     GUIDE_PASSES,
     INDIRECT_PASSES,
     MATTE_KINDS,
+    VOLUME_PASSES,
     aov_passes,
     channels_of,
     matte_kinds,
@@ -57,7 +58,8 @@ class PathPasses:
     # samples to come, a row for each channel of `ChannelLayout.others`; 0 where a path starts; shape [channels, paths]
     values: wp.array2d(dtype=float)
     # how light is divided that comes by the path's extending ray, and by its shadow ray: the share that a diffuse
-    # closure scattered where the path scattered first, by color, and 1 where it was reflected, 0 where transmitted
+    # closure scattered where the path scattered first, by color, and 1 where it was reflected, 0 where transmitted, 2
+    # where a volume scattered it
     share: wp.array(dtype=wp.vec4)
     shadow_share: wp.array(dtype=wp.vec4)
     settled: wp.array(dtype=int)  # 1: the surface that data passes show has been met; where surfaces may be transparent
@@ -75,6 +77,7 @@ class PathPasses:
     color: wp.vec3i  # by component: diffuse, glossy, transmission
     direct: wp.vec3i
     indirect: wp.vec3i
+    volume: wp.vec2i  # of light that volumes scattered first: direct, indirect
     inputs: PassInputs
 
 
@@ -128,6 +131,7 @@ def make_path_passes(
     passes.color = wp.vec3i(*map(first, COLOR_PASSES))
     passes.direct = wp.vec3i(*map(first, DIRECT_PASSES))
     passes.indirect = wp.vec3i(*map(first, INDIRECT_PASSES))
+    passes.volume = wp.vec2i(*map(first, VOLUME_PASSES))
     passes.inputs = inputs
     return passes
 

@@ -18,16 +18,17 @@ from ...rays import Rays
 from ...scene.description import LightKind, Visibility
 from ...scene.features import narrow
 from ...scene.program import ProgramFeatures
-from ...shading.bsdf.bsdf import DIFFUSE, BsdfValue
+from ...shading.bsdf.bsdf import BsdfValue
 from ...shading.bsdf.materials import address_of
 from ...shading.lights.light_choice import VOLUME_SIDE, lit_point
 from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
+from ...shading.lights.lights import is_lit_in_part
 from ...shading.sampling import bitangent_of, spherical_direction, tangent_of, to_world
 from ...shading.segments import make_surface_point
 from ...shading.sequences.keys import BSDF, DIMENSIONS_PER_BOUNCE, LOBE, ROULETTE
 from ...shading.sequences.sampler import make_sampler
 from ...shading.volumes.phase import PhaseLobe
-from ..passes.light import divide_extending_ray, make_add_light
+from ..passes.light import make_add_light, scattered_by_volume
 from ..rays import (
     BOUNCE_SHIFT,
     SHADOW_PASS,
@@ -44,6 +45,7 @@ from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits, clamped, has_light
 from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light
 from ..stages.surface.connect_light import make_connect_light
+from ..stages.surface.history import DEPTHS
 from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork
 from .along import lit_length
@@ -61,7 +63,7 @@ _CAME_BACK = int(Status.HIT | Status.STRAIGHT)
 # Pieces of a path's way: more of them are rays that go round in a circle between two surfaces
 SEGMENTS_MOST = 1 << 16
 # The kind of ray that scattering in a volume makes, as objects and programs see it
-_SEEN_BY = int(Visibility.DIFFUSE)
+_SEEN_BY = int(Visibility.VOLUME_SCATTER)
 # What is done at a vertex
 _AIM, _SCATTER = 1, 2
 
@@ -136,9 +138,14 @@ def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
                     seen = phase_sum(lobes, m, throughput, wp.dot(direction, light.direction))
                     value = BsdfValue()
                     value.value = seen.value
-                    value.diffuse = seen.value
                     value.pdf = seen.pdf
+                    if is_lit_in_part(light.visibility):
+                        # such lights shine into volumes all the same
+                        light.visibility = wp.static(int(Visibility.TRANSMISSION))
                     status = status | connect_light(limits, paths, rays, path, v, light, value)
+                    if wp.static(features.splits_light):
+                        if v.bounce == 0 and paths.passes.shape[0] > 0:
+                            scattered_by_volume(paths, path, True)
                     volumes.state.shadow_inside[path] = inside
                     volumes.state.shadow_segment[path] = 0
         if (tasks & wp.static(_SCATTER)) == 0:
@@ -164,9 +171,10 @@ def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
         if not goes_on:
             return status | wp.static(ENDED)
         if wp.static(features.splits_light):
-            if v.bounce == 0 and paths.passes.shape[0] > 0:  # to passes it is diffuse light
-                white = wp.vec3(1.0)
-                divide_extending_ray(paths, path, white, white, wp.static(DIFFUSE), True)
+            if v.bounce == 0 and paths.passes.shape[0] > 0:
+                scattered_by_volume(paths, path, False)
+        if paths.history.shape[0] > 0:
+            paths.history[path] = paths.history[path] & wp.static(DEPTHS)
         paths.throughput[path] = carried
         paths.pdf[path] = wp.where(v.where.x < limits.nee_end, chosen.pdf, 0.0)
         paths.passed_t[path] = 0.0
