@@ -28,6 +28,8 @@ LIGHT_PASS_PROPERTIES = {
     "use_pass_environment": "Environment",
     "use_pass_ambient_occlusion": "Ambient Occlusion",
 }
+# Passes of volumes' light, by Cycles' own property of a view layer
+VOLUME_PASS_PROPERTIES = {"use_pass_volume_direct": "Volume Direct", "use_pass_volume_indirect": "Volume Indirect"}
 # Passes that show cost, by the property of a view layer's `raybatch`
 COST_PASS_PROPERTIES = {
     "use_pass_rays": "Rays",
@@ -61,10 +63,10 @@ def wanted_passes(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
     own = getattr(view_layer, "raybatch", None)  # missing while the add-on is not registered
     blenders = PASS_PROPERTIES | LIGHT_PASS_PROPERTIES
     passes = [name for prop, name in blenders.items() if getattr(view_layer, prop)]
-    if getattr(getattr(view_layer, "cycles", None), "denoising_store_passes", False):
+    of_cycles = getattr(view_layer, "cycles", None)  # missing while that add-on is not enabled
+    passes += [name for prop, name in VOLUME_PASS_PROPERTIES.items() if getattr(of_cycles, prop, False)]
+    if getattr(of_cycles, "denoising_store_passes", False):
         passes += DENOISING_PASSES
-    cycles = getattr(view_layer, "cycles", None)  # missing while that add-on is not enabled
-    passes += [name for prop, name in VOLUME_PASS_PROPERTIES.items() if getattr(cycles, prop, False)]
     passes += [name for prop, name in OWN_PASS_PROPERTIES.items() if getattr(own, prop, False)]
     levels = (min(16, view_layer.pass_cryptomatte_depth) + 1) // 2  # two in each pass, as in Cycles
     for prop, kind in MATTE_PROPERTIES.items():

@@ -265,6 +265,7 @@ def _ask_for_passes(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
             (layer, PASS_PROPERTIES | LIGHT_PASS_PROPERTIES),
             (getattr(layer, "cycles", None), VOLUME_PASS_PROPERTIES),
             (layer.raybatch, OWN_PASS_PROPERTIES),
+            (layer.cycles, VOLUME_PASS_PROPERTIES),
         ):
             for prop, name in properties.items():
                 if name in names and owner is not None:

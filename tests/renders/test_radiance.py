@@ -10,14 +10,10 @@ from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, L
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
-# Tests without it render by specialised kernels in a thorough run: lights of each kind alone, each way to find light,
-# closures alone
-GENERAL = pytest.mark.usefixtures("general_kernels")
-
 
 @pytest.fixture(autouse=True)
 def kernels(request):
-    """General ones, or those of each scene in a thorough run."""
+    """General ones; in a thorough run those of each scene: lights of each kind alone, closures alone."""
     if not request.config.option.thorough:
         request.getfixturevalue("general_kernels")
 
@@ -54,7 +50,6 @@ def test_a_white_sphere_in_a_white_world_is_invisible(session, smooth):
         assert picture.max() <= 1 + 1e-6 and picture.mean() > 0.98
 
 
-@GENERAL
 def test_a_white_furnace_with_light_sampling(session):
     """A sphere inside a glowing box: light found by both strategies sums to 1."""
     shell = scenes.box(size=8)
@@ -71,7 +66,6 @@ def test_a_white_furnace_with_light_sampling(session):
     assert_within_4_sigma(session, scene, 1.0, bounce_max=32, mis="OFF")
 
 
-@GENERAL
 def test_energy_in_a_closed_grey_box_sums_the_geometric_series(session):
     """Inside a closed box that emits 1 and reflects half, radiance is 1 + 1/2 + 1/4 + ..."""
     both = scenes.material(Closure(ClosureKind.EMISSION, (1, 1, 1)), Closure(ClosureKind.DIFFUSE, (0.5, 0.5, 0.5)))
@@ -181,7 +175,6 @@ def test_irradiance_under_an_emissive_triangle_mesh(session):
     assert_within_4_sigma(session, scene, expected, mis="OFF", nee="HALF", sample_count=64)
 
 
-@GENERAL
 def test_all_ways_to_find_light_agree(session):
     """A rough metal and a floor under a sun, a sphere, an area light and a glowing mesh, with and without either."""
     point = Light("ball", LightKind.POINT, scenes.translation(-0.8, 0, 0.9), (0.4,) * 3, radius=0.3, soft_falloff=False)
@@ -241,7 +234,6 @@ def test_a_glass_pane_reflects_and_passes_what_fresnel_says(session, ior):
     assert_within_4_sigma(session, scene, 1 - reflectance, sample_count=256)
 
 
-@GENERAL
 def test_snell_bends_rays_through_a_slab(session):
     """Looking obliquely into a glass half space, an emitter below the surface appears where Snell's law puts it."""
     ior, depth, angle = 1.5, 1.0, math.radians(50)
@@ -266,7 +258,6 @@ def test_snell_bends_rays_through_a_slab(session):
     assert brightness(offset + 0.05) == brightness(offset - 0.05) == 0.0
 
 
-@GENERAL
 def test_transparent_surfaces_dim_light_and_shadows_in_proportion(session):
     veil = scenes.material(Closure(ClosureKind.TRANSPARENT, (0.5, 0.5, 0.5)))
     view = scenes.camera(eye=(0.0, -1e-3, 0.3), half_width=1e-3)
@@ -288,7 +279,6 @@ def test_a_transparent_film_has_alpha_where_the_world_shows(session):
     assert ((edge > 0) & (edge < 1)).any()
 
 
-@GENERAL
 def test_visibility_hides_objects_from_the_rays_that_are_named(session):
     def looked_at(visibility):
         return scenes.scene(
@@ -315,7 +305,6 @@ def test_clamping_bounds_one_lights_contribution(session):
     assert color(session.render(scene, few.replace(clamp_indirect=2.0))).max() == pytest.approx(100 / math.pi, rel=1e-4)
 
 
-@GENERAL
 def test_depth_position_and_normal_are_those_of_the_surface(session):
     frame = Frame(9, 9, passes=("Combined", "Depth", "Normal", "Position"))
     scene = scenes.scene(
@@ -329,7 +318,6 @@ def test_depth_position_and_normal_are_those_of_the_surface(session):
     assert np.abs(passes["Position"][4, 4]).max() < 0.3 and passes["Position"][4, 4, 2] == 0
 
 
-@GENERAL
 @pytest.mark.parametrize("bounce_max", [0, 2])
 @pytest.mark.parametrize("veil_count", [1, 4, 8])
 def test_an_invisible_veil_changes_nothing(session, bounce_max, veil_count):
@@ -345,7 +333,6 @@ def test_an_invisible_veil_changes_nothing(session, bounce_max, veil_count):
         assert_within_4_sigma(session, scene, expected, nee=nee, bounce_max=bounce_max, sample_count=64)
 
 
-@GENERAL
 def test_the_far_clip_plane_stays_behind_a_veil(session):
     veil = scenes.material(Closure(ClosureKind.TRANSPARENT, (1, 1, 1)))
     upright = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0]], np.float32)
@@ -363,7 +350,6 @@ METAL = Closure(ClosureKind.METAL, (0.9, 0.9, 0.9), roughness=0.7)
 LAMBERT = Closure(ClosureKind.DIFFUSE, (0.8, 0.8, 0.8))
 
 
-@GENERAL
 @pytest.mark.parametrize("closure, kind", [(METAL, Visibility.GLOSSY), (LAMBERT, Visibility.DIFFUSE)])
 @pytest.mark.parametrize("by_mesh", [False, True])
 def test_a_light_lights_only_the_lobes_whose_rays_see_it(session, closure, kind, by_mesh):
@@ -397,7 +383,6 @@ def test_a_light_lights_only_the_lobes_whose_rays_see_it(session, closure, kind,
     assert mixed == pytest.approx(alone, rel=0.02)
 
 
-@GENERAL
 def test_all_objects_hidden_from_one_kind_of_ray(session):
     scene = scenes.scene(
         [(scenes.plane(size=2), scenes.IDENTITY, scenes.diffuse(1.0), Visibility.ALL & ~Visibility.GLOSSY)], world=1.0

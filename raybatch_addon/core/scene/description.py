@@ -32,6 +32,8 @@ class Visibility(IntFlag):
     TRANSMISSION = 8
     SHADOW = 16
     ALL = 31
+    # The kind of rays that volumes scatter, which see what any other ray sees: no bit of its own
+    VOLUME_SCATTER = 15
 
 
 # Light linking: emitters light the receivers of some sets of objects, and the objects of some sets block their light.

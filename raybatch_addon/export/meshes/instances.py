@@ -26,6 +26,7 @@ from .kept_meshes import MeshSource, end_export
 from .meshes import slot_count
 from .placements import Placements, Template
 from .random_numbers import random_of
+from .smoke import any_grids, smoke_domain
 from .volumes import export_volume
 
 # Instances between two checks for a cancelled export
@@ -87,7 +88,7 @@ class _Collector:
         self.placements = Placements()
         collections = self.placements.materials.collections
         collections.frame = depsgraph.scene.frame_current
-        collections.has_grids = any(obj.type == "VOLUME" for obj in depsgraph.objects)
+        collections.has_grids = any_grids(depsgraph.objects)
         collections.scene, collections.view_layer = depsgraph.scene_eval, depsgraph.view_layer_eval
         collections.engine = output_engine(depsgraph.scene)
         self._lamp_graphs = LampGraphs(collections)
@@ -255,7 +256,7 @@ class _Collector:
     def _mesh(self, obj, data, asked: list[tuple[str, str]]) -> int | None:
         """Index of the mesh, with the attributes `asked`; None if it has no triangles."""
         key = (data.as_pointer(), data.session_uid)
-        if obj.type == "VOLUME":
+        if obj.type == "VOLUME" or smoke_domain(obj) is not None:
             return self._volume(obj, key, asked)
         known = key in self._meshes
         index = self._meshes.get(key)
@@ -307,7 +308,7 @@ class _Collector:
         for i in range(slot_count(data)):
             material = slots[i].material if i < len(slots) else data.materials[i] if i < len(data.materials) else None
             material = self.material_override or material
-            if material is None and obj.type == "VOLUME":
+            if material is None and (obj.type == "VOLUME" or smoke_domain(obj) is not None):
                 wanted.append(self.placements.materials.volume_index())
                 continue
             wanted.append(self.placements.materials.index(material, obj.name))
@@ -345,8 +346,6 @@ class _Collector:
             self._note("shadow catcher (rendered as an ordinary object) is", obj.name)
         if any(getattr(each, "use_adaptive_subdivision", False) and each.show_render for each in obj.modifiers):
             self._note("adaptive subdivision (the modifier's levels for renders instead) is", obj.name)
-        if any(each.type == "FLUID" and each.fluid_type == "DOMAIN" for each in obj.modifiers):
-            self._note("simulated smoke (rendered without its grids) is", obj.name)
 
     def _note(self, what: str, name: str) -> None:
         self._unsupported.setdefault(what, []).append(name)

@@ -1,4 +1,4 @@
-"""Volume objects: the grids of an OpenVDB file, in a box that holds them."""
+"""Volume objects: the grids of an OpenVDB file, or those that modifiers and nodes made, in a box that holds them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Grid, Mesh
+from .smoke import smoke_grids
 
 # Most values of a grid: larger ones do not fit a computer's memory when they are read
 _VALUES_MOST = 1 << 29
@@ -20,14 +21,19 @@ _TRIANGLES = np.concatenate([_QUADS[:, :3], _QUADS[:, [0, 2, 3]]]).astype(np.int
 
 
 def export_volume(obj: bpy.types.Object, names: Iterable[str], warnings: list[str]) -> Mesh | None:
-    """A box around the grids called `names` of the volume object `obj`, evaluated, with these grids.
+    """A box around the grids called `names` of `obj`, evaluated, a volume object or smoke; with these grids.
 
     None where there is nothing to see; `warnings` gets a line for whatever cannot be read.
     """
     volume, names, said = obj.data, list(names), len(warnings)
-    label = f"volume object “{obj.name}”"
-    grids = [_grid(name, read, label, warnings) for name, read in _read(volume, sorted(set(names)), label, warnings)]
-    found = [grid for grid in grids if grid is not None]
+    is_smoke = obj.type != "VOLUME"
+    label = f"{'smoke' if is_smoke else 'volume object'} “{obj.name}”"
+    if is_smoke:
+        found = smoke_grids(obj, names, label, warnings)
+    else:
+        reads = _read(obj, sorted(set(names)), label, warnings)
+        grids = [_grid(name, read, label, warnings) for name, read in reads]
+        found = [grid for grid in grids if grid is not None]
     boxes = [_box(grid) for grid in found]
     if not boxes:
         if len(warnings) == said:
@@ -45,13 +51,15 @@ def export_volume(obj: bpy.types.Object, names: Iterable[str], warnings: list[st
         _TRIANGLES,
         texture_space=space,
         grids=tuple(found),
-        object_density=volume.render.space == "OBJECT",
+        object_density=not is_smoke and volume.render.space == "OBJECT",
     )
 
 
-def _read(volume: bpy.types.Volume, names: list[str], label: str, warnings: list[str]):
-    """Name and OpenVDB grid of those of `names` that the file has."""
-    if not volume.grids.is_loaded and not volume.grids.load():
+def _read(obj: bpy.types.Object, names: list[str], label: str, warnings: list[str]):
+    """Name and OpenVDB grid of those of `names` that the volume object `obj` has."""
+    volume = obj.data
+    is_made = len(obj.modifiers) > 0 or not (volume.filepath or volume.packed_file)
+    if not is_made and not volume.grids.is_loaded and not volume.grids.load():
         why = volume.grids.error_message or "why is not known"
         warnings.append(f"{label}: its file “{volume.filepath}” cannot be read ({why}); it is left out")
         return
@@ -63,7 +71,13 @@ def _read(volume: bpy.types.Volume, names: list[str], label: str, warnings: list
         warnings.append(f"{label}: this Blender has no module openvdb to read its grids with; it is left out")
         return
     with tempfile.TemporaryDirectory() as folder:
-        if volume.packed_file is not None:
+        if is_made:
+            path = os.path.join(folder, "made.vdb")
+            if there and not volume.grids.save(filepath=path):
+                why = volume.grids.error_message or "why is not known"
+                warnings.append(f"{label}: its grids cannot be read ({why}); it is left out")
+                return
+        elif volume.packed_file is not None:
             path = os.path.join(folder, "packed.vdb")
             with open(path, "wb") as file:
                 file.write(volume.packed_file.data)

@@ -6,7 +6,7 @@ import dataclasses
 
 import bpy
 
-from ...core.scene.description import ClosureKind, Scene
+from ...core.scene.description import ClosureKind, Scene, Volume
 from ...core.scene.notice import Notice, Weight, about
 from ..taken_over.take import passed_over_settings
 from .object_rows import OBJECT_ROWS
@@ -24,10 +24,21 @@ def passed_over(depsgraph: bpy.types.Depsgraph) -> list[Notice]:
     return found + list(object_notices(OBJECT_ROWS, shown)) + passed_over_settings(scene)
 
 
+def _glows(volume: Volume | None) -> bool:
+    """Whether a volume may emit light."""
+    if volume is None:
+        return False
+    by_program = () if volume.program is None else volume.program.instructions
+    return any(each.kind == ClosureKind.EMISSION for each in volume.closures) or any(
+        each.op == "emission" for each in by_program
+    )
+
+
 def with_light_looked_for(scene: Scene) -> Scene:
     """`scene`, with a notice first where nothing in it can give light."""
     shines = bool(scene.lights) or scene.world.program is not None or any(scene.world.radiance)
-    if shines or any(ClosureKind.EMISSION in material.kinds for material in scene.materials):
+    emits = any(ClosureKind.EMISSION in material.kinds for material in scene.materials)
+    if shines or emits or any(_glows(each.volume) for each in (scene.world, *scene.materials)):
         return scene
     text = (
         "nothing gives light: there is no lamp, no world that shines and no material that emits; the picture is black"

@@ -85,12 +85,6 @@ SCENE_ROWS = (
     ),
     Row("these settings of Simplify are not supported: {found}", _simplified, Weight.REPLACED, "turn off Simplify"),
     Row(
-        "Use Volumes of the view layer is off, which is not heard",
-        lambda _scene, layer: not layer.use_volumes,
-        Weight.REPLACED,
-        "exclude the volumes' collection instead",
-    ),
-    Row(
         "the layer's own number of samples is not heard: {found}",
         lambda scene, layer: (
             layer.samples and getattr(_cycles(scene), "use_layer_samples", "IGNORE") != "IGNORE" and layer.samples

@@ -1,10 +1,13 @@
 """Volume objects: grids as the file has them, and files that cannot be read."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from raybatch_addon.export.meshes.smoke import any_grids  # noqa: E402
 from raybatch_addon.export.meshes.volumes import export_volume  # noqa: E402
 from tests.support.blender_builders import add_object  # noqa: E402
 
@@ -62,3 +65,84 @@ def test_what_cannot_be_read_is_said_by_name(scene, grid_file, tmp_path):
         warnings = []
         assert export_volume(_volume(source), names, warnings) is None
         assert len(warnings) == 1 and "Smoke" in warnings[0] and word in warnings[0], (source, warnings)
+
+
+def _made(kind: str, **values) -> bpy.types.NodeTree:
+    """Geometry nodes that make a volume by the node `kind`."""
+    tree = bpy.data.node_groups.new("Make", "GeometryNodeTree")
+    for direction in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    begin, end = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
+    node = tree.nodes.new(kind)
+    for name, value in values.items():
+        node.inputs[name].default_value = value
+    if node.inputs[0].type == "GEOMETRY":
+        tree.links.new(begin.outputs[0], node.inputs[0])
+    tree.links.new(node.outputs[0], end.inputs[0])
+    return tree
+
+
+@pytest.mark.parametrize(
+    "kind, values",
+    [
+        ("GeometryNodeVolumeCube", {"Density": 2.0, "Resolution X": 8, "Resolution Y": 8, "Resolution Z": 8}),
+        ("GeometryNodeMeshToVolume", {"Density": 2.0}),
+    ],
+)
+def test_volumes_that_geometry_nodes_make_have_their_grids(scene, kind, values):
+    _openvdb()
+    bpy.ops.mesh.primitive_cube_add(size=2.0)
+    bpy.context.object.modifiers.new("Make", "NODES").node_group = _made(kind, **values)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    assert any_grids(depsgraph.objects)
+    found, warnings = [], []
+    for placed in depsgraph.object_instances:
+        if placed.object.type == "VOLUME":
+            found.append(export_volume(placed.object, ["density"], warnings))
+    assert len(found) == 1 and not warnings
+    (grid,) = found[0].grids
+    assert grid.name == "density" and 1.9 < grid.values.max() < 2.1
+    middle = grid.to_index[:, 3]  # where the object's origin is among the values
+    assert np.allclose(middle, (np.array(grid.values.shape) - 1) / 2, atol=1.0)
+    assert np.abs(found[0].positions).max() == pytest.approx(1.0, abs=0.4)
+
+
+def test_smoke_has_its_grids_in_the_box_of_its_domain(scene):
+    """The simulation itself needs Blender: its settings are stood in for."""
+    shape = (4, 3, 2)
+    density = np.random.default_rng(1).random(shape).astype(np.float32)
+    colors = np.dstack([density[..., None] * (0.2, 0.4, 0.6)]).astype(np.float32)
+    rgba = np.concatenate([colors, density[..., None]], -1)
+    mesh = SimpleNamespace(name="Domain", texspace_location=(1.0, 0.0, 0.0), texspace_size=(2.0, 1.5, 1.0))
+    domain = SimpleNamespace(
+        domain_type="GAS",
+        domain_resolution=shape,
+        use_noise=False,
+        noise_scale=2,
+        cache_directory="//cache",
+        density_grid=_Stored(density.T.ravel()),
+        color_grid=_Stored(rgba.transpose(2, 1, 0, 3).ravel()),
+        heat_grid=_Stored(np.zeros(24, np.float32)),
+    )
+    modifier = SimpleNamespace(type="FLUID", fluid_type="DOMAIN", domain_settings=domain)
+    obj = SimpleNamespace(name="Smoke", type="MESH", data=mesh, modifiers=[modifier])
+    warnings = []
+    assert any_grids([obj])
+    made = export_volume(obj, ["density", "color", "heat"], warnings)
+    by_name = {grid.name: grid for grid in made.grids}
+    assert not warnings and set(by_name) == {"density", "color"} and not made.object_density
+    assert np.array_equal(by_name["density"].values, density)
+    assert np.allclose(by_name["color"].values, (0.2, 0.4, 0.6), atol=1e-6)
+    to_index = by_name["density"].to_index
+    # the middle of the first cell, which is 1 m long, wide and high
+    assert np.allclose(to_index[:, :3] @ (-0.5, -1.0, -0.5) + to_index[:, 3], 0)
+    domain.density_grid = _Stored(np.zeros(24, np.float32))
+    assert export_volume(obj, ["density"], warnings) is None
+    assert len(warnings) == 1 and "Smoke" in warnings[0] and "cache" in warnings[0]
+
+
+class _Stored(list):
+    """Numbers that are read as Blender's are."""
+
+    def foreach_get(self, target) -> None:
+        target[:] = self

@@ -132,10 +132,24 @@ def test_a_white_furnace(session, depth):
 def test_single_scattering_of_a_sun(session):
     """One scattering of a sun that shines along the view, in a slab: the integral along the ray is known."""
     sigma, height = 0.7, 2.0
-    scene = in_box(medium(scattering=sigma), world=0.0, sun=1.0)
+    view = scenes.camera(eye=(0, -4, 0), half_width=0.0005)
+    scene = in_box(medium(scattering=sigma), view, 0.0, sun=1.0)
     # the sun comes from above, through 1 m at most: light at the middle passes 1 m, then what lies before it
     expected = sigma / (4 * math.pi) * math.exp(-sigma * 1.0) * (1 - math.exp(-sigma * height)) / sigma
     assert_mean(session, scene, np.full(3, expected), bounce_max=0, roulette_bounce=0)
+
+
+def test_light_that_volumes_scatter_has_passes_of_its_own(session):
+    """What the passes of light give together is the picture, and no component of surfaces has any of a volume's."""
+    view = scenes.camera(eye=(0, -4, 0), half_width=0.3)
+    scene = in_box(medium(0.1, 0.7, 0.2), view, 0.3, lamp=3.0)
+    names = ("Combined", "Volume Direct", "Volume Indirect", "Emission", "Environment", "Diffuse Direct")
+    scene = dataclasses.replace(scene, frame=dataclasses.replace(scene.frame, passes=names))
+    passes = session.render(scene, RenderSettings(sample_count=16, bounce_max=8)).passes
+    seen = sum(passes[name] for name in names[1:5])
+    np.testing.assert_allclose(seen, passes["Combined"][..., :3], rtol=1e-5, atol=1e-6)
+    assert passes["Volume Direct"].mean() > passes["Volume Indirect"].mean() > 0.01
+    assert not passes["Diffuse Direct"].any()
 
 
 def test_behind_the_last_bounce_in_volumes_surfaces_do_not_scatter(session):

@@ -10,6 +10,9 @@ from ...shading.bsdf.bsdf import DELTA, TRANSMISSION
 from ..rays import Paths
 from .state import add_channels
 
+# The last of `PathPasses.share` where a volume scattered first
+_BY_VOLUME = 2.0
+
 
 @wp.func
 def diffuse_share(value: wp.vec3, diffuse: wp.vec3, reflected: bool) -> wp.vec4:
@@ -48,13 +51,22 @@ def divide_extending_ray(paths: Paths, path: int, value: wp.vec3, diffuse: wp.ve
 
 
 @wp.func
-def mark_volume(paths: Paths, path: int, bounce: int):
-    """Note that light comes by a volume, where the path scatters in it first."""
+def divide_volume_shadow_ray(paths: Paths, path: int, bounce: int):
+    """Note how the light of a shadow ray to a vertex in a volume is divided. `bounce`: scattering events before it."""
     passes = paths.passes[0]
-    if bounce == 0 and passes.share.shape[0] > 0:
-        passes.share[path] = wp.vec4(0.0, 0.0, 0.0, 2.0)
     if passes.shadow_share.shape[0] > 0:
-        passes.shadow_share[path] = passes.share[path]
+        share = passes.share[path]
+        if bounce == 0:
+            share = wp.vec4(0.0, 0.0, 0.0, wp.static(_BY_VOLUME))
+        passes.shadow_share[path] = share
+
+
+@wp.func
+def divide_volume_ray(paths: Paths, path: int):
+    """Note that a volume scattered a path first."""
+    passes = paths.passes[0]
+    if passes.share.shape[0] > 0:
+        passes.share[path] = wp.vec4(0.0, 0.0, 0.0, wp.static(_BY_VOLUME))
 
 
 @wp.func
@@ -77,7 +89,7 @@ def split_light(paths: Paths, path: int, light: wp.vec3, bounce: int, by_shadow_
         other = channels[2]
         if share[3] == 1.0:
             other = channels[1]
-        elif share[3] == 2.0:
+        elif share[3] == wp.static(_BY_VOLUME):
             other = passes.volume[wp.where(bounce > 1, 1, 0)]
         add_channels(passes, other, path, light - diffuse)
 

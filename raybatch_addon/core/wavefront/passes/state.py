@@ -147,10 +147,10 @@ def make_path_passes(
     passes.emission, passes.environment = first("Emission"), first("Environment")
     groups = light_group_passes(layout.others)
     passes.group = first(groups[0]) if groups else -1
-    passes.volume = wp.vec2i(*map(first, VOLUME_PASSES))
     passes.color = wp.vec3i(*map(first, COLOR_PASSES))
     passes.direct = wp.vec3i(*map(first, DIRECT_PASSES))
     passes.indirect = wp.vec3i(*map(first, INDIRECT_PASSES))
+    passes.volume = wp.vec2i(*map(first, VOLUME_PASSES))
     passes.inputs = inputs
     return passes
 

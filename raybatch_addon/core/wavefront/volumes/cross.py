@@ -38,6 +38,7 @@ def enter_kernel(volumes: VolumeData, rays: Rays, slots: wp.array(dtype=int), co
     volumes.state.segment[path] = 0
     volumes.state.scattered[path] = 0
     volumes.state.side[path] = 0
+    volumes.state.lit[path] = 0
 
 
 @functools.cache

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import warp as wp
 
-from ...shading.sequences.keys import mix_bits, sequence_number
+from ...shading.sequences.keys import DIMENSIONS_PER_BOUNCE, mix_bits, sequence_number
 
 # Dimension sets of pieces: above those of walks below surfaces
 _FIRST_DIMENSION = 3 << 30
-_PIECE_DIMENSIONS = 2
-CHANNEL, LENGTH = range(_PIECE_DIMENSIONS)
+CHANNEL, LENGTH, LIGHTS = range(3)  # behind LIGHTS those of a vertex
+_PIECE_DIMENSIONS = LIGHTS + DIMENSIONS_PER_BOUNCE
 # Streams of shadow rays are others than those of paths
 SHADOW_STREAM = 1 << 31
 

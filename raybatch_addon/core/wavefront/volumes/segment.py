@@ -67,6 +67,16 @@ def make_passed(programs: ProgramFeatures) -> wp.Function:
     return passed
 
 
+@wp.func
+def scattering_shares(throughput: wp.vec3, scattering: wp.vec3, extinction: wp.vec3) -> wp.vec3:
+    """Probability that each channel decides where a path of `throughput` scatters."""
+    albedo = wp.vec3(0.0)
+    for axis in range(3):
+        if extinction[axis] > 0.0:
+            albedo[axis] = scattering[axis] / extinction[axis]
+    return channel_shares(throughput, albedo)
+
+
 @functools.cache
 def make_segment(programs: ProgramFeatures) -> wp.Function:
     """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, throughput: vec3, scatters: bool, u: vec2,
@@ -80,11 +90,7 @@ def make_segment(programs: ProgramFeatures) -> wp.Function:
     def constant(m_scattering: wp.vec3, extinction: wp.vec3, length: float, throughput: wp.vec3, u: wp.vec2) -> Track:
         """The way through a medium that is the same everywhere: sampled by one channel, weighed by all of them."""
         way = Track()
-        albedo = wp.vec3(0.0)
-        for axis in range(3):
-            if extinction[axis] > 0.0:
-                albedo[axis] = m_scattering[axis] / extinction[axis]
-        shares = channel_shares(throughput, albedo)
+        shares = scattering_shares(throughput, m_scattering, extinction)
         chosen = extinction[2]
         if u[0] < shares[0]:
             chosen = extinction[0]

@@ -42,6 +42,8 @@ class MediaState:
     segment: wp.array(dtype=int)  # pieces of its way that the path has passed
     shadow_segment: wp.array(dtype=int)  # the same of its shadow ray
     scattered: wp.array(dtype=int)  # scattering events in volumes so far
+    # 1: light has been looked for along the piece on which the extending ray is back, which is decided next
+    lit: wp.array(dtype=int)
 
 
 @wp.struct

@@ -109,9 +109,10 @@ def light_path(node: Node) -> dict[str, Value]:
         "Ray Length",
         "Ray Depth",
         "Transparent Depth",
+        "Is Volume Scatter Ray",
     )
     outputs = {node.output(name): value for name, value in zip(names, node.op("light_path"))}
-    # counted only if asked for; Volume Scatter and Portal never occur, and are 0
+    # counted only if asked for; Portal never occurs, and is 0
     counted = (
         "Is Diffuse Ray",
         "Is Glossy Ray",

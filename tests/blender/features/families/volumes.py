@@ -13,7 +13,8 @@ from tests.support.blender_builders import add_object, material_of, node_tree
 
 
 def volume_of(obj: bpy.types.Object, build, surface: str | None = None) -> bpy.types.Object:
-    """`obj` with a material whose volume is the shader that `build(graph)` returns; `surface`: its node there."""
+    """`obj` with one material, whose volume is the shader that `build(graph)` returns; `surface`: its node there."""
+    obj.data.materials.clear()
     tree, socket = node_tree(material_of(obj, f"{obj.name} volume"))
     for link in list(socket.links):
         tree.links.remove(link)
@@ -213,6 +214,25 @@ def grid_object(scene: bpy.types.Scene) -> None:
     obj.location, obj.scale, obj.rotation_euler.z = (0, 0, 1), (0.9, 0.9, 0.7), 0.5
     values = {"Color": (0.8, 0.5, 0.3), "Anisotropy": 0.2, "Blackbody Intensity": 0.001, "Temperature": 2000.0}
     volume_of(obj, lambda graph: graph.value("ShaderNodeVolumePrincipled", values))
+
+
+@feature("Volume made by geometry nodes", "Volumes", "picture")
+def made_by_nodes(scene: bpy.types.Scene) -> None:
+    _stage(scene, None)
+    tree = bpy.data.node_groups.new("Cloud", "GeometryNodeTree")
+    for direction in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    begin, end = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
+    cloud, painted = tree.nodes.new("GeometryNodeMeshToVolume"), tree.nodes.new("GeometryNodeSetMaterial")
+    cloud.inputs["Density"].default_value = 3.0
+    tree.links.new(begin.outputs[0], cloud.inputs["Mesh"])
+    tree.links.new(cloud.outputs["Volume"], painted.inputs["Geometry"])
+    tree.links.new(painted.outputs["Geometry"], end.inputs[0])
+    obj = ball("Ball", (0, 0, 1), 0.8)
+    values = {"Color": (0.8, 0.5, 0.3), "Anisotropy": 0.2}
+    volume_of(obj, lambda graph: graph.value("ShaderNodeVolumePrincipled", values))
+    painted.inputs["Material"].default_value = obj.data.materials[0]
+    obj.modifiers.new("Cloud", "NODES").node_group = tree
 
 
 @feature("Camera in a volume, with a lamp", "Volumes", "picture")

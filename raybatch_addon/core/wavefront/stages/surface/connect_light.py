@@ -13,7 +13,7 @@ from ....shading.lights.light_shapes import LightSample
 from ....shading.lights.light_visibility import is_lit_in_part
 from ....shading.lights.lights import light_weights
 from ....shading.surface import spawn_origin
-from ...passes.light import divide_shadow_ray, make_add_light, mark_volume
+from ...passes.light import divide_shadow_ray, divide_volume_shadow_ray, make_add_light
 from ...rays import Paths, Status, bounce_of
 from ..limits import PathLimits, clamped, has_light
 from .features import SurfaceFeatures
@@ -53,9 +53,10 @@ def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp
         weight = 1.0 / light.pdf
         if is_lit_in_part(light.visibility):
             # lobes whose rays do not see the light are not lit by it; this strategy alone finds such a light
-            value = lit_value(
-                bsdf.value, bsdf.diffuse, light.visibility, wp.dot(light.direction, v.frame.geometric_normal) > 0.0
-            )
+            if wp.static(not in_volume):  # such lights shine into volumes all the same
+                value = lit_value(
+                    bsdf.value, bsdf.diffuse, light.visibility, wp.dot(light.direction, v.frame.geometric_normal) > 0.0
+                )
         elif light.delta == 0:
             weight = sample_weight(light.pdf, bsdf.pdf) / light.pdf
             if wp.static(features.shadow_links):
@@ -71,13 +72,13 @@ def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp
             return 0
         if wp.static(features.splits_light):
             if paths.passes.shape[0] > 0:
-                reflected = wp.dot(light.direction, v.frame.geometric_normal) > 0.0
-                diffuse = bsdf.diffuse
-                if is_lit_in_part(light.visibility):
-                    diffuse = lit_value(diffuse, diffuse, light.visibility, reflected)
                 if wp.static(in_volume):
-                    mark_volume(paths, path, v.bounce)
+                    divide_volume_shadow_ray(paths, path, v.bounce)
                 else:
+                    reflected = wp.dot(light.direction, v.frame.geometric_normal) > 0.0
+                    diffuse = bsdf.diffuse
+                    if is_lit_in_part(light.visibility):
+                        diffuse = lit_value(diffuse, diffuse, light.visibility, reflected)
                     divide_shadow_ray(paths, path, v.bounce, value, diffuse, reflected)
         if light.casts_shadow == 0 and light.program == 0:
             add_light(paths, path, contribution, bounce_of(paths.status[path]) + 1, True)

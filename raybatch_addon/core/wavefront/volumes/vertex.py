@@ -1,0 +1,137 @@
+"""A vertex of a path in a volume: light is looked for there, and the path is scattered."""
+
+from __future__ import annotations
+
+import functools
+
+import warp as wp
+
+from ...rays import Rays
+from ...scene.description import Visibility
+from ...scene.features import narrow
+from ...shading.bsdf.bsdf import BsdfValue
+from ...shading.bsdf.materials import address_of
+from ...shading.sampling import bitangent_of, spherical_direction, tangent_of, to_world
+from ...shading.sequences.keys import BSDF, LOBE, ROULETTE
+from ...shading.sequences.sampler import make_sampler
+from ...shading.volumes.phase import PhaseLobe
+from ..passes.light import divide_volume_ray
+from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, visibility_of
+from ..scene.scene_data import SceneData
+from ..stages.limits import PathLimits, has_light
+from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light
+from ..stages.surface.connect_light import make_connect_light
+from ..stages.surface.history import DEPTHS
+from ..stages.surface.vertex import Vertex
+from .features import VolumeFeatures
+from .medium import LOBE_FLOATS, LOBES_MOST, make_medium, phase_sample, phase_sum
+from .segment import ray_point
+from .table import VolumeData
+
+RAY_NEW, ENDED = int(Status.RAY_NEW), int(Status.ENDED)
+# The kind of ray that scattering in a volume makes, as objects and programs see it
+_SEEN_BY = int(Visibility.VOLUME_SCATTER)
+# What is done at a vertex
+AIM, SCATTER = 1, 2
+
+
+@functools.cache
+def make_scattered(features: VolumeFeatures) -> wp.Function:
+    """Function (data, volumes, limits, paths, rays, path: int, v: Vertex, inside: vec4i, throughput: vec3, tasks: int)
+    -> int: looks for light at `v` (AIM), scatters the path there (SCATTER), and returns its status.
+    """
+    sampler = make_sampler(features.sample_sequence)
+    sample_1d = sampler.sample_1d
+    sample_2d = sampler.sample_2d
+    medium = make_medium(features.volume_program)
+    choose_light = make_choose_light(narrow(features, AimFeatures))
+    connect_light = make_connect_light(narrow(features, type(features).__base__), in_volume=True)
+
+    @wp.func
+    def scattered(
+        data: SceneData,
+        volumes: VolumeData,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        path: int,
+        v: Vertex,
+        inside: wp.vec4i,
+        throughput: wp.vec3,
+        tasks: int,
+    ) -> int:
+        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
+        direction = -v.wo
+        point = ray_point(v.surface.position, direction, visibility_of(v.status), v.bounce)
+        m = medium(volumes, inside, point, lobes)
+        paths.throughput[path] = throughput
+        paths.passed[path] = v.passed + v.passed * wp.static(SHADOW_PASS)
+        if paths.shadow_history.shape[0] > 0:
+            paths.shadow_history[path] = paths.history[path]
+        status = v.status
+        if wp.static(features.shadow_rays):
+            if (tasks & wp.static(AIM)) != 0 and is_aimed(data.lights, limits, v):
+                light = choose_light(data, paths, path, v)
+                if light.pdf > 0.0:
+                    seen = phase_sum(lobes, m, throughput, wp.dot(direction, light.direction))
+                    value = BsdfValue()
+                    value.value = seen.value
+                    value.pdf = seen.pdf
+                    status = status | connect_light(limits, paths, rays, path, v, light, value)
+                    volumes.state.shadow_inside[path] = inside
+                    volumes.state.shadow_segment[path] = 0
+        if (tasks & wp.static(SCATTER)) == 0:
+            return status
+        u = sample_2d(v.key, v.where.sample, v.dimension + wp.uint32(BSDF))
+        u_lobe = sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(LOBE))
+        cosine = phase_sample(lobes, m, throughput, u_lobe, u[0])
+        new = to_world(
+            spherical_direction(cosine, wp.TAU * u[1]), tangent_of(direction), bitangent_of(direction), direction
+        )
+        chosen = phase_sum(lobes, m, throughput, cosine)
+        carried = wp.vec3(0.0)
+        if chosen.pdf > 0.0:
+            carried = wp.cw_mul(throughput, chosen.value) / chosen.pdf
+        goes_on = has_light(carried)
+        if wp.static(features.roulette):
+            if goes_on and v.bounce >= limits.roulette_bounce:
+                largest = wp.max(carried[0], wp.max(carried[1], carried[2]))
+                survival = wp.min(largest / limits.roulette_throughput, 1.0)
+                if sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(ROULETTE)) >= survival:
+                    goes_on = False
+                carried = carried / survival
+        if not goes_on:
+            return status | wp.static(ENDED)
+        if wp.static(features.splits_light):
+            if v.bounce == 0 and paths.passes.shape[0] > 0:
+                divide_volume_ray(paths, path)
+        if paths.history.shape[0] > 0:
+            paths.history[path] = paths.history[path] & wp.static(DEPTHS)
+        paths.throughput[path] = carried
+        paths.pdf[path] = wp.where(v.where.x < limits.nee_end, chosen.pdf, 0.0)
+        paths.passed_t[path] = 0.0
+        if paths.side.shape[0] > 0:
+            paths.side[path] = v.side
+        if paths.receiver.shape[0] > 0:
+            paths.receiver[path] = v.receiver
+        if paths.cone.shape[0] > 0:
+            paths.cone[path] = wp.vec2(0.0, 0.0)
+        if paths.least_density.shape[0] > 0:
+            density = float(chosen.pdf)
+            if v.bounce > 0:
+                density = wp.min(density, paths.least_density[path])
+            paths.least_density[path] = density
+        rays.origin[path] = v.surface.position
+        rays.direction[path] = new
+        rays.t_max[path] = wp.inf
+        if rays.visibility.shape[0] > 0:
+            rays.visibility[path] = wp.static(_SEEN_BY)
+        status = (status & wp.static((1 << VISIBILITY_SHIFT) - 1)) | wp.static(_SEEN_BY << VISIBILITY_SHIFT)
+        bounce = v.bounce + 1
+        if volumes.state.scattered[path] > volumes.bounce_max:
+            # the path has been scattered by volumes as often as it may: it finds light alone, as in Cycles
+            bounce = wp.max(bounce, limits.bounce_max + 1)
+        return status | (bounce << wp.static(BOUNCE_SHIFT)) | wp.static(RAY_NEW)
+
+    return scattered
