@@ -55,29 +55,56 @@ class GeneralRequest:
 
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
         """All of them."""
-        general = general_features()
         found = [*general_kernels(device), *build_kernels(device), *LIGHT_TREE_KERNELS]
-        # what differs from scene to scene in the other kernels is few, or compiled in no time
-        scenes = [
-            dataclasses.replace(general, instancing=instancing, passes=("Combined",), film_transparent=transparent)
-            for instancing in (False, True)
-            for transparent in (False, True)
-        ]
-        scenes += [
-            dataclasses.replace(scenes[0], camera=camera, depth_of_field=depth_of_field)
-            for camera in (CameraKind.PERSPECTIVE, CameraKind.ORTHOGRAPHIC)  # others are few and compile in seconds
-            for depth_of_field in (False, True)
-        ]
-        # other passes than Normal have no kernels of their own
-        scenes += [dataclasses.replace(scene, passes=("Combined", "Normal")) for scene in scenes[:2]]
-        # shadow rays ask for closest hits only where surfaces are transparent
-        opaque = tuple(kind for kind in SCATTERING if kind != ClosureKind.SUBSURFACE)
-        scenes += [dataclasses.replace(scene, closures=opaque) for scene in scenes[:4]]
-        scenes += [without_programs(scene) for scene in scenes[:1]]
-        for features in scenes:
+        plain, wide = general_features(), general_features(wide=True)
+        shaded = [(scene, plain) for scene in _plain_scenes(plain)] + [(scene, wide) for scene in _wide_scenes(wide)]
+        for features, shading in shaded:
             features = dataclasses.replace(features, adaptive=True)  # the kernels of both ways to sample
-            found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), general).kernels(device)
+            found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), shading).kernels(device)
         return found
+
+
+# shadow rays ask for closest hits only where surfaces are transparent
+_OPAQUE = tuple(kind for kind in SCATTERING if kind != ClosureKind.SUBSURFACE)
+
+
+def _plain_scenes(general: SceneFeatures) -> list[SceneFeatures]:
+    """Features of scenes that need all kernels of the plain general tier between them: what differs from scene to scene
+    beside the kernels that shade, as far as it is not few, or compiled in no time.
+    """
+    scenes = [
+        dataclasses.replace(general, instancing=instancing, passes=("Combined",), film_transparent=transparent)
+        for instancing in (False, True)
+        for transparent in (False, True)
+    ]
+    scenes += [
+        dataclasses.replace(scenes[0], camera=camera, depth_of_field=depth_of_field)
+        for camera in (CameraKind.PERSPECTIVE, CameraKind.ORTHOGRAPHIC)  # others are few and compile in seconds
+        for depth_of_field in (False, True)
+    ]
+    # other passes than Normal share their kernels
+    scenes += [
+        dataclasses.replace(scene, passes=("Combined", name)) for scene in scenes[:2] for name in ("Normal", "Mist")
+    ]
+    scenes += [dataclasses.replace(scene, closures=_OPAQUE) for scene in scenes[:4]]
+    return [*scenes, without_programs(scenes[0])]
+
+
+def _wide_scenes(general: SceneFeatures) -> list[SceneFeatures]:
+    """The same of the wide ones: what is traced, and surfaces beside volumes."""
+    common = dataclasses.replace(general, passes=("Combined",), film_transparent=False, volumes=False)
+    scenes = [
+        dataclasses.replace(common, curves=curves, moving=moving, instancing=instancing)
+        for curves, moving, instancing in (
+            (False, False, False),
+            (True, False, False),
+            (True, False, True),
+            (False, True, True),  # what moves is an instance
+            (True, True, True),
+        )
+    ]
+    scenes += [dataclasses.replace(scene, closures=_OPAQUE) for scene in scenes[1:]]
+    return [*scenes, without_programs(scenes[0]), dataclasses.replace(common, volumes=True)]
 
 
 Request = CompileRequest | GeneralRequest

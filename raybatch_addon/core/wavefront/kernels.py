@@ -54,11 +54,9 @@ class StageKernels:
         """The kernels for a scene with `features`, those that shade specialised on `shading` (default: the same)."""
         layout = layout_of(features.passes, features.film_transparent)
         shading = shading or features
-        names = ("camera", "depth_of_field", "spherical_stereo", "camera_motion", "moving")
-        seen = {name: getattr(features, name) for name in names}
-        generated = narrow(dataclasses.replace(shading, **seen), GenerateFeatures)
         # flat meshes walk by what was compiled ahead for smooth ones
-        walked = dataclasses.replace(features, smooth_normals=shading.smooth_normals)
+        of_shading = {name: getattr(shading, name) for name in ("smooth_normals", "curves", "moving")}
+        walked = dataclasses.replace(features, **of_shading)
         has = {
             ShadingStage.SURFACE: features.surfaces,
             ShadingStage.BACKGROUND: True,
@@ -68,17 +66,23 @@ class StageKernels:
             ShadingStage.AIM: features.shadow_rays and device.is_cuda,
         }
         return StageKernels(
-            generate=generate_kernel(generated),
-            generate_active=generate_active_kernel(generated) if features.adaptive else None,
+            generate=generate_kernel(_generate_features(features, shading)),
+            generate_active=generate_active_kernel(_generate_features(features, shading))
+            if features.adaptive
+            else None,
             settle=settle_kernel,
             walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
-            volumes=VolumeKernels.choose(features),
+            volumes=VolumeKernels.choose(features, shading),
             shading=_shading_kernels(
                 features, shading, [stage for stage in ShadingStage if has[stage]], device.is_cuda
             ),
             accumulate=accumulate_kernel(layout),
             resolve=resolve_kernel(layout),
         )
+
+    def that_shade(self) -> list[wp.Kernel]:
+        """Those of surfaces, lights, the world and volumes."""
+        return [*self.shading.values(), *(self.volumes.all() if self.volumes else ())]
 
     def all(self) -> list[wp.Kernel]:
         """Everything that is launched, tracing apart."""
@@ -89,6 +93,18 @@ class StageKernels:
         if self.generate_active:
             kernels += [self.generate_active, *ADAPTIVE_KERNELS]
         return list(dict.fromkeys(kernel for kernel in kernels if kernel is not None))
+
+
+def _generate_features(features: SceneFeatures, shading: SceneFeatures) -> GenerateFeatures:
+    """What paths of a scene with `features` start by, where kernels are specialised on `shading`: of the camera what
+    the scene has; general kernels find out whether anything moves and what is noted.
+    """
+    names = ["camera", "depth_of_field", "spherical_stereo"]
+    if not shading.programs.apart:
+        names += ["camera_motion", "moving"]
+    seen = {name: getattr(features, name) for name in names}
+    found = narrow(dataclasses.replace(shading, **seen), GenerateFeatures)
+    return dataclasses.replace(found, guides=True, camera_motion=True, motion=True) if shading.programs.apart else found
 
 
 def _shading_kernels(
@@ -118,7 +134,8 @@ def _shading_kernels(
     simple[ShadingStage.AIM] = whole[ShadingStage.AIM]
     found = {stage: stage_kernel(simple[stage](), stage) for stage in stages if not runs_program[stage]}
     if len(found) < len(stages):
-        kernel = all_stages_kernel(*(whole[stage]() for stage in STAGES_OF_ALL))
+        name = "wide_stages" if shading.curves else "stages"
+        kernel = all_stages_kernel(name, *(whole[stage]() for stage in STAGES_OF_ALL))
         found |= {stage: kernel for stage in stages if runs_program[stage]}
     return found
 

@@ -3,6 +3,9 @@
 The general kernels are compiled once, ahead; a scene whose specialised kernels are not there yet is rendered by them at
 once. Both tiers compute the same bits: a feature that a scene lacks is left out of its specialised kernels, and has
 nothing to do in the general ones.
+
+There are two families of general kernels. The *plain* ones shade what most scenes have. The *wide* ones have the code
+of everything else too (`is_wide` says what), which would make plain scenes slower.
 """
 
 from __future__ import annotations
@@ -10,14 +13,14 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import warp as wp
 
 from ..device.devices import is_compiled, shipped_target
 from ..errors import SettingsError
-from ..programs.footprints import LEVEL_OPS
-from ..programs.op import op_named, op_numbers
+from ..programs.op import VOLUME_PREFIX, op_named, op_numbers
 from ..scene.description import ClosureKind, LightKind
 from ..scene.features import SceneFeatures
 from ..scene.passes import GUIDE_PASSES, PASSES
@@ -32,18 +35,21 @@ VARIABLE = "RAYBATCH_KERNEL_TIER"
 TIERS = ("AUTO", "GENERAL", "SPECIALISED")
 # Programs that need more registers or closures are left to specialised kernels
 REGISTERS_MOST, CLOSURES_MOST = 64, 16
-# Closures that few scenes have are left to specialised kernels, so that the general ones need not hold their code; so
-# are ops that say so (`Op.general`)
+# Closures that few scenes have: the wide kernels alone hold their code
 RARE_KINDS = frozenset({ClosureKind.TOON}) | HAIR_KINDS
 
 
+def _programs(ops: Iterable[str]) -> ProgramFeatures:
+    return ProgramFeatures(tuple(ops), REGISTERS_MOST, CLOSURES_MOST, apart=True)
+
+
 @functools.cache
-def general_features() -> SceneFeatures:
-    """The features of all scenes together, as far as kernels of stages depend on them."""
-    ops = tuple(name for name in op_numbers() if name not in LEVEL_OPS and op_named(name).general)
-    programs = ProgramFeatures(ops, REGISTERS_MOST, CLOSURES_MOST, apart=True)
+def general_features(wide: bool = False) -> SceneFeatures:
+    """The features of all scenes together, as far as kernels of stages depend on them: of plain ones, or of all."""
+    ops = [name for name in op_numbers() if op_named(name).general]
+    programs = _programs(name for name in ops if not name.startswith(VOLUME_PREFIX))
     of_surfaces = {kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION}
-    return SceneFeatures(
+    plain = SceneFeatures(
         closures=tuple(sorted(of_surfaces - RARE_KINDS)),
         closure_count=CLOSURES_MOST,
         programs=programs,
@@ -65,33 +71,54 @@ def general_features() -> SceneFeatures:
         passes=tuple(name for name in PASSES if name not in GUIDE_PASSES),
         clamping=True,
     )
+    if not wide:
+        return plain
+    # what surfaces scatter and let through is nothing to volumes and lamps
+    of_volumes = [n for n in ops if n == "emission" or n.startswith(VOLUME_PREFIX) or not op_named(n).makes_closures]
+    return dataclasses.replace(
+        plain,
+        closures=tuple(sorted(of_surfaces)),
+        passes=tuple(PASSES),
+        curves=True,
+        moving=True,
+        bounces_by_kind=True,
+        filter_glossy=True,
+        caustics_reflective=False,
+        caustics_refractive=False,
+        volumes=True,
+        volume_program=_programs(of_volumes),
+    )
+
+
+def is_wide(features: SceneFeatures) -> bool:
+    """Whether the plain general kernels lack something for a scene with `features`."""
+    names = ("curves", "moving", "bounces_by_kind", "filter_glossy", "guides", "volumes")
+    return (
+        any(getattr(features, name) for name in names)
+        or not (features.caustics_reflective and features.caustics_refractive)
+        or not RARE_KINDS.isdisjoint(features.closures)
+    )
 
 
 def why_not_general(features: SceneFeatures) -> str:
     """Why the general kernels cannot shade a scene with `features`; empty where they can."""
-    general = general_features()
+    general = general_features(is_wide(features))
     if features.mis != general.mis:
         return "general kernels have no code for mis OFF"
     if features.sample_sequence != general.sample_sequence:
         return f"general kernels have no code for sample_sequence {features.sample_sequence}"
-    if features.moving:
-        return "general kernels have no code for objects that move"
-    if features.curves:
-        return "general kernels have no code for curves and points"
-    if features.bounces_by_kind:
-        return "general kernels do not count bounces by kind"
-    if features.filter_glossy:
-        return "general kernels filter nothing glossy"
-    if not (features.caustics_reflective and features.caustics_refractive):
-        return "general kernels leave out no caustics"
-    if rare := RARE_KINDS.intersection(features.closures):
-        return f"general kernels have no code for closures of kind {', '.join(kind.name for kind in sorted(rare))}"
     if features.texture_levels:
         return "general kernels have no code for texture_filter FOOTPRINT"
-    if features.guides:
-        return "general kernels have no code for the passes that guide a denoiser"
     closure_count = features.closure_count
-    for programs in (features.programs, features.world_program, features.lamp_program):
+    of_lamps = general.volume_program if features.volumes else general.lamp_program
+    for programs, there in (
+        (features.programs, general.programs),
+        (features.world_program, general.world_program),
+        (features.lamp_program, of_lamps),
+        (features.volume_program, general.volume_program),
+    ):
+        if lacking := sorted(set(programs.ops) - set(there.ops)):
+            return f"general kernels have no code for {', '.join(lacking)} there"
         closure_count = max(closure_count, programs.closure_count)
         if programs.register_count > REGISTERS_MOST:
             return f"general kernels have {REGISTERS_MOST} registers, and a shader graph needs more"
@@ -107,9 +134,8 @@ def array_features(features: SceneFeatures, shading: SceneFeatures) -> SceneFeat
     if shading == features:
         return features
     closures = tuple(kind for kind in shading.closures if kind != ClosureKind.SUBSURFACE or features.subsurface)
-    return dataclasses.replace(
-        shading, closures=closures, film_transparent=features.film_transparent, passes=features.passes
-    )
+    own = {name: getattr(features, name) for name in ("film_transparent", "passes", "filter_glossy")}
+    return dataclasses.replace(shading, closures=closures, **own)
 
 
 @dataclass(frozen=True)
@@ -141,8 +167,10 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
     def specialised(why: str) -> TierChoice:
         return TierChoice(features, False, setting, why)
 
+    shared = general_features(is_wide(features))
+
     def general(why: str) -> TierChoice:
-        return TierChoice(general_features(), True, setting, why)
+        return TierChoice(shared, True, setting, why)
 
     if setting == "SPECIALISED":
         return specialised("as set")
@@ -150,10 +178,10 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
         return specialised(why)
     if setting == "GENERAL":
         return general("as set")
-    stages = list(StageKernels.choose(features, device, general_features()).shading.values())
+    stages = StageKernels.choose(features, device, shared).that_shade()
     # where general kernels are at hand, nobody waits until the others are looked for by their code
     at_hand = all(is_compiled(kernel, device, at_once=True) for kernel in stages)
-    if all(is_compiled(kernel, device, at_hand) for kernel in StageKernels.choose(features, device).shading.values()):
+    if all(is_compiled(kernel, device, at_hand) for kernel in StageKernels.choose(features, device).that_shade()):
         return specialised("they were compiled before")
     if at_hand or all(is_compiled(kernel, device) for kernel in stages):
         target = shipped_target(stages[0], device)
@@ -163,7 +191,9 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
 
 
 def general_kernels(device: wp.Device) -> tuple[wp.Kernel, ...]:
-    """The kernels of the general tier that run programs: that of all stages, and that of all estimates."""
-    features = general_features()
-    stages = StageKernels.choose(features, device).shading[ShadingStage.SURFACE]
-    return stages, estimate_kernel(features, Estimate.TRIANGLES)
+    """The kernels of the general tier that run programs: those of all stages of plain and of all scenes, that of all
+    stages of volumes, and that of all estimates.
+    """
+    plain, wide = (StageKernels.choose(general_features(wide), device) for wide in (False, True))
+    stages = [kernels.shading[ShadingStage.SURFACE] for kernels in (plain, wide)]
+    return *stages, wide.volumes.scatter, estimate_kernel(general_features(wide=True), Estimate.TRIANGLES)
