@@ -46,7 +46,7 @@ class CompileRequest:
         each = self.features
         materials, world, lamps = (len(p.ops) for p in (each.programs, each.world_program, each.lamp_program))
         ops = materials * (1 + each.transparency + each.mesh_programs) + world * (1 + each.world_light)
-        return _KERNELS_SECONDS + _OP_SECONDS * (ops + lamps * 3)
+        return _KERNELS_SECONDS + _OP_SECONDS * (ops + lamps * 3 + len(each.volume_program.ops) * 4)
 
 
 @dataclass(frozen=True)

@@ -132,11 +132,13 @@ def _shading_kernels(
     # a world that is sampled takes part in the choice among emitters, whether a stage runs its program or not
     simple = _stage_functions(without_programs(shading), in_one, shading.world_light)
     simple[ShadingStage.AIM] = whole[ShadingStage.AIM]
-    found = {stage: stage_kernel(simple[stage](), stage) for stage in stages if not runs_program[stage]}
+    # those of wide kernels are a GPU's alone: a CPU knows no registers, and what is compiled ahead has a limit
+    has_simple = aims_apart or not shading.curves
+    found = {stage: stage_kernel(simple[stage](), stage) for stage in stages if has_simple and not runs_program[stage]}
     if len(found) < len(stages):
         name = "wide_stages" if shading.curves else "stages"
         kernel = all_stages_kernel(name, *(whole[stage]() for stage in STAGES_OF_ALL))
-        found |= {stage: kernel for stage in stages if runs_program[stage]}
+        found |= {stage: kernel for stage in stages if stage not in found}
     return found
 
 

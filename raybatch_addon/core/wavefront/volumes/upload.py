@@ -43,7 +43,9 @@ def upload_volumes(
     images: ImageTable,
     device: wp.Device,
 ) -> UploadedVolumes:
-    """All volumes of `scene`, for kernels that are specialised on `shading`. Raises `SceneError` for a coefficient that is negative or not finite."""
+    """All volumes of `scene`, for kernels that are specialised on `shading`. Raises `SceneError` for a coefficient that
+    is negative or not finite.
+    """
     volumes = scene_volumes(scene)
     data = VolumeData()
     data.volume_count = len(volumes)
