@@ -14,7 +14,7 @@ from ..scene.description import CameraKind, ClosureKind
 from ..scene.features import SCATTERING, SceneFeatures
 from ..settings.settings import RenderSettings
 from ..shading.lights.light_tree import LIGHT_TREE_KERNELS
-from ..wavefront.kernels import StageKernels, tracing_kernels, without_programs
+from ..wavefront.kernels import StageKernels, plain_features, tracing_kernels, without_programs
 from ..wavefront.plan.plan import Method, TracingPlan
 from ..wavefront.plan.tracing import Tracing
 from ..wavefront.tier import general_features, general_kernels
@@ -56,11 +56,10 @@ class GeneralRequest:
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
         """All of them."""
         found = [*general_kernels(device), *build_kernels(device), *LIGHT_TREE_KERNELS]
-        plain, wide = general_features(), general_features(wide=True)
-        shaded = [(scene, plain) for scene in _plain_scenes(plain)] + [(scene, wide) for scene in _wide_scenes(wide)]
-        for features, shading in shaded:
+        general = general_features()
+        for features in (*_plain_scenes(plain_features(general)), *_wide_scenes(general)):
             features = dataclasses.replace(features, adaptive=True)  # the kernels of both ways to sample
-            found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), shading).kernels(device)
+            found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), general).kernels(device)
         return found
 
 
@@ -68,12 +67,13 @@ class GeneralRequest:
 _OPAQUE = tuple(kind for kind in SCATTERING if kind != ClosureKind.SUBSURFACE)
 
 
-def _plain_scenes(general: SceneFeatures) -> list[SceneFeatures]:
-    """Features of scenes that need all kernels of the plain general tier between them: what differs from scene to scene
-    beside the kernels that shade, as far as it is not few, or compiled in no time.
+def _plain_scenes(plain: SceneFeatures) -> list[SceneFeatures]:
+    """Features of scenes that between them need all kernels that usual ones can begin with; `plain` are those of all
+    such scenes. What differs beside the kernels that shade is few, or compiled in no time.
     """
+    plain = dataclasses.replace(plain, volumes=False)
     scenes = [
-        dataclasses.replace(general, instancing=instancing, passes=("Combined",), film_transparent=transparent)
+        dataclasses.replace(plain, instancing=instancing, passes=("Combined",), film_transparent=transparent)
         for instancing in (False, True)
         for transparent in (False, True)
     ]
@@ -91,7 +91,7 @@ def _plain_scenes(general: SceneFeatures) -> list[SceneFeatures]:
 
 
 def _wide_scenes(general: SceneFeatures) -> list[SceneFeatures]:
-    """The same of the wide ones: what is traced, and surfaces beside volumes."""
+    """The same of scenes that have what few have: `general` are those of all scenes."""
     common = dataclasses.replace(general, passes=("Combined",), film_transparent=False, volumes=False)
     scenes = [
         dataclasses.replace(common, curves=curves, moving=moving, instancing=instancing)

@@ -3,9 +3,6 @@
 The general kernels are compiled once, ahead; a scene whose specialised kernels are not there yet is rendered by them at
 once. Both tiers compute the same bits: a feature that a scene lacks is left out of its specialised kernels, and has
 nothing to do in the general ones.
-
-There are two families of general kernels. The *plain* ones shade what most scenes have. The *wide* ones have the code
-of everything else too (`is_wide` says what), which would make plain scenes slower.
 """
 
 from __future__ import annotations
@@ -23,9 +20,8 @@ from ..errors import SettingsError
 from ..programs.op import VOLUME_PREFIX, op_named, op_numbers
 from ..scene.description import ClosureKind, LightKind
 from ..scene.features import SceneFeatures
-from ..scene.passes import GUIDE_PASSES, PASSES
+from ..scene.passes import PASSES
 from ..scene.program import ProgramFeatures
-from ..shading.bsdf.materials import HAIR_KINDS
 from .estimates.kernels import estimate_kernel
 from .estimates.work import Estimate
 from .kernels import StageKernels
@@ -35,8 +31,6 @@ VARIABLE = "RAYBATCH_KERNEL_TIER"
 TIERS = ("AUTO", "GENERAL", "SPECIALISED")
 # Programs that need more registers or closures are left to specialised kernels
 REGISTERS_MOST, CLOSURES_MOST = 64, 16
-# Closures that few scenes have: the wide kernels alone hold their code
-RARE_KINDS = frozenset({ClosureKind.TOON}) | HAIR_KINDS
 
 
 def _programs(ops: Iterable[str]) -> ProgramFeatures:
@@ -44,13 +38,14 @@ def _programs(ops: Iterable[str]) -> ProgramFeatures:
 
 
 @functools.cache
-def general_features(wide: bool = False) -> SceneFeatures:
-    """The features of all scenes together, as far as kernels of stages depend on them: of plain ones, or of all."""
+def general_features() -> SceneFeatures:
+    """The features of all scenes together, as far as kernels of stages depend on them."""
     ops = [name for name in op_numbers() if op_named(name).general]
     programs = _programs(name for name in ops if not name.startswith(VOLUME_PREFIX))
-    of_surfaces = {kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION}
-    plain = SceneFeatures(
-        closures=tuple(sorted(of_surfaces - RARE_KINDS)),
+    # what surfaces scatter and let through is nothing to volumes and lamps
+    of_volumes = [n for n in ops if n == "emission" or n.startswith(VOLUME_PREFIX) or not op_named(n).makes_closures]
+    return SceneFeatures(
+        closures=tuple(sorted(kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION)),
         closure_count=CLOSURES_MOST,
         programs=programs,
         world_program=programs,
@@ -64,23 +59,15 @@ def general_features(wide: bool = False) -> SceneFeatures:
         world_light=True,
         world=True,
         depth_of_field=True,
+        camera_motion=True,
+        moving=True,
         surfaces=True,
         instancing=True,
         smooth_normals=True,
-        film_transparent=True,
-        passes=tuple(name for name in PASSES if name not in GUIDE_PASSES),
-        clamping=True,
-    )
-    if not wide:
-        return plain
-    # what surfaces scatter and let through is nothing to volumes and lamps
-    of_volumes = [n for n in ops if n == "emission" or n.startswith(VOLUME_PREFIX) or not op_named(n).makes_closures]
-    return dataclasses.replace(
-        plain,
-        closures=tuple(sorted(of_surfaces)),
-        passes=tuple(PASSES),
         curves=True,
-        moving=True,
+        film_transparent=True,
+        passes=tuple(PASSES),
+        clamping=True,
         bounces_by_kind=True,
         filter_glossy=True,
         caustics_reflective=False,
@@ -90,19 +77,9 @@ def general_features(wide: bool = False) -> SceneFeatures:
     )
 
 
-def is_wide(features: SceneFeatures) -> bool:
-    """Whether the plain general kernels lack something for a scene with `features`."""
-    names = ("curves", "moving", "bounces_by_kind", "filter_glossy", "guides", "volumes")
-    return (
-        any(getattr(features, name) for name in names)
-        or not (features.caustics_reflective and features.caustics_refractive)
-        or not RARE_KINDS.isdisjoint(features.closures)
-    )
-
-
 def why_not_general(features: SceneFeatures) -> str:
     """Why the general kernels cannot shade a scene with `features`; empty where they can."""
-    general = general_features(is_wide(features))
+    general = general_features()
     if features.mis != general.mis:
         return "general kernels have no code for mis OFF"
     if features.sample_sequence != general.sample_sequence:
@@ -167,10 +144,8 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
     def specialised(why: str) -> TierChoice:
         return TierChoice(features, False, setting, why)
 
-    shared = general_features(is_wide(features))
-
     def general(why: str) -> TierChoice:
-        return TierChoice(shared, True, setting, why)
+        return TierChoice(general_features(), True, setting, why)
 
     if setting == "SPECIALISED":
         return specialised("as set")
@@ -178,7 +153,7 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
         return specialised(why)
     if setting == "GENERAL":
         return general("as set")
-    stages = StageKernels.choose(features, device, shared).that_shade()
+    stages = StageKernels.choose(features, device, general_features()).that_shade()
     # where general kernels are at hand, nobody waits until the others are looked for by their code
     at_hand = all(is_compiled(kernel, device, at_once=True) for kernel in stages)
     if all(is_compiled(kernel, device, at_hand) for kernel in StageKernels.choose(features, device).that_shade()):
@@ -191,9 +166,9 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
 
 
 def general_kernels(device: wp.Device) -> tuple[wp.Kernel, ...]:
-    """The kernels of the general tier that run programs: those of all stages of plain and of all scenes, that of all
-    stages of volumes, and that of all estimates.
+    """The kernels of the general tier that run programs: that of all stages at surfaces and beyond, that of all stages
+    of volumes, and that of all estimates.
     """
-    plain, wide = (StageKernels.choose(general_features(wide), device) for wide in (False, True))
-    stages = [kernels.shading[ShadingStage.SURFACE] for kernels in (plain, wide)]
-    return *stages, wide.volumes.scatter, estimate_kernel(general_features(wide=True), Estimate.TRIANGLES)
+    features = general_features()
+    stages = StageKernels.choose(features, device)
+    return stages.shading[ShadingStage.SURFACE], stages.volumes.scatter, estimate_kernel(features, Estimate.TRIANGLES)

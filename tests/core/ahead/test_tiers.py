@@ -27,9 +27,9 @@ from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.scene.program import ProgramFeatures
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.core.wavefront import tier
+from raybatch_addon.core.wavefront import kernels
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
-from raybatch_addon.core.wavefront.kernels import StageKernels
+from raybatch_addon.core.wavefront.kernels import StageKernels, is_wide
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
 from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from raybatch_addon.core.wavefront.tier import (
@@ -38,7 +38,6 @@ from raybatch_addon.core.wavefront.tier import (
     choose_tier,
     general_features,
     general_kernels,
-    is_wide,
     why_not_general,
 )
 from tests.support import scenes, schedule_scenes
@@ -125,19 +124,21 @@ def test_settings_count_in_both_tiers(changes):
 
 
 @ON_CPU
-def test_wide_kernels_give_the_films_of_plain_ones(monkeypatch):
-    """What a scene lacks has nothing to do in them."""
-    scene = scenes.mixed()
-    plain = Session(DEVICE).render(scene, SETTINGS.replace(kernel_tier="GENERAL"))
-    monkeypatch.setattr(tier, "is_wide", lambda _: True)
-    wide = Session(DEVICE).render(scene, SETTINGS.replace(kernel_tier="GENERAL"))
-    assert_same(wide, plain)
+def test_one_kernel_gives_the_film_of_those_for_each_stage(monkeypatch):
+    """What a scene lacks has nothing to do in it."""
+    scene, settings = scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL")
+    expected = Session(DEVICE).render(scene, settings)
+    monkeypatch.setattr(kernels, "is_wide", lambda _: True)
+    shading = StageKernels.choose(derive_features(scene, settings), wp.get_device(DEVICE), general_features()).shading
+    assert set(shading.values()) == {general_kernels(wp.get_device(DEVICE))[0]}
+    assert_same(Session(DEVICE).render(scene, settings), expected)
 
 
-def test_families_are_chosen_by_what_a_scene_has():
+def test_kernels_for_each_stage_are_chosen_where_they_have_all_that_a_scene_has():
     for features, wide in ((FEATURES, False), (WIDE_FEATURES | EACH_WIDE_FEATURE, True)):
         for name, (scene, changes) in features.items():
-            assert is_wide(derive_features(scene, FEATURE_SETTINGS.replace(**changes))) == wide, name
+            found = derive_features(scene, FEATURE_SETTINGS.replace(**changes))
+            assert is_wide(found) == wide or (found.volumes and wide), name
 
 
 @ON_CPU

@@ -19,14 +19,7 @@ from raybatch_addon.core.ahead.request import GeneralRequest
 from raybatch_addon.core.device.devices import load_kernels, start_warp
 from raybatch_addon.core.scene.features import SceneFeatures
 from raybatch_addon.core.scene.program import ProgramFeatures
-from raybatch_addon.core.wavefront.tier import (
-    VARIABLE,
-    TierChoice,
-    choose_tier,
-    general_features,
-    is_wide,
-    why_not_general,
-)
+from raybatch_addon.core.wavefront.tier import VARIABLE, TierChoice, choose_tier, general_features, why_not_general
 
 
 @contextlib.contextmanager
@@ -59,6 +52,7 @@ def independent_features() -> SceneFeatures:
         programs=ProgramFeatures(),
         world_program=ProgramFeatures(),
         lamp_program=ProgramFeatures(),
+        volume_program=ProgramFeatures(),
         mesh_programs=False,
         world_light=False,
         closure_count=8,
@@ -71,9 +65,8 @@ def can_be_independent(features: SceneFeatures) -> bool:
     wide = independent_features()
     return (
         features.sample_sequence == "INDEPENDENT"
-        and not (features.programs or features.world_program or features.lamp_program)
+        and not (features.programs or features.world_program or features.lamp_program or features.volume_program)
         and features.closure_count <= wide.closure_count
-        and not is_wide(features)
         and not why_not_general(dataclasses.replace(features, sample_sequence="SOBOL"))
     )
 

@@ -68,13 +68,13 @@ STAGES_OF_ALL = (
 
 @functools.cache
 def all_stages_kernel(
-    name: str, surface: wp.Function, background: wp.Function, light_hits: wp.Function, connect_transparent: wp.Function
+    surface: wp.Function, background: wp.Function, light_hits: wp.Function, connect_transparent: wp.Function
 ) -> wp.Kernel:
     """Kernel of the arguments of `stage_kernel` that calls the function of the stage `work.stage`, for the functions of
-    `STAGES_OF_ALL`; `name`: of its module.
+    `STAGES_OF_ALL`.
     """
 
-    @wp.kernel(**general_options(name))
+    @wp.kernel(**general_options("stages"))
     def all_stages(
         data: SceneData,
         work: TileWork,
