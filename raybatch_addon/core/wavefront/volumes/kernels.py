@@ -23,7 +23,7 @@ from .table import VolumeData
 from .transmit import make_transmit
 
 
-def medium_kernel(features: VolumeFeatures) -> wp.Kernel:
+def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
     """Kernel (data, volumes, work, limits, paths, rays, slots, count) of the stage `scatter`."""
     if features.volume_program.apart:
         return _general_kernel(features)

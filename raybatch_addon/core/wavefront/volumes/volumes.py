@@ -10,7 +10,7 @@ import warp as wp
 from ...scene.features import SceneFeatures, narrow
 from .cross import cross_kernel, enter_kernel
 from .features import VolumeFeatures
-from .kernels import bound_kernel, medium_kernel, transmit_kernel
+from .kernels import bound_kernel, volume_kernel, transmit_kernel
 from .table import MediaState, VolumeData
 
 
@@ -32,7 +32,7 @@ class VolumeKernels:
         needs = narrow(shading, VolumeFeatures)
         return VolumeKernels(
             enter_kernel,
-            medium_kernel(needs),
+            volume_kernel(needs),
             cross_kernel(needs.instancing, needs.smooth_normals, needs.curves, needs.moving),
             transmit_kernel(needs),
             bound_kernel(needs) if features.volume_program else None,
