@@ -10,7 +10,7 @@ import warp as wp
 from ...scene.features import SceneFeatures, narrow
 from .cross import cross_kernel, enter_kernel
 from .features import VolumeFeatures
-from .kernels import bound_kernel, volume_kernel, transmit_kernel
+from .kernels import bound_kernel, transmit_kernel, volume_kernel
 from .table import MediaState, VolumeData
 
 
