@@ -102,10 +102,11 @@ def find_bounds(
             volumes.world = -1  # each alone
         else:
             volumes.world = world
-        asked = volumes.asked = BoundWork()
+        asked = BoundWork()
         asked.inside, asked.cells = wp.vec4i(code, 0, 0, 0), cells
         asked.origin, asked.edges = wp.vec3(*origin), wp.mat33(*edges.ravel())
         asked.found = found[number * count : (number + 1) * count]
+        volumes.asked = asked
         launch(volumes, count)
     volumes.asked = BoundWork()
     volumes.world = world
