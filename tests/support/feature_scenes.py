@@ -160,7 +160,8 @@ def filled(*volumes: Volume, world: Volume | None = None, lamp=None) -> Scene:
     objects = [(scenes.plane(size=4), scenes.translation(0, 0, -1.2), scenes.diffuse())]
     for number, volume in enumerate(volumes):
         surface = Material("filled", (clear,), (ClosureKind.TRANSPARENT,), volume=volume)
-        objects.append((scenes.box(size=1.5), scenes.translation(0.7 * number, 0, 0), surface))
+        place = scenes.translation(0.7 * number, 0.2 * number, 0.3 * number)  # no faces coincide
+        objects.append((scenes.box(size=1.5), place, surface))
     made = scenes.scene(objects, lights=[lamp or scenes.area_light(3.0)], world=0.2)
     return dataclasses.replace(made, world=dataclasses.replace(made.world, volume=world))
 
