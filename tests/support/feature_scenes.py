@@ -2,9 +2,12 @@
 
 import dataclasses
 
+import numpy as np
+
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
-from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Material, Visibility
+from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Material, Mesh, Scene, Visibility, Volume
+from raybatch_addon.core.scene.passes import GUIDE_PASSES
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
@@ -66,6 +69,113 @@ def unlit(frame=None):
     return scenes.scene([(scenes.sphere(), scenes.IDENTITY, scenes.diffuse())], frame=frame or Frame(32, 32), world=1.0)
 
 
+def shiny():
+    """Facets, sharp and not, over something diffuse."""
+    return scenes.material(
+        Closure(ClosureKind.GLOSSY, (0.3,) * 3, roughness=0.02),
+        Closure(ClosureKind.GLASS, (0.3,) * 3, roughness=0.3, ior=1.4),
+        Closure(ClosureKind.DIFFUSE, (0.3,) * 3),
+    )
+
+
+def toon():
+    return scenes.material(
+        Closure(ClosureKind.TOON, (0.4,) * 3, 0.5, mean_cosine=0.3),
+        Closure(ClosureKind.TOON, (0.4,) * 3, 0.3, mean_cosine=0.2, distribution=1),
+    )
+
+
+def hair() -> Material:
+    """All closures of fibres."""
+    program = ProgramBuilder()
+    place = program.value("separate_xyz", program.value("object_coordinates", 0))
+    grey = program.value("combine_xyz", program.value("math", 2, False, place[0], place[0], 0.0), 0.4, 0.4)
+    program.closure("principled_hair", (0.3,) * 3, grey, 0.3, 0.3, 0.0, 1.55, 0.03)
+    program.closure("hair_reflection", (0.3,) * 3, 0.2, 0.3, 0.05, (0.0, 0.0, 0.0))
+    program.closure("hair_transmission", (0.3,) * 3, 0.2, 0.3, 0.05, (0.0, 0.0, 0.0))
+    kinds = (ClosureKind.HAIR_REFLECTION, ClosureKind.HAIR_TRANSMISSION, ClosureKind.PRINCIPLED_HAIR)
+    return Material("hair", kinds=kinds, program=program.finish())
+
+
+def strands() -> Mesh:
+    """Straight fibres that stand on a plane."""
+    x, y = np.meshgrid(np.linspace(-0.8, 0.8, 9), np.linspace(-0.8, 0.8, 9))
+    roots = np.stack([x.ravel(), y.ravel(), np.full(x.size, -1.0)], 1)
+    points = np.stack([roots, roots * (1.1, 1.1, -0.5)], 1).astype(np.float32)
+    first = 2 * np.arange(len(points), dtype=np.int32)
+    rows = np.stack([first, first + 1, first], 1)
+    return Mesh("strands", points.reshape(-1, 3), rows, radii=np.full(2 * len(points), 0.03, np.float32))
+
+
+def furry(surface=None) -> Scene:
+    """Fibres on a plane, lit."""
+    objects = [
+        (scenes.plane(size=4), scenes.translation(0, 0, -1), scenes.diffuse()),
+        (strands(), scenes.IDENTITY, surface or scenes.diffuse()),
+    ]
+    return scenes.scene(objects, lights=[scenes.area_light(3.0)], world=0.2)
+
+
+def moving(scene: Scene) -> Scene:
+    """`scene` with a second object that moves while the shutter is open, and a camera that does."""
+    maps = np.repeat(scene.instances.transform[:, None].astype(np.float32), 3, 1)
+    maps[1, :, 0, 3] += (-0.3, 0.0, 0.4)
+    view = np.repeat(np.asarray(scene.camera.transform, np.float32)[None], 3, 0)
+    view[:, 2, 3] += (-0.1, 0.0, 0.1)
+    return dataclasses.replace(
+        scene,
+        instances=dataclasses.replace(scene.instances, motion=maps, transform=maps[:, 1]),
+        camera=dataclasses.replace(scene.camera, motion=view),
+    )
+
+
+def panned(scene: Scene) -> Scene:
+    """`scene` with a camera that moves, and nothing else."""
+    return dataclasses.replace(scene, camera=moving(scene).camera)
+
+
+def fog(density=0.4) -> Volume:
+    """The same everywhere."""
+    return Volume(
+        (
+            Closure(ClosureKind.HENYEY_GREENSTEIN, (density,) * 3, mean_cosine=0.3),
+            Closure(ClosureKind.VOLUME_ABSORPTION, (0.1, 0.2, 0.3)),
+        )
+    )
+
+
+def cloud() -> Volume:
+    """Thicker upwards, and it shines."""
+    builder = ProgramBuilder()
+    height = builder.value("separate_xyz", builder.value("position", 0))[2]
+    raised = builder.value("math", 0, False, height, 1.0, 0.0)
+    builder.closure("volume_henyey_greenstein", builder.value("splat", raised), 0.2)
+    builder.closure("emission", (0.05, 0.1, 0.2))
+    return Volume(program=builder.finish())
+
+
+def filled(*volumes: Volume, world: Volume | None = None, lamp=None) -> Scene:
+    """Boxes of `volumes` over a plane, lit."""
+    clear = Closure(ClosureKind.TRANSPARENT, (1.0,) * 3)
+    objects = [(scenes.plane(size=4), scenes.translation(0, 0, -1.2), scenes.diffuse())]
+    for number, volume in enumerate(volumes):
+        surface = Material("filled", (clear,), (ClosureKind.TRANSPARENT,), volume=volume)
+        place = scenes.translation(0.7 * number, 0.2 * number, 0.3 * number)  # no faces coincide
+        objects.append((scenes.box(size=1.5), place, surface))
+    made = scenes.scene(objects, lights=[lamp or scenes.area_light(3.0)], world=0.2)
+    return dataclasses.replace(made, world=dataclasses.replace(made.world, volume=world))
+
+
+GUIDED = Frame(32, 32, passes=("Combined", *GUIDE_PASSES))
+CYCLES_SETTINGS = {
+    "diffuse_bounce_max": 1,
+    "glossy_bounce_max": 1,
+    "filter_glossy": 1.0,
+    "caustics_reflective": "OFF",
+    "caustics_refractive": "OFF",
+    "bounce_max": 4,
+}
+
 # Scene and changes of `SETTINGS`, by the name of the feature
 FEATURES = {
     "opaque, lit": (lit(), {}),
@@ -83,6 +193,27 @@ FEATURES = {
     "transparent with a program": (lit(veil_program()), {}),
     "transparent with a program, without light": (lit(veil_program()), {"nee": "OFF"}),
     "transparent with a program that asks for history": (lit(veil_program(asks_history=True)), {}),
+    "camera that moves": (panned(lit()), {}),
     "nothing to hit": (scenes.scene(frame=Frame(32, 32), world=1.0), {}),
     "Warp's tree": (lit(), {"batching": "REFERENCE"}),
+}
+
+# The same of features that wide general kernels have alone; a few that hold all of them, then each by itself
+WIDE_FEATURES = {
+    "settings of Cycles, and a denoiser's passes": (lit(shiny(), GUIDED), CYCLES_SETTINGS),
+    "fibres that move": (moving(furry(hair())), {}),
+    "a volume with a program": (filled(fog(), cloud(), lamp=lamp_program()), {}),
+}
+EACH_WIDE_FEATURE = {
+    "bounces by kind": (lit(shiny()), {"diffuse_bounce_max": 0}),
+    "filter glossy": (lit(shiny()), {"filter_glossy": 1.0}),
+    "no caustics": (lit(shiny()), {"caustics_reflective": "OFF", "bounce_max": 4}),
+    "a denoiser's passes": (lit(veil(), GUIDED), {}),
+    "toon": (lit(toon()), {}),
+    "fibres": (furry(), {}),
+    "moving": (moving(lit()), {}),
+    "moving, transparent with a program": (moving(lit(veil_program())), {}),
+    "volume": (filled(fog()), {}),
+    "volume of the world": (filled(world=fog(0.05)), {}),
+    "volume without light": (filled(fog()), {"nee": "OFF"}),
 }

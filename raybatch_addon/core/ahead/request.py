@@ -14,7 +14,7 @@ from ..scene.description import CameraKind, ClosureKind
 from ..scene.features import SCATTERING, SceneFeatures
 from ..settings.settings import RenderSettings
 from ..shading.lights.light_tree import LIGHT_TREE_KERNELS
-from ..wavefront.kernels import StageKernels, tracing_kernels, without_programs
+from ..wavefront.kernels import StageKernels, plain_features, tracing_kernels, without_programs
 from ..wavefront.plan.plan import Method, TracingPlan
 from ..wavefront.plan.tracing import Tracing
 from ..wavefront.tier import general_features, general_kernels
@@ -46,7 +46,7 @@ class CompileRequest:
         each = self.features
         materials, world, lamps = (len(p.ops) for p in (each.programs, each.world_program, each.lamp_program))
         ops = materials * (1 + each.transparency + each.mesh_programs) + world * (1 + each.world_light)
-        return _KERNELS_SECONDS + _OP_SECONDS * (ops + lamps * 3)
+        return _KERNELS_SECONDS + _OP_SECONDS * (ops + lamps * 3 + len(each.volume_program.ops) * 4)
 
 
 @dataclass(frozen=True)
@@ -55,29 +55,56 @@ class GeneralRequest:
 
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
         """All of them."""
-        general = general_features()
         found = [*general_kernels(device), *build_kernels(device), *LIGHT_TREE_KERNELS]
-        # what differs from scene to scene in the other kernels is few, or compiled in no time
-        scenes = [
-            dataclasses.replace(general, instancing=instancing, passes=("Combined",), film_transparent=transparent)
-            for instancing in (False, True)
-            for transparent in (False, True)
-        ]
-        scenes += [
-            dataclasses.replace(scenes[0], camera=camera, depth_of_field=depth_of_field)
-            for camera in (CameraKind.PERSPECTIVE, CameraKind.ORTHOGRAPHIC)  # others are few and compile in seconds
-            for depth_of_field in (False, True)
-        ]
-        # other passes than Normal have no kernels of their own
-        scenes += [dataclasses.replace(scene, passes=("Combined", "Normal")) for scene in scenes[:2]]
-        # shadow rays ask for closest hits only where surfaces are transparent
-        opaque = tuple(kind for kind in SCATTERING if kind != ClosureKind.SUBSURFACE)
-        scenes += [dataclasses.replace(scene, closures=opaque) for scene in scenes[:4]]
-        scenes += [without_programs(scene) for scene in scenes[:1]]
-        for features in scenes:
+        general = general_features()
+        for features in (*_plain_scenes(plain_features(general)), *_wide_scenes(general)):
             features = dataclasses.replace(features, adaptive=True)  # the kernels of both ways to sample
             found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), general).kernels(device)
         return found
+
+
+# shadow rays ask for closest hits only where surfaces are transparent
+_OPAQUE = tuple(kind for kind in SCATTERING if kind != ClosureKind.SUBSURFACE)
+
+
+def _plain_scenes(plain: SceneFeatures) -> list[SceneFeatures]:
+    """Features of scenes that between them need all kernels that usual ones can begin with; `plain` are those of all
+    such scenes. What differs beside the kernels that shade is few, or compiled in no time.
+    """
+    plain = dataclasses.replace(plain, volumes=False)
+    scenes = [
+        dataclasses.replace(plain, instancing=instancing, passes=("Combined",), film_transparent=transparent)
+        for instancing in (False, True)
+        for transparent in (False, True)
+    ]
+    scenes += [
+        dataclasses.replace(scenes[0], camera=camera, depth_of_field=depth_of_field)
+        for camera in (CameraKind.PERSPECTIVE, CameraKind.ORTHOGRAPHIC)  # others are few and compile in seconds
+        for depth_of_field in (False, True)
+    ]
+    # other passes than Normal share their kernels
+    scenes += [
+        dataclasses.replace(scene, passes=("Combined", name)) for scene in scenes[:2] for name in ("Normal", "Mist")
+    ]
+    scenes += [dataclasses.replace(scene, closures=_OPAQUE) for scene in scenes[:4]]
+    return [*scenes, without_programs(scenes[0])]
+
+
+def _wide_scenes(general: SceneFeatures) -> list[SceneFeatures]:
+    """The same of scenes that have what few have: `general` are those of all scenes."""
+    common = dataclasses.replace(general, passes=("Combined",), film_transparent=False, volumes=False)
+    scenes = [
+        dataclasses.replace(common, curves=curves, moving=moving, instancing=instancing)
+        for curves, moving, instancing in (
+            (False, False, False),
+            (True, False, False),
+            (True, False, True),
+            (False, True, True),  # what moves is an instance
+            (True, True, True),
+        )
+    ]
+    scenes += [dataclasses.replace(scene, closures=_OPAQUE) for scene in scenes[1:]]
+    return [*scenes, without_programs(scenes[0]), dataclasses.replace(common, volumes=True)]
 
 
 Request = CompileRequest | GeneralRequest

@@ -34,7 +34,7 @@ from .scheduler import Rectangle, WaterMarks
 from .stages import generate
 from .stages.generate import counted_kernel
 from .stages.limits import half_seed, path_limits
-from .stages.work import ShadingStage, TileWork
+from .stages.work import ShadingStage, TileWork, VolumeStage
 from .tier import array_features
 from .tracers.choose import make_tracer
 from .tracers.interface import Tracer
@@ -281,7 +281,7 @@ class TileIntegrator:
             self._launch_stage(ShadingStage.CONNECT, back, work, film)
         else:
             if self._volumes:
-                self._launch_volumes(self._kernels.volumes.transmit, back, work)
+                self._launch_volumes(VolumeStage.TRANSMIT, back, work)
             self._launch_stage(ShadingStage.CONNECT_TRANSPARENT, back, work, film)
 
     def _shade(self, work: TileWork, film: FilmTile, bound: int) -> None:
@@ -299,7 +299,7 @@ class TileIntegrator:
                     self._launch_over(self._kernels.walk, back, data, work, limits, paths, rays)
             if self._volumes:
                 for back in (miss, surface):
-                    self._launch_volumes(self._kernels.volumes.scatter, back, work)
+                    self._launch_volumes(VolumeStage.SCATTER, back, work)
                 # without those that scattered
                 miss, surface = self._lists.back(paths.status, bound)
             self._launch_stage(ShadingStage.LIGHT_HITS, miss, work, film)
@@ -382,7 +382,10 @@ class TileIntegrator:
             work.stage = int(stage)
             self._launch_over(kernel, slots, self._scene.data, work, self._limits, self._paths, self._rays, film)
 
-    def _launch_volumes(self, kernel: wp.Kernel, slots: RayList, work: TileWork) -> None:
+    def _launch_volumes(self, stage: VolumeStage, slots: RayList, work: TileWork) -> None:
+        volumes = self._kernels.volumes
+        kernel = volumes.scatter if stage is VolumeStage.SCATTER else volumes.transmit
+        work.stage = int(stage)
         scene = self._scene.data, self._volumes
         self._launch_over(kernel, slots, *scene, work, self._limits, self._paths, self._rays)
 

@@ -11,9 +11,12 @@ import warp as wp
 from ..film import layout_of
 from ..film.tile import add_spill_kernel, resolve_kernel
 from ..measure.counters import count_kernel
+from ..scene.description import ClosureKind
 from ..scene.features import SceneFeatures, narrow
+from ..scene.passes import GUIDE_PASSES
 from ..scene.program import ProgramFeatures
 from ..settings.settings import RenderSettings
+from ..shading.bsdf.materials import HAIR_KINDS
 from ..shading.lights.light_hits import LightHitFeatures
 from .adaptive.active_pixels import ADAPTIVE_KERNELS
 from .order.hit_order import KEY_KERNELS, HitKey, sorts_materials
@@ -58,11 +61,10 @@ class StageKernels:
         """The kernels for a scene with `features`, those that shade specialised on `shading` (default: the same)."""
         layout = layout_of(features.passes, features.film_transparent)
         shading = shading or features
-        names = ("camera", "depth_of_field", "spherical_stereo", "camera_motion", "moving")
-        seen = {name: getattr(features, name) for name in names}
-        generated = narrow(dataclasses.replace(shading, **seen), GenerateFeatures)
-        # flat meshes walk by what was compiled ahead for smooth ones
+        # flat meshes walk by what was compiled ahead for smooth ones; so do curves and what moves
         walked = dataclasses.replace(features, smooth_normals=shading.smooth_normals)
+        if shading.programs.apart and (features.curves or features.moving):
+            walked = dataclasses.replace(walked, curves=True, moving=True)
         has = {
             ShadingStage.SURFACE: features.surfaces,
             ShadingStage.BACKGROUND: True,
@@ -72,19 +74,25 @@ class StageKernels:
             ShadingStage.AIM: features.shadow_rays and device.is_cuda,
         }
         return StageKernels(
-            generate=generate_kernel(generated),
-            generate_active=generate_active_kernel(generated) if features.adaptive else None,
+            generate=generate_kernel(_generate_features(features, shading)),
+            generate_active=generate_active_kernel(_generate_features(features, shading))
+            if features.adaptive
+            else None,
             settle=settle_kernel,
             walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
             requests=request_kernel(narrow(features, RequestFeatures)) if features.requests else None,
             occlusion=occlusion_kernel(narrow(features, OcclusionFeatures)) if features.occlusion_pass else None,
-            volumes=VolumeKernels.choose(features),
+            volumes=VolumeKernels.choose(features, shading),
             shading=_shading_kernels(
                 features, shading, [stage for stage in ShadingStage if has[stage]], device.is_cuda
             ),
             accumulate=accumulate_kernel(layout),
             resolve=resolve_kernel(layout),
         )
+
+    def that_shade(self) -> list[wp.Kernel]:
+        """Those of surfaces, lights, the world and volumes."""
+        return [*self.shading.values(), *(self.volumes.all() if self.volumes else ())]
 
     def all(self) -> list[wp.Kernel]:
         """Everything that is launched, tracing apart."""
@@ -98,11 +106,20 @@ class StageKernels:
         return list(dict.fromkeys(kernel for kernel in kernels if kernel is not None))
 
 
+def _generate_features(features: SceneFeatures, shading: SceneFeatures) -> GenerateFeatures:
+    """What paths of a scene with `features` start by, where kernels are specialised on `shading`: of the camera what
+    the scene has.
+    """
+    seen = {name: getattr(features, name) for name in ("camera", "depth_of_field", "spherical_stereo")}
+    return narrow(dataclasses.replace(shading, **seen), GenerateFeatures)
+
+
 def _shading_kernels(
     features: SceneFeatures, shading: SceneFeatures, stages: list[ShadingStage], aims_apart: bool
 ) -> dict[ShadingStage, wp.Kernel]:
     """Kernels of `stages`. Where `shading` is that of all scenes, stages that run a program are one kernel; it takes so
-    many registers that a GPU has few threads of it, so the others are kernels of their own.
+    many registers that a GPU has few threads of it, so the others are kernels of their own, and in them what few scenes
+    have is left out (`is_wide`). For a scene that has it, a CPU takes the large kernel for all stages.
 
     `aims_apart`: whether light is aimed at by a kernel of its own, or by that at surfaces.
     """
@@ -121,13 +138,47 @@ def _shading_kernels(
         ShadingStage.AIM: False,
     }
     # a world that is sampled takes part in the choice among emitters, whether a stage runs its program or not
-    simple = _stage_functions(without_programs(shading), in_one, shading.world_light)
-    simple[ShadingStage.AIM] = whole[ShadingStage.AIM]
-    found = {stage: stage_kernel(simple[stage](), stage) for stage in stages if not runs_program[stage]}
+    wide = is_wide(features)
+    needed = shading if wide else plain_features(shading)
+    if in_one is not None:
+        in_one = narrow(needed, AimFeatures)
+    simple = _stage_functions(without_programs(needed), in_one, shading.world_light)
+    simple[ShadingStage.AIM] = _stage_functions(needed, None)[ShadingStage.AIM]
+    has_simple = aims_apart or not wide
+    found = {stage: stage_kernel(simple[stage](), stage) for stage in stages if has_simple and not runs_program[stage]}
     if len(found) < len(stages):
         kernel = all_stages_kernel(*(whole[stage]() for stage in STAGES_OF_ALL))
-        found |= {stage: kernel for stage in stages if runs_program[stage]}
+        found |= {stage: kernel for stage in stages if stage not in found}
     return found
+
+
+# Closures that few scenes have
+_RARE_KINDS = frozenset({ClosureKind.TOON}) | HAIR_KINDS
+# Other features that few have
+_RARE_FEATURES = {
+    "curves": False,
+    "moving": False,
+    "bounces_by_kind": False,
+    "filter_glossy": False,
+    "caustics_reflective": True,
+    "caustics_refractive": True,
+}
+
+
+def is_wide(features: SceneFeatures) -> bool:
+    """Whether surfaces or lights of a scene with `features` have anything that few scenes have."""
+    rare = any(getattr(features, name) != usual for name, usual in _RARE_FEATURES.items())
+    return rare or features.guides or not _RARE_KINDS.isdisjoint(features.closures)
+
+
+def plain_features(features: SceneFeatures) -> SceneFeatures:
+    """`features` without what few scenes have."""
+    return dataclasses.replace(
+        features,
+        closures=tuple(kind for kind in features.closures if kind not in _RARE_KINDS),
+        passes=tuple(name for name in features.passes if name not in GUIDE_PASSES),
+        **_RARE_FEATURES,
+    )
 
 
 def without_programs(features: SceneFeatures) -> SceneFeatures:

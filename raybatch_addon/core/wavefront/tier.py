@@ -10,19 +10,18 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import warp as wp
 
 from ..device.devices import is_compiled, shipped_target
 from ..errors import SettingsError
-from ..programs.footprints import LEVEL_OPS
-from ..programs.op import op_named, op_numbers
+from ..programs.op import VOLUME_PREFIX, op_named, op_numbers
 from ..scene.description import ClosureKind, LightKind
 from ..scene.features import SceneFeatures
-from ..scene.passes import GUIDE_PASSES, PASSES
+from ..scene.passes import PASSES
 from ..scene.program import ProgramFeatures
-from ..shading.bsdf.materials import HAIR_KINDS
 from .estimates.kernels import estimate_kernel
 from .estimates.work import Estimate
 from .kernels import StageKernels
@@ -32,19 +31,26 @@ VARIABLE = "RAYBATCH_KERNEL_TIER"
 TIERS = ("AUTO", "GENERAL", "SPECIALISED")
 # Programs that need more registers or closures are left to specialised kernels
 REGISTERS_MOST, CLOSURES_MOST = 64, 16
-# Closures that few scenes have are left to specialised kernels, so that the general ones need not hold their code; so
-# are ops that say so (`Op.general`)
-RARE_KINDS = frozenset({ClosureKind.TOON}) | HAIR_KINDS
+
+# Closures whose code few scenes would use
+_LEFT_OUT = frozenset({ClosureKind.FACET_HAIR})
+
+
+def _programs(ops: Iterable[str]) -> ProgramFeatures:
+    return ProgramFeatures(tuple(ops), REGISTERS_MOST, CLOSURES_MOST, apart=True)
 
 
 @functools.cache
 def general_features() -> SceneFeatures:
     """The features of all scenes together, as far as kernels of stages depend on them."""
-    ops = tuple(name for name in op_numbers() if name not in LEVEL_OPS and op_named(name).general)
-    programs = ProgramFeatures(ops, REGISTERS_MOST, CLOSURES_MOST, apart=True)
-    of_surfaces = {kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION}
+    ops = [name for name in op_numbers() if op_named(name).general]
+    programs = _programs(name for name in ops if not name.startswith(VOLUME_PREFIX))
+    # what surfaces scatter and let through is nothing to volumes and lamps
+    of_volumes = [n for n in ops if n == "emission" or n.startswith(VOLUME_PREFIX) or not op_named(n).makes_closures]
     return SceneFeatures(
-        closures=tuple(sorted(of_surfaces - RARE_KINDS)),
+        closures=tuple(
+            sorted(kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION and kind not in _LEFT_OUT)
+        ),
         closure_count=CLOSURES_MOST,
         programs=programs,
         world_program=programs,
@@ -58,12 +64,21 @@ def general_features() -> SceneFeatures:
         world_light=True,
         world=True,
         depth_of_field=True,
+        camera_motion=True,
+        moving=True,
         surfaces=True,
         instancing=True,
         smooth_normals=True,
+        curves=True,
         film_transparent=True,
-        passes=tuple(name for name in PASSES if name not in GUIDE_PASSES),
+        passes=tuple(PASSES),
         clamping=True,
+        bounces_by_kind=True,
+        filter_glossy=True,
+        caustics_reflective=False,
+        caustics_refractive=False,
+        volumes=True,
+        volume_program=_programs(of_volumes),
     )
 
 
@@ -74,30 +89,26 @@ def why_not_general(features: SceneFeatures) -> str:
         return "general kernels have no code for mis OFF"
     if features.sample_sequence != general.sample_sequence:
         return f"general kernels have no code for sample_sequence {features.sample_sequence}"
-    if features.moving:
-        return "general kernels have no code for objects that move"
-    if features.curves:
-        return "general kernels have no code for curves and points"
-    if features.bounces_by_kind:
-        return "general kernels do not count bounces by kind"
-    if features.requests:
-        return "general kernels trace no rays for programs"
-    if features.filter_glossy:
-        return "general kernels filter nothing glossy"
-    if not (features.caustics_reflective and features.caustics_refractive):
-        return "general kernels leave out no caustics"
-    if rare := RARE_KINDS.intersection(features.closures):
-        return f"general kernels have no code for closures of kind {', '.join(kind.name for kind in sorted(rare))}"
     if features.texture_levels:
         return "general kernels have no code for texture_filter FOOTPRINT"
-    if features.guides:
-        return "general kernels have no code for the passes that guide a denoiser"
+    if features.requests:
+        return "general kernels trace no rays for programs"
     if features.light_links or features.shadow_links:
         return "general kernels have no code for light linking"
     if features.light_groups:
         return "general kernels have no code for the passes of light groups"
+    if lacking := sorted(set(features.closures) - set(general.closures)):
+        return f"general kernels have no code for closures of kind {', '.join(kind.name for kind in lacking)}"
     closure_count = features.closure_count
-    for programs in (features.programs, features.world_program, features.lamp_program):
+    of_lamps = general.volume_program if features.volumes else general.lamp_program
+    for programs, there in (
+        (features.programs, general.programs),
+        (features.world_program, general.world_program),
+        (features.lamp_program, of_lamps),
+        (features.volume_program, general.volume_program),
+    ):
+        if lacking := sorted(set(programs.ops) - set(there.ops)):
+            return f"general kernels have no code for {', '.join(lacking)} there"
         closure_count = max(closure_count, programs.closure_count)
         if programs.register_count > REGISTERS_MOST:
             return f"general kernels have {REGISTERS_MOST} registers, and a shader graph needs more"
@@ -113,9 +124,8 @@ def array_features(features: SceneFeatures, shading: SceneFeatures) -> SceneFeat
     if shading == features:
         return features
     closures = tuple(kind for kind in shading.closures if kind != ClosureKind.SUBSURFACE or features.subsurface)
-    return dataclasses.replace(
-        shading, closures=closures, film_transparent=features.film_transparent, passes=features.passes
-    )
+    own = {name: getattr(features, name) for name in ("film_transparent", "passes", "filter_glossy")}
+    return dataclasses.replace(shading, closures=closures, **own)
 
 
 @dataclass(frozen=True)
@@ -156,10 +166,10 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
         return specialised(why)
     if setting == "GENERAL":
         return general("as set")
-    stages = list(StageKernels.choose(features, device, general_features()).shading.values())
+    stages = StageKernels.choose(features, device, general_features()).that_shade()
     # where general kernels are at hand, nobody waits until the others are looked for by their code
     at_hand = all(is_compiled(kernel, device, at_once=True) for kernel in stages)
-    if all(is_compiled(kernel, device, at_hand) for kernel in StageKernels.choose(features, device).shading.values()):
+    if all(is_compiled(kernel, device, at_hand) for kernel in StageKernels.choose(features, device).that_shade()):
         return specialised("they were compiled before")
     if at_hand or all(is_compiled(kernel, device) for kernel in stages):
         target = shipped_target(stages[0], device)
@@ -169,7 +179,9 @@ def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> Tie
 
 
 def general_kernels(device: wp.Device) -> tuple[wp.Kernel, ...]:
-    """The kernels of the general tier that run programs: that of all stages, and that of all estimates."""
+    """The kernels of the general tier that run programs: that of all stages at surfaces and beyond, that of all stages
+    of volumes, and that of all estimates.
+    """
     features = general_features()
-    stages = StageKernels.choose(features, device).shading[ShadingStage.SURFACE]
-    return stages, estimate_kernel(features, Estimate.TRIANGLES)
+    stages = StageKernels.choose(features, device)
+    return stages.shading[ShadingStage.SURFACE], stages.volumes.scatter, estimate_kernel(features, Estimate.TRIANGLES)

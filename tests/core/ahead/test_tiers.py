@@ -27,8 +27,9 @@ from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.scene.program import ProgramFeatures
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront import kernels
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
-from raybatch_addon.core.wavefront.kernels import StageKernels
+from raybatch_addon.core.wavefront.kernels import StageKernels, is_wide
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
 from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from raybatch_addon.core.wavefront.tier import (
@@ -40,7 +41,7 @@ from raybatch_addon.core.wavefront.tier import (
     why_not_general,
 )
 from tests.support import scenes, schedule_scenes
-from tests.support.feature_scenes import FEATURES
+from tests.support.feature_scenes import EACH_WIDE_FEATURE, FEATURES, WIDE_FEATURES
 from tests.support.feature_scenes import SETTINGS as FEATURE_SETTINGS
 from tests.support.under_test import DEVICE
 
@@ -56,6 +57,8 @@ def choice_is_free(monkeypatch):
 
 
 SCENES = {**schedule_scenes.SCENES, "plain": scenes.mixed}
+ALL_FEATURES = FEATURES | WIDE_FEATURES | EACH_WIDE_FEATURE
+THOROUGH = [pytest.param(name, marks=pytest.mark.thorough) for name in EACH_WIDE_FEATURE]  # kernels of its own each
 
 
 def films(scene, **changes):
@@ -81,9 +84,9 @@ def test_tiers_give_the_same_film(name):
 
 
 @ON_CPU
-@pytest.mark.parametrize("feature", FEATURES)
+@pytest.mark.parametrize("feature", [*FEATURES, *WIDE_FEATURES, *THOROUGH])
 def test_tiers_give_the_same_film_of_each_feature(feature):
-    scene, changes = FEATURES[feature]
+    scene, changes = ALL_FEATURES[feature]
     specialised, general = (
         Session(DEVICE).render(scene, FEATURE_SETTINGS.replace(kernel_tier=tier, **changes))
         for tier in ("SPECIALISED", "GENERAL")
@@ -118,6 +121,24 @@ def test_frames_have_what_they_ask_for_and_no_more(frame):
 def test_settings_count_in_both_tiers(changes):
     specialised, general = films(scenes.mixed(), **changes)
     assert_same(general, specialised)
+
+
+@ON_CPU
+def test_one_kernel_gives_the_film_of_those_for_each_stage(monkeypatch):
+    """What a scene lacks has nothing to do in it."""
+    scene, settings = scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL")
+    expected = Session(DEVICE).render(scene, settings)
+    monkeypatch.setattr(kernels, "is_wide", lambda _: True)
+    shading = StageKernels.choose(derive_features(scene, settings), wp.get_device(DEVICE), general_features()).shading
+    assert set(shading.values()) == {general_kernels(wp.get_device(DEVICE))[0]}
+    assert_same(Session(DEVICE).render(scene, settings), expected)
+
+
+def test_kernels_for_each_stage_are_chosen_where_they_have_all_that_a_scene_has():
+    for features, wide in ((FEATURES, False), (WIDE_FEATURES | EACH_WIDE_FEATURE, True)):
+        for name, (scene, changes) in features.items():
+            found = derive_features(scene, FEATURE_SETTINGS.replace(**changes))
+            assert is_wide(found) == wide or (found.volumes and wide), name
 
 
 @ON_CPU
@@ -186,6 +207,10 @@ def test_what_general_kernels_cannot_do_is_said():
     assert "mis OFF" in why_not_general(replace(features, mis=False))
     assert "RANDOM" in why_not_general(replace(features, sample_sequence="RANDOM"))
     assert "closures" in why_not_general(replace(features, closure_count=CLOSURES_MOST + 1)), "without programs"
+    filtered = replace(features, programs=ProgramFeatures(("emission", "image_level")))
+    assert "texture_filter FOOTPRINT" in why_not_general(filtered)
+    unknown = replace(features, lamp_program=ProgramFeatures(("vertex_offset",)))
+    assert "no code for vertex_offset" in why_not_general(unknown)
     large = ProgramFeatures(("emission",), 16, 2 * CLOSURES_MOST)
     assert "closures" in why_not_general(replace(features, world_program=large))
     session = Session(DEVICE)

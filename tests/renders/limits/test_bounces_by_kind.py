@@ -14,6 +14,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support.scenes import IDENTITY, box, camera, material, scene
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
 SHARE = 0.4  # of either closure
 BOUNCES = 3
 
@@ -38,9 +39,7 @@ def inside():
 
 def mean(session, **settings):
     """Mean of the picture, and its error."""
-    chosen = RenderSettings(
-        sample_count=256, nee="OFF", bounce_max=BOUNCES, roulette_bounce=100, kernel_tier="SPECIALISED", **settings
-    )
+    chosen = RenderSettings(sample_count=256, nee="OFF", bounce_max=BOUNCES, roulette_bounce=100, **settings)
     film = session.render(inside(), chosen)
     picture = film.passes["Combined"][..., 0].astype(np.float64)
     return picture.mean(), picture.std() / np.sqrt(picture.size), film
@@ -64,7 +63,6 @@ def test_a_kind_of_bounces_ends_paths(session, diffuse, glossy):
     assert abs(found - expected(diffuse, glossy)) < 5 * error + 1e-6
 
 
-@pytest.mark.thorough  # kernels of its own
 def test_without_caustics_nothing_is_reflected_sharply_to_a_diffuse_surface(session):
     found, error, _ = mean(session, caustics_reflective="OFF", diffuse_bounce_max=2)
     assert abs(found - expected(2, 1024, caustics=False)) < 5 * error + 1e-6

@@ -11,9 +11,8 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
 WIDTH = 32
-SETTINGS = RenderSettings(
-    sample_count=256, pixel_filter="BOX", filter_width=1.0, kernel_tier="SPECIALISED", bounce_max=2
-)
+SETTINGS = RenderSettings(sample_count=256, pixel_filter="BOX", filter_width=1.0, bounce_max=2)
+pytestmark = pytest.mark.usefixtures("general_kernels")
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +73,6 @@ def test_vertices_that_move_cover_pixels_like_a_plate_that_does(session):
     np.testing.assert_allclose(row, middle_row(session, with_motion(scene, moved(-1, 0, 1))), atol=1e-6)
 
 
-@pytest.mark.thorough  # kernels of its own
 def test_a_camera_that_pans_sees_the_same_the_other_way(session):
     scene = bright_plate()
     view = replace(scene.camera, motion=moved(1, 0, -1, first=scene.camera.transform))
@@ -89,7 +87,6 @@ def test_a_shutter_that_is_open_at_one_time_alone_makes_a_sharp_picture(session)
     np.testing.assert_allclose(row, still, atol=1e-6)
 
 
-@pytest.mark.thorough  # kernels of its own
 def test_rows_of_a_rolling_shutter_are_taken_one_after_another(session):
     scene = with_motion(bright_plate(), moved(-1, 0, 1))
     scene = replace(scene, camera=replace(scene.camera, shutter=Shutter(rolling=0.0)))
@@ -101,7 +98,6 @@ def test_rows_of_a_rolling_shutter_are_taken_one_after_another(session):
         assert centre == pytest.approx(1 - 2 * row / WIDTH, abs=0.05)
 
 
-@pytest.mark.thorough  # kernels of its own
 def test_a_turning_plate_goes_along_an_arc(session):
     """A small plate that turns about the camera's axis in three steps: all of it is on a ring."""
     angles = np.radians([0, 120, 240])
@@ -164,7 +160,6 @@ def test_rays_that_ask_for_waiting_are_told_that_they_do_not(session):
     assert any("batching is OFF" in text for text in film.statistics["warnings"])
 
 
-@pytest.mark.thorough  # kernels of its own
 @pytest.mark.parametrize("way", ["far", "collapsing", "flipped"])
 def test_extreme_motion_gives_finite_pictures(session, way):
     scene = moving_scene()

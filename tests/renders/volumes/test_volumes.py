@@ -12,7 +12,6 @@ from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, M
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
-# Surfaces are shaded by kernels that tests share; those of volumes are for the scene alone
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
 _CLEAR = Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0))
@@ -175,7 +174,6 @@ def test_a_lamp_is_found_by_light_sampling_and_by_chance_alike(session):
     assert left > 0.01 and abs(left - right) < 5 * error, (halves.mean(0), error)
 
 
-@pytest.mark.thorough  # the stage at scattering, with a program: half a minute to compile
 def test_programs_of_volumes_against_closed_forms(session):
     """Transmittance, emission and scattering where the density changes along the ray, which comes from below."""
     view = scenes.camera(eye=(0, 0, -4), half_width=0.001, up=(0, 1, 0))
@@ -189,9 +187,7 @@ def test_programs_of_volumes_against_closed_forms(session):
 
 
 @pytest.mark.parametrize(
-    "volume",
-    [medium(0.1, (0.5, 1.0, 2.0), 0.1), pytest.param(varying(0.1, 0.8, 0.1), marks=pytest.mark.thorough)],
-    ids=["fixed", "program"],
+    "volume", [medium(0.1, (0.5, 1.0, 2.0), 0.1), varying(0.1, 0.8, 0.1)], ids=["fixed", "program"]
 )
 def test_no_schedule_changes_a_film_of_volumes(session, volume):
     scene = in_box(volume, scenes.camera(eye=(0, -4, 0), half_width=0.3), 0.3, lamp=3.0)

@@ -52,6 +52,7 @@ def independent_features() -> SceneFeatures:
         programs=ProgramFeatures(),
         world_program=ProgramFeatures(),
         lamp_program=ProgramFeatures(),
+        volume_program=ProgramFeatures(),
         mesh_programs=False,
         world_light=False,
         closure_count=8,
@@ -64,7 +65,7 @@ def can_be_independent(features: SceneFeatures) -> bool:
     wide = independent_features()
     return (
         features.sample_sequence == "INDEPENDENT"
-        and not (features.programs or features.world_program or features.lamp_program)
+        and not (features.programs or features.world_program or features.lamp_program or features.volume_program)
         and features.closure_count <= wide.closure_count
         and not why_not_general(dataclasses.replace(features, sample_sequence="SOBOL"))
     )

@@ -20,7 +20,7 @@ from ...shading.bsdf.lobes import Lobe, make_lobes
 from ...shading.bsdf.materials import MICROFACET_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
 from ..rays import Paths
 from ..stages.limits import has_light
-from .state import add_channels
+from .state import add_channels, is_guided
 
 _K = ClosureKind
 # Facets with a larger alpha count as diffuse, as in Cycles
@@ -32,6 +32,8 @@ _GLASS = wp.constant(int(_K.GLASS))
 @wp.func
 def note_seen_light(paths: Paths, path: int, before: wp.vec3):
     """Count as albedo what the path's light has grown by since it was `before`."""
+    if not is_guided(paths.passes):
+        return
     passes = paths.passes[0]
     carried = passes.carried[path]
     if has_light(carried):
@@ -62,6 +64,8 @@ def make_note_surface(features: ClosureFeatures) -> wp.Function:
         frame: ShadingFrame,
         distance: float,
     ):
+        if not is_guided(paths.passes):
+            return
         passes = paths.passes[0]
         carried = passes.carried[path]
         if not has_light(carried):

@@ -94,6 +94,14 @@ class PathPasses:
 
 
 @wp.func
+def is_guided(passes: wp.array(dtype=PathPasses)) -> bool:
+    """Whether paths note what guides a denoiser; `passes` are those of `Paths`."""
+    if passes.shape[0] > 0:
+        return passes[0].carried.shape[0] > 0
+    return False
+
+
+@wp.func
 def add_channels(passes: PathPasses, first: int, path: int, value: wp.vec3):
     """Add `value` to three channels of a path, from `first` on; -1: to none."""
     if first >= 0:

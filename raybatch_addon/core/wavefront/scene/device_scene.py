@@ -140,7 +140,7 @@ class DeviceScene:
         )
         volumes = None
         if features.volumes:
-            volumes = upload_volumes(scene, features, data.geometry, images.table, device)
+            volumes = upload_volumes(scene, features, shading, data.geometry, images.table, device)
         return DeviceScene(
             device=device,
             features=features,

@@ -16,6 +16,7 @@ from ...shading.camera_motion import camera_at, shutter_time
 from ...shading.sampling import sample_filter
 from ...shading.sequences.keys import FILTER, LENS, TIME
 from ...shading.sequences.sampler import make_sampler
+from ..passes.state import is_guided
 from ..rays import VISIBILITY_SHIFT, Paths, Status, bounce_of
 from .limits import PathLimits
 from .work import TileWork
@@ -151,10 +152,11 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
             lens = sample_2d(key, index, wp.uint32(LENS))
         seen = camera
         if wp.static(features.motion):
-            time = shutter_time(camera, float(y) + 0.5, sampler_1d(key, index, wp.uint32(TIME)))
-            rays.time[path] = time
-            if wp.static(features.camera_motion):
-                seen = camera_at(camera, time)
+            if rays.time.shape[0] > 0:
+                time = shutter_time(camera, float(y) + 0.5, sampler_1d(key, index, wp.uint32(TIME)))
+                rays.time[path] = time
+                if wp.static(features.camera_motion):
+                    seen = camera_at(camera, time)
         origin, direction, t_max = camera_ray(seen, float(x) + 0.5 + offset[0], float(y) + 0.5 + offset[1], lens)
 
         rays.origin[path] = origin
@@ -181,7 +183,8 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
             if paths.normal.shape[0] > 0:
                 paths.normal[path] = wp.vec3(0.0, 0.0, 0.0)
         if wp.static(features.guides):
-            paths.passes[0].carried[path] = wp.vec3(1.0)
+            if is_guided(paths.passes):
+                paths.passes[0].carried[path] = wp.vec3(1.0)
         paths.status[path] = wp.static(NEW_PATH)
 
     return begin_path

@@ -23,6 +23,8 @@ class PathLimits:
     clamp_direct: float  # 0: no limit
     clamp_indirect: float
     filter_glossy: float  # 0: off
+    caustics_reflective: int  # 0: left out
+    caustics_refractive: int
     nee_end: int  # light is sampled left of this column of the frame
 
 
@@ -53,6 +55,8 @@ def path_limits(settings: RenderSettings, frame_width: int) -> PathLimits:
     limits.clamp_direct = settings.clamp_direct
     limits.clamp_indirect = settings.clamp_indirect
     limits.filter_glossy = settings.filter_glossy
+    limits.caustics_reflective = int(settings.caustics_reflective == "ON")
+    limits.caustics_refractive = int(settings.caustics_refractive == "ON")
     limits.nee_end = {"ON": frame_width, "OFF": 0, "HALF": frame_width // 2}[settings.nee]
     return limits
 

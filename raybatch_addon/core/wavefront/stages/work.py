@@ -18,6 +18,14 @@ class ShadingStage(IntEnum):
     AIM = 5
 
 
+class VolumeStage(IntEnum):
+    """A stage of volumes that runs their programs, as `TileWork.stage` has it."""
+
+    SCATTER = 6
+    TRANSMIT = 7
+    BOUND = 8
+
+
 @wp.struct
 class TileWork:
     """The paths of a tile, numbered: item -> (pixel, sample). A path keeps its number alone."""
@@ -34,4 +42,4 @@ class TileWork:
     item_first: wp.int64  # next item that was not begun
     item_count: int  # how many to begin
     filter_table: wp.array(dtype=float)
-    stage: int  # `ShadingStage`: what a kernel of all stages is launched for
+    stage: int  # `ShadingStage` or `VolumeStage`: what a kernel of all stages is launched for

@@ -7,13 +7,12 @@ That is an estimate: where a program exceeds it, the volume is rendered as dense
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
-from ...device.devices import load_module
-from ...device.kernel import KERNEL_OPTIONS
 from ...scene.description import Scene
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
@@ -21,7 +20,7 @@ from ...shading.sequences.keys import mix_bits, sequence_number
 from ...shading.volumes.phase import PhaseLobe
 from .medium import LOBE_FLOATS, LOBES_MOST, make_medium
 from .segment import ray_point
-from .table import Bounds, VolumeData
+from .table import Bounds, BoundWork, VolumeData
 
 # Cells along each axis at most, cells of all volumes together, and points of a cell
 CELLS_MOST, CELLS_TOGETHER = 32, 1 << 20
@@ -41,23 +40,13 @@ class Bounded:
 
 
 @functools.cache
-def bound_kernel(programs: ProgramFeatures) -> wp.Kernel:
-    """Kernel (volumes, inside: vec4i, origin: vec3, edges: mat33, cells: int, found): entry i of `found` gets the
-    largest extinction at points of cell i of a box. The box has a corner at `origin` and the columns of `edges` from
-    there on, each divided into `cells`.
-    """
+def make_bound(programs: ProgramFeatures) -> wp.Function:
+    """Function (volumes, i: int): finds the largest extinction at points of cell `i` of the box that is `asked` for."""
     medium = make_medium(programs)
 
-    @wp.kernel(**KERNEL_OPTIONS)
-    def bound(
-        volumes: VolumeData,
-        inside: wp.vec4i,
-        origin: wp.vec3,
-        edges: wp.mat33,
-        cells: int,
-        found: wp.array(dtype=float),
-    ):
-        i = wp.tid()
+    @wp.func
+    def bound(volumes: VolumeData, i: int):
+        cells = volumes.asked.cells
         floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         z = i % cells
@@ -72,25 +61,27 @@ def bound_kernel(programs: ProgramFeatures) -> wp.Kernel:
                 float(y) + sequence_number(mix_bits(seed + wp.uint32(1))),
                 float(z) + sequence_number(mix_bits(seed + wp.uint32(2))),
             )
-            point = ray_point(origin + edges * (u / float(cells)), wp.vec3(0.0, 0.0, 1.0), 0, 0)
-            m = medium(volumes, inside, point, lobes)
+            point = ray_point(
+                volumes.asked.origin + volumes.asked.edges * (u / float(cells)), wp.vec3(0.0, 0.0, 1.0), 0, 0
+            )
+            m = medium(volumes, volumes.asked.inside, point, lobes)
             for axis in range(3):
                 # an emission alone must be met too, however little is there
                 light = wp.where(m.emission[axis] > 0.0, 1.0e-6, 0.0)
                 largest = wp.max(largest, wp.max(m.extinction[axis], light))
-        found[i] = wp.min(largest, 1.0e18)
+        volumes.asked.found[i] = wp.min(largest, 1.0e18)
 
     return bound
 
 
 def find_bounds(
-    volumes: VolumeData, bounded: list[Bounded], programs: ProgramFeatures, world_box: np.ndarray, device: wp.Device
+    volumes: VolumeData, bounded: list[Bounded], launch: Callable[[VolumeData, int], None], device: wp.Device
 ) -> None:
-    """Fill in the bounds of `volumes`, of which everything else is there."""
+    """Fill in the bounds of `volumes`, of which everything else is there, by `launch(volumes, cell_count)` of
+    `make_bound`.
+    """
     if not bounded:
         return
-    kernel = bound_kernel(programs)
-    load_module(kernel, device)
     cells = int(np.clip((CELLS_TOGETHER / len(bounded)) ** (1 / 3), 1, CELLS_MOST))
     count = cells**3
     found = wp.zeros(len(bounded) * count, dtype=float, device=device)
@@ -111,13 +102,13 @@ def find_bounds(
             volumes.world = -1  # each alone
         else:
             volumes.world = world
-        wp.launch(
-            kernel,
-            count,
-            [volumes, wp.vec4i(code, 0, 0, 0), wp.vec3(*origin), wp.mat33(*edges.ravel()), cells]
-            + [found[number * count : (number + 1) * count]],
-            device=device,
-        )
+        asked = BoundWork()
+        asked.inside, asked.cells = wp.vec4i(code, 0, 0, 0), cells
+        asked.origin, asked.edges = wp.vec3(*origin), wp.mat33(*edges.ravel())
+        asked.found = found[number * count : (number + 1) * count]
+        volumes.asked = asked
+        launch(volumes, count)
+    volumes.asked = BoundWork()
     volumes.world = world
     numbers = found.numpy().reshape(-1, cells, cells, cells)
     volumes.bounds = wp.array((_MARGIN * _with_neighbours(numbers)).ravel(), dtype=float, device=device)

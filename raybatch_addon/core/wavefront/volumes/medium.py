@@ -83,7 +83,9 @@ def make_medium(programs: ProgramFeatures) -> wp.Function:
                 count = volumes.closure_first[volume + 1] - first
                 address = _address_of_closures(volumes.closures, first)
                 if wp.static(bool(programs)):
-                    word = volumes.nodes.program_first[volume]
+                    word = int(-1)
+                    if volumes.nodes.program_first.shape[0] > 0:  # general kernels: none of the volumes may have any
+                        word = volumes.nodes.program_first[volume]
                     if word >= 0:
                         here = point
                         here.instance = found[0]

@@ -13,7 +13,6 @@ import functools
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS
 from ...rays import Rays
 from ...scene.description import LightKind
 from ...scene.features import narrow
@@ -61,9 +60,9 @@ def _never(volumes: VolumeData, inside: wp.vec4i) -> bool:
 
 
 @functools.cache
-def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
-    """Kernel (data, volumes, work, limits, paths, rays, slots, count). Paths that scatter, or whose way goes on, get a
-    new ray; the others have the throughput that is left where their ray ended.
+def make_scatter(features: VolumeFeatures) -> wp.Function:
+    """Function (data, volumes, work, limits, paths, rays, path: int). A path that scatters, or whose way goes on, gets
+    a new ray; another has the throughput that is left where its ray ended.
     """
     sampler = make_sampler(features.sample_sequence)
     pixel_key = sampler.pixel_key
@@ -146,21 +145,10 @@ def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
         volumes.state.lit[path] = 1
         return True
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.func
     def scatter(
-        data: SceneData,
-        volumes: VolumeData,
-        work: TileWork,
-        limits: PathLimits,
-        paths: Paths,
-        rays: Rays,
-        slots: wp.array(dtype=int),
-        count: wp.array(dtype=int),
+        data: SceneData, volumes: VolumeData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, path: int
     ):
-        i = wp.tid()
-        if i >= count[0]:
-            return
-        path = slots[i]
         status = paths.status[path]
         volumes.state.side[path] = 0
         if wp.static(features.subsurface):

@@ -32,6 +32,17 @@ class Bounds:
 
 
 @wp.struct
+class BoundWork:
+    """A box whose cells are given bounds; see `bounds.py`."""
+
+    inside: wp.vec4i  # the volumes that are looked at, as in `MediaState`
+    origin: wp.vec3  # a corner of the box [m]
+    edges: wp.mat33  # its edges from there, by columns [m]
+    cells: int  # along each axis
+    found: wp.array(dtype=float)  # result of each cell: the largest extinction [1/m]
+
+
+@wp.struct
 class MediaState:
     """Where paths are, one entry each."""
 
@@ -64,6 +75,7 @@ class VolumeData:
     bounds: wp.array(dtype=float)  # largest extinction of each cell [1/m]
     enclosures: wp.array(dtype=Enclosure)
     bounce_max: int  # a path scatters in volumes once more at most
+    asked: BoundWork  # before the render
     state: MediaState
 
 

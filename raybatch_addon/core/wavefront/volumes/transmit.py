@@ -6,7 +6,6 @@ import functools
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS
 from ...rays import Rays
 from ...scene.description import Visibility
 from ...shading.segments import make_surface_point
@@ -27,27 +26,16 @@ _PIECES = 1 << 10
 
 
 @functools.cache
-def transmit_kernel(features: VolumeFeatures) -> wp.Kernel:
-    """Kernel (data, volumes, work, limits, paths, rays, slots, count): pieces of shadow rays, to the next surface."""
+def make_transmit(features: VolumeFeatures) -> wp.Function:
+    """Function (data, volumes, work, limits, paths, rays, slot: int): a piece of a shadow ray, to the next surface."""
     pixel_key = make_sampler(features.sample_sequence).pixel_key
     surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
     attenuated = make_passed(features.volume_program)
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.func
     def transmit(
-        data: SceneData,
-        volumes: VolumeData,
-        work: TileWork,
-        limits: PathLimits,
-        paths: Paths,
-        rays: Rays,
-        slots: wp.array(dtype=int),
-        count: wp.array(dtype=int),
+        data: SceneData, volumes: VolumeData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, slot: int
     ):
-        i = wp.tid()
-        if i >= count[0]:
-            return
-        slot = slots[i]
         path = slot - paths.status.shape[0]
         inside = volumes.state.shadow_inside[path]
         number = volumes.state.shadow_segment[path]

@@ -9,14 +9,16 @@ import warp as wp
 
 from ...errors import SceneError
 from ...programs.inputs_data import upload_inputs
-from ...programs.table import upload_programs
+from ...programs.table import store_programs, upload_programs
 from ...scene.description import Camera, CameraKind, ClosureKind, Scene
-from ...scene.features import SceneFeatures, scene_volumes
+from ...scene.features import SceneFeatures, narrow, scene_volumes
 from ...scene.geometry import Geometry
 from ...shading.bsdf.materials import ClosureRecord, fill_record
 from ...shading.images.textures import ImageTable
 from .bounds import bounded_volumes, find_bounds
+from .features import VolumeFeatures
 from .grids import density_scale, upload_grids
+from .kernels import launch_bound
 from .table import Enclosure, VolumeData
 
 # The world's volume is taken to be like this many sizes of the scene around it
@@ -30,12 +32,20 @@ class UploadedVolumes:
     data: VolumeData
     meshes: list[wp.Mesh]
     grids: list[wp.Volume]
+    stored: list[wp.array]
 
 
 def upload_volumes(
-    scene: Scene, features: SceneFeatures, geometry: Geometry, images: ImageTable, device: wp.Device
+    scene: Scene,
+    features: SceneFeatures,
+    shading: SceneFeatures,
+    geometry: Geometry,
+    images: ImageTable,
+    device: wp.Device,
 ) -> UploadedVolumes:
-    """All volumes of `scene`. Raises `SceneError` for a coefficient that is negative or not finite."""
+    """All volumes of `scene`, for kernels that are specialised on `shading`. Raises `SceneError` for a coefficient that
+    is negative or not finite.
+    """
     volumes = scene_volumes(scene)
     data = VolumeData()
     data.volume_count = len(volumes)
@@ -64,12 +74,13 @@ def upload_volumes(
         inputs = upload_inputs(scene, features.volume_program.ops, device)
         grids = upload_grids(scene, inputs, device)
         data.nodes = upload_programs(programs, features.volume_program, scene, geometry, images, device, inputs)
+    stored = store_programs(data.nodes, device=device) if shading.volume_program.apart else []
     scale = density_scale(scene)
     if scale is not None:
         data.density_scale = wp.array(scale, dtype=float, device=device)
     data.enclosures, meshes = _enclosures(scene, volume_of, device)
-    _bound(data, scene, features, volume_of, device)
-    return UploadedVolumes(data, meshes, grids)
+    _bound(data, scene, narrow(shading, VolumeFeatures), volume_of, device)
+    return UploadedVolumes(data, meshes, grids, stored)
 
 
 def _is_boundary(material) -> bool:
@@ -78,7 +89,7 @@ def _is_boundary(material) -> bool:
     return material.volume is not None and material.program is None and len(passes) == len(material.closures) == 1
 
 
-def _bound(data: VolumeData, scene: Scene, features: SceneFeatures, volume_of: np.ndarray, device: wp.Device) -> None:
+def _bound(data: VolumeData, scene: Scene, features: VolumeFeatures, volume_of: np.ndarray, device: wp.Device) -> None:
     has_program = [volume.program is not None for volume in scene_volumes(scene)]
     if not any(has_program):
         return
@@ -91,7 +102,7 @@ def _bound(data: VolumeData, scene: Scene, features: SceneFeatures, volume_of: n
         else:
             data.world_bounds = number
     data.bounds_of = wp.array(numbers, dtype=int, device=device)
-    find_bounds(data, bounded, features.volume_program, box, device)
+    find_bounds(data, bounded, lambda asked, count: launch_bound(features, asked, count, device), device)
 
 
 def _world_box(scene: Scene) -> np.ndarray:

@@ -10,9 +10,8 @@ import warp as wp
 from ...scene.features import SceneFeatures, narrow
 from .cross import cross_kernel, enter_kernel
 from .features import VolumeFeatures
-from .scatter import volume_kernel
+from .kernels import bound_kernel, transmit_kernel, volume_kernel
 from .table import MediaState, VolumeData
-from .transmit import transmit_kernel
 
 
 @dataclass(frozen=True)
@@ -23,23 +22,26 @@ class VolumeKernels:
     scatter: wp.Kernel
     cross: wp.Kernel
     transmit: wp.Kernel
+    bound: wp.Kernel | None  # None: no program gives coefficients
 
     @staticmethod
-    def choose(features: SceneFeatures) -> VolumeKernels | None:
-        """Those of a scene with `features`; None where there are no volumes."""
+    def choose(features: SceneFeatures, shading: SceneFeatures) -> VolumeKernels | None:
+        """Those of a scene with `features`, specialised on `shading`; None where there are no volumes."""
         if not features.volumes:
             return None
-        needs = narrow(features, VolumeFeatures)
+        needs = narrow(shading, VolumeFeatures)
         return VolumeKernels(
             enter_kernel,
             volume_kernel(needs),
-            cross_kernel(features.instancing, features.smooth_normals, features.curves, features.moving),
+            cross_kernel(needs.instancing, needs.smooth_normals, needs.curves, needs.moving),
             transmit_kernel(needs),
+            bound_kernel(needs) if features.volume_program else None,
         )
 
     def all(self) -> list[wp.Kernel]:
         """All of them."""
-        return [getattr(self, field.name) for field in dataclasses.fields(self)]
+        found = [getattr(self, field.name) for field in dataclasses.fields(self)]
+        return [kernel for kernel in found if kernel is not None]
 
 
 def allocate_state(path_count: int, device: wp.Device) -> MediaState:

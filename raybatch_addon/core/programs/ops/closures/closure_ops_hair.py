@@ -46,7 +46,7 @@ def _lobe(
     return count + 1
 
 
-@closure_op("hair_reflection", "vnnnv", foldable=False, general=False)
+@closure_op("hair_reflection", "vnnnv", foldable=False)
 @wp.func
 def hair_reflection(
     data: NodeData,
@@ -60,7 +60,7 @@ def hair_reflection(
     return _lobe(data, stack, pc, point, wp.static(int(ClosureKind.HAIR_REFLECTION)), closures, count)
 
 
-@closure_op("hair_transmission", "vnnnv", foldable=False, general=False)
+@closure_op("hair_transmission", "vnnnv", foldable=False)
 @wp.func
 def hair_transmission(
     data: NodeData,
@@ -88,7 +88,7 @@ def scale_around(roughness: float) -> float:
     return wp.static((3.141592653589793 / 8.0) ** 0.5) * x
 
 
-@closure_op("principled_hair", "vvnnnnn", foldable=False, general=False)
+@closure_op("principled_hair", "vvnnnnn", foldable=False)
 @wp.func
 def principled_hair(
     data: NodeData,
@@ -181,7 +181,7 @@ def facet_hair(
     return count + 1
 
 
-@op("hair_absorption_of_color", "vn>V", general=False)
+@op("hair_absorption_of_color", "vn>V")
 @wp.func
 def hair_absorption_of_color(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Absorption of a fibre among others that look as the colour does: colour, roughness around it (equation 9)."""
@@ -195,7 +195,7 @@ def hair_absorption_of_color(data: NodeData, stack: wp.array(dtype=float), pc: i
     put_vector(data, stack, pc + 3, sigma)
 
 
-@op("hair_absorption_of_melanin", "nn>V", general=False)
+@op("hair_absorption_of_melanin", "nn>V")
 @wp.func
 def hair_absorption_of_melanin(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Absorption by melanin: its amount 0..1, the share of pheomelanin (equation 6; d'Eon et al. 2011)."""

@@ -102,7 +102,7 @@ def velvet(
     return _soft_closure(data, stack, pc, wp.static(int(ClosureKind.VELVET)), closures, count)
 
 
-@closure_op("toon", "vinnv", general=False)
+@closure_op("toon", "vinnv")
 @wp.func
 def toon(
     data: NodeData,

@@ -29,7 +29,7 @@ def _scattering(
     return count + 1
 
 
-@closure_op("volume_absorption", "v", general=False)
+@closure_op("volume_absorption", "v")
 @wp.func
 def volume_absorption(
     data: NodeData,
@@ -44,7 +44,7 @@ def volume_absorption(
     return _scattering(kind, vector(data, stack, pc + 1), 0.0, 0.0, closures, count)
 
 
-@closure_op("volume_henyey_greenstein", "vn", general=False)
+@closure_op("volume_henyey_greenstein", "vn")
 @wp.func
 def volume_henyey_greenstein(
     data: NodeData,
@@ -59,7 +59,7 @@ def volume_henyey_greenstein(
     return _scattering(kind, vector(data, stack, pc + 1), number(data, stack, pc + 2), 0.0, closures, count)
 
 
-@closure_op("volume_fournier_forand", "vnn", general=False)
+@closure_op("volume_fournier_forand", "vnn")
 @wp.func
 def volume_fournier_forand(
     data: NodeData,
@@ -76,7 +76,7 @@ def volume_fournier_forand(
     return _scattering(kind, vector(data, stack, pc + 1), index, back, closures, count)
 
 
-@closure_op("volume_draine", "vnn", general=False)
+@closure_op("volume_draine", "vnn")
 @wp.func
 def volume_draine(
     data: NodeData,
@@ -93,7 +93,7 @@ def volume_draine(
     return _scattering(kind, vector(data, stack, pc + 1), g, alpha, closures, count)
 
 
-@closure_op("volume_rayleigh", "v", general=False)
+@closure_op("volume_rayleigh", "v")
 @wp.func
 def volume_rayleigh(
     data: NodeData,
@@ -138,7 +138,7 @@ def mie_fit(d: float) -> wp.vec4:
     )
 
 
-@closure_op("volume_mie", "vn", most=2, general=False)
+@closure_op("volume_mie", "vn", most=2)
 @wp.func
 def volume_mie(
     data: NodeData,

@@ -18,7 +18,7 @@ def curve_tangent(data: NodeData, point: ShadingPoint) -> wp.vec3:
     return wp.vec3(0.0)
 
 
-@op("curve_tangent_normal", ">V", foldable=False, general=False)
+@op("curve_tangent_normal", ">V", foldable=False)
 @wp.func
 def curve_tangent_normal(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """The direction across the curve that faces the viewer; 0 on a mesh."""

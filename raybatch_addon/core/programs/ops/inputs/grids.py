@@ -11,7 +11,7 @@ from ...point import ShadingPoint, shifted_position
 GRID_NUMBERS = 14
 
 
-@op("volume_position", "s>V", foldable=False, general=False)
+@op("volume_position", "s>V", foldable=False)
 @wp.func
 def volume_position(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """The point, also in the world, which to other ops is a direction; word 1 is the shift."""
@@ -25,7 +25,7 @@ def _grid_address(data: NodeData, first: int) -> wp.uint64:
     return low | (high << wp.uint64(32))
 
 
-@op("volume_attribute", "an>VNN", foldable=False, general=False)
+@op("volume_attribute", "an>VNN", foldable=False)
 @wp.func
 def volume_attribute(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Grid of an object as colour, number and alpha; operand 2 is the value where the object has none of that name."""

@@ -31,7 +31,7 @@ def _change(before: wp.vec2, behind: wp.vec2, projection: int) -> wp.vec2:
     return wp.vec2(across, behind[1] - before[1])
 
 
-@op("image_level", "minvvv>N", foldable=False)
+@op("image_level", "minvvv>N", foldable=False, general=False)
 @wp.func
 def image_level(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Level of an image whose texels have the area of the path's footprint.
@@ -57,7 +57,7 @@ def image_level(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Sh
     put_number(data, stack, pc + 7, float(level))
 
 
-@op("image_at", "miiiinv>VN", foldable=False)
+@op("image_at", "miiiinv>VN", foldable=False, general=False)
 @wp.func
 def image_at(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Image texture at a level, colour and alpha.
@@ -73,7 +73,7 @@ def image_at(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Shadi
     put_number(data, stack, pc + 9, value[3])
 
 
-@op("image_box_at", "miiinnvv>VN", foldable=False)
+@op("image_box_at", "miiinnvv>VN", foldable=False, general=False)
 @wp.func
 def image_box_at(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Image texture with box projection at a level, colour and alpha.

@@ -83,13 +83,14 @@ def program_of(data: SceneData, material: int) -> int:
 
 
 @wp.func_native("return reinterpret_cast<wp::uint64>(closures.data + first);")
-def _address_of_closure(closures: wp.array(dtype=ClosureRecord), first: int) -> wp.uint64: ...
+def address_of_closure(closures: wp.array(dtype=ClosureRecord), first: int) -> wp.uint64:
+    """Where the record `first` is."""
 
 
 @wp.func
 def fixed_closures(data: SceneData, material: int) -> wp.uint64:
     """The address of the first closure of a material without program, which nobody may write."""
-    return _address_of_closure(data.materials.closures, data.materials.records[material].closure_first)
+    return address_of_closure(data.materials.closures, data.materials.records[material].closure_first)
 
 
 @wp.func

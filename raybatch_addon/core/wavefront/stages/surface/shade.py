@@ -48,7 +48,14 @@ from .emission import make_gather_emission
 from .features import SurfaceFeatures
 from .filter_glossy import blur_alpha, make_blur
 from .history import history_after
-from .program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
+from .program import (
+    address_of_closure,
+    fixed_closure_count,
+    fixed_closures,
+    make_surface_program,
+    program_of,
+    shading_point,
+)
 from .vertex import VertexFeatures, make_vertex
 
 RAY_NEW = int(Status.RAY_NEW)
@@ -226,17 +233,20 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                     lobes,
                 )
         if wp.static(features.lacks_caustics):
-            leave_out_caustics(closures, first, end, lobes, visibility_of(status))
+            leave_out_caustics(limits, closures, first, end, lobes, visibility_of(status))
         if wp.static(features.filter_glossy):  # colours are those of the facets as they are
             of_blurred = wp.zeros(wp.static(lobes_most * RECORD_FLOATS), dtype=float)
             blurred = wp.array(ptr=address_of(of_blurred), shape=(wp.static(lobes_most),), dtype=ClosureRecord)
-            least = float(0.0)
-            if v.bounce > 0:
-                least = blur_alpha(limits.filter_glossy, paths.least_density[path])
-            blur(closures, first, end, blurred, least)
-            closures = blurred
-            end = end - first
-            first = 0
+            where = address_of_closure(closures, 0)
+            if paths.least_density.shape[0] > 0:
+                least = float(0.0)
+                if v.bounce > 0:
+                    least = blur_alpha(limits.filter_glossy, paths.least_density[path])
+                blur(closures, first, end, blurred, least)
+                where = address_of(of_blurred)
+                end = end - first
+                first = 0
+            closures = wp.array(ptr=where, shape=(wp.max(lobes_most, closures.shape[0]),), dtype=ClosureRecord)
         scattered = propose(
             closures,
             first,
@@ -306,12 +316,13 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 pdf = 0.0
             paths.pdf[path] = pdf
             if wp.static(features.least_density):
-                density = float(scattered.pdf)
-                if (scattered.lobe & DELTA) != 0:
-                    density = wp.inf
-                if v.bounce > 0:
-                    density = wp.min(density, paths.least_density[path])
-                paths.least_density[path] = density
+                if paths.least_density.shape[0] > 0:
+                    density = float(scattered.pdf)
+                    if (scattered.lobe & DELTA) != 0:
+                        density = wp.inf
+                    if v.bounce > 0:
+                        density = wp.min(density, paths.least_density[path])
+                    paths.least_density[path] = density
             if wp.static(features.texture_levels):
                 paths.cone[path] = scattered_cone(
                     data.geometry,

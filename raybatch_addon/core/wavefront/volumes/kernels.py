@@ -1,0 +1,119 @@
+"""The stages of volumes that run programs, as kernels: one for each, or one that holds all of them, as with the stages
+that shade surfaces.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+
+import warp as wp
+
+from ...device.devices import load_module
+from ...device.kernel import KERNEL_OPTIONS, general_options
+from ...rays import Rays
+from ..rays import Paths
+from ..scene.scene_data import SceneData
+from ..stages.limits import PathLimits
+from ..stages.work import TileWork, VolumeStage
+from .bounds import make_bound
+from .features import VolumeFeatures
+from .scatter import make_scatter
+from .table import VolumeData
+from .transmit import make_transmit
+
+
+def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
+    """Kernel (data, volumes, work, limits, paths, rays, slots, count) of the stage `scatter`."""
+    if features.volume_program.apart:
+        return _general_kernel(features)
+    return _stage_kernel(make_scatter(features))
+
+
+def transmit_kernel(features: VolumeFeatures) -> wp.Kernel:
+    """Kernel of the same arguments, of the stage `transmit`."""
+    if features.volume_program.apart:
+        return _general_kernel(features)
+    return _stage_kernel(make_transmit(features))
+
+
+def bound_kernel(features: VolumeFeatures) -> wp.Kernel:
+    """Kernel (volumes) that finds bounds, or the one that holds all stages."""
+    if features.volume_program.apart:
+        return _general_kernel(features)
+    return _bound_kernel(make_bound(features.volume_program))
+
+
+def launch_bound(features: VolumeFeatures, volumes: VolumeData, count: int, device: wp.Device) -> None:
+    """Find bounds of the first `count` cells that `volumes` asks for."""
+    kernel = bound_kernel(features)
+    load_module(kernel, device)
+    inputs = [volumes]
+    if features.volume_program.apart:
+        work, nothing = TileWork(), wp.zeros(1, dtype=int, device=device)
+        work.stage = int(VolumeStage.BOUND)
+        inputs = [SceneData(), volumes, work, PathLimits(), Paths(), Rays(), nothing, nothing]
+    wp.launch(kernel, count, inputs, device=device)
+
+
+@functools.cache
+def _stage_kernel(function: wp.Function) -> wp.Kernel:
+    def stage(
+        data: SceneData,
+        volumes: VolumeData,
+        work: TileWork,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
+    ):
+        i = wp.tid()
+        if i >= count[0]:
+            return
+        function(data, volumes, work, limits, paths, rays, slots[i])
+
+    stage.__name__ = stage.__qualname__ = f"{function.func.__name__}_kernel"
+    return wp.kernel(stage, **KERNEL_OPTIONS)
+
+
+@functools.cache
+def _bound_kernel(function: wp.Function) -> wp.Kernel:
+    @wp.kernel(**KERNEL_OPTIONS)
+    def bound(volumes: VolumeData):
+        function(volumes, wp.tid())
+
+    return bound
+
+
+def _general_kernel(features: VolumeFeatures) -> wp.Kernel:
+    # lamps are in the same interpreter as volumes
+    features = dataclasses.replace(features, lamp_program=features.volume_program)
+    return _kernel_of_all(make_scatter(features), make_transmit(features), make_bound(features.volume_program))
+
+
+@functools.cache
+def _kernel_of_all(scatter: wp.Function, transmit: wp.Function, bound: wp.Function) -> wp.Kernel:
+    @wp.kernel(**general_options("volumes"))
+    def all_of_volumes(
+        data: SceneData,
+        volumes: VolumeData,
+        work: TileWork,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        slots: wp.array(dtype=int),
+        count: wp.array(dtype=int),
+    ):
+        i = wp.tid()
+        if work.stage == wp.static(int(VolumeStage.BOUND)):
+            bound(volumes, i)
+            return
+        if i >= count[0]:
+            return
+        if work.stage == wp.static(int(VolumeStage.SCATTER)):
+            scatter(data, volumes, work, limits, paths, rays, slots[i])
+        else:
+            transmit(data, volumes, work, limits, paths, rays, slots[i])
+
+    return all_of_volumes
