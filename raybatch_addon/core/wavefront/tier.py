@@ -32,8 +32,8 @@ TIERS = ("AUTO", "GENERAL", "SPECIALISED")
 # Programs that need more registers or closures are left to specialised kernels
 REGISTERS_MOST, CLOSURES_MOST = 64, 16
 
-# Closures whose code few scenes would use
-_LEFT_OUT = frozenset({ClosureKind.FACET_HAIR})
+# The closure whose code few scenes would use
+_LEFT_OUT = ClosureKind.FACET_HAIR
 
 
 def _programs(ops: Iterable[str]) -> ProgramFeatures:

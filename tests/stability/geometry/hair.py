@@ -33,7 +33,7 @@ def strands(points: np.ndarray, radius: float, ribbons: bool) -> Mesh:
     "away, that pass its axis at up to 0.95 and from 1.05 radii: the first meet it, at their distance, the others do "
     "not.",
     "1e6 for each ray that is judged otherwise: radii are rounded to 2^-9, and where rays pass is a number of float32 "
-    "near 0. Distances: 32 roundings of the distance (u = 2^-24), and 2 % of the radius for its rounding at the side.",
+    "near 0. Distances: 32 roundings of the distance (u = 2^-24), and 2 % of the radius, for its roundings.",
     quick=True,
 )
 def thin(bench: Bench) -> Outcome:
