@@ -120,6 +120,17 @@ def test_a_rounded_edge_has_the_mean_normal_of_what_is_near(session):
         assert np.abs(normal - expected).max() < (0.02 if x > -radius else 1e-6), (column, normal, expected)
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize("radius", [0.0, -1.0, 1e-30, 1e18, 1e30])
+def test_radii_without_use_leave_an_edge_as_it_is(session, radius):
+    """None, hardly any, and one whose square is beyond float32."""
+    scene = scenes.scene([(wedge(), scenes.IDENTITY, shows(bevel(radius), samples=4))], **from_above(frame=(6, 6)))
+    found = picture(session, scene)[:, :2]
+    assert np.isfinite(found).all() and (np.linalg.norm(found, axis=-1) <= 1 + 1e-5).all()
+    if radius != 1e18:
+        np.testing.assert_allclose(found, np.broadcast_to([0.0, 0.0, 1.0], found.shape), atol=1e-6)
+
+
 def mixed(frame=(20, 14)):
     """Two kinds of requests, one that depends on the other, behind a veil and on mirrored instances."""
 

@@ -53,8 +53,11 @@ class AskFeatures:
 
 @wp.func
 def is_asked(asked: int, normal: wp.vec3, distance: float) -> bool:
-    """Whether a request has rays to trace: whether it is there, and its operands are of use."""
-    return (asked >> SAMPLES_SHIFT) > 0 and distance > 0.0 and wp.dot(normal, normal) > 0.0
+    """Whether a request has rays to trace: whether it is there, and its operands are of use. Nothing is round by a
+    radius whose square is beyond float32.
+    """
+    fits = (asked & ROUNDED) == 0 or distance * distance < wp.inf
+    return (asked >> SAMPLES_SHIFT) > 0 and distance > 0.0 and fits and wp.dot(normal, normal) > 0.0
 
 
 @functools.cache
