@@ -27,7 +27,7 @@ def stage(scene: bpy.types.Scene) -> dict[str, bpy.types.Object]:
         "wall": quad("Wall", [(-4, 1.5, 0), (4, 1.5, 0), (4, 1.5, 4), (-4, 1.5, 4)], (0.4, 0.5, 0.6)),
         "chalk": diffuse(ball("Chalk", (-0.8, 0, 0.6), 0.6), (0.8, 0.3, 0.2)),
         "gloss": shaded(
-            ball("Gloss", (0.8, 0, 0.6), 0.6), "ShaderNodeBsdfGlossy", Color=(0.7, 0.8, 0.9, 1), Roughness=0.3
+            ball("Gloss", (0.8, 0, 0.6), 0.6), "ShaderNodeBsdfGlossy", Color=(0.7, 0.8, 0.9, 1), Roughness=0.5
         ),
     }
     look(scene, (0, -5, 2.2), (0, 0, 0.7))
@@ -38,20 +38,20 @@ def lamps() -> list[bpy.types.Object]:
     """A wide lamp, a small ball of light and a sun."""
     return [
         lamp("AREA", (-1.5, -1.5, 2.5), target=(0, 0, 0.5), energy=120.0, shape="DISK", size=0.8, color=(1, 0.7, 0.5)),
-        lamp("POINT", (1.6, -1.2, 1.8), energy=60.0, shadow_soft_size=0.2, color=(0.5, 0.8, 1)),
+        lamp("POINT", (1.6, -1.2, 1.8), energy=60.0, shadow_soft_size=0.4, color=(0.5, 0.8, 1)),
         lamp("SUN", (0, 0, 5), target=(1, 3, 0), energy=1.0, angle=0.2),
     ]
 
 
-@feature("Light linking: included", "Light linking", "picture", quick=True)
+@feature("Light linking: included", "Light linking", "picture")
 def included(scene: bpy.types.Scene) -> None:
     on, (area, point, sun) = stage(scene), lamps()
     collection_of(area, "receiver", {on["chalk"]: "INCLUDE", on["wall"]: "INCLUDE"})
     collection_of(point, "receiver", {on["gloss"]: "INCLUDE", on["floor"]: "INCLUDE"})
-    collection_of(sun, "receiver", {on["gloss"]: "INCLUDE"})
+    collection_of(sun, "receiver", {on["gloss"]: "INCLUDE", on["wall"]: "INCLUDE"})
 
 
-@feature("Light linking: excluded", "Light linking", "picture")
+@feature("Light linking: excluded", "Light linking", "picture", quick=True)
 def excluded(scene: bpy.types.Scene) -> None:
     on, (area, _, sun) = stage(scene), lamps()
     collection_of(area, "receiver", {on["gloss"]: "EXCLUDE", on["floor"]: "EXCLUDE"})

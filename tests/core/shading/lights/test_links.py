@@ -89,3 +89,21 @@ def test_passes_of_groups_are_the_light_of_their_emitters(session):
     assert left["Combined_c"] == pytest.approx(0.125, rel=0.15)
     parts = left["Combined_a"] + left["Combined_b"] + left["Combined_c"]
     assert parts + 2 * left["Combined_a"] == pytest.approx(left["Combined"], rel=0.15)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "changes", [dict(batching="ON", treelet_size=1024), dict(batching="ON", queue_size=8)], ids=str
+)
+def test_schedules_do_not_change_linked_light(session, changes):
+    suns = [dataclasses.replace(scenes.sun(strength, 0.2), name=str(strength)) for strength in (1.0, 2.0)]
+    suns[0] = dataclasses.replace(suns[0], light_sets=0b10, light_group=0)
+    suns[1] = dataclasses.replace(suns[1], shadow_sets=ALL_SHADOW_SETS & ~0b1)
+    passes = ("Combined", "Combined_a")
+    scene = dataclasses.replace(
+        floors(suns, links=(1, 0, 0), blockers=(1, 1, 0), passes=passes, world=0.2), light_groups=("a",)
+    )
+    plain = session.render(scene, SETTINGS.replace(bounce_max=3, batching="OFF")).passes
+    other = session.render(scene, SETTINGS.replace(bounce_max=3, **changes)).passes
+    for name in passes:
+        assert np.array_equal(plain[name], other[name]), name
