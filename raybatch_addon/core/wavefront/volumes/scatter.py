@@ -24,6 +24,7 @@ from ...shading.lights.links import group_of, is_linked, owner_of_world
 from ...shading.segments import make_surface_point
 from ...shading.sequences.keys import DIMENSIONS_PER_BOUNCE
 from ...shading.sequences.sampler import make_sampler
+from ...shading.volumes.numbers import CHANNEL, LENGTH, LIGHTS, piece_dimension, stream_of
 from ...shading.volumes.phase import PhaseLobe
 from ..passes.light import add_to_group, make_add_light
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of, left_point, time_of, visibility_of
@@ -37,7 +38,6 @@ from .along import lit_length
 from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
 from .medium import LOBE_FLOATS, LOBES_MOST, has_program, make_medium, passes
-from .numbers import CHANNEL, LENGTH, LIGHTS, piece_dimension, stream_of
 from .segment import make_segment, ray_point, scattering_shares
 from .table import BACK, FRONT, VolumeData, innermost_instance, is_empty
 from .track import STOPPED

@@ -16,9 +16,9 @@ import warp as wp
 from ...programs.point import ShadingPoint
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
+from ...shading.volumes.numbers import stream_number
 from ...shading.volumes.phase import PhaseLobe
 from .medium import LOBE_FLOATS, LOBES_MOST, bound_ahead, make_medium
-from .numbers import stream_number
 from .table import VolumeData
 
 # Flights of a path between two rays: longer ways go on with a new ray

@@ -10,13 +10,13 @@ from ...rays import Rays
 from ...scene.description import Visibility
 from ...shading.segments import make_surface_point
 from ...shading.sequences.sampler import make_sampler
+from ...shading.volumes.numbers import SHADOW_STREAM, stream_of
 from ..rays import SHADOW_PASS, Paths, bounce_to_light, time_of
 from ..scene.scene_data import SceneData
 from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits
 from ..stages.work import TileWork
 from .features import VolumeFeatures
-from .numbers import SHADOW_STREAM, stream_of
 from .scatter import SEGMENTS_MOST
 from .segment import make_passed, ray_point
 from .table import BACK, FRONT, VolumeData, across, is_empty

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warp as wp
 
-from ...shading.sequences.keys import DIMENSIONS_PER_BOUNCE, mix_bits, sequence_number
+from ..sequences.keys import DIMENSIONS_PER_BOUNCE, mix_bits, sequence_number
 
 # Dimension sets of pieces: above those of walks below surfaces
 _FIRST_DIMENSION = 3 << 30
