@@ -59,6 +59,12 @@ def device() -> str:
     return DEVICE
 
 
+@pytest.fixture(scope="session")
+def examples(pytestconfig):
+    """`examples(number)`: how many to draw of the `number` that a thorough run draws: a third."""
+    return lambda number: number if pytestconfig.option.thorough else -(-number // 3)
+
+
 @pytest.fixture(scope="module")
 def session(device, tmp_path_factory):
     """A session on the device under test, with a folder of its own for pages of geometry."""

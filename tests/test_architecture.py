@@ -39,6 +39,7 @@ ROOMS = (
     "core/convergence",
     "core/wavefront",
     "core/ahead",
+    "core/job.py",
     "core/session.py",
     "core/__init__.py",
     "convergence",

@@ -6,6 +6,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import bpy
+
 from ..core.device.devices import find_device, start_warp
 from ..core.session import Session
 from ..core.settings.settings import RenderSettings
@@ -22,7 +24,8 @@ def session_for(settings: RenderSettings) -> Iterator[Session]:
         start_warp(kernel_cache_folder())
         name = find_device(settings.device).alias
         if name not in _sessions:
-            _sessions[name] = Session(name, settings)
+            # a window stays when a picture is there; without one, Blender ends or goes on to the next frame
+            _sessions[name] = Session(name, settings, compile_between_renders=not bpy.app.background)
         yield _sessions[name]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from .bvh.memory import GeometrySize
 from .device.devices import find_device, free_memory, load_kernels, start_warp, warp_cache_folder, worker_count
 from .film import Film
 from .film.tile import FinishedTile, add_integers_kernel
+from .job import Job
 from .measure.batching import batching_statistics
 from .measure.hardware import hardware_counters
 from .measure.statistics import render_statistics
@@ -34,7 +35,7 @@ from .shading.lights.light_tree import LIGHT_TREE_KERNELS
 from .wavefront.adaptive.ranges import check_after, chosen_looks, first_active, pixels_can_end
 from .wavefront.integrator import TileIntegrator
 from .wavefront.plan.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
-from .wavefront.render.rendering import RenderEvents, Rendering, SnapshotWatcher, snapshot_watchers
+from .wavefront.render.rendering import RenderEvents, Rendering, snapshot_watchers
 from .wavefront.render.resume import ResumeState, check_samples, film_to_fill
 from .wavefront.render.rounds import RoundPolicy
 from .wavefront.render.summary import batching_totals, ray_totals, rounds_summary, workers_summary
@@ -42,41 +43,7 @@ from .wavefront.render.workers import make_workers
 from .wavefront.scene.device_scene import DeviceScene
 from .wavefront.scene.scene_cache import GeometryRequest, SceneCache
 from .wavefront.scheduler import round_tile_edge, tile_edge
-from .wavefront.tier import TierChoice, choose_tier
-
-
-@dataclass(kw_only=True)
-class _Job:
-    """What one call of `render` was asked for."""
-
-    scene: Scene
-    settings: RenderSettings
-    features: SceneFeatures
-    tier: TierChoice
-    plan: TracingPlan
-    sample_first: int
-    on_tile: Callable[[Tile], None]
-    on_progress: Callable[[Progress], None]
-    cancelled: Callable[[], bool]
-    watchers: list[SnapshotWatcher]
-    started: float
-    warnings: list[str]
-    # filled while the render runs
-    seconds: dict[str, float] = field(default_factory=dict)  # by stage
-    hardware: dict[str, Any] = field(default_factory=dict)  # counts of the processor
-    chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open until the scene was read
-    path_bytes: int = 0  # device memory of one path alive, with all that grows with their number
-    rendering: Rendering | None = None  # from the first ray on
-
-    @property
-    def request(self) -> CompileRequest:
-        """The kernels of the render."""
-        return CompileRequest(self.features, self.settings, self.plan, self.tier.shading)
-
-    @property
-    def marks(self) -> list[int]:
-        """Sample counts at which pictures are wanted."""
-        return [mark for watcher in self.watchers for mark in watcher.marks]
+from .wavefront.tier import choose_tier
 
 
 class Session:
@@ -88,11 +55,14 @@ class Session:
         settings: RenderSettings | None = None,
         cache_folder: str | Path | None = None,
         page_folder: str | Path | None = None,
+        compile_between_renders: bool = False,
     ):
         """Open `device` (AUTO, cpu or cuda:N; default: that of `settings`); raises `DeviceError`.
 
         Compiled kernels are cached in `cache_folder` (default: Warp's own folder in the user's cache), and geometry
         beyond memory in `page_folder` (default: a folder beside them), where the setting `geometry_store` is DISK.
+        With `compile_between_renders`, for sessions whose process stays, kernels specialised on a scene that general
+        ones rendered are compiled once the render is over, in a process of low priority.
         """
         self.settings = settings or RenderSettings()
         start_warp(cache_folder)
@@ -100,7 +70,7 @@ class Session:
         self.device = find_device(device or self.settings.device)
         self.layout = layout_for(self.device)  # of trees
         self._cache = SceneCache()
-        self._tier_changes = TierChanges(self.device)
+        self._tier_changes = TierChanges(self.device, compile_between_renders)
         self._building: Future | None = None  # the last build
 
     def close(self) -> None:
@@ -116,9 +86,11 @@ class Session:
         Default: what any scene can begin with: trees, tracing without queues, and on a CPU the general kernels.
         """
         plan = TracingPlan(Method.UNBATCHED)
-        requests = [CompileRequest(each, self.settings, plan) for each in features or ()]
-        kernels = [kernel for each in requests or [GeneralRequest()] for kernel in each.kernels(self.device)]
-        kernels += [*build_kernels(self.device), *LIGHT_TREE_KERNELS]
+        kernels = [] if features else GeneralRequest().kernels(self.device)
+        for each in features or ():
+            kernels += CompileRequest(each, self.settings, plan).kernels(self.device)
+        if features:
+            kernels += [*build_kernels(self.device), *LIGHT_TREE_KERNELS]
         return load_kernels(kernels, self.device, on_progress or (lambda *_: None))
 
     def render(
@@ -202,7 +174,7 @@ class Session:
         on_progress: Callable[[Progress], None] | None,
         cancelled: Callable[[], bool] | None,
         observers: Sequence[RenderObserver],
-    ) -> _Job:
+    ) -> Job:
         checked = filtered_scene(self._cache.displaced(checked_scene(scene), self.device), settings)
         check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
@@ -215,7 +187,7 @@ class Session:
         tier = choose_tier(features, settings.kernel_tier, self.device)
         if tier.complaint:
             warnings.append(f"kernels are specialised on the scene, not GENERAL: {tier.complaint}")
-        return _Job(
+        return Job(
             scene=checked,
             settings=settings,
             features=features,
@@ -231,7 +203,7 @@ class Session:
             chosen=chosen_looks(settings),
         )
 
-    def _all_tiles(self, job: _Job, after: Film | None) -> ResumeState:
+    def _all_tiles(self, job: Job, after: Film | None) -> ResumeState:
         """The state of a render that begins."""
         settings, policy = job.settings, RoundPolicy.of(job.settings, job.marks, job.sample_first)
         active = first_active(job.scene.frame, settings, job.sample_first, after, self.device)
@@ -246,7 +218,7 @@ class Session:
             state.list_active(self.device)
         return state
 
-    def _prepare(self, job: _Job) -> tuple[DeviceScene | None, list[str]]:
+    def _prepare(self, job: Job) -> tuple[DeviceScene | None, list[str]]:
         """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""
         kernels = job.request.kernels(self.device) + [add_integers_kernel] * (job.settings.half_count - 1)
         preparation = Preparation(kernels, self.device, self._building, self._tier_changes.is_closed)
@@ -274,7 +246,7 @@ class Session:
             job.warnings += preparation.warnings
             self._building = preparation.build
 
-    def _workers(self, job: _Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
+    def _workers(self, job: Job, scene: DeviceScene, state: ResumeState) -> list[TileIntegrator]:
         last = state.end == state.policy.sample_count
         areas = [halves[0].tile.pixel_count for halves in (state.open_tiles if last else state.tiles)]
         # of a pixel in one half: halves are rendered one after the other
@@ -287,7 +259,7 @@ class Session:
 
     # --- the render itself
 
-    def _run(self, job: _Job, integrators: list[TileIntegrator], state: ResumeState, film: Film) -> None:
+    def _run(self, job: Job, integrators: list[TileIntegrator], state: ResumeState, film: Film) -> None:
         """Let the integrators render what is left of `state`; callbacks are called on this thread."""
 
         def on_tile(tile: FinishedTile, passes: dict[str, np.ndarray]) -> None:
@@ -331,7 +303,7 @@ class Session:
 
     def _progress(
         self,
-        job: _Job,
+        job: Job,
         stage: str,
         fraction: float,
         message: str,
@@ -361,7 +333,7 @@ class Session:
 
     def _statistics(
         self,
-        job: _Job,
+        job: Job,
         film: Film,
         state: ResumeState,
         integrators: list[TileIntegrator],

@@ -10,8 +10,16 @@ from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, L
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
-# Tests without it render by specialised kernels: lights of each kind alone, each way to find light, closures alone
+# Tests without it render by specialised kernels in a thorough run: lights of each kind alone, each way to find light,
+# closures alone
 GENERAL = pytest.mark.usefixtures("general_kernels")
+
+
+@pytest.fixture(autouse=True)
+def kernels(request):
+    """General ones, or those of each scene in a thorough run."""
+    if not request.config.option.thorough:
+        request.getfixturevalue("general_kernels")
 
 
 def color(film) -> np.ndarray:

@@ -26,6 +26,7 @@ from tests.support.watched_renders import (  # noqa: F401 (`halves_film` is the 
     stopping,
 )
 
+OFTEN = ("unbatched", "batched")  # the others in a thorough run
 WAYS = {
     "unbatched": dict(batching="OFF"),
     "small tiles": dict(tile_size=7, thread_count=3),
@@ -34,6 +35,9 @@ WAYS = {
     "paged": dict(debug_checks="ON"),
     "pixel first": dict(sample_order="PIXEL_FIRST", tile_size=9, ray_count=100),
 }
+
+
+TRIED = [pytest.param(way, marks=() if way in OFTEN else pytest.mark.thorough) for way in WAYS]
 
 
 def settings_of(way: str) -> dict:
@@ -51,7 +55,7 @@ def plain(session):
 # --- snapshots
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", TRIED)
 def test_snapshots_are_the_films_of_fewer_samples_and_change_nothing(session, plain, way):
     watcher, more = Watcher([1, 2, 4, 100]), settings_of(way)
     film = session.render(scenes.mixed(FRAME), SETTINGS.replace(**more), observers=[watcher])
@@ -121,7 +125,7 @@ def test_tiles_are_shown_each_round_and_progress_never_goes_back(session):
 # --- halves
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", TRIED)
 def test_halves_are_renders_with_seeds_of_their_own(session, halves, way):
     watcher = Watcher([1, 3])
     film = session.render(scenes.mixed(FRAME), HALVES.replace(**settings_of(way)), observers=[watcher])

@@ -26,14 +26,14 @@ from tests.support.watched_renders import (  # noqa: F401 (`halves_film` is the 
 
 @pytest.mark.parametrize("estimate", ["OFF", "ON"])
 @pytest.mark.parametrize("name", schedule_scenes.SCENES)
-def test_any_schedule_with_any_rounds_and_stops_gives_the_same_film(session, name, estimate):
+def test_any_schedule_with_any_rounds_and_stops_gives_the_same_film(session, name, estimate, examples):
     watched = WatchedSession(session)
     estimator = RenderSettings(
         sample_count=5, bounce_max=4, roulette_bounce=2, clamp_indirect=3.0, error_estimate=estimate
     )
     comparer = FilmComparer(watched, schedule_scenes.SCENES[name](), estimator, 16)
 
-    @settings(max_examples=15, deadline=None, derandomize=True, database=None, phases=[Phase.generate])
+    @settings(max_examples=examples(15), deadline=None, derandomize=True, database=None, phases=[Phase.generate])
     @given(number=st.integers(0, 2**32 - 1))
     def compare(number):
         watched.random = np.random.default_rng(number)
@@ -43,7 +43,7 @@ def test_any_schedule_with_any_rounds_and_stops_gives_the_same_film(session, nam
         assert not differs, (number, differs, found.settings)
 
     compare()
-    assert watched.stops > 10
+    assert watched.stops > examples(10)
 
 
 @pytest.fixture(scope="module")

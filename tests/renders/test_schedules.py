@@ -18,7 +18,7 @@ from tests.support.schedule_scenes import ESTIMATOR
 from tests.support.under_test import DEVICE
 
 SIZES = DrawnSizes(triangles=5000, tree_bytes=400_000, paths=3000)
-EXAMPLES = 60  # of each scene
+EXAMPLES = 60  # of each scene, in a thorough run
 TURNS = 16
 
 
@@ -44,12 +44,12 @@ def test_the_plain_film_shows_something(comparers, name):
 
 
 @pytest.mark.parametrize("name", schedule_scenes.SCENES)
-def test_any_schedule_gives_the_same_film(comparers, name):
+def test_any_schedule_gives_the_same_film(comparers, name, examples):
     """Also: every ray that was taken in is finished once, and no sample is invalid."""
-    comparer, methods = comparers[name], collections.Counter()
+    comparer, methods, count = comparers[name], collections.Counter(), examples(EXAMPLES)
 
     # hypothesis would vary a few settings of many; numbers of schedules that have nothing in common are drawn instead
-    @settings(max_examples=EXAMPLES, deadline=None, derandomize=True, database=None, phases=[Phase.generate])
+    @settings(max_examples=count, deadline=None, derandomize=True, database=None, phases=[Phase.generate])
     @given(number=st.integers(0, 2**32 - 1))
     def compare(number):
         found = comparer.compare_drawn(SeededDraws(number))
@@ -66,7 +66,7 @@ def test_any_schedule_gives_the_same_film(comparers, name):
     if schedule_scenes.least_budget(DEVICE, name) < comparer.sizes.tree_bytes:
         wanted.append("paged")
     assert DEVICE != "cpu" or "paged" in wanted
-    assert methods.total() >= EXAMPLES and min(methods[each] for each in wanted) > EXAMPLES // 8, methods
+    assert methods.total() >= count and min(methods[each] for each in wanted) > count // 8, methods
 
 
 def test_the_settings_that_make_a_film_wrong_are_found(comparers, monkeypatch):

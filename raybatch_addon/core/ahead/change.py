@@ -44,8 +44,9 @@ def pays(request: CompileRequest, spent: float, left: float | None, device: wp.D
 class TierChanges:
     """Compiles specialised kernels for the renders of one session that general ones begin, for one scene at a time."""
 
-    def __init__(self, device: wp.Device):
-        self._device = device
+    def __init__(self, device: wp.Device, between_renders: bool = False):
+        """`between_renders`: whether to compile what a render lacked when it is over, for the next one."""
+        self._device, self._between_renders = device, between_renders
         self._spent: dict[SceneFeatures, float] = {}
         self._failed: dict[SceneFeatures, str] = {}
         self._process: CompileProcess | None = None
@@ -96,14 +97,23 @@ class TierChanges:
         if (self._process is not None and ours) or self._closed or request.features in self._failed:
             return False
         if pays(request, self._spent.get(request.features, 0.0), left, self._device):
-            if self._process is not None:
-                self._process.stop()  # for a scene that is not rendered now
-            self._process, self._features = None, request.features
-            try:
-                self._process = CompileProcess(self._device.alias, warp_cache_folder(), request)
-            except OSError as error:
-                self.fail(request.features, f"no process could be started: {error}")
+            self._begin(request)
         return False
+
+    def rest(self, request: CompileRequest) -> None:
+        """A render by general kernels is over, and leaves the processors idle until the next one, if there is one."""
+        ours = self._process is not None and self._features == request.features
+        if self._between_renders and not (ours or self._closed or request.features in self._failed):
+            self._begin(request)
+
+    def _begin(self, request: CompileRequest) -> None:
+        if self._process is not None:
+            self._process.stop()  # for a scene that is not rendered now
+        self._process, self._features = None, request.features
+        try:
+            self._process = CompileProcess(self._device.alias, warp_cache_folder(), request)
+        except OSError as error:
+            self.fail(request.features, f"no process could be started: {error}")
 
 
 class TierChange:
@@ -130,8 +140,11 @@ class TierChange:
         """The render is over."""
         self._over.set()
         self._thread.join()
-        seconds = time.perf_counter() - self._begun if self.changed_after is None else self.changed_after
-        self._changes.spend(self.request, seconds)
+        if self.changed_after is None:
+            self._changes.spend(self.request, time.perf_counter() - self._begun)
+            self._changes.rest(self.request)
+        else:
+            self._changes.spend(self.request, self.changed_after)
 
     def _watch(self) -> None:
         try:

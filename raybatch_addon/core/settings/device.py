@@ -45,7 +45,7 @@ class DeviceSettings:
                 "AUTO",
                 "Auto",
                 "Specialised ones that are compiled already, else the general ones; the specialised ones "
-                "are compiled meanwhile where that pays",
+                "are compiled meanwhile where that pays, or after the render where Blender has a window",
             ),
             ("GENERAL", "General", "The general ones, for the whole render"),
             ("SPECIALISED", "Specialised", "The specialised ones; a render waits until they are compiled"),

@@ -16,7 +16,7 @@ from warp._src.codegen import Adjoint
 
 from raybatch_addon.core import session as session_module
 from raybatch_addon.core.ahead import change
-from raybatch_addon.core.ahead.change import TierChanges, pays
+from raybatch_addon.core.ahead.change import TierChange, TierChanges, pays
 from raybatch_addon.core.ahead.process import CompileProcess
 from raybatch_addon.core.ahead.request import CORE, CompileRequest, GeneralRequest, decode_request, encode_request
 from raybatch_addon.core.device.devices import is_compiled
@@ -265,6 +265,34 @@ def test_a_process_that_fails_says_why_in_a_line(tmp_path, monkeypatch):
     monkeypatch.setattr(change, "CompileProcess", lambda *_: started.append(1) or process)
     assert not changes.poll(request, None) and not changes.poll(request, None) and not changes.poll(request, None)
     assert started == [1] and "cuda:77" in changes.complaint(request)
+
+
+@pytest.mark.parametrize("between", [False, True])
+def test_what_a_render_lacked_is_compiled_after_it_where_the_process_stays(monkeypatch, between):
+    """Once, and for the last scene alone."""
+    changes, started = TierChanges(wp.get_device(DEVICE), between_renders=between), []
+
+    class Compiling:
+        is_running = True
+
+        def __init__(self, _device, _folder, request):
+            started.append(request.features)
+
+        def stop(self):
+            started.append("stopped")
+
+    monkeypatch.setattr(change, "CompileProcess", Compiling)
+    plan = TracingPlan(Method.UNBATCHED)
+    first, second = (
+        CompileRequest(replace(derive_features(scenes.mixed(), SETTINGS), smooth_normals=smooth), SETTINGS, plan)
+        for smooth in (False, True)
+    )
+    for request in (first, first, second):
+        TierChange(changes, request, [], lambda: 0.0, wp.get_device(DEVICE)).close()
+    assert started == ([first.features, "stopped", second.features] if between else [])
+    changes.close()
+    changes.rest(first)  # too late
+    assert started[3:] == (["stopped"] if between else [])
 
 
 ABANDONED = """

@@ -97,7 +97,13 @@ def test_the_table_of_paths_has_all_their_arrays():
     assert needed_arrays(features).keys() == Paths.vars.keys() - {"walk", "passes"}
 
 
-@pytest.mark.parametrize("case", FEATURES)
+# Each compiles kernels of its own
+OFTEN = {next(iter(FEATURES)), "everything"}
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(each, marks=() if each in OFTEN else pytest.mark.thorough) for each in FEATURES]
+)
 def test_memory_grows_by_what_is_told(case):
     scene, changes = FEATURES[case]
     settings = SETTINGS.replace(**changes)
