@@ -128,6 +128,12 @@ def test_a_white_furnace(session, depth):
         assert found.min() >= 0 and found.max() < 50
 
 
+def test_where_light_scatters_does_not_depend_on_lamps(session):
+    """A white furnace is as white if a lamp that hardly shines, to one side, is looked for on the way."""
+    scene = in_box(medium(scattering=(2.0, 0.7, 0.2), g=0.3), world=1.0, lamp=1e-7)
+    assert_mean(session, scene, np.ones(3), sample_count=256, bounce_max=1000, roulette_bounce=1000)
+
+
 def test_single_scattering_of_a_sun(session):
     """One scattering of a sun that shines along the view, in a slab: the integral along the ray is known."""
     sigma, height = 0.7, 2.0

@@ -182,7 +182,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         throughput = paths.throughput[path]
         pdf = paths.pdf[path]
         inside = volumes.state.inside[path]
-        number = volumes.state.segment[path]
+        number = int(volumes.state.segment[path])
         volumes.state.segment[path] = number + 1
         where = pixel_sample(work, paths.item[path])
         key = pixel_key(limits.seed, wp.uint32(where.x), wp.uint32(where.y), wp.uint32(work.frame_width))
@@ -210,6 +210,9 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                     v.dimension = piece_dimension(number) + wp.uint32(wp.static(LIGHTS))
                     if lit_along(data, volumes, limits, paths, rays, path, v, inside, length):
                         return
+                    # where the path scatters must not depend on why no shadow ray was sent
+                    number += 1
+                    volumes.state.segment[path] = number + 1
 
         event = int(0)
         reach = length
