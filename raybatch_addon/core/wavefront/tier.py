@@ -49,7 +49,7 @@ def general_features() -> SceneFeatures:
     of_volumes = [n for n in ops if n == "emission" or n.startswith(VOLUME_PREFIX) or not op_named(n).makes_closures]
     return SceneFeatures(
         closures=tuple(
-            sorted(kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION and kind not in _LEFT_OUT)
+            sorted(kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION and kind != _LEFT_OUT)
         ),
         closure_count=CLOSURES_MOST,
         programs=programs,
