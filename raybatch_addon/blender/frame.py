@@ -97,7 +97,7 @@ def _render_view(
     scene = export_scene(depsgraph, cancelled=engine.test_break, view=view)
     if scene is None:
         return
-    export_seconds = time.perf_counter() - started
+    export_seconds = report.export_seconds = time.perf_counter() - started
     scene = with_guides(with_light_looked_for(scene), settings)
     found = missing.keep_found(depsgraph.scene, scene.warnings)
     _report_warnings(engine, report, found)

@@ -16,6 +16,7 @@ class RenderReport:
     interrupted: bool = False  # by Ctrl-C
     refused: bool = False  # it would have lacked what it may not lack
     warnings: list[str] = field(default_factory=list)  # it went on
+    export_seconds: float = 0.0  # of the last view
     statistics: dict[str, dict[str, Any]] = field(default_factory=dict)  # by view layer, as documented for `--json`
 
 

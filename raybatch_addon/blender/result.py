@@ -2,52 +2,25 @@
 
 from __future__ import annotations
 
-import json
-
 import bpy
 import numpy as np
 
 from ..core.observers import Tile
-from ..core.scene.cryptomatte import murmur_hash
+from ..core.scene.cryptomatte import matte_fields
 from ..core.scene.description import Scene
-from ..core.scene.passes import matte_kinds
+from ..core.scene.passes import letters_of
 from ..export.passes import (
-    AOV_BEGINNINGS,
     LIGHT_GROUP,
     LIGHT_PASS_PROPERTIES,
-    MATTE_PROPERTIES,
     NOISY_IMAGE,
-    OWN_PASS_PROPERTIES,
     VOLUME_PASS_PROPERTIES,
     blender_name,
     wanted_passes,
 )
 
-# channels, their letters and Blender's kind of value, by pass
-PASSES = {
-    "Combined": (4, "RGBA", "COLOR"),
-    "Depth": (1, "Z", "VALUE"),
-    "Position": (3, "XYZ", "VECTOR"),
-    "Normal": (3, "XYZ", "VECTOR"),
-    "Mist": (1, "Z", "VALUE"),
-    "Vector": (4, "XYZW", "VECTOR"),
-    "UV": (3, "UVA", "VECTOR"),
-    "Object Index": (1, "X", "VALUE"),
-    "Material Index": (1, "X", "VALUE"),
-    **dict.fromkeys((*LIGHT_PASS_PROPERTIES.values(), *VOLUME_PASS_PROPERTIES.values()), (3, "RGB", "COLOR")),
-    # lower-case letters, by which files know that they must not be compressed with loss
-    **{f"{kind}{i:02}": (4, "rgba", "COLOR") for kind in MATTE_PROPERTIES.values() for i in range(8)},
-    NOISY_IMAGE: (4, "RGBA", "COLOR"),
-    "Denoising Albedo": (3, "RGB", "COLOR"),
-    "Denoising Normal": (3, "XYZ", "VECTOR"),
-    "Denoising Depth": (1, "Z", "VALUE"),
-    **dict.fromkeys(OWN_PASS_PROPERTIES.values(), (1, "X", "VALUE")),
-}
-
-
 # Passes of light, which the exposure brightens; not those of colours, values and mattes
 _LIGHT_PASSES = (*LIGHT_PASS_PROPERTIES.values(), *VOLUME_PASS_PROPERTIES.values())
-LIT_PASSES = frozenset(["Combined", *(name for name in _LIGHT_PASSES if not name.endswith("Color"))])
+LIT_PASSES = frozenset(["Combined", NOISY_IMAGE, *(name for name in _LIGHT_PASSES if not name.endswith("Color"))])
 
 
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
@@ -59,34 +32,17 @@ def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view
 
 def _about(name: str) -> tuple[int, str, str]:
     """Channels, letters and kind of the film's pass `name`."""
-    if name.startswith(AOV_BEGINNINGS["COLOR"]):
-        return 4, "RGBA", "COLOR"
-    if name.startswith(LIGHT_GROUP):
-        return 3, "RGB", "COLOR"
-    return PASSES.get(name, (1, "X", "VALUE"))
+    letters = "RGBA" if name == NOISY_IMAGE else letters_of(name)
+    kind = "COLOR" if letters.lower().startswith("rgb") else "VALUE" if len(letters) == 1 else "VECTOR"
+    return len(letters), letters, kind
 
 
 def stamp_mattes(engine: bpy.types.RenderEngine, layer_name: str, scene: Scene) -> None:
     """Write into the result's metadata which name each identity of a matte stands for: files keep it, and other
     programs find objects by it (Friedman and Jones, "Cryptomatte specification").
     """
-    named = {
-        "CryptoObject": scene.object_names,
-        "CryptoMaterial": [material.name for material in scene.materials],
-        "CryptoAsset": scene.asset_names,
-    }
-    for kind in matte_kinds(scene.frame.passes):
-        name = f"{layer_name}.{kind}"
-        prefix = f"cryptomatte/{f'{murmur_hash(name):08x}'[:7]}/"
-        manifest = {each: f"{murmur_hash(each):08x}" for each in named[kind]}
-        fields = {
-            "name": name,
-            "hash": "MurmurHash3_32",
-            "conversion": "uint32_to_float32",
-            "manifest": json.dumps(manifest, ensure_ascii=False, separators=(",", ":")),
-        }
-        for field, value in fields.items():
-            engine.get_result().stamp_data_add_field(prefix + field, value)
+    for field, value in matte_fields(layer_name, scene).items():
+        engine.get_result().stamp_data_add_field(field, value)
 
 
 def view_names(engine: bpy.types.RenderEngine, layer_name: str, scene: bpy.types.Scene) -> list[str]:

@@ -33,8 +33,8 @@ def export_scene(
     Returns None if `cancelled()`, which is called at least once for each mesh, returned True. Raises `SceneError` for a
     scene that cannot be rendered: without a camera, or with one that cannot be used.
     """
-    scene = depsgraph.scene
-    frame = export_frame(scene, depsgraph.view_layer)
+    scene, view = depsgraph.scene, view.holding(depsgraph.scene)
+    frame = export_frame(scene, depsgraph.view_layer, depsgraph.scene_eval.world)
     warnings: list[str] = []
     exposure = open_time(scene, depsgraph.view_layer, view, warnings)
     beside = neighbours(scene, depsgraph.view_layer, view, warnings)
@@ -112,8 +112,10 @@ def _exported(
     )
 
 
-def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Frame:
-    """The picture that the render settings ask for: size, border, alpha and passes."""
+def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, world: bpy.types.World | None) -> Frame:
+    """The picture that the render settings ask for: size, border, alpha and passes; with the mist of `world`,
+    evaluated.
+    """
     render = scene.render
     width = render.resolution_x * render.resolution_percentage // 100
     height = render.resolution_y * render.resolution_percentage // 100
@@ -136,7 +138,7 @@ def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> Fra
         border,
         bool(render.film_transparent),
         passes,
-        _mist(scene.world),
+        _mist(world),
         threshold,
         occlusion_distance(scene, view_layer),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -14,11 +14,18 @@ class View:
 
     engine: bpy.types.RenderEngine | None = None
     name: str = ""  # as the render result calls it
+    held: bpy.types.Object | None = None  # the camera at all times, whatever markers of the timeline change
 
     def camera(self, scene: bpy.types.Scene) -> bpy.types.Object | None:
         """The object that is looked through."""
+        if self.held is not None:
+            return self.held
         found = self.engine.camera_override if self.engine else None
         return found or scene.camera
+
+    def holding(self, scene: bpy.types.Scene) -> View:
+        """This view through the camera that it has now."""
+        return replace(self, held=self.camera(scene))
 
     def is_spherical(self, camera: bpy.types.Object) -> bool:
         """Whether the eye moves with the rays' directions."""

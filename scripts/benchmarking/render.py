@@ -47,7 +47,7 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
             else:
                 report, film = measure_slopes(session, opened, settings, request, device)
             if picture:
-                write_picture(picture, film)
+                write_picture(picture, film, opened.scene)
         finally:
             session.close()
         return report
@@ -84,7 +84,7 @@ def measure_render(request: RenderRequest) -> dict[str, Any]:
             )
             steps.end()
         if picture:
-            write_picture(picture, cold.film)
+            write_picture(picture, cold.film, opened.scene)
     finally:
         steps.close()
         session.close()

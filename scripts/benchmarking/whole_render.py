@@ -12,6 +12,7 @@ from rendering.request import ARCHIVE, BLEND, NPZ, RESOLUTION_DEFAULT, kind_of
 from rendering.standalone import resized
 
 from benchmarking.scenes import SceneRequest, geometry_scene, refuse_geometry_options
+from raybatch_addon.core.errors import RayBatchError, SceneError
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import load_scene
 from raybatch_addon.core.scene.description import Scene
@@ -90,7 +91,6 @@ def _open_blend(request: RenderRequest) -> OpenedScene:
             f"{path} needs Blender's Python module bpy, which cannot be imported here; .npz and .scene.npz do without"
         ) from None
     import raybatch_addon
-    from raybatch_addon.export.scene import export_scene
     from raybatch_addon.export.settings import settings_from
 
     raybatch_addon.register()
@@ -103,11 +103,45 @@ def _open_blend(request: RenderRequest) -> OpenedScene:
         scene.render.resolution_x, scene.render.resolution_y = request.size
         scene.render.resolution_percentage = 100
     scene.render.engine = "RAYBATCH"
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    start = time.perf_counter()
-    exported = export_scene(depsgraph)
-    seconds = time.perf_counter() - start
+    exported, seconds = _rendered_scene(scene, bpy.context.view_layer)
     return OpenedScene(path.name, exported, settings_from(scene).replace(device="AUTO", thread_count=0), scene, seconds)
+
+
+class _SceneTaken(RayBatchError):
+    """Ends a render whose scene was all that was wanted."""
+
+
+def _rendered_scene(scene: Any, layer: Any) -> tuple[Scene, float]:
+    """What a render of the view layer `layer` exports, as other depsgraphs have other hair and no motion, and the
+    seconds that it takes.
+    """
+    import bpy
+
+    from raybatch_addon.blender import frame, reports
+
+    taken: list[Scene] = []
+
+    def take(_layer: str, exported: Scene, _settings: RenderSettings) -> None:
+        taken.append(exported)
+        raise _SceneTaken("the scene is taken")
+
+    uses = [(each, each.use) for each in scene.view_layers]
+    for each, _ in uses:
+        each.use = each == layer
+    frame.scene_listeners.append(take)
+    try:
+        bpy.ops.render.render()
+    except RuntimeError as error:
+        if not taken:
+            report = reports.last()
+            raise SceneError(report.errors[0] if report and report.errors else " ".join(str(error).split())) from None
+    finally:
+        frame.scene_listeners.remove(take)
+        for each, use in uses:
+            each.use = use
+    if not taken:
+        raise SceneError(f"Blender rendered nothing of the scene “{scene.name}”")
+    return taken[0], reports.last().export_seconds
 
 
 @dataclass(frozen=True)

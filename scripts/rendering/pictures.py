@@ -12,6 +12,9 @@ from lib.output import OutputError, tell_saved, write_whole
 
 from raybatch_addon.core.denoise.picture import COMBINED, NOISY_IMAGE
 from raybatch_addon.core.film import Film
+from raybatch_addon.core.scene.cryptomatte import matte_fields
+from raybatch_addon.core.scene.description import Scene
+from raybatch_addon.core.scene.passes import letters_of
 
 FORMATS = (".png", ".exr")
 # Colours of heat maps at equal steps from nothing to the largest value, sRGB: brightness grows evenly, for those who
@@ -41,10 +44,16 @@ def picture_path(out: Path) -> Path:
     return out
 
 
-def write_picture(path: Path, film: Film) -> None:
-    """Write the rendered region of `film` to `path`, whole or not at all."""
-    write = _write_exr if path.suffix.lower() == ".exr" else _write_png
-    write_whole(path, lambda temporary: write(temporary, film.shown))
+def write_picture(path: Path, film: Film, scene: Scene) -> None:
+    """Write the rendered region of `film`, a picture of `scene`, to `path`, whole or not at all."""
+
+    def write(temporary: Path) -> None:
+        if path.suffix.lower() == ".exr":
+            _write_exr(temporary, film.shown, matte_fields("", scene))
+        else:
+            _write_png(temporary, film.shown)
+
+    write_whole(path, write)
 
 
 def display_pixels(combined: np.ndarray) -> np.ndarray:
@@ -95,14 +104,14 @@ def _write_png(path: Path, passes: dict[str, np.ndarray]) -> None:
     save_png(path, pixels)
 
 
-def _write_exr(path: Path, passes: dict[str, np.ndarray]) -> None:
+def _write_exr(path: Path, passes: dict[str, np.ndarray], metadata: dict[str, str]) -> None:
     import OpenEXR
 
     channels = {}
     for name, values in passes.items():
-        letters = "RGBA" if name in (COMBINED, NOISY_IMAGE) else "V" if values.shape[2] == 1 else "XYZ"
+        letters = "RGBA" if name == NOISY_IMAGE else letters_of(name)
         for k, letter in enumerate(letters):
             channels[letter if name == COMBINED else f"{name}.{letter}"] = np.ascontiguousarray(values[::-1, :, k])
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **metadata}
     with OpenEXR.File(header, channels) as file:
         file.write(str(path))

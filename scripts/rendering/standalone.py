@@ -56,7 +56,7 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
         denoise_film(film, settings, denoiser)
     tell_warnings(text for text in film.statistics["warnings"] if text not in scene.warnings)
     if out is not None:
-        write_picture(out, film)
+        write_picture(out, film, scene)
         tell_saved(out)
     if film_path is not None:
         write_film(film_path, [("", film)])

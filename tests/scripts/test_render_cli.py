@@ -97,6 +97,21 @@ def test_exr_holds_linear_values_top_row_first(sheet, tmp_path):
             assert (channels[letter] == passes["Combined"][::-1, :, k]).all()
 
 
+def test_exr_holds_every_channel_of_mattes_and_the_names_they_stand_for(sheet, tmp_path):
+    out, film = tmp_path / "out.exr", tmp_path / "film.npz"
+    asked = ["--passes", "CryptoObject00,Diffuse Color,Depth"]
+    assert render.main([str(sheet), "-o", str(out), "--film", str(film), CAMERA, *SMALL, *asked]) == 0
+    with OpenEXR.File(str(out), separate_channels=True) as file:
+        channels = {name: channel.pixels for name, channel in file.channels().items()}
+        header = dict(file.header())
+    with np.load(film) as passes:
+        for name, letters in (("CryptoObject00", "rgba"), ("Diffuse Color", "RGB"), ("Depth", "Z")):
+            for k, letter in enumerate(letters):
+                assert (channels[f"{name}.{letter}"] == passes[name][::-1, :, k]).all()
+    told = {key.rsplit("/", 1)[1]: value for key, value in header.items() if key.startswith("cryptomatte/")}
+    assert told["name"] == "CryptoObject" and told["hash"] == "MurmurHash3_32" and told["manifest"].startswith("{")
+
+
 def test_up_is_the_axis_that_the_caller_says(sheet, tmp_path):
     """A scene turned from z up to y up looks the same."""
     turned = tmp_path / "turned.npz"

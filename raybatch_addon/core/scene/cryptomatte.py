@@ -6,7 +6,11 @@ UTF-8, made a finite float32 by its exponent.
 
 from __future__ import annotations
 
+import json
 import struct
+
+from .description import Scene
+from .passes import matte_kinds
 
 _MASK = 0xFFFFFFFF
 
@@ -39,3 +43,26 @@ def matte_identity(name: str) -> int:
     value = murmur_hash(name)
     exponent = min(max(value >> 23 & 0xFF, 1), 254)
     return value & 0x807FFFFF | exponent << 23
+
+
+def matte_fields(layer: str, scene: Scene) -> dict[str, str]:
+    """Metadata of files that hold the mattes of `scene`, by which other programs find objects; `layer` comes before
+    the passes' names there.
+    """
+    names = {
+        "CryptoObject": scene.object_names,
+        "CryptoMaterial": [material.name for material in scene.materials],
+        "CryptoAsset": scene.asset_names,
+    }
+    fields = {}
+    for kind in matte_kinds(scene.frame.passes):
+        name = f"{layer}.{kind}" if layer else kind
+        manifest = {each: f"{murmur_hash(each):08x}" for each in names[kind]}
+        of_kind = {
+            "name": name,
+            "hash": "MurmurHash3_32",
+            "conversion": "uint32_to_float32",
+            "manifest": json.dumps(manifest, ensure_ascii=False, separators=(",", ":")),
+        }
+        fields |= {f"cryptomatte/{f'{murmur_hash(name):08x}'[:7]}/{key}": value for key, value in of_kind.items()}
+    return fields

@@ -53,6 +53,13 @@ AOV_COLOR, AOV_VALUE = "AOV color ", "AOV value "
 LIGHT_GROUP = "Combined_"
 # Passes whose values are known at the first surface of a path
 _RECORDED = frozenset(("Mist", "UV", VECTOR, "Object Index", "Material Index", *COLOR_PASSES, *MATTE_PASSES))
+# Letters of channels that are no colour; those of other passes follow from their number
+_LETTERS = {
+    **dict.fromkeys(("Depth", "Mist", "Denoising Depth"), "Z"),
+    **dict.fromkeys(("Position", "Normal", "Denoising Normal"), "XYZ"),
+    VECTOR: "XYZW",
+    "UV": "UVA",
+}
 # Passes that light is divided among
 _SPLIT = frozenset((*DIRECT_PASSES, *INDIRECT_PASSES, *SEEN_PASSES, *VOLUME_PASSES))
 
@@ -66,6 +73,15 @@ def channels_of(name: str) -> int:
     if name == VECTOR_WEIGHT:
         return 1
     return 1 if name.startswith(AOV_VALUE) else PASSES[name]
+
+
+def letters_of(name: str) -> str:
+    """What files call the channels of the pass `name`, a letter each; raises `KeyError` where there is no such pass."""
+    if name in _LETTERS:
+        return _LETTERS[name]
+    if name in MATTE_PASSES:
+        return "rgba"  # lower case, by which files know that they must not be compressed with loss
+    return {1: "X", 3: "RGB", 4: "RGBA"}[channels_of(name)]
 
 
 def is_pass(name: str) -> bool:

@@ -43,12 +43,12 @@ class StrandMeshes:
             program is not None and any(each.op in ("uv", "uv_tangent") for each in program.instructions)
             for program in programs
         )
-        return wanted, lambda asked: self._mesh(obj, data, asked, reads_uv)
+        return wanted, lambda asked: self._mesh(obj, data, asked, reads_uv, collector.viewport)
 
-    def _mesh(self, obj: bpy.types.Object, data: Any, asked: _Asked, reads_uv: bool) -> int | None:
+    def _mesh(self, obj: bpy.types.Object, data: Any, asked: _Asked, reads_uv: bool, viewport: bool) -> int | None:
         key = (data.as_pointer(), reads_uv)
         if key not in self._made:
-            source = self._source(obj, data)
+            source = self._source(obj, data, viewport)
             mesh = source.exported(reads_uv, self._warnings)
             self._made[key] = source, None if mesh is None else len(self._meshes)
             if mesh is not None:
@@ -63,9 +63,9 @@ class StrandMeshes:
             seen.update(asked)
         return index
 
-    def _source(self, obj: bpy.types.Object, data: Any) -> Source:
+    def _source(self, obj: bpy.types.Object, data: Any, viewport: bool) -> Source:
         if isinstance(data, bpy.types.Curves):
             return CurvesSource(data, obj.name, self._shape)
         if isinstance(data, bpy.types.PointCloud):
             return PointsSource(data, obj.name)
-        return ParticleHair(obj, data, self._shape)
+        return ParticleHair(obj, data, self._shape, viewport)

@@ -121,9 +121,11 @@ class CurvesSource:
 class ParticleHair:
     """The hair of a particle system, as the evaluated object `owner` wears it."""
 
-    def __init__(self, owner: bpy.types.Object, modifier: Any, shape: CurveShape) -> None:
+    def __init__(self, owner: bpy.types.Object, modifier: Any, shape: CurveShape, viewport: bool) -> None:
+        """`viewport`: the depsgraph of `owner` is that of the viewport."""
         self._owner, self._modifier, self._system = owner, modifier, modifier.particle_system
-        points, first = _paths(owner, self._system)
+        self._viewport = viewport
+        points, first = _paths(owner, self._system, viewport)
         self._count, self._given, self._name = len(first) - 1, len(points), modifier.name
         self._cut = CutStrands(sound_strands(points, _radii(self._system.settings, points, first), first), shape)
 
@@ -132,7 +134,7 @@ class ParticleHair:
         modifier = obj.modifiers.get(self._name)
         if modifier is None or modifier.type != "PARTICLE_SYSTEM":
             return None
-        points, _ = _paths(obj, modifier.particle_system)
+        points, _ = _paths(obj, modifier.particle_system, self._viewport)
         return _moved(self._cut, points) if len(points) == self._given else None
 
     def velocity(self) -> None:
@@ -276,14 +278,14 @@ def _first_strand(system: Any) -> int:
     return 0 if settings.child_type == "NONE" or settings.use_parent_particles else len(system.particles)
 
 
-def _paths(owner: bpy.types.Object, system: Any) -> tuple[np.ndarray, np.ndarray]:
+def _paths(owner: bpy.types.Object, system: Any, viewport: bool) -> tuple[np.ndarray, np.ndarray]:
     """Points of all strands in the object's space [m], and the first of each.
 
     Blender tells one point a call, and nothing else: 0.9 microseconds each.
     """
     settings, begin = system.settings, _first_strand(system)
     end = len(system.particles) + (0 if settings.child_type == "NONE" else len(system.child_particles))
-    steps = (1 << settings.render_step) + 1
+    steps = (1 << (settings.display_step if viewport else settings.render_step)) + 1
     if settings.kink == "SPIRAL":
         steps += settings.kink_extra_steps
     count = max(end - begin, 0)

@@ -53,7 +53,7 @@ def may_deform(obj: bpy.types.Object, parent: bpy.types.Object | None, hair: boo
         modifiers = [each for each in modifiers if each.type != "PARTICLE_SYSTEM" or _has_moving_hair(each)]
     if parent is not None:
         modifiers += parent.original.modifiers
-    if original.type not in _STILL_TYPES or modifiers:
+    if original.type not in _STILL_TYPES or modifiers or original.parent_type in _DEFORMING_PARENTS:
         return True
     data = original.data
     return getattr(data, "shape_keys", None) is not None or data.animation_data is not None
@@ -61,6 +61,8 @@ def may_deform(obj: bpy.types.Object, parent: bpy.types.Object | None, hair: boo
 
 # Their vertices move by modifiers, shape keys and animation alone
 _STILL_TYPES = ("MESH", "CURVES", "POINTCLOUD")
+# Ways to follow a parent that bend what follows, as a modifier would
+_DEFORMING_PARENTS = ("ARMATURE", "LATTICE")
 
 
 def _has_moving_hair(modifier: bpy.types.Modifier) -> bool:

@@ -26,13 +26,13 @@ class Taken:
     setting: str  # name in `RenderSettings`
     owner: str  # property of Blender's scene that holds the engine's settings
     name: str  # of the property there
-    convert: Callable[[Any], Any] = lambda value: value
+    convert: Callable[[Any, Any], Any] = lambda value, _owner: value  # of the value and the engine's settings
 
     def value(self, scene: bpy.types.Scene) -> Any:
         """What the engine has; None where it has no such property."""
         owner = getattr(scene, self.owner, None)
         value = getattr(owner, self.name, None)
-        return None if value is None else self.convert(exact(value))
+        return None if value is None else self.convert(exact(value), owner)
 
     def is_chosen(self, scene: bpy.types.Scene) -> bool:
         """Whether someone gave the property a value other than that of a new scene."""
@@ -41,14 +41,19 @@ class Taken:
         return prop is not None and getattr(owner, self.name) != prop.default
 
 
-def _switch(value: bool) -> str:
+def _switch(value: bool, _owner: Any) -> str:
     return "ON" if value else "OFF"
+
+
+def _threshold(value: float, cycles: Any) -> float:
+    """Cycles' noise threshold; 0 is one by the samples there (`Integrator::get_adaptive_sampling`)."""
+    return value or max(0.001, 1 / max(1, cycles.samples))
 
 
 _OF_CYCLES = (
     Taken("sample_count", "cycles", "samples"),
     Taken("adaptive_sampling", "cycles", "use_adaptive_sampling", _switch),
-    Taken("noise_threshold", "cycles", "adaptive_threshold"),
+    Taken("noise_threshold", "cycles", "adaptive_threshold", _threshold),
     Taken("adaptive_samples_min", "cycles", "adaptive_min_samples"),
     Taken("time_limit", "cycles", "time_limit"),
     Taken("seed", "cycles", "seed"),
@@ -71,7 +76,7 @@ _OF_EEVEE = (
     Taken("sample_count", "eevee", "taa_render_samples"),
     Taken("clamp_direct", "eevee", "clamp_surface_direct"),
     Taken("clamp_indirect", "eevee", "clamp_surface_indirect"),
-    Taken("pixel_filter", "render", "filter_size", lambda _width: "BLACKMAN_HARRIS"),
+    Taken("pixel_filter", "render", "filter_size", lambda _width, _owner: "BLACKMAN_HARRIS"),
     Taken("filter_width", "render", "filter_size"),
 )
 ROWS = {CYCLES: _OF_CYCLES, EEVEE: _OF_EEVEE}

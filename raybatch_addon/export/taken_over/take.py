@@ -45,6 +45,8 @@ def differences(scene: bpy.types.Scene, engine: str, chosen: bool = False) -> li
         if name in wanted and _counting(name, theirs) != _counting(name, ours)
     ]
     exposures = exposure_of(scene, engine), exposure_of(scene)
+    if chosen and exposures[0] == 1:
+        return found  # that of a new scene: ours is a choice of its own
     return found + ([Difference(EXPOSURE, *exposures)] if exposures[0] != exposures[1] else [])
 
 

@@ -9,7 +9,7 @@ from raybatch_addon.export.materials import export_material  # noqa: E402
 from raybatch_addon.export.nodes.collections import Collections  # noqa: E402
 from raybatch_addon.export.settings import settings_from  # noqa: E402
 from raybatch_addon.export.taken_over.rows import CYCLES, EEVEE, ROWS  # noqa: E402
-from raybatch_addon.export.taken_over.take import differences, take_over  # noqa: E402
+from raybatch_addon.export.taken_over.take import differences, passed_over_settings, take_over  # noqa: E402
 
 
 @pytest.mark.parametrize("engine", [CYCLES, EEVEE])
@@ -58,9 +58,23 @@ def test_limits_by_kind_count_as_far_as_that_of_all(scene):
 
 def test_values_out_of_our_range_become_its_ends(scene):
     scene.cycles.transparent_max_bounces = 1024
-    scene.cycles.adaptive_threshold = 0
+    scene.cycles.adaptive_threshold, scene.cycles.samples = 0, 4096
     take_over(scene, CYCLES)
-    assert settings_from(scene).transparent_bounce_max == 1024 and settings_from(scene).noise_threshold == 0
+    assert settings_from(scene).transparent_bounce_max == 1024 and settings_from(scene).noise_threshold == 0.001
+
+
+@pytest.mark.parametrize(("samples", "threshold"), [(16, 1 / 16), (4096, 0.001)])
+def test_a_threshold_of_0_is_one_by_the_samples_in_cycles(scene, samples, threshold):
+    scene.cycles.samples, scene.cycles.adaptive_threshold = samples, 0
+    take_over(scene, CYCLES)
+    assert settings_from(scene).noise_threshold == pytest.approx(threshold)
+
+
+def test_our_own_exposure_is_no_setting_of_cycles(scene):
+    scene.raybatch_export.exposure = 2
+    assert passed_over_settings(scene) == []
+    scene.cycles.film_exposure = 3
+    assert "Exposure: 3 in Cycles, 2 here" in passed_over_settings(scene)[0]
 
 
 def test_the_button_takes_over_and_eevee_brings_its_outputs(scene):

@@ -1,0 +1,109 @@
+"""What a render exports of motion: cameras, objects that bend, and the frame's own world."""
+
+import bpy
+import numpy as np
+import pytest
+
+from raybatch_addon.blender import frame
+from raybatch_addon.core.errors import RayBatchError
+from tests.support.blender_builders import add_grid, add_object
+
+FRAME = 10
+
+
+class Enough(RayBatchError):
+    """Ends a render."""
+
+
+def rendered_scene(**how):
+    """What the engine exports for a render of frame 10, which ends there."""
+    taken = []
+
+    def listen(_layer, exported, _settings):
+        taken.append(exported)
+        raise Enough("enough")
+
+    frame.scene_listeners.append(listen)
+    try:
+        if not how:
+            bpy.context.scene.frame_set(FRAME)
+        with pytest.raises(RuntimeError, match="enough"):
+            bpy.ops.render.render(**how)
+    finally:
+        frame.scene_listeners.remove(listen)
+    (exported,) = taken
+    return exported
+
+
+@pytest.fixture
+def blurred(scene):
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
+    return scene
+
+
+def keyed(owner, name, before, after):
+    for number, value in ((FRAME - 1, before), (FRAME + 1, after)):
+        setattr(owner, name, value)
+        owner.keyframe_insert(name, frame=number)
+
+
+def test_a_cut_to_another_camera_is_no_motion(blurred):
+    for number, x in ((1, 0.0), (FRAME, 100.0)):
+        camera = add_object(f"At {number}", bpy.data.cameras.new("Camera"))
+        camera.location.x = x
+        blurred.timeline_markers.new(f"{number}", frame=number).camera = camera
+    got = rendered_scene().camera
+    assert got.motion is None and got.transform[0, 3] == 100
+
+
+def test_what_its_parent_bends_moves(blurred):
+    armature = add_object("Bones", bpy.data.armatures.new("Bones"))
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    bone = armature.data.edit_bones.new("Bone")
+    bone.tail = (0, 0, 1)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    keyed(armature.pose.bones["Bone"], "location", (0, 0, 0), (0, 2, 0))
+    bent = add_grid("Bent", 1)
+    bent.vertex_groups.new(name="Bone").add([0, 1, 2, 3], 1.0, "REPLACE")
+    bent.parent, bent.parent_type = armature, "ARMATURE"
+    (mesh,) = rendered_scene().meshes
+    assert mesh.motion is not None and np.ptp(mesh.motion[:, 0], axis=0).max() > 0.1
+
+
+def test_each_thing_that_an_object_is_placed_as_moves(blurred):
+    for name in ("Haired", "Hole"):
+        keyed(add_grid(name, 1), "location", (0, 0, 0), (2, 0, 0))
+    haired = bpy.data.objects["Haired"]
+    haired.modifiers.new("Hair", "PARTICLE_SYSTEM")
+    settings = haired.particle_systems[0].settings
+    settings.type, settings.count = "HAIR", 3
+    bpy.data.objects["Hole"].is_holdout = True
+    got = rendered_scene().instances
+    assert len(got) == 4  # the hair, its ground, what rays see of the hole, and what the camera does
+    assert np.allclose(got.motion[:, [0, -1], 0, 3], got.motion[0, [0, -1], 0, 3])
+    assert np.ptp(got.motion[0, :, 0, 3]) > 0.5
+
+
+def test_mist_is_that_of_the_frame(scene):
+    world = scene.world = bpy.data.worlds.new("World")
+    driver = world.mist_settings.driver_add("start").driver
+    driver.expression = "frame"
+    scene.frame_set(1)
+    scene.frame_start = scene.frame_end = FRAME
+    assert rendered_scene(animation=True).frame.mist[0] == FRAME
+
+
+def test_strands_of_a_render_are_whole_and_those_of_a_look_too(scene):
+    from tests.support.blender_builders import exported
+
+    ground = add_grid("Ground", 1)
+    ground.modifiers.new("Hair", "PARTICLE_SYSTEM")
+    settings = ground.particle_systems[0].settings
+    settings.type, settings.count, settings.hair_length = "HAIR", 5, 1.0
+    settings.display_step, settings.render_step = 2, 5
+    for got in (exported(), rendered_scene()):
+        (hair,) = (mesh for mesh in got.meshes if mesh.radii is not None)
+        assert hair.positions[:, 2].min() == pytest.approx(0, abs=1e-4)
+        tips = hair.positions[np.setdiff1d(hair.triangles[:, 1], hair.triangles[:, 0])]
+        assert len(tips) == 5 and tips[:, 2] == pytest.approx(1, abs=0.05)
