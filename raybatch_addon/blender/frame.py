@@ -45,6 +45,7 @@ def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsg
     frame are left alone.
     """
     if engine.report_of_frame is None:
+        missing.begin_look(depsgraph.scene)
         engine.report_of_frame = reports.begin(depsgraph.scene.name, depsgraph.scene.frame_current)
     report = engine.report_of_frame
     if report.errors:
@@ -99,7 +100,7 @@ def _render_view(
         return
     export_seconds = report.export_seconds = time.perf_counter() - started
     scene = with_guides(with_light_looked_for(scene), settings)
-    found = missing.keep_found(depsgraph.scene, scene.warnings)
+    found = missing.keep_found(depsgraph.scene, layer_name, scene.warnings)
     _report_warnings(engine, report, found)
     if bpy.app.background and not scene_listeners:
         missing.tell(found)

@@ -15,7 +15,8 @@ from ..export.asked import asked
 
 REFUSED = 3  # exit code of a process whose render was refused
 
-_found: dict[str, list[Notice]] = {}  # by name of a scene: of the last look, or the last render
+# By names of a scene and a view layer: of the last look, or the last render
+_found: dict[str, dict[str, list[Notice]]] = {}
 
 
 class Refused(RayBatchError):
@@ -24,17 +25,24 @@ class Refused(RayBatchError):
 
 def found_in(scene: bpy.types.Scene) -> list[Notice] | None:
     """What the last look at `scene` found, the weightiest first; None where nobody has looked."""
-    return _found.get(scene.name)
+    layers = _found.get(scene.name)
+    return None if layers is None else by_weight(dict.fromkeys(each for found in layers.values() for each in found))
 
 
-def keep_found(scene: bpy.types.Scene, messages: Sequence[str]) -> list[Notice]:
-    """Remember what was found in `scene`, for the panel."""
-    _found[scene.name] = by_weight(messages)
-    return _found[scene.name]
+def keep_found(scene: bpy.types.Scene, layer: str, messages: Sequence[str]) -> list[Notice]:
+    """Remember what was found in a view layer of `scene`, for the panel."""
+    found = _found.setdefault(scene.name, {})[layer] = by_weight(messages)
+    return found
 
 
-def forget_found() -> None:
-    """Forget what was found."""
+def begin_look(scene: bpy.types.Scene) -> None:
+    """Forget what was found in `scene` before."""
+    _found.pop(scene.name, None)
+
+
+@bpy.app.handlers.persistent
+def forget_found(*_) -> None:
+    """Forget what was found: in another file, scenes of the same names are others."""
     _found.clear()
 
 

@@ -77,7 +77,7 @@ def _exported(
         + collections.warnings
         + failed_drivers(depsgraph)
         + [Notice(line, Weight.MISSING) for line in _unsupported(scene, depsgraph.view_layer)]
-        + passed_over(depsgraph)
+        + passed_over(depsgraph, placements.originals)
     )
     meshes = placements.meshes
     if exposure is not None:

@@ -14,6 +14,7 @@ class View:
 
     engine: bpy.types.RenderEngine | None = None
     name: str = ""  # as the render result calls it
+    is_look: bool = False  # nothing is rendered: what a render would lack is looked for
     held: bpy.types.Object | None = None  # the camera at all times, whatever markers of the timeline change
 
     def camera(self, scene: bpy.types.Scene) -> bpy.types.Object | None:

@@ -12,8 +12,6 @@ _LEFT_OUT = {
     "DATA_PT_light",  # the fuller DATA_PT_EEVEE_light is taken
     "NODE_DATA_PT_light",
     "DATA_PT_preview",
-    "DATA_PT_volume_render",
-    "PARTICLE_PT_hair_shape",
     "PHYSICS_PT_fluid_domain_render",
 }
 _LEFT_OUT_FAMILIES = (

@@ -15,7 +15,7 @@ from ..export.passes import (
 )
 from .panel import EnginePanel
 
-_GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
+_GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}
 
 
 class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
@@ -64,6 +64,10 @@ class RAYBATCH_VIEWLAYER_PT_filter(EnginePanel, bpy.types.Panel):
         column = layout.column(heading="Include")
         column.prop(context.view_layer, "use_sky", text="Environment")
         column.prop(context.view_layer, "use_solid", text="Surfaces")
+        column.prop(context.view_layer, "use_strand", text="Hair")
+        column.prop(context.view_layer, "use_volumes", text="Volumes")
+        if hasattr(context.view_layer, "use_motion_blur"):
+            column.prop(context.view_layer, "use_motion_blur", text="Motion Blur")
         layout.prop(context.view_layer, "material_override")
 
 

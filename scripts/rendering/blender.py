@@ -30,6 +30,7 @@ from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.export.passes import (
+    DENOISING_PASSES,
     LIGHT_PASS_PROPERTIES,
     MATTE_PROPERTIES,
     OWN_PASS_PROPERTIES,
@@ -260,12 +261,16 @@ def _apply_settings(scene: bpy.types.Scene, request: Request) -> None:
 
 def _ask_for_passes(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
     """Let all view layers render the passes `names` beside those that they have."""
+    of_cycles = [name for name in names if name in (*DENOISING_PASSES, *VOLUME_PASS_PROPERTIES.values())]
     for layer in scene.view_layers:
+        if of_cycles and not hasattr(layer, "cycles"):
+            raise UsageError(f"the pass {of_cycles[0]!r} is a setting of Cycles, whose add-on is not enabled")
+        if not set(of_cycles).isdisjoint(DENOISING_PASSES):
+            layer.cycles.denoising_store_passes = True
         for owner, properties in (
             (layer, PASS_PROPERTIES | LIGHT_PASS_PROPERTIES),
             (getattr(layer, "cycles", None), VOLUME_PASS_PROPERTIES),
             (layer.raybatch, OWN_PASS_PROPERTIES),
-            (layer.cycles, VOLUME_PASS_PROPERTIES),
         ):
             for prop, name in properties.items():
                 if name in names and owner is not None:

@@ -150,6 +150,7 @@ def test_the_other_panels_draw_what_exists(scene):
             drawn_properties[panel.__name__] = [note[2] for note in drawn(panel, context)]
     assert {"use_pass_normal", "use_pass_node_steps"} <= set(drawn_properties["RAYBATCH_VIEWLAYER_PT_passes"])
     assert "visible_glossy" in drawn_properties["RAYBATCH_OBJECT_PT_ray_visibility"]
+    assert {"use_strand", "use_volumes"} <= set(drawn_properties["RAYBATCH_VIEWLAYER_PT_filter"])
     assert "spread" in drawn_properties["RAYBATCH_LIGHT_PT_settings"]
 
 
@@ -185,6 +186,8 @@ def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
         "OBJECT_PT_visibility",
         "OBJECT_PT_shading",
         "PARTICLE_PT_render",
+        "PARTICLE_PT_hair_shape",
+        "DATA_PT_volume_render",
         "TEXTURE_PT_image",
     ):
         assert hasattr(bpy.types, name) and name in enabled, name

@@ -11,6 +11,8 @@ from tests.support.scripts_here import call_script
 
 bpy = pytest.importorskip("bpy")
 
+from raybatch_addon.export.passes import DENOISING_PASSES  # noqa: E402
+
 # the steps of a person: open the file, render, save
 RENDER_BY_HAND = """
 import sys
@@ -142,7 +144,7 @@ def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):
         blend,
         *arguments,
         "--passes",
-        "normal, Triangle Tests",
+        "normal, Triangle Tests, Denoising Depth",
         "--heat-map",
         f"node steps={out / 'steps.png'}",
         "--film",
@@ -152,7 +154,7 @@ def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):
     )
     assert names(out) == ["a.json", "a.npz", "steps.png"]
     with np.load(out / "a.npz") as film, np.load(tmp_path / "plain.npz") as plain:
-        assert set(film.files) == {"Combined", "Normal", "Node Steps", "Triangle Tests"}
+        assert set(film.files) == {"Combined", "Normal", "Node Steps", "Triangle Tests", *DENOISING_PASSES}
         assert film["Combined"].tobytes() == plain["Combined"].tobytes()
         steps = film["Node Steps"][..., 0]
     picture = np.array(Image.open(out / "steps.png")).astype(int).sum(-1)[::-1]

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Attribute, Mesh
+from ...core.scene.notice import Notice, Weight
 from ..meshes.attributes import ATTRIBUTE_TYPES
 from ..meshes.mesh_arrays import read
 from .strands import CurveShape, CutStrands, Strands, hair_attribute, random_numbers, sound_strands
@@ -76,7 +77,7 @@ class CurvesSource:
     def exported(self, uvs_asked: bool, warnings: list[str]) -> Mesh | None:
         """Its mesh; None where nothing of it can be rendered."""
         strands = self._cut.strands
-        _warn_dropped(strands, f"object “{self._user}”: curves", warnings)
+        _warn_dropped(strands, f"object “{self._user}”: curves", self._user, warnings)
         if len(strands.points) == 0:
             return None
         uvs = self._surface_uvs() if uvs_asked else None
@@ -144,7 +145,7 @@ class ParticleHair:
         """Its mesh; None where there is no hair."""
         strands = self._cut.strands
         name = f"{self._owner.name}/{self._system.name}"
-        _warn_dropped(strands, f"particle hair “{name}”: strands", warnings)
+        _warn_dropped(strands, f"particle hair “{name}”: strands", self._owner.name, warnings)
         if len(strands.points) == 0:
             return None
         return self._cut.mesh(name, self._emitter_uvs() if uvs_asked else None)
@@ -210,10 +211,8 @@ class PointsSource:
         """Its mesh; None where it has no points."""
         lost = len(self._kept) - len(self._points)
         if lost:
-            warnings.append(
-                f"object “{self._user}”: {lost:,} points without radius, or with numbers that are not finite, are left "
-                "out"
-            )
+            text = f"{lost:,} points without radius, or with numbers that are not finite, are left out"
+            warnings.append(Notice(f"object “{self._user}”: {text}", Weight.REPAIRED, objects=[self._user]))
         if len(self._points) == 0:
             return None
         number = np.arange(len(self._points), dtype=np.int32)
@@ -249,9 +248,9 @@ def _moved(cut: CutStrands, points: np.ndarray) -> np.ndarray | None:
     return cut.moved(points) if np.isfinite(points).all() else None
 
 
-def _warn_dropped(strands: Strands, what: str, warnings: list[str]) -> None:
+def _warn_dropped(strands: Strands, what: str, user: str, warnings: list[str]) -> None:
     if strands.dropped:
-        warnings.append(f"{what} are left out: {strands.dropped}")
+        warnings.append(Notice(f"{what} are left out: {strands.dropped}", Weight.REPAIRED, objects=[user]))
 
 
 def _values(attribute: Any) -> np.ndarray | None:

@@ -2,6 +2,7 @@
 
 Kinds of a mesh's attributes, and their names:
 - GEOMETRY: by name, as Cycles finds it; also `uv`, `vertex_color`, `pointiness`, `random_per_island`.
+- GRID: a grid of a volume; meshes have none, and need none.
 - COLOR: a colour attribute; without name the one that is marked for rendering.
 - TANGENT: tangents and the signs of bitangents of a UV map; without name the one that is marked for rendering.
 """
@@ -43,6 +44,8 @@ def mesh_attributes(
     arrays = MeshArrays(mesh)
     found = []
     for kind, name in asked:
+        if kind == "GRID":
+            continue
         values = _READERS[kind](arrays, name)
         if values is None:
             what = _MISSING[kind].format(name=name) if name else _UNNAMED[kind]

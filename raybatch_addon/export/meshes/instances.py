@@ -108,6 +108,7 @@ class _Collector:
         self._use_hair = depsgraph.view_layer.use_strand
         self._strands = StrandMeshes(self.placements.meshes, self.placements.warnings, depsgraph.scene)
         self.placements.strands = self._strands.sources
+        self._looked_at: set[int] = set()  # pointers of `Placements.originals`
         self._item = -1  # of the depsgraph's list
         self._light_values: list[tuple[tuple[int, tuple[float, ...]], ...]] = []  # by light: as `Template.attributes`
 
@@ -119,7 +120,9 @@ class _Collector:
         of_itself = not placed.is_instance or (placed.parent is not None and placed.parent.original == obj.original)
         if of_itself and self.viewport and obj.original.hide_render:
             return  # a render's own depsgraph leaves these out by itself
-        if not placed.is_instance:
+        if obj.original.as_pointer() not in self._looked_at:
+            self._looked_at.add(obj.original.as_pointer())
+            self.placements.originals.append(obj.original)
             self._note_unsupported(obj, placed)
         if kind == "LIGHT":
             self._add_light(placed, obj)
@@ -284,7 +287,10 @@ class _Collector:
     def _volume(self, obj, key: tuple, asked: list[tuple[str, str]]) -> int | None:
         """Index of the box around a volume object, with the grids `asked`; None if there is nothing in it."""
         if (key := (*key, *asked)) not in self._meshes:
-            made = export_volume(obj, [name for _, name in asked], self.placements.warnings)
+            told: list[str] = []
+            made = export_volume(obj, dict.fromkeys(name for _, name in asked), told)
+            lacking = (Notice(text, Weight.MISSING, objects=[obj.name]) for text in told)
+            self.placements.warnings += lacking
             self._meshes[key] = None if made is None else len(self.placements.meshes)
             if made is not None:
                 self.placements.meshes.append(made)

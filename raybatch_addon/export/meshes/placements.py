@@ -50,6 +50,7 @@ class Placements:
     matrices: list[Any] = field(default_factory=list)  # of all placements
     usable: np.ndarray | None = None  # which of them are instances: bool, once `instances` was called
     templates: list[Template] = field(default_factory=list)
+    originals: list[Any] = field(default_factory=list)  # objects of all placements and lights
     linked: bool = False  # light is linked to receivers or blockers
     grouped: bool = False  # emitters are in groups
     info: list[tuple[float, ...]] = field(default_factory=list)  # rows of `Instances.info`

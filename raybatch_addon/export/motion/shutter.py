@@ -45,6 +45,8 @@ def open_time(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, view: Vie
     render = scene.render
     if not render.use_motion_blur or not getattr(view_layer, "use_motion_blur", True):
         return None
+    if view.is_look:
+        return None
     if view.engine is None:
         text = f"scene “{scene.name}”: without a render engine nothing moves; the frame is rendered sharp"
         warnings.append(Notice(text, Weight.MISSING))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 
 import bpy
 
@@ -14,14 +15,13 @@ from .row import notices, object_notices
 from .scene_rows import SCENE_ROWS
 
 
-def passed_over(depsgraph: bpy.types.Depsgraph) -> list[Notice]:
-    """Settings of the depsgraph's scene, view layer and objects that are not heard."""
+def passed_over(depsgraph: bpy.types.Depsgraph, objects: Iterable[bpy.types.Object]) -> list[Notice]:
+    """Settings of the depsgraph's scene and view layer, and of the `objects` that are rendered, that are not heard."""
     scene, layer = depsgraph.scene, depsgraph.view_layer
     found = [
         about(each, f"scene “{scene.name}”, view layer “{layer.name}”") for each in notices(SCENE_ROWS, scene, layer)
     ]
-    shown = (each for each in layer.objects if not each.hide_render)
-    return found + list(object_notices(OBJECT_ROWS, shown)) + passed_over_settings(scene)
+    return found + list(object_notices(OBJECT_ROWS, objects)) + passed_over_settings(scene)
 
 
 def _glows(volume: Volume | None) -> bool:

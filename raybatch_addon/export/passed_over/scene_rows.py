@@ -52,7 +52,19 @@ def _simplified(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> str:
     return unlike_new(own, "texture_limit_render", "texture_resolution_render", "use_camera_cull", "use_distance_cull")
 
 
+def _unscattered_world(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
+    world = (getattr(layer, "world_override", None) or scene.world) if layer.use_sky else None
+    seen = getattr(world, "cycles_visibility", None)
+    return not getattr(seen, "scatter", True)
+
+
 SCENE_ROWS = (
+    Row(
+        "Volume Scatter of the world's Ray Visibility is not heard; light that volumes scatter meets it all the same",
+        _unscattered_world,
+        Weight.SETTING,
+        "turn it on in the world's settings of Cycles",
+    ),
     Row(
         "these passes of Cycles are not supported yet and stay empty: {found}",
         _cycles_passes,

@@ -16,6 +16,8 @@ ENGINE_LABELS = {CYCLES: "Cycles", EEVEE: "EEVEE"}
 
 
 EXPOSURE = "exposure"  # no setting of the core: pictures are shown brighter, films are as they are
+MATERIAL_OUTPUT = "material_output"
+_OF_FILE = {EXPOSURE: "Exposure", MATERIAL_OUTPUT: "Material Output"}
 # Limits that count only as far as those of all bounces let them
 _OF_KINDS = ("diffuse_bounce_max", "glossy_bounce_max", "transmission_bounce_max", "volume_bounce_max")
 
@@ -30,7 +32,7 @@ class Difference:
 
     def text(self, engine: str) -> str:
         """It in words."""
-        label = "Exposure" if self.setting == EXPOSURE else SETTINGS[self.setting].label
+        label = _OF_FILE.get(self.setting) or SETTINGS[self.setting].label
         return f"{label}: {_shown(self.theirs)} in {ENGINE_LABELS[engine]}, {_shown(self.ours)} here"
 
 
@@ -63,8 +65,11 @@ def take_over(scene: bpy.types.Scene, engine: str) -> list[Difference]:
             scene.raybatch_export.exposure = each.theirs
         else:
             assign_setting(scene.raybatch, each.setting, each.theirs)
+    output = scene.raybatch_export.material_output
+    if output == engine:
+        return found
     scene.raybatch_export.material_output = engine
-    return found
+    return [*found, Difference(MATERIAL_OUTPUT, ENGINE_LABELS[engine], ENGINE_LABELS[output])]
 
 
 def passed_over_settings(scene: bpy.types.Scene) -> list[Notice]:

@@ -14,7 +14,7 @@ class _OfEngine:
 
 
 class RAYBATCH_OT_check_scene(_OfEngine, bpy.types.Operator):
-    """Read the scene as a render does, and list what the render would lack"""
+    """Read the scene as a render does, and list what it would lack; objects hidden in the viewport are not seen"""
 
     bl_idname = "raybatch.check_scene"
     bl_label = "Check Scene"
@@ -24,13 +24,16 @@ class RAYBATCH_OT_check_scene(_OfEngine, bpy.types.Operator):
         from ...core.errors import RayBatchError
         from ...export.passed_over.look import with_light_looked_for
         from ...export.scene import export_scene
+        from ...export.view import View
 
         try:
-            exported = with_light_looked_for(export_scene(context.evaluated_depsgraph_get()))
+            look = export_scene(context.evaluated_depsgraph_get(), view=View(is_look=True))
+            exported = with_light_looked_for(look)
         except RayBatchError as error:
             self.report({"ERROR"}, f"RayBatch: {error}")
             return {"CANCELLED"}
-        found = missing.keep_found(context.scene, exported.warnings)
+        missing.begin_look(context.scene)
+        found = missing.keep_found(context.scene, context.view_layer.name, exported.warnings)
         missing.tell(found)
         self.report({"INFO"}, f"RayBatch: {len(found)} found" if found else "RayBatch: nothing is missing")
         return {"FINISHED"}
@@ -92,9 +95,14 @@ class RAYBATCH_OT_settings_from(_OfEngine, bpy.types.Operator):
     )
 
     def execute(self, context):
+        from ...core.errors import SettingsError
         from ...export.taken_over.take import take_over
 
-        changed = take_over(context.scene, self.engine)
+        try:
+            changed = take_over(context.scene, self.engine)
+        except SettingsError as error:
+            self.report({"ERROR"}, f"RayBatch: {error}")
+            return {"CANCELLED"}
         for each in changed:
             self.report({"INFO"}, each.text(self.engine))
         if not changed:
@@ -107,11 +115,17 @@ _classes = (RAYBATCH_OT_check_scene, RAYBATCH_OT_select_object, RAYBATCH_OT_sett
 
 def register() -> None:
     """Add the operators."""
+    from ...blender import missing
+
+    bpy.app.handlers.load_pre.append(missing.forget_found)
     for cls in _classes:
         bpy.utils.register_class(cls)
 
 
 def unregister() -> None:
     """Remove the operators."""
+    from ...blender import missing
+
+    bpy.app.handlers.load_pre.remove(missing.forget_found)
     for cls in reversed(_classes):
         bpy.utils.unregister_class(cls)

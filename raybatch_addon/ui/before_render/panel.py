@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ...blender import missing
+from ...core.errors import SettingsError
 from ...core.scene.notice import Notice, Weight
 from ...export.taken_over.rows import CYCLES, EEVEE
 from ...export.taken_over.take import ENGINE_LABELS, differences
@@ -63,9 +64,13 @@ class RAYBATCH_RENDER_PT_settings_from(EnginePanel, bpy.types.Panel):
         layout = self.layout
         layout.prop(context.scene.raybatch_export, "material_output")
         for engine in (CYCLES, EEVEE):
-            found = differences(context.scene, engine)
             text = f"Settings From {ENGINE_LABELS[engine]}"
             layout.operator(RAYBATCH_OT_settings_from.bl_idname, text=text, icon="IMPORT").engine = engine
+            try:
+                found = differences(context.scene, engine)
+            except SettingsError as error:
+                draw_lines(layout.box(), context, [str(error)], "ERROR")
+                continue
             draw_lines(layout, context, [each.text(engine) for each in found] or ["They are the same"])
 
 

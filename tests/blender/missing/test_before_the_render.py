@@ -133,6 +133,75 @@ def test_the_panel_checks_and_selects(scene):
     assert bpy.ops.raybatch.select_object(number=5) == {"CANCELLED"}
 
 
+def test_a_look_says_nothing_of_motion_that_a_render_will_have(scene):
+    lamp(scene)
+    scene.render.use_motion_blur = True
+    assert bpy.ops.raybatch.check_scene() == {"FINISHED"} and missing.found_in(scene) == []
+
+
+def test_every_view_layer_has_its_notices_and_another_file_has_none(scene, tmp_path):
+    lamp(scene)
+    first, second = scene.view_layers[0], scene.view_layers.new("Second")
+    first.cycles.use_pass_shadow_catcher = True
+    bpy.ops.render.render()
+    assert second.use and any("Shadow Catcher" in each for each in missing.found_in(scene))
+    first.cycles.use_pass_shadow_catcher = False
+    bpy.ops.render.render()
+    assert missing.found_in(scene) == []
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "other.blend"))
+    assert missing.found_in(bpy.context.scene) is None
+
+
+def test_what_is_rendered_is_looked_at(scene):
+    for name, hidden in (("Hidden", True), ("Placed", False)):
+        collection = bpy.data.collections.new(name)
+        obj = add_grid(name, 1)
+        scene.collection.objects.unlink(obj)
+        collection.objects.link(obj)
+        obj.cycles.use_camera_cull = obj.is_shadow_catcher = True
+        if hidden:
+            scene.collection.children.link(collection)
+            collection.hide_render = True
+            continue
+        empty = bpy.data.objects.new("Instancer", None)
+        empty.instance_type, empty.instance_collection = "COLLECTION", collection
+        scene.collection.objects.link(empty)
+    taken = []
+    frame.scene_listeners.append(lambda _layer, exported, _settings: taken.append(exported))
+    try:
+        bpy.ops.render.render()
+    finally:
+        frame.scene_listeners.pop()
+    (exported,) = taken
+    told = [each.objects for each in exported.warnings if isinstance(each, Notice) and each.objects]
+    assert told and all(tuple(each) == ("Placed",) for each in told)
+    assert any("culling" in each for each in exported.warnings)
+
+
+def test_a_mesh_needs_no_grid_of_a_principled_volume(scene):
+    obj = add_grid("Host", 1)
+    scene.collection.objects.link(bpy.data.objects.new("Smoke", bpy.data.volumes.new("Smoke")))
+    material = bpy.data.materials.new("Fog")
+    obj.data.materials.append(material)
+    tree = material.node_tree
+    output = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
+    tree.links.new(tree.nodes.new("ShaderNodeVolumePrincipled").outputs[0], output.inputs["Volume"])
+    assert not [each for each in found(scene) if "Host" in each]
+
+
+def test_a_volume_without_values_is_missing_and_selected_by_its_name(scene):
+    scene.collection.objects.link(bpy.data.objects.new("Smoke", bpy.data.volumes.new("Smoke")))
+    notice = the_one(scene, "“Smoke”")
+    assert notice.weight == Weight.MISSING and notice.objects == ("Smoke",)
+
+
+def test_a_world_that_scattered_light_cannot_see_is_named(scene):
+    scene.world = bpy.data.worlds.new("World")
+    scene.world.cycles_visibility.scatter = False
+    assert the_one(scene, "world's Ray Visibility").weight == Weight.SETTING
+
+
 @pytest.mark.parametrize(
     ("strict", "refused"), [("OFF", False), ("MISSING", False), ("REPLACED", False), ("SETTING", True)]
 )

@@ -10,6 +10,8 @@ from raybatch_addon.export.nodes.collections import Collections  # noqa: E402
 from raybatch_addon.export.settings import settings_from  # noqa: E402
 from raybatch_addon.export.taken_over.rows import CYCLES, EEVEE, ROWS  # noqa: E402
 from raybatch_addon.export.taken_over.take import differences, passed_over_settings, take_over  # noqa: E402
+from raybatch_addon.ui.before_render.panel import RAYBATCH_RENDER_PT_settings_from  # noqa: E402
+from tests.support.panel_layout import context_of, drawn  # noqa: E402
 
 
 @pytest.mark.parametrize("engine", [CYCLES, EEVEE])
@@ -46,6 +48,21 @@ def test_exposure_brightens_what_blender_shows(scene, tmp_path):
     loaded = bpy.data.images.load(str(written))
     loaded.colorspace_settings.name = "Non-Color"
     assert tuple(loaded.pixels[:3]) == (0.625, 1.25, 2.5)
+
+
+def test_a_setting_that_cannot_be_read_is_told_where_settings_are_compared(scene):
+    scene.raybatch.geometry_budget = "abc"
+    notes = drawn(RAYBATCH_RENDER_PT_settings_from, context_of(scene))
+    assert any("geometry_budget" in note[1] and note[2] == "ERROR" for note in notes)
+    with pytest.raises(RuntimeError, match="geometry_budget"):
+        bpy.ops.raybatch.settings_from(engine="CYCLES")
+
+
+def test_another_output_is_a_difference(scene):
+    take_over(scene, CYCLES)
+    scene.raybatch_export.material_output = EEVEE
+    (change,) = take_over(scene, CYCLES)
+    assert change.text(CYCLES) == "Material Output: Cycles in Cycles, EEVEE here"
 
 
 def test_limits_by_kind_count_as_far_as_that_of_all(scene):

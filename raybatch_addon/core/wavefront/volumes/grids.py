@@ -21,17 +21,16 @@ def upload_grids(scene: Scene, inputs: InputData, device: wp.Device) -> list[wp.
     numbers: list[np.ndarray] = []
     for row, mesh in enumerate(scene.meshes):
         for grid in mesh.grids:
-            key = ("GEOMETRY", grid.name)
-            if key not in scene.attributes:
+            columns = [i for i, each in enumerate(scene.attributes) if each in _keys(grid.name)]
+            if not columns:
                 continue
             values = np.ascontiguousarray(grid.values, np.float32)
             if id(grid.values) not in uploaded:
                 background = 0.0 if values.ndim == 3 else (0.0, 0.0, 0.0)
                 uploaded[id(grid.values)] = wp.Volume.load_from_numpy(values, bg_value=background, device=device)
                 kept.append(uploaded[id(grid.values)])
-            column = scene.attributes.index(key)
-            first[row, column] = GRID_NUMBERS * len(numbers)
-            layout[row, column] = 1 if values.ndim == 3 else 3
+            first[row, columns] = GRID_NUMBERS * len(numbers)
+            layout[row, columns] = 1 if values.ndim == 3 else 3
             address = np.array([uploaded[id(grid.values)].id], np.uint64).view(np.float32)
             numbers.append(np.concatenate([address, np.asarray(grid.to_index, np.float32).ravel()]))
     inputs.attribute_row = wp.array(np.asarray(scene.instances.mesh, np.int32), dtype=int, device=device)
@@ -40,6 +39,11 @@ def upload_grids(scene: Scene, inputs: InputData, device: wp.Device) -> list[wp.
     joined = np.concatenate(numbers) if numbers else np.zeros(0, np.float32)
     inputs.attribute_values = wp.array(joined, dtype=float, device=device)
     return kept
+
+
+def _keys(name: str) -> tuple[tuple[str, str], ...]:
+    """What programs ask for the grid `name` as: an attribute of any geometry, or one that only volumes have."""
+    return ("GEOMETRY", name), ("GRID", name)
 
 
 def density_scale(scene: Scene) -> np.ndarray | None:

@@ -98,9 +98,9 @@ def _grid(node: Node, socket: str) -> tuple[Value, Value, Value]:
     """Colour, number and alpha of the grid that is named by the input `socket`; 1 where an object has none."""
     named = node.socket(socket)
     name = named.default_value if named is not None else ""
-    if not (name and node.graph.collections.has_grids):
+    if not (name and node.graph.collections.grids()):
         return node.constant(_ONE), node.constant(1.0), node.constant(1.0)
-    return node.op("volume_attribute", node.graph.collections.attribute("GEOMETRY", name), 1.0)
+    return node.op("volume_attribute", node.graph.collections.attribute("GRID", name), 1.0)
 
 
 def _blackbody(node: Node) -> Value:
