@@ -139,7 +139,8 @@ def argument_parser() -> argparse.ArgumentParser:
         "--film",
         metavar="FILE.npz",
         help="write the linear passes: name -> float32 [height, width, channels], bottom row first.\n"
-        "Passes of the second view layer on are called LAYER/PASS; frames are numbered as with -o",
+        "Passes of the second view layer on are called LAYER/PASS (of stereo LAYER/VIEW/PASS); frames are\n"
+        "numbered as with -o",
     )
     add(
         "--camera",

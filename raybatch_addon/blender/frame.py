@@ -145,6 +145,8 @@ def _render_view(
     seconds["total"] = round(seconds.get("total", 0.0) + export_seconds, 6)
     report.statistics[f"{layer_name}, {view.name}" if view.name else layer_name] = film.statistics
     _report_warnings(engine, report, film.statistics["warnings"])
+    if view.name:
+        film.statistics["frame"] = {**film.statistics.get("frame", {}), "view": view.name}
     for listener in film_listeners:
         listener(layer_name, scene, film)
 

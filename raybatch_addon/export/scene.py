@@ -41,7 +41,8 @@ def export_scene(
     exposure = exposure or beside
     if exposure is None:
         return _exported(depsgraph, frame, view, cancelled or (lambda: False), warnings)
-    exposure.go_to(0.0)
+    if exposure.middle != exposure.frame:
+        exposure.go_to(0.0)
     try:
         return _exported(depsgraph, frame, view, cancelled or (lambda: False), warnings, exposure, beside is not None)
     finally:

@@ -119,8 +119,8 @@ def numbered(path: str, number: int, many: bool) -> Path:
 
 
 def write_film(path: Path, films: list[tuple[str, Film]]) -> None:
-    """Write the passes of the films of one frame, by view layer; those of the second layer on are called
-    `layer/pass`.
+    """Write the passes of the films of one frame, by view layer; those of the second on are called `layer/pass`, or
+    `layer/view/pass` where there are several views.
     """
     arrays = {}
     for number, (layer, film) in enumerate(films):

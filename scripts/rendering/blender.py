@@ -123,7 +123,8 @@ class BlenderRender:
         tell_warnings(text for text in film.statistics["warnings"] if text not in self._told)
         self._statistics.append(described(film, bpy.context.scene.frame_current, layer))
         if self._request.film or self._request.heat_maps:
-            self._films.append((layer, film))
+            view = film.statistics.get("frame", {}).get("view")
+            self._films.append((f"{layer}/{view}" if view else layer, film))
 
     # --- rendering
 

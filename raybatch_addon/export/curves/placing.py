@@ -8,8 +8,10 @@ from typing import Any
 
 import bpy
 
-from ...core.scene.description import Mesh
-from .sources import CurvesSource, ParticleHair, PointsSource, Source
+from ...core.scene.description import Attribute, Mesh
+from ...core.scene.notice import Notice, Weight
+from ..meshes.attributes import lacking_attribute
+from .sources import STRAND_KIND, CurvesSource, ParticleHair, PointsSource, Source
 from .strands import curve_shape
 
 _Asked = list[tuple[str, str]]
@@ -57,11 +59,21 @@ class StrandMeshes:
         source, index = self._made[key]
         if index is not None:
             seen = self._seen.setdefault(key, set())
-            added = source.attributes(each for each in asked if each not in seen)
+            new = [each for each in asked if each not in seen]
+            added = source.attributes(new)
+            self._tell_lacking(obj, new, added)
             mesh = self._meshes[index]
             self._meshes[index] = replace(mesh, attributes=(*mesh.attributes, *added))
             seen.update(asked)
         return index
+
+    def _tell_lacking(self, obj: bpy.types.Object, asked: _Asked, added: list[Attribute]) -> None:
+        there = {(each.kind, each.name) for each in added}
+        for kind, name in asked:
+            if (kind, name) not in there and kind not in (STRAND_KIND, "GRID"):
+                what = lacking_attribute(kind, name)
+                text = f"object “{obj.name}”: its strands or points have no {what}, which their material asks for"
+                self._warnings.append(Notice(text, Weight.REPLACED, objects=[obj.name]))
 
     def _source(self, obj: bpy.types.Object, data: Any, viewport: bool) -> Source:
         if isinstance(data, bpy.types.Curves):

@@ -48,7 +48,7 @@ def mesh_attributes(
             continue
         values = _READERS[kind](arrays, name)
         if values is None:
-            what = _MISSING[kind].format(name=name) if name else _UNNAMED[kind]
+            what = lacking_attribute(kind, name)
             warnings.append(f"object “{user}”: its mesh “{mesh.name}” has no {what}, which its material asks for")
             continue
         values = np.ascontiguousarray(values, np.float32)
@@ -60,6 +60,11 @@ def mesh_attributes(
             values = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
         found.append(Attribute(kind, name, values))
     return found
+
+
+def lacking_attribute(kind: str, name: str) -> str:
+    """An attribute of geometry that is not there, in words."""
+    return _MISSING[kind].format(name=name) if name else _UNNAMED[kind]
 
 
 def _by_name(arrays: MeshArrays, name: str) -> np.ndarray | None:

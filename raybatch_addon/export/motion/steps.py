@@ -40,17 +40,19 @@ class MotionSteps:
     def collect(
         self, depsgraph: bpy.types.Depsgraph, camera_now: Callable[[], Any], cancelled: Callable[[], bool]
     ) -> bool:
-        """Go through all times; False where `cancelled()`. `camera_now` says how the camera is."""
-        try:
-            for step in range(self.count):
-                time = 2 * step / (self.count - 1) - 1
-                if cancelled():
-                    return False
-                self._exposure.go_to(time)
-                self._cameras.append(camera_now())
-                self._add(depsgraph, step)
-        finally:
-            self._exposure.go_back()
+        """Go through all times, from the middle, where the scene is, on; False where `cancelled()`. The scene stays at
+        the last of them. `camera_now` says how the camera is.
+        """
+        middle = (self.count - 1) // 2
+        cameras = {}
+        for step in sorted(range(self.count), key=lambda step: step != middle):
+            if cancelled():
+                return False
+            if step != middle:
+                self._exposure.go_to(2 * step / (self.count - 1) - 1)
+            cameras[step] = camera_now()
+            self._add(depsgraph, step)
+        self._cameras = [cameras[step] for step in range(self.count)]
         return True
 
     def _add(self, depsgraph: bpy.types.Depsgraph, step: int) -> None:
@@ -129,10 +131,13 @@ class MotionSteps:
     def meshes(self) -> list[Mesh]:
         """All meshes, with vertices that move as they did."""
         found = list(self._placements.meshes)
+        most: dict[int, int] = {}
+        for each in self._placements.motion:
+            most[each.mesh] = max(most.get(each.mesh, 0), each.steps)
         for index, steps in self._positions.items():
             if any(each is None for each in steps):
                 continue
-            positions, count = np.stack([each[0] for each in steps]), self._steps_of(index)
+            positions, count = np.stack([each[0] for each in steps]), most[index]
             if (positions == positions[:1]).all():
                 continue
             normals = None
@@ -146,9 +151,6 @@ class MotionSteps:
                 times = np.linspace(-1, 1, max(self.count, 3), dtype=np.float32)
                 found[index] = replace(found[index], motion=found[index].positions + times[:, None, None] * half)
         return found
-
-    def _steps_of(self, mesh: int) -> int:
-        return max(each.steps for each in self._placements.motion if each.mesh == mesh)
 
 
 def _with_steps(maps: np.ndarray, count: int) -> np.ndarray:

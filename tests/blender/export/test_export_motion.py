@@ -6,6 +6,7 @@ import pytest
 
 from raybatch_addon.blender import frame
 from raybatch_addon.core.errors import RayBatchError
+from raybatch_addon.export.motion.shutter import Exposure
 from tests.support.blender_builders import add_grid, add_object
 
 FRAME = 10
@@ -83,6 +84,15 @@ def test_each_thing_that_an_object_is_placed_as_moves(blurred):
     assert len(got) == 4  # the hair, its ground, what rays see of the hole, and what the camera does
     assert np.allclose(got.motion[:, [0, -1], 0, 3], got.motion[0, [0, -1], 0, 3])
     assert np.ptp(got.motion[0, :, 0, 3]) > 0.5
+
+
+def test_no_time_is_evaluated_twice(blurred, monkeypatch):
+    keyed(add_grid("Moving", 1), "location", (0, 0, 0), (2, 0, 0))
+    times, as_it_is = [], Exposure._set
+    monkeypatch.setattr(Exposure, "_set", lambda self, time: times.append(time) or as_it_is(self, time))
+    motion = rendered_scene().instances.motion
+    assert times == [FRAME - 0.5, FRAME + 0.5, FRAME]
+    assert motion[0, 1, 0, 3] == pytest.approx(1, abs=1e-6)
 
 
 def test_mist_is_that_of_the_frame(scene):

@@ -69,6 +69,21 @@ def test_a_radius_that_is_no_number_is_named():
     assert scene.meshes[0].radii == pytest.approx(0.005) and "“radius”" in scene.warnings[0]
 
 
+def test_an_attribute_that_strands_lack_is_told():
+    hair = add_curves([(0, 0, 0), (0, 0, 1)], [2])
+    hair.data.attributes.new("there", "FLOAT", "POINT")
+    material = bpy.data.materials.new("Tinted")
+    hair.data.materials.append(material)
+    tree = material.node_tree
+    shader = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+    for name, socket in (("there", "Roughness"), ("tint", "Base Color")):
+        node = tree.nodes.new("ShaderNodeAttribute")
+        node.attribute_name = name
+        tree.links.new(node.outputs["Fac" if name == "there" else "Color"], shader.inputs[socket])
+    told = [each for each in exported().warnings if "attribute" in each]
+    assert len(told) == 1 and "“tint”" in told[0] and told[0].objects == ("Hair",)
+
+
 def test_curves_without_radius_have_that_of_cycles():
     add_curves([(0, 0, 0), (0, 0, 1)], [2])
     assert exported().meshes[0].radii == pytest.approx(0.005)

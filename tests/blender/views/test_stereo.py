@@ -1,5 +1,6 @@
 """Stereoscopy: each view is rendered from its own eye, as Cycles does."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,19 +11,20 @@ bpy = pytest.importorskip("bpy")
 from raybatch_addon.blender import frame  # noqa: E402
 from tests.blender.features.compare import empty_scene, set_alike  # noqa: E402
 from tests.blender.features.families.cameras import surroundings  # noqa: E402
+from tests.support.scripts_here import call_script  # noqa: E402
 
 SAMPLES = 64
 
 
-def by_cycles(scene, folder: Path) -> list[np.ndarray]:
-    """Both eyes' pixels, through files of their own."""
-    scene.render.engine, scene.render.filepath = "CYCLES", str(folder / "seen.exr")
-    scene.cycles.samples = SAMPLES
+def saved(scene, engine: str, folder: Path) -> list[np.ndarray]:
+    """Both eyes' pixels by `engine`, as Blender saves them in files of their own."""
+    scene.render.engine, scene.render.filepath = engine, str(folder / f"{engine}.exr")
+    scene.cycles.samples = scene.raybatch.sample_count = SAMPLES
     scene.render.image_settings.views_format = "INDIVIDUAL"
     bpy.ops.render.render(write_still=True)
     pictures = []
     for eye in "LR":
-        image = bpy.data.images.load(str(folder / f"seen_{eye}.exr"))
+        image = bpy.data.images.load(str(folder / f"{engine}_{eye}.exr"))
         image.colorspace_settings.name = "Non-Color"
         pixels = np.empty(len(image.pixels), np.float32)
         image.pixels.foreach_get(pixels)
@@ -30,19 +32,19 @@ def by_cycles(scene, folder: Path) -> list[np.ndarray]:
     return pictures
 
 
-def by_raybatch(scene) -> list[np.ndarray]:
-    films = []
-
-    def listen(_layer, _scene, film):
-        films.append(film.passes["Combined"][..., :3])
-
-    scene.render.engine, scene.raybatch.sample_count = "RAYBATCH", SAMPLES
-    frame.film_listeners.append(listen)
-    try:
-        bpy.ops.render.render()
-    finally:
-        frame.film_listeners.remove(listen)
-    return films
+def test_films_of_all_layers_and_eyes_are_kept(scene, tmp_path):
+    scene.render.use_multiview = True
+    scene.view_layers[0].name = "A"
+    scene.view_layers.new("B")
+    scene.raybatch.sample_count, scene.render.resolution_percentage = 1, 25
+    path, film = tmp_path / "eyes.blend", tmp_path / "eyes.npz"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    done = call_script("render.py", path, "--film", film, "--json", tmp_path / "eyes.json")
+    assert done.returncode == 0, done.stderr
+    with np.load(film) as passes:
+        assert set(passes.files) == {"Combined", "A/right/Combined", "B/left/Combined", "B/right/Combined"}
+    told = [each["frame"] for each in json.loads((tmp_path / "eyes.json").read_text())]
+    assert [(each["view_layer"], each["view"]) for each in told] == [(a, b) for a in "AB" for b in ("left", "right")]
 
 
 OTHERS = [("PERSP", "TOE"), ("PANO", "PARALLEL"), ("PANO", "TOE")]
@@ -63,8 +65,14 @@ def test_both_eyes_see_what_they_see_in_cycles(addon, tmp_path, kind, mode):
         settings = camera if hasattr(camera, "panorama_type") else camera.cycles
         settings.panorama_type = "EQUIRECTANGULAR"
         stereo.use_spherical_stereo = stereo.use_pole_merge = True
-    ours, theirs = by_raybatch(scene), by_cycles(scene, tmp_path)
-    assert len(ours) == 2
+    views = []
+    frame.film_listeners.append(lambda _layer, _scene, film: views.append(film.statistics["frame"]["view"]))
+    try:
+        ours = saved(scene, "RAYBATCH", tmp_path)
+    finally:
+        frame.film_listeners.pop()
+    assert views == ["left", "right"]
+    theirs = saved(scene, "CYCLES", tmp_path)
     apart = np.abs(theirs[0] - theirs[1]).mean()
     for mine, other in zip(ours, theirs):
         assert np.abs(mine - other).mean() < 0.1 * apart
