@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from ...scene.features import SceneFeatures, narrow, scene_volumes
 from ...scene.geometry import Geometry
 from ...shading.bsdf.materials import ClosureRecord, fill_record
 from ...shading.images.textures import ImageTable
-from .bounds import bounded_volumes, find_bounds
+from .bounds import RAYS, bounded_volumes, find_bounds
 from .features import VolumeFeatures
 from .grids import density_scale, upload_grids
 from .kernels import launch_bound
@@ -79,7 +80,7 @@ def upload_volumes(
     if scale is not None:
         data.density_scale = wp.array(scale, dtype=float, device=device)
     data.enclosures, meshes = _enclosures(scene, volume_of, device)
-    _bound(data, scene, narrow(shading, VolumeFeatures), volume_of, device)
+    _bound(data, scene, narrow(shading, VolumeFeatures), volume_of, device, features.volume_program.ops)
     return UploadedVolumes(data, meshes, grids, stored)
 
 
@@ -89,7 +90,14 @@ def _is_boundary(material) -> bool:
     return material.volume is not None and material.program is None and len(passes) == len(material.closures) == 1
 
 
-def _bound(data: VolumeData, scene: Scene, features: VolumeFeatures, volume_of: np.ndarray, device: wp.Device) -> None:
+def _bound(
+    data: VolumeData,
+    scene: Scene,
+    features: VolumeFeatures,
+    volume_of: np.ndarray,
+    device: wp.Device,
+    ops: Iterable[str],
+) -> None:
     has_program = [volume.program is not None for volume in scene_volumes(scene)]
     if not any(has_program):
         return
@@ -102,7 +110,12 @@ def _bound(data: VolumeData, scene: Scene, features: VolumeFeatures, volume_of: 
         else:
             data.world_bounds = number
     data.bounds_of = wp.array(numbers, dtype=int, device=device)
-    find_bounds(data, bounded, lambda asked, count: launch_bound(features, asked, count, device), device)
+    rays = RAYS if "light_path" in ops else 1
+
+    def launch(asked: VolumeData, count: int) -> None:
+        launch_bound(features, asked, count, device)
+
+    find_bounds(data, bounded, launch, device, rays)
 
 
 def _world_box(scene: Scene) -> np.ndarray:
