@@ -148,12 +148,15 @@ def bounded_volumes(
 ) -> list[Bounded]:
     """All volumes of `scene` with programs, of each instance one; the world's is taken to fill `world_box`."""
     result = []
+    slot_counts: dict[int, int] = {}  # by mesh
     instances = scene.instances
     for instance, mesh_index in enumerate(instances.mesh.tolist()):
         mesh = scene.meshes[mesh_index]
-        if len(mesh.triangles) == 0:
+        if len(mesh.triangles) == 0 or mesh.radii is not None:
             continue
-        slots = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
+        if mesh_index not in slot_counts:
+            slot_counts[mesh_index] = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
+        slots = slot_counts[mesh_index]
         first = int(instances.slot_first[instance])
         for volume in sorted({int(volume_of[m]) for m in scene.slot_materials[first : first + slots]}):
             if volume >= 0 and has_program[volume]:
