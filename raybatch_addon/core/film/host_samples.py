@@ -34,10 +34,18 @@ class HostSamples:
 
     def add(self, other: HostSamples) -> HostSamples:
         """The samples of both. Of a pixel that has its first sample in both, this one's counts."""
+        # a pixel without a first sample has 0 in all channels of all passes, also where it has later samples
+        own = np.zeros(len(self.counts), bool)
+        for name, values in self.first.items():
+            own |= (values.reshape(len(own), channels_of(name)) != 0).any(1)
+
+        def first_of(name: str, values: np.ndarray) -> np.ndarray:
+            return np.where(np.repeat(own, channels_of(name)), values, other.first[name])
+
         return HostSamples(
             self.sums.add(other.sums),
             self.counts + other.counts,
-            {name: np.where(values != 0, values, other.first[name]) for name, values in self.first.items()},
+            {name: first_of(name, values) for name, values in self.first.items()},
             {name: sums + other.cost[name] for name, sums in self.cost.items()},
             self.mattes.plus(other.mattes),
         )

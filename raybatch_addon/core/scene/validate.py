@@ -28,7 +28,7 @@ def checked_scene(scene: Scene) -> Scene:
     _check_frame(scene.frame)
     _check_indices(scene)
     warnings = _unsupported_inputs(scene)
-    meshes = tuple(_checked_mesh(mesh, warnings) for mesh in scene.meshes)
+    meshes = tuple(_with_equal_steps([_checked_mesh(mesh, warnings) for mesh in scene.meshes], warnings))
     checked = dataclasses.replace(
         scene,
         meshes=meshes,
@@ -206,6 +206,25 @@ def _with_usable_motion(mesh: Mesh, warnings: list[str]) -> Mesh:
         return mesh
     warnings.append(f"mesh “{mesh.name}” moves to places that are not finite or not its own: it stands still")
     return dataclasses.replace(mesh, motion=None, motion_normals=None)
+
+
+def _with_equal_steps(meshes: list[Mesh], warnings: list[str]) -> list[Mesh]:
+    """`meshes`, of which those stand still that have not as many steps as most of those that move: kernels read the
+    same number of all of them.
+    """
+    counts = [len(mesh.motion) for mesh in meshes if mesh.motion is not None]
+    if len(set(counts)) < 2:
+        return meshes
+    usual = max(sorted(set(counts)), key=counts.count)
+    result = []
+    for mesh in meshes:
+        if mesh.motion is not None and len(mesh.motion) != usual:
+            warnings.append(
+                f"mesh “{mesh.name}” moves in {len(mesh.motion)} steps where others have {usual}: it stands still"
+            )
+            mesh = dataclasses.replace(mesh, motion=None, motion_normals=None)
+        result.append(mesh)
+    return result
 
 
 def _with_usable_maps(instances: Instances, warnings: list[str]) -> Instances:

@@ -215,3 +215,18 @@ def make_surface_point(instancing: bool, smooth_normals: bool, curves: bool, mov
         return triangle_point(geometry, instance, primitive, uv, time)
 
     return surface_point
+
+
+@functools.cache
+def make_is_closed(curves: bool) -> wp.Function:
+    """Function (geometry, instance: int, primitive: int) -> bool: whether a primitive may be part of a surface that
+    has an inside. Segments of curves have none: rays meet them from outside alone.
+    """
+
+    @wp.func
+    def is_closed(geometry: Geometry, instance: int, primitive: int) -> bool:
+        if wp.static(curves):
+            return not is_segment(geometry, geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive)
+        return True
+
+    return is_closed

@@ -1,5 +1,6 @@
 """The film's sums are exact, whatever the order and the partition of the samples."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -12,6 +13,7 @@ from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.film import Film, layout_of
 from raybatch_addon.core.film import sums as sums_module
+from raybatch_addon.core.film.host_samples import HostSamples
 from raybatch_addon.core.film.rounding import rounded_sum
 from raybatch_addon.core.film.sums import WIDE_DIGITS, WINDOW_DIGITS, ExactSums
 from raybatch_addon.core.film.tile import FilmTile, FilmTiles, FinishedTile
@@ -235,3 +237,14 @@ def test_tiles_of_a_transparent_film_leave_the_rest_empty():
     picture = film.passes["Combined"]
     assert picture[0, 1].tolist() == [1, 2, 3, 1] and picture.sum() == 7
     assert np.array_equal(film.merge(Film.empty(Frame(3, 2, transparent=True))).passes["Combined"], picture)
+
+
+def test_a_first_sample_is_of_one_pixel_whole():
+    """Where both have a pixel's first sample, none of its channels is taken from the other."""
+
+    def position(values):
+        made = HostSamples.zeros(2, 4, ("Position",))
+        return dataclasses.replace(made, first={"Position": np.array(values, np.float32)})
+
+    merged = position([0, 2, 3, 0, 0, 0]).add(position([5, 2.1, 3.1, 0, 1, 0]))
+    assert merged.first["Position"].tolist() == [0, 2, 3, 0, 1, 0]

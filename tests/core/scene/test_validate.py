@@ -72,3 +72,13 @@ def test_a_good_scene_is_left_alone():
     scene = plain()
     assert checked_scene(scene) is scene
     assert set(PASS_NAMES) == set(PASSES)
+
+
+def test_meshes_that_move_in_other_steps_than_most_stand_still():
+    """Kernels read as many steps of each mesh that moves."""
+    made = scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse())] * 3, lights=[scenes.sun()])
+    mesh = made.meshes[0]
+    meshes = [dataclasses.replace(mesh, motion=np.stack([mesh.positions] * steps)) for steps in (3, 3, 5)]
+    checked = checked_scene(dataclasses.replace(made, meshes=(*meshes, *made.meshes[3:])))
+    assert [each.motion is None for each in checked.meshes[:3]] == [False, False, True]
+    assert "5 steps" in checked.warnings[-1]

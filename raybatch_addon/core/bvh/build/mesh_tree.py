@@ -14,6 +14,7 @@ import warp as wp
 
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import Geometry
+from ...scene.segments import are_segments
 from ..node import TRIANGLES_MAX_QUANTISED, Layout
 from .binary import BuildOptions
 from .collapse import collapse_mesh
@@ -118,10 +119,10 @@ class MeshTrees:
 
     def _with_steps_of_segments(self, part: MeshPart, steps: np.ndarray) -> MeshTree:
         """A tree over segments alone, whose boxes hold them at all `steps`, shape [steps, vertex_count, 3]."""
-        triangles = self._flat.triangles[part.span]
-        made = self._build(part, self._options, stand_ins(self._flat.positions, triangles, steps, part.vertex_first))
+        positions, own = self._own(part)
+        made = self._build(part, self._options, stand_ins(positions, own, steps))
         made.step_units = made.triangles.size * 4 // self.layout.triangle_words
-        own, blocks = triangles - np.int32(part.vertex_first), made.triangles
+        blocks = made.triangles
         device = blocks.device
         joined = empty_vectors(blocks.size * len(steps), device)
         for i, positions in enumerate(steps):
@@ -190,8 +191,15 @@ class MeshTrees:
         )
 
     def _stand_ins(self, part: MeshPart) -> tuple[np.ndarray, np.ndarray] | None:
-        """What a tree with segments of curves is built over; None for triangles alone."""
-        return stand_ins(self._flat.positions, self._flat.triangles[part.span]) if self._flat.curves else None
+        """What a tree with segments of curves is built over, numbered from the first vertex of the mesh; None for
+        triangles alone.
+        """
+        return stand_ins(*self._own(part)) if self._flat.curves else None
+
+    def _own(self, part: MeshPart) -> tuple[np.ndarray, np.ndarray]:
+        """Positions of the mesh, and its triangles among them."""
+        positions = self._flat.positions[part.vertex_first : part.vertex_first + part.vertex_count]
+        return positions, self._flat.triangles[part.span] - np.int32(part.vertex_first)
 
     def _on_device_built(self, part: MeshPart, boxed: tuple[np.ndarray, np.ndarray] | None) -> DeviceMesh:
         positions, triangles = self._geometry.positions, self._geometry.triangles
@@ -213,7 +221,7 @@ class MeshTrees:
         Trees with segments of curves are built anew.
         """
         part, positions = mesh.part, self._geometry.positions
-        if self._stand_ins(part):
+        if self._flat.curves and are_segments(*self._own(part)).any():
             return False
         triangles = self._geometry.triangles[part.span]
         if self.layout is Layout.QUANTISED:

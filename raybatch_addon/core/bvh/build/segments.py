@@ -13,7 +13,7 @@ from .encode import place_groups_kernel, place_triangles_kernel
 
 
 def stand_ins(
-    positions: np.ndarray, triangles: np.ndarray, steps: np.ndarray | None = None, first: int = 0
+    positions: np.ndarray, triangles: np.ndarray, steps: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Positions and triangles with the boxes of the primitives given, or None where none of these is a segment.
 
@@ -22,8 +22,8 @@ def stand_ins(
     Args:
         positions: float32, shape [n, 3].
         triangles: int32, shape [m, 3], some of which are segments (`scene/segments.py`).
-        steps: the positions from the one numbered `first` on, at several times between which all of them move along
-            lines, shape [k, n, 3]. All triangles are segments then.
+        steps: the positions at several times between which all of them move along lines, shape [k, n, 3]. All
+            triangles are segments then.
     """
     marked = are_segments(positions, triangles)
     if not marked.any():
@@ -31,7 +31,7 @@ def stand_ins(
     if steps is None:
         low, high = segment_boxes(positions, triangles[marked])
     else:
-        low, high = segment_boxes_over(steps, triangles - np.int32(first))
+        low, high = segment_boxes_over(steps, triangles)
     first = len(positions) + np.arange(len(low), dtype=np.int32)
     replaced = triangles.copy()
     replaced[marked] = np.stack([first, first + len(low), first + len(low)], 1)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...scene.description import Scene
+from ...scene.description import Scene, Visibility
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.sequences.keys import mix_bits, sequence_number
@@ -27,6 +27,11 @@ CELLS_MOST, CELLS_TOGETHER = 32, 1 << 20
 _POINTS = 8
 # A volume is taken to be this much denser than at the densest point that was found
 _MARGIN = 1.1
+# Flights along an edge of a cell at most: what is denser lets nothing through a small part of the cell
+_FLIGHTS_MOST = 4096.0
+# Kinds of rays, of which each has a bit, and that of rays that volumes scatter; each with bounce 0 and 1
+_KINDS = 5
+RAYS = 2 * (_KINDS + 1)
 
 
 @dataclass(frozen=True)
@@ -61,24 +66,33 @@ def make_bound(programs: ProgramFeatures) -> wp.Function:
                 float(y) + sequence_number(mix_bits(seed + wp.uint32(1))),
                 float(z) + sequence_number(mix_bits(seed + wp.uint32(2))),
             )
-            point = ray_point(
-                volumes.asked.origin + volumes.asked.edges * (u / float(cells)), wp.vec3(0.0, 0.0, 1.0), 0, 0
-            )
-            m = medium(volumes, volumes.asked.inside, point, lobes)
-            for axis in range(3):
-                # an emission alone must be met too, however little is there
-                light = wp.where(m.emission[axis] > 0.0, 1.0e-6, 0.0)
-                largest = wp.max(largest, wp.max(m.extinction[axis], light))
+            position = volumes.asked.origin + volumes.asked.edges * (u / float(cells))
+            ray = int(0)
+            while ray < volumes.asked.rays:
+                kind = int(wp.static(int(Visibility.VOLUME_SCATTER)))
+                if ray / 2 < wp.static(_KINDS):
+                    kind = int(1) << (ray / 2)
+                point = ray_point(position, wp.vec3(0.0, 0.0, 1.0), kind, ray % 2)
+                m = medium(volumes, volumes.asked.inside, point, lobes)
+                for axis in range(3):
+                    # an emission alone must be met too, however little is there
+                    light = wp.where(m.emission[axis] > 0.0, volumes.asked.flights, 0.0)
+                    largest = wp.max(largest, wp.max(m.extinction[axis], light))
+                ray += 1
         volumes.asked.found[i] = wp.min(largest, 1.0e18)
 
     return bound
 
 
 def find_bounds(
-    volumes: VolumeData, bounded: list[Bounded], launch: Callable[[VolumeData, int], None], device: wp.Device
+    volumes: VolumeData,
+    bounded: list[Bounded],
+    launch: Callable[[VolumeData, int], None],
+    device: wp.Device,
+    rays: int = RAYS,
 ) -> None:
     """Fill in the bounds of `volumes`, of which everything else is there, by `launch(volumes, cell_count)` of
-    `make_bound`.
+    `make_bound`. `rays`: of how many kinds of rays the largest counts; 1 where programs do not tell them apart.
     """
     if not bounded:
         return
@@ -86,6 +100,7 @@ def find_bounds(
     count = cells**3
     found = wp.zeros(len(bounded) * count, dtype=float, device=device)
     grids = np.zeros(len(bounded), Bounds.numpy_dtype())
+    most = np.zeros(len(bounded))
     world = volumes.world
     for number, each in enumerate(bounded):
         low, high = each.box
@@ -105,13 +120,17 @@ def find_bounds(
         asked = BoundWork()
         asked.inside, asked.cells = wp.vec4i(code, 0, 0, 0), cells
         asked.origin, asked.edges = wp.vec3(*origin), wp.mat33(*edges.ravel())
+        edge = float(np.linalg.norm(edges, axis=0).max()) / cells
+        most[number] = _FLIGHTS_MOST / edge
+        asked.flights, asked.rays = 1.0 / edge, rays
         asked.found = found[number * count : (number + 1) * count]
         volumes.asked = asked
         launch(volumes, count)
     volumes.asked = BoundWork()
     volumes.world = world
     numbers = found.numpy().reshape(-1, cells, cells, cells)
-    volumes.bounds = wp.array((_MARGIN * _with_neighbours(numbers)).ravel(), dtype=float, device=device)
+    numbers = np.minimum(_MARGIN * _with_neighbours(numbers), most[:, None, None, None])
+    volumes.bounds = wp.array(numbers.ravel().astype(np.float32), dtype=float, device=device)
     volumes.grids = wp.array(grids, dtype=Bounds, device=device)
 
 
@@ -129,12 +148,15 @@ def bounded_volumes(
 ) -> list[Bounded]:
     """All volumes of `scene` with programs, of each instance one; the world's is taken to fill `world_box`."""
     result = []
+    slot_counts: dict[int, int] = {}  # by mesh
     instances = scene.instances
     for instance, mesh_index in enumerate(instances.mesh.tolist()):
         mesh = scene.meshes[mesh_index]
-        if len(mesh.triangles) == 0:
+        if len(mesh.triangles) == 0 or mesh.radii is not None:
             continue
-        slots = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
+        if mesh_index not in slot_counts:
+            slot_counts[mesh_index] = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
+        slots = slot_counts[mesh_index]
         first = int(instances.slot_first[instance])
         for volume in sorted({int(volume_of[m]) for m in scene.slot_materials[first : first + slots]}):
             if volume >= 0 and has_program[volume]:

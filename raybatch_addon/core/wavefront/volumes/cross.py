@@ -10,7 +10,7 @@ import warp as wp
 
 from ...device.kernel import KERNEL_OPTIONS
 from ...rays import Rays
-from ...shading.segments import make_surface_point
+from ...shading.segments import make_is_closed, make_surface_point
 from ..rays import Paths, Status, time_of
 from ..scene.scene_data import SceneData
 from .table import FRONT, VolumeData, across, entered
@@ -45,6 +45,7 @@ def enter_kernel(volumes: VolumeData, rays: Rays, slots: wp.array(dtype=int), co
 def cross_kernel(instancing: bool, smooth_normals: bool, curves: bool, moving: bool) -> wp.Kernel:
     """Kernel (data, volumes, paths, rays, slots, count): paths that have met a surface, behind the stage there."""
     surface_point = make_surface_point(instancing, smooth_normals, curves, moving)
+    is_closed = make_is_closed(curves)
 
     @wp.kernel(**KERNEL_OPTIONS)
     def cross(
@@ -71,7 +72,9 @@ def cross_kernel(instancing: bool, smooth_normals: bool, curves: bool, moving: b
         if side != wp.static(FRONT):
             normal = -normal
         inside = volumes.state.inside[path]
-        behind = across(volumes, inside, instance, surface.material, side)
+        behind = inside
+        if is_closed(data.geometry, instance, rays.hit_primitive[path]):
+            behind = across(volumes, inside, instance, surface.material, side)
         if (status & wp.static(SHADOW_NEW)) != 0:
             goes_behind = wp.dot(rays.direction[paths.status.shape[0] + path], normal) < 0.0
             volumes.state.shadow_inside[path] = wp.where(goes_behind, behind, inside)

@@ -21,6 +21,8 @@ LOBE_FLOATS = PhaseLobe.numpy_dtype()["itemsize"] // 4
 _FARTHEST = 1e30
 # How far a ray goes into the next cell at least [cells]
 _CELL_STEP = 1e-3
+# How far the outermost cells of the world's volume go on [sizes of its grid]: beyond, it is empty
+WORLD_REACH = 16.0
 
 
 @wp.struct
@@ -141,8 +143,12 @@ def has_program(volumes: VolumeData, inside: wp.vec4i) -> bool:
 
 @wp.func
 def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, direction: wp.vec3) -> Reach:
-    """A bound of the extinction ahead of `origin`: of what programs give an estimate, of constants their sum."""
+    """A bound of the extinction ahead of `origin`: of what programs give an estimate, of constants their sum. Where
+    constants emit light, there is a flight a cell at least.
+    """
     reach = Reach()
+    emits = bool(False)
+    cells_per_length = float(0.0)  # [1/m]
     reach.length = wp.static(_FARTHEST)
     for place in range(wp.static(INSIDE_MOST + 1)):
         found = entry(volumes, inside, place)
@@ -153,6 +159,8 @@ def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, directio
                 for c in range(volumes.closure_first[volume], volumes.closure_first[volume + 1]):
                     if volumes.closures[c].kind != wp.static(int(ClosureKind.EMISSION)):
                         total += volumes.closures[c].weight
+                    else:
+                        emits = True
                 scale = float(1.0)
                 if found[0] >= 0 and volumes.density_scale.shape[0] > 0:
                     scale = volumes.density_scale[found[0]]
@@ -166,7 +174,18 @@ def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, directio
                 ahead = transform_vector(grid.to_cells, direction)
                 cell = wp.vec3i(0, 0, 0)
                 length = float(wp.static(_FARTHEST))
+                beyond = bool(False)
+                cells_per_length = wp.max(cells_per_length, wp.length(ahead))
                 for axis in range(3):
+                    if found[0] < 0:
+                        last = float(grid.size[axis]) * wp.static(1.0 + WORLD_REACH)
+                        first = float(grid.size[axis]) * wp.static(-WORLD_REACH)
+                        if at[axis] >= last or at[axis] <= first:
+                            beyond = True
+                        if ahead[axis] > 0.0:
+                            length = wp.min(length, wp.max(last - at[axis], wp.static(_CELL_STEP)) / ahead[axis])
+                        if ahead[axis] < 0.0:
+                            length = wp.min(length, wp.max(at[axis] - first, wp.static(_CELL_STEP)) / -ahead[axis])
                     k = wp.clamp(int(wp.floor(wp.clamp(at[axis], -1.0, 1.0e6))), 0, grid.size[axis] - 1)
                     cell[axis] = k
                     if ahead[axis] > 0.0 and k < grid.size[axis] - 1:
@@ -174,8 +193,13 @@ def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, directio
                     if ahead[axis] < 0.0 and k > 0:
                         length = wp.min(length, wp.max(at[axis] - float(k), wp.static(_CELL_STEP)) / -ahead[axis])
                 index = grid.first + (cell[0] * grid.size[1] + cell[1]) * grid.size[2] + cell[2]
-                reach.bound += volumes.bounds[index]
+                if beyond:
+                    length = wp.static(_FARTHEST)
+                else:
+                    reach.bound += volumes.bounds[index]
                 reach.length = wp.min(reach.length, length)
+    if emits:
+        reach.bound = wp.max(reach.bound, cells_per_length)
     return reach
 
 

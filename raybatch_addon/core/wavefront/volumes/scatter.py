@@ -39,7 +39,7 @@ from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
 from .medium import LOBE_FLOATS, LOBES_MOST, has_program, make_medium, passes
 from .segment import make_segment, ray_point, scattering_shares
-from .table import BACK, FRONT, VolumeData, innermost_instance, is_empty
+from .table import AIMED, BACK, FRONT, GOES_ON, VolumeData, innermost_instance, is_empty
 from .track import STOPPED
 from .vertex import AIM, SCATTER, make_scattered
 
@@ -142,7 +142,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         # the shadow ray comes from behind one scattering more
         paths.passed[path] = paths.passed[path] + 1
         paths.status[path] = paths.status[path] | wp.static(SHADOW_NEW | STRAIGHT)
-        volumes.state.lit[path] = 1
+        volumes.state.lit[path] = volumes.state.lit[path] | wp.static(AIMED)
         return True
 
     @wp.func
@@ -170,10 +170,10 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             )
         bounce = bounce_of(status)
         is_lit = bool(False)
-        if volumes.state.lit[path] != 0:
+        goes_on = (volumes.state.lit[path] & wp.static(GOES_ON)) != 0
+        if (volumes.state.lit[path] & wp.static(AIMED)) != 0:
             # light has been looked for along this piece
             is_lit = True
-            volumes.state.lit[path] = 0
             paths.passed[path] = paths.passed[path] - 1
             status = status & wp.static(~STRAIGHT)
             paths.status[path] = status
@@ -214,6 +214,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                     number += 1
                     volumes.state.segment[path] = number + 1
 
+        volumes.state.lit[path] = 0
         event = int(0)
         reach = length
         left = throughput
@@ -248,14 +249,13 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             ahead.inside = inside
             ahead.before = before
             ahead.length = length
-            if event == wp.static(STOPPED):
-                ahead.length = reach
             ahead.bsdf_pdf = pdf
             ahead.passed = passed
             ahead.stream = stream
             last = left_point(paths, path, origin - before * direction)
-            met = lights_ahead(volumes, data.lights, data.lamp_nodes, last, ahead)
-            gather(limits, paths, path, wp.cw_mul(throughput, met), bounce, -1)
+            if not goes_on:
+                met = lights_ahead(volumes, data.lights, data.lamp_nodes, last, ahead)
+                gather(limits, paths, path, wp.cw_mul(throughput, met), bounce, -1)
             if not hit and event == 0:
                 suns = miss(
                     data.lights, data.lamp_nodes, last, direction, visibility_of(status), pdf, bounce + 1, passed
@@ -264,7 +264,10 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             if wp.static(features.light_groups):
                 for of in range(data.lights.choice[0].links.group_count):
                     last.group = of
-                    of_group = wp.cw_mul(throughput, lights_ahead(volumes, data.lights, data.lamp_nodes, last, ahead))
+                    of_group = wp.vec3()
+                    if not goes_on:
+                        met = lights_ahead(volumes, data.lights, data.lamp_nodes, last, ahead)
+                        of_group = wp.cw_mul(throughput, met)
                     if not hit and event == 0:
                         suns = miss(
                             data.lights, data.lamp_nodes, last, direction, ahead.begin.ray_kind, pdf, bounce + 1, passed
@@ -281,6 +284,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             return
         volumes.state.side[path] = 0
         if event == wp.static(STOPPED):
+            volumes.state.lit[path] = wp.static(GOES_ON)
             paths.throughput[path] = left
             paths.passed_t[path] = before + reach
             rays.origin[path] = origin + reach * direction

@@ -12,6 +12,7 @@ from ...shading.bsdf.materials import ClosureRecord
 INSIDE_MOST = 4
 # How a path met the surface where its ray ended: `MediaState.side`
 FRONT, BACK = 1, 2
+AIMED, GOES_ON = 1, 2
 
 
 @wp.struct
@@ -39,6 +40,8 @@ class BoundWork:
     origin: wp.vec3  # a corner of the box [m]
     edges: wp.mat33  # its edges from there, by columns [m]
     cells: int  # along each axis
+    rays: int  # kinds of rays that are looked at, see `bounds.py`
+    flights: float  # the least bound of what emits light [1/m]
     found: wp.array(dtype=float)  # result of each cell: the largest extinction [1/m]
 
 
@@ -53,7 +56,8 @@ class MediaState:
     segment: wp.array(dtype=int)  # pieces of its way that the path has passed
     shadow_segment: wp.array(dtype=int)  # the same of its shadow ray
     scattered: wp.array(dtype=int)  # scattering events in volumes so far
-    # 1: light has been looked for along the piece on which the extending ray is back, which is decided next
+    # AIMED: light has been looked for along the piece on which the extending ray is back, which is decided next;
+    # GOES_ON: lights that rays meet have been counted to the end of that piece
     lit: wp.array(dtype=int)
 
 

@@ -18,11 +18,13 @@ from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.volumes.numbers import stream_number
 from ...shading.volumes.phase import PhaseLobe
-from .medium import LOBE_FLOATS, LOBES_MOST, bound_ahead, make_medium
+from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, bound_ahead, make_medium
 from .table import VolumeData
 
 # Flights of a path between two rays: longer ways go on with a new ray
 FLIGHTS_MOST = 256
+# Flights of a shadow ray between two surfaces: what lies beyond them is taken to be empty
+_SHADOW_FLIGHTS_MOST = 1 << 16
 # Of what is transmitted, below this much chance decides
 _ROULETTE_BELOW = 0.05
 _LENGTH_LEAST = 1e-30
@@ -39,6 +41,12 @@ class Track:
 
 
 PASSED, SCATTERED, STOPPED = 0, 1, 2
+
+
+@wp.func
+def _most(m: Coefficients, bound: float) -> float:
+    """What coefficients are divided by: where a bound is exceeded no light must be gained."""
+    return wp.max(bound, wp.max(m.extinction[0], wp.max(m.extinction[1], m.extinction[2])))
 
 
 @functools.cache
@@ -59,7 +67,9 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
         share = wp.vec3(1.0)
         t = float(0.0)
         number = wp.uint32(0)
-        while t < length:
+        flights = int(0)
+        while t < length and flights < wp.static(_SHADOW_FLIGHTS_MOST):
+            flights += 1
             here = begin + t * direction
             reach = bound_ahead(volumes, inside, here, direction)
             end = wp.min(t + reach.length, length)
@@ -75,8 +85,9 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
                 t += wp.max(flight, wp.static(_LENGTH_LEAST))
                 point.position = begin + t * direction
                 m = medium(volumes, inside, point, lobes)
+                most = _most(m, reach.bound)
                 for axis in range(3):
-                    share[axis] = share[axis] * wp.max(1.0 - m.extinction[axis] / reach.bound, 0.0)
+                    share[axis] = share[axis] * wp.max(1.0 - m.extinction[axis] / most, 0.0)
                 largest = wp.max(share[0], wp.max(share[1], share[2]))
                 if not largest > 0.0:
                     return wp.vec3(0.0)
@@ -137,14 +148,14 @@ def make_track(programs: ProgramFeatures) -> wp.Function:
             else:
                 t += wp.max(flight, wp.static(_LENGTH_LEAST))
                 point.position = begin + t * direction
-                point.ray_length = t
                 m = medium(volumes, inside, point, lobes)
                 carried = wp.cw_mul(throughput, way.weight)
-                way.emitted += wp.cw_mul(way.weight, m.emission) / reach.bound
-                scattered = m.scattering / reach.bound
+                most = _most(m, reach.bound)
+                way.emitted += wp.cw_mul(way.weight, m.emission) / most
+                scattered = m.scattering / most
                 null = wp.vec3(0.0)
                 for axis in range(3):
-                    null[axis] = wp.max(1.0 - m.extinction[axis] / reach.bound, 0.0)
+                    null[axis] = wp.max(1.0 - m.extinction[axis] / most, 0.0)
                 likely = wp.dot(carried, scattered)
                 total = likely + wp.dot(carried, null)
                 chance = float(0.0)

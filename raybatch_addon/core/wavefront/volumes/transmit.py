@@ -8,7 +8,7 @@ import warp as wp
 
 from ...rays import Rays
 from ...scene.description import Visibility
-from ...shading.segments import make_surface_point
+from ...shading.segments import make_is_closed, make_surface_point
 from ...shading.sequences.sampler import make_sampler
 from ...shading.volumes.numbers import SHADOW_STREAM, stream_of
 from ..rays import SHADOW_PASS, Paths, bounce_to_light, time_of
@@ -30,6 +30,7 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
     """Function (data, volumes, work, limits, paths, rays, slot: int): a piece of a shadow ray, to the next surface."""
     pixel_key = make_sampler(features.sample_sequence).pixel_key
     surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
+    is_closed = make_is_closed(features.curves)
     attenuated = make_passed(features.volume_program)
 
     @wp.func
@@ -61,7 +62,9 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
                 data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot], time_of(rays, path)
             )
             side = wp.where(wp.dot(surface.geometric_normal, direction) > 0.0, wp.static(BACK), wp.static(FRONT))
-            volumes.state.shadow_inside[path] = across(volumes, inside, rays.hit_instance[slot], surface.material, side)
+            if is_closed(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot]):
+                inside = across(volumes, inside, rays.hit_instance[slot], surface.material, side)
+            volumes.state.shadow_inside[path] = inside
             if volumes.is_boundary[surface.material] != 0 and number < wp.static(SEGMENTS_MOST):
                 paths.passed[path] = paths.passed[path] - wp.static(SHADOW_PASS)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +11,12 @@ import warp as wp
 from ...errors import SceneError
 from ...programs.inputs_data import upload_inputs
 from ...programs.table import store_programs, upload_programs
-from ...scene.description import Camera, CameraKind, ClosureKind, Scene
+from ...scene.description import Camera, CameraKind, ClosureKind, Mesh, Scene
 from ...scene.features import SceneFeatures, narrow, scene_volumes
 from ...scene.geometry import Geometry
 from ...shading.bsdf.materials import ClosureRecord, fill_record
 from ...shading.images.textures import ImageTable
-from .bounds import bounded_volumes, find_bounds
+from .bounds import RAYS, bounded_volumes, find_bounds
 from .features import VolumeFeatures
 from .grids import density_scale, upload_grids
 from .kernels import launch_bound
@@ -79,7 +80,7 @@ def upload_volumes(
     if scale is not None:
         data.density_scale = wp.array(scale, dtype=float, device=device)
     data.enclosures, meshes = _enclosures(scene, volume_of, device)
-    _bound(data, scene, narrow(shading, VolumeFeatures), volume_of, device)
+    _bound(data, scene, narrow(shading, VolumeFeatures), volume_of, device, features.volume_program.ops)
     return UploadedVolumes(data, meshes, grids, stored)
 
 
@@ -89,7 +90,14 @@ def _is_boundary(material) -> bool:
     return material.volume is not None and material.program is None and len(passes) == len(material.closures) == 1
 
 
-def _bound(data: VolumeData, scene: Scene, features: VolumeFeatures, volume_of: np.ndarray, device: wp.Device) -> None:
+def _bound(
+    data: VolumeData,
+    scene: Scene,
+    features: VolumeFeatures,
+    volume_of: np.ndarray,
+    device: wp.Device,
+    ops: Iterable[str],
+) -> None:
     has_program = [volume.program is not None for volume in scene_volumes(scene)]
     if not any(has_program):
         return
@@ -102,22 +110,35 @@ def _bound(data: VolumeData, scene: Scene, features: VolumeFeatures, volume_of: 
         else:
             data.world_bounds = number
     data.bounds_of = wp.array(numbers, dtype=int, device=device)
-    find_bounds(data, bounded, lambda asked, count: launch_bound(features, asked, count, device), device)
+    rays = RAYS if "light_path" in ops else 1
+
+    def launch(asked: VolumeData, count: int) -> None:
+        launch_bound(features, asked, count, device)
+
+    find_bounds(data, bounded, launch, device, rays)
 
 
 def _world_box(scene: Scene) -> np.ndarray:
     """A box around all surfaces, lights and the camera, larger than they are; float64, shape [2, 3]."""
     corners = [np.asarray(scene.camera.transform, np.float64)[:, 3]]
     corners += [np.asarray(light.transform, np.float64)[:, 3] for light in scene.lights]
-    for mesh_index, transform in zip(scene.instances.mesh, scene.instances.transform):
-        positions = scene.meshes[mesh_index].positions
-        if len(positions):
-            low, high = positions.min(0), positions.max(0)
-            places = np.array(np.meshgrid(*zip(low, high))).reshape(3, 8)
-            corners += list((transform[:, :3] @ places + transform[:, 3:]).T.astype(np.float64))
+    boxes = np.array([_places(mesh) for mesh in scene.meshes]).reshape(-1, 3, 8)
+    filled = np.array([len(mesh.positions) > 0 for mesh in scene.meshes], bool)
+    for index in np.unique(scene.instances.mesh):
+        if filled[index]:
+            transform = np.asarray(scene.instances.transform, np.float64)[scene.instances.mesh == index]
+            placed = transform[:, :, :3] @ boxes[index] + transform[:, :, 3:]
+            corners += [placed.min((0, 2)), placed.max((0, 2))]
     box = np.stack([np.min(corners, 0), np.max(corners, 0)])
     middle, half = box.mean(0), np.maximum(np.ptp(box, axis=0).max() / 2, 1.0)
     return np.stack([middle - _WORLD_SIZES * half, middle + _WORLD_SIZES * half])
+
+
+def _places(mesh: Mesh) -> np.ndarray:
+    """Corners of the box of a mesh, shape [3, 8]; 0 where it is empty."""
+    if not len(mesh.positions):
+        return np.zeros((3, 8))
+    return np.array(np.meshgrid(*zip(mesh.positions.min(0), mesh.positions.max(0)))).reshape(3, 8)
 
 
 def _enclosures(scene: Scene, volume_of: np.ndarray, device: wp.Device) -> tuple[wp.array, list[wp.Mesh]]:
@@ -125,10 +146,16 @@ def _enclosures(scene: Scene, volume_of: np.ndarray, device: wp.Device) -> tuple
     origin, reach = _camera_points(scene.camera)
     volume_count = len(scene_volumes(scene))
     rows, meshes = [], []
+    slot_counts: dict[int, int] = {}  # by mesh
     instances = scene.instances
     for instance, mesh_index in enumerate(instances.mesh.tolist()):
         mesh = scene.meshes[mesh_index]
-        if len(mesh.triangles) == 0:
+        if len(mesh.triangles) == 0 or mesh.radii is not None:
+            continue
+        first = int(instances.slot_first[instance])
+        if mesh_index not in slot_counts:
+            slot_counts[mesh_index] = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
+        if (volume_of[scene.slot_materials[first : first + slot_counts[mesh_index]]] < 0).all():
             continue
         slot = np.zeros(len(mesh.triangles), int) if mesh.triangle_slot is None else mesh.triangle_slot
         material = scene.slot_materials[int(instances.slot_first[instance]) + slot]
