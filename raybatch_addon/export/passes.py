@@ -50,8 +50,6 @@ MATTE_PROPERTIES = {
     "use_pass_cryptomatte_material": "CryptoMaterial",
     "use_pass_cryptomatte_asset": "CryptoAsset",
 }
-# Light that volumes scatter, by Cycles' own property of a view layer
-VOLUME_PASS_PROPERTIES = {"use_pass_volume_direct": "Volume Direct", "use_pass_volume_indirect": "Volume Indirect"}
 # Beginning of the names of passes of light groups
 LIGHT_GROUP = "Combined_"
 # Beginnings of the names that passes of materials have in the film (`core/scene/passes.py`), by the type of an AOV
