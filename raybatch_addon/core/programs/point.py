@@ -21,10 +21,10 @@ DEPTH_SHIFT, DEPTH_BITS = 3, 9
 
 @wp.struct
 class ShadingPoint:
-    """A point on a surface or lamp, or a direction into the world; in world space.
+    """A point on a surface or lamp or in a volume, or a direction into the world; in world space.
 
-    In the world there is no instance, `position` is the ray's origin, and `incoming` and all normals are the ray's
-    direction reversed.
+    In the world and its volume there is no instance. For a direction (`is_direction`) `position` is the ray's origin,
+    and `incoming` and all normals are the ray's direction reversed.
     """
 
     position: wp.vec3  # [m]
@@ -33,7 +33,7 @@ class ShadingPoint:
     geometric_normal: wp.vec3  # unit, of the triangle, on the side of `incoming`
     backfacing: int  # 1: the ray met the back of the surface
     instance: int  # -1: none; for a lamp its number among the lights
-    primitive: int  # triangle of the instance's mesh; -1 for a lamp
+    primitive: int  # triangle of the instance's mesh; -1 for a lamp and in a volume
     barycentric: wp.vec2  # weights of the triangle's second and third corner
     ray_length: float  # distance from the ray's origin to the point [m]
     ray_kind: int  # `Visibility` bit of the ray
@@ -47,6 +47,12 @@ class ShadingPoint:
     step_y: wp.vec3
     step_x_barycentric: wp.vec2
     step_y_barycentric: wp.vec2
+
+
+@wp.func
+def is_direction(point: ShadingPoint) -> bool:
+    """Whether `point` is a direction into the world."""
+    return point.instance < 0 and point.primitive >= 0
 
 
 # A shift says where a value is looked up: 0 here, 1 or 2 one step aside along either axis. Steps of another width have

@@ -8,6 +8,7 @@ import pytest
 
 import raybatch_addon.core.programs.ops  # noqa: F401  (ops register themselves)
 from raybatch_addon.core.programs.builder import ProgramBuilder, Value
+from raybatch_addon.core.programs.ops.values.math import MathOperation
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Material, Scene, Volume
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
@@ -190,6 +191,21 @@ def test_programs_of_volumes_against_closed_forms(session):
     assert_mean(session, scene, np.full(3, (1 - math.exp(-total * 0.5)) / 0.5))
     scene = in_box(varying(scattering=(0.5, 1.0, 1.5)), view)
     assert_mean(session, scene, np.ones(3), bounce_max=1000, roulette_bounce=1000)
+
+
+def test_the_volume_of_the_world_knows_where_it_is(session):
+    """Its program sees positions, and those that the world shows directions: fog that lies lower than 1 m."""
+    builder = ProgramBuilder()
+    height = builder.value("separate_xyz", builder.value("position", 0))[2]
+    factor = builder.value("splat", builder.value("math", int(MathOperation.LESS_THAN), False, height, 1.0, 0.0))
+    weight = builder.value("multiply_colors", Value.of((0.5, 0.5, 0.5)), factor)
+    builder.closure("volume_absorption", weight)
+    view = scenes.camera(eye=(0, 0, 0), target=(0, 0, 1), half_width=0.001, up=(0, 1, 0))
+    ceiling = (scenes.plane(size=40), scenes.translation(0, 0, 3), scenes.emitter(1.0))
+    scene = scenes.scene([ceiling], world=1.0, frame=Frame(8, 8), view=view, lights=[scenes.sun(0.0)])
+    fog = Volume(program=builder.finish())
+    scene = dataclasses.replace(scene, world=dataclasses.replace(scene.world, volume=fog))
+    assert_mean(session, scene, np.full(3, math.exp(-0.5)))
 
 
 @pytest.mark.parametrize(

@@ -5,14 +5,16 @@ import warp as wp
 from ....scene.geometry import transform_point
 from ...object_space import world_to_object
 from ...op import NodeData, op, put_vector
-from ...point import ShadingPoint, shifted_barycentric, shifted_position
+from ...point import ShadingPoint, is_direction, shifted_barycentric, shifted_position
 
 
 @wp.func
 def object_position(data: NodeData, point: ShadingPoint, shift: int) -> wp.vec3:
-    """The point in its object's space; in the world the ray's direction."""
-    if point.instance < 0:
+    """The point in its object's space, or in the world's; in the world the ray's direction."""
+    if is_direction(point):
         return -point.incoming
+    if point.instance < 0:
+        return shifted_position(point, shift)
     return transform_point(world_to_object(data, point), shifted_position(point, shift))
 
 

@@ -6,7 +6,7 @@ from ....scene.geometry import transform_point
 from ....scene.moved import triangle_vertices_at
 from ...object_space import object_to_world, world_to_object
 from ...op import NodeData, number, op, put_number, put_vector
-from ...point import ShadingPoint, shifted_barycentric, shifted_position
+from ...point import ShadingPoint, is_direction, shifted_barycentric, shifted_position
 from ..values.spaces import transposed_vector
 from .coordinates import object_position
 
@@ -33,7 +33,7 @@ def world_normal(data: NodeData, point: ShadingPoint, normal: wp.vec3) -> wp.vec
 def position(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Position in the world [m]; word 1 is the shift. In the world shader it is the ray's direction."""
     value = shifted_position(point, data.code[pc + 1])
-    if point.instance < 0:
+    if is_direction(point):
         value = -point.incoming
     put_vector(data, stack, pc + 2, value)
 
@@ -125,7 +125,7 @@ def camera_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, po
     those axes [m].
     """
     world_point = shifted_position(point, data.code[pc + 1])
-    if point.instance < 0:
+    if is_direction(point):
         world_point = data.inputs.camera_position - point.incoming
     p = transform_point(data.inputs.to_camera, world_point)
     put_vector(data, stack, pc + 2, wp.normalize(p))
@@ -139,7 +139,7 @@ def camera_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, po
 def window_coordinates(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Position of the point in the frame, 0..1; word 1 is the shift."""
     world_point = shifted_position(point, data.code[pc + 1])
-    if point.instance < 0:
+    if is_direction(point):
         world_point = data.inputs.camera_position - point.incoming
     p = transform_point(data.inputs.to_camera, world_point)
     x, y = p[0], p[1]
