@@ -287,10 +287,7 @@ class _Collector:
     def _volume(self, obj, key: tuple, asked: list[tuple[str, str]]) -> int | None:
         """Index of the box around a volume object, with the grids `asked`; None if there is nothing in it."""
         if (key := (*key, *asked)) not in self._meshes:
-            told: list[str] = []
-            made = export_volume(obj, dict.fromkeys(name for _, name in asked), told)
-            lacking = (Notice(text, Weight.MISSING, objects=[obj.name]) for text in told)
-            self.placements.warnings += lacking
+            made = export_volume(obj, dict.fromkeys(name for _, name in asked), self.placements.warnings)
             self._meshes[key] = None if made is None else len(self.placements.meshes)
             if made is not None:
                 self.placements.meshes.append(made)

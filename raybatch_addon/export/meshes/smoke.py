@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Grid
+from ...core.scene.notice import Notice, Weight
 
 # By name of an attribute: the domain's property, its numbers a voxel, and whether noise makes it finer
 _GRIDS = {
@@ -81,7 +82,7 @@ def smoke_grids(obj: bpy.types.Object, names: list[str], label: str, warnings: l
         if not values.any():
             continue
         if not (np.isfinite([center, half]).all() and (half > 0).all()):
-            warnings.append(f"{label}: its domain is flat; it is left out")
+            warnings.append(Notice(f"{label}: its domain is flat; it is left out", Weight.REPAIRED))
             return []
         scale = shape / (2 * half)
         to_index = np.column_stack([np.diag(scale), -scale * (center - half) - 0.5])

@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Grid, Mesh
+from ...core.scene.notice import Notice, Weight
 from .smoke import smoke_grids
 
 # Most values of a grid: larger ones do not fit a computer's memory when they are read
@@ -25,7 +26,15 @@ def export_volume(obj: bpy.types.Object, names: Iterable[str], warnings: list[st
 
     None where there is nothing to see; `warnings` gets a line for whatever cannot be read.
     """
-    volume, names, said = obj.data, list(names), len(warnings)
+    told: list[str] = []
+    mesh = _exported(obj, list(names), told)
+    # what was not weighed is not in the picture
+    warnings += [Notice(text, getattr(text, "weight", Weight.MISSING), objects=[obj.name]) for text in told]
+    return mesh
+
+
+def _exported(obj: bpy.types.Object, names: list[str], warnings: list[str]) -> Mesh | None:
+    volume = obj.data
     is_smoke = obj.type != "VOLUME"
     label = f"{'smoke' if is_smoke else 'volume object'} “{obj.name}”"
     if is_smoke:
@@ -36,13 +45,13 @@ def export_volume(obj: bpy.types.Object, names: Iterable[str], warnings: list[st
         found = [grid for grid in grids if grid is not None]
     boxes = [_box(grid) for grid in found]
     if not boxes:
-        if len(warnings) == said:
+        if not warnings:
             named = ", ".join(f"“{name}”" for name in names) or "that its material reads"
             warnings.append(f"{label}: it has no values in grids {named}; there is nothing to render")
         return None
     low, high = np.min([box[0] for box in boxes], 0), np.max([box[1] for box in boxes], 0)
     if not (np.isfinite([low, high]).all() and (high > low).all()):
-        warnings.append(f"{label}: the place of its grids is not finite; it is left out")
+        warnings.append(Notice(f"{label}: the place of its grids is not finite; it is left out", Weight.REPAIRED))
         return None
     space = (tuple((0.5 * (low + high)).tolist()), tuple((0.5 * (high - low)).tolist()))
     return Mesh(
@@ -128,7 +137,8 @@ def _grid(name: str, read, label: str, warnings: list[str]) -> Grid | None:
     ]
     to_object = np.column_stack([*axes, origin])
     if abs(np.linalg.det(to_object[:, :3])) == 0 or not np.isfinite(to_object).all():
-        warnings.append(f"{label}: its grid “{name}” is flattened to nothing; it counts as missing")
+        text = f"{label}: its grid “{name}” is flattened to nothing; it counts as missing"
+        warnings.append(Notice(text, Weight.REPAIRED))
         return None
     inverse = np.linalg.inv(to_object[:, :3])
     return Grid(name, values, np.column_stack([inverse, -inverse @ origin]))

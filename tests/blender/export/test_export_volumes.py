@@ -7,6 +7,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from raybatch_addon.core.scene.notice import Weight  # noqa: E402
 from raybatch_addon.export.meshes.smoke import any_grids  # noqa: E402
 from raybatch_addon.export.meshes.volumes import export_volume  # noqa: E402
 from tests.support.blender_builders import add_object  # noqa: E402
@@ -63,7 +64,9 @@ def test_what_cannot_be_read_is_said_by_name(scene, grid_file, tmp_path):
         (path, ["heat"], "“heat”"),
     ):
         warnings = []
-        assert export_volume(_volume(source), names, warnings) is None
+        obj = _volume(source)
+        assert export_volume(obj, names, warnings) is None
+        assert warnings[0].weight == Weight.MISSING and warnings[0].objects == (obj.name,)
         assert len(warnings) == 1 and "Smoke" in warnings[0] and word in warnings[0], (source, warnings)
 
 

@@ -121,6 +121,7 @@ def shape_key(scene: bpy.types.Scene) -> None:
     for point in key.data:
         point.co.x *= 1.8
         point.co.z *= 0.5
+    key.value = 0.0  # a new key of Blender 5 has 1
     key.keyframe_insert("value", frame=9)
     key.value = 1.0
     key.keyframe_insert("value", frame=11)
