@@ -230,3 +230,13 @@ def test_a_scene_without_volumes_does_without_their_kernels(session):
     assert with_volumes.volumes and not without.volumes
     assert bytes_per_path(with_volumes) > bytes_per_path(without)
     assert "volumes" in without.left_out()
+
+
+def test_first_samples_know_nothing_of_the_surface_of_a_volume(session):
+    """Where sky is seen through a cube of smoke, Depth is as deep as the sky's."""
+    depth = []
+    for eye in ((0, -4, 0), (0, -4, 40)):
+        made = in_box(medium(0.1), scenes.camera(eye=eye, target=(0, 9, eye[2]), half_width=0.01))
+        made = dataclasses.replace(made, frame=Frame(8, 8, passes=("Combined", "Depth")))
+        depth.append(session.render(made, RenderSettings(sample_count=1)).passes["Depth"])
+    assert np.array_equal(*depth)

@@ -10,7 +10,7 @@ from ...film.mattes import MatteTile, add_matte
 from ...film.tile import FilmTile
 from ...shading.bsdf.bsdf import ClosureFeatures, ClosureRecord, Lobe, ShadingFrame, make_bsdf
 from ..rays import Paths
-from ..scene.scene_data import SceneData
+from ..scene.scene_data import SceneData, depth_of
 from ..stages.generate import pixel_sample
 from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork
@@ -143,14 +143,14 @@ def make_record_surface(features: ClosureFeatures, transparency: bool) -> wp.Fun
             if passes.settled.shape[0] > 0 and v.passed > 0:
                 settled = passes.settled[path]
         if settled == 0:
-            if v.where.sample == wp.uint32(0):
+            if v.where.sample == wp.uint32(0) and mean_channel(alpha) > 0.0:  # nobody sees what lets all light pass
                 if film.object_index.shape[0] > 0:
                     film.object_index[v.where.pixel] = passes.inputs.object_index[instance]
                 if film.material_index.shape[0] > 0:
                     film.material_index[v.where.pixel] = passes.inputs.material_index[v.surface.material]
                 if wp.static(transparency):
                     if film.depth.shape[0] > 0:
-                        film.depth[v.where.pixel] = wp.dot(v.surface.position - data.view_origin, data.view_axis)
+                        film.depth[v.where.pixel] = depth_of(data, v.surface.position)
                     if film.position.shape[0] > 0:
                         film.position[v.where.pixel] = v.surface.position
             if mean_channel(alpha) >= passes.inputs.alpha_threshold:
