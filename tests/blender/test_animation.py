@@ -296,6 +296,7 @@ def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path
         assert film.passes["Combined"].tobytes() == films[-1][2].passes["Combined"].tobytes()
 
 
+@pytest.mark.thorough  # two hundred frames
 @pytest.mark.skipif(not STATM.exists(), reason="the system does not report the resident memory of a process")
 def test_memory_is_flat_over_two_hundred_frames(lit, tmp_path):
     """A mesh changes in every frame, so that all data made for it must be freed."""

@@ -153,6 +153,7 @@ def home_without(linux_zip, tmp_path_factory) -> Path:
     return home
 
 
+@pytest.mark.thorough  # compiles the general kernels for each kind of processor
 def test_the_zip_with_kernels_is_not_too_large(zip_with_kernels):
     assert zip_with_kernels.stat().st_size < ZIP_BYTES_MOST
     with zipfile.ZipFile(zip_with_kernels) as file:
@@ -164,6 +165,7 @@ def test_the_zip_with_kernels_is_not_too_large(zip_with_kernels):
             assert f"kernels/{target}/{binary['file']}" in names
 
 
+@pytest.mark.thorough  # as above
 def test_the_first_render_uses_the_shipped_kernels(zip_with_kernels, home_without, tmp_path):
     """They are read where they are installed, a folder that nobody need write; nothing that shades is compiled, and
     the picture is that of a zip without any.

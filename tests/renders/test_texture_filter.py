@@ -105,6 +105,7 @@ def test_films_of_sample_ranges_merge_to_that_of_all(session, filtered):
     assert np.array_equal(parts[0].merge(parts[1]).passes["Combined"], filtered.passes["Combined"])
 
 
+@pytest.mark.thorough  # many samples
 def test_far_squares_have_their_mean_brightness_and_no_noise(session):
     far = dataclasses.replace(room(4000, "emission"), lights=(), frame=Frame(24, 20))
     one = OFF.replace(sample_count=1, bounce_max=0)

@@ -42,6 +42,7 @@ def test_modules_of_a_plain_scene_hold_no_code_of_other_features():
     assert set(LEFT_OUT) <= set(features.left_out())
 
 
+@pytest.mark.thorough  # compiles everything there is for one scene
 def test_kernels_can_have_all_features_at_once():
     """Source is made of them, and not compiled: that takes minutes. With instances, general kernels have them all."""
     every = every_feature(derive_features(plain_scene(), RenderSettings()))

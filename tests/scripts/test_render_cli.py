@@ -261,6 +261,7 @@ def test_a_failed_render_keeps_the_old_picture(sheet, tmp_path, monkeypatch, cap
     assert capfd.readouterr().err == "render.py: error: no memory for this\n"
 
 
+@pytest.mark.thorough  # compiles the general kernels
 def test_prewarm_fills_the_cache_folder():
     done = run_script("render.py", "--prewarm", "--device", "cpu", before=HIDE_BPY)
     assert done.returncode == 0, done.stderr

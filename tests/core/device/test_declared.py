@@ -348,6 +348,7 @@ def test_a_render_with_kernels_that_are_ready_declares_nothing(session, monkeypa
     assert second[0] == "0" and first[1:] == second[1:]
 
 
+@pytest.mark.thorough  # declares everything twice
 def test_another_version_of_warp_declares_all_at_once_and_finds_the_same_hash(tmp_path):
     waits, other = (run_process(ROOT, tmp_path, "no render", *words) for words in ((), ("other version",)))
     assert other[0] == "0" and waits[2] == other[2]
