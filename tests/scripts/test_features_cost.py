@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 from features_cost import every_feature, functions_of, plain_scene
 
 from raybatch_addon.core.scene.features import derive_features
