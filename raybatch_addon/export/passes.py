@@ -44,6 +44,23 @@ OWN_PASS_PROPERTIES = {"use_pass_sample_count": "Sample Count"} | COST_PASS_PROP
 DENOISING_PASSES = ("Denoising Albedo", "Denoising Normal", "Denoising Depth")
 # What a denoised picture was made of, which is kept beside it
 NOISY_IMAGE = "Noisy Image"
+# Names of passes before Blender 5, where they differ
+_EARLIER_NAMES = {
+    f"{component} {part}": short_component + short_part
+    for component, short_component in (
+        ("Diffuse", "Diff"),
+        ("Glossy", "Gloss"),
+        ("Transmission", "Trans"),
+        ("Volume", "Volume"),
+    )
+    for part, short_part in (("Direct", "Dir"), ("Indirect", "Ind"), ("Color", "Col"))
+} | {
+    "Emission": "Emit",
+    "Environment": "Env",
+    "Ambient Occlusion": "AO",
+    "Object Index": "IndexOB",
+    "Material Index": "IndexMA",
+}
 # Kinds of mattes, by the property that asks for them
 MATTE_PROPERTIES = {
     "use_pass_cryptomatte_object": "CryptoObject",
@@ -81,5 +98,6 @@ def wanted_aovs(view_layer: bpy.types.ViewLayer) -> list[tuple[str, str]]:
 def blender_name(name: str) -> str:
     """The name that Blender knows the film's pass `name` by."""
     for beginning in AOV_BEGINNINGS.values():
-        name = name.removeprefix(beginning)
-    return name
+        if name.startswith(beginning):
+            return name.removeprefix(beginning)
+    return name if bpy.app.version >= (5, 0) else _EARLIER_NAMES.get(name, name)

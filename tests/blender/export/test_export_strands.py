@@ -73,6 +73,7 @@ def test_an_attribute_that_strands_lack_is_told():
     hair = add_curves([(0, 0, 0), (0, 0, 1)], [2])
     hair.data.attributes.new("there", "FLOAT", "POINT")
     material = bpy.data.materials.new("Tinted")
+    material.use_nodes = True  # before Blender 5 a choice
     hair.data.materials.append(material)
     tree = material.node_tree
     shader = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")

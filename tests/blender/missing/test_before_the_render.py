@@ -39,6 +39,7 @@ def lamp(scene):
 def unknown_node(name):
     """A material whose shader hangs on a node that RayBatch does not know."""
     material = bpy.data.materials.new(name)
+    material.use_nodes = True  # before Blender 5 a choice
     nodes = material.node_tree.nodes
     diffuse = nodes.new("ShaderNodeBsdfDiffuse")
     mixed = nodes.new("ShaderNodeMixShader")
@@ -183,6 +184,7 @@ def test_a_mesh_needs_no_grid_of_a_principled_volume(scene):
     obj = add_grid("Host", 1)
     scene.collection.objects.link(bpy.data.objects.new("Smoke", bpy.data.volumes.new("Smoke")))
     material = bpy.data.materials.new("Fog")
+    material.use_nodes = True  # before Blender 5 a choice
     obj.data.materials.append(material)
     tree = material.node_tree
     output = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputMaterial")
@@ -271,6 +273,7 @@ def test_another_engines_settings_are_taken_over_on_the_command_line(scene, tmp_
 def test_a_script_in_osl_is_named_and_the_sockets_own_value_stands_in(scene):
     obj = add_grid("Host", 1)
     material = bpy.data.materials.new("Scripted")
+    material.use_nodes = True  # before Blender 5 a choice
     obj.data.materials.append(material)
     tree = material.node_tree
     script = tree.nodes.new("ShaderNodeScript")

@@ -35,6 +35,7 @@ def test_what_differs_is_told_and_taken_over(scene):
 
 def test_exposure_brightens_what_blender_shows(scene, tmp_path):
     scene.world = bpy.data.worlds.new("Sky")
+    scene.world.use_nodes = True  # before Blender 5 a choice
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.25, 0.5, 1.0, 1.0)
     scene.cycles.film_exposure = 2.5
     assert [each.setting for each in differences(scene, CYCLES, chosen=True)] == ["exposure"]
@@ -103,6 +104,7 @@ def test_the_button_takes_over_and_eevee_brings_its_outputs(scene):
 @pytest.mark.parametrize(("engine", "color"), [(CYCLES, (1.0, 0.0, 0.0)), (EEVEE, (0.0, 1.0, 0.0))])
 def test_the_output_of_the_engine_counts(scene, engine, color):
     material = bpy.data.materials.new("Both")
+    material.use_nodes = True  # before Blender 5 a choice
     tree = material.node_tree
     tree.nodes.clear()
     for target, shown in ((CYCLES, (1, 0, 0, 1)), (EEVEE, (0, 1, 0, 1))):
