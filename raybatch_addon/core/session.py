@@ -87,11 +87,12 @@ class Session:
         Default: what any scene can begin with: trees, tracing without queues, and on a CPU the general kernels.
         """
         plan = TracingPlan(Method.UNBATCHED)
-        kernels = [] if features else GeneralRequest().kernels(self.device)
-        for each in features or ():
-            kernels += CompileRequest(each, self.settings, plan).kernels(self.device)
         if features:
+            requests = [CompileRequest(each, self.settings, plan) for each in features]
+            kernels = [kernel for each in requests for kernel in each.kernels(self.device)]
             kernels += [*build_kernels(self.device), *LIGHT_TREE_KERNELS]
+        else:
+            kernels = GeneralRequest().kernels(self.device)
         return load_kernels(kernels, self.device, on_progress or (lambda *_: None))
 
     def render(

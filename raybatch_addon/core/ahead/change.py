@@ -140,11 +140,10 @@ class TierChange:
         """The render is over."""
         self._over.set()
         self._thread.join()
+        seconds = time.perf_counter() - self._begun if self.changed_after is None else self.changed_after
+        self._changes.spend(self.request, seconds)
         if self.changed_after is None:
-            self._changes.spend(self.request, time.perf_counter() - self._begun)
             self._changes.rest(self.request)
-        else:
-            self._changes.spend(self.request, self.changed_after)
 
     def _watch(self) -> None:
         try:
