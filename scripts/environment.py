@@ -22,6 +22,9 @@ def requirements(pyproject: Path) -> list[str]:
 
 
 def main() -> int:
+    if len(sys.argv) != 2 or sys.argv[1].startswith("-"):
+        print("usage: environment.py FOLDER (`make environment` calls it)", file=sys.stderr)
+        return 2
     folder = Path(sys.argv[1]).absolute()
     base = Path(getattr(sys, "_base_executable", sys.executable)).resolve()
     wanted = requirements(Path(__file__).resolve().parents[1] / "pyproject.toml")

@@ -284,7 +284,8 @@ def spawned(position, error, normal, direction):
         out[i] = spawn_origin(position[i], error[i], normal[i], direction[i])
 
     arrays = [
-        wp.array(np.ascontiguousarray(x, np.float32), dtype=wp.vec3) for x in (position, error, normal, direction)
+        wp.array(np.ascontiguousarray(x, np.float32), dtype=wp.vec3, device="cpu")
+        for x in (position, error, normal, direction)
     ]
     out = wp.zeros(len(position), dtype=wp.vec3, device="cpu")
     wp.launch(spawn, len(position), [*arrays, out], device="cpu")
