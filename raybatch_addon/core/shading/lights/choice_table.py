@@ -60,3 +60,8 @@ class ChoiceTable:
     # 3 z² - 1, xz, x² - y²; shape [9]
     world_irradiance: wp.array(dtype=float)
     links: LightLinks
+
+
+def choice_tree_bytes(choice: ChoiceTable) -> int:
+    """Memory that the tree of `choice` takes on its device [bytes]."""
+    return sum(int(each.capacity) for each in (choice.blocks, choice.below, choice.above, choice.leaf))

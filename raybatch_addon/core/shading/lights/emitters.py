@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import SceneError
 from ...scene.description import ClosureKind, Light, LightKind, Material, Scene, Visibility
-from ...scene.frozen import fact
+from ...scene.frozen import fact, freeze
 from ...scene.motion import apart
 from ...scene.validate import box_of
 
@@ -33,7 +33,7 @@ class EmissiveTriangles:
 
     instance: np.ndarray  # int32, shape [e], ascending
     primitive: np.ndarray  # triangle of the instance's mesh, int32, shape [e], ascending within an instance
-    radiance: np.ndarray  # on both sides [W/(m² sr)], float32, shape [e, 3]
+    radiance: np.ndarray  # on both sides [W/(m² sr)], float32, shape [e, 3]; nobody writes to it
     area: np.ndarray  # in world space [m²], float64, shape [e]
     program: np.ndarray  # 1: a program computes the emission, and `radiance` is an estimated mean; int32, shape [e]
     instance_first: np.ndarray  # first entry of each instance, int32, shape [instance_count + 1]
@@ -99,8 +99,9 @@ def find_emissive_triangles(
     # triangles of one block stay in order; only blocks of different meshes are out of order
     order = np.argsort(instance, kind="stable")
     first = np.searchsorted(instance[order], np.arange(len(instances) + 1)).astype(np.int32)
+    radiance = freeze(radiance[order])
     return EmissiveTriangles(
-        instance[order], primitive[order], radiance[order], area[order], program[order].astype(np.int32), first
+        instance[order], primitive[order], radiance, area[order], program[order].astype(np.int32), first
     )
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ...device.bulk import digest_of
 from ...scene.description import Light, LightKind, Scene
 from ...scene.geometry import Geometry
 from .choice_table import ChoiceTable
@@ -27,6 +28,8 @@ _ANGLE_MIN = float(_FLOAT.eps)  # [rad]
 _UNSEEN = 1e-4
 # Least strength of what shines at all, beside the same
 _LEAST = 1e-36
+
+KeepTree = Callable[[tuple[list[np.ndarray], object], Callable[[], ChoiceTable]], ChoiceTable]
 
 
 @wp.struct
@@ -105,6 +108,7 @@ def upload_lights(
     lamps: Callable[[LightTable], np.ndarray] | None = None,
     triangles: EmissiveTriangles | None = None,
     geometry: Geometry | None = None,
+    keep: KeepTree = lambda key, make: make(),
 ) -> UploadedLights:
     """The emitters of `scene` on `device`; raises `SceneError` for emission that is not finite.
 
@@ -116,6 +120,8 @@ def upload_lights(
             from a table that holds lights alone.
         triangles: the emissive triangles, where they are known.
         geometry: that of `scene` on `device`; needed where triangles emit.
+        keep: returns the tree over emitters that `make` makes, or one that it made before of the same arrays, if they
+            are frozen, and values.
     """
     if triangles is None:
         triangles = find_emissive_triangles(scene, emitted)
@@ -162,7 +168,7 @@ def upload_lights(
     table.instance_first = upload(triangles.instance_first if has_triangles else np.zeros(0, np.int32), int)
     visibility = scene.instances.visibility.astype(np.int32)
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
-    choice = _choice_table(table, records, strength, triangles, geometry, world, device)
+    choice = _choice_table(table, records, strength, triangles, geometry, world, keep)
     upload_links(scene, choice, triangles.instance, device)
     table.choice = wp.array([choice], dtype=ChoiceTable, device=device)
     return UploadedLights(table, choice, tree, len(triangles))
@@ -175,10 +181,10 @@ def _choice_table(
     triangles: EmissiveTriangles,
     geometry: Geometry | None,
     world: SampledWorld | None,
-    device: wp.Device,
+    keep: KeepTree,
 ) -> ChoiceTable:
     """What the choice among the emitters of `table` reads; `strength` is that of lights without mesh."""
-    choice = ChoiceTable()
+    device = table.lights.device
     of_triangles = triangle_strengths(triangles)
     irradiance = np.zeros(9) if world is None else world.irradiance
     largest = max(strength.max(initial=0), of_triangles.max(initial=0), irradiance[0])
@@ -186,9 +192,20 @@ def _choice_table(
     # a lamp whose program was black at every point that was looked at may still shine
     may_shine = (records["program"] != 0) & (strength == 0) & records["emission"].any(1)
     strength = np.where(may_shine, _UNSEEN, _in_range(strength / largest))
-    choice.world_irradiance = wp.array(irradiance / largest, dtype=float, device=device)
 
     is_sun = records["kind"] == LightKind.SUN
+    local = np.flatnonzero(~is_sun)
+    lamps = _lamp_nodes(records, local, strength)
+
+    def make() -> ChoiceTable:
+        return _tree_alone(table, _boxes(records[local]), lamps, _in_range(of_triangles / largest), geometry)
+
+    # triangles that are the same array have the same places too
+    followed = digest_of([records, lamps]), largest, table.emitter_count, device.alias
+    tree = keep(([triangles.radiance], followed), make)
+    choice = ChoiceTable()
+    choice.blocks, choice.below, choice.above, choice.leaf = tree.blocks, tree.below, tree.above, tree.leaf
+    choice.world_irradiance = wp.array(irradiance / largest, dtype=float, device=device)
     distant = np.flatnonzero(is_sun)
     brightness = strength[distant]
     if world is not None:
@@ -196,29 +213,36 @@ def _choice_table(
     choice.distant_count = len(distant)
     choice.distant = wp.array(distant, dtype=int, device=device)
     choice.distant_strength = wp.array(brightness, dtype=float, device=device)
+    return choice
 
-    local = np.flatnonzero(~is_sun)
-    count = len(local) + len(triangles)
+
+def _tree_alone(
+    table: LightTable,
+    boxes_of_lamps: tuple[np.ndarray, np.ndarray],
+    lamps: np.ndarray,
+    power: np.ndarray,
+    geometry: Geometry | None,
+) -> ChoiceTable:
+    """A table that has only the tree: over `lamps`, leaves of those with a place, and the triangles of `table`, which
+    have `power`.
+    """
+    device, count = table.lights.device, len(lamps) + len(power)
     boxes = EmitterBoxes()
     boxes.nodes = wp.empty(count, dtype=LightNode, device=device)
     boxes.low, boxes.high = (wp.empty(count, dtype=wp.vec3, device=device) for _ in range(2))
-    if len(local):
-        low, high = _boxes(records[local])
-        for target, values in (
-            (boxes.nodes, _lamp_nodes(records, local, strength)),
-            (boxes.low, low),
-            (boxes.high, high),
-        ):
-            wp.copy(target, wp.array(values, dtype=target.dtype, device=device), count=len(local))
-    if len(triangles):
+    if len(lamps):
+        for target, values in zip((boxes.nodes, boxes.low, boxes.high), (lamps, *boxes_of_lamps), strict=True):
+            wp.copy(target, wp.array(values, dtype=target.dtype, device=device), count=len(lamps))
+    if len(power):
         emitting = EmittingTriangles()
         emitting.instance, emitting.primitive = table.triangle_instance, table.triangle_primitive
-        emitting.power = wp.array(_in_range(of_triangles / largest), dtype=float, device=device)
-        emitting.emitter_first, emitting.node_first = table.light_count, len(local)
-        wp.launch(bound_triangles_kernel, len(triangles), [geometry, emitting, boxes], device=device)
-    choice.leaf = wp.full(table.emitter_count, -1, dtype=int, device=device)
-    fill_blocks(choice, boxes)
-    return choice
+        emitting.power = wp.array(power, dtype=float, device=device)
+        emitting.emitter_first, emitting.node_first = table.light_count, len(lamps)
+        wp.launch(bound_triangles_kernel, len(power), [geometry, emitting, boxes], device=device)
+    tree = ChoiceTable()
+    tree.leaf = wp.full(table.emitter_count, -1, dtype=int, device=device)
+    fill_blocks(tree, boxes)
+    return tree
 
 
 def _in_range(values: np.ndarray) -> np.ndarray:

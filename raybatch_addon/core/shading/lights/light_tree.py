@@ -6,6 +6,7 @@ cone of directions and the power of what lies below it (Conty Estevez and Kulla 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +16,16 @@ from ...bvh.build.binary import BuildOptions
 from ...bvh.build.cpu.build import build_binary_from_boxes
 from ...bvh.build.cuda.clusters import merge_leaves, sort_leaves
 from ...bvh.build.cuda.order import find_parents, order_by_height, refit
+from ...device.bulk import in_slices
+from ...device.devices import load_module
 from ...device.kernel import KERNEL_OPTIONS
 from ...scene.geometry import Geometry, triangle_vertices
 from .choice_table import FIELDS, WIDTH, ChoiceTable
 
 # Where the numbers of a block of one kind begin
 _ROWS = {name: place * WIDTH for place, name in enumerate(FIELDS)}
+# Items that are worth a thread of the CPU
+_ITEMS_A_THREAD = 1 << 16
 # Rounding of an angle whose cosine is stored [rad]
 _ANGLE_ERROR = wp.constant(5.0e-4)
 
@@ -114,9 +119,9 @@ def bound_triangles_kernel(geometry: Geometry, triangles: EmittingTriangles, box
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def place_leaves_kernel(boxes: EmitterBoxes, joints: Joints, nodes: wp.array(dtype=TreeNode)):
-    """Emitters become leaves."""
-    i = wp.tid()
+def place_leaves_kernel(boxes: EmitterBoxes, joints: Joints, first: int, nodes: wp.array(dtype=TreeNode)):
+    """Emitters from `first` on become leaves."""
+    i = first + wp.tid()
     node = TreeNode()
     node.held = boxes.nodes[joints.which[i]]
     node.first = -1
@@ -269,9 +274,9 @@ def _write_leaf(choice: ChoiceTable, block: int, k: int, held: LightNode):
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def fill_blocks_kernel(tree: LightBlocks, choice: ChoiceTable):
-    """Nodes of every block."""
-    block = wp.tid()
+def fill_blocks_kernel(tree: LightBlocks, choice: ChoiceTable, first: int):
+    """Nodes of the blocks from `first` on."""
+    block = first + wp.tid()
     open = wp.zeros(wp.static(WIDTH), dtype=int)
     count = _open(tree, tree.block_node[block], open)
     for k in range(count):
@@ -315,9 +320,9 @@ def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes) -> None:
     tree = LightBlocks()
     tree.leaf_count = count
     tree.nodes = wp.empty(joints.low.size, dtype=TreeNode, device=device)
-    wp.launch(place_leaves_kernel, count, [boxes, joints, tree.nodes], device=device)
+    _launch(place_leaves_kernel, count, lambda at: [boxes, joints, at, tree.nodes], device)
     for first, end in zip(topology.level_first[:-1], topology.level_first[1:]):
-        wp.launch(join_kernel, end - first, [joints, order, first, tree.nodes], device=device)
+        _launch(join_kernel, end - first, lambda at, level=first: [joints, order, level + at, tree.nodes], device)
     tree.block_node = wp.full(count - 1, topology.root, dtype=int, device=device)
     tree.block_of = wp.zeros(count - 1, dtype=int, device=device)
     tree.block_count = wp.ones(1, dtype=int, device=device)
@@ -326,7 +331,22 @@ def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes) -> None:
         wp.launch(find_blocks_kernel, end - first, [tree, first], device=device)
         first, end = end, int(tree.block_count.numpy()[0])
     _allocate(choice, end, device)
-    wp.launch(fill_blocks_kernel, end, [tree, choice], device=device)
+    _launch(fill_blocks_kernel, end, lambda at: [tree, choice, at], device)
+
+
+def _launch(kernel: wp.Kernel, count: int, inputs: Callable[[int], list], device: wp.Device) -> None:
+    """Launch `kernel` for `count` items; its `inputs` name the first one. A launch on the CPU runs on one thread, so
+    many items are parted.
+    """
+    if not device.is_cpu:
+        wp.launch(kernel, count, inputs(0), device=device)
+        return
+    load_module(kernel, device)
+
+    def launch(part: slice) -> None:
+        wp.launch(kernel, part.stop - part.start, inputs(part.start), device=device)
+
+    in_slices(count, launch, _ITEMS_A_THREAD)
 
 
 def _allocate(choice: ChoiceTable, block_count: int, device: wp.Device) -> None:

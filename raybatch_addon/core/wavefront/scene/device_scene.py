@@ -123,7 +123,15 @@ class DeviceScene:
         else:
             cache.emissive.clear()
             triangles = find_emissive_triangles(scene, emitted)
-        lights = upload_lights(scene, device, triangles=triangles, world=world, lamps=lamps, geometry=data.geometry)
+        lights = upload_lights(
+            scene,
+            device,
+            triangles=triangles,
+            world=world,
+            lamps=lamps,
+            geometry=data.geometry,
+            keep=cache.light_tree.get,
+        )
         data.lights = lights.table
         data.world = wp.vec3(*scene.world.radiance)
         data.world_visibility = scene.world.visibility

@@ -33,6 +33,7 @@ from ...scene.geometry import Geometry, update_geometry, upload_geometry
 from ...scene.moved import with_motion
 from ...settings.settings import RenderSettings
 from ...shading.images.image_upload import ImageCache, device_bytes_of
+from ...shading.lights.choice_table import ChoiceTable, choice_tree_bytes
 from ...shading.lights.emitters import EmissiveTriangles
 from ..plan.plan import Method, TracingPlan, cut_rule
 from .unchanged import Last
@@ -164,6 +165,7 @@ class SceneCache:
         self.world = WorldCache()
         self.inputs: Last[InputData] = Last()  # what programs of surfaces read of the scene
         self.emissive: Last[EmissiveTriangles] = Last()
+        self.light_tree: Last[ChoiceTable] = Last()
         self._displaced = DisplacedMeshes()
         self._last: Kept | None = None
         self._lock = threading.Lock()  # the build of a cancelled render may still be going on
@@ -174,16 +176,22 @@ class SceneCache:
         self.world.clear()
         self.inputs.clear()
         self.emissive.clear()
+        self.light_tree.clear()
         self._displaced.clear()
         self._last = None
 
     @property
     def device_bytes(self) -> int:
-        """Memory that the last frame's tree and its programs' inputs hold on the device, and the next one's may have
+        """Memory that the last frame's trees and its programs' inputs hold on the device, and the next one's may have
         [bytes].
         """
-        last, inputs = self._last, self.inputs.made
-        return (last.device_bytes if last else 0) + (bytes_of(inputs) if inputs else 0)
+        last, inputs, tree = self._last, self.inputs.made, self.light_tree.made
+        kept = (
+            last.device_bytes if last else 0,
+            bytes_of(inputs) if inputs else 0,
+            choice_tree_bytes(tree) if tree else 0,
+        )
+        return sum(kept)
 
     def image_budget(self, device: wp.Device) -> int | None:
         """What images may take of the memory of `device` [bytes]; None: they lie where they are.

@@ -11,6 +11,7 @@ from raybatch_addon.core.scene.description import ClosureKind, Frame, Image, Mat
 from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.shading.lights import light_table
 from raybatch_addon.core.wavefront.scene import device_scene, scene_cache
 from tests.support import scenes
 from tests.support.under_test import DEVICE
@@ -83,6 +84,7 @@ def made(monkeypatch):
     count(device_scene, "upload_inputs")
     count(device_scene, "find_emissive_triangles")
     count(device_scene, "emission_of_triangles")
+    count(light_table, "fill_blocks")
     return calls
 
 
@@ -90,7 +92,7 @@ def pixels(scene, session=None):
     return (session or Session(DEVICE)).render(scene, SETTINGS).passes["Combined"].tobytes()
 
 
-EVERYTHING = ["flatten", "upload_inputs", "find_emissive_triangles", "emission_of_triangles"]
+EVERYTHING = ["flatten", "upload_inputs", "find_emissive_triangles", "emission_of_triangles", "fill_blocks"]
 
 
 def test_nothing_is_made_again_of_the_same_arrays(made):
@@ -122,6 +124,7 @@ def test_arrays_that_may_change_are_looked_at(made):
         ("camera", []),
         ("camera that is read", EVERYTHING[2:]),
         ("world", []),
+        ("lamp", ["fill_blocks"]),
     ],
 )
 def test_what_changes_is_made_again_and_the_film_is_that_of_a_new_session(made, change, again):
@@ -138,6 +141,8 @@ def test_what_changes_is_made_again_and_the_film_is_that_of_a_new_session(made, 
         )
     elif change == "image":
         other = replace(scene, images=(Image("picture", freeze(PIXELS * np.float32(0.5))),))
+    elif change == "lamp":
+        other = replace(scene, lights=(scenes.area_light(matrix=scenes.translation(0, -1, 3)),))
     elif change.startswith("camera"):
         other = replace(scene, camera=scenes.camera(eye=(1, -4, 1)))
     else:
