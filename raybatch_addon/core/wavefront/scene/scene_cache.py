@@ -35,6 +35,7 @@ from ...settings.settings import RenderSettings
 from ...shading.images.image_upload import ImageCache, device_bytes_of
 from ...shading.lights.emitters import EmissiveTriangles
 from ..plan.plan import Method, TracingPlan, cut_rule
+from ..volumes.upload import VolumeCache
 from .unchanged import Last
 from .world_cache import WorldCache
 
@@ -162,6 +163,7 @@ class SceneCache:
     def __init__(self):
         self.images = ImageCache()
         self.world = WorldCache()
+        self.volumes = VolumeCache()
         self.inputs: Last[InputData] = Last()  # what programs of surfaces read of the scene
         self.emissive: Last[EmissiveTriangles] = Last()
         self._displaced = DisplacedMeshes()
@@ -172,6 +174,7 @@ class SceneCache:
         """Forget it."""
         self.images.clear()
         self.world.clear()
+        self.volumes.clear()
         self.inputs.clear()
         self.emissive.clear()
         self._displaced.clear()
@@ -179,11 +182,12 @@ class SceneCache:
 
     @property
     def device_bytes(self) -> int:
-        """Memory that the last frame's tree and its programs' inputs hold on the device, and the next one's may have
-        [bytes].
+        """Memory that the last frame's tree, its programs' inputs and its volumes hold on the device, and the next
+        one's may have [bytes].
         """
         last, inputs = self._last, self.inputs.made
-        return (last.device_bytes if last else 0) + (bytes_of(inputs) if inputs else 0)
+        shown = (last.device_bytes if last else 0) + (bytes_of(inputs) if inputs else 0)
+        return shown + self.volumes.device_bytes
 
     def image_budget(self, device: wp.Device) -> int | None:
         """What images may take of the memory of `device` [bytes]; None: they lie where they are.
