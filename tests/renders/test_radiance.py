@@ -267,6 +267,13 @@ def test_transparent_surfaces_dim_light_and_shadows_in_proportion(session):
     assert_within_4_sigma(session, scene, 2.0 / math.pi / 8)
     few = RenderSettings(sample_count=4, transparent_bounce_max=2)
     assert color(session.render(scene, few)).max() == 0.0  # three veils are more than two
+    # a mesh of which one triangle is clear, and the other black
+    view, aside = scenes.camera(eye=(0.5, -0.501, 0.3), target=(0.5, -0.5, 0)), scenes.translation(9, 9, 0)
+    for slots, radiance in ([0, 1], 1.0 / math.pi), ([1, 0], 0.0):
+        half = dataclasses.replace(scenes.plane("half", 4), triangle_slot=np.array(slots, np.int32))
+        objects = [floor, (half, veils[0][1], veil), (scenes.plane("aside"), aside, scenes.diffuse(0.0))]
+        scene = scenes.scene(objects, lights=[scenes.sun(2.0)], view=view, frame=Frame(2, 2))
+        assert mean_and_error(session, scene)[0] == pytest.approx(radiance, rel=1e-5)
 
 
 def test_a_transparent_film_has_alpha_where_the_world_shows(session):

@@ -116,6 +116,12 @@ def material_of(geometry: Geometry, instance: int, triangle: int) -> int:
 
 
 @wp.func
+def material_at(geometry: Geometry, instance: int, primitive: int) -> int:
+    """The material that a ray met; primitives are numbered as in hits, in their mesh."""
+    return material_of(geometry, instance, geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + primitive)
+
+
+@wp.func
 def carried_error(m: mat34, position: wp.vec3, error: wp.vec3) -> wp.vec3:
     """Bound of the error of `position`, known to `error`, when `m` carries it to the world, and a ray back."""
     return _row_abs(m, error) + wp.static(2.0 * _GAMMA_8) * (_row_abs(m, _abs(position)) + _abs(_offset(m)))

@@ -5,7 +5,7 @@
 
 import functools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,6 +156,7 @@ class MaterialRecord:
     closure_first: int  # it has the closures [closure_first, closure_end), but for those that its program makes
     closure_end: int
     transmits: int  # 1: some closure, also of its program, is one of `TRANSMISSIVE_KINDS`
+    is_clear: int  # 1: some closure, also of its program, is TRANSPARENT: light may pass straight on
     bin: int  # the same for materials that run the same code (`material_bins`)
 
 
@@ -223,7 +224,8 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     table = MaterialTable()
     rows = np.zeros(len(materials), MaterialRecord.numpy_dtype())
     rows["closure_first"], rows["closure_end"] = first[:-1], first[1:]
-    rows["transmits"] = [_transmits(material) for material in materials]
+    rows["transmits"] = [_has_some(material, TRANSMISSIVE_KINDS) for material in materials]
+    rows["is_clear"] = [_has_some(material, {_K.TRANSPARENT}) for material in materials]
     rows["bin"] = material_bins(materials)
     table.records = wp.array(rows, dtype=MaterialRecord, device=device)
     table.closures = wp.array(records, dtype=ClosureRecord, device=device)
@@ -252,12 +254,12 @@ def _code_of(material: Material) -> tuple:
     return tuple(closure.kind for closure in material.closures)
 
 
-def _transmits(material: Material) -> bool:
-    """Whether a closure is one of `TRANSMISSIVE_KINDS`; ops that make closures have the names of their kinds."""
+def _has_some(material: Material, wanted: Collection[ClosureKind]) -> bool:
+    """Whether a closure is one of the kinds `wanted`; ops that make closures have the names of their kinds."""
     kinds = {ClosureKind(closure.kind).name.lower() for closure in material.closures}
     if material.program is not None:
         kinds = {instruction.op for instruction in material.program.instructions}
-    return not kinds.isdisjoint(kind.name.lower() for kind in TRANSMISSIVE_KINDS)
+    return not kinds.isdisjoint(kind.name.lower() for kind in wanted)
 
 
 def constant_closure(record: ClosureRecord) -> Closure:

@@ -21,7 +21,7 @@ from ...measure.timing import NoTimer, StageTimer
 from ...rays import RayList, Rays
 from ...scene.geometry import Geometry
 from ...shading.bsdf.materials import MaterialRecord
-from ...shading.surface import material_of
+from ...shading.surface import material_at
 
 # Hits that are sorted at a time, so that sorting takes no more memory however many paths are alive
 SORTED_MAX = 1 << 22
@@ -86,9 +86,7 @@ def _triangle_key(
 def _material_key(
     geometry: Geometry, records: wp.array(dtype=MaterialRecord), rays: Rays, slot: int, shift: int
 ) -> wp.uint32:
-    instance = rays.hit_instance[slot]
-    triangle = geometry.mesh_triangle_first[geometry.instance_mesh[instance]] + rays.hit_primitive[slot]
-    bin = records[material_of(geometry, instance, triangle)].bin
+    bin = records[material_at(geometry, rays.hit_instance[slot], rays.hit_primitive[slot])].bin
     return wp.uint32(wp.min(bin, wp.static((1 << HitKey.MATERIAL.value) - 1)))
 
 

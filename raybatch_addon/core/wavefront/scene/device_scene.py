@@ -148,7 +148,9 @@ class DeviceScene:
         )
         volumes = None
         if features.volumes:
-            volumes = upload_volumes(scene, features, shading, data.geometry, images.table, device)
+            volumes = upload_volumes(scene, features, shading, data.geometry, images.table, device, cache.volumes)
+        else:
+            cache.volumes.clear()
         return DeviceScene(
             device=device,
             features=features,

@@ -36,6 +36,7 @@ from ...shading.images.image_upload import ImageCache, device_bytes_of
 from ...shading.lights.choice_table import ChoiceTable, choice_tree_bytes
 from ...shading.lights.emitters import EmissiveTriangles
 from ..plan.plan import Method, TracingPlan, cut_rule
+from ..volumes.upload import VolumeCache
 from .unchanged import Last
 from .world_cache import WorldCache
 
@@ -163,6 +164,7 @@ class SceneCache:
     def __init__(self):
         self.images = ImageCache()
         self.world = WorldCache()
+        self.volumes = VolumeCache()
         self.inputs: Last[InputData] = Last()  # what programs of surfaces read of the scene
         self.emissive: Last[EmissiveTriangles] = Last()
         self.light_tree: Last[ChoiceTable] = Last()
@@ -174,6 +176,7 @@ class SceneCache:
         """Forget it."""
         self.images.clear()
         self.world.clear()
+        self.volumes.clear()
         self.inputs.clear()
         self.emissive.clear()
         self.light_tree.clear()
@@ -182,14 +185,15 @@ class SceneCache:
 
     @property
     def device_bytes(self) -> int:
-        """Memory that the last frame's trees and its programs' inputs hold on the device, and the next one's may have
-        [bytes].
+        """Memory that the last frame's trees, its programs' inputs and its volumes hold on the device, and the next
+        one's may have [bytes].
         """
         last, inputs, tree = self._last, self.inputs.made, self.light_tree.made
         kept = (
             last.device_bytes if last else 0,
             bytes_of(inputs) if inputs else 0,
             choice_tree_bytes(tree) if tree else 0,
+            self.volumes.device_bytes,
         )
         return sum(kept)
 

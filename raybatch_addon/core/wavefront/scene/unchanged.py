@@ -9,8 +9,10 @@ import numpy as np
 
 from ...device.bulk import digest_of
 from ...programs.inputs_data import CAMERA_OPS
+from ...programs.op import op_named
 from ...scene.description import Image, Material, Scene
-from ...scene.frozen import Same
+from ...scene.features import scene_volumes
+from ...scene.frozen import Same, is_frozen
 from ...scene.program import Program
 
 Made = TypeVar("Made")
@@ -81,6 +83,38 @@ def camera_key(scene: Scene, programs: Iterable[Program | None]) -> tuple:
     camera, frame = scene.camera, scene.frame
     matrix = np.asarray(camera.transform, np.float64).tobytes()
     return (int(camera.kind), matrix, tuple(camera.window), camera.panorama, frame.width, frame.height)
+
+
+def bounds_key(
+    scene: Scene, volume_of: np.ndarray, ops: Sequence[str], world_box: np.ndarray, device: str
+) -> tuple[list[np.ndarray | None], tuple]:
+    """What the bounds of volumes with programs follow from: arrays and values. `volume_of`: the volume of each
+    material, or -1; `world_box`: what the world's is taken to fill. Arrays that may change count by their numbers.
+    """
+    arrays, values = inputs_key(scene, ops, device)
+    volumes = scene_volumes(scene)
+    programs = [volume.program for volume in volumes]
+    images = images_of(scene, programs)
+    arrays += [pixels for image in images for pixels in pictures_of(image)]
+    kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in images)
+    made = tuple(program and (program.instructions, program.constants.tobytes()) for program in programs)
+    grids = [(mesh.object_density, tuple(grid.name for grid in mesh.grids)) for mesh in scene.meshes]
+    numbers = [array for mesh in scene.meshes for grid in mesh.grids for array in (grid.values, grid.to_index)]
+    numbers += [array for array in arrays if array is not None and not is_frozen(array)]
+    if scene.world.volume is not None and scene.world.volume.program is not None:
+        numbers.append(world_box)
+    kept = [None if array is None or not is_frozen(array) else array for array in arrays]
+    seen = camera_key(scene, programs)
+    return kept, (values, kinds, made, seen, tuple(grids), digest_of([volume_of, *numbers]))
+
+
+def images_of(scene: Scene, programs: Iterable[Program | None]) -> tuple[Image, ...]:
+    """The images that `programs` look up."""
+    found = []
+    for program in programs:
+        for step in program.instructions if program else ():
+            found += [word for letter, word in zip(op_named(step.op).inputs, step.words) if letter == "m" and word >= 0]
+    return tuple(scene.images[index] for index in dict.fromkeys(found))
 
 
 def pictures_of(image: Image) -> list[np.ndarray | None]:

@@ -9,10 +9,9 @@ from collections.abc import Callable
 import numpy as np
 import warp as wp
 
-from ...programs.op import op_named
-from ...scene.description import Image, Scene, Visibility, World
+from ...scene.description import Scene, Visibility, World
 from ...shading.lights.world import SampledWorld, is_even, sampled_world
-from .unchanged import Last, camera_key, pictures_of
+from .unchanged import Last, camera_key, images_of, pictures_of
 
 _SCATTERED = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
 _OF_RAYS = {"light_path", "path_history"}  # ops
@@ -59,15 +58,8 @@ def _may_vary(world: World) -> bool:
 def _key(scene: Scene, device: wp.Device) -> tuple[list[np.ndarray | None], tuple]:
     """What the brightness of the world's texels follows from: pixels and values."""
     world = scene.world
-    images = _images(scene)
+    images = images_of(scene, [world.program])
     kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in images)
     program = (world.program.instructions, world.program.constants.tobytes())
     pixels = [each for image in images for each in pictures_of(image)]
     return pixels, (device.alias, program, world.sampling_size, camera_key(scene, [world.program]), kinds)
-
-
-def _images(scene: Scene) -> tuple[Image, ...]:
-    found = []
-    for step in scene.world.program.instructions:
-        found += [word for letter, word in zip(op_named(step.op).inputs, step.words) if letter == "m" and word >= 0]
-    return tuple(scene.images[index] for index in dict.fromkeys(found))

@@ -14,7 +14,7 @@ from ...scene.description import Visibility
 from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
 from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
 from ...shading.segments import make_surface_point
-from ...shading.surface import spawn_origin
+from ...shading.surface import material_at, spawn_origin
 from ..passes.light import make_add_light
 from ..rays import SHADOW_PASS, Paths, Status, bounce_to_light, time_of
 from ..scene.scene_data import SceneData
@@ -58,58 +58,65 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
             else:
                 add_light(paths, path, paths.shadow_light[path], bounce_to_light(status), True)
         elif wp.static(not programs.apart) or work.stage != wp.static(CONNECT):
-            surface = surface_point(
-                data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot], time_of(rays, path)
-            )
-            if wp.static(bool(programs)):
-                address = fixed_closures(data, surface.material)
-                first = int(0)
-                end = int(0)
-                program = program_of(data, surface.material)
-                if program >= 0:
-                    point = shading_point(
-                        surface,
-                        -rays.direction[slot],
-                        rays.hit_instance[slot],
-                        rays.hit_primitive[slot],
-                        rays.hit_uv[slot],
-                        paths.shadow_t[path] + rays.hit_t[slot],
-                    )
-                    point.ray_kind = wp.static(int(Visibility.SHADOW))
-                    point.bounce = bounce_to_light(status)
-                    if wp.static(features.path_history):
-                        point.history = paths.shadow_history[path] & wp.static(DEPTHS)
-                    point.passed = passed / wp.static(SHADOW_PASS)
-                    records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
-                    end = run_surface(data, program, point, records)
-                    address = address_of(records)
-                else:
-                    end = fixed_closure_count(data, surface.material)
-                closures = wp.array(ptr=address, shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
-            else:
-                closures = data.materials.closures
-                first = data.materials.records[surface.material].closure_first
-                end = data.materials.records[surface.material].closure_end
-            light = wp.cw_mul(paths.shadow_light[path], transparency(closures, first, end))
-            if has_light(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
-                direction = rays.direction[slot]
-                origin = spawn_origin(surface.position, surface.error, surface.geometric_normal, direction)
-                ray = origin - rays.origin[slot]
-                t_max = rays.t_max[slot]
-                if t_max < wp.inf:
-                    # to the same end: moved aside only, the ray could find the light that it was aimed at in its own
-                    # way
-                    left = t_max * direction - ray
-                    t_max = wp.length(left)
-                    if t_max > 0.0:
-                        rays.direction[slot] = left / t_max
-                rays.t_max[slot] = t_max
+            material = material_at(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot])
+            # what is opaque need not be shaded to end a ray
+            if data.materials.records[material].is_clear != 0 and has_light(paths.shadow_light[path]):
+                surface = surface_point(
+                    data.geometry,
+                    rays.hit_instance[slot],
+                    rays.hit_primitive[slot],
+                    rays.hit_uv[slot],
+                    time_of(rays, path),
+                )
                 if wp.static(bool(programs)):
-                    paths.shadow_t[path] = paths.shadow_t[path] + wp.dot(ray, direction)
-                rays.origin[slot] = origin
-                paths.shadow_light[path] = light
-                paths.passed[path] = passed + wp.static(SHADOW_PASS)
-                status = status | wp.static(SHADOW_NEW)
+                    address = fixed_closures(data, surface.material)
+                    first = int(0)
+                    end = int(0)
+                    program = program_of(data, surface.material)
+                    if program >= 0:
+                        point = shading_point(
+                            surface,
+                            -rays.direction[slot],
+                            rays.hit_instance[slot],
+                            rays.hit_primitive[slot],
+                            rays.hit_uv[slot],
+                            paths.shadow_t[path] + rays.hit_t[slot],
+                        )
+                        point.ray_kind = wp.static(int(Visibility.SHADOW))
+                        point.bounce = bounce_to_light(status)
+                        if wp.static(features.path_history):
+                            point.history = paths.shadow_history[path] & wp.static(DEPTHS)
+                        point.passed = passed / wp.static(SHADOW_PASS)
+                        records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
+                        end = run_surface(data, program, point, records)
+                        address = address_of(records)
+                    else:
+                        end = fixed_closure_count(data, surface.material)
+                    closures = wp.array(ptr=address, shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
+                else:
+                    closures = data.materials.closures
+                    first = data.materials.records[surface.material].closure_first
+                    end = data.materials.records[surface.material].closure_end
+                light = wp.cw_mul(paths.shadow_light[path], transparency(closures, first, end))
+                if has_light(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
+                    direction = rays.direction[slot]
+                    origin = spawn_origin(surface.position, surface.error, surface.geometric_normal, direction)
+                    ray = origin - rays.origin[slot]
+                    t_max = rays.t_max[slot]
+                    if t_max < wp.inf:
+                        # to the same end: moved aside only, the ray could find the light that it was aimed at in
+                        # its own way
+                        left = t_max * direction - ray
+                        t_max = wp.length(left)
+                        if t_max > 0.0:
+                            rays.direction[slot] = left / t_max
+                    rays.t_max[slot] = t_max
+                    if wp.static(bool(programs)):
+                        paths.shadow_t[path] = paths.shadow_t[path] + wp.dot(ray, direction)
+                    rays.origin[slot] = origin
+                    paths.shadow_light[path] = light
+                    paths.passed[path] = passed + wp.static(SHADOW_PASS)
+                    status = status | wp.static(SHADOW_NEW)
         paths.status[path] = status
 
     return connect_transparent

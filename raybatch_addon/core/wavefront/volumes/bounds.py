@@ -84,18 +84,32 @@ def make_bound(programs: ProgramFeatures) -> wp.Function:
     return bound
 
 
+@dataclass(frozen=True)
+class FoundBounds:
+    """Bounds on a device; see `VolumeData`."""
+
+    grids: wp.array
+    bounds: wp.array
+
+    @property
+    def device_bytes(self) -> int:
+        """Memory that they take on the device [bytes]."""
+        return self.grids.capacity + self.bounds.capacity
+
+
 def find_bounds(
     volumes: VolumeData,
     bounded: list[Bounded],
     launch: Callable[[VolumeData, int], None],
     device: wp.Device,
     rays: int = RAYS,
-) -> None:
-    """Fill in the bounds of `volumes`, of which everything else is there, by `launch(volumes, cell_count)` of
-    `make_bound`. `rays`: of how many kinds of rays the largest counts; 1 where programs do not tell them apart.
+) -> FoundBounds | None:
+    """The bounds of `volumes`, of which everything else is there, by `launch(volumes, cell_count)` of `make_bound`;
+    None where there are none. `rays`: of how many kinds of rays the largest counts; 1 where programs do not tell them
+    apart.
     """
     if not bounded:
-        return
+        return None
     cells = int(np.clip((CELLS_TOGETHER / len(bounded)) ** (1 / 3), 1, CELLS_MOST))
     count = cells**3
     found = wp.zeros(len(bounded) * count, dtype=float, device=device)
@@ -130,8 +144,10 @@ def find_bounds(
     volumes.world = world
     numbers = found.numpy().reshape(-1, cells, cells, cells)
     numbers = np.minimum(_MARGIN * _with_neighbours(numbers), most[:, None, None, None])
-    volumes.bounds = wp.array(numbers.ravel().astype(np.float32), dtype=float, device=device)
-    volumes.grids = wp.array(grids, dtype=Bounds, device=device)
+    return FoundBounds(
+        wp.array(grids, dtype=Bounds, device=device),
+        wp.array(numbers.ravel().astype(np.float32), dtype=float, device=device),
+    )
 
 
 def _with_neighbours(cells: np.ndarray) -> np.ndarray:

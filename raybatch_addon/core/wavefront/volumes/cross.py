@@ -11,6 +11,7 @@ import warp as wp
 from ...device.kernel import KERNEL_OPTIONS
 from ...rays import Rays
 from ...shading.segments import make_is_closed, make_surface_point
+from ...shading.surface import material_at
 from ..rays import Paths, Status, time_of
 from ..scene.scene_data import SceneData
 from .table import FRONT, VolumeData, across, entered
@@ -65,6 +66,12 @@ def cross_kernel(instancing: bool, smooth_normals: bool, curves: bool, moving: b
         if side == 0 or (status & wp.static(RAY_NEW | SHADOW_NEW)) == 0:
             return
         instance = rays.hit_instance[path]
+        material = material_at(data.geometry, instance, rays.hit_primitive[path])
+        if volumes.volume_of[material] < 0:  # the same volumes are on both sides
+            if (status & wp.static(SHADOW_NEW)) != 0:
+                volumes.state.shadow_inside[path] = volumes.state.inside[path]
+                volumes.state.shadow_segment[path] = 0
+            return
         surface = surface_point(
             data.geometry, instance, rays.hit_primitive[path], rays.hit_uv[path], time_of(rays, path)
         )
@@ -74,7 +81,7 @@ def cross_kernel(instancing: bool, smooth_normals: bool, curves: bool, moving: b
         inside = volumes.state.inside[path]
         behind = inside
         if is_closed(data.geometry, instance, rays.hit_primitive[path]):
-            behind = across(volumes, inside, instance, surface.material, side)
+            behind = across(volumes, inside, instance, material, side)
         if (status & wp.static(SHADOW_NEW)) != 0:
             goes_behind = wp.dot(rays.direction[paths.status.shape[0] + path], normal) < 0.0
             volumes.state.shadow_inside[path] = wp.where(goes_behind, behind, inside)
@@ -83,7 +90,7 @@ def cross_kernel(instancing: bool, smooth_normals: bool, curves: bool, moving: b
         if (status & wp.static(RAY_NEW)) != 0 and (status & wp.static(INSIDE)) == 0:
             if wp.dot(rays.direction[path], normal) < 0.0:
                 volumes.state.inside[path] = behind
-                if volumes.is_boundary[surface.material] != 0:
+                if volumes.is_boundary[material] != 0:
                     paths.passed[path] = paths.passed[path] - 1  # nobody sees such a surface
 
     return cross

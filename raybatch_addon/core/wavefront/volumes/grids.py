@@ -2,20 +2,64 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 import warp as wp
 
+from ...device.bulk import digest_of
 from ...programs.inputs_data import InputData
 from ...programs.ops.inputs.grids import GRID_NUMBERS
 from ...scene.description import Scene
+from ...scene.frozen import fact
 
 
-def upload_grids(scene: Scene, inputs: InputData, device: wp.Device) -> list[wp.Volume]:
+class GridCache:
+    """The grids of the last frame on the device, by what they hold: most of a file's frames read the same again."""
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple[str, bytes], wp.Volume] = {}
+
+    @property
+    def device_bytes(self) -> int:
+        """Memory that they take on the device [bytes]."""
+        return sum(volume.get_grid_info().size_in_bytes for volume in self._kept.values())
+
+    def clear(self) -> None:
+        """Forget them."""
+        self._kept = {}
+
+    def keep_only(self, used: Iterable[tuple[str, bytes]]) -> None:
+        """Forget those whose keys are not `used`, before there are more of them."""
+        self._kept = {key: self._kept[key] for key in set(used) if key in self._kept}
+
+    def get(self, key: tuple[str, bytes], values: np.ndarray, device: wp.Device) -> wp.Volume:
+        """The grid of `values`, float32, shape [x, y, z] or [x, y, z, 3], with their `grid_key` on `device`."""
+        if key not in self._kept:
+            background = 0.0 if values.ndim == 3 else (0.0, 0.0, 0.0)
+            self._kept[key] = wp.Volume.load_from_numpy(values, bg_value=background, device=device)
+        return self._kept[key]
+
+
+def grid_key(values: np.ndarray, device: wp.Device) -> tuple[str, bytes]:
+    """What tells a grid from others."""
+    return device.alias, fact(values, _digest)
+
+
+def _digest(values: np.ndarray) -> bytes:
+    return digest_of([values])
+
+
+def upload_grids(scene: Scene, inputs: InputData, device: wp.Device, cache: GridCache) -> list[wp.Volume]:
     """The grids of all meshes of `scene`, noted in `inputs`; they have to be kept. Nothing where there are none."""
     if not any(mesh.grids for mesh in scene.meshes):
+        cache.clear()
         return []
-    kept: list[wp.Volume] = []
-    uploaded: dict[int, wp.Volume] = {}  # by identity of the values
+    keys: dict[int, tuple[str, bytes]] = {}  # by identity of the values
+    for mesh in scene.meshes:
+        keys |= {id(grid.values): grid_key(grid.values, device) for grid in mesh.grids if id(grid.values) not in keys}
+    cache.keep_only(keys.values())
+    uploaded: dict[int, wp.Volume] = {}
     shape = (len(scene.meshes), max(len(scene.attributes), 1))
     first, layout = np.full(shape, -1, np.int32), np.zeros(shape, np.int32)
     numbers: list[np.ndarray] = []
@@ -24,13 +68,11 @@ def upload_grids(scene: Scene, inputs: InputData, device: wp.Device) -> list[wp.
             columns = [i for i, each in enumerate(scene.attributes) if each in _keys(grid.name)]
             if not columns:
                 continue
-            values = np.ascontiguousarray(grid.values, np.float32)
             if id(grid.values) not in uploaded:
-                background = 0.0 if values.ndim == 3 else (0.0, 0.0, 0.0)
-                uploaded[id(grid.values)] = wp.Volume.load_from_numpy(values, bg_value=background, device=device)
-                kept.append(uploaded[id(grid.values)])
+                values = np.ascontiguousarray(grid.values, np.float32)
+                uploaded[id(grid.values)] = cache.get(keys[id(grid.values)], values, device)
             first[row, columns] = GRID_NUMBERS * len(numbers)
-            layout[row, columns] = 1 if values.ndim == 3 else 3
+            layout[row, columns] = 1 if grid.values.ndim == 3 else 3
             address = np.array([uploaded[id(grid.values)].id], np.uint64).view(np.float32)
             numbers.append(np.concatenate([address, np.asarray(grid.to_index, np.float32).ravel()]))
     inputs.attribute_row = wp.array(np.asarray(scene.instances.mesh, np.int32), dtype=int, device=device)
@@ -38,7 +80,7 @@ def upload_grids(scene: Scene, inputs: InputData, device: wp.Device) -> list[wp.
     inputs.attribute_layout = wp.array(layout, dtype=int, device=device)
     joined = np.concatenate(numbers) if numbers else np.zeros(0, np.float32)
     inputs.attribute_values = wp.array(joined, dtype=float, device=device)
-    return kept
+    return list(uploaded.values())
 
 
 def _keys(name: str) -> tuple[tuple[str, str], ...]:

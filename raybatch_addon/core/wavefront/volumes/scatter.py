@@ -24,6 +24,7 @@ from ...shading.lights.links import group_of, is_linked, owner_of_world
 from ...shading.segments import make_surface_point
 from ...shading.sequences.keys import DIMENSIONS_PER_BOUNCE
 from ...shading.sequences.sampler import make_sampler
+from ...shading.surface import material_at
 from ...shading.volumes.numbers import CHANNEL, LENGTH, LIGHTS, piece_dimension, stream_of
 from ...shading.volumes.phase import PhaseLobe
 from ..passes.light import add_to_group, make_add_light
@@ -37,7 +38,7 @@ from ..stages.work import TileWork
 from .along import lit_length
 from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
-from .medium import LOBE_FLOATS, LOBES_MOST, has_program, make_medium, passes
+from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, has_program, make_medium, passes
 from .segment import make_segment, ray_point, scattering_shares
 from .table import AIMED, BACK, FRONT, GOES_ON, VolumeData, innermost_instance, is_empty
 from .track import STOPPED
@@ -99,12 +100,11 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         v: Vertex,
         inside: wp.vec4i,
         length: float,
+        lobes: wp.array(dtype=PhaseLobe),
     ) -> bool:
         """Look for light from a point of the piece of `length` [m] ahead; False where there is nothing to be lit. The
         path waits for a shadow ray then, and is as it was.
         """
-        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
-        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         origin = rays.origin[path]
         direction = -v.wo
         m = constant_medium(volumes, inside, ray_point(origin, direction, 0, 0), lobes)
@@ -135,7 +135,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             return False
         v.surface.position = origin + found[0] * direction
         carried = wp.cw_mul(throughput, wp.cw_mul(m.scattering, passes(m.extinction, found[0]))) / found[1]
-        sent = scattered(data, volumes, limits, paths, rays, path, v, inside, carried, wp.static(AIM))
+        sent = scattered(data, volumes, limits, paths, rays, path, v, inside, carried, wp.static(AIM), m, lobes)
         paths.throughput[path] = throughput
         if (sent & wp.static(SHADOW_NEW)) == 0:
             return False
@@ -144,6 +144,16 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         paths.status[path] = paths.status[path] | wp.static(SHADOW_NEW | STRAIGHT)
         volumes.state.lit[path] = volumes.state.lit[path] | wp.static(AIMED)
         return True
+
+    @wp.func
+    def side_of(data: SceneData, volumes: VolumeData, paths: Paths, rays: Rays, path: int) -> int:
+        """The side of the surface that the path came to; FRONT where the other side is the same to it."""
+        instance = rays.hit_instance[path]
+        primitive = rays.hit_primitive[path]
+        if volumes.volume_of[material_at(data.geometry, instance, primitive)] < 0:
+            return wp.static(FRONT)
+        surface = surface_point(data.geometry, instance, primitive, rays.hit_uv[path], time_of(rays, path))
+        return wp.where(wp.dot(surface.geometric_normal, rays.direction[path]) > 0.0, wp.static(BACK), wp.static(FRONT))
 
     @wp.func
     def scatter(
@@ -162,12 +172,8 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         length = rays.t_max[path]
         if hit:
             length = rays.hit_t[path]
-            surface = surface_point(
-                data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], time_of(rays, path)
-            )
-            volumes.state.side[path] = wp.where(
-                wp.dot(surface.geometric_normal, direction) > 0.0, wp.static(BACK), wp.static(FRONT)
-            )
+        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         bounce = bounce_of(status)
         is_lit = bool(False)
         goes_on = (volumes.state.lit[path] & wp.static(GOES_ON)) != 0
@@ -208,7 +214,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                 tasks = int(wp.static(SCATTER))
                 if not is_lit and scatters and is_aimed(data.lights, limits, v):
                     v.dimension = piece_dimension(number) + wp.uint32(wp.static(LIGHTS))
-                    if lit_along(data, volumes, limits, paths, rays, path, v, inside, length):
+                    if lit_along(data, volumes, limits, paths, rays, path, v, inside, length, lobes):
                         return
                     # where the path scatters must not depend on why no shadow ray was sent
                     number += 1
@@ -218,13 +224,15 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         event = int(0)
         reach = length
         left = throughput
+        medium = Coefficients()
         if not is_empty(volumes, inside):
             dimension = piece_dimension(number)
             u = wp.vec2(
                 sample_1d(key, where.sample, dimension + wp.uint32(wp.static(CHANNEL))),
                 sample_1d(key, where.sample, dimension + wp.uint32(wp.static(LENGTH))),
             )
-            way = segment(volumes, inside, begin, length, throughput, scatters, u, stream)
+            way = segment(volumes, inside, begin, length, throughput, scatters, u, stream, lobes)
+            medium = way.medium
             event = way.event
             if event != 0:
                 reach = way.length
@@ -278,11 +286,12 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                     add_to_group(paths, path, of_group, of)
 
         if event == 0:
+            if hit:
+                volumes.state.side[path] = side_of(data, volumes, paths, rays, path)
             paths.throughput[path] = left
             if (bounce > 0 and not has_light(left)) or number >= wp.static(SEGMENTS_MOST):
                 paths.status[path] = status | wp.static(ENDED)
             return
-        volumes.state.side[path] = 0
         if event == wp.static(STOPPED):
             volumes.state.lit[path] = wp.static(GOES_ON)
             paths.throughput[path] = left
@@ -298,6 +307,6 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         volumes.state.scattered[path] = volumes.state.scattered[path] + 1
         v.dimension = wp.uint32(bounce + passed) * wp.uint32(DIMENSIONS_PER_BOUNCE)
         v.surface.position = origin + reach * direction
-        paths.status[path] = scattered(data, volumes, limits, paths, rays, path, v, inside, left, tasks)
+        paths.status[path] = scattered(data, volumes, limits, paths, rays, path, v, inside, left, tasks, medium, lobes)
 
     return scatter

@@ -80,8 +80,9 @@ def scattering_shares(throughput: wp.vec3, scattering: wp.vec3, extinction: wp.v
 @functools.cache
 def make_segment(programs: ProgramFeatures) -> wp.Function:
     """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, throughput: vec3, scatters: bool, u: vec2,
-    stream: uint32) -> Track: the way of light of `throughput` from `point` on, which ends at the latest after `length`
-    [m]. `u` decides the channel and the length where coefficients are constant.
+    stream: uint32, lobes: array of PhaseLobe) -> Track: the way of light of `throughput` from `point` on, which ends at
+    the latest after `length` [m]. `u` decides the channel and the length where coefficients are constant. Where it
+    scatters, `lobes` are those that are there.
     """
     medium = make_medium(ProgramFeatures())
     track = make_track(programs)
@@ -123,17 +124,17 @@ def make_segment(programs: ProgramFeatures) -> wp.Function:
         scatters: bool,
         u: wp.vec2,
         stream: wp.uint32,
+        lobes: wp.array(dtype=PhaseLobe),
     ) -> Track:
         reach = wp.min(length, wp.static(_FARTHEST))
         if wp.static(bool(programs)):
             if has_program(volumes, inside):
-                return track(volumes, inside, point, reach, throughput, scatters, stream)
-        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
-        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
+                return track(volumes, inside, point, reach, throughput, scatters, stream, lobes)
         m = medium(volumes, inside, point, lobes)
         way = Track()
         if scatters and m.lobes > 0:
             way = constant(m.scattering, m.extinction, reach, throughput, u)
+            way.medium = m
         else:
             way.weight = passes(m.extinction, reach)
             way.length = reach

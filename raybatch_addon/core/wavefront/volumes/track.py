@@ -38,6 +38,7 @@ class Track:
     weight: wp.vec3  # the throughput is multiplied by this
     emitted: wp.vec3  # by the volumes on the way, as seen from its begin [W/(m² sr)]
     event: int  # SCATTERED, PASSED, or STOPPED: the way goes on from here
+    medium: Coefficients  # where it scattered
 
 
 PASSED, SCATTERED, STOPPED = 0, 1, 2
@@ -105,7 +106,8 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
 @functools.cache
 def make_track(programs: ProgramFeatures) -> wp.Function:
     """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, throughput: vec3, scatters: bool, stream:
-    uint32) -> Track: the way of light of `throughput` from `point` on, which ends at the latest after `length` [m].
+    uint32, lobes: array of PhaseLobe) -> Track: the way of light of `throughput` from `point` on, which ends at the
+    latest after `length` [m]. Where it scatters, `lobes` are those that are there.
     """
     medium = make_medium(programs)
 
@@ -118,9 +120,8 @@ def make_track(programs: ProgramFeatures) -> wp.Function:
         throughput: wp.vec3,
         scatters: bool,
         stream: wp.uint32,
+        lobes: wp.array(dtype=PhaseLobe),
     ) -> Track:
-        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
-        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         direction = -point.incoming
         begin = point.position
         way = Track()
@@ -165,6 +166,7 @@ def make_track(programs: ProgramFeatures) -> wp.Function:
                     way.weight = wp.cw_mul(way.weight, scattered) / chance
                     way.event = wp.static(SCATTERED)
                     way.length = t
+                    way.medium = m
                     return way
                 way.weight = wp.cw_mul(way.weight, null) / (1.0 - chance)
                 number += wp.uint32(1)

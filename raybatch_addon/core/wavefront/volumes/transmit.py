@@ -10,6 +10,7 @@ from ...rays import Rays
 from ...scene.description import Visibility
 from ...shading.segments import make_is_closed, make_surface_point
 from ...shading.sequences.sampler import make_sampler
+from ...shading.surface import material_at
 from ...shading.volumes.numbers import SHADOW_STREAM, stream_of
 from ..rays import SHADOW_PASS, Paths, bounce_to_light, time_of
 from ..scene.scene_data import SceneData
@@ -44,7 +45,13 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
         direction = rays.direction[slot]
         hit = bool(rays.hit_instance[slot] >= 0)
         length = rays.t_max[slot]
+        borders = bool(False)
+        material = int(-1)
         if hit:
+            material = material_at(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot])
+            if data.materials.records[material].is_clear == 0:  # nothing arrives, whatever lies before it
+                return
+            borders = bool(volumes.volume_of[material] >= 0)
             length = rays.hit_t[slot]
         if not is_empty(volumes, inside):
             where = pixel_sample(work, paths.item[path])
@@ -57,15 +64,15 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
             )
             share = attenuated(volumes, inside, begin, length, stream)
             paths.shadow_light[path] = wp.cw_mul(paths.shadow_light[path], share)
-        if hit:
+        if borders:
             surface = surface_point(
                 data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot], time_of(rays, path)
             )
             side = wp.where(wp.dot(surface.geometric_normal, direction) > 0.0, wp.static(BACK), wp.static(FRONT))
             if is_closed(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot]):
-                inside = across(volumes, inside, rays.hit_instance[slot], surface.material, side)
+                inside = across(volumes, inside, rays.hit_instance[slot], material, side)
             volumes.state.shadow_inside[path] = inside
-            if volumes.is_boundary[surface.material] != 0 and number < wp.static(SEGMENTS_MOST):
+            if volumes.is_boundary[material] != 0 and number < wp.static(SEGMENTS_MOST):
                 paths.passed[path] = paths.passed[path] - wp.static(SHADOW_PASS)
 
     return transmit

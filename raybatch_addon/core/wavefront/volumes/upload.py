@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +15,10 @@ from ...scene.features import SceneFeatures, narrow, scene_volumes
 from ...scene.geometry import Geometry
 from ...shading.bsdf.materials import ClosureRecord, fill_record
 from ...shading.images.textures import ImageTable
-from .bounds import RAYS, bounded_volumes, find_bounds
+from ..scene.unchanged import Last, bounds_key
+from .bounds import RAYS, FoundBounds, bounded_volumes, find_bounds
 from .features import VolumeFeatures
-from .grids import density_scale, upload_grids
+from .grids import GridCache, density_scale, upload_grids
 from .kernels import launch_bound
 from .table import Enclosure, VolumeData
 
@@ -36,6 +36,24 @@ class UploadedVolumes:
     stored: list[wp.array]
 
 
+class VolumeCache:
+    """What is kept of the volumes of the last frame."""
+
+    def __init__(self) -> None:
+        self.grids = GridCache()
+        self.bounds: Last[FoundBounds | None] = Last()
+
+    @property
+    def device_bytes(self) -> int:
+        """Memory that it takes on the device [bytes]."""
+        return self.grids.device_bytes + (self.bounds.made.device_bytes if self.bounds.made else 0)
+
+    def clear(self) -> None:
+        """Forget it."""
+        self.grids.clear()
+        self.bounds.clear()
+
+
 def upload_volumes(
     scene: Scene,
     features: SceneFeatures,
@@ -43,9 +61,10 @@ def upload_volumes(
     geometry: Geometry,
     images: ImageTable,
     device: wp.Device,
+    cache: VolumeCache,
 ) -> UploadedVolumes:
-    """All volumes of `scene`, for kernels that are specialised on `shading`. Raises `SceneError` for a coefficient that
-    is negative or not finite.
+    """All volumes of `scene`, for kernels that are specialised on `shading`, with what `cache` has of them. Raises
+    `SceneError` for a coefficient that is negative or not finite.
     """
     volumes = scene_volumes(scene)
     data = VolumeData()
@@ -73,14 +92,16 @@ def upload_volumes(
     grids = []
     if features.volume_program:
         inputs = upload_inputs(scene, features.volume_program.ops, device)
-        grids = upload_grids(scene, inputs, device)
+        grids = upload_grids(scene, inputs, device, cache.grids)
         data.nodes = upload_programs(programs, features.volume_program, scene, geometry, images, device, inputs)
+    else:
+        cache.grids.clear()
     stored = store_programs(data.nodes, device=device) if shading.volume_program.apart else []
     scale = density_scale(scene)
     if scale is not None:
         data.density_scale = wp.array(scale, dtype=float, device=device)
     data.enclosures, meshes = _enclosures(scene, volume_of, device)
-    _bound(data, scene, narrow(shading, VolumeFeatures), volume_of, device, features.volume_program.ops)
+    _bound(data, scene, narrow(shading, VolumeFeatures), volume_of, device, features.volume_program.ops, cache.bounds)
     return UploadedVolumes(data, meshes, grids, stored)
 
 
@@ -96,10 +117,12 @@ def _bound(
     features: VolumeFeatures,
     volume_of: np.ndarray,
     device: wp.Device,
-    ops: Iterable[str],
+    ops: tuple[str, ...],
+    kept: Last[FoundBounds | None],
 ) -> None:
     has_program = [volume.program is not None for volume in scene_volumes(scene)]
     if not any(has_program):
+        kept.clear()
         return
     box = _world_box(scene)
     bounded = bounded_volumes(scene, volume_of, has_program, box)
@@ -115,7 +138,12 @@ def _bound(
     def launch(asked: VolumeData, count: int) -> None:
         launch_bound(features, asked, count, device)
 
-    find_bounds(data, bounded, launch, device, rays)
+    def find() -> FoundBounds | None:
+        return find_bounds(data, bounded, launch, device, rays)
+
+    found = kept.get(bounds_key(scene, volume_of, ops, box, device.alias), find)
+    if found:
+        data.grids, data.bounds = found.grids, found.bounds
 
 
 def _world_box(scene: Scene) -> np.ndarray:

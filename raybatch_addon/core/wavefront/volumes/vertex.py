@@ -10,13 +10,12 @@ from ...rays import Rays
 from ...scene.description import Visibility
 from ...scene.features import narrow
 from ...shading.bsdf.bsdf import BsdfValue
-from ...shading.bsdf.materials import address_of
 from ...shading.sampling import bitangent_of, spherical_direction, tangent_of, to_world
 from ...shading.sequences.keys import BSDF, LOBE, ROULETTE
 from ...shading.sequences.sampler import make_sampler
 from ...shading.volumes.phase import PhaseLobe
 from ..passes.light import divide_volume_ray
-from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, visibility_of
+from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status
 from ..scene.scene_data import SceneData
 from ..stages.limits import PathLimits, has_light
 from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light
@@ -24,8 +23,7 @@ from ..stages.surface.connect_light import make_connect_light
 from ..stages.surface.history import DEPTHS
 from ..stages.surface.vertex import Vertex
 from .features import VolumeFeatures
-from .medium import LOBE_FLOATS, LOBES_MOST, make_medium, phase_sample, phase_sum
-from .segment import ray_point
+from .medium import Coefficients, phase_sample, phase_sum
 from .table import VolumeData
 
 RAY_NEW, ENDED = int(Status.RAY_NEW), int(Status.ENDED)
@@ -37,13 +35,13 @@ AIM, SCATTER = 1, 2
 
 @functools.cache
 def make_scattered(features: VolumeFeatures) -> wp.Function:
-    """Function (data, volumes, limits, paths, rays, path: int, v: Vertex, inside: vec4i, throughput: vec3, tasks: int)
-    -> int: looks for light at `v` (AIM), scatters the path there (SCATTER), and returns its status.
+    """Function (data, volumes, limits, paths, rays, path: int, v: Vertex, inside: vec4i, throughput: vec3, tasks: int,
+    m: Coefficients, lobes: array of PhaseLobe) -> int: looks for light at `v` (AIM), scatters the path there (SCATTER),
+    and returns its status. `m` and `lobes` are what is there.
     """
     sampler = make_sampler(features.sample_sequence)
     sample_1d = sampler.sample_1d
     sample_2d = sampler.sample_2d
-    medium = make_medium(features.volume_program)
     choose_light = make_choose_light(narrow(features, AimFeatures))
     connect_light = make_connect_light(narrow(features, type(features).__base__), in_volume=True)
 
@@ -59,12 +57,10 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
         inside: wp.vec4i,
         throughput: wp.vec3,
         tasks: int,
+        m: Coefficients,
+        lobes: wp.array(dtype=PhaseLobe),
     ) -> int:
-        floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
-        lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         direction = -v.wo
-        point = ray_point(v.surface.position, direction, visibility_of(v.status), v.bounce)
-        m = medium(volumes, inside, point, lobes)
         paths.throughput[path] = throughput
         paths.passed[path] = v.passed + v.passed * wp.static(SHADOW_PASS)
         if paths.shadow_history.shape[0] > 0:

@@ -8,6 +8,8 @@ import pytest
 import warp as wp
 
 from raybatch_addon.core.errors import SceneError
+from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
+from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.description import Closure, Material
 from raybatch_addon.core.shading.bsdf.bsdf import ClosureFeatures, upload_materials
 from tests.core.shading.bsdf.closure_probe import (
@@ -110,6 +112,21 @@ def test_bad_materials_are_named():
             upload_materials([Material("Marble", (closure,))], EVERYTHING, DEVICE)
     with pytest.raises(ValueError, match="GLASS"):
         upload_materials([Material("Marble", (Closure(K.GLASS, WHITE),))], ClosureFeatures((K.DIFFUSE,)), DEVICE)
+
+
+def test_materials_say_whether_light_may_pass_straight_on():
+    """So that shadow rays end at the others without a look at what they are made of."""
+
+    def made(*names):
+        builder = ProgramBuilder()
+        for name in names:
+            builder.closure(name, WHITE)
+        return Material("made", (), (), builder.finish())
+
+    clear, opaque = Closure(K.TRANSPARENT, WHITE), Closure(K.DIFFUSE, WHITE)
+    materials = [Material("", (opaque,)), Material("", (opaque, clear)), Material("", ())]
+    table = upload_materials([*materials, made("emission", "transparent"), made("emission")], EVERYTHING, DEVICE)
+    assert table.records.numpy()["is_clear"].tolist() == [0, 1, 0, 1, 0]
 
 
 @pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
