@@ -14,6 +14,9 @@ import numpy as np
 import warp as wp
 
 from ...scene.description import Scene, Visibility
+from ...scene.geometry import transform_point
+from ...scene.motion import moving_instances
+from ...scene.moved import transform_at
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.sequences.keys import mix_bits, sequence_number
@@ -42,6 +45,7 @@ class Bounded:
     volume: int
     box: np.ndarray  # two corners in the space of the instance, or in the world [m], float64, shape [2, 3]
     to_world: np.ndarray  # float64, shape [3, 4]
+    moves: bool = False  # the instance does, while the shutter is open
 
 
 @functools.cache
@@ -66,13 +70,17 @@ def make_bound(programs: ProgramFeatures) -> wp.Function:
                 float(y) + sequence_number(mix_bits(seed + wp.uint32(1))),
                 float(z) + sequence_number(mix_bits(seed + wp.uint32(2))),
             )
-            position = volumes.asked.origin + volumes.asked.edges * (u / float(cells))
+            place = volumes.asked.origin + volumes.asked.edges * (u / float(cells))
+            time = float(0.0)
+            if volumes.asked.moving >= 0:
+                time = float(k) / float(points - 1)
+                place = transform_point(transform_at(volumes.nodes.geometry, volumes.asked.moving, time), place)
             ray = int(0)
             while ray < volumes.asked.rays:
                 kind = int(wp.static(int(Visibility.VOLUME_SCATTER)))
                 if ray / 2 < wp.static(_KINDS):
                     kind = int(1) << (ray / 2)
-                point = ray_point(position, wp.vec3(0.0, 0.0, 1.0), kind, ray % 2)
+                point = ray_point(place, wp.vec3(0.0, 0.0, 1.0), kind, ray % 2, time)
                 m = medium(volumes, volumes.asked.inside, point, lobes)
                 for axis in range(3):
                     # an emission alone must be met too, however little is there
@@ -105,7 +113,9 @@ def find_bounds(
     for number, each in enumerate(bounded):
         low, high = each.box
         size = np.maximum(high - low, 1e-6 * max(float(np.abs(each.box).max()), 1e-12))
-        linear, offset = each.to_world[:, :3], each.to_world[:, 3]
+        # bounds of what moves go with it
+        to_world = np.eye(3, 4) if each.moves else each.to_world
+        linear, offset = to_world[:, :3], to_world[:, 3]
         origin, edges = linear @ low + offset, linear * size
         inverse = np.linalg.inv(edges) * cells
         grids[number]["to_cells"] = np.column_stack([inverse, -inverse @ origin])
@@ -120,9 +130,10 @@ def find_bounds(
         asked = BoundWork()
         asked.inside, asked.cells = wp.vec4i(code, 0, 0, 0), cells
         asked.origin, asked.edges = wp.vec3(*origin), wp.mat33(*edges.ravel())
-        edge = float(np.linalg.norm(edges, axis=0).max()) / cells
+        edge = float(np.linalg.norm(each.to_world[:, :3] * size, axis=0).max()) / cells
         most[number] = _FLIGHTS_MOST / edge
         asked.flights, asked.rays = 1.0 / edge, rays
+        asked.moving = each.instance if each.moves else -1
         asked.found = found[number * count : (number + 1) * count]
         volumes.asked = asked
         launch(volumes, count)
@@ -150,6 +161,7 @@ def bounded_volumes(
     result = []
     slot_counts: dict[int, int] = {}  # by mesh
     instances = scene.instances
+    moves = moving_instances(scene)
     for instance, mesh_index in enumerate(instances.mesh.tolist()):
         mesh = scene.meshes[mesh_index]
         if len(mesh.triangles) == 0 or mesh.radii is not None:
@@ -160,8 +172,10 @@ def bounded_volumes(
         first = int(instances.slot_first[instance])
         for volume in sorted({int(volume_of[m]) for m in scene.slot_materials[first : first + slots]}):
             if volume >= 0 and has_program[volume]:
-                box = np.stack([mesh.positions.min(0), mesh.positions.max(0)]).astype(np.float64)
-                result.append(Bounded(instance, volume, box, np.asarray(instances.transform[instance], np.float64)))
+                steps = mesh.positions if mesh.motion is None else mesh.motion.reshape(-1, 3)
+                box = np.stack([steps.min(0), steps.max(0)]).astype(np.float64)
+                placing = np.asarray(instances.transform[instance], np.float64)
+                result.append(Bounded(instance, volume, box, placing, bool(moves[instance])))
     if scene.world.volume is not None and has_program[-1]:
         result.append(Bounded(-1, len(has_program) - 1, world_box, np.eye(3, 4)))
     return result

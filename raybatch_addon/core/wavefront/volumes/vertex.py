@@ -16,7 +16,7 @@ from ...shading.sequences.keys import BSDF, LOBE, ROULETTE
 from ...shading.sequences.sampler import make_sampler
 from ...shading.volumes.phase import PhaseLobe
 from ..passes.light import divide_volume_ray
-from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, visibility_of
+from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, time_of, visibility_of
 from ..scene.scene_data import SceneData
 from ..stages.limits import PathLimits, has_light
 from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light
@@ -63,7 +63,7 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
         floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         direction = -v.wo
-        point = ray_point(v.surface.position, direction, visibility_of(v.status), v.bounce)
+        point = ray_point(v.surface.position, direction, visibility_of(v.status), v.bounce, time_of(rays, path))
         m = medium(volumes, inside, point, lobes)
         paths.throughput[path] = throughput
         paths.passed[path] = v.passed + v.passed * wp.static(SHADOW_PASS)
