@@ -21,7 +21,7 @@ from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.sequences.keys import mix_bits, sequence_number
 from ...shading.volumes.phase import PhaseLobe
-from .medium import LOBE_FLOATS, LOBES_MOST, make_medium
+from .medium import LOBE_FLOATS, LOBES_MOST, WORLD_REACH, make_medium
 from .segment import ray_point
 from .table import Bounds, BoundWork, VolumeData
 
@@ -32,6 +32,10 @@ _POINTS = 8
 _MARGIN = 1.1
 # Flights along an edge of a cell at most: what is denser lets nothing through a small part of the cell
 _FLIGHTS_MOST = 4096.0
+# Of lines out of the middle of the world's volume to its end: cells, the optical depth of a cell below which there is
+# nothing, and that of a line from which on no light comes in
+_LINE_CELLS = 8
+_DIMS_LEAST, _DIMS_MOST = 1e-3, 7.0
 # Kinds of rays, of which each has a bit, and that of rays that volumes scatter; each with bounce 0 and 1
 _KINDS = 5
 RAYS = 2 * (_KINDS + 1)
@@ -98,12 +102,15 @@ def find_bounds(
     launch: Callable[[VolumeData, int], None],
     device: wp.Device,
     rays: int = RAYS,
-) -> None:
+) -> np.ndarray:
     """Fill in the bounds of `volumes`, of which everything else is there, by `launch(volumes, cell_count)` of
     `make_bound`. `rays`: of how many kinds of rays the largest counts; 1 where programs do not tell them apart.
+
+    Returns the largest extinction that each of `bounded` may have where some of it is denser [1/m], else infinity:
+    float64, shape [n].
     """
     if not bounded:
-        return
+        return np.zeros(0)
     cells = int(np.clip((CELLS_TOGETHER / len(bounded)) ** (1 / 3), 1, CELLS_MOST))
     count = cells**3
     found = wp.zeros(len(bounded) * count, dtype=float, device=device)
@@ -140,9 +147,36 @@ def find_bounds(
     volumes.asked = BoundWork()
     volumes.world = world
     numbers = found.numpy().reshape(-1, cells, cells, cells)
+    denser = numbers.max((1, 2, 3)) > most
     numbers = np.minimum(_MARGIN * _with_neighbours(numbers), most[:, None, None, None])
     volumes.bounds = wp.array(numbers.ravel().astype(np.float32), dtype=float, device=device)
     volumes.grids = wp.array(grids, dtype=Bounds, device=device)
+    return np.where(denser, most, np.inf)
+
+
+def goes_on_beyond(
+    volumes: VolumeData, box: np.ndarray, launch: Callable[[VolumeData, int], None], device: wp.Device
+) -> bool:
+    """Whether the world's volume, whose bounds are those of `box`, would dim light that comes from beyond its end: if
+    there is any of it at the end, and not so much before that hardly any light comes from there.
+    """
+    cells = 2 * _LINE_CELLS + 1
+    edge = (1 + 2 * WORLD_REACH) * (box[1] - box[0])
+    asked = BoundWork()
+    asked.cells, asked.moving, asked.rays = cells, -1, 1
+    asked.origin = wp.vec3(*(box.mean(0) - edge / 2))
+    asked.edges = wp.mat33(*np.diag(edge).ravel())
+    asked.found = wp.zeros(cells**3, dtype=float, device=device)
+    volumes.asked = asked
+    launch(volumes, cells**3)
+    volumes.asked = BoundWork()
+    found = asked.found.numpy().reshape(cells, cells, cells).astype(np.float64)
+    for axis in range(3):
+        line = np.moveaxis(found, axis, 0)[:, _LINE_CELLS, _LINE_CELLS] * edge[axis] / cells
+        for way in (line[_LINE_CELLS:], line[_LINE_CELLS::-1]):
+            if way[-1] > _DIMS_LEAST and way.sum() < _DIMS_MOST:
+                return True
+    return False
 
 
 def _with_neighbours(cells: np.ndarray) -> np.ndarray:

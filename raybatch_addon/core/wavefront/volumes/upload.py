@@ -17,10 +17,11 @@ from ...scene.geometry import Geometry
 from ...shading.bsdf.materials import ClosureRecord, fill_record
 from ...shading.images.textures import ImageTable
 from ...shading.volumes.enclosures import upload_enclosures
-from .bounds import RAYS, bounded_volumes, find_bounds
+from .bounds import RAYS, bounded_volumes, find_bounds, goes_on_beyond
 from .features import VolumeFeatures
 from .grids import density_scale, upload_grids
 from .kernels import launch_bound
+from .medium import WORLD_REACH
 from .table import VolumeData
 
 # The world's volume is taken to be like this many sizes of the scene around it
@@ -35,6 +36,7 @@ class UploadedVolumes:
     surfaces: list[wp.Bvh]
     grids: list[wp.Volume]
     stored: list[wp.array]
+    warnings: list[str]  # where less of them is rendered than there is
 
 
 def upload_volumes(
@@ -82,8 +84,8 @@ def upload_volumes(
         data.density_scale = wp.array(scale, dtype=float, device=device)
     enclosures = upload_enclosures(scene, volume_of, data.volume_count, geometry, device)
     data.enclosures = enclosures.data
-    _bound(data, scene, narrow(shading, VolumeFeatures), volume_of, device, features.volume_program.ops)
-    return UploadedVolumes(data, enclosures.kept, grids, stored)
+    warnings = _bound(data, scene, narrow(shading, VolumeFeatures), volume_of, device, features.volume_program.ops)
+    return UploadedVolumes(data, enclosures.kept, grids, stored, warnings)
 
 
 def _is_boundary(material) -> bool:
@@ -99,10 +101,11 @@ def _bound(
     volume_of: np.ndarray,
     device: wp.Device,
     ops: Iterable[str],
-) -> None:
+) -> list[str]:
+    """Find the bounds of programs; what of their volumes is not rendered."""
     has_program = [volume.program is not None for volume in scene_volumes(scene)]
     if not any(has_program):
-        return
+        return []
     box = _world_box(scene)
     bounded = bounded_volumes(scene, volume_of, has_program, box)
     numbers = np.full(max(len(scene.instances), 1) * data.volume_count, -1, np.int32)
@@ -117,7 +120,20 @@ def _bound(
     def launch(asked: VolumeData, count: int) -> None:
         launch_bound(features, asked, count, device)
 
-    find_bounds(data, bounded, launch, device, rays)
+    most = find_bounds(data, bounded, launch, device, rays)
+    names = [f"material “{each.name}”" for each in scene.materials if each.volume is not None] + ["the world"]
+    denser: dict[int, float] = {}  # by volume
+    for each, limit in zip(bounded, most):
+        if np.isfinite(limit):
+            denser[each.volume] = min(limit, denser.get(each.volume, np.inf))
+    warnings = [
+        f"{names[volume]}: its volume is denser than {limit:.3g} per metre, and is rendered as dense as that"
+        for volume, limit in sorted(denser.items())
+    ]
+    if data.world >= 0 and has_program[-1] and goes_on_beyond(data, box, launch, device):
+        end = (0.5 + WORLD_REACH) * float((box[1] - box[0]).min())
+        warnings.append(f"the world: its volume ends {end:.3g} m from the middle of the scene; beyond is no fog")
+    return warnings
 
 
 def _world_box(scene: Scene) -> np.ndarray:
