@@ -43,7 +43,8 @@ def by_height(name: str, coefficient: float, half: float = 1.0) -> Volume:
 
 def add_mean(sweep: Sweep, bench: Bench, scene: Scene, expected: float, rounding: float, note: str, **settings) -> None:
     """Compare the mean of pictures of several seeds with `expected`."""
-    means = bench.render_seeds(scene, 8, sample_count=16, sample_sequence="SOBOL", **settings).mean((1, 2, 3))
+    settings = dict(sample_count=16, sample_sequence="SOBOL") | settings
+    means = bench.render_seeds(scene, 8, **settings).mean((1, 2, 3))
     error = means.std(ddof=1) / math.sqrt(len(means))
     # Student's t of 7 degrees of freedom exceeds 10 as seldom as a normal value 4.2
     sweep.add(means.mean(), expected, 10 * error + rounding * expected + 1e-30, note)
@@ -174,5 +175,5 @@ def sparse(bench: Bench) -> Outcome:
     mesh = replace(scene.meshes[0], grids=(Grid("density", values, to_index),))
     scene = replace(scene, meshes=(mesh, *scene.meshes[1:]), attributes=(("GRID", "density"),))
     sweep = Sweep()
-    add_mean(sweep, bench, scene, math.exp(-12 * step * (4.0 + 8.0)), 64 * U, "")
+    add_mean(sweep, bench, scene, math.exp(-12 * step * (4.0 + 8.0)), 64 * U, "", sample_count=256)
     return sweep.outcome()

@@ -1,6 +1,7 @@
 """Bounds of the extinction of volumes whose coefficients programs give: found before the render, on grids of cells.
 
-A program is evaluated at some points of each cell, and the largest extinction of the cell and its neighbours counts.
+A program is evaluated at some points of each cell, and where grids that it may read are largest there. The largest
+extinction of the cell and its neighbours counts.
 That is an estimate: where a program exceeds it, the volume is rendered as dense as the bound.
 """
 
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...scene.description import Scene, Visibility
+from ...scene.description import Grid, Mesh, Scene, Visibility
 from ...scene.geometry import transform_point
 from ...scene.motion import moving_instances
 from ...scene.moved import transform_at
@@ -50,6 +51,7 @@ class Bounded:
     box: np.ndarray  # two corners in the space of the instance, or in the world [m], float64, shape [2, 3]
     to_world: np.ndarray  # float64, shape [3, 4]
     moves: bool = False  # the instance does, while the shutter is open
+    mesh: Mesh | None = None  # that has grids; None: the world
 
 
 @functools.cache
@@ -67,7 +69,8 @@ def make_bound(programs: ProgramFeatures) -> wp.Function:
         x = i / (cells * cells)
         largest = float(0.0)
         points = int(_POINTS)
-        for k in range(points):
+        more = volumes.asked.places.shape[0] / (cells * cells * cells)
+        for k in range(points + more):
             seed = mix_bits(wp.uint32(i * points + k))
             u = wp.vec3(
                 float(x) + sequence_number(seed),
@@ -75,9 +78,11 @@ def make_bound(programs: ProgramFeatures) -> wp.Function:
                 float(z) + sequence_number(mix_bits(seed + wp.uint32(2))),
             )
             place = volumes.asked.origin + volumes.asked.edges * (u / float(cells))
+            if k >= points:
+                place = volumes.asked.places[i * more + k - points]
             time = float(0.0)
             if volumes.asked.moving >= 0:
-                time = float(k) / float(points - 1)
+                time = wp.min(float(k) / float(points - 1), 1.0)
                 place = transform_point(transform_at(volumes.nodes.geometry, volumes.asked.moving, time), place)
             ray = int(0)
             while ray < volumes.asked.rays:
@@ -116,6 +121,7 @@ def find_bounds(
     found = wp.zeros(len(bounded) * count, dtype=float, device=device)
     grids = np.zeros(len(bounded), Bounds.numpy_dtype())
     most = np.zeros(len(bounded))
+    peaks: dict[int, np.ndarray] = {}  # by identity of the mesh
     world = volumes.world
     for number, each in enumerate(bounded):
         low, high = each.box
@@ -141,6 +147,12 @@ def find_bounds(
         most[number] = _FLIGHTS_MOST / edge
         asked.flights, asked.rays = 1.0 / edge, rays
         asked.moving = each.instance if each.moves else -1
+        if each.mesh is not None and each.mesh.grids:
+            key = id(each.mesh)
+            if key not in peaks:
+                peaks[key] = np.stack([_peaks(grid, low, size, cells) for grid in each.mesh.grids], 1)
+            points = peaks[key].reshape(-1, 3) @ linear.T + offset
+            asked.places = wp.array(points.astype(np.float32), dtype=wp.vec3, device=device)
         asked.found = found[number * count : (number + 1) * count]
         volumes.asked = asked
         launch(volumes, count)
@@ -152,6 +164,28 @@ def find_bounds(
     volumes.bounds = wp.array(numbers.ravel().astype(np.float32), dtype=float, device=device)
     volumes.grids = wp.array(grids, dtype=Bounds, device=device)
     return np.where(denser, most, np.inf)
+
+
+def _peaks(grid: Grid, low: np.ndarray, size: np.ndarray, cells: int) -> np.ndarray:
+    """Where `grid` has its largest value in each of `cells`^3 cells of the box that begins at `low`: object space [m],
+    float64, shape [cells^3, 3]; the middle of a cell in which there is nothing.
+    """
+    whole = np.vstack([np.asarray(grid.to_index, np.float64), [0, 0, 0, 1]])
+    to_object = np.linalg.inv(whole)[:3]
+    middles = np.stack(np.meshgrid(*[np.arange(cells) + 0.5] * 3, indexing="ij"), -1).reshape(-1, 3)
+    places, best = low + middles / cells * size, np.zeros(cells**3, np.float32)
+    for x, slab in enumerate(grid.values):
+        values = slab if slab.ndim == 2 else np.abs(slab).max(-1)
+        y, z = np.nonzero(values > 0)
+        if len(y):
+            found = values[y, z]
+            at = np.stack([np.full(len(y), x), y, z], 1) @ to_object[:, :3].T + to_object[:, 3]
+            cell = np.clip((at - low) / size * cells, 0, cells - 1).astype(int)
+            number = (cell[:, 0] * cells + cell[:, 1]) * cells + cell[:, 2]
+            np.maximum.at(best, number, found)
+            won = found >= best[number]
+            places[number[won]] = at[won]
+    return places
 
 
 def goes_on_beyond(
@@ -209,7 +243,7 @@ def bounded_volumes(
                 steps = mesh.positions if mesh.motion is None else mesh.motion.reshape(-1, 3)
                 box = np.stack([steps.min(0), steps.max(0)]).astype(np.float64)
                 placing = np.asarray(instances.transform[instance], np.float64)
-                result.append(Bounded(instance, volume, box, placing, bool(moves[instance])))
+                result.append(Bounded(instance, volume, box, placing, bool(moves[instance]), mesh))
     if scene.world.volume is not None and has_program[-1]:
         result.append(Bounded(-1, len(has_program) - 1, world_box, np.eye(3, 4)))
     return result

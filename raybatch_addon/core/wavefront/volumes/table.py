@@ -39,6 +39,7 @@ class BoundWork:
     cells: int  # along each axis
     rays: int  # kinds of rays that are looked at, see `bounds.py`
     flights: float  # the least bound of what emits light [1/m]
+    places: wp.array(dtype=wp.vec3)  # where more is looked at: as many points of each cell [m]; or none
     found: wp.array(dtype=float)  # result of each cell: the largest extinction [1/m]
 
 
