@@ -12,6 +12,7 @@ from raybatch_addon.core.scene.cameras import CameraKind
 from raybatch_addon.core.scene.description import Frame, Volume
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.renders.volumes.test_volumes import assert_mean, filled, in_box, medium, picture
+from tests.stability.transport.volumes import in_grid
 from tests.support import scenes
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
@@ -77,6 +78,12 @@ def test_shadow_rays_fly_so_often_and_then_arrive(session):
         found.append(picture(session, made, sample_count=1, bounce_max=0))
     assert found[1].min() > 0.01
     np.testing.assert_allclose(found[0], found[1], rtol=1e-5)
+
+
+def test_a_detail_of_two_voxels_in_a_large_grid_is_as_dense_as_it_is(session):
+    """No point of its cell that is drawn at random may lie in it; its bound is where the grid is largest."""
+    made, expected = in_grid(192, ((60, 2, 80.0),))
+    assert_mean(session, made, np.full(3, expected), sample_count=64)
 
 
 def warnings_of(session, scene) -> str:

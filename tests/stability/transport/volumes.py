@@ -156,24 +156,32 @@ def straight(bench: Bench) -> Outcome:
 @case(
     "a sparse grid",
     FAMILY,
-    "A grid of 160 voxels along each axis, all empty but for two cubes of 12 voxels in the way of a ray: the integral "
-    "of linear interpolation along it is known.",
+    "Grids of 160 and 320 voxels along each axis, all empty but for two cubes of 12 voxels, and one of 2, in the way "
+    "of a ray: the integral of linear interpolation along it is known.",
     "Ten standard errors of eight pictures, and 64 roundings.",
     traces=False,
 )
 def sparse(bench: Bench) -> Outcome:
-    count, half = 160, 1.0
+    sweep = Sweep()
+    for count, parts in ((160, ((20, 12, 4.0), (120, 12, 8.0))), (320, ((100, 2, 100.0),))):
+        scene, expected = in_grid(count, parts)
+        add_mean(sweep, bench, scene, expected, 64 * U, f"{count}^3 voxels", sample_count=256)
+    return sweep.outcome()
+
+
+def in_grid(count: int, parts: tuple[tuple[int, int, float], ...]) -> tuple[Scene, float]:
+    """A cube of 2 m with a grid of `count` voxels along each axis, and what comes through. `parts`: where a cube of
+    voxels begins on the ray, how many it has along each axis, and its density [1/m].
+    """
     values = np.zeros((count,) * 3, np.float32)
-    values[74:86, 74:86, 20:32] = 4.0
-    values[74:86, 74:86, 120:132] = 8.0
-    step = 2 * half / count
-    to_index = np.column_stack([np.eye(3) / step, np.full(3, half / step - 0.5)])
+    step, middle, depth = 2.0 / count, count // 2, 0.0
+    for first, length, density in parts:
+        values[middle - length : middle + length, middle - length : middle + length, first : first + length] = density
+        depth += length * step * density
+    to_index = np.column_stack([np.eye(3) / step, np.full(3, 1 / step - 0.5)])
     builder = ProgramBuilder()
-    density = builder.value("volume_attribute", 0, 0.0)[1]
-    builder.closure("volume_absorption", builder.value("splat", density))
+    builder.closure("volume_absorption", builder.value("splat", builder.value("volume_attribute", 0, 0.0)[1]))
     scene = boxed(Volume(program=builder.finish()))
     mesh = replace(scene.meshes[0], grids=(Grid("density", values, to_index),))
     scene = replace(scene, meshes=(mesh, *scene.meshes[1:]), attributes=(("GRID", "density"),))
-    sweep = Sweep()
-    add_mean(sweep, bench, scene, math.exp(-12 * step * (4.0 + 8.0)), 64 * U, "", sample_count=256)
-    return sweep.outcome()
+    return scene, math.exp(-depth)
