@@ -82,7 +82,7 @@ def test_shadow_rays_fly_so_often_and_then_arrive(session):
 
 def test_a_detail_of_two_voxels_in_a_large_grid_is_as_dense_as_it_is(session):
     """No point of its cell that is drawn at random may lie in it; its bound is where the grid is largest."""
-    made, expected = in_grid(192, ((60, 2, 80.0),))
+    made, expected = in_grid(320, ((100, 2, 100.0),))
     assert_mean(session, made, np.full(3, expected), sample_count=64)
 
 
