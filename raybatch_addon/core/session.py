@@ -146,6 +146,7 @@ class Session:
         integrators: list[TileIntegrator] = []
         if device_scene is not None:
             job.warnings += device_scene.images.warnings
+            job.warnings += device_scene.volumes.warnings if device_scene.volumes else []
             if device_scene.paged and "page_file_warning" in device_scene.paged.statistics:
                 job.warnings.append(device_scene.paged.statistics["page_file_warning"])
             integrators = self._workers(job, device_scene, state)

@@ -111,6 +111,11 @@ def _family(name: str, results: list, numbers: dict[str, int]) -> list[str]:
         for result in noted:
             text = f"- **{result.feature.name}**: {result.note}"
             lines += textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+    if found := [result for result in results if result.feature.finding and not result.ok]:
+        lines += ["", "Who is right:", ""]
+        for result in found:
+            text = f"- **{result.feature.name}**: {result.feature.finding}"
+            lines += textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
     if any(result.feature.name in numbers for result in results):
         lines += ["", f"![{name}: Cycles, RayBatch and their difference, by number](parity/{slug(name)}.png)"]
     return lines

@@ -19,6 +19,10 @@ class HistoryBits(IntFlag):
 DEPTH_SHIFT, DEPTH_BITS = 3, 9
 
 
+# `ShadingPoint.primitive` of points in volumes
+IN_VOLUME = -2
+
+
 @wp.struct
 class ShadingPoint:
     """A point on a surface or lamp or in a volume, or a direction into the world; in world space.
@@ -33,7 +37,7 @@ class ShadingPoint:
     geometric_normal: wp.vec3  # unit, of the triangle, on the side of `incoming`
     backfacing: int  # 1: the ray met the back of the surface
     instance: int  # -1: none; for a lamp its number among the lights
-    primitive: int  # triangle of the instance's mesh; -1 for a lamp and in a volume
+    primitive: int  # triangle of the instance's mesh; -1 for a lamp, IN_VOLUME in a volume
     barycentric: wp.vec2  # weights of the triangle's second and third corner
     ray_length: float  # distance from the ray's origin to the point [m]
     ray_kind: int  # `Visibility` bit of the ray

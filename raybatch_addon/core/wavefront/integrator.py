@@ -240,7 +240,8 @@ class TileIntegrator:
                 *more,
             )
             if self._volumes:
-                self._launch(self._kernels.volumes.enter, count, self._volumes, self._rays, self._free, length)
+                enter, seen = self._kernels.volumes.enter, (self._scene.data.geometry, self._volumes)
+                self._launch(enter, count, *seen, self._rays, self._free, length)
         state.items_begun += count
         self._alive += count
         self.rays.camera += count

@@ -214,7 +214,7 @@ def _stage_functions(
         ShadingStage.CONNECT: lambda: (
             make_connect_program(connected)
             if shading.light_programs
-            else make_connect(shading.splits_light, shading.light_groups)
+            else make_connect(shading.clamping, shading.splits_light, shading.light_groups)
         ),
         ShadingStage.CONNECT_TRANSPARENT: lambda: make_connect_transparent(surface, connected),
         ShadingStage.AIM: lambda: make_aim(narrow(shading, AimFeatures)),

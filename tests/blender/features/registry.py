@@ -52,6 +52,7 @@ class Feature:
     flat: bool = False  # the node gives one value everywhere
     samples: int = 0  # samples of each render of a picture, at first; 0: SAMPLES
     resolution: int = RESOLUTION
+    finding: str = ""  # who is right where the engines differ, and how that is known
 
 
 _FEATURES: dict[str, Feature] = {}

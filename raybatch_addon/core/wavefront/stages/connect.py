@@ -38,8 +38,11 @@ def settle_kernel(paths: Paths, rays: Rays, slots: wp.array(dtype=int), count: w
 
 
 @functools.cache
-def make_connect(splits_light: bool, light_groups: bool = False) -> wp.Function:
-    """The stage's function, as `stage_kernel` takes it: light that nothing hides is added to its path."""
+def make_connect(clamping: bool, splits_light: bool, light_groups: bool = False) -> wp.Function:
+    """The stage's function, as `stage_kernel` takes it: light that nothing hides is added to its path.
+
+    Where there is a limit (`clamping`) it is one of what arrives: surfaces and volumes on the way dim light before.
+    """
     add_light = make_add_light(splits_light, light_groups)
 
     @wp.func
@@ -48,7 +51,11 @@ def make_connect(splits_light: bool, light_groups: bool = False) -> wp.Function:
     ):
         path = slot - paths.status.shape[0]
         if rays.hit_instance[slot] < 0:
-            add_light(paths, path, paths.shadow_light[path], bounce_to_light(paths.status[path]), True)
+            bounce = bounce_to_light(paths.status[path])
+            light = paths.shadow_light[path]
+            if wp.static(clamping):
+                light = clamped(limits, light, bounce)
+            add_light(paths, path, light, bounce, True)
         paths.status[path] = paths.status[path] & ~wp.static(SHADOW_OUT)
 
     return connect
@@ -56,7 +63,7 @@ def make_connect(splits_light: bool, light_groups: bool = False) -> wp.Function:
 
 @dataclass(frozen=True)
 class ConnectFeatures:
-    """What light of programs is specialised on; the fields are those of `SceneFeatures`."""
+    """What light that arrives is specialised on; the fields are those of `SceneFeatures`."""
 
     programs: ProgramFeatures
     world_program: ProgramFeatures
@@ -73,7 +80,7 @@ class ConnectFeatures:
 @functools.cache
 def make_arrived(features: ConnectFeatures) -> wp.Function:
     """Function (data, limits, paths, rays, path: int, slot: int) -> vec3: what an unhidden shadow ray brings to its
-    path.
+    path, within the limit for it: surfaces and volumes have dimmed it on its way.
     """
     has_world, has_surfaces = features.world_light, features.mesh_programs
     has_lamps = bool(features.lamp_program)
@@ -87,10 +94,10 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
     @wp.func
     def arrived(data: SceneData, limits: PathLimits, paths: Paths, rays: Rays, path: int, slot: int) -> wp.vec3:
         light = paths.shadow_light[path]
-        kind = paths.light_program[path]
-        if kind == 0:
-            return light
         bounce = bounce_to_light(paths.status[path])
+        kind = int(0)
+        if wp.static(has_world or has_surfaces or has_lamps):
+            kind = paths.light_program[path]
         direction = rays.direction[slot]
         if wp.static(has_world):
             if kind == wp.static(WORLD_PROGRAM):

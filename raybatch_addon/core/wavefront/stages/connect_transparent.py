@@ -52,11 +52,8 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
         status = paths.status[path] & ~wp.static(SHADOW_OUT)
         passed = paths.passed[path]
         if rays.hit_instance[slot] < 0:
-            if wp.static(features.light_programs):
-                brought = arrived(data, limits, paths, rays, path, slot)
-                add_light(paths, path, brought, bounce_to_light(status), True)
-            else:
-                add_light(paths, path, paths.shadow_light[path], bounce_to_light(status), True)
+            brought = arrived(data, limits, paths, rays, path, slot)
+            add_light(paths, path, brought, bounce_to_light(status), True)
         elif wp.static(not programs.apart) or work.stage != wp.static(CONNECT):
             material = material_at(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot])
             # what is opaque need not be shaded to end a ray

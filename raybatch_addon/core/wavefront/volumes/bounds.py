@@ -1,6 +1,7 @@
 """Bounds of the extinction of volumes whose coefficients programs give: found before the render, on grids of cells.
 
-A program is evaluated at some points of each cell, and the largest extinction of the cell and its neighbours counts.
+A program is evaluated at some points of each cell, and where grids that it may read are largest there. The largest
+extinction of the cell and its neighbours counts.
 That is an estimate: where a program exceeds it, the volume is rendered as dense as the bound.
 """
 
@@ -13,12 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...scene.description import Scene, Visibility
+from ...scene.description import Grid, Mesh, Scene, Visibility
+from ...scene.geometry import transform_point
+from ...scene.motion import moving_instances
+from ...scene.moved import transform_at
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.sequences.keys import mix_bits, sequence_number
 from ...shading.volumes.phase import PhaseLobe
-from .medium import LOBE_FLOATS, LOBES_MOST, make_medium
+from .medium import LOBE_FLOATS, LOBES_MOST, WORLD_REACH, make_medium
 from .segment import ray_point
 from .table import Bounds, BoundWork, VolumeData
 
@@ -29,6 +33,10 @@ _POINTS = 8
 _MARGIN = 1.1
 # Flights along an edge of a cell at most: what is denser lets nothing through a small part of the cell
 _FLIGHTS_MOST = 4096.0
+# Of lines out of the middle of the world's volume to its end: cells, the optical depth of a cell below which there is
+# nothing, and that of a line from which on no light comes in
+_LINE_CELLS = 8
+_DIMS_LEAST, _DIMS_MOST = 1e-3, 7.0
 # Kinds of rays, of which each has a bit, and that of rays that volumes scatter; each with bounce 0 and 1
 _KINDS = 5
 RAYS = 2 * (_KINDS + 1)
@@ -42,6 +50,8 @@ class Bounded:
     volume: int
     box: np.ndarray  # two corners in the space of the instance, or in the world [m], float64, shape [2, 3]
     to_world: np.ndarray  # float64, shape [3, 4]
+    moves: bool = False  # the instance does, while the shutter is open
+    mesh: Mesh | None = None  # that has grids; None: the world
 
 
 @functools.cache
@@ -59,20 +69,27 @@ def make_bound(programs: ProgramFeatures) -> wp.Function:
         x = i / (cells * cells)
         largest = float(0.0)
         points = int(_POINTS)
-        for k in range(points):
+        more = volumes.asked.places.shape[0] / (cells * cells * cells)
+        for k in range(points + more):
             seed = mix_bits(wp.uint32(i * points + k))
             u = wp.vec3(
                 float(x) + sequence_number(seed),
                 float(y) + sequence_number(mix_bits(seed + wp.uint32(1))),
                 float(z) + sequence_number(mix_bits(seed + wp.uint32(2))),
             )
-            position = volumes.asked.origin + volumes.asked.edges * (u / float(cells))
+            place = volumes.asked.origin + volumes.asked.edges * (u / float(cells))
+            if k >= points:
+                place = volumes.asked.places[i * more + k - points]
+            time = float(0.0)
+            if volumes.asked.moving >= 0:
+                time = wp.min(float(k) / float(points - 1), 1.0)
+                place = transform_point(transform_at(volumes.nodes.geometry, volumes.asked.moving, time), place)
             ray = int(0)
             while ray < volumes.asked.rays:
                 kind = int(wp.static(int(Visibility.VOLUME_SCATTER)))
                 if ray / 2 < wp.static(_KINDS):
                     kind = int(1) << (ray / 2)
-                point = ray_point(position, wp.vec3(0.0, 0.0, 1.0), kind, ray % 2)
+                point = ray_point(place, wp.vec3(0.0, 0.0, 1.0), kind, ray % 2, time)
                 m = medium(volumes, volumes.asked.inside, point, lobes)
                 for axis in range(3):
                     # an emission alone must be met too, however little is there
@@ -90,6 +107,9 @@ class FoundBounds:
 
     grids: wp.array
     bounds: wp.array
+    # the largest extinction that each of them may have where some of it is denser [1/m], else infinity: float64
+    most: np.ndarray
+    goes_on: bool = False  # the world's volume, beyond its end (`goes_on_beyond`)
 
     @property
     def device_bytes(self) -> int:
@@ -115,11 +135,14 @@ def find_bounds(
     found = wp.zeros(len(bounded) * count, dtype=float, device=device)
     grids = np.zeros(len(bounded), Bounds.numpy_dtype())
     most = np.zeros(len(bounded))
+    peaks: dict[int, np.ndarray] = {}  # by identity of the mesh
     world = volumes.world
     for number, each in enumerate(bounded):
         low, high = each.box
         size = np.maximum(high - low, 1e-6 * max(float(np.abs(each.box).max()), 1e-12))
-        linear, offset = each.to_world[:, :3], each.to_world[:, 3]
+        # bounds of what moves go with it
+        to_world = np.eye(3, 4) if each.moves else each.to_world
+        linear, offset = to_world[:, :3], to_world[:, 3]
         origin, edges = linear @ low + offset, linear * size
         inverse = np.linalg.inv(edges) * cells
         grids[number]["to_cells"] = np.column_stack([inverse, -inverse @ origin])
@@ -134,20 +157,76 @@ def find_bounds(
         asked = BoundWork()
         asked.inside, asked.cells = wp.vec4i(code, 0, 0, 0), cells
         asked.origin, asked.edges = wp.vec3(*origin), wp.mat33(*edges.ravel())
-        edge = float(np.linalg.norm(edges, axis=0).max()) / cells
+        edge = float(np.linalg.norm(each.to_world[:, :3] * size, axis=0).max()) / cells
         most[number] = _FLIGHTS_MOST / edge
         asked.flights, asked.rays = 1.0 / edge, rays
+        asked.moving = each.instance if each.moves else -1
+        if each.mesh is not None and each.mesh.grids:
+            key = id(each.mesh)
+            if key not in peaks:
+                peaks[key] = np.stack([_peaks(grid, low, size, cells) for grid in each.mesh.grids], 1)
+            points = peaks[key].reshape(-1, 3) @ linear.T + offset
+            asked.places = wp.array(points.astype(np.float32), dtype=wp.vec3, device=device)
         asked.found = found[number * count : (number + 1) * count]
         volumes.asked = asked
         launch(volumes, count)
     volumes.asked = BoundWork()
     volumes.world = world
     numbers = found.numpy().reshape(-1, cells, cells, cells)
+    denser = numbers.max((1, 2, 3)) > most
     numbers = np.minimum(_MARGIN * _with_neighbours(numbers), most[:, None, None, None])
     return FoundBounds(
-        wp.array(grids, dtype=Bounds, device=device),
-        wp.array(numbers.ravel().astype(np.float32), dtype=float, device=device),
+        grids=wp.array(grids, dtype=Bounds, device=device),
+        bounds=wp.array(numbers.ravel().astype(np.float32), dtype=float, device=device),
+        most=np.where(denser, most, np.inf),
     )
+
+
+def _peaks(grid: Grid, low: np.ndarray, size: np.ndarray, cells: int) -> np.ndarray:
+    """Where `grid` has its largest value in each of `cells`^3 cells of the box that begins at `low`: object space [m],
+    float64, shape [cells^3, 3]; the middle of a cell in which there is nothing.
+    """
+    whole = np.vstack([np.asarray(grid.to_index, np.float64), [0, 0, 0, 1]])
+    to_object = np.linalg.inv(whole)[:3]
+    middles = np.stack(np.meshgrid(*[np.arange(cells) + 0.5] * 3, indexing="ij"), -1).reshape(-1, 3)
+    places, best = low + middles / cells * size, np.zeros(cells**3, np.float32)
+    for x, slab in enumerate(grid.values):
+        values = slab if slab.ndim == 2 else np.abs(slab).max(-1)
+        y, z = np.nonzero(values > 0)
+        if len(y):
+            found = values[y, z]
+            at = np.stack([np.full(len(y), x), y, z], 1) @ to_object[:, :3].T + to_object[:, 3]
+            cell = np.clip((at - low) / size * cells, 0, cells - 1).astype(int)
+            number = (cell[:, 0] * cells + cell[:, 1]) * cells + cell[:, 2]
+            np.maximum.at(best, number, found)
+            won = found >= best[number]
+            places[number[won]] = at[won]
+    return places
+
+
+def goes_on_beyond(
+    volumes: VolumeData, box: np.ndarray, launch: Callable[[VolumeData, int], None], device: wp.Device
+) -> bool:
+    """Whether the world's volume, whose bounds are those of `box`, would dim light that comes from beyond its end: if
+    there is any of it at the end, and not so much before that hardly any light comes from there.
+    """
+    cells = 2 * _LINE_CELLS + 1
+    edge = (1 + 2 * WORLD_REACH) * (box[1] - box[0])
+    asked = BoundWork()
+    asked.cells, asked.moving, asked.rays = cells, -1, 1
+    asked.origin = wp.vec3(*(box.mean(0) - edge / 2))
+    asked.edges = wp.mat33(*np.diag(edge).ravel())
+    asked.found = wp.zeros(cells**3, dtype=float, device=device)
+    volumes.asked = asked
+    launch(volumes, cells**3)
+    volumes.asked = BoundWork()
+    found = asked.found.numpy().reshape(cells, cells, cells).astype(np.float64)
+    for axis in range(3):
+        line = np.moveaxis(found, axis, 0)[:, _LINE_CELLS, _LINE_CELLS] * edge[axis] / cells
+        for way in (line[_LINE_CELLS:], line[_LINE_CELLS::-1]):
+            if way[-1] > _DIMS_LEAST and way.sum() < _DIMS_MOST:
+                return True
+    return False
 
 
 def _with_neighbours(cells: np.ndarray) -> np.ndarray:
@@ -166,6 +245,7 @@ def bounded_volumes(
     result = []
     slot_counts: dict[int, int] = {}  # by mesh
     instances = scene.instances
+    moves = moving_instances(scene)
     for instance, mesh_index in enumerate(instances.mesh.tolist()):
         mesh = scene.meshes[mesh_index]
         if len(mesh.triangles) == 0 or mesh.radii is not None:
@@ -176,8 +256,10 @@ def bounded_volumes(
         first = int(instances.slot_first[instance])
         for volume in sorted({int(volume_of[m]) for m in scene.slot_materials[first : first + slots]}):
             if volume >= 0 and has_program[volume]:
-                box = np.stack([mesh.positions.min(0), mesh.positions.max(0)]).astype(np.float64)
-                result.append(Bounded(instance, volume, box, np.asarray(instances.transform[instance], np.float64)))
+                steps = mesh.positions if mesh.motion is None else mesh.motion.reshape(-1, 3)
+                box = np.stack([steps.min(0), steps.max(0)]).astype(np.float64)
+                placing = np.asarray(instances.transform[instance], np.float64)
+                result.append(Bounded(instance, volume, box, placing, bool(moves[instance]), mesh))
     if scene.world.volume is not None and has_program[-1]:
         result.append(Bounded(-1, len(has_program) - 1, world_box, np.eye(3, 4)))
     return result

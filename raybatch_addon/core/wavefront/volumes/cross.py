@@ -10,36 +10,89 @@ import warp as wp
 
 from ...device.kernel import KERNEL_OPTIONS
 from ...rays import Rays
+from ...scene.geometry import Geometry
 from ...shading.segments import make_is_closed, make_surface_point
-from ...shading.surface import material_at
+from ...shading.surface import SurfacePoint, material_at, spawn_origin
+from ...shading.volumes.enclosures import is_around, passed_at_once
 from ..rays import Paths, Status, time_of
 from ..scene.scene_data import SceneData
-from .table import FRONT, VolumeData, across, entered
+from .table import BACK, FRONT, VolumeData, across, entered, holds, left
 
 RAY_NEW, SHADOW_NEW, INSIDE = int(Status.RAY_NEW), int(Status.SHADOW_NEW), int(Status.INSIDE)
-# A direction that lies along no axis, in which surfaces around a camera are looked for
-_AHEAD = (0.436, 0.218, 0.873)
-_FARTHEST = 1e30
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def enter_kernel(volumes: VolumeData, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)):
-    """New paths: in which volumes they begin. A point is in a closed surface if a ray from it meets the back first."""
+def enter_kernel(
+    geometry: Geometry, volumes: VolumeData, rays: Rays, slots: wp.array(dtype=int), count: wp.array(dtype=int)
+):
+    """New paths: in which volumes they begin, where and when they do."""
     i = wp.tid()
     if i >= count[0]:
         return
     path = slots[i]
     inside = wp.vec4i(0, 0, 0, 0)
-    for k in range(volumes.enclosures.shape[0]):
-        ahead = wp.normalize(wp.vec3(wp.static(_AHEAD[0]), wp.static(_AHEAD[1]), wp.static(_AHEAD[2])))
-        query = wp.mesh_query_ray(volumes.enclosures[k].mesh, rays.origin[path], ahead, wp.static(_FARTHEST))
-        if query.result and query.sign < 0.0:
-            inside = entered(inside, volumes.enclosures[k].code)
+    if volumes.enclosures.of.shape[0] > 0:
+        origin = rays.origin[path]
+        k = int(0)
+        query = wp.bvh_query_aabb(volumes.enclosures.tree, origin, origin)
+        while wp.bvh_query_next(query, k):
+            if is_around(geometry, volumes.enclosures, k, origin, time_of(rays, path)):
+                inside = entered(inside, volumes.enclosures.of[k].code)
     volumes.state.inside[path] = inside
     volumes.state.segment[path] = 0
     volumes.state.scattered[path] = 0
     volumes.state.side[path] = 0
     volumes.state.lit[path] = 0
+
+
+@wp.func
+def behind_surface(
+    geometry: Geometry,
+    volumes: VolumeData,
+    inside: wp.vec4i,
+    instance: int,
+    surface: SurfacePoint,
+    direction: wp.vec3,
+    is_closed: bool,
+) -> wp.vec4i:
+    """`inside` on the other side of a surface, in whose place there may be faces of other volumes. `direction`: of a
+    ray that goes there.
+
+    A volume is left if more of its faces there are met from the back, and entered if more are met from the front:
+    parts of one mesh that stand side by side are one volume.
+    """
+    normal = surface.geometric_normal
+    side = int(wp.static(FRONT))
+    if wp.dot(normal, direction) > 0.0:
+        side = int(wp.static(BACK))
+    result = inside
+    own = int(0)
+    if is_closed:
+        result = across(volumes, inside, instance, surface.material, side)
+        volume = volumes.volume_of[surface.material]
+        if volume >= 0:
+            own = 1 + instance * volumes.volume_count + volume
+    if volumes.enclosures.touching == 0:
+        return result
+    if side == wp.static(FRONT):
+        normal = -normal
+    position = surface.position
+    # as `spawn_origin` begins the next ray
+    reach = wp.length(spawn_origin(position, surface.error, normal, normal) - position)
+    around = surface.error + wp.vec3(reach, reach, reach)
+    k = int(0)
+    query = wp.bvh_query_aabb(volumes.enclosures.tree, position - around, position + around)
+    while wp.bvh_query_next(query, k):
+        code = volumes.enclosures.of[k].code
+        passed = passed_at_once(geometry, volumes.enclosures, k, position, normal, reach, surface.time)
+        if passed[0] > 0:
+            if code == own and passed[1] == 0:
+                result = wp.where(holds(inside, code), entered(result, code), left(result, code))
+            if passed[1] > 0:
+                result = entered(result, code)
+            if passed[1] < 0:
+                result = left(result, code)
+    return result
 
 
 @functools.cache
@@ -67,7 +120,8 @@ def cross_kernel(instancing: bool, smooth_normals: bool, curves: bool, moving: b
             return
         instance = rays.hit_instance[path]
         material = material_at(data.geometry, instance, rays.hit_primitive[path])
-        if volumes.volume_of[material] < 0:  # the same volumes are on both sides
+        # the same volumes are on both sides, but where their faces may be in the same place
+        if volumes.volume_of[material] < 0 and volumes.enclosures.touching == 0:
             if (status & wp.static(SHADOW_NEW)) != 0:
                 volumes.state.shadow_inside[path] = volumes.state.inside[path]
                 volumes.state.shadow_segment[path] = 0
@@ -79,9 +133,8 @@ def cross_kernel(instancing: bool, smooth_normals: bool, curves: bool, moving: b
         if side != wp.static(FRONT):
             normal = -normal
         inside = volumes.state.inside[path]
-        behind = inside
-        if is_closed(data.geometry, instance, rays.hit_primitive[path]):
-            behind = across(volumes, inside, instance, material, side)
+        closed = is_closed(data.geometry, instance, rays.hit_primitive[path])
+        behind = behind_surface(data.geometry, volumes, inside, instance, surface, -normal, closed)
         if (status & wp.static(SHADOW_NEW)) != 0:
             goes_behind = wp.dot(rays.direction[paths.status.shape[0] + path], normal) < 0.0
             volumes.state.shadow_inside[path] = wp.where(goes_behind, behind, inside)

@@ -6,19 +6,19 @@ import functools
 
 import warp as wp
 
-from ...programs.point import ShadingPoint
+from ...programs.point import IN_VOLUME, ShadingPoint
 from ...programs.run import make_run
 from ...scene.description import ClosureKind
 from ...scene.geometry import transform_point, transform_vector
+from ...scene.moved import inverse_at, motion_row
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
 from ...shading.volumes.phase import PhaseLobe, phase_pdf, phase_value, sampled_cosine
-from .table import INSIDE_MOST, VolumeData, entry
+from .table import FARTHEST, INSIDE_MOST, VolumeData, entry
 
 # Scattering closures of a point; those beyond them scatter as the last one
 LOBES_MOST = 16
 LOBE_FLOATS = PhaseLobe.numpy_dtype()["itemsize"] // 4
-_FARTHEST = 1e30
 # How far a ray goes into the next cell at least [cells]
 _CELL_STEP = 1e-3
 # How far the outermost cells of the world's volume go on [sizes of its grid]: beyond, it is empty
@@ -54,7 +54,7 @@ class PhaseSum:
 @wp.func
 def passes(extinction: wp.vec3, length: float) -> wp.vec3:
     """Share of light that passes `length` [m] of a medium, by channel; also where there is no end."""
-    reach = wp.min(length, wp.static(_FARTHEST))
+    reach = wp.min(length, wp.static(FARTHEST))
     return wp.vec3(wp.exp(-extinction[0] * reach), wp.exp(-extinction[1] * reach), wp.exp(-extinction[2] * reach))
 
 
@@ -91,7 +91,7 @@ def make_medium(programs: ProgramFeatures) -> wp.Function:
                     if word >= 0:
                         here = point
                         here.instance = found[0]
-                        here.primitive = -1
+                        here.primitive = wp.static(IN_VOLUME)
                         stack = wp.zeros(wp.static(programs.register_count), dtype=float)
                         records = wp.zeros(wp.static(programs.closure_count * RECORD_FLOATS), dtype=float)
                         address = address_of(records)
@@ -142,14 +142,14 @@ def has_program(volumes: VolumeData, inside: wp.vec4i) -> bool:
 
 
 @wp.func
-def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, direction: wp.vec3) -> Reach:
-    """A bound of the extinction ahead of `origin`: of what programs give an estimate, of constants their sum. Where
-    constants emit light, there is a flight a cell at least.
+def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, direction: wp.vec3, time: float) -> Reach:
+    """A bound of the extinction ahead of `origin` at `time`: of what programs give an estimate, of constants their sum.
+    Where constants emit light, there is a flight a cell at least.
     """
     reach = Reach()
     emits = bool(False)
     cells_per_length = float(0.0)  # [1/m]
-    reach.length = wp.static(_FARTHEST)
+    reach.length = wp.static(FARTHEST)
     for place in range(wp.static(INSIDE_MOST + 1)):
         found = entry(volumes, inside, place)
         volume = found[1]
@@ -170,10 +170,18 @@ def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, directio
                 if found[0] >= 0:
                     number = volumes.bounds_of[found[0] * volumes.volume_count + volume]
                 grid = volumes.grids[number]
-                at = transform_point(grid.to_cells, origin)
-                ahead = transform_vector(grid.to_cells, direction)
+                at = origin
+                ahead = direction
+                if found[0] >= 0:
+                    row = motion_row(volumes.nodes.geometry, found[0])
+                    if row >= 0:
+                        to_object = inverse_at(volumes.nodes.geometry, row, time)
+                        at = transform_point(to_object, at)
+                        ahead = transform_vector(to_object, ahead)
+                at = transform_point(grid.to_cells, at)
+                ahead = transform_vector(grid.to_cells, ahead)
                 cell = wp.vec3i(0, 0, 0)
-                length = float(wp.static(_FARTHEST))
+                length = float(wp.static(FARTHEST))
                 beyond = bool(False)
                 cells_per_length = wp.max(cells_per_length, wp.length(ahead))
                 for axis in range(3):
@@ -194,7 +202,7 @@ def bound_ahead(volumes: VolumeData, inside: wp.vec4i, origin: wp.vec3, directio
                         length = wp.min(length, wp.max(at[axis] - float(k), wp.static(_CELL_STEP)) / -ahead[axis])
                 index = grid.first + (cell[0] * grid.size[1] + cell[1]) * grid.size[2] + cell[2]
                 if beyond:
-                    length = wp.static(_FARTHEST)
+                    length = wp.static(FARTHEST)
                 else:
                     reach.bound += volumes.bounds[index]
                 reach.length = wp.min(reach.length, length)

@@ -40,7 +40,7 @@ from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
 from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, has_program, make_medium, passes
 from .segment import make_segment, ray_point, scattering_shares
-from .table import AIMED, BACK, FRONT, GOES_ON, VolumeData, innermost_instance, is_empty
+from .table import AIMED, BACK, FARTHEST, FRONT, GOES_ON, VolumeData, innermost_instance, is_empty
 from .track import STOPPED
 from .vertex import AIM, SCATTER, make_scattered
 
@@ -52,7 +52,6 @@ SEGMENTS_MOST = 1 << 16
 
 # How near to a ray a light is taken to be at least, in shares of its distance
 _ASIDE_LEAST = 1e-5
-_FARTHEST = 1e30
 
 
 @wp.func
@@ -107,9 +106,9 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         """
         origin = rays.origin[path]
         direction = -v.wo
-        m = constant_medium(volumes, inside, ray_point(origin, direction, 0, 0), lobes)
+        m = constant_medium(volumes, inside, ray_point(origin, direction, 0, 0, 0.0), lobes)
         throughput = paths.throughput[path]
-        reach = wp.min(length, wp.static(_FARTHEST))
+        reach = wp.min(length, wp.static(FARTHEST))
         if not (wp.dot(throughput, m.scattering) > 0.0 and reach > 0.0):
             return False
         shares = scattering_shares(throughput, m.scattering, m.extinction)
@@ -150,7 +149,8 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         """The side of the surface that the path came to; FRONT where the other side is the same to it."""
         instance = rays.hit_instance[path]
         primitive = rays.hit_primitive[path]
-        if volumes.volume_of[material_at(data.geometry, instance, primitive)] < 0:
+        material = material_at(data.geometry, instance, primitive)
+        if volumes.volume_of[material] < 0 and volumes.enclosures.touching == 0:
             return wp.static(FRONT)
         surface = surface_point(data.geometry, instance, primitive, rays.hit_uv[path], time_of(rays, path))
         return wp.where(wp.dot(surface.geometric_normal, rays.direction[path]) > 0.0, wp.static(BACK), wp.static(FRONT))
@@ -193,7 +193,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         where = pixel_sample(work, paths.item[path])
         key = pixel_key(limits.seed, wp.uint32(where.x), wp.uint32(where.y), wp.uint32(work.frame_width))
         stream = stream_of(key, where.sample, wp.uint32(number))
-        begin = ray_point(origin, direction, visibility_of(status), bounce)
+        begin = ray_point(origin, direction, visibility_of(status), bounce, time_of(rays, path))
         scatters = bounce <= limits.bounce_max and volumes.state.scattered[path] <= volumes.bounce_max
         v = Vertex()
         v.there = True

@@ -6,31 +6,31 @@ import functools
 
 import warp as wp
 
-from ...programs.point import ShadingPoint
+from ...programs.point import IN_VOLUME, ShadingPoint
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.bsdf.subsurface import channel_shares
 from ...shading.volumes.phase import PhaseLobe
 from .medium import LOBE_FLOATS, LOBES_MOST, has_program, make_medium, passes
-from .table import VolumeData
+from .table import FARTHEST, VolumeData
 from .track import PASSED, SCATTERED, Track, make_track, make_transmitted
 
-_FARTHEST = 1e30
 _U = 2.0**-24
 # Depths below which 1 - exp(-x) is x, to rounding
 _SHALLOW = 1e-4
 
 
 @wp.func
-def ray_point(origin: wp.vec3, direction: wp.vec3, ray_kind: int, bounce: int) -> ShadingPoint:
-    """What programs of volumes know of a ray at its begin."""
+def ray_point(origin: wp.vec3, direction: wp.vec3, ray_kind: int, bounce: int, time: float) -> ShadingPoint:
+    """What programs of volumes know of a ray at its begin, at `time`."""
     point = ShadingPoint()
     point.position = origin
     point.incoming = -direction
     point.normal = -direction
     point.geometric_normal = -direction
     point.instance = -1
-    point.primitive = -1
+    point.primitive = wp.static(IN_VOLUME)
+    point.time = time
     point.ray_kind = ray_kind
     point.bounce = bounce
     return point
@@ -55,7 +55,7 @@ def make_passed(programs: ProgramFeatures) -> wp.Function:
 
     @wp.func
     def passed(volumes: VolumeData, inside: wp.vec4i, point: ShadingPoint, length: float, stream: wp.uint32) -> wp.vec3:
-        reach = wp.min(length, wp.static(_FARTHEST))
+        reach = wp.min(length, wp.static(FARTHEST))
         if wp.static(bool(programs)):
             if has_program(volumes, inside):
                 return transmitted(volumes, inside, point, reach, stream)
@@ -98,7 +98,7 @@ def make_segment(programs: ProgramFeatures) -> wp.Function:
         elif u[0] < shares[0] + shares[1]:
             chosen = extinction[1]
         # the middle of the numbers that u stands for, so that no flight has length 0
-        flight = float(wp.static(_FARTHEST))
+        flight = float(wp.static(FARTHEST))
         if chosen > 0.0:
             flight = -wp.log(1.0 - u[1] - wp.static(0.5 * _U)) / chosen
         if flight < length:
@@ -126,7 +126,7 @@ def make_segment(programs: ProgramFeatures) -> wp.Function:
         stream: wp.uint32,
         lobes: wp.array(dtype=PhaseLobe),
     ) -> Track:
-        reach = wp.min(length, wp.static(_FARTHEST))
+        reach = wp.min(length, wp.static(FARTHEST))
         if wp.static(bool(programs)):
             if has_program(volumes, inside):
                 return track(volumes, inside, point, reach, throughput, scatters, stream, lobes)

@@ -7,7 +7,10 @@ import warp as wp
 from ...programs.op import NodeData
 from ...scene.geometry import mat34
 from ...shading.bsdf.materials import ClosureRecord
+from ...shading.volumes.enclosures import Enclosures
 
+# As far as a way through volumes goes where nothing ends it [m]
+FARTHEST = 1e30
 # Volumes of meshes that a ray is in at once; those that it enters beyond them are not noticed
 INSIDE_MOST = 4
 # How a path met the surface where its ray ended: `MediaState.side`
@@ -16,18 +19,11 @@ AIMED, GOES_ON = 1, 2
 
 
 @wp.struct
-class Enclosure:
-    """The surface of a volume in which cameras may be."""
-
-    mesh: wp.uint64  # `wp.Mesh` of its triangles in the world
-    code: int  # see `MediaState.inside`
-
-
-@wp.struct
 class Bounds:
     """A grid of cells that bound the extinction of one volume whose coefficients a program gives."""
 
-    to_cells: mat34  # world to cells: cell (i, j, k) is from (i, j, k) to (i + 1, j + 1, k + 1)
+    # world to cells, or the space of an object that moves: cell (i, j, k) is from (i, j, k) to (i + 1, j + 1, k + 1)
+    to_cells: mat34
     size: wp.vec3i  # cells along each axis; the outermost go on without end
     first: int  # of its cells in `VolumeData.bounds`, the last axis changing fastest
 
@@ -37,11 +33,13 @@ class BoundWork:
     """A box whose cells are given bounds; see `bounds.py`."""
 
     inside: wp.vec4i  # the volumes that are looked at, as in `MediaState`
-    origin: wp.vec3  # a corner of the box [m]
+    origin: wp.vec3  # a corner of the box, in object space where it moves [m]
     edges: wp.mat33  # its edges from there, by columns [m]
+    moving: int  # the instance that moves; -1: nothing does
     cells: int  # along each axis
     rays: int  # kinds of rays that are looked at, see `bounds.py`
     flights: float  # the least bound of what emits light [1/m]
+    places: wp.array(dtype=wp.vec3)  # where more is looked at: as many points of each cell [m]; or none
     found: wp.array(dtype=float)  # result of each cell: the largest extinction [1/m]
 
 
@@ -77,7 +75,7 @@ class VolumeData:
     world_bounds: int
     grids: wp.array(dtype=Bounds)
     bounds: wp.array(dtype=float)  # largest extinction of each cell [1/m]
-    enclosures: wp.array(dtype=Enclosure)
+    enclosures: Enclosures
     bounce_max: int  # a path scatters in volumes once more at most
     asked: BoundWork  # before the render
     state: MediaState
@@ -129,6 +127,12 @@ def entered(inside: wp.vec4i, code: int) -> wp.vec4i:
     if free >= 0:
         result[free] = code
     return result
+
+
+@wp.func
+def holds(inside: wp.vec4i, code: int) -> bool:
+    """Whether `code` is in `inside`."""
+    return inside[0] == code or inside[1] == code or inside[2] == code or inside[3] == code
 
 
 @wp.func

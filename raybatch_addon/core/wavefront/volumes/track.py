@@ -72,7 +72,7 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
         while t < length and flights < wp.static(_SHADOW_FLIGHTS_MOST):
             flights += 1
             here = begin + t * direction
-            reach = bound_ahead(volumes, inside, here, direction)
+            reach = bound_ahead(volumes, inside, here, direction, point.time)
             end = wp.min(t + reach.length, length)
             flight = float(wp.inf)
             if reach.bound > 0.0:
@@ -136,7 +136,7 @@ def make_track(programs: ProgramFeatures) -> wp.Function:
                 return way
             flights += 1
             here = begin + t * direction
-            reach = bound_ahead(volumes, inside, here, direction)
+            reach = bound_ahead(volumes, inside, here, direction, point.time)
             end = wp.min(t + reach.length, length)
             flight = float(wp.inf)
             if reach.bound > 0.0:

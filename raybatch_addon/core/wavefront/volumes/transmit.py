@@ -17,10 +17,11 @@ from ..scene.scene_data import SceneData
 from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits
 from ..stages.work import TileWork
+from .cross import behind_surface
 from .features import VolumeFeatures
 from .scatter import SEGMENTS_MOST
 from .segment import make_passed, ray_point
-from .table import BACK, FRONT, VolumeData, across, is_empty
+from .table import VolumeData, is_empty
 
 # Pieces of a shadow ray that have random numbers of their own
 _PIECES = 1 << 10
@@ -51,7 +52,7 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
             material = material_at(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot])
             if data.materials.records[material].is_clear == 0:  # nothing arrives, whatever lies before it
                 return
-            borders = bool(volumes.volume_of[material] >= 0)
+            borders = bool(volumes.volume_of[material] >= 0 or volumes.enclosures.touching != 0)
             length = rays.hit_t[slot]
         if not is_empty(volumes, inside):
             where = pixel_sample(work, paths.item[path])
@@ -59,19 +60,19 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
             # the path's number of pieces tells its vertices apart
             piece = wp.uint32(volumes.state.segment[path] * wp.static(_PIECES) + wp.min(number, wp.static(_PIECES - 1)))
             stream = stream_of(key, where.sample, piece | wp.uint32(wp.static(SHADOW_STREAM)))
-            begin = ray_point(
-                rays.origin[slot], direction, wp.static(int(Visibility.SHADOW)), bounce_to_light(paths.status[path])
-            )
+            bounce = bounce_to_light(paths.status[path])
+            kind = int(wp.static(int(Visibility.SHADOW)))
+            begin = ray_point(rays.origin[slot], direction, kind, bounce, time_of(rays, path))
             share = attenuated(volumes, inside, begin, length, stream)
             paths.shadow_light[path] = wp.cw_mul(paths.shadow_light[path], share)
         if borders:
             surface = surface_point(
                 data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot], rays.hit_uv[slot], time_of(rays, path)
             )
-            side = wp.where(wp.dot(surface.geometric_normal, direction) > 0.0, wp.static(BACK), wp.static(FRONT))
-            if is_closed(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot]):
-                inside = across(volumes, inside, rays.hit_instance[slot], material, side)
-            volumes.state.shadow_inside[path] = inside
+            closed = is_closed(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot])
+            volumes.state.shadow_inside[path] = behind_surface(
+                data.geometry, volumes, inside, rays.hit_instance[slot], surface, direction, closed
+            )
             if volumes.is_boundary[material] != 0 and number < wp.static(SEGMENTS_MOST):
                 paths.passed[path] = paths.passed[path] - wp.static(SHADOW_PASS)
 

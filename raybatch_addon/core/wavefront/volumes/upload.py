@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,17 +11,19 @@ import warp as wp
 from ...errors import SceneError
 from ...programs.inputs_data import upload_inputs
 from ...programs.table import store_programs, upload_programs
-from ...scene.description import Camera, CameraKind, ClosureKind, Mesh, Scene
+from ...scene.description import ClosureKind, Mesh, Scene
 from ...scene.features import SceneFeatures, narrow, scene_volumes
 from ...scene.geometry import Geometry
 from ...shading.bsdf.materials import ClosureRecord, fill_record
 from ...shading.images.textures import ImageTable
+from ...shading.volumes.enclosures import upload_enclosures
 from ..scene.unchanged import Last, bounds_key
-from .bounds import RAYS, FoundBounds, bounded_volumes, find_bounds
+from .bounds import RAYS, FoundBounds, bounded_volumes, find_bounds, goes_on_beyond
 from .features import VolumeFeatures
 from .grids import GridCache, density_scale, upload_grids
 from .kernels import launch_bound
-from .table import Enclosure, VolumeData
+from .medium import WORLD_REACH
+from .table import VolumeData
 
 # The world's volume is taken to be like this many sizes of the scene around it
 _WORLD_SIZES = 2.0
@@ -31,9 +34,10 @@ class UploadedVolumes:
     """The volumes of a scene, and what keeps them in memory."""
 
     data: VolumeData
-    meshes: list[wp.Mesh]
+    surfaces: list[wp.Bvh]
     grids: list[wp.Volume]
     stored: list[wp.array]
+    warnings: list[str]  # where less of them is rendered than there is
 
 
 class VolumeCache:
@@ -100,9 +104,11 @@ def upload_volumes(
     scale = density_scale(scene)
     if scale is not None:
         data.density_scale = wp.array(scale, dtype=float, device=device)
-    data.enclosures, meshes = _enclosures(scene, volume_of, device)
-    _bound(data, scene, narrow(shading, VolumeFeatures), volume_of, device, features.volume_program.ops, cache.bounds)
-    return UploadedVolumes(data, meshes, grids, stored)
+    enclosures = upload_enclosures(scene, volume_of, data.volume_count, geometry, device)
+    data.enclosures = enclosures.data
+    ops, asked = features.volume_program.ops, narrow(shading, VolumeFeatures)
+    warnings = _bound(data, scene, asked, volume_of, device, ops, cache.bounds)
+    return UploadedVolumes(data, enclosures.kept, grids, stored, warnings)
 
 
 def _is_boundary(material) -> bool:
@@ -119,11 +125,12 @@ def _bound(
     device: wp.Device,
     ops: tuple[str, ...],
     kept: Last[FoundBounds | None],
-) -> None:
+) -> list[str]:
+    """Find the bounds of programs, or take those that are `kept`; what of their volumes is not rendered."""
     has_program = [volume.program is not None for volume in scene_volumes(scene)]
     if not any(has_program):
         kept.clear()
-        return
+        return []
     box = _world_box(scene)
     bounded = bounded_volumes(scene, volume_of, has_program, box)
     numbers = np.full(max(len(scene.instances), 1) * data.volume_count, -1, np.int32)
@@ -139,11 +146,28 @@ def _bound(
         launch_bound(features, asked, count, device)
 
     def find() -> FoundBounds | None:
-        return find_bounds(data, bounded, launch, device, rays)
+        found = find_bounds(data, bounded, launch, device, rays)
+        if found and data.world >= 0 and has_program[-1]:
+            found = dataclasses.replace(found, goes_on=goes_on_beyond(data, box, launch, device))
+        return found
 
     found = kept.get(bounds_key(scene, volume_of, ops, box, device.alias), find)
-    if found:
-        data.grids, data.bounds = found.grids, found.bounds
+    if not found:
+        return []
+    data.grids, data.bounds = found.grids, found.bounds
+    names = [f"material “{each.name}”" for each in scene.materials if each.volume is not None] + ["the world"]
+    denser: dict[int, float] = {}  # by volume
+    for each, limit in zip(bounded, found.most):
+        if np.isfinite(limit):
+            denser[each.volume] = min(limit, denser.get(each.volume, np.inf))
+    warnings = [
+        f"{names[volume]}: its volume is denser than {limit:.3g} per metre, and is rendered as dense as that"
+        for volume, limit in sorted(denser.items())
+    ]
+    if found.goes_on:
+        end = (0.5 + WORLD_REACH) * float((box[1] - box[0]).min())
+        warnings.append(f"the world: its volume ends {end:.3g} m from the middle of the scene; beyond is no fog")
+    return warnings
 
 
 def _world_box(scene: Scene) -> np.ndarray:
@@ -167,52 +191,3 @@ def _places(mesh: Mesh) -> np.ndarray:
     if not len(mesh.positions):
         return np.zeros((3, 8))
     return np.array(np.meshgrid(*zip(mesh.positions.min(0), mesh.positions.max(0)))).reshape(3, 8)
-
-
-def _enclosures(scene: Scene, volume_of: np.ndarray, device: wp.Device) -> tuple[wp.array, list[wp.Mesh]]:
-    """Surfaces of volumes that may be around points from which the camera looks."""
-    origin, reach = _camera_points(scene.camera)
-    volume_count = len(scene_volumes(scene))
-    rows, meshes = [], []
-    slot_counts: dict[int, int] = {}  # by mesh
-    instances = scene.instances
-    for instance, mesh_index in enumerate(instances.mesh.tolist()):
-        mesh = scene.meshes[mesh_index]
-        if len(mesh.triangles) == 0 or mesh.radii is not None:
-            continue
-        first = int(instances.slot_first[instance])
-        if mesh_index not in slot_counts:
-            slot_counts[mesh_index] = 1 if mesh.triangle_slot is None else int(mesh.triangle_slot.max()) + 1
-        if (volume_of[scene.slot_materials[first : first + slot_counts[mesh_index]]] < 0).all():
-            continue
-        slot = np.zeros(len(mesh.triangles), int) if mesh.triangle_slot is None else mesh.triangle_slot
-        material = scene.slot_materials[int(instances.slot_first[instance]) + slot]
-        found = sorted({int(volume_of[m]) for m in np.unique(material)} - {-1})
-        if not found:
-            continue
-        transform = np.asarray(instances.transform[instance], np.float64)
-        positions = mesh.positions @ transform[:, :3].T + transform[:, 3]
-        if (positions.min(0) > origin + reach).any() or (positions.max(0) < origin - reach).any():
-            continue
-        for volume in found:
-            triangles = mesh.triangles[volume_of[material] == volume]
-            if np.linalg.det(transform[:, :3]) < 0:
-                triangles = triangles[:, ::-1]  # the front of a mirrored object stays the front
-            points = wp.array(positions.astype(np.float32), dtype=wp.vec3, device=device)
-            meshes.append(wp.Mesh(points, wp.array(triangles.ravel(), dtype=int, device=device)))
-            rows.append((meshes[-1].id, 1 + instance * volume_count + volume))
-    table = np.zeros(len(rows), Enclosure.numpy_dtype())
-    for row, (mesh_id, code) in zip(table, rows):
-        row["mesh"], row["code"] = mesh_id, code
-    return wp.array(table, dtype=Enclosure, device=device), meshes
-
-
-def _camera_points(camera: Camera) -> tuple[np.ndarray, float]:
-    """A sphere that holds the origins of all rays of `camera`: its centre and radius [m]."""
-    window = float(np.hypot(np.abs(camera.window[:2]).max(), np.abs(camera.window[2:]).max()))
-    reach = camera.lens_radius * max(1.0, 1.0 / camera.lens_ratio)
-    if camera.kind == CameraKind.ORTHOGRAPHIC:
-        reach += window + camera.clip_start
-    else:
-        reach += camera.clip_start * float(np.hypot(1.0, window))
-    return np.asarray(camera.transform, np.float64)[:, 3], reach

@@ -3,6 +3,7 @@
 import warp as wp
 
 from ....scene.geometry import mat34, transform_point
+from ...object_space import world_to_object
 from ...op import NodeData, number, op, put_number, put_vector
 from ...point import ShadingPoint, shifted_position
 
@@ -40,7 +41,7 @@ def volume_attribute(data: NodeData, stack: wp.array(dtype=float), pc: int, poin
             m = mat34()
             for k in range(12):
                 m[k / 4, k % 4] = data.inputs.attribute_values[first + 2 + k]
-            place = transform_point(m, transform_point(data.inputs.to_object[point.instance], point.position))
+            place = transform_point(m, transform_point(world_to_object(data, point), point.position))
             address = _grid_address(data, first)
             alpha = 1.0
             if data.inputs.attribute_layout[row, which] == 1:

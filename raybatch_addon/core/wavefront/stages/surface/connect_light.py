@@ -65,9 +65,6 @@ def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp
         if not has_light(value):
             return 0
         contribution = weight * wp.cw_mul(wp.cw_mul(paths.throughput[path], value), light.radiance)
-        if wp.static(features.clamping):
-            if light.program == 0:
-                contribution = clamped(limits, contribution, bounce_of(paths.status[path]) + 1)
         if not has_light(contribution):
             return 0
         if wp.static(features.splits_light):
@@ -81,6 +78,8 @@ def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp
                         diffuse = lit_value(diffuse, diffuse, light.visibility, reflected)
                     divide_shadow_ray(paths, path, v.bounce, value, diffuse, reflected)
         if light.casts_shadow == 0 and light.program == 0:
+            if wp.static(features.clamping):
+                contribution = clamped(limits, contribution, bounce_of(paths.status[path]) + 1)
             add_light(paths, path, contribution, bounce_of(paths.status[path]) + 1, True)
             return 0
         origin = spawn_origin(v.surface.position, v.surface.error, v.frame.geometric_normal, light.direction)
