@@ -23,6 +23,11 @@ def add_curves(points, sizes, radii=None):
     return add_object("Hair", curves)
 
 
+def require_another_radius() -> None:
+    if bpy.app.version < (5, 0):
+        pytest.skip("before Blender 5 radii are numbers of points, and no other attribute has their name")
+
+
 def exported():
     return export_scene(bpy.context.evaluated_depsgraph_get())
 
@@ -48,6 +53,7 @@ def test_strands_that_cannot_be_rendered_are_named():
 
 
 def test_attributes_of_the_other_domain_are_carried_over_and_named():
+    require_another_radius()
     hair = add_curves([(0, 0, 0), (0, 0, 1), (1, 0, 0), (1, 0, 1), (1, 0, 2)], [2, 3])
     hair.data.attributes.new("radius", "FLOAT", "CURVE").data.foreach_set("value", [0.1, 0.2])
     slots = hair.data.attributes.new("material_index", "INT", "POINT")
@@ -63,6 +69,7 @@ def test_attributes_of_the_other_domain_are_carried_over_and_named():
 
 
 def test_a_radius_that_is_no_number_is_named():
+    require_another_radius()
     hair = add_curves([(0, 0, 0), (0, 0, 1)], [2])
     hair.data.attributes.new("radius", "FLOAT4X4", "POINT")
     scene = exported()
@@ -140,6 +147,8 @@ def test_empty_curves_and_clouds_are_nothing():
 
 def test_points_are_spheres():
     cloud = bpy.data.pointclouds.new("Cloud")
+    if not hasattr(cloud, "resize"):
+        pytest.skip("before Blender 5 no script gives a point cloud its points")
     cloud.resize(3)
     cloud.attributes["position"].data.foreach_set("vector", np.float32([0, 0, 0, 1, 0, 0, np.inf, 0, 0]))
     add_object("Cloud", cloud)

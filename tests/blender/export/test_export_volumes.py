@@ -107,7 +107,8 @@ def test_volumes_that_geometry_nodes_make_have_their_grids(scene, kind, values):
     assert grid.name == "density" and 1.9 < grid.values.max() < 2.1
     middle = grid.to_index[:, 3]  # where the object's origin is among the values
     assert np.allclose(middle, (np.array(grid.values.shape) - 1) / 2, atol=1.0)
-    assert np.abs(found[0].positions).max() == pytest.approx(1.0, abs=0.4)
+    around = found[0].positions - found[0].positions.mean(0)  # Blender 4.5 puts the cube half a voxel off
+    assert np.abs(around).max() == pytest.approx(1.0, abs=0.4)
 
 
 def test_smoke_has_its_grids_in_the_box_of_its_domain(scene):
