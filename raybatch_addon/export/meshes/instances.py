@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import bpy
@@ -178,7 +179,7 @@ class _Collector:
                 for index, name in template.of_instancer:
                     self.placements.of_instancer.append((instance, index, _position_on_surface(placed, name)))
             self.placements.templates.append(template)
-            self.placements.matrices.append([tuple(row) for row in placed.matrix_world])
+            self.placements.matrices.extend(chain.from_iterable(placed.matrix_world))
             if self._motions:
                 self.placements.motion.append(self._motions.of(placed, obj, template.mesh, self.placements, self._item))
             self.placements.info.append((*obj.color, float(obj.pass_index), random_of(placed)))
