@@ -288,7 +288,8 @@ class _Collector:
     def _volume(self, obj, key: tuple, asked: list[tuple[str, str]]) -> int | None:
         """Index of the box around a volume object, with the grids `asked`; None if there is nothing in it."""
         if (key := (*key, *asked)) not in self._meshes:
-            made = export_volume(obj, dict.fromkeys(name for _, name in asked), self.placements.warnings)
+            frame = self.placements.materials.collections.frame
+            made = export_volume(obj, dict.fromkeys(name for _, name in asked), frame, self.placements.warnings)
             self._meshes[key] = None if made is None else len(self.placements.meshes)
             if made is not None:
                 self.placements.meshes.append(made)
