@@ -212,3 +212,22 @@ def test_holdout_objects_are_holes_for_the_camera_alone(addon, tmp_path, way):
     found = figures_of(ours, theirs)
     assert found.mean_error < 0.01 and found.rel_mse < 2e-3, found
     assert ours.mean[12, 12].tolist() == [0, 0, 0, 0]  # alpha, blue, green, red
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_mist_is_that_of_the_scene_s_world_whatever_world_a_view_layer_has(scene, tmp_path, own, general_kernels):
+    set_alike(scene, 8)
+    floor()
+    look(scene, (0, -4.2, 2.0), (0, 0, 0.4), lens=45)
+    scene.world = None
+    worlds = [bpy.data.worlds.new(name) for name in "AB"]
+    for world, depth in zip(worlds, (10.0, 40.0)):
+        world.mist_settings.start, world.mist_settings.depth = 0.0, depth
+    layer = scene.view_layers[0]
+    layer.world_override, layer.use_pass_mist = worlds[1], True
+    if own:
+        scene.world = worlds[0]
+    ours, theirs = (
+        rendered(scene, engine, tmp_path / f"{engine}.exr", 1)["Mist"].mean() for engine in ("RAYBATCH", "CYCLES")
+    )
+    assert ours == pytest.approx(theirs, rel=0.02) and theirs > 0
