@@ -117,7 +117,7 @@ def _render_view(
     recorder = None
     if wants_recording(depsgraph.scene, settings, has_windows=not bpy.app.background):
         recorder = records.recorder_for(
-            records.store, depsgraph.scene.name, layer_name, depsgraph.scene.frame_current, settings
+            records.store, depsgraph.scene.name, layer_name, depsgraph.scene.frame_current, settings, view.name
         )
     observers = [recorder] if recorder else []
     film = None

@@ -48,7 +48,7 @@ class RatePoint:
 
 @dataclass(frozen=True)
 class Run:
-    """Record of one render of one view layer; a copy that stays as it is."""
+    """Record of one render of one view layer, of stereoscopy of one eye; a copy that stays as it is."""
 
     number: int  # counts all runs
     slot: int  # 0 to SLOT_COUNT - 1
@@ -67,6 +67,7 @@ class Run:
     problem: str = ""  # why there are no more points
     kept: bool = False  # newer runs leave it alone
     shown: bool = True  # in the plot
+    view: str = ""  # of stereoscopy the eye, as the render result calls it
 
     @property
     def estimates_error(self) -> bool:
@@ -103,13 +104,13 @@ class RunStore:
         """The newest, running or not."""
         return next(iter(self.runs()), None)
 
-    def begin(self, scene: str, layer: str, frame: int, settings: Any) -> Run:
+    def begin(self, scene: str, layer: str, frame: int, settings: Any, view: str = "") -> Run:
         """A new run, in a free slot, else in that of the oldest run that is not kept."""
         with self._lock:
             free = [i for i, run in enumerate(self._slots) if run is None]
             loose = sorted((run.number, run.slot) for run in self._slots if run and not run.kept)
             slot = free[0] if free else loose[0][1]
-            run = Run(next(self._numbers), slot, scene, layer, frame, dataclasses.asdict(settings))
+            run = Run(next(self._numbers), slot, scene, layer, frame, dataclasses.asdict(settings), view=view)
             self._slots[slot] = run
             self.version += 1
             return run
@@ -255,7 +256,7 @@ def point_of_halves(snapshot: Snapshot) -> ErrorPoint | None:
     )
 
 
-def recorder_for(runs: RunStore, scene: str, layer: str, frame: int, settings: Any) -> RateRecorder:
+def recorder_for(runs: RunStore, scene: str, layer: str, frame: int, settings: Any, view: str = "") -> RateRecorder:
     """Begin a run, and what is to observe it."""
-    run = runs.begin(scene, layer, frame, settings)
+    run = runs.begin(scene, layer, frame, settings, view)
     return (ErrorRecorder if run.estimates_error else RateRecorder)(runs, run)

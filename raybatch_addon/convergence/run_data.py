@@ -39,6 +39,7 @@ def _run_as_data(run: Run, label: str) -> dict[str, Any]:
         "label": label,
         "scene": run.scene,
         "layer": run.layer,
+        "view": run.view,
         "frame": run.frame,
         "device": run.device,
         "state": run.state,

@@ -25,7 +25,8 @@ def names_of(runs: Sequence[Run]) -> dict[int, str]:
     What more than half of them have is not said, and when they end only where they differ in nothing else.
     """
     about = {
-        run.number: {"scene": run.scene, "layer": run.layer, "frame": f"frame {run.frame}"} | _setting_texts(run)
+        run.number: {"scene": run.scene, "layer": run.layer, "view": run.view, "frame": f"frame {run.frame}"}
+        | _setting_texts(run)
         for run in runs
     }
     values = {key: Counter(each.get(key) for each in about.values()) for key in next(iter(about.values()), {})}

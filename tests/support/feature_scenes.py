@@ -7,6 +7,7 @@ import numpy as np
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Material, Mesh, Scene, Visibility, Volume
+from raybatch_addon.core.scene.motion import instance_maps
 from raybatch_addon.core.scene.passes import GUIDE_PASSES
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
@@ -124,7 +125,7 @@ def moving(scene: Scene) -> Scene:
     view[:, 2, 3] += (-0.1, 0.0, 0.1)
     return dataclasses.replace(
         scene,
-        instances=dataclasses.replace(scene.instances, motion=maps, transform=maps[:, 1]),
+        instances=dataclasses.replace(scene.instances, motion=instance_maps(maps), transform=maps[:, 1]),
         camera=dataclasses.replace(scene.camera, motion=view),
     )
 

@@ -146,7 +146,8 @@ def _is_usable(offset: np.ndarray, part: Scene, moved: MovedVertices) -> np.ndar
 def _alone(scene: Scene, i: int) -> Scene:
     """Instance `i` and its mesh alone."""
     instances = scene.instances
-    rows = {field.name: getattr(instances, field.name) for field in dataclasses.fields(Instances)}
+    still = dataclasses.replace(instances, motion=None, frames=None)  # displaced as it is, however it moves
+    rows = {field.name: getattr(still, field.name) for field in dataclasses.fields(Instances)}
     row = Instances(**{name: None if values is None else values[i : i + 1] for name, values in rows.items()})
     mesh = scene.meshes[instances.mesh[i]]
     return dataclasses.replace(

@@ -22,6 +22,7 @@ from ..files import whole_file
 from ..settings.settings import RenderSettings
 from . import description
 from .frozen import freeze
+from .motion import instance_maps
 from .notice import Notice, from_told, told
 
 FORMAT = "raybatch-scene"
@@ -134,4 +135,8 @@ def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
         return _CLASSES[value["enum"]](value["value"])
     kind = _CLASSES[value["class"]]
     names = {description.stored_name(field): field.name for field in dataclasses.fields(kind)}
-    return kind(**{names.get(name, name): _decode(item, arrays) for name, item in value["fields"].items()})
+    found = {names.get(name, name): _decode(item, arrays) for name, item in value["fields"].items()}
+    if kind is description.Instances:  # earlier files hold maps of all instances
+        dense = {name: maps for name in ("motion", "frames") if isinstance(maps := found.get(name), np.ndarray)}
+        found |= {name: instance_maps(maps) for name, maps in dense.items()}
+    return kind(**found)

@@ -234,6 +234,14 @@ class Material:
 
 
 @dataclass(frozen=True)
+class InstanceMaps:
+    """Object to world of the instances that move, at several times."""
+
+    instance: np.ndarray  # which they are, ascending, int32, shape [m]
+    maps: np.ndarray  # float32, shape [m, times, 3, 4]
+
+
+@dataclass(frozen=True)
 class Instances:
     """Placements of meshes, one entry for each instance."""
 
@@ -249,13 +257,11 @@ class Instances:
     info: np.ndarray | None = None
     # RGBA attributes of objects, and of objects that place them, which programs read by index; float32, shape [n, k, 4]
     attributes: np.ndarray | None = None
-    # `transform` at evenly spaced times while the shutter is open, float32, shape [n, steps, 3, 4]; None: none moves
-    motion: np.ndarray | None = None
+    motion: InstanceMaps | None = None  # at evenly spaced times while the shutter is open; None: none moves
     # the number of the light set that the instance is lit as, and bits of the light sets that its own light falls on
     # and of the shadow sets that block it; uint64, shape [n, 3]. None: set 0, and all sets
     links: np.ndarray | None = None
-    # `transform` a frame before and a frame after, for the pass Vector; float32, shape [n, 2, 3, 4]. None: none moves
-    frames: np.ndarray | None = None
+    frames: InstanceMaps | None = None  # a frame before and a frame after, for the pass Vector; None: none moves
     light_group: np.ndarray | None = None  # index into `Scene.light_groups`, int32, shape [n]; -1, or None: no group
 
     def __len__(self) -> int:

@@ -13,7 +13,7 @@ import numpy as np
 from ..device.bulk import add_rows, copy_rows
 from .description import Mesh, Scene
 from .linking import RAY_BITS
-from .motion import KEY_FLOATS, apart, deforming_meshes, motion_keys, moving_instances
+from .motion import KEY_FLOATS, apart, deforming_meshes, motion_keys, moving_maps
 from .segments import pack_segments
 
 IDENTITY = np.eye(3, 4, dtype=np.float32)
@@ -99,11 +99,12 @@ def flatten(scene: Scene) -> FlatGeometry:
 
 
 def _motion(scene: Scene, mesh_position: dict[int, int]) -> FlatMotion:
-    moving = moving_instances(scene)
-    row = np.where(moving, np.cumsum(moving) - 1, -1).astype(np.int32)
+    moving = moving_maps(scene)
+    row = np.full(len(scene.instances), -1, np.int32)
+    row[moving.instance] = np.arange(len(moving.instance), dtype=np.int32)
     keys = np.zeros((0, 2, KEY_FLOATS), np.float32)
-    if moving.any():
-        keys = motion_keys(scene.instances.motion[moving])
+    if len(moving.instance):
+        keys = motion_keys(moving.maps)
     deforms = deforming_meshes(scene)
     steps = {place: _steps_of(scene.meshes[mesh]) for mesh, place in mesh_position.items() if deforms[mesh]}
     return FlatMotion(row, keys, steps)

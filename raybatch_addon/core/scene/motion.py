@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .description import Scene
+from .description import InstanceMaps, Scene
 
 # Of a step: quaternion (real part last), translation, stretch row by row, and nothing up to the size of two maps
 KEY_FLOATS = 24
@@ -17,12 +17,25 @@ KEY_FLOATS = 24
 _TURN, _PARTS_MOST = 0.1, 64
 
 
+def instance_maps(maps: np.ndarray) -> InstanceMaps:
+    """Those of all instances, float32, shape [n, times, 3, 4]."""
+    return InstanceMaps(np.arange(len(maps), dtype=np.int32), maps)
+
+
 def moving_instances(scene: Scene) -> np.ndarray:
     """Whether the map of each instance is another at another time: bool, shape [n]."""
+    moving = np.zeros(len(scene.instances), bool)
+    moving[moving_maps(scene).instance] = True
+    return moving
+
+
+def moving_maps(scene: Scene) -> InstanceMaps:
+    """The maps of the instances that `moving_instances` tells of, in their order."""
     motion = scene.instances.motion
-    if motion is None or motion.shape[1] < 2:
-        return np.zeros(len(scene.instances), bool)
-    return (motion != motion[:, :1]).any((1, 2, 3))
+    if motion is None or motion.maps.shape[1] < 2:
+        return InstanceMaps(np.zeros(0, np.int32), np.zeros((0, 2, 3, 4), np.float32))
+    turns = (motion.maps != motion.maps[:, :1]).any((1, 2, 3))
+    return motion if turns.all() else InstanceMaps(motion.instance[turns], motion.maps[turns])
 
 
 def deforming_meshes(scene: Scene) -> np.ndarray:

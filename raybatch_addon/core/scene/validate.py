@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from ..errors import SceneError
-from .description import Camera, Frame, Instances, Light, Mesh, Scene, World
+from .description import Camera, Frame, InstanceMaps, Instances, Light, Mesh, Scene, World
 from .frozen import fact
 from .passes import PASSES, is_pass
 
@@ -232,17 +232,23 @@ def _with_usable_maps(instances: Instances, warnings: list[str]) -> Instances:
     motion = instances.motion
     if motion is None:
         return instances
-    if motion.shape[0] != len(instances) or motion.ndim != 4 or motion.shape[1] < 2 or motion.shape[2:] != (3, 4):
+    if not _belong(motion, len(instances)):
         warnings.append("the motion of objects does not belong to them: they stand still")
         return dataclasses.replace(instances, motion=None)
     with np.errstate(invalid="ignore"):
-        good = (np.abs(motion) <= COORDINATE_MAX).all((1, 2, 3))
+        good = (np.abs(motion.maps) <= COORDINATE_MAX).all((1, 2, 3))
     if good.all():
         return instances
     warnings.append(f"{int((~good).sum()):,} objects move to places that are not finite or too far: they stand still")
-    return dataclasses.replace(
-        instances, motion=np.where(good[:, None, None, None], motion, instances.transform[:, None])
-    )
+    return dataclasses.replace(instances, motion=InstanceMaps(motion.instance[good], motion.maps[good]))
+
+
+def _belong(moved: InstanceMaps, count: int) -> bool:
+    """Whether these are maps of some of `count` instances, at two times or more."""
+    which, maps = moved.instance, moved.maps
+    if which.ndim != 1 or maps.ndim != 4 or len(maps) != len(which) or maps.shape[1] < 2 or maps.shape[2:] != (3, 4):
+        return False
+    return bool((np.diff(which) > 0).all()) and (len(which) == 0 or 0 <= which[0] <= which[-1] < count)
 
 
 def _belongs(values: np.ndarray, triangle_count: int) -> bool:
@@ -307,8 +313,18 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
         if text not in warnings:
             warnings.append(text)
     instances = _with_usable_maps(instances, warnings)
+    if keep.all():
+        return instances
     columns = (getattr(instances, field.name) for field in dataclasses.fields(Instances))
-    return Instances(*(None if column is None else column[keep] for column in columns))
+    return Instances(*(_kept(column, keep) for column in columns))
+
+
+def _kept(column: np.ndarray | InstanceMaps | None, keep: np.ndarray) -> np.ndarray | InstanceMaps | None:
+    """A column of `Instances` without the instances that are not among `keep`."""
+    if isinstance(column, InstanceMaps):
+        left = keep[column.instance]
+        return InstanceMaps((np.cumsum(keep) - 1)[column.instance[left]].astype(np.int32), column.maps[left])
+    return None if column is None else column[keep]
 
 
 def _mesh_extents(meshes: tuple[Mesh, ...]) -> tuple[np.ndarray, np.ndarray]:

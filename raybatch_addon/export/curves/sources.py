@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import functools
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from itertools import chain
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 
 from ...core.scene.description import Attribute, Mesh
 from ...core.scene.notice import Notice, Weight
+from ..images.color_spaces import linear_colors
 from ..meshes.attributes import ATTRIBUTE_TYPES
 from ..meshes.mesh_arrays import read
 from .strands import CurveShape, CutStrands, Strands, hair_attribute, random_numbers, sound_strands
@@ -150,12 +152,34 @@ class ParticleHair:
             return None
         return self._cut.mesh(name, self._emitter_uvs() if uvs_asked else None)
 
-    def _emitter_uvs(self) -> np.ndarray | None:
-        """UV coordinates of the emitter's surface where each strand grows."""
+    def _emitter_uvs(self, name: str = "") -> np.ndarray | None:
+        """UV coordinates of the emitter's surface where each strand grows, in the map called `name`, or that which is
+        marked for rendering.
+        """
         layers = self._owner.data.uv_layers if isinstance(self._owner.data, bpy.types.Mesh) else ()
-        which = next((i for i, layer in enumerate(layers) if layer.active_render), None)
+        which = next((i for i, each in enumerate(layers) if (each.name == name if name else each.active_render)), None)
         if which is None:
             return None
+        return self._at_roots(functools.partial(self._system.uv_on_emitter, self._modifier, uv_no=which), 2)
+
+    def _emitter_colors(self, name: str) -> np.ndarray | None:
+        """RGBA of the emitter's faces where each strand grows; None where they are not stored as Blender can tell
+        them, as bytes at corners.
+        """
+        colors = self._owner.data.color_attributes if isinstance(self._owner.data, bpy.types.Mesh) else ()
+        names = [each.name for each in colors if each.data_type == "BYTE_COLOR" and each.domain == "CORNER"]
+        if name not in names:
+            return None
+        told = functools.partial(self._system.mcol_on_emitter, self._modifier, vcol_no=names.index(name))
+        values = self._at_roots(told, 3)
+        if values is None:
+            return None
+        return np.concatenate([linear_colors(values), np.ones((len(values), 1), np.float32)], 1)
+
+    def _at_roots(self, told: Callable[..., Iterable[float]], width: int) -> np.ndarray | None:
+        """What Blender tells of the emitter's surface at the root of each strand that is left, float32, shape
+        [strand_count, width].
+        """
         particles, system = self._system.particles, self._system
         if len(particles) == 0:
             return None
@@ -164,20 +188,24 @@ class ParticleHair:
         parents = list(particles)
         last = parents[-1]
         values = (
-            system.uv_on_emitter(
-                self._modifier,
-                particle=parents[begin + i] if begin + i < len(parents) else last,
-                particle_no=begin + i,
-                uv_no=which,
-            )
+            told(particle=parents[begin + i] if begin + i < len(parents) else last, particle_no=begin + i)
             for i in number
         )
-        return np.fromiter(chain.from_iterable(values), np.float32, 2 * len(number)).reshape(-1, 2)
+        return np.fromiter(chain.from_iterable(values), np.float32, width * len(number)).reshape(-1, width)
 
     def attributes(self, asked: Iterable[tuple[str, str]]) -> list[Attribute]:
         """Attributes of kind and name `asked`, as far as it has them."""
-        named = [hair_attribute(self._cut, name) for kind, name in asked if kind == STRAND_KIND]
-        return [each for each in named if each is not None]
+        return [found for kind, name in asked if (found := self._attribute(kind, name)) is not None]
+
+    def _attribute(self, kind: str, name: str) -> Attribute | None:
+        if kind == STRAND_KIND:
+            return hair_attribute(self._cut, name)
+        if kind not in ("GEOMETRY", "COLOR") or not name:
+            return None
+        values = self._emitter_colors(name)
+        if values is None and kind == "GEOMETRY":
+            values = self._emitter_uvs(name)
+        return None if values is None else Attribute(kind, name, np.nan_to_num(self._cut.of_strands(values)))
 
 
 class PointsSource:

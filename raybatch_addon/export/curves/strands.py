@@ -7,6 +7,7 @@ the strand alone.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -20,7 +21,7 @@ from ..meshes.mesh_shape import hashed
 # A segment may be off the curve by so much of its radius, or of its length
 _OFF_RADII, _OFF_LENGTHS = 0.25, 0.005
 _PARTS_MOST = 8
-# Vertices that are computed together: they stay in a core's cache
+# Points that are looked at together: what is computed of them stays in a core's cache
 _BLOCK = 1 << 14
 
 
@@ -50,10 +51,12 @@ def sound_strands(points: np.ndarray, radii: np.ndarray, first: np.ndarray) -> S
     if len(points) == 0:
         return given
     strand, count = given.strand, len(first) - 1
-    finite = np.isfinite(points).all(1) & np.isfinite(radii)
+    finite = np.isfinite(radii)
     # a point that repeats the one before makes no segment
-    fresh = np.ones(len(points), bool)
-    fresh[1:] = (points[1:] != points[:-1]).any(1)
+    fresh = np.zeros(len(points), bool)
+    for column in points.T:  # by one: numpy goes slowly along axes of three
+        finite &= np.isfinite(column)
+        fresh[1:] |= column[1:] != column[:-1]
     fresh[first[:-1][first[:-1] < len(points)]] = True
     lengths = np.bincount(strand, weights=fresh, minlength=count)
     bad = np.bincount(strand, weights=~finite, minlength=count) > 0
@@ -99,67 +102,77 @@ class CutStrands:
     shape: CurveShape = CurveShape()
 
     @cached_property
-    def _ends(self) -> np.ndarray:
-        """First point of each piece between two points, int64."""
-        last = np.zeros(len(self.strands.points), bool)
-        last[self.strands.first[1:] - 1] = True
-        return np.flatnonzero(~last)
+    def _last(self) -> np.ndarray:
+        """Last point of each strand."""
+        return self.strands.first[1:] - 1
 
     @cached_property
-    def _tangents(self) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of position and radius at both ends of each piece, float32, shape [pieces, 4] both."""
-        k, rows = self._ends, self._rows
-        strand = self.strands.strand
-        before = np.where((k > 0) & (strand[np.maximum(k - 1, 0)] == strand[k]), k - 1, k)
-        behind = np.minimum(k + 2, len(rows) - 1)
-        behind = np.where(strand[behind] == strand[k], behind, k + 1)
-        half = np.float32(0.5)
-        return half * (rows[k + 1] - rows[before]), half * (rows[behind] - rows[k])
+    def _columns(self) -> np.ndarray:
+        """x, y, z and radius of the points, float32, shape [4, n]."""
+        columns = np.empty((4, len(self.strands.points)), np.float32)
+        columns[:3], columns[3] = self.strands.points.T, self.strands.radii
+        return columns
 
     @cached_property
-    def _rows(self) -> np.ndarray:
-        return np.concatenate([self.strands.points, self.strands.radii[:, None]], 1).astype(np.float32)
+    def _tangents(self) -> np.ndarray:
+        """Derivatives of position and radius at the points, float32, shape [4, n]."""
+        columns, first, last = self._columns, self.strands.first[:-1], self._last
+        tangents = np.empty_like(columns)
+        np.subtract(columns[:, 2:], columns[:, :-2], out=tangents[:, 1:-1])
+        tangents[:, first] = columns[:, first + 1] - columns[:, first]
+        tangents[:, last] = columns[:, last] - columns[:, last - 1]
+        tangents *= np.float32(0.5)
+        return tangents
 
     @cached_property
     def _parts(self) -> np.ndarray:
-        """Segments of each piece, int64."""
-        if self.shape.linear or self.shape.parts_most == 1:
-            return np.ones(len(self._ends), np.int64)
-        k, rows = self._ends, self._rows
-        chord = rows[k + 1] - rows[k]
-        begin, end = self._tangents
-        # how far tangents lean away from the chord: along it the curve is straight, however its points are spaced
-        length = _length(chord)
-        square = np.maximum(length * length, 1e-30)
-        begin, end = (
-            each[:, :3] - chord[:, :3] * (np.einsum("ij,ij->i", each[:, :3], chord[:, :3]) / square)[:, None]
-            for each in (begin, end)
-        )
-        off = (_length(end - begin) + _length(begin + end)) / 8
-        may = np.maximum(_OFF_RADII * np.maximum(rows[k, 3], rows[k + 1, 3]), _OFF_LENGTHS * length)
-        parts = np.ceil(np.sqrt(off / np.maximum(may, 1e-30)))
-        return np.clip(np.nan_to_num(parts, nan=1), 1, self.shape.parts_most).astype(np.int64)
+        """Segments of the piece from each point to the next, int64; 0 behind the last points of strands."""
+        columns, count = self._columns, len(self.strands.points)
+        parts = np.ones(count, np.int64)
+        if not (self.shape.linear or self.shape.parts_most == 1):
+            tangents = self._tangents  # before threads ask for them
+
+            def cut(first: int) -> None:
+                here = slice(first, min(first + _BLOCK, count - 1))
+                there = slice(here.start + 1, here.stop + 1)
+                with np.errstate(over="ignore", invalid="ignore"):  # from strand to strand, where nothing is cut
+                    off, length = _off_chord(
+                        columns[:3, there] - columns[:3, here], tangents[:3, here], tangents[:3, there]
+                    )
+                    radius = np.maximum(columns[3, here], columns[3, there])
+                    may = np.maximum(_OFF_RADII * radius, _OFF_LENGTHS * length)
+                    wanted = np.ceil(np.sqrt(off / np.maximum(may, 1e-30)))
+                parts[here] = np.clip(np.nan_to_num(wanted, nan=1), 1, self.shape.parts_most)
+
+            _in_blocks(count - 1, cut)
+        parts[self._last] = 0
+        return parts
 
     @cached_property
-    def _origin(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Of each vertex the piece, how far along it, and the strand. Pieces of a strand follow each other, and its
-        last point stands behind them.
+    def _vertex_first(self) -> np.ndarray:
+        """First vertex of the piece behind each point, int64, shape [n + 1]. The last piece of a strand has its end
+        too, and there is none behind its last point.
         """
-        strands, parts = self.strands, self._parts
-        # vertices of each piece: the last one of a strand has its end too
-        last = np.cumsum(np.diff(strands.first) - 1) - 1
-        counts = parts.copy()
-        counts[last] += 1
-        vertex_first = np.cumsum(counts, dtype=np.int32) - counts.astype(np.int32)
-        piece = np.repeat(np.arange(len(parts), dtype=np.int32), counts)
-        along = np.arange(len(piece), dtype=np.int32) - vertex_first[piece]
-        strand = strands.strand[self._ends][piece]
-        return piece, along / parts.astype(np.float32)[piece], strand
+        counts = self._parts.copy()
+        counts[self._last - 1] += 1
+        return np.concatenate([[0], np.cumsum(counts)])
+
+    def _origin_of(self, first: int, end: int) -> tuple[np.ndarray, np.ndarray]:
+        """Of each vertex of the pieces behind the points from `first` to `end` that piece, and how far along it."""
+        begin = self._vertex_first[first : end + 1]
+        counts = np.diff(begin)
+        piece = np.repeat(np.arange(first, end), counts)
+        along = np.arange(begin[0], begin[-1]) - np.repeat(begin[:-1], counts)
+        return piece, along / np.repeat(self._parts[first:end], counts)
+
+    @cached_property
+    def _origin(self) -> tuple[np.ndarray, np.ndarray]:
+        return self._origin_of(0, len(self.strands.points))
 
     def mesh(self, name: str, uvs: np.ndarray | None = None) -> Mesh:
         """The mesh of all segments; `uvs`: UV coordinates of each strand, float32, shape [strand_count, 2]."""
         positions, radii = self.strands.points, self.strands.radii
-        if (self._parts > 1).any():
+        if self._is_cut:
             positions, radii = self._vertices()
         mesh = Mesh(name, positions, self.segments, radii=radii, ribbons=self.shape.ribbons)
         if uvs is not None:
@@ -167,58 +180,73 @@ class CutStrands:
             mesh = replace(mesh, corner_uvs=np.repeat(of_segment[:, None], 3, 1))
         return mesh
 
+    @property
+    def _is_cut(self) -> bool:
+        return bool((self._parts > 1).any())
+
     def _vertices(self) -> tuple[np.ndarray, np.ndarray]:
         """Positions and radii of all vertices, float32, shape [v, 3] and [v]."""
-        rows, ends = self._rows, self._ends
-        begin, end = self._tangents
-        piece, along, _ = self._origin
-        positions, radii = np.empty((len(piece), 3), np.float32), np.empty(len(piece), np.float32)
+        columns, tangents, first = self._columns, self._tangents, self._vertex_first
+        count = len(self.strands.points)
+        positions, radii = np.empty((first[-1], 3), np.float32), np.empty(first[-1], np.float32)
 
-        def fill(first: int) -> None:
-            part = slice(first, first + _BLOCK)
-            k, u = piece[part], along[part, None]
+        def fill(begin: int) -> None:
+            end = min(begin + _BLOCK // 2, count)
+            part = slice(first[begin], first[end])
+            k, u = self._origin_of(begin, end)
             a, b = u * u * (3 - 2 * u), u * (1 - u)  # Hermite's basis
-            low = rows[ends[k]]
-            at = low + (rows[ends[k] + 1] - low) * a
-            at += (begin[k] * (1 - u) - end[k] * u) * b
-            positions[part] = at[:, :3]
-            np.maximum(at[:, 3], 0, out=radii[part])
+            left = 1 - u
+            for i in range(4):
+                low = columns[i].take(k)
+                at = (columns[i].take(k + 1) - low) * a
+                at += low
+                at += (tangents[i].take(k) * left - tangents[i].take(k + 1) * u) * b
+                if i < 3:
+                    positions[part, i] = at
+                else:
+                    np.maximum(at, 0, out=radii[part], casting="same_kind")
 
-        with ThreadPoolExecutor() as pool:
-            list(pool.map(fill, range(0, len(piece), _BLOCK)))
+        _in_blocks(count, fill, _BLOCK // 2)
         return positions, radii
 
     def moved(self, points: np.ndarray) -> np.ndarray:
         """Positions of the vertices where the points of the strands are at `points`, float32, shape [n, 3]."""
-        if (self._parts == 1).all():
+        if not self._is_cut:
             return points
         other = CutStrands(replace(self.strands, points=points), self.shape)
-        other.__dict__.update(_parts=self._parts, _origin=self._origin)  # cut as it was
+        other.__dict__.update(_parts=self._parts, _vertex_first=self._vertex_first)  # cut as it was
         return other._vertices()[0]
 
     @cached_property
     def vertex_strand(self) -> np.ndarray:
         """Strand of each vertex, int32."""
-        return self._origin[2]
+        return self.strands.strand[self._origin[0]]
 
     @cached_property
     def segments(self) -> np.ndarray:
         """Rows as in `Mesh.triangles`, int32, shape [m, 3]."""
         # all vertices but the last ones of strands
-        total = np.concatenate([[0], np.cumsum(self._parts)])[self.strands.first - np.arange(len(self.strands.first))]
-        first = np.arange(total[-1], dtype=np.int32)
-        first += np.repeat(np.arange(len(total) - 1, dtype=np.int32), np.diff(total))
-        rows = np.empty((len(first), 3), np.int32)
-        rows[:, 0] = rows[:, 2] = first
-        np.add(first, 1, out=rows[:, 1])
+        total = np.concatenate([[0], np.cumsum(self._parts)])[self.strands.first]
+        rows = np.empty((total[-1], 3), np.int32)
+
+        def number(first: int) -> None:
+            sizes = np.diff(total[first : first + _BLOCK // 4 + 1])
+            strands = np.arange(first, first + len(sizes), dtype=np.int32)
+            part = slice(total[first], total[first] + sizes.sum())
+            begin = np.arange(part.start, part.stop, dtype=np.int32)
+            begin += np.repeat(strands, sizes)
+            rows[part, 0] = rows[part, 2] = begin
+            np.add(begin, 1, out=rows[part, 1])
+
+        _in_blocks(len(total) - 1, number, _BLOCK // 4)
         return rows
 
     def of_points(self, values: np.ndarray) -> np.ndarray:
         """Values of the points given, float32, shape [n, width], as values of the segments' corners."""
         if self.strands.kept is not None:
             values = values[self.strands.kept]
-        piece, u, _ = self._origin
-        k, u = self._ends[piece], u[:, None]
+        k, u = self._origin
+        u = u[:, None]
         return (values[k] * (1 - u) + values[k + 1] * u).astype(np.float32)[self.segments]
 
     def of_strands(self, values: np.ndarray) -> np.ndarray:
@@ -252,8 +280,8 @@ class CutStrands:
         return None
 
     def _of_kept(self, values: np.ndarray) -> np.ndarray:
-        piece, u, _ = self._origin
-        k, u = self._ends[piece], u[:, None]
+        k, u = self._origin
+        u = u[:, None]
         return (values[k] * (1 - u) + values[k + 1] * u).astype(np.float32)[self.segments]
 
 
@@ -272,9 +300,24 @@ def curve_shape(scene: bpy.types.Scene) -> CurveShape:
     return CurveShape(linear=shape == "THICK_LINEAR")
 
 
-def _length(rows: np.ndarray) -> np.ndarray:
-    x, y, z = rows[:, 0], rows[:, 1], rows[:, 2]
-    return np.sqrt(x * x + y * y + z * z)
+def _off_chord(chord: np.ndarray, begin: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How far a curve leaves its `chord`, and the chord's length [m], by the derivatives at both ends; columns."""
+    square = _dot(chord, chord)
+    least = np.maximum(square, np.float32(1e-30))
+    # how far tangents lean away from the chord: along it the curve is straight, however its points are spaced
+    begin, end = (each - chord * (_dot(each, chord) / least) for each in (begin, end))
+    apart, sum_of = end - begin, begin + end
+    return (np.sqrt(_dot(apart, apart)) + np.sqrt(_dot(sum_of, sum_of))) / 8, np.sqrt(square)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _in_blocks(count: int, work: Callable[[int], None], size: int = _BLOCK) -> None:
+    """Do `work` from each block of `size` of `count` on."""
+    with ThreadPoolExecutor() as pool:
+        list(pool.map(work, range(0, count, size)))
 
 
 def random_numbers(numbers: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import bpy
@@ -178,7 +179,7 @@ class _Collector:
                 for index, name in template.of_instancer:
                     self.placements.of_instancer.append((instance, index, _position_on_surface(placed, name)))
             self.placements.templates.append(template)
-            self.placements.matrices.append([tuple(row) for row in placed.matrix_world])
+            self.placements.matrices.extend(chain.from_iterable(placed.matrix_world))
             if self._motions:
                 self.placements.motion.append(self._motions.of(placed, obj, template.mesh, self.placements, self._item))
             self.placements.info.append((*obj.color, float(obj.pass_index), random_of(placed)))
@@ -287,7 +288,8 @@ class _Collector:
     def _volume(self, obj, key: tuple, asked: list[tuple[str, str]]) -> int | None:
         """Index of the box around a volume object, with the grids `asked`; None if there is nothing in it."""
         if (key := (*key, *asked)) not in self._meshes:
-            made = export_volume(obj, dict.fromkeys(name for _, name in asked), self.placements.warnings)
+            frame = self.placements.materials.collections.frame
+            made = export_volume(obj, dict.fromkeys(name for _, name in asked), frame, self.placements.warnings)
             self._meshes[key] = None if made is None else len(self.placements.meshes)
             if made is not None:
                 self.placements.meshes.append(made)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -47,7 +48,7 @@ class Placements:
     warnings: list[str] = field(default_factory=list)
     motion: list[PlacedMotion] = field(default_factory=list)  # of all placements; none where motion is not asked for
     strands: dict[int, Source] = field(default_factory=dict)  # what meshes of curves and points were made of, by mesh
-    matrices: list[Any] = field(default_factory=list)  # of all placements
+    matrices: array = field(default_factory=lambda: array("f"))  # of all placements, 16 numbers each, row by row
     usable: np.ndarray | None = None  # which of them are instances: bool, once `instances` was called
     templates: list[Template] = field(default_factory=list)
     originals: list[Any] = field(default_factory=list)  # objects of all placements and lights
@@ -64,7 +65,7 @@ class Placements:
         count = len(self.templates)
         if count == 0:
             return Instances.empty()
-        transform = np.array(self.matrices, np.float32).reshape(count, 4, 4)[:, :3]
+        transform = self.map_rows().reshape(count, 4, 4)[:, :3]
         table = np.array([(t.mesh, t.slot_first, t.visibility, t.object) for t in self.templates], np.int32)
         usable = np.ones(count, bool)
         finite = np.isfinite(transform).all(axis=(1, 2))
@@ -105,6 +106,10 @@ class Placements:
             links=links,
             light_group=groups,
         )
+
+    def map_rows(self) -> np.ndarray:
+        """Object to world of all placements, row by row: float32, shape [n, 16]."""
+        return np.array(self.matrices, np.float32).reshape(-1, 16)
 
     def _attributes(self, usable: np.ndarray) -> np.ndarray | None:
         """The array of `Instances.attributes`."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 
@@ -59,8 +61,9 @@ def _makes_volumes(tree: bpy.types.NodeTree, known: dict[int, bool]) -> bool:
     return known[key]
 
 
-def smoke_grids(obj: bpy.types.Object, names: list[str], label: str, warnings: list[str]) -> list[Grid]:
-    """Those of the grids called `names` that the smoke of `obj`, evaluated, has and that are not 0 everywhere.
+def smoke_grids(obj: bpy.types.Object, names: list[str], frame: int, label: str, warnings: list[str]) -> list[Grid]:
+    """Those of the grids called `names` that the smoke of `obj`, evaluated at `frame`, has and that are not 0
+    everywhere.
 
     They fill the box of the mesh's texture space, a value in the middle of each cell.
     """
@@ -87,13 +90,24 @@ def smoke_grids(obj: bpy.types.Object, names: list[str], label: str, warnings: l
         scale = shape / (2 * half)
         to_index = np.column_stack([np.diag(scale), -scale * (center - half) - 0.5])
         found.append(Grid(name, values[..., 0] if width == 1 else values, to_index))
-    if not found:
+    if not found and not (_is_clear(domain, frame) and set(names) & set(_GRIDS)):
         cache = bpy.path.abspath(domain.cache_directory)
         warnings.append(
             f"{label}: its simulation has no values at this frame (its cache is “{cache}”); it is left out. Bake the "
             "domain again, or choose a frame of the cache"
         )
     return found
+
+
+def _is_clear(domain: bpy.types.FluidDomainSettings, frame: int) -> bool:
+    """Whether a frame without values has no smoke yet: it is simulated, or lies before the simulation begins. A domain
+    that was never simulated has as many zeros.
+    """
+    number = frame - domain.cache_frame_offset
+    if number < domain.cache_frame_start:
+        return True
+    folder = Path(bpy.path.abspath(domain.cache_directory)) / "data"
+    return any(folder.glob(f"fluid_data_{number:04}.*"))
 
 
 def _straight(values: np.ndarray) -> np.ndarray:

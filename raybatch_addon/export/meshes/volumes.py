@@ -21,31 +21,31 @@ _QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2
 _TRIANGLES = np.concatenate([_QUADS[:, :3], _QUADS[:, [0, 2, 3]]]).astype(np.int32)
 
 
-def export_volume(obj: bpy.types.Object, names: Iterable[str], warnings: list[str]) -> Mesh | None:
-    """A box around the grids called `names` of `obj`, evaluated, a volume object or smoke; with these grids.
+def export_volume(obj: bpy.types.Object, names: Iterable[str], frame: int, warnings: list[str]) -> Mesh | None:
+    """A box around the grids called `names` of `obj`, evaluated at `frame`, a volume object or smoke; with these grids.
 
     None where there is nothing to see; `warnings` gets a line for whatever cannot be read.
     """
     told: list[str] = []
-    mesh = _exported(obj, list(names), told)
+    mesh = _exported(obj, list(names), frame, told)
     # what was not weighed is not in the picture
     warnings += [Notice(text, getattr(text, "weight", Weight.MISSING), objects=[obj.name]) for text in told]
     return mesh
 
 
-def _exported(obj: bpy.types.Object, names: list[str], warnings: list[str]) -> Mesh | None:
+def _exported(obj: bpy.types.Object, names: list[str], frame: int, warnings: list[str]) -> Mesh | None:
     volume = obj.data
     is_smoke = obj.type != "VOLUME"
     label = f"{'smoke' if is_smoke else 'volume object'} “{obj.name}”"
     if is_smoke:
-        found = smoke_grids(obj, names, label, warnings)
+        found = smoke_grids(obj, names, frame, label, warnings)
     else:
         reads = _read(obj, sorted(set(names)), label, warnings)
         grids = [_grid(name, read, label, warnings) for name, read in reads]
         found = [grid for grid in grids if grid is not None]
     boxes = [_box(grid) for grid in found]
     if not boxes:
-        if not warnings:
+        if not warnings and not is_smoke:
             named = ", ".join(f"“{name}”" for name in names) or "that its material reads"
             warnings.append(f"{label}: it has no values in grids {named}; there is nothing to render")
         return None

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 from typing import Any
 
 import bpy
 import numpy as np
 
-from ...core.scene.description import Camera, Instances, Mesh
+from ...core.scene.description import Camera, InstanceMaps, Instances, Mesh
 from ...core.scene.motion import maps_at, motion_keys
 from ..meshes.mesh_arrays import read
 from ..meshes.meshes import used_vertices
 from ..meshes.placements import Placements
 from .objects import object_steps, placed_key
 from .shutter import Exposure
+
+# Nothing that is elsewhere
+_NOWHERE = np.zeros(0, np.int32), np.zeros((0, 16), np.float32)
 
 
 class MotionSteps:
@@ -27,13 +32,18 @@ class MotionSteps:
         most = max([*(each.steps for each in placements.motion), 0])
         self._camera_steps = camera_steps
         self.count = max(most, camera_steps)
-        self._maps = np.repeat(np.array(placements.matrices, np.float32).reshape(-1, 1, 4, 4), max(self.count, 1), 1)
-        self._seen = np.zeros((len(placements.motion), max(self.count, 1)), bool)
-        # by key: of each item of the depsgraph's list what it was placed as
-        items: dict[Any, dict[int, list[int]]] = {}
+        self._here = placements.map_rows()
+        # by step: placements that are elsewhere then, and where
+        self._elsewhere: list[tuple[np.ndarray, np.ndarray]] = [_NOWHERE] * self.count
+        self._always = np.ones(len(placements.motion), bool)  # there at every step
+        # first placements of the items of the depsgraph's list, which have others behind; items by key, and the next of
+        # the same key
+        self._first, self._items, self._next = array("i"), dict[Any, int](), dict[int, int]()
         for i, each in enumerate(placements.motion):
-            items.setdefault(each.key, {}).setdefault(each.item, []).append(i)
-        self._index = {key: list(groups.values()) for key, groups in items.items()}
+            if i == 0 or each.item != placements.motion[i - 1].item:
+                self._add_item(each.key)
+                self._first.append(i)
+        self._first.append(len(placements.motion))
         self._positions: dict[int, list[tuple[np.ndarray, np.ndarray | None] | None]] = {}
         self._cameras: list[Any] = []
 
@@ -55,20 +65,41 @@ class MotionSteps:
         self._cameras = [cameras[step] for step in range(self.count)]
         return True
 
+    def _add_item(self, key: Any) -> None:
+        new = len(self._first)
+        item = self._items.setdefault(key, new)
+        while item in self._next:
+            item = self._next[item]
+        if item != new:
+            self._next[item] = new
+
     def _add(self, depsgraph: bpy.types.Depsgraph, step: int) -> None:
-        left = {key: iter(indices) for key, indices in self._index.items()}
         done: set[int] = set()
+        seen = np.zeros(len(self._always), bool)
+        found, maps = array("i"), array("f")
         for placed in depsgraph.object_instances:
             obj = placed.object
-            for index in next(left.get(placed_key(placed, obj), iter(())), ()):
+            item = self._items.get(placed_key(placed, obj))
+            while item is not None and seen[self._first[item]]:
+                item = self._next.get(item)
+            if item is None:
+                continue
+            for index in range(self._first[item], self._first[item + 1]):
+                seen[index] = True
                 each = self._placements.motion[index]
                 if each.steps == 0:
                     continue
-                self._maps[index, step] = placed.matrix_world
-                self._seen[index, step] = True
+                found.append(index)
+                maps.extend(chain.from_iterable(placed.matrix_world))
                 if each.deforms and each.mesh not in done:
                     done.add(each.mesh)
                     self._positions.setdefault(each.mesh, [None] * self.count)[step] = self._now(obj, each.mesh)
+
+        self._always &= seen
+        indices = np.frombuffer(found, np.int32)
+        there = np.frombuffer(maps, np.float32).reshape(-1, 16)
+        moved = (there != self._here[indices]).any(1)
+        self._elsewhere[step] = indices[moved], there[moved]
 
     def _now(self, obj: bpy.types.Object, mesh: int) -> tuple[np.ndarray, np.ndarray | None] | None:
         """Vertices and normals of `obj`, which was `mesh` in the middle."""
@@ -115,18 +146,23 @@ class MotionSteps:
         """`instances`, which move as they did. What is not there all the time stands still."""
         if self.count == 0 or len(instances) == 0:
             return instances
-        usable = self._placements.usable
-        maps = self._maps[usable][:, :, :3]
-        there = self._seen[usable].all(1) & np.isfinite(maps).all((1, 2, 3))
-        maps = np.where(there[:, None, None, None], maps, instances.transform[:, None])
-        moving = np.flatnonzero((maps != maps[:, :1]).any((1, 2, 3)))
-        if not len(moving):
+        which = np.unique(np.concatenate([indices for indices, _ in self._elsewhere]))
+        which = which[self._always[which] & self._placements.usable[which]]
+        maps = np.repeat(self._here[which, None], self.count, 1)
+        for step, (indices, there) in enumerate(self._elsewhere):
+            known = np.isin(indices, which)
+            maps[np.searchsorted(which, indices[known]), step] = there[known]
+        maps = maps.reshape(-1, self.count, 4, 4)[:, :, :3]
+        finite = np.isfinite(maps).all((1, 2, 3))
+        which, maps = which[finite], np.ascontiguousarray(maps[finite])
+        if not len(which):
             return instances
-        steps = np.array([each.steps for each in self._placements.motion])[usable]
-        for count in np.unique(steps[moving]).tolist():
-            some = moving[steps[moving] == count]
+        steps = np.array([self._placements.motion[i].steps for i in which.tolist()])
+        for count in np.unique(steps).tolist():
+            some = np.flatnonzero(steps == count)
             maps[some] = _with_steps(maps[some], count)
-        return replace(instances, motion=np.ascontiguousarray(maps))
+        number = np.cumsum(self._placements.usable) - 1
+        return replace(instances, motion=InstanceMaps(number[which].astype(np.int32), maps))
 
     def meshes(self) -> list[Mesh]:
         """All meshes, with vertices that move as they did."""
@@ -186,7 +222,8 @@ def with_frames(still: tuple, moving: tuple) -> tuple[Camera, Instances, list[Me
     if moving[0].window_motion is not None:
         camera = replace(camera, window_frames=moving[0].window_motion[ends])
     if moving[1].motion is not None:
-        instances = replace(instances, frames=np.ascontiguousarray(moving[1].motion[:, ends]))
+        frames = np.ascontiguousarray(moving[1].motion.maps[:, ends])
+        instances = replace(instances, frames=InstanceMaps(moving[1].motion.instance, frames))
     meshes = [
         mesh if moved.motion is None else replace(mesh, frames=np.ascontiguousarray(moved.motion[ends]))
         for mesh, moved in zip(meshes, moving[2], strict=True)

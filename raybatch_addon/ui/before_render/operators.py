@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..panel import ENGINE
+from .unhidden import unhidden
 
 
 class _OfEngine:
@@ -14,7 +15,7 @@ class _OfEngine:
 
 
 class RAYBATCH_OT_check_scene(_OfEngine, bpy.types.Operator):
-    """Read the scene as a render does, and list what it would lack; objects hidden in the viewport are not seen"""
+    """Read the scene as a render does, and list what it would lack"""
 
     bl_idname = "raybatch.check_scene"
     bl_label = "Check Scene"
@@ -27,7 +28,8 @@ class RAYBATCH_OT_check_scene(_OfEngine, bpy.types.Operator):
         from ...export.view import View
 
         try:
-            look = export_scene(context.evaluated_depsgraph_get(), view=View(is_look=True))
+            with unhidden(context.view_layer):
+                look = export_scene(context.evaluated_depsgraph_get(), view=View(is_look=True))
             exported = with_light_looked_for(look)
         except RayBatchError as error:
             self.report({"ERROR"}, f"RayBatch: {error}")

@@ -10,6 +10,8 @@ bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import frame, reports  # noqa: E402
 from raybatch_addon.convergence.records import CANCELLED, FAILED, FINISHED, RUNNING, store  # noqa: E402
+from raybatch_addon.convergence.run_data import runs_as_data  # noqa: E402
+from raybatch_addon.convergence.run_texts import names_of  # noqa: E402
 from raybatch_addon.core.session import Session  # noqa: E402
 from raybatch_addon.ui import last_render  # noqa: E402
 from raybatch_addon.ui.convergence.panel import RAYBATCH_RENDER_PT_convergence  # noqa: E402
@@ -183,3 +185,13 @@ def test_runs_do_not_change(lit):
     run = render()
     with pytest.raises(dataclasses.FrozenInstanceError):
         run.state = RUNNING
+
+
+def test_each_eye_has_its_own_record(lit):
+    lit.raybatch.sample_count = 2
+    lit.render.use_multiview = True
+    render()
+    runs = store.runs()
+    assert [run.view for run in runs] == ["right", "left"] and {run.layer for run in runs} == {"ViewLayer"}
+    assert [each["view"] for each in runs_as_data(runs, 1e-3)["runs"]] == ["right", "left"]
+    assert [name.split(", ") for name in names_of(runs).values()] == [["#2", "right"], ["#1", "left"]]

@@ -82,8 +82,9 @@ def test_each_thing_that_an_object_is_placed_as_moves(blurred):
     bpy.data.objects["Hole"].is_holdout = True
     got = rendered_scene().instances
     assert len(got) == 4  # the hair, its ground, what rays see of the hole, and what the camera does
-    assert np.allclose(got.motion[:, [0, -1], 0, 3], got.motion[0, [0, -1], 0, 3])
-    assert np.ptp(got.motion[0, :, 0, 3]) > 0.5
+    maps = got.motion.maps
+    assert got.motion.instance.tolist() == [0, 1, 2, 3]
+    assert np.allclose(maps[:, [0, -1], 0, 3], maps[0, [0, -1], 0, 3]) and np.ptp(maps[0, :, 0, 3]) > 0.5
 
 
 def test_no_time_is_evaluated_twice(blurred, monkeypatch):
@@ -92,7 +93,7 @@ def test_no_time_is_evaluated_twice(blurred, monkeypatch):
     monkeypatch.setattr(Exposure, "_set", lambda self, time: times.append(time) or as_it_is(self, time))
     motion = rendered_scene().instances.motion
     assert times == [FRAME - 0.5, FRAME + 0.5, FRAME]
-    assert motion[0, 1, 0, 3] == pytest.approx(1, abs=1e-6)
+    assert motion.maps[0, 1, 0, 3] == pytest.approx(1, abs=1e-6)
 
 
 def test_mist_is_that_of_the_frame(scene):
@@ -117,3 +118,33 @@ def test_strands_of_a_render_are_whole_and_those_of_a_look_too(scene):
         assert hair.positions[:, 2].min() == pytest.approx(0, abs=1e-4)
         tips = hair.positions[np.setdiff1d(hair.triangles[:, 1], hair.triangles[:, 0])]
         assert len(tips) == 5 and tips[:, 2] == pytest.approx(1, abs=0.05)
+
+
+@pytest.mark.parametrize("what", ["motion blur", "Vector"])
+def test_what_stands_still_has_no_maps_of_other_times(scene, what):
+    if what == "Vector":
+        scene.view_layers[0].use_pass_vector = True
+    else:
+        scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.0
+    leaf = add_grid("Leaf", 1)
+    placed = add_grid("Meadow", 5)
+    placed.instance_type = "VERTS"
+    leaf.parent = placed
+    keyed(add_grid("Moving", 1), "location", (0, 0, 0), (2, 0, 0))
+    got = rendered_scene().instances
+    moved = got.frames if what == "Vector" else got.motion
+    assert len(got) > 20 and len(moved.instance) == 1
+    steps = 2 if what == "Vector" else 3
+    assert moved.maps.shape == (1, steps, 3, 4) and moved.maps[0, 0, 0, 3] < got.transform[moved.instance[0], 0, 3]
+
+
+def test_what_is_not_there_all_the_time_stands_still(blurred):
+    for name in ("Comes", "Stays"):
+        keyed(add_grid(name, 1), "location", (0, 0, 0), (2, 0, 0))
+    comes = bpy.data.objects["Comes"]
+    for number, hidden in ((1, True), (FRAME, False)):
+        comes.hide_render = hidden
+        comes.keyframe_insert("hide_render", frame=number)
+    got = rendered_scene()
+    (moving,) = got.instances.motion.instance
+    assert got.object_names[got.instances.object[moving]] == "Stays" and len(got.instances) == 2

@@ -134,6 +134,37 @@ def test_the_panel_checks_and_selects(scene):
     assert bpy.ops.raybatch.select_object(number=5) == {"CANCELLED"}
 
 
+@pytest.mark.parametrize("way", ["object", "eye", "collection", "eye of a collection", "instanced"])
+def test_what_the_viewport_hides_is_checked_and_stays_hidden(scene, way):
+    lamp(scene)
+    obj = add_grid("Host", 1)
+    obj.cycles.use_camera_cull = True
+    collection = bpy.data.collections.new("Kept")
+    collection.objects.link(obj)
+    scene.collection.objects.unlink(obj)
+    if way == "instanced":
+        placed = bpy.data.objects.new("Placed", None)
+        placed.instance_type, placed.instance_collection = "COLLECTION", collection
+        scene.collection.objects.link(placed)
+    else:
+        scene.collection.children.link(collection)
+    layer = bpy.context.view_layer
+    inside = layer.layer_collection.children.get("Kept")
+    if way == "eye":
+        obj.hide_set(True)
+    else:
+        hidden = {"collection": collection, "eye of a collection": inside}.get(way, obj)
+        hidden.hide_viewport = True
+    before = layer.objects.active
+    assert bpy.ops.raybatch.check_scene() == {"FINISHED"}
+    (notice,) = missing.found_in(scene)
+    assert "culling" in notice and notice.objects == ("Host",)
+    assert obj.hide_get() if way == "eye" else hidden.hide_viewport
+    assert layer.objects.active == before
+    obj.hide_render = True
+    assert bpy.ops.raybatch.check_scene() == {"FINISHED"} and missing.found_in(scene) == []
+
+
 def test_a_look_says_nothing_of_motion_that_a_render_will_have(scene):
     lamp(scene)
     scene.render.use_motion_blur = True

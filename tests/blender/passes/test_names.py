@@ -6,7 +6,7 @@ pytest.importorskip("bpy")
 
 from raybatch_addon.core.film import PASSES as film_passes
 from raybatch_addon.core.film.layout import COST_PASSES
-from raybatch_addon.core.scene.passes import letters_of
+from raybatch_addon.core.scene.passes import AOV_COLOR, AOV_VALUE, GUIDE_PASSES, LIGHT_GROUP, MATTE_KINDS, letters_of
 from raybatch_addon.export import passes as asked
 
 
@@ -17,3 +17,12 @@ def test_passes_of_the_panel_are_those_of_the_film():
     assert names == set(film_passes)
     assert tuple(asked.COST_PASS_PROPERTIES.values()) == COST_PASSES
     assert {name: len(letters_of(name)) for name in film_passes} == film_passes
+
+
+def test_names_and_beginnings_are_the_core_s():
+    """The exporter has its own, as it must not import the core where the add-on is registered."""
+    assert asked.DENOISING_PASSES == GUIDE_PASSES
+    assert asked.LIGHT_GROUP == LIGHT_GROUP
+    assert asked.AOV_BEGINNINGS == {"COLOR": AOV_COLOR, "VALUE": AOV_VALUE}
+    assert tuple(asked.MATTE_PROPERTIES.values()) == MATTE_KINDS
+    assert set(asked._EARLIER_NAMES) - {"Volume Color"} < set(film_passes)

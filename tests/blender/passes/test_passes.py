@@ -9,21 +9,24 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.core.scene.cryptomatte import matte_identity, murmur_hash  # noqa: E402
-from raybatch_addon.export.passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES  # noqa: E402
+from raybatch_addon.core.scene.passes import PASSES  # noqa: E402
+from raybatch_addon.export.passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES, blender_name  # noqa: E402
 from tests.blender.features.build import ball, diffuse, floor, lamp, look, material_graph, principled, shaded  # noqa: E402
 from tests.blender.features.compare import Picture, add_world, figures_of, set_alike  # noqa: E402
 
+# Names of the film's passes by those that Blender has for them
+OF_FILM = {blender_name(name): name for name in PASSES}
 ALL = (*PASS_PROPERTIES, *LIGHT_PASS_PROPERTIES, *MATTE_PROPERTIES)
 SAMPLES = 200
 
 
 def pages_of(path) -> dict[str, np.ndarray]:
-    """Passes of a multilayer file by name, with their channels in the order of their names."""
+    """Passes of a multilayer file by the film's names, with their channels in the order of their names."""
     found: dict[str, dict[str, np.ndarray]] = {}
     for part in OpenEXR.File(str(path), separate_channels=True).parts:
         for channel, values in part.channels.items():
             _, name, letter = channel.rsplit(".", 2)
-            found.setdefault(name, {})[letter] = values.pixels
+            found.setdefault(OF_FILM.get(name, name), {})[letter] = values.pixels
     return {name: np.stack([each[letter] for letter in sorted(each)], axis=-1) for name, each in found.items()}
 
 
@@ -169,12 +172,16 @@ def test_files_tell_what_mattes_stand_for(both):
 def test_the_compositor_has_sockets_of_all_passes(both):
     layer = bpy.context.scene.view_layers[0]
     layer.use_pass_mist = layer.use_pass_diffuse_color = layer.use_pass_cryptomatte_object = True
-    tree = bpy.data.node_groups.new("Compositing", "CompositorNodeTree")
-    bpy.context.scene.compositing_node_group = tree
+    scene = bpy.context.scene
+    if hasattr(scene, "compositing_node_group"):
+        tree = scene.compositing_node_group = bpy.data.node_groups.new("Compositing", "CompositorNodeTree")
+    else:  # before Blender 5 it has one of its own
+        scene.use_nodes = True
+        tree = scene.node_tree
     bpy.context.scene.render.engine = "RAYBATCH"
     layer.update_render_passes()
     sockets = {socket.name for socket in tree.nodes.new("CompositorNodeRLayers").outputs if socket.enabled}
-    assert {"Mist", "Diffuse Color", "hue", "amount"} <= sockets
+    assert {"Mist", blender_name("Diffuse Color"), "hue", "amount"} <= sockets
 
 
 @pytest.mark.parametrize("way", ["object", "collection"])
@@ -205,3 +212,22 @@ def test_holdout_objects_are_holes_for_the_camera_alone(addon, tmp_path, way):
     found = figures_of(ours, theirs)
     assert found.mean_error < 0.01 and found.rel_mse < 2e-3, found
     assert ours.mean[12, 12].tolist() == [0, 0, 0, 0]  # alpha, blue, green, red
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_mist_is_that_of_the_scene_s_world_whatever_world_a_view_layer_has(scene, tmp_path, own, general_kernels):
+    set_alike(scene, 8)
+    floor()
+    look(scene, (0, -4.2, 2.0), (0, 0, 0.4), lens=45)
+    scene.world = None
+    worlds = [bpy.data.worlds.new(name) for name in "AB"]
+    for world, depth in zip(worlds, (10.0, 40.0)):
+        world.mist_settings.start, world.mist_settings.depth = 0.0, depth
+    layer = scene.view_layers[0]
+    layer.world_override, layer.use_pass_mist = worlds[1], True
+    if own:
+        scene.world = worlds[0]
+    ours, theirs = (
+        rendered(scene, engine, tmp_path / f"{engine}.exr", 1)["Mist"].mean() for engine in ("RAYBATCH", "CYCLES")
+    )
+    assert ours == pytest.approx(theirs, rel=0.02) and theirs > 0

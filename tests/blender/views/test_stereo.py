@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 
 bpy = pytest.importorskip("bpy")
@@ -24,11 +25,8 @@ def saved(scene, engine: str, folder: Path) -> list[np.ndarray]:
     bpy.ops.render.render(write_still=True)
     pictures = []
     for eye in "LR":
-        image = bpy.data.images.load(str(folder / f"{engine}_{eye}.exr"))
-        image.colorspace_settings.name = "Non-Color"
-        pixels = np.empty(len(image.pixels), np.float32)
-        image.pixels.foreach_get(pixels)
-        pictures.append(pixels.reshape(image.size[1], image.size[0], -1)[..., :3])
+        (part,) = OpenEXR.File(str(folder / f"{engine}_{eye}.exr"), separate_channels=True).parts
+        pictures.append(np.stack([part.channels[channel].pixels for channel in "RGB"], -1))
     return pictures
 
 

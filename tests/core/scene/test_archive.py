@@ -197,3 +197,14 @@ def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.scene.npz"]
     with pytest.raises(SceneError, match="cannot be written"):
         save_scene(tmp_path / "no" / "folder.scene.npz", full_scene(), RenderSettings())
+
+
+def test_earlier_files_that_hold_maps_of_all_instances_are_read(tmp_path):
+    still = d.Instances(*(np.zeros(2, np.int32), np.zeros((2, 3, 4), np.float32), *([np.zeros(2, np.int32)] * 3)))
+    maps = np.arange(72, dtype=np.float32).reshape(2, 3, 3, 4)
+    made = full_scene()
+    scene = d.Scene(made.camera, made.frame, instances=dataclasses.replace(still, motion=maps))
+    path = tmp_path / "earlier.scene.npz"
+    save_scene(path, scene, RenderSettings())
+    read = load_scene(path)[0].instances
+    assert read.motion.instance.tolist() == [0, 1] and np.array_equal(read.motion.maps, maps) and read.frames is None

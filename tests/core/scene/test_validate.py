@@ -7,7 +7,8 @@ import pytest
 
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.film import PASSES
-from raybatch_addon.core.scene.description import Frame, World
+from raybatch_addon.core.scene.description import Frame, InstanceMaps, World
+from raybatch_addon.core.scene.motion import instance_maps, moving_instances
 from raybatch_addon.core.scene.validate import PASS_NAMES, checked_scene
 from tests.support import scenes
 
@@ -82,3 +83,53 @@ def test_meshes_that_move_in_other_steps_than_most_stand_still():
     checked = checked_scene(dataclasses.replace(made, meshes=(*meshes, *made.meshes[3:])))
     assert [each.motion is None for each in checked.meshes[:3]] == [False, False, True]
     assert "5 steps" in checked.warnings[-1]
+
+
+def three_planes(*, moving=(1, 2), lost=None):
+    """Three planes, of which those called `moving` go along x while the shutter is open, and one may have no size."""
+    made = scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse())] * 3, lights=[scenes.sun()])
+    transform = made.instances.transform.copy()
+    if lost is not None:
+        transform[lost, :, :3] = 0
+    maps = np.repeat(made.instances.transform[list(moving), None].astype(np.float32), 3, 1)
+    maps[..., 0, 3] += np.float32([0, 1, 2]) + 10 * np.float32(moving)[:, None]
+    motion = InstanceMaps(np.array(moving, np.int32), maps)
+    return dataclasses.replace(
+        made, instances=dataclasses.replace(made.instances, transform=transform, motion=motion, frames=motion)
+    )
+
+
+def test_maps_stay_with_their_instances_where_others_are_left_out():
+    checked = checked_scene(three_planes(lost=1))
+    for moved in (checked.instances.motion, checked.instances.frames):
+        assert moved.instance.tolist() == [1] and moved.maps[0, :, 0, 3].tolist() == [20, 21, 22]
+    assert moving_instances(checked).tolist() == [False, True] and len(checked.instances) == 2
+
+
+def test_instances_whose_motion_is_not_finite_stand_still_and_others_move():
+    scene = three_planes()
+    scene.instances.motion.maps[0, 1, 0, 3] = np.nan
+    checked = checked_scene(scene)
+    assert checked.instances.motion.instance.tolist() == [2] and "1 objects" in checked.warnings[-1]
+    assert moving_instances(checked).tolist() == [False, False, True]
+
+
+@pytest.mark.parametrize(
+    "which, maps", [([0, 3], (2, 3, 3, 4)), ([2, 0], (2, 3, 3, 4)), ([0], (2, 3, 3, 4)), ([0], (1, 1, 3, 4))]
+)
+def test_maps_of_other_instances_than_there_are_move_nothing(which, maps):
+    scene = three_planes()
+    motion = InstanceMaps(np.array(which, np.int32), np.zeros(maps, np.float32))
+    checked = checked_scene(dataclasses.replace(scene, instances=dataclasses.replace(scene.instances, motion=motion)))
+    assert checked.instances.motion is None and "do not belong" in checked.warnings[-1].replace("does", "do")
+
+
+def test_what_moves_alone_has_keys():
+    from raybatch_addon.core.scene.flatten import flatten
+
+    motion = flatten(three_planes(moving=(1,))).motion
+    assert motion.row.tolist() == [-1, 0, -1] and motion.keys.shape[:2] == (1, 3)
+    still = three_planes()
+    maps = instance_maps(np.repeat(still.instances.transform[:, None].astype(np.float32), 3, 1))
+    still = dataclasses.replace(still, instances=dataclasses.replace(still.instances, motion=maps))
+    assert flatten(still).motion is None

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from raybatch_addon.core.scene.description import Frame, Scene, Shutter
+from raybatch_addon.core.scene.motion import instance_maps
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
@@ -33,7 +34,7 @@ def with_motion(scene: Scene, *maps) -> Scene:
     """`scene` with instances that move by `maps`, each of shape [steps, 3, 4]."""
     motion = np.stack(maps)
     middle = motion[:, motion.shape[1] // 2]
-    return replace(scene, instances=replace(scene.instances, motion=motion, transform=middle))
+    return replace(scene, instances=replace(scene.instances, motion=instance_maps(motion), transform=middle))
 
 
 def bright_plate() -> Scene:
@@ -163,14 +164,14 @@ def test_rays_that_ask_for_waiting_are_told_that_they_do_not(session):
 @pytest.mark.parametrize("way", ["far", "collapsing", "flipped"])
 def test_extreme_motion_gives_finite_pictures(session, way):
     scene = moving_scene()
-    motion = scene.instances.motion.copy()
+    motion = scene.instances.motion.maps.copy()
     if way == "far":
         motion[0, :, 0, 3] = (-5e4, 0, 5e4)
     elif way == "collapsing":
         motion[0, 1, :, :3] = 0
     else:
         motion[0, 2, :, :3] *= -1
-    scene = replace(scene, instances=replace(scene.instances, motion=motion))
+    scene = replace(scene, instances=replace(scene.instances, motion=instance_maps(motion)))
     film = session.render(scene, SETTINGS.replace(sample_count=8))
     assert film.statistics["invalid_samples"] == 0 and np.isfinite(film.passes["Combined"]).all()
 

@@ -65,7 +65,7 @@ def met_by_all(scene):
             vertices = (1 - share) * mesh.motion[step] + share * mesh.motion[step + 1]
         maps = np.repeat(scene.instances.transform[i][None].astype(np.float64), RAYS, 0)
         if moving[i]:
-            maps = maps_at(motion_keys(scene.instances.motion[i : i + 1]), time)[0]
+            maps = maps_at(motion_keys(scene.instances.motion.maps[i : i + 1]), time)[0]
         world = np.einsum("nij,nvj->nvi", maps[:, :, :3], vertices) + maps[:, None, :, 3]
         for triangle in mesh.triangles:
             a, b, c = (world[:, k] for k in triangle)

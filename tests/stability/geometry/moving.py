@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from raybatch_addon.core.scene.description import Frame, Scene
+from raybatch_addon.core.scene.motion import instance_maps
 from tests.core.displacement.test_displaced import displacing, flat_square
 from tests.stability.bench import Bench
 from tests.stability.case import Outcome, Sweep, case
@@ -24,7 +25,8 @@ def moved_plate(size: float, maps: np.ndarray) -> Scene:
     plate = (scenes.plane(size=size), scenes.IDENTITY, scenes.emitter(1.0))
     scene = scenes.scene([plate], view=view, frame=Frame(WIDTH, WIDTH))
     motion = maps[None].astype(np.float32)
-    return replace(scene, instances=replace(scene.instances, motion=motion, transform=motion[:, len(maps) // 2]))
+    moved = replace(scene.instances, motion=instance_maps(motion), transform=motion[:, len(maps) // 2])
+    return replace(scene, instances=moved)
 
 
 @case(

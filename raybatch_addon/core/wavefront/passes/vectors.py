@@ -86,13 +86,14 @@ def upload_vectors(scene: Scene, device: wp.Device) -> VectorInputs:
     vectors.to_picture = wp.array(np.array(pictures, np.float32), dtype=wp.mat44, device=device)
     deforming = {i: mesh for i, mesh in enumerate(scene.meshes) if mesh.frames is not None}
     if len(instances) and (instances.frames is not None or deforming):
-        now = _square(instances.transform)
-        frames = instances.frames if instances.frames is not None else np.repeat(instances.transform[:, None], 2, 1)
-        then = _square(frames)
-        maps = then @ np.linalg.inv(now)[:, None]
-        vectors.maps = wp.array(maps.reshape(-1, 4, 4).astype(np.float32), dtype=wp.mat44, device=device)
-        turns = then[..., :3, :3].reshape(-1, 3, 3).astype(np.float32)
-        vectors.turns = wp.array(np.ascontiguousarray(turns), dtype=wp.mat33, device=device)
+        maps = np.tile(np.eye(4, dtype=np.float32), (len(instances), 2, 1, 1))
+        turns = np.repeat(instances.transform[:, None, :, :3].astype(np.float32), 2, 1)
+        if instances.frames is not None:
+            which, then = instances.frames.instance, _square(instances.frames.maps)
+            maps[which] = then @ np.linalg.inv(_square(instances.transform[which]))[:, None]
+            turns[which] = then[..., :3, :3]
+        vectors.maps = wp.array(maps.reshape(-1, 4, 4), dtype=wp.mat44, device=device)
+        vectors.turns = wp.array(turns.reshape(-1, 3, 3), dtype=wp.mat33, device=device)
     if deforming:
         values = {}
         for i, mesh in deforming.items():

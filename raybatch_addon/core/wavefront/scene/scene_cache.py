@@ -288,7 +288,7 @@ def _geometry_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarra
     instances = scene.instances
     placed = digest_of(
         [instances.mesh, instances.transform, instances.visibility, instances.slot_first, scene.slot_materials]
-        + ([] if instances.motion is None else [instances.motion])
+        + ([] if instances.motion is None else [instances.motion.instance, instances.motion.maps])
     )
     cut = cut_rule(request.plan, request.settings) if request.plan.method is Method.BATCHED else None
     ribbons = tuple(mesh.ribbons for mesh in scene.meshes)
