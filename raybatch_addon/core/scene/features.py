@@ -232,6 +232,8 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
             kinds.update(material.kinds)
             for closure in material.closures:
                 kinds.update(closure.needs)
+    if ClosureKind.RAY_PORTAL in kinds:
+        kinds.add(ClosureKind.TRANSPARENT)  # paths go on as behind a transparent surface
     volumes = scene_volumes(scene)
     if volumes:
         kinds.add(ClosureKind.TRANSPARENT)  # shadow rays go from surface to surface

@@ -12,6 +12,7 @@ FAMILIES = ("Shaders", "Textures", "Inputs", "Utility", "World", "Surface", "Cur
 MODULES = (
     "shaders",
     "shaders_principled",
+    "portals.rays",
     "textures",
     "textures_image",
     "inputs",

@@ -52,6 +52,11 @@ class SurfaceFeatures:
         return ClosureKind.TRANSPARENT in self.closures
 
     @property
+    def portals(self) -> bool:
+        """Surfaces that send rays on elsewhere."""
+        return ClosureKind.RAY_PORTAL in self.closures
+
+    @property
     def lacks_caustics(self) -> bool:
         """Light that glossy surfaces throw on diffuse ones is left out, or a part of it."""
         return not (self.caustics_reflective and self.caustics_refractive)
