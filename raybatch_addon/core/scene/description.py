@@ -337,6 +337,8 @@ class World:
     sampling_size: int = 1024  # texels around the world, by whose brightness a program is sampled; 0: it is not sampled
     volume: Volume | None = None  # what fills all space; None: nothing
     light_group: int = -1  # index into `Scene.light_groups`; -1: no group
+    # RECTANGLE, ELLIPSE: openings by which the light of `program` comes to where they shine; they give none themselves
+    portals: tuple[Light, ...] = ()
 
 
 @dataclass(frozen=True)

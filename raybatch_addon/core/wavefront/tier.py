@@ -95,6 +95,8 @@ def why_not_general(features: SceneFeatures) -> str:
         return "general kernels trace no rays for programs"
     if features.light_links or features.shadow_links:
         return "general kernels have no code for light linking"
+    if features.light_portals:
+        return "general kernels have no code for portals of the world"
     if features.light_groups:
         return "general kernels have no code for the passes of light groups"
     if lacking := sorted(set(features.closures) - set(general.closures)):

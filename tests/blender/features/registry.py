@@ -13,6 +13,7 @@ MODULES = (
     "shaders",
     "shaders_principled",
     "portals.rays",
+    "portals.world",
     "textures",
     "textures_image",
     "inputs",
