@@ -11,7 +11,7 @@ from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.archive import load_scene, save_scene
-from raybatch_addon.core.scene.description import Frame, Light, LightKind, Mesh, World
+from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Light, LightKind, Mesh, Volume, World
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
@@ -43,7 +43,7 @@ def portal(z=ROOM / 2, size=HOLE, kind=LightKind.RECTANGLE, x=0.0) -> Light:
     return Light("portal", kind, scenes.translation(x, 0, z), (0.0, 0.0, 0.0), size=(size, size))
 
 
-def room(world: World, *portals: Light, frame=Frame(12, 12)):
+def room(world: World, *portals: Light, frame=Frame(12, 12), inside=()):
     """A box with a hole in its ceiling, seen from within."""
     h, r, z = HOLE / 2, ROOM / 2, ROOM / 2
     outer = [(-r, -r, z), (r, -r, z), (r, r, z), (-r, r, z)]
@@ -57,6 +57,7 @@ def room(world: World, *portals: Light, frame=Frame(12, 12)):
         [
             (dataclasses.replace(box, triangles=kept), scenes.IDENTITY, scenes.diffuse(0.5)),
             (ceiling, scenes.IDENTITY, scenes.diffuse(0.5)),
+            *inside,
         ],
         view=scenes.camera(eye=(0, -1.5, 0.5), target=(0, 0.5, -1.5)),
         frame=frame,
@@ -98,6 +99,21 @@ def test_without_multiple_importance_sampling_the_light_is_the_same(session, set
     assert picture(session, scene, **many, **settings).mean() == pytest.approx(
         picture(session, scene, **many).mean(), rel=0.03
     )
+
+
+def test_portals_light_volumes_too(session):
+    """What a volume scatters finds the world through portals, with the weights of surfaces."""
+    glass = Closure(ClosureKind.TRANSPARENT, (1.0, 1.0, 1.0))
+    smoke = Volume((Closure(ClosureKind.HENYEY_GREENSTEIN, (0.8, 0.8, 0.8)),))
+    cloud = (scenes.box("cloud", 1.6), scenes.IDENTITY, dataclasses.replace(scenes.material(glass), volume=smoke))
+    means, errors = [], []
+    for portals in ((), (portal(),)):
+        scene = room(even(), *portals, inside=[cloud])
+        runs = [picture(session, scene, seed=seed, sample_count=512) for seed in range(6)]
+        means.append(np.mean(runs))
+        errors.append(np.sqrt(np.var(runs, axis=0, ddof=1).sum() / len(runs)) / runs[0].size)
+    assert abs(means[1] - means[0]) < 4 * np.hypot(*errors)
+    assert np.hypot(*errors) < 0.02 * means[1] and errors[1] < 0.5 * errors[0]
 
 
 @wp.kernel(**KERNEL_OPTIONS)
