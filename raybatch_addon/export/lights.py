@@ -60,8 +60,8 @@ def export_light(
 ) -> Light | None:
     """The light object `obj`, evaluated, with the matrix `matrix_world` (4 x 4).
 
-    `graphs` holds the graphs compiled so far; `random` is the object's random number, 0..1. Returns None, with a line
-    in `warnings`, for a light that cannot be rendered.
+    `graphs` holds the graphs compiled so far; `random` is the object's random number, 0..1. Of a portal there is a
+    place and a shape alone. Returns None, with a line in `warnings`, for a light that cannot be rendered.
     """
     light = obj.data
     name = f"light “{obj.name}”"
@@ -69,11 +69,8 @@ def export_light(
     if placed is None:
         return None
     transform, scale = placed
-    if light.type == "AREA" and getattr(getattr(light, "cycles", None), "is_portal", False):
-        text = f"{name}: it is a portal, which only guides the sampling of Cycles and gives no light; it is left out"
-        warnings.append(Notice(text, Weight.SETTING, objects=[obj.name]))
-        return None
-    _warn_of_limits(obj, name, warnings)
+    if not is_portal(obj):
+        _warn_of_limits(obj, name, warnings)
 
     emission, values = _shape(light, scale)
     if values is None:
@@ -82,6 +79,8 @@ def export_light(
         )
         warnings.append(Notice(text, Weight.REPAIRED, objects=[obj.name]))
         return None
+    if is_portal(obj):
+        return Light(obj.name, values["kind"], transform, (0.0, 0.0, 0.0), size=values["size"])
     graph = (graphs or LampGraphs()).of(light)
     warnings += [about(note, name, objects=[obj.name]) for note in graph.notes]
     strength = usable_emission(_strength(light) * graph.factor * emission, name, warnings)
@@ -96,6 +95,11 @@ def export_light(
         casts_shadow=bool(light.use_shadow),
         **values,
     )
+
+
+def is_portal(obj: bpy.types.Object) -> bool:
+    """Whether a light object is a portal: it gives no light, the world is sampled through it."""
+    return obj.data.type == "AREA" and getattr(getattr(obj.data, "cycles", None), "is_portal", False)
 
 
 def object_visibility(obj: bpy.types.Object) -> int:

@@ -19,7 +19,7 @@ from .nodes.collections import occlusion_distance
 from .passed_over.look import passed_over
 from .passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES, wanted_passes
 from .view import View
-from .world import export_world
+from .world import export_world, with_portals
 
 # Exponent of the share of mist, by Blender's name
 _MIST_FALLOFFS = {"QUADRATIC": 2.0, "LINEAR": 1.0, "INVERSE_QUADRATIC": 0.5}
@@ -68,7 +68,7 @@ def _exported(
     collections = placements.materials.collections
     # evaluated: with the current values of drivers and keyframes
     shown = _world(depsgraph.scene_eval, depsgraph.view_layer_eval)
-    world = export_world(shown, warnings, collections)
+    world = with_portals(export_world(shown, warnings, collections), placements.portals)
     groups = [each.name for each in depsgraph.view_layer.lightgroups]
     if shown is not None and shown.lightgroup in groups:
         world = replace(world, light_group=groups.index(shown.lightgroup))

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import bpy
 import numpy as np
 
-from ..core.scene.description import ClosureKind, Visibility, World
+from ..core.programs.builder import ProgramBuilder
+from ..core.scene.description import ClosureKind, Light, Visibility, World
 from ..core.scene.notice import Notice, Weight, about
 from .nodes.collections import Collections
 from .nodes.compile import compile_graph, compile_volume
@@ -38,6 +42,18 @@ def export_world(world: bpy.types.World | None, warnings: list[str], collections
         warnings += [about(note, f"world “{world.name}”") for note in notes]
     radiance = usable_emission(radiance, f"world “{world.name}”", warnings)
     return World(radiance, _visibility(world), program, _sampling_size(world, collections), volume)
+
+
+def with_portals(world: World, portals: Sequence[Light]) -> World:
+    """`world` with openings through which it is sampled, unless it is not sampled at all or black."""
+    if not portals or world.sampling_size == 0 or (world.program is None and not any(world.radiance)):
+        return world
+    program = world.program
+    if program is None:
+        builder = ProgramBuilder()
+        builder.closure("emission", world.radiance)
+        program = builder.finish()
+    return replace(world, program=program, portals=tuple(portals))
 
 
 def _sampling_size(world: bpy.types.World, collections: Collections) -> int:

@@ -71,6 +71,8 @@ class ClosureKind(IntEnum):
     SUBSURFACE = 17  # light goes in and scatters below: a random walk through the medium (`shading/bsdf/subsurface.py`)
     # a cone of light with an edge (`shading/bsdf/drawn/toon.py`); `distribution` 0: on the normal, 1: where it mirrors
     TOON = 20
+    # rays that meet it go on elsewhere: from `edge` [m] where `distribution` is 1, along `tangent` where that is not 0
+    RAY_PORTAL = 21
     # Fibres (`shading/hair`): `tangent` is their direction
     HAIR_REFLECTION = 24  # `roughness` along the fibre and `aspect` around it [rad]; `film_ior` is the shift [rad]
     HAIR_TRANSMISSION = 25
@@ -197,7 +199,8 @@ class Closure:
         """The kind, and the abilities that the values ask for."""
         abilities = {
             ClosureKind.DIFFUSE: self.kind == ClosureKind.SUBSURFACE,  # light comes out again by Lambert's law
-            ClosureKind.BECKMANN: self.distribution == 1 and self.kind != ClosureKind.TOON,
+            ClosureKind.BECKMANN: self.distribution == 1
+            and self.kind not in (ClosureKind.TOON, ClosureKind.RAY_PORTAL),
             ClosureKind.ANISOTROPIC: self.aspect != 1 and any(self.tangent) and not self.kind.is_hair,
             ClosureKind.THIN_FILM: self.film_thickness > 0,
             ClosureKind.OWN_NORMAL: any(self.normal),
@@ -340,6 +343,8 @@ class World:
     sampling_size: int = 1024  # texels around the world, by whose brightness a program is sampled; 0: it is not sampled
     volume: Volume | None = None  # what fills all space; None: nothing
     light_group: int = -1  # index into `Scene.light_groups`; -1: no group
+    # RECTANGLE, ELLIPSE: openings by which the light of `program` comes to where they shine; they give none themselves
+    portals: tuple[Light, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,7 @@ class SceneFeatures:
     mesh_lights: bool = False  # materials emit
     mesh_programs: bool = False  # materials emit by a program
     world_light: bool = False  # the world's radiance varies, and is sampled
+    light_portals: bool = False  # it is sampled through portals
     world: bool = False  # rays that leave the scene find light
     camera: CameraKind = CameraKind.PERSPECTIVE
     depth_of_field: bool = False
@@ -192,6 +193,7 @@ class SceneFeatures:
             "image textures": any(name.startswith(("image", "environment")) for name in self.all_ops),
             "levels of images": self.texture_levels,
             "sampling of the world": self.world_light,
+            "portals of the world": self.light_portals,
             "emission by programs": self.mesh_programs,
             "shadow rays": self.shadow_rays,
             "lights met by rays": self.light_hits,
@@ -232,6 +234,8 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
             kinds.update(material.kinds)
             for closure in material.closures:
                 kinds.update(closure.needs)
+    if ClosureKind.RAY_PORTAL in kinds:
+        kinds.add(ClosureKind.TRANSPARENT)  # paths go on as behind a transparent surface
     volumes = scene_volumes(scene)
     if volumes:
         kinds.add(ClosureKind.TRANSPARENT)  # shadow rays go from surface to surface
@@ -256,6 +260,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         mesh_programs=surfaces
         and any(m.program is not None and ClosureKind.EMISSION in m.kinds for m in scene.materials),
         world_light=world_light,
+        light_portals=world_light and bool(world.portals),
         world=any(scene.world.radiance) or scene.world.program is not None,
         camera=scene.camera.kind,
         depth_of_field=scene.camera.lens_radius > 0,

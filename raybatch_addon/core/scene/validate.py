@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from ..errors import SceneError
-from .description import Camera, Frame, InstanceMaps, Instances, Light, Mesh, Scene, World
+from .description import Camera, Frame, InstanceMaps, Instances, Light, LightKind, Mesh, Scene, World
 from .frozen import fact
 from .passes import PASSES, is_pass
 
@@ -156,6 +156,14 @@ def _is_usable(light: Light, warnings: list[str]) -> bool:
 
 
 def _checked_world(world: World, warnings: list[str]) -> World:
+    usable = tuple(portal for portal in world.portals if _is_usable(portal, warnings))
+    if len(usable) < len(world.portals):
+        world = dataclasses.replace(world, portals=usable)
+    for portal in usable:
+        if portal.kind not in (LightKind.RECTANGLE, LightKind.ELLIPSE):
+            raise SceneError(f"portal “{portal.name}” is a {portal.kind.name}: portals are rectangles or ellipses")
+        if world.program is None:
+            raise SceneError(f"portal “{portal.name}”: the world has no program, so its light is not sampled")
     if np.all(np.isfinite(world.radiance)) and min(world.radiance) >= 0:
         return world
     warnings.append("the world's colour or strength is negative or not finite: the world is rendered black")

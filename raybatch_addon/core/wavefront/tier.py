@@ -32,8 +32,8 @@ TIERS = ("AUTO", "GENERAL", "SPECIALISED")
 # Programs that need more registers or closures are left to specialised kernels
 REGISTERS_MOST, CLOSURES_MOST = 64, 16
 
-# The closure whose code few scenes would use
-_LEFT_OUT = ClosureKind.FACET_HAIR
+# Closures whose code few scenes would use
+_LEFT_OUT = (ClosureKind.FACET_HAIR, ClosureKind.RAY_PORTAL)
 
 
 def _programs(ops: Iterable[str]) -> ProgramFeatures:
@@ -49,7 +49,7 @@ def general_features() -> SceneFeatures:
     of_volumes = [n for n in ops if n == "emission" or n.startswith(VOLUME_PREFIX) or not op_named(n).makes_closures]
     return SceneFeatures(
         closures=tuple(
-            sorted(kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION and kind != _LEFT_OUT)
+            sorted(kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION and kind not in _LEFT_OUT)
         ),
         closure_count=CLOSURES_MOST,
         programs=programs,
@@ -95,6 +95,8 @@ def why_not_general(features: SceneFeatures) -> str:
         return "general kernels trace no rays for programs"
     if features.light_links or features.shadow_links:
         return "general kernels have no code for light linking"
+    if features.light_portals:
+        return "general kernels have no code for portals of the world"
     if features.light_groups:
         return "general kernels have no code for the passes of light groups"
     if lacking := sorted(set(features.closures) - set(general.closures)):

@@ -17,7 +17,7 @@ from ...core.scene.notice import Notice, Weight
 from ..curves.placing import StrandMeshes
 from ..curves.sources import STRAND_KIND, hair_systems
 from ..light_links import LightLinking
-from ..lights import LampGraphs, export_light
+from ..lights import LampGraphs, export_light, is_portal
 from ..motion.objects import PlacedMotions
 from ..nodes.collections import OF_INSTANCER
 from ..settings import output_engine
@@ -206,7 +206,9 @@ class _Collector:
     def _add_light(self, placed, obj) -> None:
         placements = self.placements
         light = export_light(obj, placed.matrix_world.copy(), placements.warnings, self._lamp_graphs, random_of(placed))
-        if light is not None:
+        if light is not None and is_portal(obj):
+            placements.portals.append(light)
+        elif light is not None:
             asked = sorted(
                 each for each in self._lamp_graphs.of(obj.data).asked if each[0] in _OBJECT_KINDS - {OF_INSTANCER}
             )

@@ -43,6 +43,7 @@ class Placements:
     materials: ExportedMaterials = field(default_factory=ExportedMaterials)
     slot_materials: list[int] = field(default_factory=list)
     lights: list[Light] = field(default_factory=list)
+    portals: list[Light] = field(default_factory=list)  # of the world
     object_names: list[str] = field(default_factory=list)
     asset_names: list[str] = field(default_factory=list)  # as in `Scene.asset_names`
     warnings: list[str] = field(default_factory=list)

@@ -20,6 +20,7 @@ from raybatch_addon.core.shading.lights.light_hits import LightHitFeatures, make
 from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights  # noqa: E402
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights  # noqa: E402
 from raybatch_addon.export.lights import export_light  # noqa: E402
+from raybatch_addon.export.scene import export_scene  # noqa: E402
 from raybatch_addon.export.world import export_world  # noqa: E402
 
 COUNT = 2**15
@@ -280,15 +281,39 @@ def test_lights_that_cannot_be_rendered_are_named(scene):
     broken.location.x = float("nan")
     bpy.context.view_layer.update()
     assert single(broken) is None
-    portal = add_light(scene, "AREA", name="Portal")
-    portal.data.cycles.is_portal = True
-    portal.data.update_tag()
-    assert single(portal) is None
     sheared = add_light(scene, "AREA", name="Sheared")
     warnings = []
     light = export_light(sheared, sheared.matrix_world @ Matrix.Shear("XY", 4, (0.5, 0.2)), warnings)
     assert "Sheared" in warnings[0]
     np.testing.assert_allclose(light.transform[:, :3].T @ light.transform[:, :3], np.eye(3), atol=1e-6)
+
+
+def test_portals(scene, tmp_path):
+    """Area lamps with Portal give no light: the world is sampled through them, also where it has one colour."""
+    lamp = add_light(scene, "AREA", (1, 2, 1), name="Window")
+    lamp.location = (1, 2, 3)
+    lamp.data.size, lamp.data.cycles.is_portal = 0.5, True
+    look_at(scene, (0, 0, 0), (0, 0, 1))
+    scene.world = bpy.data.worlds.new("Sky")
+
+    def exported():
+        bpy.context.view_layer.update()
+        found = export_scene(bpy.context.evaluated_depsgraph_get())
+        assert not found.lights and not any("Window" in line for line in found.warnings)
+        return found.world
+
+    background = emission_node(scene.world)
+    background.inputs["Color"].default_value = (0, 0, 0, 1)
+    assert exported().portals == () and exported().program is None
+    background.inputs["Color"].default_value = (1, 1, 1, 1)
+    world = exported()
+    (portal,) = world.portals
+    assert portal.kind == LightKind.RECTANGLE and portal.size == pytest.approx((0.5, 1.0))
+    np.testing.assert_array_equal(portal.transform[:, 3], (1, 2, 3))
+    assert world.program is not None and world.program.ops == ("emission",)
+    scene.world.cycles.sampling_method = "NONE"
+    scene.world.update_tag()
+    assert exported().portals == ()
 
 
 def test_world(scene, tmp_path):

@@ -12,6 +12,8 @@ FAMILIES = ("Shaders", "Textures", "Inputs", "Utility", "World", "Surface", "Cur
 MODULES = (
     "shaders",
     "shaders_principled",
+    "portals.rays",
+    "portals.world",
     "textures",
     "textures_image",
     "inputs",

@@ -24,6 +24,7 @@ from .materials import (
     GLOSSY,
     MICROFACET_KINDS,
     PASSING_KINDS,
+    PORTAL,
     SUBSURFACE,
     TRANSMISSION,
     TRANSPARENT,
@@ -72,6 +73,7 @@ _HOLDOUT = wp.constant(int(_K.HOLDOUT))
 _SHEET = wp.constant(int(_K.SHEET))
 _SUBSURFACE = wp.constant(int(_K.SUBSURFACE))
 _TOON = wp.constant(int(_K.TOON))
+_RAY_PORTAL = wp.constant(int(_K.RAY_PORTAL))
 _ONE_BELOW = wp.constant(1.0 - 2.0**-24)  # the largest float32 below 1
 
 
@@ -109,7 +111,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
     has_lambert, has_cosine = has(*LAMBERTIAN), has(*LAMBERTIAN, _K.ROUGH_DIFFUSE, _K.TRANSLUCENT)
     has_transparent, has_emission, has_holdout = has(_K.TRANSPARENT), has(_K.EMISSION), has(_K.HOLDOUT)
     has_translucent, has_sheen, has_velvet = has(_K.TRANSLUCENT), has(_K.SHEEN), has(_K.VELVET)
-    has_toon = has(_K.TOON)
+    has_toon, has_portal = has(_K.TOON), has(_K.RAY_PORTAL)
     has_facets, has_passing, has_phong = features.facets, has(*PASSING_KINDS), has(_K.ASHIKHMIN_SHIRLEY)
     has_refraction, has_sheet, has_subsurface = has(_K.REFRACTION), has(_K.SHEET), has(_K.SUBSURFACE)
     has_evaluated_facets, is_evaluated_facets = (
@@ -209,6 +211,13 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
             if kind == _TRANSPARENT:
                 bits = TRANSPARENT | DELTA
                 delta = lobe.scale
+        if wp.static(has_portal):
+            if kind == _RAY_PORTAL:
+                bits = PORTAL | TRANSPARENT | DELTA
+                delta = lobe.scale
+                ahead = closures[chosen].tangent
+                if wp.dot(ahead, ahead) > 0.0:
+                    wi = ahead
         if wp.static(has_facets):
             if is_facets(kind):
                 alpha = mean_alpha(closures, chosen)
@@ -283,6 +292,10 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
         if (bits & (TRANSMISSION | TRANSPARENT | SUBSURFACE)) != 0:
             side = -side
             facet_side = -facet_side
+        if wp.static(has_portal):
+            if kind == _RAY_PORTAL:  # which goes to either side
+                side = float(1.0)
+                facet_side = float(1.0)
         if not (side > 0.0 and facet_side > 0.0):
             return result
 

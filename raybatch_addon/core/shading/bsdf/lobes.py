@@ -112,6 +112,7 @@ def make_lobes(features: ClosureFeatures) -> LobeFunctions:
             _K.ASHIKHMIN_SHIRLEY,
             _K.SUBSURFACE,
             _K.TOON,
+            _K.RAY_PORTAL,
         )
     )
     is_mirror, is_facets = features.test(REFLECTION_KINDS), features.test(MICROFACET_KINDS)

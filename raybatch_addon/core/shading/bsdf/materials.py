@@ -28,6 +28,7 @@ TRANSMISSION = 4  # refracted
 TRANSPARENT = 8  # passed straight on
 DELTA = 16  # into a direction that no other strategy finds
 SUBSURFACE = 32  # entered the medium below the surface, where it scatters on
+PORTAL = 64  # sent on elsewhere, with TRANSPARENT
 
 _K = ClosureKind
 # facets that reflect and let nothing through
@@ -64,7 +65,8 @@ class ClosureFeatures:
     @property
     def scatters(self) -> bool:
         """Whether any closure does more than emit and pass light straight on."""
-        return any(kind.is_model and kind not in (_K.EMISSION, _K.TRANSPARENT, _K.HOLDOUT) for kind in self.kinds)
+        others = (_K.EMISSION, _K.TRANSPARENT, _K.HOLDOUT, _K.RAY_PORTAL)
+        return any(kind.is_model and kind not in others for kind in self.kinds)
 
     @property
     def facets(self) -> bool:
@@ -108,13 +110,15 @@ class ClosureRecord:
     # colour of a facet without mix factors. GLOSSY, GLASS, ROUGH_DIFFUSE: taken by light that bounces between facets;
     # METAL: reflectance at normal incidence; CONDUCTOR: index of refraction
     color: wp.vec3
-    # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence; CONDUCTOR: extinction coefficient
+    # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence; CONDUCTOR: extinction coefficient;
+    # RAY_PORTAL: where rays go on, if `distribution` is 1 [m]
     edge: wp.vec3
     refraction: wp.vec3  # GLASS: colour of refracted light relative to `weight`
     multiscatter: int  # 1: light that bounces more than once between facets is added
     distribution: int  # BECKMANN: 1
     aspect: float  # ANISOTROPIC: alpha along `tangent` is multiplied by it, across it divided
-    tangent: wp.vec3  # ANISOTROPIC: about along the surface; 0: facets are isotropic
+    # ANISOTROPIC: about along the surface; 0: facets are isotropic. RAY_PORTAL: unit, where rays go; 0: ahead
+    tangent: wp.vec3
     film_thickness: float  # THIN_FILM, of METAL, CONDUCTOR, DIELECTRIC and GLASS [nm]; 0: none
     film_ior: float  # relative to the outside
     normal: wp.vec3  # OWN_NORMAL: unit; 0: the normal of the frame
@@ -200,8 +204,8 @@ class BsdfSample:
     # BSDF |cosine| / density of all lobes together: a path's throughput is multiplied by it; 0: absorbed
     weight: wp.vec3
     pdf: float  # density as in `BsdfValue` [1/sr]; 0 for delta lobes
-    lobe: int  # bits DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT, DELTA, SUBSURFACE; 0: absorbed
-    closure: int  # index of the closure that chose the direction, where that is SUBSURFACE
+    lobe: int  # bits DIFFUSE, GLOSSY, TRANSMISSION, TRANSPARENT, DELTA, SUBSURFACE, PORTAL; 0: absorbed
+    closure: int  # index of the closure that chose the direction, where that is SUBSURFACE or PORTAL
 
 
 def upload_materials(materials: Sequence[Material], features: ClosureFeatures, device) -> MaterialTable:
@@ -315,9 +319,11 @@ def _check(material: Material, closure: Closure, features: ClosureFeatures) -> N
         raise ValueError(
             f"material {material.name!r} has a closure that needs {', '.join(lacking)}, which its features lack"
         )
-    colors = (*closure.weight, *closure.edge, *closure.refraction, *(closure.color or ()))
+    edge = closure.edge if kind != _K.RAY_PORTAL else ()  # there it is a position
+    colors = (*closure.weight, *edge, *closure.refraction, *(closure.color or ()))
     numbers = (
         *colors,
+        *closure.edge,
         *closure.normal,
         *closure.tangent,
         closure.roughness,

@@ -68,7 +68,7 @@ class LightTable:
     emitter_count: int
     light_count: int
     choice: wp.array(dtype=ChoiceTable)  # [1]: kernels have the table in their parameters, whose size is limited
-    lights: wp.array(dtype=LightRecord)  # [light_count]
+    lights: wp.array(dtype=LightRecord)  # [light_count], and behind them the portals of the world, if it is sampled
     sun_count: int
     suns: wp.array(dtype=int)  # numbers of the suns with a size; [sun_count]
     tree: wp.uint64  # `wp.Bvh` over the boxes of the lights that rays can meet
@@ -143,7 +143,7 @@ def upload_lights(
     table = LightTable()
     table.emitter_count = len(records) + len(triangles) + (world is not None)
     table.light_count = len(records)
-    table.lights = upload(records, LightRecord)
+    table.lights = upload(np.concatenate([records, _portals(scene, world)]), LightRecord)
     if lamps is not None:
         strength *= lamps(table)
     table.sun_count = len(suns)
@@ -172,6 +172,15 @@ def upload_lights(
     upload_links(scene, choice, triangles.instance, device)
     table.choice = wp.array([choice], dtype=ChoiceTable, device=device)
     return UploadedLights(table, choice, tree, len(triangles))
+
+
+def _portals(scene: Scene, world: SampledWorld | None) -> np.ndarray:
+    """Records of the portals through which `world` is sampled; none where it is not."""
+    portals = scene.world.portals if world is not None else ()
+    records = np.zeros(len(portals), LightRecord.numpy_dtype())
+    for i, portal in enumerate(portals):
+        _fill_record(records[i, ...], portal)
+    return records[records["delta"] == 0]
 
 
 def _choice_table(

@@ -29,6 +29,7 @@ from .light_shapes import (
 from .light_table import LightRecord, LightTable
 from .light_triangles import find_triangle, sample_triangle_light, triangle_pdf
 from .links import blocking_visibility, is_linked, owner_of
+from .portals.portals import sample_through_portals
 from .world import sample_world
 
 _POINT = wp.constant(int(LightKind.POINT))
@@ -50,6 +51,7 @@ class LightFeatures:
     lamp_programs: bool = False  # lights without mesh whose radiance comes from programs
     light_links: bool = False  # some emitters light some objects alone
     shadow_links: bool = False  # some objects alone block the light of some emitters
+    light_portals: bool = False  # the world is sampled through portals
 
 
 class Lights(NamedTuple):
@@ -211,6 +213,10 @@ def make_lights(features: LightFeatures) -> Lights:
                 if wp.static(features.world_light):
                     if emitter == table.world_emitter:
                         s = sample_world_light(table, u)
+                        if wp.static(features.light_portals):
+                            found = sample_through_portals(table, position, u)
+                            s.direction = found.direction
+                            s.pdf = found.pdf
             s.pdf = s.pdf * choice.pdf
             s.emitter = emitter
             if wp.static(features.light_links):

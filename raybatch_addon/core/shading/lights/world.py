@@ -45,9 +45,10 @@ class SampledWorld:
     irradiance: np.ndarray  # float64, shape [9]
 
 
-def sampled_world(light: np.ndarray, device: wp.Device) -> SampledWorld:
-    """The world whose texels have the brightness `light`; see `build_world_table`."""
-    return SampledWorld(build_world_table(light, device), _irradiance(light))
+def sampled_world(light: np.ndarray, device: wp.Device, even: bool = False) -> SampledWorld:
+    """The world whose texels have the brightness `light`; see `build_world_table`. `even`: its table has one texel."""
+    texels = np.ones((1, 1), np.float32) if even else light
+    return SampledWorld(build_world_table(texels, device), _irradiance(light))
 
 
 def is_even(light: np.ndarray) -> bool:

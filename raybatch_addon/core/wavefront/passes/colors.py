@@ -19,7 +19,7 @@ _PHONG = wp.constant(int(_K.ASHIKHMIN_SHIRLEY))
 _DIFFUSE_KINDS = tuple(
     kind
     for kind in ClosureKind
-    if kind.is_model and kind not in MICROFACET_KINDS | {_K.TRANSPARENT, _K.EMISSION, _K.HOLDOUT}
+    if kind.is_model and kind not in MICROFACET_KINDS | {_K.TRANSPARENT, _K.RAY_PORTAL, _K.EMISSION, _K.HOLDOUT}
 ) + (_K.SUBSURFACE,)
 
 

@@ -26,6 +26,7 @@ _K = ClosureKind
 # Facets with a larger alpha count as diffuse, as in Cycles
 ALPHA_SMOOTH = 0.075
 _TRANSPARENT = wp.constant(int(_K.TRANSPARENT))
+_RAY_PORTAL = wp.constant(int(_K.RAY_PORTAL))
 _GLASS = wp.constant(int(_K.GLASS))
 
 
@@ -50,7 +51,7 @@ def make_note_surface(features: ClosureFeatures) -> wp.Function:
     # the light that goes below a surface has scattered there; that which a rough surface refracts has its colour
     is_facets, has_facets = features.test(MICROFACET_KINDS - {_K.SUBSURFACE}), has(*MICROFACET_KINDS - {_K.SUBSURFACE})
     is_clear = features.test((_K.GLASS, _K.REFRACTION))
-    has_transparent = has(_K.TRANSPARENT)
+    has_transparent, has_portal = has(_K.TRANSPARENT), has(_K.RAY_PORTAL)
 
     @wp.func
     def note_surface(
@@ -85,6 +86,9 @@ def make_note_surface(features: ClosureFeatures) -> wp.Function:
                 color = lobe.scale
                 if wp.static(has_transparent):
                     if closures[c].kind == _TRANSPARENT:
+                        is_rough = False
+                if wp.static(has_portal):
+                    if closures[c].kind == _RAY_PORTAL:
                         is_rough = False
                 if wp.static(has_facets):
                     if is_facets(closures[c].kind):

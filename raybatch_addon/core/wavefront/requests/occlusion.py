@@ -46,7 +46,9 @@ from .state import Phase, Requests
 _ELSEWHERE = int(Status.RAY_NEW | Status.INSIDE)
 _K = ClosureKind
 _DIFFUSE_KINDS = tuple(
-    kind for kind in _K if kind.is_model and kind not in MICROFACET_KINDS | {_K.TRANSPARENT, _K.EMISSION, _K.HOLDOUT}
+    kind
+    for kind in _K
+    if kind.is_model and kind not in MICROFACET_KINDS | {_K.TRANSPARENT, _K.RAY_PORTAL, _K.EMISSION, _K.HOLDOUT}
 )
 
 

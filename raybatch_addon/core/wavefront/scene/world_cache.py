@@ -34,17 +34,20 @@ class WorldCache:
         self._last.clear()
 
     def get(self, scene: Scene, device: wp.Device, texels: Callable[[], np.ndarray]) -> SampledWorld | None:
-        """The world of `scene`; None for one that is the same everywhere, which is not sampled. `texels()` computes the
-        brightness of its texels, and is called unless this is the world of the last call, with the same frozen images.
+        """The world of `scene`; None for one that is the same everywhere and has no portals, which is not sampled.
+        `texels()` computes the brightness of its texels, and is called unless this is the world of the last call, with
+        the same frozen images.
         """
-        varies = _may_vary(scene.world)
+        varies, has_portals = _may_vary(scene.world), bool(scene.world.portals)
 
         def made() -> SampledWorld | None:
             light = texels()
-            return sampled_world(light, device) if varies or not is_even(light) else None
+            if varies or not is_even(light):
+                return sampled_world(light, device)
+            return sampled_world(light, device, even=True) if has_portals else None
 
         pixels, values = _key(scene, device)
-        return self._last.get((pixels, (*values, varies)), made)
+        return self._last.get((pixels, (*values, varies, has_portals)), made)
 
 
 def _may_vary(world: World) -> bool:

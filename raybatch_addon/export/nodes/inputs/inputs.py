@@ -95,7 +95,9 @@ def camera_data(node: Node) -> dict[str, Value]:
 
 
 @values(
-    "ShaderNodeLightPath", family="Inputs", note="in worlds and lights depths by kind of ray and singular rays give 0"
+    "ShaderNodeLightPath",
+    family="Inputs",
+    note="Portal Depth gives 0; in worlds and lights depths by kind of ray and singular rays do too",
 )
 def light_path(node: Node) -> dict[str, Value]:
     """The ray that met the point."""
@@ -112,7 +114,9 @@ def light_path(node: Node) -> dict[str, Value]:
         "Is Volume Scatter Ray",
     )
     outputs = {node.output(name): value for name, value in zip(names, node.op("light_path"))}
-    # counted only if asked for; Portal never occurs, and is 0
+    if node.wants("Portal Depth"):
+        node.warn("Portal Depth is 0: portals are not counted; this is an output")
+    # counted only if asked for
     counted = (
         "Is Diffuse Ray",
         "Is Glossy Ray",

@@ -1,4 +1,4 @@
-"""Diffuse, Translucent, Transparent, Sheen, Toon and Holdout."""
+"""Diffuse, Translucent, Transparent, Ray Portal, Sheen, Toon and Holdout."""
 
 from __future__ import annotations
 
@@ -66,6 +66,13 @@ def translucent(node: Node, weight: Value) -> None:
 def transparent(node: Node, weight: Value) -> None:
     """Straight passage of light."""
     node.closure("transparent", node.times(weight, node.color("Color")))
+
+
+@shader("ShaderNodeBsdfRayPortal", kinds=(_K.RAY_PORTAL,))
+def ray_portal(node: Node, weight: Value) -> None:
+    """Passage to elsewhere."""
+    color = node.times(weight, node.color("Color"))
+    node.closure("ray_portal", color, int(node.linked("Position")), node.vector("Position"), node.vector("Direction"))
 
 
 @shader("ShaderNodeBsdfSheen", kinds=lambda node: (_K.VELVET if node.node.distribution == "ASHIKHMIN" else _K.SHEEN,))

@@ -25,6 +25,7 @@ from tests.support.under_test import DEVICE
 CLOSURES = (
     "emission",
     "transparent",
+    "ray_portal",
     "holdout",
     "diffuse",
     "translucent",

@@ -154,3 +154,29 @@ def translucent(
     """Transmission by Lambert's law, to the other side: weight, normal."""
     kind = wp.static(int(ClosureKind.TRANSLUCENT))
     return simple_closure(kind, vector(data, stack, pc + 1), vector(data, stack, pc + 2), closures, count)
+
+
+@closure_op("ray_portal", "vivv", general=False)
+@wp.func
+def ray_portal(
+    data: NodeData,
+    stack: wp.array(dtype=float),
+    pc: int,
+    point: ShadingPoint,
+    closures: wp.array(dtype=ClosureRecord),
+    count: int,
+) -> int:
+    """Passage to elsewhere: weight, 1 where a position is given, position [m], direction (0: straight on).
+
+    A position that is not finite swallows the light.
+    """
+    w = usable_weight(vector(data, stack, pc + 1))
+    position = vector(data, stack, pc + 3)
+    if is_black(w) or count >= closures.shape[0] or not wp.dot(position, position) < wp.inf:
+        return count
+    record = new_closure(wp.static(int(ClosureKind.RAY_PORTAL)), w)
+    record.distribution = data.code[pc + 2]
+    record.edge = position
+    record.tangent = usable_normal(vector(data, stack, pc + 4))
+    closures[count] = record
+    return count + 1

@@ -57,6 +57,7 @@ class AimFeatures:
     light_links: bool = False
     shadow_links: bool = False
     light_groups: bool = False
+    light_portals: bool = False
 
 
 @wp.func

@@ -40,6 +40,7 @@ class SurfaceFeatures:
     light_links: bool = False
     shadow_links: bool = False
     light_groups: bool = False
+    light_portals: bool = False  # the world is sampled through portals
     moving: bool = False  # instances or vertices move
     film_holes: bool = False  # surfaces cut holes into a film that has alpha
     records_surfaces: bool = False  # passes show what the first surfaces are
@@ -50,6 +51,11 @@ class SurfaceFeatures:
     def transparency(self) -> bool:
         """Surfaces that rays pass straight through."""
         return ClosureKind.TRANSPARENT in self.closures
+
+    @property
+    def portals(self) -> bool:
+        """Surfaces that send rays on elsewhere."""
+        return ClosureKind.RAY_PORTAL in self.closures
 
     @property
     def lacks_caustics(self) -> bool:

@@ -48,6 +48,7 @@ from .emission import make_gather_emission
 from .features import SurfaceFeatures
 from .filter_glossy import blur_alpha, make_blur
 from .history import history_after
+from .portal import pass_portal
 from .program import (
     address_of_closure,
     fixed_closure_count,
@@ -388,6 +389,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 if (scattered.lobe & TRANSPARENT) != 0:
                     t_max = rays.t_max[path] - hit_t  # the camera's far plane stays where it is
             rays.t_max[path] = t_max
+            if wp.static(features.portals):
+                pass_portal(paths, rays, path, surface, closures, scattered)
             status = status | wp.static(RAY_NEW)
         else:
             status = status | wp.static(ENDED)

@@ -1,0 +1,1 @@
+"""Portals: openings through which a world is sampled."""
