@@ -26,7 +26,8 @@ class NodeData:
 
     code: wp.array(dtype=int)  # programs one after the other; an instruction is op + (words << 16), and then its words
     constants: wp.array(dtype=float)
-    # begin of each material's program in `code`, -1: it has none; [material_count]
+    # begin of each material's program in `code`, -1: it has none; [material_count]. Where materials ask for rays, those
+    # of their requests follow; where some let light pass straight on, the parts that make such closures come last
     program_first: wp.array(dtype=int)
     geometry: Geometry
     images: ImageTable

@@ -13,8 +13,8 @@ from ..scene.description import Scene
 from ..scene.program import Instruction, Program, rounded_registers
 from ..settings.settings import RenderSettings
 from .footprints import filtered_scene
-from .op import op_named
 from .ops.inputs.ray_inputs import ANSWERS
+from .parts import steps_towards
 
 REQUEST_OPS = frozenset({"ambient_occlusion", "bevel"})
 # Words of these ops: the first register, and the number of the request
@@ -62,31 +62,9 @@ def with_requests(program: Program, most: int, first: int, register_count: int) 
             step, number = Instruction(step.op, words), number + 1
         steps.append(step)
     steps = tuple(steps)
-    asks = _steps_of_requests(steps)
+    asks = steps_towards(steps, lambda step: step.op in REQUEST_OPS)
     ops = tuple(sorted({step.op for step in asks}))
     requests = Program(asks, program.constants, register_count, 1, ops, answer_count=most)
     return dataclasses.replace(
         program, instructions=steps, register_count=register_count, answer_count=most, requests=requests
     )
-
-
-def _steps_of_requests(instructions: tuple[Instruction, ...]) -> tuple[Instruction, ...]:
-    """The instructions that requests depend on, and the requests."""
-    wanted: set[int] = set()  # registers whose last values before an instruction they depend on
-    kept = []
-    for step in reversed(instructions):
-        signature = op_named(step.op).signature
-        written = _registers(signature, step.words, "NV")
-        if step.op in REQUEST_OPS or wanted & written:
-            wanted = (wanted - written) | _registers(signature, step.words, "nv")
-            kept.append(step)
-    return tuple(kept[::-1])
-
-
-def _registers(signature: str, words: tuple[int, ...], letters: str) -> set[int]:
-    """The registers of operands with one of `letters`."""
-    found: set[int] = set()
-    for letter, word in zip(signature, words):
-        if letter in letters and word >= 0:
-            found.update(range(word, word + (3 if letter in "vV" else 1)))
-    return found

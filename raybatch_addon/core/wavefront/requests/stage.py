@@ -188,7 +188,7 @@ def request_kernel(features: RequestFeatures) -> wp.Kernel:
             data.geometry, rays.hit_instance[path], rays.hit_primitive[path], rays.hit_uv[path], time_of(rays, path)
         )
         # behind the programs of materials are those of their requests
-        program = data.nodes.program_first[data.nodes.program_first.shape[0] / 2 + surface.material]
+        program = data.nodes.program_first[data.materials.records.shape[0] + surface.material]
         if program < 0:
             return
         v = vertex(data, work, limits, paths, rays, path)

@@ -14,9 +14,11 @@ from ...bvh.traverse.reference import ReferenceTree
 from ...bvh.tree import Tree
 from ...bvh.treelets.tree import TreeletTree
 from ...programs.inputs_data import upload_camera_inputs, upload_inputs, with_camera
+from ...programs.parts import transparent_parts
 from ...programs.table import store_programs, upload_programs
 from ...scene.description import ClosureKind, Scene
 from ...scene.features import SceneFeatures
+from ...scene.program import Program
 from ...settings.settings import RenderSettings
 from ...shading.bsdf.bsdf import ClosureFeatures, upload_materials
 from ...shading.bsdf.materials import material_bins
@@ -80,6 +82,7 @@ class DeviceScene:
         on_stage("images")
         data = SceneData()
         built = treelets = None
+        passing: list[Program | None] = []
         images = cache.images.upload(scene.images, device, cache.image_budget(device))
         if features.surfaces:
             on_stage("tree")
@@ -88,8 +91,10 @@ class DeviceScene:
             data.geometry, built, treelets = kept.geometry, kept.built, kept.treelets
             data.materials = upload_materials(scene.materials, ClosureFeatures(features.closures), device)
             programs = [material.program for material in scene.materials]
+            passing = transparent_parts(programs) if features.transparency else []
             if features.requests:
                 programs += [program.requests if program else None for program in programs]
+            programs += passing  # last, behind those of requests, if any
             inputs = None
             if not features.programs:
                 cache.inputs.clear()
@@ -143,9 +148,7 @@ class DeviceScene:
             closure.kind == ClosureKind.TRANSPARENT and any(closure.weight)
             for material in scene.materials
             for closure in material.closures
-        ) or any(
-            material.program is not None and ClosureKind.TRANSPARENT in material.kinds for material in scene.materials
-        )
+        ) or any(passing)
         volumes = None
         if features.volumes:
             volumes = upload_volumes(scene, features, shading, data.geometry, images.table, device, cache.volumes)

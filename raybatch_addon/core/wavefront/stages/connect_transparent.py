@@ -22,7 +22,13 @@ from .connect import ConnectFeatures, make_arrived
 from .limits import PathLimits, has_light
 from .surface.features import SurfaceFeatures
 from .surface.history import DEPTHS
-from .surface.program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
+from .surface.program import (
+    fixed_closure_count,
+    fixed_closures,
+    make_surface_program,
+    passing_program_of,
+    shading_point,
+)
 from .work import ShadingStage, TileWork
 
 CONNECT = int(ShadingStage.CONNECT)
@@ -34,8 +40,9 @@ SHADOW_OUT = int(Status.SHADOW_OUT)
 def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures) -> wp.Function:
     """The stage's function, as `stage_kernel` takes it: shadow rays of scenes in which surfaces may let them through.
 
-    They come back with closest hits, in order, and go on behind each surface that is not opaque. In the general tier it
-    is the stage `CONNECT` too, whose rays end at any hit: light that arrives is one piece of code.
+    They come back with closest hits, in order, and go on behind each surface that is not opaque. Of a program only the
+    part runs that makes transparent closures; the rest, often nearly all of it, would change nothing. In the general
+    tier it is the stage `CONNECT` too, whose rays end at any hit: light that arrives is one piece of code.
     """
     surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
     transparency = make_bsdf(ClosureFeatures(features.closures)).transparency
@@ -55,28 +62,25 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
             brought = arrived(data, limits, paths, rays, path, slot)
             add_light(paths, path, brought, bounce_to_light(status), True)
         elif wp.static(not programs.apart) or work.stage != wp.static(CONNECT):
-            material = material_at(data.geometry, rays.hit_instance[slot], rays.hit_primitive[slot])
+            instance = rays.hit_instance[slot]
+            primitive = rays.hit_primitive[slot]
+            material = material_at(data.geometry, instance, primitive)
             # what is opaque need not be shaded to end a ray
             if data.materials.records[material].is_clear != 0 and has_light(paths.shadow_light[path]):
-                surface = surface_point(
-                    data.geometry,
-                    rays.hit_instance[slot],
-                    rays.hit_primitive[slot],
-                    rays.hit_uv[slot],
-                    time_of(rays, path),
-                )
+                uv = rays.hit_uv[slot]
+                surface = surface_point(data.geometry, instance, primitive, uv, time_of(rays, path))
                 if wp.static(bool(programs)):
-                    address = fixed_closures(data, surface.material)
+                    address = fixed_closures(data, material)
                     first = int(0)
                     end = int(0)
-                    program = program_of(data, surface.material)
+                    program = passing_program_of(data, material)
                     if program >= 0:
                         point = shading_point(
                             surface,
                             -rays.direction[slot],
-                            rays.hit_instance[slot],
-                            rays.hit_primitive[slot],
-                            rays.hit_uv[slot],
+                            instance,
+                            primitive,
+                            uv,
                             paths.shadow_t[path] + rays.hit_t[slot],
                         )
                         point.ray_kind = wp.static(int(Visibility.SHADOW))
@@ -88,12 +92,12 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
                         end = run_surface(data, program, point, records)
                         address = address_of(records)
                     else:
-                        end = fixed_closure_count(data, surface.material)
+                        end = fixed_closure_count(data, material)
                     closures = wp.array(ptr=address, shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
                 else:
                     closures = data.materials.closures
-                    first = data.materials.records[surface.material].closure_first
-                    end = data.materials.records[surface.material].closure_end
+                    first = data.materials.records[material].closure_first
+                    end = data.materials.records[material].closure_end
                 light = wp.cw_mul(paths.shadow_light[path], transparency(closures, first, end))
                 if has_light(light) and passed / wp.static(SHADOW_PASS) < limits.transparent_bounce_max:
                     direction = rays.direction[slot]
@@ -101,8 +105,8 @@ def make_connect_transparent(features: SurfaceFeatures, connect: ConnectFeatures
                     ray = origin - rays.origin[slot]
                     t_max = rays.t_max[slot]
                     if t_max < wp.inf:
-                        # to the same end: moved aside only, the ray could find the light that it was aimed at in
-                        # its own way
+                        # to the same end: moved aside only, the ray could find the light that it was aimed at in its
+                        # own way
                         left = t_max * direction - ray
                         t_max = wp.length(left)
                         if t_max > 0.0:

@@ -10,7 +10,9 @@ Results are in [0, 1], both ends included.
 
 import warp as wp
 
-_LOOKUP3 = wp.constant(wp.uint32(0xDEADBEEF + 13))  # plus four times the number of words
+_SEED = 0xDEADBEEF + 13  # of lookup3; plus four times the number of words
+_LOOKUP3 = wp.constant(wp.uint32(_SEED))
+HASH_SEED_3 = f"{_SEED + 12}u"  # of three words, as C++ spells it
 _UNIT_32 = wp.constant(2.0**-32)
 _UNIT_31 = wp.constant(2.0**-31)
 _MULTIPLIER = wp.constant(wp.uint32(1664525))

@@ -13,7 +13,7 @@ import warp as wp
 
 from ....native.build import native_source
 from ..values.finite import finite_or_zero
-from .hashing import hash_bits_1, hash_bits_2, hash_bits_3, hash_bits_4
+from .hashing import HASH_SEED_3, hash_bits_1, hash_bits_2, hash_bits_4
 
 PERIOD = 100000.0
 SHIFTED_FROM = 1000000.0
@@ -99,16 +99,6 @@ def _slope_2(i: wp.uint32, j: wp.uint32, x: float, y: float) -> float:
 
 
 @wp.func
-def _slope_3(i: wp.uint32, j: wp.uint32, k: wp.uint32, x: float, y: float, z: float) -> float:
-    # one of the twelve directions to the middles of a cube's edges; four of them count twice
-    bits = hash_bits_3(i, j, k)
-    h = bits & wp.uint32(15)
-    u = wp.where(h < wp.uint32(8), x, y)
-    v = wp.where(h < wp.uint32(4), y, wp.where(h == wp.uint32(12) or h == wp.uint32(14), x, z))
-    return _flip(u, bits, wp.uint32(1)) + _flip(v, bits, wp.uint32(2))
-
-
-@wp.func
 def _slope_4(i: wp.uint32, j: wp.uint32, k: wp.uint32, m: wp.uint32, at: wp.vec4) -> float:
     bits = hash_bits_4(i, j, k, m)
     h = bits & wp.uint32(31)
@@ -124,9 +114,9 @@ def _row_2(i: wp.uint32, j: wp.uint32, x: float, y: float, u: float) -> float:
     return _mix(_slope_2(i, j, x, y), _slope_2(i + wp.uint32(1), j, x - 1.0, y), u)
 
 
-@wp.func
-def _row_3(i: wp.uint32, j: wp.uint32, k: wp.uint32, at: wp.vec3, u: float) -> float:
-    return _mix(_slope_3(i, j, k, at[0], at[1], at[2]), _slope_3(i + wp.uint32(1), j, k, at[0] - 1.0, at[1], at[2]), u)
+@wp.func_native(native_source("noise/cell_3.h", HASH_SEED=HASH_SEED_3))
+def _cell_3(i: wp.uint32, j: wp.uint32, k: wp.uint32, at: wp.vec3, fade: wp.vec3) -> float:
+    """Noise at `at` in [0, 1) from the lattice point (i, j, k); `fade` is the step of each axis there."""
 
 
 @wp.func
@@ -175,20 +165,8 @@ def signed_noise_3d(p: wp.vec3) -> float:
     j = wp.uint32(floor_to_int(q[1]))
     k = wp.uint32(floor_to_int(q[2]))
     at = wp.vec3(q[0] - wp.floor(q[0]), q[1] - wp.floor(q[1]), q[2] - wp.floor(q[2]))
-    u = _fade(at[0])
-    v = _fade(at[1])
-    w = _fade(at[2])
-    noise = float(0.0)
-    # a variable, so that the loop stays one and holds the code of a lattice point four times instead of eight
-    layers = int(2)
-    for layer in range(layers):
-        near = _row_3(i, j, k, at, u)
-        far = _row_3(i, j + wp.uint32(1), k, wp.vec3(at[0], at[1] - 1.0, at[2]), u)
-        plane = _mix(near, far, v)
-        noise = wp.where(layer == 0, plane, _mix(noise, plane, w))
-        k += wp.uint32(1)
-        at[2] -= 1.0
-    return _SCALE_3 * noise
+    fade = wp.vec3(_fade(at[0]), _fade(at[1]), _fade(at[2]))
+    return _SCALE_3 * _cell_3(i, j, k, at, fade)
 
 
 @wp.func
@@ -205,6 +183,7 @@ def signed_noise_4d(p: wp.vec4) -> float:
     w = _fade(at[2])
     s = _fade(at[3])
     noise = float(0.0)
+    # a variable, so that the loop stays one and holds the code of a lattice point half as often
     layers = int(2)
     for layer in range(layers):
         near = _row_4(i, j, k, m, at, s, u)

@@ -82,6 +82,17 @@ def program_of(data: SceneData, material: int) -> int:
     return -1
 
 
+@wp.func
+def passing_program_of(data: SceneData, material: int) -> int:
+    """The word of code at which that part of the program of `material` begins that makes its transparent closures; -1
+    where it has none.
+    """
+    count = data.nodes.program_first.shape[0]
+    if count > 0:
+        return data.nodes.program_first[count - data.materials.records.shape[0] + material]
+    return -1
+
+
 @wp.func_native("return reinterpret_cast<wp::uint64>(closures.data + first);")
 def address_of_closure(closures: wp.array(dtype=ClosureRecord), first: int) -> wp.uint64:
     """Where the record `first` is."""

@@ -1,0 +1,48 @@
+"""Parts of programs: what some of their steps depend on, as programs of their own."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+from ..scene.program import Instruction, Program
+from .op import op_named
+
+# Ops that may make a closure that lets light pass straight on
+TRANSPARENT_OPS = frozenset({"transparent", "sheet", "facet_hair"})
+
+
+def steps_towards(
+    instructions: Sequence[Instruction], is_aim: Callable[[Instruction], bool]
+) -> tuple[Instruction, ...]:
+    """The instructions for which `is_aim` holds, and those that they depend on, in order."""
+    wanted: set[int] = set()  # registers whose last values before an instruction they depend on
+    kept = []
+    for step in reversed(instructions):
+        signature = op_named(step.op).signature
+        written = _registers(signature, step.words, "NV")
+        if is_aim(step) or wanted & written:
+            wanted = (wanted - written) | _registers(signature, step.words, "nv")
+            kept.append(step)
+    return tuple(kept[::-1])
+
+
+def transparent_parts(programs: Sequence[Program | None]) -> list[Program | None]:
+    """Of each of `programs` the part that makes the closures that let light pass straight on, all that shadow rays ask
+    for; None where there are no such closures. A program that occurs several times has one part.
+    """
+    known: dict[int, Program | None] = {}
+    for program in programs:
+        if program is not None and id(program) not in known:
+            steps = steps_towards(program.instructions, lambda step: step.op in TRANSPARENT_OPS)
+            known[id(program)] = dataclasses.replace(program, instructions=steps) if steps else None
+    return [known[id(program)] if program is not None else None for program in programs]
+
+
+def _registers(signature: str, words: tuple[int, ...], letters: str) -> set[int]:
+    """The registers of operands with one of `letters`."""
+    found: set[int] = set()
+    for letter, word in zip(signature, words):
+        if letter in letters and word >= 0:
+            found.update(range(word, word + (3 if letter in "vV" else 1)))
+    return found
