@@ -67,13 +67,20 @@ def emission_key(
 ) -> tuple[list[np.ndarray | None], tuple]:
     """What the emissive triangles follow from: arrays and values. `emits`: whether each material may emit."""
     arrays, values = inputs_key(scene, ops, device)
-    arrays += [mesh.corner_normals for mesh in scene.meshes]
+    arrays += [mesh.corner_normals for mesh in scene.meshes] + [mesh.motion for mesh in scene.meshes]
     pictures = [pixels for image in scene.images for pixels in pictures_of(image)]
     kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in scene.images)
     emitting = [material if emits_light else None for material, emits_light in zip(scene.materials, emits)]
     materials = tuple(material and _light_of(material) for material in emitting)
     seen = camera_key(scene, [material.program for material in emitting if material])
-    return arrays + pictures, (values, kinds, materials, seen, digest_of([scene.instances.visibility]))
+    shown = digest_of([scene.instances.visibility, *_motion(scene)])
+    return arrays + pictures, (values, kinds, materials, seen, shown)
+
+
+def _motion(scene: Scene) -> list[np.ndarray]:
+    """Where instances of `scene` are at other times."""
+    motion = scene.instances.motion
+    return [] if motion is None else [motion.instance, motion.maps]
 
 
 def camera_key(scene: Scene, programs: Iterable[Program | None]) -> tuple:
@@ -92,6 +99,7 @@ def bounds_key(
     material, or -1; `world_box`: what the world's is taken to fill. Arrays that may change count by their numbers.
     """
     arrays, values = inputs_key(scene, ops, device)
+    arrays += [mesh.motion for mesh in scene.meshes]
     volumes = scene_volumes(scene)
     programs = [volume.program for volume in volumes]
     images = images_of(scene, programs)
@@ -105,7 +113,7 @@ def bounds_key(
         numbers.append(world_box)
     kept = [None if array is None or not is_frozen(array) else array for array in arrays]
     seen = camera_key(scene, programs)
-    return kept, (values, kinds, made, seen, tuple(grids), digest_of([volume_of, *numbers]))
+    return kept, (values, kinds, made, seen, tuple(grids), digest_of([volume_of, *numbers, *_motion(scene)]))
 
 
 def images_of(scene: Scene, programs: Iterable[Program | None]) -> tuple[Image, ...]:
