@@ -194,4 +194,4 @@ def test_each_eye_has_its_own_record(lit):
     runs = store.runs()
     assert [run.view for run in runs] == ["right", "left"] and {run.layer for run in runs} == {"ViewLayer"}
     assert [each["view"] for each in runs_as_data(runs, 1e-3)["runs"]] == ["right", "left"]
-    assert [name.split(", ") for name in names_of(runs).values()] == [["#2", "right"], ["#1", "left"]]
+    assert [name.split(", ")[1:] for name in names_of(runs).values()] == [["right"], ["left"]]
