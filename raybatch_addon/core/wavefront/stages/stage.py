@@ -61,7 +61,7 @@ def prefetch_hits(geometry: Geometry, rays: Rays, slots: wp.array(dtype=int), i:
     """Bring what the vertices of paths behind index `i` of `slots` read of their triangles nearer to a CPU."""
 
 
-def thread_count(slot_count: int, device: wp.Device) -> int:
+def stage_thread_count(slot_count: int, device: wp.Device) -> int:
     """Threads to launch of a stage's kernel for up to `slot_count` slots."""
     return slot_count if device.is_cuda else min(slot_count, 1)
 

@@ -12,7 +12,7 @@ from raybatch_addon.core.scene.geometry import Geometry
 from raybatch_addon.core.wavefront.rays import Paths
 from raybatch_addon.core.wavefront.scene.scene_data import SceneData
 from raybatch_addon.core.wavefront.stages.limits import PathLimits
-from raybatch_addon.core.wavefront.stages.stage import stage_kernel, thread_count
+from raybatch_addon.core.wavefront.stages.stage import stage_kernel, stage_thread_count
 from raybatch_addon.core.wavefront.stages.work import ShadingStage, TileWork
 
 PATHS = 40
@@ -54,7 +54,7 @@ def test_each_slot_is_shaded_once(device, of, listed, indexed):
     slots = wp.array(LISTED, dtype=int, device=device)
     expected = np.isin(hits, LISTED[:listed]).astype(np.int32)
     for threads in {
-        thread_count(len(LISTED), wp.get_device(device)),
+        stage_thread_count(len(LISTED), wp.get_device(device)),
         len(LISTED),
     }:  # lists may be shorter than their bounds
         paths.status = wp.zeros(PATHS, dtype=int, device=device)
@@ -66,5 +66,5 @@ def test_each_slot_is_shaded_once(device, of, listed, indexed):
 
 def test_a_cpu_has_one_thread_and_a_gpu_one_for_each_slot(device):
     there = wp.get_device(device)
-    assert thread_count(0, there) == 0
-    assert thread_count(500, there) == (500 if there.is_cuda else 1)
+    assert stage_thread_count(0, there) == 0
+    assert stage_thread_count(500, there) == (500 if there.is_cuda else 1)
