@@ -34,6 +34,7 @@ from .scheduler import Rectangle, WaterMarks
 from .stages import generate
 from .stages.generate import counted_kernel
 from .stages.limits import half_seed, path_limits
+from .stages.stage import stage_thread_count
 from .stages.work import ShadingStage, TileWork, VolumeStage
 from .tier import array_features
 from .tracers.choose import make_tracer
@@ -381,7 +382,8 @@ class TileIntegrator:
         kernel = self._kernels.shading.get(stage)
         if kernel is not None:
             work.stage = int(stage)
-            self._launch_over(kernel, slots, self._scene.data, work, self._limits, self._paths, self._rays, film)
+            inputs = self._scene.data, work, self._limits, self._paths, self._rays, film, slots.slots, slots.count
+            self._launch(kernel, stage_thread_count(slots.bound, self._scene.device), *inputs)
 
     def _launch_volumes(self, stage: VolumeStage, slots: RayList, work: TileWork) -> None:
         volumes = self._kernels.volumes
