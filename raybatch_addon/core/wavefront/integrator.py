@@ -302,8 +302,7 @@ class TileIntegrator:
             if self._volumes:
                 for back in (miss, surface):
                     self._launch_volumes(VolumeStage.SCATTER, back, work)
-                # without those that scattered
-                miss, surface = self._lists.back(paths.status, bound)
+                miss, surface = self._lists.back(paths.status, bound)  # without those that scattered
             self._launch_stage(ShadingStage.LIGHT_HITS, miss, work, film)
             self._launch_stage(ShadingStage.BACKGROUND, miss, work, film)
         if not self._scene.features.surfaces:
@@ -313,7 +312,7 @@ class TileIntegrator:
                 for stage in (ShadingStage.LIGHT_HITS, ShadingStage.AIM, ShadingStage.SURFACE):
                     self._launch_stage(stage, hits, work, film)
                 if self._volumes:
-                    crossed = self._scene.data, self._volumes, self._paths, self._rays
+                    crossed = data, self._volumes, paths, rays
                     self._launch_over(self._kernels.volumes.cross, hits, *crossed)
 
     def _finish_paths(self, work: TileWork, film: FilmTile, generates: bool) -> int:
