@@ -42,7 +42,8 @@ for (int layer = 0; layer < 2; ++layer) {
     for (int row = 0; row < 2; ++row) {
         const float y = at[1] - static_cast<float>(row), z = at[2] - static_cast<float>(layer);
         rows[row] = mixed(
-            slope(i, j + row, k + layer, at[0], y, z), slope(i + 1u, j + row, k + layer, at[0] - 1.0f, y, z), fade[0]);
+            slope(i, j + row, k + layer, at[0], y, z), slope(i + 1u, j + row, k + layer, at[0] - 1.0f, y, z), fade[0]
+        );
     }
     planes[layer] = mixed(rows[0], rows[1], fade[1]);
 }
@@ -51,7 +52,8 @@ return mixed(planes[0], planes[1], fade[2]);
 const Words along_x = {0, 1, 0, 1, 0, 1, 0, 1}, along_y = {0, 0, 1, 1, 0, 0, 1, 1}, along_z = {0, 0, 0, 0, 1, 1, 1, 1};
 const Numbers slopes = slope(
     i + along_x, j + along_y, k + along_z, at[0] - __builtin_convertvector(along_x, Numbers),
-    at[1] - __builtin_convertvector(along_y, Numbers), at[2] - __builtin_convertvector(along_z, Numbers));
+    at[1] - __builtin_convertvector(along_y, Numbers), at[2] - __builtin_convertvector(along_z, Numbers)
+);
 const auto rows = mixed(slopes.even, slopes.odd, fade[0]);
 const auto planes = mixed(rows.even, rows.odd, fade[1]);
 return mixed(planes.x, planes.y, fade[2]);
