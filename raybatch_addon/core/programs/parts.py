@@ -6,10 +6,8 @@ import dataclasses
 from collections.abc import Callable, Sequence
 
 from ..scene.program import Instruction, Program
+from ..shading.bsdf.materials import TRANSPARENT_OPS
 from .op import op_named
-
-# Ops that may make a closure that lets light pass straight on
-TRANSPARENT_OPS = frozenset({"transparent", "sheet", "facet_hair"})
 
 
 def steps_towards(

@@ -237,22 +237,28 @@ def _with_equal_steps(meshes: list[Mesh], warnings: list[str]) -> list[Mesh]:
 
 def _with_usable_maps(instances: Instances, warnings: list[str]) -> Instances:
     """`instances`, of which those stand still whose motion is not finite or comes too far."""
-    motion = instances.motion
-    if motion is None:
-        return instances
-    if not _belong(motion, len(instances)):
-        warnings.append("the motion of objects does not belong to them: they stand still")
-        return dataclasses.replace(instances, motion=None)
-    with np.errstate(invalid="ignore"):
-        good = (np.abs(motion.maps) <= COORDINATE_MAX).all((1, 2, 3))
-    if good.all():
-        return instances
-    warnings.append(f"{int((~good).sum()):,} objects move to places that are not finite or too far: they stand still")
-    return dataclasses.replace(instances, motion=InstanceMaps(motion.instance[good], motion.maps[good]))
+    for name, what in (("motion", "motion"), ("frames", "motion between frames")):
+        moved = getattr(instances, name)
+        if moved is None:
+            continue
+        if not _belong(moved, len(instances)):
+            warnings.append(f"the {what} of objects does not belong to them: they stand still")
+            instances = dataclasses.replace(instances, **{name: None})
+            continue
+        with np.errstate(invalid="ignore"):
+            good = (np.abs(moved.maps) <= COORDINATE_MAX).all((1, 2, 3))
+        if not good.all():
+            count = int((~good).sum())
+            warnings.append(f"{count:,} objects move to places that are not finite or too far: they stand still")
+            kept = InstanceMaps(moved.instance[good], moved.maps[good])
+            instances = dataclasses.replace(instances, **{name: kept})
+    return instances
 
 
 def _belong(moved: InstanceMaps, count: int) -> bool:
     """Whether these are maps of some of `count` instances, at two times or more."""
+    if not isinstance(moved, InstanceMaps):
+        return False
     which, maps = moved.instance, moved.maps
     if which.ndim != 1 or maps.ndim != 4 or len(maps) != len(which) or maps.shape[1] < 2 or maps.shape[2:] != (3, 4):
         return False

@@ -11,13 +11,15 @@ import bpy
 @contextmanager
 def unhidden(view_layer: bpy.types.ViewLayer) -> Iterator[None]:
     """Objects and collections of `view_layer` that are hidden in the viewport alone are not, within this context."""
-    hidden = list(_in_viewport_alone(view_layer))
-    eyes = [obj for obj in view_layer.objects if not obj.hide_render and obj.hide_get(view_layer=view_layer)]
-    for each in hidden:
-        each.hide_viewport = False
-    for obj in eyes:
-        obj.hide_set(False, view_layer=view_layer)
+    hidden, eyes = [], []  # what was shown
     try:
+        for each in list(_in_viewport_alone(view_layer)):
+            each.hide_viewport = False
+            hidden.append(each)
+        for obj in view_layer.objects:
+            if not obj.hide_render and obj.hide_get(view_layer=view_layer):
+                obj.hide_set(False, view_layer=view_layer)
+                eyes.append(obj)
         yield
     finally:
         for obj in eyes:

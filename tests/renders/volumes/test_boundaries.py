@@ -8,6 +8,7 @@ import pytest
 
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Mesh, Scene, Volume
+from raybatch_addon.core.scene.motion import instance_maps
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.renders.volumes.test_volumes import assert_mean, color, filled, in_box, medium
 from tests.support import scenes
@@ -92,7 +93,7 @@ def moved(scene: Scene, motion, instance: int = 0) -> Scene:
     """`scene` with one instance that goes through places: vectors that its transform is moved by."""
     keys = np.repeat(np.asarray(scene.instances.transform, np.float64)[:, None], len(motion), 1)
     keys[instance, :, :, 3] += motion
-    instances = dataclasses.replace(scene.instances, motion=keys.astype(np.float32))
+    instances = dataclasses.replace(scene.instances, motion=instance_maps(keys.astype(np.float32)))
     return dataclasses.replace(scene, instances=instances)
 
 

@@ -38,6 +38,8 @@ REFLECTION_KINDS = MIRROR_KINDS | {_K.SHEET}  # facets whose albedo is that of r
 MICROFACET_KINDS = REFLECTION_KINDS | PASSING_KINDS | {_K.ASHIKHMIN_SHIRLEY, _K.SUBSURFACE}
 # fibres, which scatter to all sides
 HAIR_KINDS = frozenset(kind for kind in _K if kind.is_hair)
+# Ops of programs that may make a closure that lets light pass straight on
+TRANSPARENT_OPS = frozenset({"transparent", "sheet", "facet_hair"})
 # Light from behind the surface shines through, in other directions than straight on
 TRANSMISSIVE_KINDS = PASSING_KINDS | {_K.TRANSLUCENT, _K.SHEET} | HAIR_KINDS
 _COAT_KINDS = frozenset({_K.LAYERED_DIFFUSE, _K.DIELECTRIC})
@@ -160,7 +162,7 @@ class MaterialRecord:
     closure_first: int  # it has the closures [closure_first, closure_end), but for those that its program makes
     closure_end: int
     transmits: int  # 1: some closure, also of its program, is one of `TRANSMISSIVE_KINDS`
-    is_clear: int  # 1: some closure, also of its program, is TRANSPARENT: light may pass straight on
+    is_clear: int  # 1: a closure may be TRANSPARENT, also of its program: light may pass straight on
     bin: int  # the same for materials that run the same code (`material_bins`)
 
 
@@ -229,7 +231,7 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     rows = np.zeros(len(materials), MaterialRecord.numpy_dtype())
     rows["closure_first"], rows["closure_end"] = first[:-1], first[1:]
     rows["transmits"] = [_has_some(material, TRANSMISSIVE_KINDS) for material in materials]
-    rows["is_clear"] = [_has_some(material, {_K.TRANSPARENT}) for material in materials]
+    rows["is_clear"] = [_is_clear(material) for material in materials]
     rows["bin"] = material_bins(materials)
     table.records = wp.array(rows, dtype=MaterialRecord, device=device)
     table.closures = wp.array(records, dtype=ClosureRecord, device=device)
@@ -264,6 +266,12 @@ def _has_some(material: Material, wanted: Collection[ClosureKind]) -> bool:
     if material.program is not None:
         kinds = {instruction.op for instruction in material.program.instructions}
     return not kinds.isdisjoint(kind.name.lower() for kind in wanted)
+
+
+def _is_clear(material: Material) -> bool:
+    if material.program is not None:  # which makes all of a material's closures
+        return any(instruction.op in TRANSPARENT_OPS for instruction in material.program.instructions)
+    return any(closure.kind == _K.TRANSPARENT for closure in material.closures)
 
 
 def constant_closure(record: ClosureRecord) -> Closure:

@@ -211,7 +211,7 @@ def _choice_table(
 
     # triangles that are the same array have the same places too
     followed = digest_of([records, lamps]), largest, table.emitter_count, device.alias
-    tree = keep(([triangles.radiance], followed), make)
+    tree = keep(([triangles.radiance] if len(triangles) else [], followed), make)
     choice = ChoiceTable()
     choice.blocks, choice.below, choice.above, choice.leaf = tree.blocks, tree.below, tree.above, tree.leaf
     choice.world_irradiance = wp.array(irradiance / largest, dtype=float, device=device)

@@ -29,6 +29,8 @@ _ROUNDINGS = 16.0
 _PARALLEL = 0.1
 # How many times as far as the next ray begins from a surface others belong to it
 _REACHES = 2.0
+# Enclosures that are looked up together
+NEAR_MOST = 8
 # Of so many surfaces it is not asked which are near to others
 _PAIRED_MOST = 4096
 
@@ -86,6 +88,31 @@ def _side(a: wp.vec3, b: wp.vec3, c: wp.vec3, direction: wp.vec3) -> int:
     if u <= 0.0 and v <= 0.0 and w <= 0.0 and u + v + w < 0.0:
         return 1
     return 0
+
+
+@wp.func
+def enclosures_near(enclosures: Enclosures, low: wp.vec3, high: wp.vec3, after: int, near: wp.array(dtype=int)) -> int:
+    """Write the numbers of the enclosures whose boxes meet the box from `low` to `high` [m] to `near`, an array of
+    `NEAR_MOST`: the least that are larger than `after`, ascending. How many there are.
+
+    On CUDA a block has one stack for queries, so that none may be made while another goes on.
+    """
+    count = int(0)
+    number = int(0)
+    query = wp.bvh_query_aabb(enclosures.tree, low, high)
+    while wp.bvh_query_next(query, number):
+        at = int(-1)
+        if number > after:
+            at = wp.min(count, wp.static(NEAR_MOST - 1))
+            if count == wp.static(NEAR_MOST) and number > near[at]:
+                at = int(-1)
+        if at >= 0:
+            while at > 0 and near[wp.max(at - 1, 0)] > number:
+                near[at] = near[at - 1]
+                at = at - 1
+            near[at] = number
+            count = wp.min(count + 1, wp.static(NEAR_MOST))
+    return count
 
 
 @wp.func

@@ -13,7 +13,7 @@ from ...rays import Rays
 from ...scene.geometry import Geometry
 from ...shading.segments import make_is_closed, make_surface_point
 from ...shading.surface import SurfacePoint, material_at, spawn_origin
-from ...shading.volumes.enclosures import is_around, passed_at_once
+from ...shading.volumes.enclosures import NEAR_MOST, enclosures_near, is_around, passed_at_once
 from ..rays import Paths, Status, time_of
 from ..scene.scene_data import SceneData
 from .table import BACK, FRONT, VolumeData, across, entered, holds, left
@@ -33,11 +33,13 @@ def enter_kernel(
     inside = wp.vec4i(0, 0, 0, 0)
     if volumes.enclosures.of.shape[0] > 0:
         origin = rays.origin[path]
-        k = int(0)
-        query = wp.bvh_query_aabb(volumes.enclosures.tree, origin, origin)
-        while wp.bvh_query_next(query, k):
-            if is_around(geometry, volumes.enclosures, k, origin, time_of(rays, path)):
-                inside = entered(inside, volumes.enclosures.of[k].code)
+        near = wp.zeros(wp.static(NEAR_MOST), dtype=int)
+        count_near = enclosures_near(volumes.enclosures, origin, origin, -1, near)
+        while count_near > 0:
+            for n in range(count_near):
+                if is_around(geometry, volumes.enclosures, near[n], origin, time_of(rays, path)):
+                    inside = entered(inside, volumes.enclosures.of[near[n]].code)
+            count_near = enclosures_near(volumes.enclosures, origin, origin, near[count_near - 1], near)
     volumes.state.inside[path] = inside
     volumes.state.segment[path] = 0
     volumes.state.scattered[path] = 0
@@ -80,18 +82,22 @@ def behind_surface(
     # as `spawn_origin` begins the next ray
     reach = wp.length(spawn_origin(position, surface.error, normal, normal) - position)
     around = surface.error + wp.vec3(reach, reach, reach)
-    k = int(0)
-    query = wp.bvh_query_aabb(volumes.enclosures.tree, position - around, position + around)
-    while wp.bvh_query_next(query, k):
-        code = volumes.enclosures.of[k].code
-        passed = passed_at_once(geometry, volumes.enclosures, k, position, normal, reach, surface.time)
-        if passed[0] > 0:
-            if code == own and passed[1] == 0:
-                result = wp.where(holds(inside, code), entered(result, code), left(result, code))
-            if passed[1] > 0:
-                result = entered(result, code)
-            if passed[1] < 0:
-                result = left(result, code)
+    low = position - around
+    high = position + around
+    near = wp.zeros(wp.static(NEAR_MOST), dtype=int)
+    count = enclosures_near(volumes.enclosures, low, high, -1, near)
+    while count > 0:
+        for n in range(count):
+            code = volumes.enclosures.of[near[n]].code
+            passed = passed_at_once(geometry, volumes.enclosures, near[n], position, normal, reach, surface.time)
+            if passed[0] > 0:
+                if code == own and passed[1] == 0:
+                    result = wp.where(holds(inside, code), entered(result, code), left(result, code))
+                if passed[1] > 0:
+                    result = entered(result, code)
+                if passed[1] < 0:
+                    result = left(result, code)
+        count = enclosures_near(volumes.enclosures, low, high, near[count - 1], near)
     return result
 
 

@@ -1,6 +1,7 @@
 """Closures as they are compiled: extremes stay finite, one kind alone gives the same numbers, nothing more is there."""
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.description import Closure, Material
+from raybatch_addon.core.scene.program import Instruction
 from raybatch_addon.core.shading.bsdf.bsdf import ClosureFeatures, upload_materials
 from tests.core.shading.bsdf.closure_probe import (
     EVERYTHING,
@@ -123,10 +125,15 @@ def test_materials_say_whether_light_may_pass_straight_on():
             builder.closure(name, WHITE)
         return Material("made", (), (), builder.finish())
 
+    def with_op(name):
+        material = made("emission")
+        return replace(material, program=replace(material.program, instructions=(Instruction(name, ()),)))
+
     clear, opaque = Closure(K.TRANSPARENT, WHITE), Closure(K.DIFFUSE, WHITE)
     materials = [Material("", (opaque,)), Material("", (opaque, clear)), Material("", ())]
-    table = upload_materials([*materials, made("emission", "transparent"), made("emission")], EVERYTHING, DEVICE)
-    assert table.records.numpy()["is_clear"].tolist() == [0, 1, 0, 1, 0]
+    materials += [made("emission", "transparent"), made("emission"), *map(with_op, ("sheet", "facet_hair", "diffuse"))]
+    table = upload_materials(materials, EVERYTHING, DEVICE)
+    assert table.records.numpy()["is_clear"].tolist() == [0, 1, 0, 1, 0, 1, 1, 0]
 
 
 @pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
