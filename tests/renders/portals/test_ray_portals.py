@@ -1,9 +1,11 @@
 """Surfaces that send rays on elsewhere: closed forms, and the same film under any schedule."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from raybatch_addon.core.scene.description import Closure, Frame, Material
+from raybatch_addon.core.scene.description import Closure, Frame, Material, Volume
 from raybatch_addon.core.scene.description import ClosureKind as K
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -113,3 +115,11 @@ def test_scenes_without_portals_have_no_code_for_them():
     without, with_one = (derive_features(dome(each), settings) for each in (scenes.diffuse(), portal()))
     assert K.RAY_PORTAL not in without.closures and not without.transparency
     assert with_one.transparency and "RAY_PORTAL" in why_not_general(with_one)
+
+
+def test_portals_beside_volumes_are_told(session):
+    """Rays do not find out which volumes are around the place where they come out."""
+    scene = dome(portal(), Frame(2, 2))
+    mist = Volume((Closure(K.VOLUME_ABSORPTION, (1e-3,) * 3),))
+    film = session.render(replace(scene, world=replace(scene.world, volume=mist)), RenderSettings(sample_count=1))
+    assert [text for text in film.statistics["warnings"] if text.startswith("Ray Portal: ")]

@@ -117,7 +117,7 @@ def upload_lights(
             shape [n, 3].
         world: the world, if it is sampled.
         lamps: computes the factor by which programs change the brightness of each light, float64, shape [light_count],
-            from a table that holds lights alone.
+            from a table that holds lights, and portals behind them, alone.
         triangles: the emissive triangles, where they are known.
         geometry: that of `scene` on `device`; needed where triangles emit.
         keep: returns the tree over emitters that `make` makes, or one that it made before of the same arrays, if they

@@ -100,7 +100,7 @@ def entry(volumes: VolumeData, inside: wp.vec4i, place: int) -> wp.vec2i:
 
 @wp.func
 def innermost_instance(inside: wp.vec4i, volume_count: int) -> int:
-    """The instance whose volume a ray entered last, of those that it is in; -1: it is in none."""
+    """The instance of the last place of `inside`, mostly of the volume that a ray entered last; -1: it is in none."""
     instance = int(-1)
     for place in range(wp.static(INSIDE_MOST)):
         if inside[place] > 0:

@@ -108,6 +108,8 @@ def upload_volumes(
     data.enclosures = enclosures.data
     ops, asked = features.volume_program.ops, narrow(shading, VolumeFeatures)
     warnings = _bound(data, scene, asked, volume_of, device, ops, cache.bounds)
+    if ClosureKind.RAY_PORTAL in features.closures:
+        warnings.append("Ray Portal: a ray that comes out of one is in the volumes of the place where it went in")
     return UploadedVolumes(data, enclosures.kept, grids, stored, warnings)
 
 
