@@ -176,7 +176,7 @@ def test_scenes_pay_for_programs_of_lamps_only_where_there_are_some():
     assert changed == programs  # values compile nothing
     kernels, others = (StageKernels.choose(each, wp.get_device("cpu")).shading for each in (plain, programs))
     assert (
-        kernels[ShadingStage.CONNECT] is stage_kernel(make_connect(False, False), ShadingStage.CONNECT)
+        kernels[ShadingStage.CONNECT] is stage_kernel(make_connect(False, False, False), ShadingStage.CONNECT)
         and kernels[ShadingStage.LIGHT_HITS] is not others[ShadingStage.LIGHT_HITS]
     )
 

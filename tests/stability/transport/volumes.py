@@ -86,7 +86,7 @@ def depths(bench: Bench) -> Outcome:
     FAMILY,
     "Cubes in one another that absorb, with the camera in all of them, at four places and in four directions: every "
     "one of them dims by its own way to its face.",
-    "64 roundings.",
+    "All is constant: 64 roundings of the result.",
     traces=False,
     quick=True,
 )
