@@ -12,7 +12,7 @@ from raybatch_addon.core.scene.cameras import CameraKind
 from raybatch_addon.core.scene.description import Frame, Volume
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.renders.volumes.test_volumes import assert_mean, filled, in_box, medium, picture
-from tests.stability.transport.volumes import in_grid
+from tests.stability.volume_scenes import in_grid
 from tests.support import scenes
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
