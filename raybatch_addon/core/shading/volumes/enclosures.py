@@ -13,6 +13,7 @@ import numpy as np
 import warp as wp
 
 from ...scene.description import Camera, CameraKind, Mesh, Scene
+from ...scene.frozen import fact
 from ...scene.geometry import Geometry, corners_of, mat34, transform_point, transform_vector
 from ...scene.motion import apart
 from ...scene.moved import inverse_at, motion_row, positions_at
@@ -266,7 +267,7 @@ class _VolumeSlots:
         self._scene, self._volume_of = scene, volume_of
         self._moves = apart(scene) if len(scene.instances) else np.zeros(0, bool)
         self._slot_counts: dict[int, int] = {}  # by mesh
-        self._meets: dict[tuple, bool] = {}  # by `key`
+        self._meets: dict[int, bool] = {}  # by mesh
 
     def _mesh(self, instance: int) -> Mesh:
         return self._scene.meshes[int(self._scene.instances.mesh[instance])]
@@ -317,12 +318,16 @@ class _VolumeSlots:
 
     def meets_itself(self, each: _Bounded) -> bool:
         """Whether some vertices of a mesh lie in one place, as where parts of it stand side by side."""
-        key = self.key(each)
-        if key not in self._meets:
-            places = np.ascontiguousarray(self._mesh(each.instance).positions + np.float32(0))  # -0 becomes 0
-            rows = places.view("V12").ravel()
-            self._meets[key] = len(np.unique(rows)) < len(rows)
-        return self._meets[key]
+        index = int(self._scene.instances.mesh[each.instance])
+        if index not in self._meets:
+            self._meets[index] = fact(self._scene.meshes[index].positions, _share_places)
+        return self._meets[index]
+
+
+def _share_places(positions: np.ndarray) -> bool:
+    """Whether some of `positions`, float32, shape [n, 3], are the same."""
+    rows = np.ascontiguousarray(positions + np.float32(0)).view("V12").ravel()  # -0 becomes 0
+    return len(np.unique(rows)) < len(rows)
 
 
 def _rounded(corners: np.ndarray, side: int) -> np.ndarray:
