@@ -147,7 +147,7 @@ def _shading_kernels(
     has_simple = aims_apart or not wide
     found = {stage: stage_kernel(simple[stage](), stage) for stage in stages if has_simple and not runs_program[stage]}
     if len(found) < len(stages):
-        kernel = all_stages_kernel(*(whole[stage]() for stage in STAGES_OF_ALL))
+        kernel = all_stages_kernel(*(whole[stage]() for stage in STAGES_OF_ALL), aims=in_one is not None)
         found |= {stage: kernel for stage in stages if stage not in found}
     return found
 

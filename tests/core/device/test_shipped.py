@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
-from lib.shipped_kernels import can_be_made, compile_source, make_kernels, source_of
+from lib.shipped_kernels import can_be_made, compile_source, kernels_for, make_kernels, source_of
 
 from raybatch_addon.core.device import ready, shipped
 from raybatch_addon.core.device.devices import is_compiled, shipped_target, start_warp
@@ -141,6 +141,17 @@ def test_general_kernels_of_other_code_are_said(folder, made):
     module = wp.get_module(f"{GENERAL_MODULE}_stages")
     assert shipped.shipped_files(module, wp.get_device("cpu"), 1) is None
     assert "belong to other code than this RayBatch" in take_notes()[0]
+
+
+def test_general_kernels_for_a_cpu_and_for_cuda_share_no_module():
+    """A module's hash is that of all its kernels: a process that wants both would find neither among the shipped."""
+    cpu, cuda = (
+        {kernel for kernel in kernels_for(target) if kernel.module.name.startswith(GENERAL_MODULE)}
+        for target in ("x86-64-v2", "sm_90")
+    )
+    assert cpu != cuda
+    assert {kernel.module.name for kernel in cpu - cuda}.isdisjoint(kernel.module.name for kernel in cuda)
+    assert {kernel.module.name for kernel in cuda - cpu}.isdisjoint(kernel.module.name for kernel in cpu)
 
 
 def test_levels_are_chosen_by_what_the_processor_has(monkeypatch):

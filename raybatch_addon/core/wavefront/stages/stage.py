@@ -107,13 +107,21 @@ STAGES_OF_ALL = (
 
 @functools.cache
 def all_stages_kernel(
-    surface: wp.Function, background: wp.Function, light_hits: wp.Function, connect_transparent: wp.Function
+    surface: wp.Function,
+    background: wp.Function,
+    light_hits: wp.Function,
+    connect_transparent: wp.Function,
+    *,
+    aims: bool,
 ) -> wp.Kernel:
     """Kernel of the arguments of `stage_kernel` that calls the function of the stage `work.stage`, for the functions of
     `STAGES_OF_ALL`.
+
+    `aims`: whether `surface` aims at lights. Each of the two kernels has a module of its own, since a module's hash is
+    that of all its kernels, and a process may want one of them for a CPU and the other for CUDA.
     """
 
-    @wp.kernel(**general_options("stages"))
+    @wp.kernel(**general_options("stages" if aims else "stages_aim_apart"))
     def all_stages(
         data: SceneData,
         work: TileWork,
