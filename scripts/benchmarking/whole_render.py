@@ -102,6 +102,7 @@ def _open_blend(request: RenderRequest) -> OpenedScene:
     if request.size:
         scene.render.resolution_x, scene.render.resolution_y = request.size
         scene.render.resolution_percentage = 100
+    scene.render.use_border = False  # the whole frame, by either engine
     scene.render.engine = "RAYBATCH"
     exported, seconds = _rendered_scene(scene, bpy.context.view_layer)
     return OpenedScene(path.name, exported, settings_from(scene).replace(device="AUTO", thread_count=0), scene, seconds)
