@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import statistics
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -56,21 +57,21 @@ def kept(report: dict[str, Any]) -> dict[str, Any]:
 
 def tables(data: list[dict[str, Any]]) -> str:
     """Medians and the worst over all files, then each file."""
-    lines = [_row(HEADS), _row(["---"] * len(HEADS))]
+    lines = [row(HEADS), row(["---"] * len(HEADS))]
     for run in data:
         for title, files in _groups(run["files"]).items():
             if files:
-                lines.append(_row([f"{_asked(run['request'])}: {title}", *_medians(files), str(len(files))]))
+                lines.append(row([f"{_asked(run['request'])}: {title}", *_medians(files), str(len(files))]))
     names = sorted({name for run in data for name in run["files"]}, key=str.lower)
     heads = ["file", *(f"{_asked(run['request'])}: {what}" for run in data for what in (VARIANCE, TIME, EQUAL))]
-    lines += ["", _row(heads), _row(["---"] * len(heads))]
+    lines += ["", row(heads), row(["---"] * len(heads))]
     for group in ("same picture", "another picture"):
         for name in names:
             found = [run["files"].get(name) for run in data]
             if (group == "same picture") != all(each["same"] for each in found if each):
                 continue
             cells = [_cell(each, what) for each in found for what in (VARIANCE, TIME, EQUAL)]
-            lines.append(_row([name + (" (differs)" if group == "another picture" else ""), *cells]))
+            lines.append(row([name + (" (differs)" if group == "another picture" else ""), *cells]))
     notes = [f"- {_asked(run['request'])}: {run['note']}" for run in data if run["note"]]
     return "\n".join([*lines, *([""] if notes else []), *notes])
 
@@ -109,7 +110,8 @@ def _asked(request: dict[str, Any]) -> str:
     return f"{request['samples']} samples{width}" + (", own defaults" if request["defaults"] else "")
 
 
-def _row(cells) -> str:
+def row(cells: Iterable[str]) -> str:
+    """A line of a table."""
     return f"| {' | '.join(cells)} |"
 
 

@@ -1,0 +1,87 @@
+#!/usr/bin/env python3
+"""Make the table of docs/studies/equal-error.md for GPUs from reports of benchmark.py:
+
+    python scripts/tables/gpu_slopes_table.py [REPORT.json...]
+
+Each REPORT is what `benchmark.py render FILE --device cuda:0 --samples A,B --against cycles --json REPORT.json` wrote.
+Its figures are kept in docs/studies/data/equal-error-gpu.json; without a REPORT the table is made from that.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
+
+from lib.output import json_text
+from real_files.measures import Spread
+
+from tables.equal_error_table import PAGE, row
+from tables.marked_text import with_part, write_or_check
+
+DATA = ROOT / "docs" / "studies" / "data" / "equal-error-gpu.json"
+MARKS = "<!-- equal error on a GPU: made by scripts/tables/gpu_slopes_table.py -->", "<!-- end of the GPU's -->"
+KINDS = ("OPTIX", "CUDA")
+SLOPE, VARIANCE, EQUAL, FIXED = (
+    "slope_raybatch_over_cycles",
+    "variance_raybatch_over_cycles",
+    "equal_error_raybatch_over_cycles",
+    "fixed_raybatch_over_cycles",
+)
+_KEPT = ("scene", "device", "versions", "frame", "sample_counts", "ray_tracing_cores", "raybatch", "cycles", "peer")
+_KEPT += (SLOPE, VARIANCE, EQUAL, FIXED, "mean_ratio")
+HEADS = ("file", "RayBatch [ms]", *(f"Cycles, {kind} [ms]" for kind in KINDS), "time of a sample", "variance")
+HEADS += ("equal error", "fixed [s]", "brightness")
+
+
+def kept(report: dict[str, Any]) -> dict[str, Any]:
+    """What is kept of a report; raises `KeyError` where it is not one of two sample counts against Cycles."""
+    return {name: report[name] for name in _KEPT}
+
+
+def table(data: list[dict[str, Any]]) -> str:
+    """A line about the runs, each file, and the medians."""
+    first = data[0]
+    frame, counts = first["frame"], first["sample_counts"]
+    cores = "with" if first["ray_tracing_cores"] else "without"
+    about = (
+        f"{first['device']['name']} ({cores} ray-tracing cores), {frame['width']} x {frame['height']} pixels, {counts[0]} "
+        f"and {counts[1]} samples, {first['raybatch']['runs']} turns; Blender {first['versions']['blender']}, Warp "
+        f"{first['versions']['warp']}."
+    )
+    lines = [about, "", row(HEADS), row(["---"] * len(HEADS))]
+    for each in sorted(data, key=lambda found: found["scene"].lower()):
+        own, peer = each["raybatch"], each["cycles"][each["peer"]]
+        slopes = [f"{each['cycles'][kind]['ms_a_sample']:.3g}" if kind in each["cycles"] else "-" for kind in KINDS]
+        ratios = [f"{each[name]:.3g}" for name in (SLOPE, VARIANCE, EQUAL)]
+        fixed = f"{own['fixed_seconds']:.2f} / {peer['fixed_seconds']:.2f}"
+        lines.append(
+            row([each["scene"], f"{own['ms_a_sample']:.3g}", *slopes, *ratios, fixed, f"{each['mean_ratio']:.3f}"])
+        )
+    spreads = [Spread.of({each["scene"]: each[name] for each in data}) for name in (SLOPE, VARIANCE, EQUAL)]
+    medians = [f"{each.median:.2f} ({each.low:.2f} to {each.high:.2f})" for each in spreads]
+    worst = [f"{max(each[name] for each in data):.3g}" for name in (SLOPE, VARIANCE, EQUAL)]
+    lines += [row(["**median**", "", "", "", *medians, "", ""]), row(["**worst**", "", "", "", *worst, "", ""])]
+    return "\n".join(lines)
+
+
+def updated(text: str) -> str:
+    """The page with the table as it is now."""
+    return with_part(text, *MARKS, table(json.loads(DATA.read_text(encoding="utf-8"))), PAGE)
+
+
+def main(arguments: list[str]) -> int:
+    """The exit code."""
+    reports = [Path(each) for each in arguments if each != "--check"]
+    if reports:
+        found = [kept(json.loads(path.read_text(encoding="utf-8"))) for path in reports]
+        DATA.write_text(json_text(found) + "\n", encoding="utf-8")
+    return write_or_check(PAGE, updated, "scripts/tables/gpu_slopes_table.py", arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,62 @@
+"""The table of equal error on a GPU is made from reports of benchmark.py."""
+
+import json
+
+import pytest
+from tables import gpu_slopes_table
+
+
+def report(scene, slope, variance, peer="OPTIX"):
+    engine = {"ms_a_sample": 2.0, "fixed_seconds": 0.5, "runs": 3}
+    return {
+        "scene": scene,
+        "device": {"name": "a GPU"},
+        "versions": {"blender": "5", "warp": "1"},
+        "frame": {"width": 640, "height": 360},
+        "sample_counts": [4, 16],
+        "ray_tracing_cores": False,
+        "raybatch": engine,
+        "cycles": {kind: engine | {"fixed_seconds": fixed} for kind, fixed in (("OPTIX", 0.25), ("CUDA", 0.75))},
+        "peer": peer,
+        "slope_raybatch_over_cycles": slope,
+        "variance_raybatch_over_cycles": variance,
+        "equal_error_raybatch_over_cycles": slope * variance,
+        "fixed_raybatch_over_cycles": 1.0,
+        "mean_ratio": 1.0,
+        "settings": "not kept",
+    }
+
+
+def test_the_page_is_up_to_date():
+    assert gpu_slopes_table.main(["--check"]) == 0, "run python scripts/tables/gpu_slopes_table.py"
+
+
+def test_each_file_stands_beside_its_peer_and_the_worst_is_the_largest(tmp_path, monkeypatch):
+    page, data = tmp_path / "page.md", tmp_path / "data.json"
+    page.write_text("\n".join(["before", *gpu_slopes_table.MARKS, "after"]), encoding="utf-8")
+    monkeypatch.setattr(gpu_slopes_table, "PAGE", page)
+    monkeypatch.setattr(gpu_slopes_table, "DATA", data)
+    reports = [report("b.blend", 0.5, 1.0), report("A.blend", 0.25, 8.0, "CUDA"), report("c.blend", 1.0, 0.5)]
+    paths = []
+    for number, each in enumerate(reports):
+        paths.append(tmp_path / f"{number}.json")
+        paths[-1].write_text(json.dumps(each), encoding="utf-8")
+    assert gpu_slopes_table.main([str(path) for path in paths]) == 0
+    rows = [line for line in page.read_text(encoding="utf-8").splitlines() if line.startswith("| ")][2:]
+    assert [line.split(" | ")[0] for line in rows] == [
+        "| A.blend",
+        "| b.blend",
+        "| c.blend",
+        "| **median**",
+        "| **worst**",
+    ]
+    assert rows[0].endswith("| 0.25 | 8 | 2 | 0.50 / 0.75 | 1.000 |") and "| 0.50 / 0.25 |" in rows[1]
+    assert "| 0.50 (" in rows[3] and rows[4].endswith("| 1 | 8 | 2 |  |  |")
+    assert "settings" not in json.loads(data.read_text(encoding="utf-8"))[0]
+    assert gpu_slopes_table.main(["--check"]) == 0
+
+
+def test_a_report_without_cycles_is_refused(tmp_path):
+    (tmp_path / "plain.json").write_text(json.dumps({"scene": "a"}), encoding="utf-8")
+    with pytest.raises(KeyError):
+        gpu_slopes_table.main([str(tmp_path / "plain.json")])
