@@ -49,8 +49,8 @@ def table(data: list[dict[str, Any]]) -> str:
     frame, counts = first["frame"], first["sample_counts"]
     cores = "with" if first["ray_tracing_cores"] else "without"
     about = (
-        f"{first['device']['name']} ({cores} ray-tracing cores), {frame['width']} x {frame['height']} pixels, {counts[0]} "
-        f"and {counts[1]} samples, {first['raybatch']['runs']} turns; Blender {first['versions']['blender']}, Warp "
+        f"{first['device']['name']} ({cores} ray-tracing cores), {frame['width']} x {frame['height']} pixels, "
+        f"{counts[0]} and {counts[1]} samples, {first['raybatch']['runs']} turns; Blender {first['versions']['blender']}, Warp "
         f"{first['versions']['warp']}."
     )
     lines = [about, "", row(HEADS), row(["---"] * len(HEADS))]
