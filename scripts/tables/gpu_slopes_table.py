@@ -48,10 +48,10 @@ def table(data: list[dict[str, Any]]) -> str:
     first = data[0]
     frame, counts = first["frame"], first["sample_counts"]
     cores = "with" if first["ray_tracing_cores"] else "without"
+    size, versions = f"{frame['width']} x {frame['height']} pixels", first["versions"]
     about = (
-        f"{first['device']['name']} ({cores} ray-tracing cores), {frame['width']} x {frame['height']} pixels, "
-        f"{counts[0]} and {counts[1]} samples, {first['raybatch']['runs']} turns; Blender {first['versions']['blender']}, Warp "
-        f"{first['versions']['warp']}."
+        f"{first['device']['name']} ({cores} ray-tracing cores), {size}, {counts[0]} and {counts[1]} samples, "
+        f"{first['raybatch']['runs']} turns; Blender {versions['blender']}, Warp {versions['warp']}."
     )
     lines = [about, "", row(HEADS), row(["---"] * len(HEADS))]
     for each in sorted(data, key=lambda found: found["scene"].lower()):
