@@ -16,8 +16,6 @@ from raybatch_addon.core.shading.sequences.keys import (
     FILTER,
     LENS,
     LIGHT,
-    LIGHT_CHOICE,
-    LOBE,
     ROULETTE,
     TEXTURE,
 )
@@ -49,6 +47,7 @@ def number_kernel(sequence):
         dimension: wp.uint32,
         one: wp.array(dtype=float),
         two: wp.array(dtype=wp.vec2),
+        three: wp.array(dtype=wp.vec3),
     ):
         i = wp.tid()
         p = pixel[i]
@@ -56,18 +55,23 @@ def number_kernel(sequence):
         key = sampler.pixel_key(seed, p % width, p / width, width)
         one[i] = sampler.sample_1d(key, sample[i], dimension)
         two[i] = sampler.sample_2d(key, sample[i], dimension)
+        three[i] = sampler.sample_3d(key, sample[i], dimension)
 
     return load(numbers)
 
 
-def numbers(sequence, samples, pixels=0, dimension=LIGHT, seed=0):
-    """1D numbers, shape [n], and 2D numbers, shape [n, 2]."""
+def all_numbers(sequence, samples, pixels=0, dimension=LIGHT, seed=0):
+    """1D numbers, shape [n], 2D numbers, shape [n, 2], and 3D numbers, shape [n, 3]."""
     samples, pixels = np.broadcast_arrays(samples, pixels)
-    count = samples.size
-    one, two = wp.zeros(count, dtype=float, device=DEVICE), wp.zeros(count, dtype=wp.vec2, device=DEVICE)
+    found = [wp.zeros(samples.size, dtype=each, device=DEVICE) for each in (float, wp.vec2, wp.vec3)]
     arrays = [wp.array(a.astype(np.uint32).ravel(), dtype=wp.uint32, device=DEVICE) for a in (pixels, samples)]
-    launch(number_kernel(sequence), count, [seed, *arrays, dimension], [one, two])
-    return one.numpy(), two.numpy()
+    launch(number_kernel(sequence), samples.size, [seed, *arrays, dimension], found)
+    return [each.numpy() for each in found]
+
+
+def numbers(*arguments, **options):
+    """The first two of `all_numbers`."""
+    return all_numbers(*arguments, **options)[:2]
 
 
 @pytest.mark.parametrize("dimension", [FILTER, BSDF, 7 * DIMENSIONS_PER_BOUNCE + LIGHT])
@@ -83,6 +87,35 @@ def test_samples_fill_every_elementary_interval_once(sequence, pixel, dimension)
                 boxes = (points * [2**first, 2 ** (log - first)]).astype(int) @ [1, 2**first]
                 assert len(np.unique(boxes)) == 2**log
             assert len(np.unique((one[block : block + 2**log] * 2**log).astype(int))) == 2**log
+
+
+@pytest.mark.parametrize("dimension", [BSDF, 7 * DIMENSIONS_PER_BOUNCE + LIGHT])
+@pytest.mark.parametrize("pixel", [0, 123_456])
+def test_three_sobol_dimensions_fill_every_elementary_interval_alike(pixel, dimension):
+    """The first three Sobol dimensions are a (1,3)-sequence: any aligned 2**k samples have two points in each dyadic
+    box of volume 2**(1 - k). So points that one choice leaves over, such as those with the third below 1/4, are well
+    distributed in the square. The first two are a (0,2)-sequence.
+    """
+    three = all_numbers("SOBOL", np.arange(512), pixel, dimension)[2].astype(np.float64)
+    for log in (4, 7):
+        for block in range(0, 512, 2**log):
+            points = three[block : block + 2**log]
+            for first in range(log):
+                for second in range(log - first):
+                    sides = np.array([first, second, log - 1 - first - second])
+                    boxes = (points * 2**sides).astype(int) @ [1, 2**first, 2 ** (first + second)]
+                    assert (np.bincount(boxes, minlength=2 ** (log - 1)) == 2).all(), sides
+            for first in range(log + 1):
+                boxes = (points[:, :2] * [2**first, 2 ** (log - first)]).astype(int) @ [1, 2**first]
+                assert len(np.unique(boxes)) == 2**log
+
+
+@pytest.mark.parametrize("sequence", ["BLUE_NOISE", "INDEPENDENT"])
+def test_three_numbers_of_other_sequences_are_those_of_two_sets(sequence):
+    samples = np.arange(64)
+    three = all_numbers(sequence, samples, 5, LIGHT)[2]
+    np.testing.assert_array_equal(three[:, 2], numbers(sequence, samples, 5, LIGHT)[0])
+    np.testing.assert_array_equal(three[:, :2], numbers(sequence, samples, 5, LIGHT + 1)[1])
 
 
 @pytest.mark.parametrize("dimension", [FILTER, LIGHT, 5 * DIMENSIONS_PER_BOUNCE + BSDF])
@@ -110,7 +143,8 @@ def errors(sequence, samples, integrand, seed):
     y, x, sample = (
         each.ravel() for each in np.meshgrid(np.arange(edge), np.arange(edge), np.arange(samples), indexing="ij")
     )
-    values = integrand(*numbers(sequence, sample, y * WIDTH + x, LIGHT, seed)[1].astype(np.float64).T)
+    # of the set that is a light's point
+    values = integrand(*numbers(sequence, sample, y * WIDTH + x, LIGHT + 1, seed)[1].astype(np.float64).T)
     return values.reshape(edge, edge, samples).mean(2)
 
 
@@ -220,7 +254,7 @@ def test_pixels_seeds_and_dimensions_are_independent(sequence):
         "second number": numbers(sequence, 3, pixels)[1][:, 1],
         "next bounce": numbers(sequence, 3, pixels, LIGHT + DIMENSIONS_PER_BOUNCE)[1][:, 0],
     }
-    sets = (FILTER, LENS, LIGHT_CHOICE, LOBE, BSDF, ROULETTE, TEXTURE)
+    sets = (FILTER, LENS, BSDF, ROULETTE, TEXTURE)
     others |= {f"set {d}": numbers(sequence, 3, pixels, d)[1][:, 0] for d in sets}
     if sequence == "INDEPENDENT":  # samples of the others keep apart from each other
         others["next sample"] = numbers(sequence, 4, pixels)[1][:, 0]

@@ -2,7 +2,8 @@
 
 A number is a pure function of (seed, pixel of the full frame, sample, dimension set): threads, tiles and the order of
 work never enter. A *dimension set* is one decision of a path (see the constants). Each set is a sequence of its own
-over the sample index, and sets are padded against each other.
+over the sample index, and sets are padded against each other. A set of three dimensions takes two numbers: the points
+that one choice leaves over are then well distributed among themselves, as points of two padded sets are not.
 """
 
 import warp as wp
@@ -12,10 +13,8 @@ import warp as wp
 DIMENSIONS_PER_BOUNCE = 8
 FILTER = 0  # 2D: point of the pixel filter
 LENS = 1  # 2D: point of the aperture
-LIGHT_CHOICE = 2  # 1D: which light
-LIGHT = 3  # 2D: point of that light
-LOBE = 4  # 1D: which closure, and which side of it
-BSDF = 5  # 2D: direction
+LIGHT = 2  # 3D: point of a light, and which light
+BSDF = 4  # 3D: direction, and which closure and which side of it
 ROULETTE = 6  # 1D: whether the path goes on
 TEXTURE = 7  # 1D: which level of images
 TIME = 0xFFFFFFFF  # 1D: when the path is, for all of it

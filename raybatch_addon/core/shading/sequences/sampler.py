@@ -11,7 +11,7 @@ import warp as wp
 from .blue_noise import blue_noise_1d, blue_noise_2d, place_key
 from .independent import philox_1d, philox_2d
 from .keys import hashed_key
-from .sobol import sobol_1d, sobol_2d
+from .sobol import sobol_1d, sobol_2d, sobol_3d
 
 
 class Sampler(NamedTuple):
@@ -23,12 +23,24 @@ class Sampler(NamedTuple):
     # (key: vec2ui, sample: uint32, dimension: uint32)
     sample_1d: wp.Function  # -> float in [0, 1)
     sample_2d: wp.Function  # -> vec2 in [0, 1)^2
+    sample_3d: wp.Function  # -> vec3 in [0, 1)^3, of the sets `dimension` and `dimension + 1`
+
+
+def _padded_3d(sample_1d: wp.Function, sample_2d: wp.Function) -> wp.Function:
+    """The function `sample_3d` of a sequence that has no more than two dimensions, or needs none."""
+
+    @wp.func
+    def padded_3d(key: wp.vec2ui, sample: wp.uint32, dimension: wp.uint32) -> wp.vec3:
+        u = sample_2d(key, sample, dimension + wp.uint32(1))
+        return wp.vec3(u[0], u[1], sample_1d(key, sample, dimension))
+
+    return padded_3d
 
 
 _SAMPLERS = {
-    "SOBOL": Sampler(hashed_key, sobol_1d, sobol_2d),
-    "BLUE_NOISE": Sampler(place_key, blue_noise_1d, blue_noise_2d),
-    "INDEPENDENT": Sampler(hashed_key, philox_1d, philox_2d),
+    "SOBOL": Sampler(hashed_key, sobol_1d, sobol_2d, sobol_3d),
+    "BLUE_NOISE": Sampler(place_key, blue_noise_1d, blue_noise_2d, _padded_3d(blue_noise_1d, blue_noise_2d)),
+    "INDEPENDENT": Sampler(hashed_key, philox_1d, philox_2d, _padded_3d(philox_1d, philox_2d)),
 }
 
 

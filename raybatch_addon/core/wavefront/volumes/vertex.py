@@ -11,7 +11,7 @@ from ...scene.description import Visibility
 from ...scene.features import narrow
 from ...shading.bsdf.bsdf import BsdfValue
 from ...shading.sampling import bitangent_of, spherical_direction, tangent_of, to_world
-from ...shading.sequences.keys import BSDF, LOBE, ROULETTE
+from ...shading.sequences.keys import BSDF, ROULETTE
 from ...shading.sequences.sampler import make_sampler
 from ...shading.volumes.phase import PhaseLobe
 from ..passes.light import divide_volume_ray
@@ -41,7 +41,7 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
     """
     sampler = make_sampler(features.sample_sequence)
     sample_1d = sampler.sample_1d
-    sample_2d = sampler.sample_2d
+    sample_3d = sampler.sample_3d
     choose_light = make_choose_light(narrow(features, AimFeatures))
     connect_light = make_connect_light(narrow(features, type(features).__base__), in_volume=True)
 
@@ -79,9 +79,8 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
                     volumes.state.shadow_segment[path] = 0
         if (tasks & wp.static(SCATTER)) == 0:
             return status
-        u = sample_2d(v.key, v.where.sample, v.dimension + wp.uint32(BSDF))
-        u_lobe = sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(LOBE))
-        cosine = phase_sample(lobes, m, throughput, u_lobe, u[0])
+        u = sample_3d(v.key, v.where.sample, v.dimension + wp.uint32(BSDF))
+        cosine = phase_sample(lobes, m, throughput, u[2], u[0])
         new = to_world(
             spherical_direction(cosine, wp.TAU * u[1]), tangent_of(direction), bitangent_of(direction), direction
         )

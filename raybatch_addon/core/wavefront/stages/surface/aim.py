@@ -21,7 +21,7 @@ from ....shading.lights.light_shapes import LAMP_PROGRAM, LightSample
 from ....shading.lights.light_table import LightTable
 from ....shading.lights.lights import LightFeatures, make_lights
 from ....shading.lights.links import group_of, owner_of
-from ....shading.sequences.keys import LIGHT, LIGHT_CHOICE
+from ....shading.sequences.keys import LIGHT
 from ....shading.sequences.sampler import make_sampler
 from ...rays import Paths
 from ...scene.scene_data import SceneData
@@ -74,22 +74,15 @@ def make_choose_light(features: AimFeatures) -> wp.Function:
     `is_aimed`. What its program needs is written to the path.
     """
     light_sample = make_lights(narrow(features, LightFeatures)).sample
-    sampler = make_sampler(features.sample_sequence)
-    sample_1d = sampler.sample_1d
-    sample_2d = sampler.sample_2d
+    sample_3d = make_sampler(features.sample_sequence).sample_3d
 
     @wp.func
     def choose_light(data: SceneData, paths: Paths, path: int, v: Vertex) -> LightSample:
         point = lit_point(v.surface.position, v.side)
         if wp.static(features.light_links):
             point.receiver = v.receiver
-        light = light_sample(
-            data.lights,
-            data.geometry,
-            point,
-            sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(LIGHT_CHOICE)),
-            sample_2d(v.key, v.where.sample, v.dimension + wp.uint32(LIGHT)),
-        )
+        u = sample_3d(v.key, v.where.sample, v.dimension + wp.uint32(LIGHT))
+        light = light_sample(data.lights, data.geometry, point, u[2], wp.vec2(u[0], u[1]))
         if wp.static(features.light_groups):
             if paths.passes.shape[0] > 0:
                 group = int(-1)

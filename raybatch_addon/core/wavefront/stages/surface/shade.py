@@ -28,7 +28,7 @@ from ....shading.bsdf.materials import AOV, RECORD_FLOATS, SURFACE_NORMAL, Closu
 from ....shading.lights.light_shapes import LightSample
 from ....shading.lights.lights import LightFeatures, light_weights, make_lights
 from ....shading.sampling import bitangent_of, tangent_of
-from ....shading.sequences.keys import BSDF, LOBE, ROULETTE, TEXTURE
+from ....shading.sequences.keys import BSDF, ROULETTE, TEXTURE
 from ....shading.sequences.sampler import make_sampler
 from ....shading.surface import spawn_origin
 from ...passes.guides import make_note_surface, note_seen_light
@@ -73,7 +73,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     choose_light = make_choose_light(aims) if aims else None
     sampler = make_sampler(features.sample_sequence)
     sample_1d = sampler.sample_1d
-    sample_2d = sampler.sample_2d
+    sample_3d = sampler.sample_3d
     vertex = make_vertex(narrow(features, VertexFeatures))
     bsdf = make_bsdf(ClosureFeatures(features.closures))
     look, propose, mix, value, complete = bsdf.look, bsdf.propose, bsdf.mix, bsdf.value, bsdf.complete
@@ -248,17 +248,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 end = end - first
                 first = 0
             closures = wp.array(ptr=where, shape=(wp.max(lobes_most, closures.shape[0]),), dtype=ClosureRecord)
-        scattered = propose(
-            closures,
-            first,
-            end,
-            lobes,
-            data.materials.albedo,
-            frame,
-            wo,
-            sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(LOBE)),
-            sample_2d(v.key, v.where.sample, v.dimension + wp.uint32(BSDF)),
-        )
+        u = sample_3d(v.key, v.where.sample, v.dimension + wp.uint32(BSDF))
+        scattered = propose(closures, first, end, lobes, data.materials.albedo, frame, wo, u[2], wp.vec2(u[0], u[1]))
         # The direction of the light, then that of the path. A loop, so that the code of the closures is there once: a
         # GPU waits for instructions more than for anything else here.
         light = LightSample()
