@@ -34,6 +34,7 @@ from .scene.validate import checked_scene
 from .settings.settings import RenderSettings
 from .shading.lights.light_tree import LIGHT_TREE_KERNELS
 from .wavefront.adaptive.ranges import check_after, chosen_looks, first_active, pixels_can_end
+from .wavefront.estimates.displacement import mover
 from .wavefront.integrator import TileIntegrator
 from .wavefront.plan.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
 from .wavefront.render.rendering import RenderEvents, Rendering, snapshot_watchers
@@ -178,7 +179,8 @@ class Session:
         cancelled: Callable[[], bool] | None,
         observers: Sequence[RenderObserver],
     ) -> Job:
-        checked = prepared_scene(self._cache.displaced(checked_scene(scene), self.device), settings)
+        displaced = self._cache.displaced(checked_scene(scene), self.device, mover(settings.kernel_tier))
+        checked = prepared_scene(displaced, settings)
         check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
         free = self._cache.free_for_geometry(checked.images, self.device)

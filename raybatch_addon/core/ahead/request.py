@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import warp as wp
 
 from ..bvh.build.scene_tree import build_kernels, layout_for
-from ..scene.description import CameraKind, ClosureKind
+from ..film.tile import add_integers_kernel
+from ..scene.description import ClosureKind
 from ..scene.features import SCATTERING, SceneFeatures
 from ..settings.settings import RenderSettings
 from ..shading.lights.light_tree import LIGHT_TREE_KERNELS
@@ -55,8 +56,8 @@ class GeneralRequest:
 
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
         """All of them."""
-        found = [*general_kernels(device), *build_kernels(device), *LIGHT_TREE_KERNELS]
-        general = general_features()
+        found = [*general_kernels(device), *build_kernels(device), *LIGHT_TREE_KERNELS, add_integers_kernel]
+        general = general_features(device)
         for features in (*_plain_scenes(plain_features(general)), *_wide_scenes(general)):
             features = dataclasses.replace(features, adaptive=True)  # the kernels of both ways to sample
             found += CompileRequest(features, RenderSettings(), TracingPlan(Method.UNBATCHED), general).kernels(device)
@@ -76,11 +77,6 @@ def _plain_scenes(plain: SceneFeatures) -> list[SceneFeatures]:
         dataclasses.replace(plain, instancing=instancing, passes=("Combined",), film_transparent=transparent)
         for instancing in (False, True)
         for transparent in (False, True)
-    ]
-    scenes += [
-        dataclasses.replace(scenes[0], camera=camera, depth_of_field=depth_of_field)
-        for camera in (CameraKind.PERSPECTIVE, CameraKind.ORTHOGRAPHIC)  # others are few and compile in seconds
-        for depth_of_field in (False, True)
     ]
     # other passes than Normal share their kernels
     scenes += [

@@ -1,6 +1,7 @@
 """How every kernel of the core is compiled."""
 
 import weakref
+import zlib
 from typing import Any
 
 import warp as wp
@@ -28,9 +29,15 @@ _BLOCK_SIZES: weakref.WeakKeyDictionary = weakref.WeakKeyDictionary()
 DEFAULT_BLOCK_SIZE = 256  # threads of a CUDA block where a kernel does not ask for another
 
 
-def general_options(name: str) -> dict[str, Any]:
-    """Arguments of `wp.kernel` for the kernel `name` of the general tier."""
-    return {"module": shared_module(f"{GENERAL_MODULE}_{name}", MODULE_OPTIONS), "enable_backward": False}
+def general_options(name: str, of: tuple[str, ...]) -> dict[str, Any]:
+    """Arguments of `wp.kernel` for the kernel `name` of the general tier.
+
+    `of`: what tells it from others of that name, such as those for other devices: the ops of its programs. Each kernel
+    has a module of its own, since a module's hash, by which it is found, is that of all kernels that it happens to
+    have.
+    """
+    own = f"{GENERAL_MODULE}_{name}_{zlib.crc32(' '.join(of).encode()):08x}"
+    return {"module": shared_module(own, MODULE_OPTIONS), "enable_backward": False}
 
 
 def is_general(module: wp.Module) -> bool:

@@ -14,7 +14,7 @@ from ..scene.frozen import Same
 from ..scene.notice import Notice, Weight
 from ..scene.validate import COORDINATE_MAX
 from ..shading.images.textures import ImageTable
-from .evaluate import offsets_of
+from .evaluate import Move, move_vertices, offsets_of
 from .vertices import MovedVertices, moved_mesh
 
 
@@ -43,12 +43,15 @@ class DisplacedMeshes:
         """Forget them."""
         self._kept = []
 
-    def displaced(self, scene: Scene, images: Callable[[], ImageTable], device: wp.Device) -> Scene:
+    def displaced(
+        self, scene: Scene, images: Callable[[], ImageTable], device: wp.Device, move: Move = move_vertices
+    ) -> Scene:
         """`scene` with its vertices moved by the displacement of their materials, evaluated on `device`.
 
         An instance of a mesh is displaced as the first one is that has displacement of the same materials: in its
         transform, as in Cycles. Instances of other materials get a mesh of their own. A displacement that is not finite
-        leaves its vertex where it is, and a warning names the object. `images` is called if there is anything to do.
+        leaves its vertex where it is, and a warning names the object. `images` is called if there is anything to do,
+        and `move` runs the programs.
         """
         if not is_displaced(scene):
             self.clear()
@@ -67,7 +70,7 @@ class DisplacedMeshes:
                 continue
             key = (index, *((id(each.displacement), each.displacement_bends) for each in materials))
             if key not in done:
-                found = self._mesh(scene, i, materials, images, device)
+                found = self._mesh(scene, i, materials, images, device, move)
                 kept.append(found)
                 warnings += found.warnings
                 done[key] = len(meshes)
@@ -83,7 +86,13 @@ class DisplacedMeshes:
         )
 
     def _mesh(
-        self, scene: Scene, i: int, materials: list[Material], images: Callable[[], ImageTable], device: wp.Device
+        self,
+        scene: Scene,
+        i: int,
+        materials: list[Material],
+        images: Callable[[], ImageTable],
+        device: wp.Device,
+        move: Move,
     ) -> _Kept:
         """The mesh of instance `i`, displaced."""
         mesh = scene.meshes[scene.instances.mesh[i]]
@@ -110,7 +119,7 @@ class DisplacedMeshes:
         moves = np.array([each.displacement is not None for each in materials])[slots]
         bends = np.array([each.displacement_bends for each in materials])[slots]
         moved = MovedVertices.of(mesh, moves)
-        offset = offsets_of(part, moved, images(), device)
+        offset = offsets_of(part, moved, images(), device, move)
         finite = _is_usable(offset, part, moved)
         warnings = ()
         if not finite.all():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 
 import numpy as np
 import warp as wp
@@ -38,13 +39,12 @@ class VertexWork:
 
 
 @functools.cache
-def displacement_kernel(programs: ProgramFeatures) -> wp.Kernel:
-    """Kernel (data, work): what the programs of a mesh, which is instance 0, move its vertices by."""
+def make_displace(programs: ProgramFeatures) -> wp.Function:
+    """Function (data, work, i: int): what the programs of a mesh, which is instance 0, move vertex `i` by."""
     run = make_run(programs)
 
-    @wp.kernel(**KERNEL_OPTIONS)
-    def displacement_of_vertices(data: NodeData, work: VertexWork):
-        i = wp.tid()
+    @wp.func
+    def displace(data: NodeData, work: VertexWork, i: int):
         point = ShadingPoint()
         point.position = work.position[i]
         point.normal = work.normal[i]
@@ -61,10 +61,35 @@ def displacement_kernel(programs: ProgramFeatures) -> wp.Kernel:
             offset = closures[0].normal
         work.offset[i] = offset
 
+    return displace
+
+
+@functools.cache
+def displacement_kernel(programs: ProgramFeatures) -> wp.Kernel:
+    """Kernel (data, work) of `make_displace`, for all vertices."""
+    displace = make_displace(programs)
+
+    @wp.kernel(**KERNEL_OPTIONS)
+    def displacement_of_vertices(data: NodeData, work: VertexWork):
+        displace(data, work, wp.tid())
+
     return displacement_of_vertices
 
 
-def offsets_of(scene: Scene, moved: MovedVertices, images: ImageTable, device: wp.Device) -> np.ndarray:
+# (data, programs, work, vertex count, device): runs `displacement_kernel`, or one that gives the same bits
+Move = Callable[[NodeData, ProgramFeatures, VertexWork, int, wp.Device], None]
+
+
+def move_vertices(data: NodeData, programs: ProgramFeatures, work: VertexWork, count: int, device: wp.Device) -> None:
+    """Run the kernel that is specialised on `programs`."""
+    kernel = displacement_kernel(programs)
+    load_module(kernel, device)
+    wp.launch(kernel, count, [data, work], device=device)
+
+
+def offsets_of(
+    scene: Scene, moved: MovedVertices, images: ImageTable, device: wp.Device, move: Move = move_vertices
+) -> np.ndarray:
     """How far vertices of the one mesh of `scene`, which its one instance places, are moved in object space [m],
     float64, shape [n, 3]. What is not finite is so.
     """
@@ -93,9 +118,7 @@ def offsets_of(scene: Scene, moved: MovedVertices, images: ImageTable, device: w
     work.barycentric = wp.array(_CORNERS[corner], dtype=wp.vec2, device=device)
     material = scene.slot_materials[scene.instances.slot_first[0] + slots]
     work.program = wp.array(np.broadcast_to(material, len(moved.vertex)).astype(np.int32), dtype=int, device=device)
-    kernel = displacement_kernel(features)
-    load_module(kernel, device)
-    wp.launch(kernel, len(moved.vertex), [data, work], device=device)
+    move(data, features, work, len(moved.vertex), device)
     world = work.offset.numpy().astype(np.float64)
     # across a flattened object nothing can move: the least solution
     with np.errstate(invalid="ignore"):

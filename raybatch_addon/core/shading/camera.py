@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ import warp as wp
 from ..errors import SceneError
 from ..scene.description import Camera, CameraKind, Panorama
 from ..scene.motion import motion_keys
-from .panorama import make_panorama_direction, panorama_numbers
+from .panorama import make_panorama_direction, panorama_direction_of, panorama_numbers
 from .sampling import sample_aperture
 from .stereo import eye_offset, stereo_numbers, towards_convergence
 
@@ -20,6 +21,7 @@ from .stereo import eye_offset, stereo_numbers, towards_convergence
 class CameraData:
     """A camera and its frame on the device."""
 
+    kind: int  # `CameraKind`
     position: wp.vec3  # [m]
     axis_x: wp.vec3  # axes of the camera in world space, unit
     axis_y: wp.vec3
@@ -43,6 +45,7 @@ class CameraData:
     shutter_times: wp.array(dtype=float)  # `Shutter.times`
     rolling: float  # `Shutter.rolling`; below 0: none
     frame_height: float  # [pixels]
+    is_stereo: int  # 1: it is an eye of spherical stereo
     stereo: wp.vec4  # of spherical stereo: offset, 1 / convergence distance, angles between which the offset fades
 
 
@@ -56,7 +59,7 @@ def camera_axes(camera: CameraData) -> wp.mat33:
 class CameraFeatures:
     """Features that camera rays are specialised on, under the names that `SceneFeatures` has for them."""
 
-    camera: CameraKind = CameraKind.PERSPECTIVE
+    camera: CameraKind | None = CameraKind.PERSPECTIVE  # None: any, as `CameraData.kind` says
     depth_of_field: bool = False
     spherical_stereo: bool = False
 
@@ -75,6 +78,7 @@ def upload_camera(camera: Camera, width: int, height: int, device: wp.Device | s
             "so that it sees nothing; raise the clip end"
         )
     data = CameraData()
+    data.kind = int(camera.kind)
     data.axis_x, data.axis_y, data.axis_z, data.position = (wp.vec3(*matrix[:, i]) for i in range(4))
     data.window_x, data.window_y = left, bottom
     data.pixel_width, data.pixel_height = (right - left) / width, (top - bottom) / height
@@ -91,6 +95,7 @@ def upload_camera(camera: Camera, width: int, height: int, device: wp.Device | s
         data.projection, data.projection_more = wp.vec4(*numbers[:4]), wp.vec4(*numbers[4:])
     if camera.stereo:
         offset, *more = stereo_numbers(camera.stereo)
+        data.is_stereo = 1
         data.stereo = wp.vec4(-offset if camera.kind == CameraKind.MIRROR_BALL else offset, *more)
     return data
 
@@ -119,20 +124,17 @@ def lens_point(camera: CameraData, u: wp.vec2) -> wp.vec2:
 _ALONG_SIDE = 2.0**-40
 
 
-def _lens_side(kind: CameraKind) -> wp.vec3:
-    """The camera's axis that the first coordinate of its lens is turned towards."""
-    return wp.vec3(1.0, 0.0, 0.0) if kind == CameraKind.MIRROR_BALL else wp.vec3(0.0, 0.0, -1.0)
-
-
 @functools.cache
 def make_camera_ray(features: CameraFeatures) -> wp.Function:
-    """`camera_ray(camera, pixel_x, pixel_y, u_lens) -> (origin, direction, t_max)` for one kind of camera.
+    """`camera_ray(camera, pixel_x, pixel_y, u_lens) -> (origin, direction, t_max)` for one kind of camera, or for all.
 
     `pixel_x`, `pixel_y`: position in the full frame [pixels], (0, 0) the lower left corner of its lower left pixel.
     `u_lens`: point of the aperture, in [0, 1)^2. The origin lies on the near plane, the direction is a unit vector, and
     `t_max` [m] ends at the far plane; it is 0 where the camera sees nothing, as beside the circle of a fisheye. Depth
     of field is that of a thin lens.
     """
+    if features.camera is None:
+        return _make_any_ray(features)
     if features.camera.is_panorama:
         return _make_panorama_ray(features)
     perspective = features.camera == CameraKind.PERSPECTIVE
@@ -155,31 +157,53 @@ def make_camera_ray(features: CameraFeatures) -> wp.Function:
             start_x = x
             start_y = y
         if wp.static(features.depth_of_field):
-            # all rays of a pixel meet on the plane of focus
-            lens = lens_point(camera, u_lens)
-            start_x = start_x + lens[0]
-            start_y = start_y + lens[1]
-            slope_x = slope_x - lens[0] / camera.focus_distance
-            slope_y = slope_y - lens[1] / camera.focus_distance
+            if camera.lens_radius > 0.0:
+                # all rays of a pixel meet on the plane of focus
+                lens = lens_point(camera, u_lens)
+                start_x = start_x + lens[0]
+                start_y = start_y + lens[1]
+                slope_x = slope_x - lens[0] / camera.focus_distance
+                slope_y = slope_y - lens[1] / camera.focus_distance
         ahead = slope_x * camera.axis_x + slope_y * camera.axis_y - camera.axis_z
         origin = camera.position + start_x * camera.axis_x + start_y * camera.axis_y + camera.clip_start * ahead
         length = wp.length(ahead)
         if wp.static(features.spherical_stereo and perspective):
-            # about the world's vertical, as Cycles does it where the picture is on a plane
-            direction = ahead / length
-            offset = eye_offset(camera.stereo, direction, wp.vec3(0.0, 0.0, 1.0))
-            direction = towards_convergence(camera.stereo, direction, offset)
-            origin = origin + offset + camera.clip_start * (length * direction - ahead)
-            return origin, direction, camera.clip_length * length
+            if camera.is_stereo != 0:
+                # about the world's vertical, as Cycles does it where the picture is on a plane
+                direction = ahead / length
+                offset = eye_offset(camera.stereo, direction, wp.vec3(0.0, 0.0, 1.0))
+                direction = towards_convergence(camera.stereo, direction, offset)
+                origin = origin + offset + camera.clip_start * (length * direction - ahead)
+                return origin, direction, camera.clip_length * length
         return origin, ahead / length, camera.clip_length * length
+
+    return camera_ray
+
+
+def _make_any_ray(features: CameraFeatures) -> wp.Function:
+    """`camera_ray` of the camera that `CameraData` tells: a kernel of the general tier has few lines of each."""
+    perspective_ray, orthographic_ray = (
+        make_camera_ray(dataclasses.replace(features, camera=kind))
+        for kind in (CameraKind.PERSPECTIVE, CameraKind.ORTHOGRAPHIC)
+    )
+    panorama_ray = _make_panorama_ray(features)
+
+    @wp.func
+    def camera_ray(
+        camera: CameraData, pixel_x: float, pixel_y: float, u_lens: wp.vec2
+    ) -> tuple[wp.vec3, wp.vec3, float]:
+        if camera.kind == wp.static(int(CameraKind.PERSPECTIVE)):
+            return perspective_ray(camera, pixel_x, pixel_y, u_lens)
+        if camera.kind == wp.static(int(CameraKind.ORTHOGRAPHIC)):
+            return orthographic_ray(camera, pixel_x, pixel_y, u_lens)
+        return panorama_ray(camera, pixel_x, pixel_y, u_lens)
 
     return camera_ray
 
 
 def _make_panorama_ray(features: CameraFeatures) -> wp.Function:
     """`camera_ray` of a panorama. Cycles has a mirror ball in axes of the other hand: its lens is mirrored."""
-    turn = -1.0 if features.camera == CameraKind.MIRROR_BALL else 1.0
-    panorama_direction = make_panorama_direction(features.camera)
+    panorama_direction = make_panorama_direction(features.camera) if features.camera else None
 
     @wp.func
     def camera_ray(
@@ -187,24 +211,34 @@ def _make_panorama_ray(features: CameraFeatures) -> wp.Function:
     ) -> tuple[wp.vec3, wp.vec3, float]:
         x = camera.window_x + pixel_x * camera.pixel_width
         y = camera.window_y + pixel_y * camera.pixel_height
-        local = panorama_direction(camera.projection, camera.projection_more, x, y)
+        if wp.static(features.camera is None):
+            local = panorama_direction_of(camera.kind, camera.projection, camera.projection_more, x, y)
+        else:
+            local = panorama_direction(camera.projection, camera.projection_more, x, y)
         if wp.dot(local, local) == 0.0:
             return camera.position, -camera.axis_z, 0.0
         start = wp.vec3(0.0, 0.0, 0.0)
         if wp.static(features.depth_of_field):
-            # the lens faces every ray; all rays of a pixel meet on the sphere of focus
-            lens = lens_point(camera, u_lens)
-            across = wp.static(_lens_side(features.camera))
-            side = across - wp.dot(across, local) * local
-            if wp.dot(side, side) < wp.static(_ALONG_SIDE):
-                side = wp.vec3(0.0, 1.0, 0.0)
-            side = wp.normalize(side)
-            start = lens[0] * side + wp.static(turn) * lens[1] * wp.cross(local, side)
-            local = wp.normalize(camera.focus_distance * local - start)
+            if camera.lens_radius > 0.0:
+                # the lens faces every ray; all rays of a pixel meet on the sphere of focus
+                lens = lens_point(camera, u_lens)
+                # what the first coordinate of the lens is turned towards
+                across = wp.vec3(0.0, 0.0, -1.0)
+                turn = float(1.0)
+                if camera.kind == wp.static(int(CameraKind.MIRROR_BALL)):
+                    across = wp.vec3(1.0, 0.0, 0.0)
+                    turn = -1.0
+                side = across - wp.dot(across, local) * local
+                if wp.dot(side, side) < wp.static(_ALONG_SIDE):
+                    side = wp.vec3(0.0, 1.0, 0.0)
+                side = wp.normalize(side)
+                start = lens[0] * side + turn * lens[1] * wp.cross(local, side)
+                local = wp.normalize(camera.focus_distance * local - start)
         if wp.static(features.spherical_stereo):
-            offset = eye_offset(camera.stereo, local, wp.vec3(0.0, 1.0, 0.0))
-            start = start + offset
-            local = towards_convergence(camera.stereo, local, offset)
+            if camera.is_stereo != 0:
+                offset = eye_offset(camera.stereo, local, wp.vec3(0.0, 1.0, 0.0))
+                start = start + offset
+                local = towards_convergence(camera.stereo, local, offset)
         direction = wp.normalize(local[0] * camera.axis_x + local[1] * camera.axis_y + local[2] * camera.axis_z)
         origin = camera.position + start[0] * camera.axis_x + start[1] * camera.axis_y + start[2] * camera.axis_z
         return origin + camera.clip_start * direction, direction, camera.clip_length

@@ -123,6 +123,24 @@ _DIRECTIONS = {
 }
 
 
+@wp.func
+def panorama_direction_of(kind: int, numbers: wp.vec4, more: wp.vec4, x: float, y: float) -> wp.vec3:
+    """`panorama_direction` of the panorama of this `CameraKind`."""
+    if kind == wp.static(int(CameraKind.EQUIRECTANGULAR)):
+        return _equirectangular(numbers, more, x, y)
+    if kind == wp.static(int(CameraKind.EQUIANGULAR_CUBEMAP_FACE)):
+        return _equiangular_cubemap_face(numbers, more, x, y)
+    if kind == wp.static(int(CameraKind.MIRROR_BALL)):
+        return _mirror_ball(numbers, more, x, y)
+    if kind == wp.static(int(CameraKind.FISHEYE_EQUIDISTANT)):
+        return _fisheye_equidistant(numbers, more, x, y)
+    if kind == wp.static(int(CameraKind.FISHEYE_EQUISOLID)):
+        return _fisheye_equisolid(numbers, more, x, y)
+    if kind == wp.static(int(CameraKind.FISHEYE_POLYNOMIAL)):
+        return _fisheye_polynomial(numbers, more, x, y)
+    return _central_cylindrical(numbers, more, x, y)
+
+
 def make_panorama_direction(kind: CameraKind) -> wp.Function:
     """`panorama_direction(numbers, more, x, y)`: the unit vector in the camera's axes that the point (x, y) looks
     along, 0 where it sees nothing; `numbers` and `more` are the halves of `panorama_numbers`.

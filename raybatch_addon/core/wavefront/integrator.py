@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -28,7 +29,7 @@ from .passes.state import PathPasses, make_path_passes
 from .path_lists import Length, PathLists
 from .plan.plan import Method
 from .rays import RayNeeds, allocate_paths, allocate_rays
-from .requests.turns import RequestTurns
+from .requests.state import give_requests
 from .scene.device_scene import DeviceScene
 from .scheduler import Rectangle, WaterMarks
 from .stages import generate
@@ -100,7 +101,7 @@ class TileIntegrator:
         self._volumes = None  # there are none
         if scene.volumes:
             self._volumes = with_state(scene.volumes.data, count, settings.volume_bounce_max, device)
-        self._requests = RequestTurns(count, device) if features.requests or features.occlusion_pass else None
+        self._requests = give_requests(self._paths, features, device)  # None: nothing asks for rays
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = PathLists(count, device, walks=features.subsurface)
         self._film_tiles = FilmTiles(self._layout, frame.passes, device, self._lists.counts.at(Length.SPILL))
@@ -200,9 +201,8 @@ class TileIntegrator:
         tile = state.tile
         work = TileWork()
         work.x, work.y, work.width, work.height = tile.x, tile.y, tile.width, tile.height
-        work.frame_width = self._frame.width
+        work.frame_width, work.filter_table = self._frame.width, self._filter
         work.sample_first, work.sample_count = sample_first, sample_count
-        work.filter_table = self._filter
         work.pixel_first = int(self._settings.sample_order == "PIXEL_FIRST")
         # numbers of paths are of all pixels, and those of pixels that go on begin at no item of theirs
         work.item_base = state.items_begun if state.active is None else 0
@@ -293,9 +293,9 @@ class TileIntegrator:
             miss, surface = self._lists.back(paths.status, bound)
         with self._timer.stage("shade"):
             if self._requests:
-                inputs, back = (data, work, limits, paths, rays), (miss, surface)
-                kernels = self._kernels.requests, self._kernels.occlusion
-                miss, surface = self._requests.turn(self._launch_over, kernels, inputs, self._lists, back)
+                for stage, back in itertools.product((ShadingStage.REQUEST, ShadingStage.OCCLUSION), (miss, surface)):
+                    self._launch_stage(stage, back, work, film)
+                miss, surface = self._lists.back(paths.status, bound)  # without those that wait for answers
             if self._kernels.walk:
                 for back in (miss, surface):
                     self._launch_over(self._kernels.walk, back, data, work, limits, paths, rays)
@@ -347,7 +347,7 @@ class TileIntegrator:
         if self._passes:
             self._passes.values.zero_()
         if self._requests:
-            self._requests.give_up()
+            self._requests.phase.zero_()
         self._alive = 0
         # rays of the next turn were not traced
         self.rays.bounced -= self._bounced.bound

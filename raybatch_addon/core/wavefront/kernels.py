@@ -13,7 +13,7 @@ from ..film.tile import add_spill_kernel, resolve_kernel
 from ..measure.counters import count_kernel
 from ..scene.description import ClosureKind
 from ..scene.features import SceneFeatures, narrow
-from ..scene.passes import GUIDE_PASSES
+from ..scene.passes import GUIDE_PASSES, light_group_passes
 from ..scene.program import ProgramFeatures
 from ..settings.settings import RenderSettings
 from ..shading.bsdf.materials import HAIR_KINDS
@@ -24,8 +24,8 @@ from .order.ray_order import order_kernels
 from .path_lists import path_list_kernels
 from .plan.plan import Method
 from .plan.tracing import Tracing
-from .requests.occlusion import OcclusionFeatures, occlusion_kernel
-from .requests.stage import RequestFeatures, request_kernel
+from .requests.occlusion import OcclusionFeatures, make_occlusion
+from .requests.stage import RequestFeatures, make_request
 from .stages.accumulate import accumulate_kernel
 from .stages.connect import ConnectFeatures, make_connect, make_connect_program, settle_kernel
 from .stages.connect_transparent import make_connect_transparent
@@ -49,8 +49,6 @@ class StageKernels:
     generate_active: wp.Kernel | None  # None: all pixels get all samples
     settle: wp.Kernel
     walk: wp.Kernel | None  # None: nothing scatters below surfaces
-    requests: wp.Kernel | None  # None: no program asks for rays
-    occlusion: wp.Kernel | None  # None: there is no pass of it
     volumes: VolumeKernels | None  # None: there are no volumes
     shading: dict[ShadingStage, wp.Kernel]  # without the stages for which the scene has nothing to do
     accumulate: wp.Kernel
@@ -72,6 +70,8 @@ class StageKernels:
             ShadingStage.CONNECT: features.shadow_rays,
             ShadingStage.CONNECT_TRANSPARENT: features.shadow_rays and features.transparency,
             ShadingStage.AIM: features.shadow_rays and device.is_cuda,
+            ShadingStage.REQUEST: features.requests,
+            ShadingStage.OCCLUSION: features.occlusion_pass,
         }
         return StageKernels(
             generate=generate_kernel(_generate_features(features, shading)),
@@ -80,8 +80,6 @@ class StageKernels:
             else None,
             settle=settle_kernel,
             walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
-            requests=request_kernel(narrow(features, RequestFeatures)) if features.requests else None,
-            occlusion=occlusion_kernel(narrow(features, OcclusionFeatures)) if features.occlusion_pass else None,
             volumes=VolumeKernels.choose(features, shading),
             shading=_shading_kernels(
                 features, shading, [stage for stage in ShadingStage if has[stage]], device.is_cuda
@@ -100,7 +98,6 @@ class StageKernels:
         kernels = [*stages, *path_list_kernels(walks=self.walk is not None), add_spill_kernel]
         if self.volumes:
             kernels += self.volumes.all()
-        kernels += [self.requests, self.occlusion]
         if self.generate_active:
             kernels += [self.generate_active, *ADAPTIVE_KERNELS]
         return list(dict.fromkeys(kernel for kernel in kernels if kernel is not None))
@@ -108,9 +105,11 @@ class StageKernels:
 
 def _generate_features(features: SceneFeatures, shading: SceneFeatures) -> GenerateFeatures:
     """What paths of a scene with `features` start by, where kernels are specialised on `shading`: of the camera what
-    the scene has.
+    the scene has; in the general tier any camera.
     """
     seen = {name: getattr(features, name) for name in ("camera", "depth_of_field", "spherical_stereo")}
+    if shading.programs.apart:
+        seen = {"camera": None, "depth_of_field": True, "spherical_stereo": True}
     return narrow(dataclasses.replace(shading, **seen), GenerateFeatures)
 
 
@@ -136,6 +135,8 @@ def _shading_kernels(
         ShadingStage.LIGHT_HITS: bool(features.lamp_program),
         ShadingStage.BACKGROUND: bool(features.world_program),
         ShadingStage.AIM: False,
+        ShadingStage.REQUEST: True,
+        ShadingStage.OCCLUSION: True,
     }
     # a world that is sampled takes part in the choice among emitters, whether a stage runs its program or not
     wide = is_wide(features)
@@ -146,14 +147,19 @@ def _shading_kernels(
     simple[ShadingStage.AIM] = _stage_functions(needed, None)[ShadingStage.AIM]
     has_simple = aims_apart or not wide
     found = {stage: stage_kernel(simple[stage](), stage) for stage in stages if has_simple and not runs_program[stage]}
+    if ShadingStage.OCCLUSION in stages and not shading.occlusion_pass:
+        occlusion = _stage_functions(features, None)[ShadingStage.OCCLUSION]()
+        found[ShadingStage.OCCLUSION] = stage_kernel(occlusion, ShadingStage.OCCLUSION)
     if len(found) < len(stages):
-        kernel = all_stages_kernel(*(whole[stage]() for stage in STAGES_OF_ALL), aims=in_one is not None)
+        has = {ShadingStage.REQUEST: shading.requests, ShadingStage.OCCLUSION: shading.occlusion_pass}
+        functions = [whole[stage]() if has.get(stage, True) else None for stage in STAGES_OF_ALL]
+        kernel = all_stages_kernel(*functions, of=(*shading.programs.ops, *(["aim"] if in_one is not None else [])))
         found |= {stage: kernel for stage in stages if stage not in found}
     return found
 
 
 # Closures that few scenes have
-_RARE_KINDS = frozenset({ClosureKind.TOON}) | HAIR_KINDS
+_RARE_KINDS = frozenset({ClosureKind.TOON, ClosureKind.RAY_PORTAL}) | HAIR_KINDS
 # Other features that few have
 _RARE_FEATURES = {
     "curves": False,
@@ -162,21 +168,25 @@ _RARE_FEATURES = {
     "filter_glossy": False,
     "caustics_reflective": True,
     "caustics_refractive": True,
+    "light_links": False,
+    "shadow_links": False,
+    "light_portals": False,
 }
 
 
 def is_wide(features: SceneFeatures) -> bool:
     """Whether surfaces or lights of a scene with `features` have anything that few scenes have."""
     rare = any(getattr(features, name) != usual for name, usual in _RARE_FEATURES.items())
-    return rare or features.guides or not _RARE_KINDS.isdisjoint(features.closures)
+    return rare or features.guides or features.light_groups or not _RARE_KINDS.isdisjoint(features.closures)
 
 
 def plain_features(features: SceneFeatures) -> SceneFeatures:
     """`features` without what few scenes have."""
+    rare_passes = {*GUIDE_PASSES, *light_group_passes(features.passes)}
     return dataclasses.replace(
         features,
         closures=tuple(kind for kind in features.closures if kind not in _RARE_KINDS),
-        passes=tuple(name for name in features.passes if name not in GUIDE_PASSES),
+        passes=tuple(name for name in features.passes if name not in rare_passes),
         **_RARE_FEATURES,
     )
 
@@ -218,6 +228,8 @@ def _stage_functions(
         ),
         ShadingStage.CONNECT_TRANSPARENT: lambda: make_connect_transparent(surface, connected),
         ShadingStage.AIM: lambda: make_aim(narrow(shading, AimFeatures)),
+        ShadingStage.REQUEST: lambda: make_request(narrow(shading, RequestFeatures)),
+        ShadingStage.OCCLUSION: lambda: make_occlusion(narrow(shading, OcclusionFeatures)),
     }
 
 

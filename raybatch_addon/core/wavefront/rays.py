@@ -19,7 +19,7 @@ from ..rays import Rays
 from ..scene.features import SceneFeatures
 from ..shading.lights.light_choice import LitPoint, lit_point
 from .passes.state import PathPasses, pass_bytes_per_path
-from .requests.state import request_bytes_per_path
+from .requests.state import Requests, request_bytes_per_path
 from .volumes.table import state_bytes_per_path
 
 
@@ -105,6 +105,7 @@ class Paths:
     least_density: wp.array(dtype=float)
     # what rays answered to the program of the surface, all first answers before all second ones; see `ray_inputs.py`
     answers: wp.array(dtype=wp.vec3)
+    requests: wp.array(dtype=Requests)  # one entry for all paths; none where nothing asks for rays
     walk: Walks
     normal: wp.array(dtype=wp.vec3)  # at the first hit, for the pass
     passes: wp.array(dtype=PathPasses)  # one entry for all paths; none where passes need none
@@ -142,6 +143,13 @@ def left_side(paths: Paths, path: int) -> wp.uint32:
     if paths.side.shape[0] > 0:
         return paths.side[path]
     return wp.uint32(0)
+
+
+@wp.func
+def note_receiver(paths: Paths, path: int, receiver: int):
+    """Note the light set of what the path scatters at, where light is linked."""
+    if paths.receiver.shape[0] > 0:
+        paths.receiver[path] = receiver
 
 
 @wp.func

@@ -18,9 +18,10 @@ import warp as wp
 from ..device.devices import is_compiled, shipped_target
 from ..errors import SettingsError
 from ..programs.op import VOLUME_PREFIX, op_named, op_numbers
+from ..programs.requests import REQUEST_OPS
 from ..scene.description import ClosureKind, LightKind
 from ..scene.features import SceneFeatures
-from ..scene.passes import PASSES
+from ..scene.passes import LIGHT_GROUP, OCCLUSION_PASS, PASSES
 from ..scene.program import ProgramFeatures
 from .estimates.kernels import estimate_kernel
 from .estimates.work import Estimate
@@ -32,27 +33,38 @@ TIERS = ("AUTO", "GENERAL", "SPECIALISED")
 # Programs that need more registers or closures are left to specialised kernels
 REGISTERS_MOST, CLOSURES_MOST = 64, 16
 
-# Closures whose code few scenes would use
-_LEFT_OUT = (ClosureKind.FACET_HAIR, ClosureKind.RAY_PORTAL)
+# What few scenes would use: closures, ops and passes that the general kernels of a GPU lack, whose compiler takes
+# minutes
+_KINDS_LEFT_OUT = {ClosureKind.FACET_HAIR, ClosureKind.RAY_PORTAL}
+_OPS_LEFT_OUT = {"facet_hair", "ray_portal", "vertex_offset", *REQUEST_OPS}
+_PASSES_LEFT_OUT = {OCCLUSION_PASS}
 
 
 def _programs(ops: Iterable[str]) -> ProgramFeatures:
     return ProgramFeatures(tuple(ops), REGISTERS_MOST, CLOSURES_MOST, apart=True)
 
 
+def general_features(device: wp.Device) -> SceneFeatures:
+    """The features of all scenes together, as far as kernels of stages on `device` depend on them."""
+    return _general_features(device.is_cuda)
+
+
 @functools.cache
-def general_features() -> SceneFeatures:
-    """The features of all scenes together, as far as kernels of stages depend on them."""
-    ops = [name for name in op_numbers() if op_named(name).general]
+def _general_features(on_gpu: bool) -> SceneFeatures:
+    ops = [name for name in op_numbers() if op_named(name).general and not (on_gpu and name in _OPS_LEFT_OUT)]
     programs = _programs(name for name in ops if not name.startswith(VOLUME_PREFIX))
     # what surfaces scatter and let through is nothing to volumes and lamps
     of_volumes = [n for n in ops if n == "emission" or n.startswith(VOLUME_PREFIX) or not op_named(n).makes_closures]
+    kinds = [kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION]
+    passes = [*PASSES, LIGHT_GROUP]
+    if on_gpu:
+        kinds = [kind for kind in kinds if kind not in _KINDS_LEFT_OUT]
+        passes = [name for name in PASSES if name not in _PASSES_LEFT_OUT]
     return SceneFeatures(
-        closures=tuple(
-            sorted(kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION and kind not in _LEFT_OUT)
-        ),
+        closures=tuple(sorted(kinds)),
         closure_count=CLOSURES_MOST,
-        programs=programs,
+        programs=programs if on_gpu else dataclasses.replace(programs, answer_count=1),
+        request_program=ProgramFeatures() if on_gpu else programs,
         world_program=programs,
         lamp_program=programs,
         lights=tuple(sorted(LightKind)),
@@ -71,34 +83,32 @@ def general_features() -> SceneFeatures:
         smooth_normals=True,
         curves=True,
         film_transparent=True,
-        passes=tuple(PASSES),
+        passes=tuple(passes),
         clamping=True,
         bounces_by_kind=True,
         filter_glossy=True,
         caustics_reflective=False,
         caustics_refractive=False,
+        light_links=not on_gpu,
+        shadow_links=not on_gpu,
+        light_portals=not on_gpu,
         volumes=True,
         volume_program=_programs(of_volumes),
     )
 
 
-def why_not_general(features: SceneFeatures) -> str:
-    """Why the general kernels cannot shade a scene with `features`; empty where they can."""
-    general = general_features()
+def why_not_general(features: SceneFeatures, device: wp.Device) -> str:
+    """Why the general kernels of `device` cannot shade a scene with `features`; empty where they can."""
+    general = general_features(device)
     if features.mis != general.mis:
         return "general kernels have no code for mis OFF"
     if features.sample_sequence != general.sample_sequence:
         return f"general kernels have no code for sample_sequence {features.sample_sequence}"
     if features.texture_levels:
         return "general kernels have no code for texture_filter FOOTPRINT"
-    if features.requests:
-        return "general kernels trace no rays for programs"
-    if features.light_links or features.shadow_links:
-        return "general kernels have no code for light linking"
-    if features.light_portals:
-        return "general kernels have no code for portals of the world"
-    if features.light_groups:
-        return "general kernels have no code for the passes of light groups"
+    for name, feature in _LINKS.items():
+        if getattr(features, name) and not getattr(general, name):
+            return f"general kernels have no code for {feature}"
     if lacking := sorted(set(features.closures) - set(general.closures)):
         return f"general kernels have no code for closures of kind {', '.join(kind.name for kind in lacking)}"
     closure_count = features.closure_count
@@ -109,14 +119,29 @@ def why_not_general(features: SceneFeatures) -> str:
         (features.lamp_program, of_lamps),
         (features.volume_program, general.volume_program),
     ):
-        if lacking := sorted(set(programs.ops) - set(there.ops)):
-            return f"general kernels have no code for {', '.join(lacking)} there"
+        if why := lack_of(programs, there):
+            return why
         closure_count = max(closure_count, programs.closure_count)
-        if programs.register_count > REGISTERS_MOST:
-            return f"general kernels have {REGISTERS_MOST} registers, and a shader graph needs more"
     if closure_count > CLOSURES_MOST:
         return f"general kernels have room for {CLOSURES_MOST} closures, and a material has more"
     return ""
+
+
+def lack_of(programs: ProgramFeatures, there: ProgramFeatures) -> str:
+    """Why general kernels that are specialised on `there` cannot run `programs`; empty where they can."""
+    if lacking := sorted(set(programs.ops) - set(there.ops)):
+        return f"general kernels have no code for {', '.join(lacking)} there"
+    if programs.register_count > REGISTERS_MOST:
+        return f"general kernels have {REGISTERS_MOST} registers, and a shader graph needs more"
+    return ""
+
+
+_LINKS = {
+    "light_links": "light linking",
+    "shadow_links": "light linking",
+    "light_portals": "portals of the world",
+    "light_groups": "the passes of light groups",
+}
 
 
 def array_features(features: SceneFeatures, shading: SceneFeatures) -> SceneFeatures:
@@ -126,8 +151,11 @@ def array_features(features: SceneFeatures, shading: SceneFeatures) -> SceneFeat
     if shading == features:
         return features
     closures = tuple(kind for kind in shading.closures if kind != ClosureKind.SUBSURFACE or features.subsurface)
-    own = {name: getattr(features, name) for name in ("film_transparent", "passes", "filter_glossy")}
-    return dataclasses.replace(shading, closures=closures, **own)
+    names = ("film_transparent", "passes", "filter_glossy", "light_links", "request_program")
+    own = {name: getattr(features, name) for name in names}
+    ops = tuple(name for name in shading.programs.ops if name not in REQUEST_OPS or name in features.programs.ops)
+    programs = dataclasses.replace(shading.programs, ops=ops)
+    return dataclasses.replace(shading, closures=closures, programs=programs, **own)
 
 
 @dataclass(frozen=True)
@@ -145,30 +173,39 @@ class TierChoice:
         return self.why if self.asked == "GENERAL" and not self.general else ""
 
 
+def asked_tier(setting: str) -> str:
+    """What is asked for: the setting `kernel_tier`, or where that is AUTO what the environment says. Raises
+    `SettingsError`.
+    """
+    asked = os.environ.get(VARIABLE)
+    if setting != "AUTO" or not asked:
+        return setting
+    if asked not in TIERS:
+        raise SettingsError(f"{VARIABLE} is {asked!r}; set it to one of {', '.join(TIERS)}, or not at all")
+    return asked
+
+
 def choose_tier(features: SceneFeatures, setting: str, device: wp.Device) -> TierChoice:
     """The tier for a scene with `features`.
 
     `setting`: that of `kernel_tier`; where it is AUTO, the environment variable `RAYBATCH_KERNEL_TIER` takes its place.
     Raises `SettingsError` where that has another value.
     """
-    if setting == "AUTO" and (asked := os.environ.get(VARIABLE)):
-        if asked not in TIERS:
-            raise SettingsError(f"{VARIABLE} is {asked!r}; set it to one of {', '.join(TIERS)}, or not at all")
-        setting = asked
+    setting = asked_tier(setting)
 
     def specialised(why: str) -> TierChoice:
         return TierChoice(features, False, setting, why)
 
     def general(why: str) -> TierChoice:
-        return TierChoice(general_features(), True, setting, why)
+        return TierChoice(general_features(device), True, setting, why)
 
     if setting == "SPECIALISED":
         return specialised("as set")
-    if why := why_not_general(features):
+    if why := why_not_general(features, device):
         return specialised(why)
     if setting == "GENERAL":
         return general("as set")
-    stages = StageKernels.choose(features, device, general_features()).that_shade()
+    stages = StageKernels.choose(features, device, general_features(device)).that_shade()
     # where general kernels are at hand, nobody waits until the others are looked for by their code
     at_hand = all(is_compiled(kernel, device, at_once=True) for kernel in stages)
     if all(is_compiled(kernel, device, at_hand) for kernel in StageKernels.choose(features, device).that_shade()):
@@ -184,6 +221,6 @@ def general_kernels(device: wp.Device) -> tuple[wp.Kernel, ...]:
     """The kernels of the general tier that run programs: that of all stages at surfaces and beyond, that of all stages
     of volumes, and that of all estimates.
     """
-    features = general_features()
+    features = general_features(device)
     stages = StageKernels.choose(features, device)
     return stages.shading[ShadingStage.SURFACE], stages.volumes.scatter, estimate_kernel(features, Estimate.TRIANGLES)

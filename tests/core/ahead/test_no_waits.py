@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.feature_scenes import EACH_WIDE_FEATURE, FEATURES, WIDE_FEATURES
+from tests.support.feature_scenes import ALL_FEATURES
 from tests.support.running.general_kernels import put_general_kernels
 from tests.support.under_test import DEVICE
 
@@ -27,9 +27,9 @@ def counted(module, *arguments, **options):
     return compile_module(module, *arguments, **options)
 wp.Module._compile = counted
 from raybatch_addon.core.session import Session
-from tests.support.feature_scenes import EACH_WIDE_FEATURE, FEATURES, SETTINGS, WIDE_FEATURES
+from tests.support.feature_scenes import ALL_FEATURES, SETTINGS
 general = 0
-for feature, (scene, changes) in (FEATURES | WIDE_FEATURES | EACH_WIDE_FEATURE).items():
+for feature, (scene, changes) in ALL_FEATURES.items():
     film = Session("cpu", cache_folder=sys.argv[1]).render(scene, SETTINGS.replace(**changes))
     general += film.statistics["auto"]["kernel_tier"]["value"] == "GENERAL"
 print(json.dumps([compiled, general]))
@@ -53,4 +53,4 @@ def test_no_scene_compiles_before_its_first_picture(folder):
     done = subprocess.run(command, env=environment | kept, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     compiled, general = json.loads(done.stdout)
-    assert (set(compiled), general) == (NOT_AHEAD, len(FEATURES | WIDE_FEATURES | EACH_WIDE_FEATURE)), compiled
+    assert (set(compiled), general) == (NOT_AHEAD, len(ALL_FEATURES)), compiled

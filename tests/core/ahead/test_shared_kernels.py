@@ -36,7 +36,7 @@ def test_what_they_cannot_do_is_left_to_specialised_ones():
         return "its own" if choice.shading == features else choice.shading
 
     independent = dict(sample_sequence="INDEPENDENT")
-    assert shading({}) == general_features() and shading(independent) == independent_features()
+    assert shading({}) == general_features(device) and shading(independent) == independent_features()
     assert shading(dict(mis="OFF")) == shading(independent | dict(mis="OFF")) == "its own"
     assert shading(independent, FEATURES["lamp program"][0]) == "its own"
     assert shading({}, setting="SPECIALISED") == shading(independent, setting="SPECIALISED") == "its own"

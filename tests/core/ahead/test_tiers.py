@@ -22,6 +22,7 @@ from raybatch_addon.core.ahead.request import CORE, CompileRequest, GeneralReque
 from raybatch_addon.core.device.devices import is_compiled
 from raybatch_addon.core.device.kernel import block_size_of, is_general
 from raybatch_addon.core.errors import SettingsError
+from raybatch_addon.core.programs.requests import prepared_scene
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.scene.program import ProgramFeatures
@@ -41,7 +42,7 @@ from raybatch_addon.core.wavefront.tier import (
     why_not_general,
 )
 from tests.support import scenes, schedule_scenes
-from tests.support.feature_scenes import EACH_WIDE_FEATURE, FEATURES, WIDE_FEATURES
+from tests.support.feature_scenes import ALL_FEATURES, EACH_FEATURE, EACH_WIDE_FEATURE, FEATURES, WIDE_FEATURES
 from tests.support.feature_scenes import SETTINGS as FEATURE_SETTINGS
 from tests.support.under_test import DEVICE
 
@@ -57,7 +58,6 @@ def choice_is_free(monkeypatch):
 
 
 SCENES = {**schedule_scenes.SCENES, "plain": scenes.mixed}
-ALL_FEATURES = FEATURES | WIDE_FEATURES | EACH_WIDE_FEATURE
 # Kernels of its own each. Of those that many scenes have, the last of a row of likes
 SELDOM = {
     "transparent without light",
@@ -67,7 +67,8 @@ SELDOM = {
     "lamp program",
     "fibres that move",
 }
-THOROUGH = [pytest.param(name, marks=pytest.mark.thorough) for name in [*sorted(SELDOM), *EACH_WIDE_FEATURE]]
+EACH = [*sorted(SELDOM), *EACH_FEATURE, *EACH_WIDE_FEATURE]
+THOROUGH = [pytest.param(name, marks=pytest.mark.thorough) for name in EACH]
 OFTEN = [name for name in [*FEATURES, *WIDE_FEATURES] if name not in SELDOM]
 
 
@@ -101,7 +102,8 @@ def test_tiers_give_the_same_film_of_each_feature(feature):
         Session(DEVICE).render(scene, FEATURE_SETTINGS.replace(kernel_tier=tier, **changes))
         for tier in ("SPECIALISED", "GENERAL")
     )
-    assert why_not_general(derive_features(scene, FEATURE_SETTINGS.replace(**changes))) == ""
+    features = derive_features(prepared_scene(scene, FEATURE_SETTINGS), FEATURE_SETTINGS.replace(**changes))
+    assert why_not_general(features, wp.get_device(DEVICE)) == ""
     assert general.passes.keys() == specialised.passes.keys()
     for name, values in specialised.passes.items():
         assert np.isfinite(values).all() and values.any(), name
@@ -139,13 +141,14 @@ def test_one_kernel_gives_the_film_of_those_for_each_stage(monkeypatch):
     scene, settings = scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL")
     expected = Session(DEVICE).render(scene, settings)
     monkeypatch.setattr(kernels, "is_wide", lambda _: True)
-    shading = StageKernels.choose(derive_features(scene, settings), wp.get_device(DEVICE), general_features()).shading
-    assert set(shading.values()) == {general_kernels(wp.get_device(DEVICE))[0]}
+    device = wp.get_device(DEVICE)
+    shading = StageKernels.choose(derive_features(scene, settings), device, general_features(device)).shading
+    assert set(shading.values()) == {general_kernels(device)[0]}
     assert_same(Session(DEVICE).render(scene, settings), expected)
 
 
 def test_kernels_for_each_stage_are_chosen_where_they_have_all_that_a_scene_has():
-    for features, wide in ((FEATURES, False), (WIDE_FEATURES | EACH_WIDE_FEATURE, True)):
+    for features, wide in ((FEATURES | EACH_FEATURE, False), (WIDE_FEATURES | EACH_WIDE_FEATURE, True)):
         for name, (scene, changes) in features.items():
             found = derive_features(scene, FEATURE_SETTINGS.replace(**changes))
             assert is_wide(found) == wide or (found.volumes and wide), name
@@ -207,25 +210,29 @@ def test_auto_takes_what_is_compiled():
     rare = replace(features, lights=(), mesh_lights=False, smooth_normals=False, clamping=True, roulette=False)
     assert not is_compiled(StageKernels.choose(rare, device).shading[ShadingStage.SURFACE], device)
     choice = choose_tier(rare, "AUTO", device)
-    assert choice.general and choice.shading == general_features()
+    assert choice.general and choice.shading == general_features(device)
     assert not choose_tier(rare, "SPECIALISED", device).general
 
 
 def test_what_general_kernels_cannot_do_is_said():
-    features = derive_features(scenes.mixed(), SETTINGS)
-    assert why_not_general(features) == ""
-    assert "mis OFF" in why_not_general(replace(features, mis=False))
-    assert "RANDOM" in why_not_general(replace(features, sample_sequence="RANDOM"))
-    assert "closures" in why_not_general(replace(features, closure_count=CLOSURES_MOST + 1)), "without programs"
+    features, device = derive_features(scenes.mixed(), SETTINGS), wp.get_device("cpu")
+
+    def why_not(features):
+        return why_not_general(features, device)
+
+    assert why_not(features) == ""
+    assert "mis OFF" in why_not(replace(features, mis=False))
+    assert "RANDOM" in why_not(replace(features, sample_sequence="RANDOM"))
+    assert "closures" in why_not(replace(features, closure_count=CLOSURES_MOST + 1)), "without programs"
     filtered = replace(features, programs=ProgramFeatures(("emission", "image_level")))
-    assert "texture_filter FOOTPRINT" in why_not_general(filtered)
-    unknown = replace(features, lamp_program=ProgramFeatures(("vertex_offset",)))
-    assert "no code for vertex_offset" in why_not_general(unknown)
+    assert "texture_filter FOOTPRINT" in why_not(filtered)
+    unknown = replace(features, lamp_program=ProgramFeatures(("volume_mie",)))
+    assert "no code for volume_mie" in why_not(unknown)
     large = ProgramFeatures(("emission",), 16, 2 * CLOSURES_MOST)
-    assert "closures" in why_not_general(replace(features, world_program=large))
+    assert "closures" in why_not(replace(features, world_program=large))
     session = Session(DEVICE)
     film = session.render(scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL", mis="OFF", sample_count=1))
-    why = why_not_general(replace(features, mis=False))
+    why = why_not(replace(features, mis=False))
     assert any(f"not GENERAL: {why}" in warning for warning in film.statistics["warnings"])
 
 

@@ -97,7 +97,7 @@ def bytes_held(integrator: TileIntegrator, scene: DeviceScene) -> int:
 
 def test_the_table_of_paths_has_all_their_arrays():
     features = derive_features(checked_scene(lit()), RenderSettings())
-    assert needed_arrays(features).keys() == Paths.vars.keys() - {"walk", "passes", "answers"}
+    assert needed_arrays(features).keys() == Paths.vars.keys() - {"walk", "passes", "answers", "requests"}
 
 
 # Each compiles kernels of its own

@@ -1,6 +1,7 @@
 """Surfaces that send rays on elsewhere: closed forms, and the same film under any schedule."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -114,7 +115,7 @@ def test_scenes_without_portals_have_no_code_for_them():
     settings = RenderSettings()
     without, with_one = (derive_features(dome(each), settings) for each in (scenes.diffuse(), portal()))
     assert K.RAY_PORTAL not in without.closures and not without.transparency
-    assert with_one.transparency and "RAY_PORTAL" in why_not_general(with_one)
+    assert with_one.transparency and "RAY_PORTAL" in why_not_general(with_one, SimpleNamespace(is_cuda=True))
 
 
 def test_portals_beside_volumes_are_told(session):

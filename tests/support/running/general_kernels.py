@@ -42,13 +42,13 @@ def choose_general(features: SceneFeatures, setting: str, device: wp.Device) -> 
         return choose_tier(features, "SPECIALISED", device)
     if can_be_independent(features):
         return TierChoice(independent_features(), True, setting, "kernels are shared with other tests")
-    return choose_tier(features, "SPECIALISED" if why_not_general(features) else "GENERAL", device)
+    return choose_tier(features, "SPECIALISED" if why_not_general(features, device) else "GENERAL", device)
 
 
 def independent_features() -> SceneFeatures:
     """Those of all scenes without shader programs, whose code takes most of the time, with independent samples."""
     return dataclasses.replace(
-        general_features(),
+        general_features(wp.get_device("cpu")),
         programs=ProgramFeatures(),
         world_program=ProgramFeatures(),
         lamp_program=ProgramFeatures(),
@@ -67,7 +67,7 @@ def can_be_independent(features: SceneFeatures) -> bool:
         features.sample_sequence == "INDEPENDENT"
         and not (features.programs or features.world_program or features.lamp_program or features.volume_program)
         and features.closure_count <= wide.closure_count
-        and not why_not_general(dataclasses.replace(features, sample_sequence="SOBOL"))
+        and not why_not_general(dataclasses.replace(features, sample_sequence="SOBOL"), wp.get_device("cpu"))
     )
 
 

@@ -4,8 +4,9 @@ const auto& choice_table = *table.choice.data;
 auto within = [](float x, float least, float most) { return wp::min(wp::max(x, least), most); };
 
 #if LINKS
-// Whether bits of light sets have that of the point; -1: it has none, and all light comes there.
-auto is_linked = [&](wp::uint64 sets) { return point.receiver < 0 || ((sets >> point.receiver) & 1u) != 0u; };
+// Whether bits of light sets have that of the point; -1: it has none, all light comes there, and there may be no bits.
+const bool links = point.receiver >= 0;
+auto is_linked = [&](wp::uint64 sets) { return ((sets >> point.receiver) & 1u) != 0u; };
 auto is_distant_linked = [&](int number) {
     const auto& owners = choice_table.links.lights;
     const int emitter = choice_table.distant.data[number];
@@ -62,7 +63,7 @@ auto node_light = [&](const Lanes* node) -> Lanes {
 #if SUNS || WORLD
 auto distant_light = [&](int number) -> float {
 #if LINKS
-    if (!is_distant_linked(number)) return 0.0f;
+    if (links && !is_distant_linked(number)) return 0.0f;
 #endif
 #if SUNS
     const int emitter = choice_table.distant.data[number];
@@ -125,7 +126,7 @@ auto shares_in = [&](int block) {
     __builtin_memcpy(node, choice_table.blocks.data + block * (FIELDS * WIDTH), sizeof(node));
 #if LINKS
     Lanes light = node_light(node);
-    for (int k = 0; k < WIDTH; ++k) {
+    for (int k = 0; links && k < WIDTH; ++k) {
         if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
     }
 #else
@@ -148,7 +149,7 @@ auto shares_in = [&](int block) {
         for (int field = 0; field < FIELDS; ++field) node[field] = fields[field * WIDTH + k];
         light[k] = node_light(node);
 #if LINKS
-        if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
+        if (links && !is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
 #endif
         total += light[k];
     }

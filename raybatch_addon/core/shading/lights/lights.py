@@ -29,7 +29,7 @@ from .light_shapes import (
 from .light_table import LightRecord, LightTable
 from .light_triangles import find_triangle, sample_triangle_light, triangle_pdf
 from .links import blocking_visibility, is_linked, owner_of
-from .portals.portals import sample_through_portals
+from .portals.portals import has_portals, sample_through_portals
 from .world import sample_world
 
 _POINT = wp.constant(int(LightKind.POINT))
@@ -214,9 +214,10 @@ def make_lights(features: LightFeatures) -> Lights:
                     if emitter == table.world_emitter:
                         s = sample_world_light(table, u)
                         if wp.static(features.light_portals):
-                            found = sample_through_portals(table, position, u)
-                            s.direction = found.direction
-                            s.pdf = found.pdf
+                            if has_portals(table):
+                                found = sample_through_portals(table, position, u)
+                                s.direction = found.direction
+                                s.pdf = found.pdf
             s.pdf = s.pdf * choice.pdf
             s.emitter = emitter
             if wp.static(features.light_links):

@@ -13,6 +13,17 @@ from .light_visibility import is_lit_in_part
 
 
 @wp.func
+def receiver_of(table: LightTable, instance: int) -> int:
+    """Number of the light set that `instance` is lit as, -1 for what fills the world; -1: no light is linked."""
+    receiver = int(-1)
+    if table.choice[0].links.receiver.shape[0] > 0:
+        receiver = int(0)
+        if instance >= 0:
+            receiver = table.choice[0].links.receiver[instance]
+    return receiver
+
+
+@wp.func
 def owner_of(table: LightTable, emitter: int) -> int:
     """Number among the owners of light (`LightLinks`) of an emitter."""
     if emitter < table.light_count:
@@ -39,17 +50,25 @@ def is_linked(table: LightTable, owner: int, receiver: int) -> bool:
 @wp.func
 def blocking_visibility(table: LightTable, owner: int) -> int:
     """Bits that the visibility of a shadow ray to `owner` has: those of the shadow sets that block it."""
-    return table.choice[0].links.shadows[owner] << wp.static(SHADOW_SET_SHIFT)
+    sets = int(wp.static(ALL_SHADOW_SETS))
+    if table.choice[0].links.shadows.shape[0] > 0:
+        sets = table.choice[0].links.shadows[owner]
+    return sets << wp.static(SHADOW_SET_SHIFT)
 
 
 @wp.func
 def group_of(table: LightTable, owner: int) -> int:
     """The number of the group of `owner` among the passes of groups; -1: it is in none."""
-    return table.choice[0].links.group[owner]
+    group = int(-1)
+    if table.choice[0].links.group.shape[0] > 0:
+        group = table.choice[0].links.group[owner]
+    return group
 
 
 @wp.func
 def _blocks_in_part(table: LightTable, owner: int) -> bool:
+    if table.choice[0].links.shadows.shape[0] == 0:
+        return False
     return table.choice[0].links.shadows[owner] != wp.static(ALL_SHADOW_SETS)
 
 

@@ -7,6 +7,7 @@ import functools
 import warp as wp
 
 from ...device.kernel import KERNEL_OPTIONS, general_options
+from ...displacement.evaluate import make_displace
 from ...scene.features import SceneFeatures
 from ..scene.scene_data import SceneData
 from .lamps import make_lamp_estimate
@@ -16,8 +17,8 @@ from .world import make_world_estimate
 
 
 def estimate_kernel(features: SceneFeatures, estimate: Estimate) -> wp.Kernel:
-    """Kernel (data, work) of `estimate`, specialised on `features`; that of all estimates where these are of all
-    scenes.
+    """Kernel (data, work) of `estimate`, specialised on `features`; that of all estimates, and of displacement, where
+    these are of all scenes.
     """
     make = {
         Estimate.TRIANGLES: lambda: make_triangle_estimate(
@@ -27,7 +28,9 @@ def estimate_kernel(features: SceneFeatures, estimate: Estimate) -> wp.Kernel:
         Estimate.LAMPS: lambda: make_lamp_estimate(features.lamp_program),
     }
     if features.programs.apart:
-        return _kernel_of_all(*(make[each]() for each in Estimate))
+        moves = "vertex_offset" in features.programs.ops
+        displace = make_displace(features.programs) if moves else None
+        return _kernel_of_all(*(made() for made in make.values()), displace, features.programs.ops)
     return _kernel_of(make[estimate]())
 
 
@@ -41,15 +44,19 @@ def _kernel_of(function: wp.Function) -> wp.Kernel:
 
 
 @functools.cache
-def _kernel_of_all(triangles: wp.Function, world: wp.Function, lamps: wp.Function) -> wp.Kernel:
-    @wp.kernel(**general_options("estimates"))
+def _kernel_of_all(
+    triangles: wp.Function, world: wp.Function, lamps: wp.Function, displace: wp.Function | None, of: tuple[str, ...]
+) -> wp.Kernel:
+    @wp.kernel(**general_options("estimates", of))
     def all_estimates(data: SceneData, work: EstimateWork):
         i = wp.tid()
         if work.estimate == wp.static(int(Estimate.TRIANGLES)):
             triangles(data, work, i)
         elif work.estimate == wp.static(int(Estimate.WORLD)):
             world(data, work, i)
-        else:
+        elif work.estimate == wp.static(int(Estimate.LAMPS)):
             lamps(data, work, i)
+        elif wp.static(displace is not None):
+            displace(data.nodes, work.vertices, i)
 
     return all_estimates

@@ -6,6 +6,7 @@ from enum import IntEnum
 
 import warp as wp
 
+from ...displacement.evaluate import VertexWork
 from ...shading.lights.light_table import LightTable
 from ...shading.lights.world import WorldTable
 
@@ -16,6 +17,7 @@ class Estimate(IntEnum):
     TRIANGLES = 0
     WORLD = 1
     LAMPS = 2
+    DISPLACEMENT = 3  # no estimate, but a program as well that runs before a render
 
 
 @wp.struct
@@ -34,3 +36,4 @@ class EstimateWork:
     lights: LightTable  # these lights
     scene_radius: float  # [m]
     brightness: wp.array(dtype=wp.float64)  # result of each lamp
+    vertices: VertexWork  # that materials move

@@ -103,6 +103,14 @@ def shows_environment(paths: Paths) -> bool:
 
 
 @wp.func
+def has_groups(paths: Paths) -> bool:
+    """Whether shadow rays bring light to the passes of light groups."""
+    if paths.passes.shape[0] > 0:
+        return paths.passes[0].shadow_group.shape[0] > 0
+    return False
+
+
+@wp.func
 def add_to_group(paths: Paths, path: int, light: wp.vec3, group: int):
     """Add `light` to the pass of the light group of this number; -1: to none."""
     if group >= 0 and paths.passes.shape[0] > 0:
@@ -123,7 +131,7 @@ def make_add_light(splits: bool, groups: bool = False) -> wp.Function:
             if paths.passes.shape[0] > 0:
                 split_light(paths, path, light, bounce, by_shadow_ray, paths.passes[0].emission)
         if wp.static(groups):
-            if by_shadow_ray:
+            if by_shadow_ray and has_groups(paths):
                 add_to_group(paths, path, light, paths.passes[0].shadow_group[path])
 
     return add_light

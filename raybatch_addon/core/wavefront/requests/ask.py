@@ -29,6 +29,7 @@ from ...shading.sequences.keys import TEXTURE
 from ...shading.sequences.sampler import make_sampler
 from ..rays import Paths, visibility_of
 from ..scene.scene_data import SceneData
+from ..stages.surface.answered import give_answers
 from ..stages.surface.cone import cone_width, path_cone
 from ..stages.surface.program import shading_point, with_steps
 from ..stages.surface.vertex import Vertex
@@ -67,7 +68,6 @@ def make_ask(features: AskFeatures) -> wp.Function:
     """
     asks = features.request_program
     run = make_run(asks)
-    first = asks.register_count - ANSWERS - 3 * asks.answer_count
     sample_1d = make_sampler(features.sample_sequence).sample_1d
     has_levels = "image_level" in features.programs.ops
 
@@ -108,10 +108,9 @@ def make_ask(features: AskFeatures) -> wp.Function:
         closures = wp.zeros(1, dtype=ClosureRecord)
         path_count = paths.status.shape[0]
         known = requests.known[path]
-        for k in range(wp.static(3 * asks.answer_count)):
-            answer = paths.answers[(k / 3) * path_count + path]
-            stack[wp.static(first + ANSWERS) + k] = answer[k % 3]
-        while known < wp.static(asks.answer_count):
+        first = requests.first
+        give_answers(paths, path, stack)
+        while known < paths.answers.shape[0] / path_count:
             if wp.static(has_levels):
                 width = cone_width(path_cone(data.nodes, paths, path, v.bounce), point.ray_length)
                 cell = wp.dot(point.step_x, point.step_x) * wp.abs(wp.dot(point.incoming, point.geometric_normal))
@@ -119,18 +118,18 @@ def make_ask(features: AskFeatures) -> wp.Function:
                 if cell > 0.0:
                     stack[wp.static(FOOTPRINT)] = wp.min(width * width / cell, wp.static(3e38))
                 stack[wp.static(CHANCE)] = sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(TEXTURE))
-            stack[wp.static(first + KNOWN)] = float(known)
-            stack[wp.static(first + ASKED)] = 0.0
+            stack[first + wp.static(KNOWN)] = float(known)
+            stack[first + wp.static(ASKED)] = 0.0
             run(data.nodes, stack, program, point, closures)
-            asked = int(stack[wp.static(first + ASKED)])
+            asked = int(stack[first + wp.static(ASKED)])
             if asked == 0:
                 return False  # the program has no more of them
             normal = wp.vec3(
-                stack[wp.static(first + NORMAL)],
-                stack[wp.static(first + NORMAL + 1)],
-                stack[wp.static(first + NORMAL + 2)],
+                stack[first + wp.static(NORMAL)],
+                stack[first + wp.static(NORMAL + 1)],
+                stack[first + wp.static(NORMAL + 2)],
             )
-            distance = stack[wp.static(first + DISTANCE)]
+            distance = stack[first + wp.static(DISTANCE)]
             if is_asked(asked, normal, distance) and is_useful(data.geometry, paths, rays, path, v.bounce, asked):
                 requests.known[path] = known
                 requests.asked[path] = asked
@@ -142,9 +141,9 @@ def make_ask(features: AskFeatures) -> wp.Function:
             if (asked & ROUNDED) != 0:
                 nothing = wp.vec3(0.0)
             paths.answers[known * path_count + path] = nothing
-            stack[wp.static(first + ANSWERS) + 3 * known] = nothing[0]
-            stack[wp.static(first + ANSWERS) + 3 * known + 1] = 0.0
-            stack[wp.static(first + ANSWERS) + 3 * known + 2] = 0.0
+            stack[first + wp.static(ANSWERS) + 3 * known] = nothing[0]
+            stack[first + wp.static(ANSWERS) + 3 * known + 1] = 0.0
+            stack[first + wp.static(ANSWERS) + 3 * known + 2] = 0.0
             known += 1
         return False
 

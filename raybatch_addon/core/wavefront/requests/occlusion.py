@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS
-from ...programs.ops.inputs.ray_inputs import ANSWERS, KNOWN
+from ...film.tile import FilmTile
 from ...programs.run import make_run
 from ...rays import Rays
 from ...scene.description import ClosureKind, Visibility
@@ -37,6 +36,7 @@ from ..rays import SHADOW_PASS, Paths, Status, bounce_of, time_of, visibility_of
 from ..scene.scene_data import SceneData
 from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits, has_light
+from ..stages.surface.answered import give_answers
 from ..stages.surface.program import fixed_closure_count, fixed_closures, program_of, shading_point, with_steps
 from ..stages.work import TileWork
 from .held import FIRST_DIMENSION, REQUESTS_MOST, give_back, hold, send
@@ -68,9 +68,9 @@ class OcclusionFeatures:
 
 
 @functools.cache
-def occlusion_kernel(features: OcclusionFeatures) -> wp.Kernel:
-    """Kernel (data, requests, work, limits, paths, rays, slots, count). Paths whose ray is traced for the pass get it;
-    the others are as they were before.
+def make_occlusion(features: OcclusionFeatures) -> wp.Function:
+    """The stage's function, as `stage_kernel` takes it. Paths whose ray is traced for the pass get it; the others are
+    as they were before.
     """
     sampler = make_sampler(features.sample_sequence)
     pixel_key = sampler.pixel_key
@@ -82,7 +82,6 @@ def occlusion_kernel(features: OcclusionFeatures) -> wp.Kernel:
     is_diffuse = kinds.test(_DIFFUSE_KINDS)
     programs = features.programs
     run = make_run(programs)
-    answers = programs.register_count - ANSWERS - 3 * programs.answer_count
 
     @wp.func
     def run_program(
@@ -114,10 +113,7 @@ def occlusion_kernel(features: OcclusionFeatures) -> wp.Kernel:
         stack = wp.zeros(wp.static(programs.register_count), dtype=float)
         if wp.static(programs.answer_count > 0):
             if is_own:
-                stack[wp.static(answers + KNOWN)] = wp.static(float(programs.answer_count))
-                for k in range(wp.static(3 * programs.answer_count)):
-                    answer = paths.answers[(k / 3) * paths.status.shape[0] + path]
-                    stack[wp.static(answers + ANSWERS) + k] = answer[k % 3]
+                give_answers(paths, path, stack)
         closures = wp.array(ptr=address_of(records), shape=(wp.static(programs.closure_count),), dtype=ClosureRecord)
         return run(data.nodes, stack, program, point, closures)
 
@@ -176,21 +172,11 @@ def occlusion_kernel(features: OcclusionFeatures) -> wp.Kernel:
         send(requests, paths, rays, path, origin, direction, left)
         return True
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.func
     def occlusion(
-        data: SceneData,
-        requests: Requests,
-        work: TileWork,
-        limits: PathLimits,
-        paths: Paths,
-        rays: Rays,
-        slots: wp.array(dtype=int),
-        count: wp.array(dtype=int),
+        data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, path: int
     ):
-        i = wp.tid()
-        if i >= count[0]:
-            return
-        path = slots[i]
+        requests = paths.requests[0]
         status = paths.status[path]
         if (status & wp.static(_ELSEWHERE)) != 0 or bounce_of(status) > 0:
             return

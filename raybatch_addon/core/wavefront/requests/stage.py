@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS
+from ...film.tile import FilmTile
 from ...programs.ops.inputs.ray_inputs import INSIDE, ONLY_LOCAL, ROUNDED, SAMPLES_SHIFT
 from ...rays import Rays
 from ...scene.description import Visibility
@@ -40,9 +40,9 @@ class RequestFeatures(VertexFeatures, AskFeatures):
 
 
 @functools.cache
-def request_kernel(features: RequestFeatures) -> wp.Kernel:
-    """Kernel (data, requests, work, limits, paths, rays, slots, count). Paths that wait for answers get a new ray; the
-    others are as they were before, with the answers.
+def make_request(features: RequestFeatures) -> wp.Function:
+    """The stage's function, as `stage_kernel` takes it. Paths that wait for answers get a new ray; the others are as
+    they were before, with the answers.
     """
     sampler = make_sampler(features.sample_sequence)
     pixel_key = sampler.pixel_key
@@ -159,21 +159,11 @@ def request_kernel(features: RequestFeatures) -> wp.Kernel:
         give_back(requests, paths, rays, path)
         return False
 
-    @wp.kernel(**KERNEL_OPTIONS)
+    @wp.func
     def request(
-        data: SceneData,
-        requests: Requests,
-        work: TileWork,
-        limits: PathLimits,
-        paths: Paths,
-        rays: Rays,
-        slots: wp.array(dtype=int),
-        count: wp.array(dtype=int),
+        data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, film: FilmTile, path: int
     ):
-        i = wp.tid()
-        if i >= count[0]:
-            return
-        path = slots[i]
+        requests = paths.requests[0]
         if requests.phase[path] == wp.static(int(Phase.PASS)):
             return
         if requests.phase[path] == wp.static(int(Phase.WAITING)):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import Any
 
 import warp as wp
 
+from ...programs.ops.inputs.ray_inputs import ANSWERS
 from ...scene.features import SceneFeatures
 
 
@@ -21,6 +23,7 @@ class Phase(IntEnum):
 class Requests:
     """One entry a path."""
 
+    first: int  # register of programs from which on answers are given
     phase: wp.array(dtype=int)  # `Phase`
     known: wp.array(dtype=int)  # requests that are answered; the next is the one that rays are traced for
     # that request
@@ -42,11 +45,22 @@ class Requests:
     hit_uv: wp.array(dtype=wp.vec2)
 
 
-def allocate_requests(path_count: int, device: wp.Device) -> Requests:
-    """The state of `path_count` paths."""
-    requests = Requests()
-    for name, array in Requests.vars.items():
-        setattr(requests, name, wp.zeros(path_count, dtype=array.type.dtype, device=device))
+def _arrays() -> dict[str, type]:
+    """Types of the elements of each array of `Requests`."""
+    return {name: each.type.dtype for name, each in Requests.vars.items() if name != "first"}
+
+
+def give_requests(paths: Any, features: SceneFeatures, device: wp.Device) -> Requests | None:
+    """The state of `paths` (`Paths`), which get it; the programs are those of `features`. None where no rays are asked
+    for.
+    """
+    if not (features.requests or features.occlusion_pass):
+        return None
+    requests, programs = Requests(), features.programs
+    requests.first = programs.register_count - ANSWERS - 3 * programs.answer_count
+    for name, dtype in _arrays().items():
+        setattr(requests, name, wp.zeros(paths.status.size, dtype=dtype, device=device))
+    paths.requests = wp.array([requests], dtype=Requests, device=device)
     return requests
 
 
@@ -54,4 +68,4 @@ def request_bytes_per_path(features: SceneFeatures) -> int:
     """Device memory of the state of one path, its answers apart [bytes]; 0 where no rays are asked for."""
     if not (features.requests or features.occlusion_pass):
         return 0
-    return sum(wp.types.type_size_in_bytes(array.type.dtype) for array in Requests.vars.values())
+    return sum(wp.types.type_size_in_bytes(dtype) for dtype in _arrays().values())

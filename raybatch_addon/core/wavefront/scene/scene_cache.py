@@ -25,6 +25,7 @@ from ...bvh.treelets.tree import TreeletTree, cut_scene_tree
 from ...device.bulk import digest_of
 from ...device.devices import free_memory
 from ...displacement.displaced import DisplacedMeshes
+from ...displacement.evaluate import Move
 from ...programs.inputs_data import InputData, bytes_of
 from ...scene.description import Image, Scene
 from ...scene.flatten import FlatGeometry, flatten
@@ -215,10 +216,10 @@ class SceneCache:
         images_need = 0 if budget is None else min(device_bytes_of(images), budget) - self.images.device_bytes
         return free_memory(device) + self.device_bytes + self.world.device_bytes - images_need
 
-    def displaced(self, scene: Scene, device: wp.Device) -> Scene:
-        """`scene` with the vertices where its materials move them."""
+    def displaced(self, scene: Scene, device: wp.Device, move: Move) -> Scene:
+        """`scene` with the vertices where its materials move them, whose programs `move` runs."""
         return self._displaced.displaced(
-            scene, lambda: self.images.upload(scene.images, device, self.image_budget(device)).table, device
+            scene, lambda: self.images.upload(scene.images, device, self.image_budget(device)).table, device, move
         )
 
     def get(self, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept:

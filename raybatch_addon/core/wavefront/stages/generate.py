@@ -31,7 +31,7 @@ NEW_PATH = int(Status.ALIVE | Status.RAY_OUT) | CAMERA_RAY << VISIBILITY_SHIFT
 class GenerateFeatures:
     """What the stage is specialised on."""
 
-    camera: CameraKind
+    camera: CameraKind | None  # None: any
     depth_of_field: bool
     sample_sequence: str
     transparency: bool
@@ -149,7 +149,8 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
         offset = sample_filter(work.filter_table, sample_2d(key, index, wp.uint32(FILTER)))
         lens = wp.vec2(0.5, 0.5)
         if wp.static(features.depth_of_field):
-            lens = sample_2d(key, index, wp.uint32(LENS))
+            if camera.lens_radius > 0.0:
+                lens = sample_2d(key, index, wp.uint32(LENS))
         seen = camera
         if wp.static(features.motion):
             if rays.time.shape[0] > 0:
@@ -166,7 +167,7 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
             rays.visibility[path] = wp.static(CAMERA_RAY)
         paths.item[path] = number
         paths.throughput[path] = wp.vec3(1.0, 1.0, 1.0)
-        if wp.static(features.camera.is_panorama):
+        if wp.static(features.camera is None or features.camera.is_panorama):
             if t_max == 0.0:  # the camera sees nothing there
                 paths.throughput[path] = wp.vec3(0.0, 0.0, 0.0)
         paths.radiance[path] = wp.vec3(0.0, 0.0, 0.0)

@@ -16,10 +16,11 @@ from ...scene.features import narrow
 from ...scene.program import ProgramFeatures
 from ...shading.lights.light_choice import ChoiceFeatures, LitPoint, make_light_choice
 from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
+from ...shading.lights.light_table import LightTable
 from ...shading.lights.light_visibility import is_lit_in_part
 from ...shading.lights.lights import light_weights
 from ...shading.lights.links import group_of, owner_of_world
-from ...shading.lights.portals.portals import portals_pdf
+from ...shading.lights.portals.portals import has_portals, portals_pdf
 from ...shading.lights.world import world_pdf
 from ..passes.guides import note_seen_light
 from ..passes.light import add_to_group, make_add_light, shows_environment, split_light
@@ -134,7 +135,15 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
     world_emission = make_world_emission(features.world_program) if has_program else None
     hit_weight = light_weights(features.mis)[1]
     selection_pdf = make_light_choice(narrow(features, ChoiceFeatures)).pdf
-    has_portals = features.light_portals
+    portals = features.light_portals
+
+    @wp.func
+    def density(lights: LightTable, point: LitPoint, direction: wp.vec3) -> float:
+        """With which the world is sampled."""
+        if wp.static(portals):
+            if has_portals(lights):
+                return portals_pdf(lights, point.position, direction)
+        return world_pdf(lights.world, direction)
 
     @wp.func
     def background(
@@ -178,13 +187,7 @@ def make_background(features: BackgroundFeatures) -> wp.Function:
                                         origin = origin - paths.passed_t[path] * direction
                                     point = left_point(paths, path, origin)
                                     chosen = selection_pdf(data.lights, point, data.lights.world_emitter)
-                                    if wp.static(has_portals):
-                                        density = portals_pdf(data.lights, point.position, direction)
-                                        light = hit_weight(pdf, chosen * density) * light
-                                    else:
-                                        light = (
-                                            hit_weight(pdf, chosen * world_pdf(data.lights.world, direction)) * light
-                                        )
+                                    light = hit_weight(pdf, chosen * density(data.lights, point, direction)) * light
                 if wp.static(features.clamping):
                     light = clamped(limits, light, bounce)
                 if shows_world:

@@ -102,6 +102,8 @@ STAGES_OF_ALL = (
     ShadingStage.BACKGROUND,
     ShadingStage.LIGHT_HITS,
     ShadingStage.CONNECT_TRANSPARENT,
+    ShadingStage.REQUEST,
+    ShadingStage.OCCLUSION,
 )
 
 
@@ -111,17 +113,15 @@ def all_stages_kernel(
     background: wp.Function,
     light_hits: wp.Function,
     connect_transparent: wp.Function,
-    *,
-    aims: bool,
+    request: wp.Function | None,
+    occlusion: wp.Function | None,
+    of: tuple[str, ...],
 ) -> wp.Kernel:
     """Kernel of the arguments of `stage_kernel` that calls the function of the stage `work.stage`, for the functions of
-    `STAGES_OF_ALL`.
-
-    `aims`: whether `surface` aims at lights. Each of the two kernels has a module of its own, since a module's hash is
-    that of all its kernels, and a process may want one of them for a CPU and the other for CUDA.
+    `STAGES_OF_ALL`; None where it is never launched for a stage. `of` is that of `general_options`.
     """
 
-    @wp.kernel(**general_options("stages" if aims else "stages_aim_apart"))
+    @wp.kernel(**general_options("stages", of))
     def all_stages(
         data: SceneData,
         work: TileWork,
@@ -142,8 +142,14 @@ def all_stages_kernel(
                 background(data, work, limits, paths, rays, film, slot)
             elif work.stage == wp.static(int(ShadingStage.LIGHT_HITS)):
                 light_hits(data, work, limits, paths, rays, film, slot)
-            else:
+            elif work.stage <= wp.static(int(ShadingStage.CONNECT_TRANSPARENT)):
                 connect_transparent(data, work, limits, paths, rays, film, slot)
+            if wp.static(request is not None):
+                if work.stage == wp.static(int(ShadingStage.REQUEST)):
+                    request(data, work, limits, paths, rays, film, slot)
+            if wp.static(occlusion is not None):
+                if work.stage == wp.static(int(ShadingStage.OCCLUSION)):
+                    occlusion(data, work, limits, paths, rays, film, slot)
             i = next_of_thread(i)
 
     return all_stages

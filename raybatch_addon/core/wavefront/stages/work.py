@@ -16,6 +16,9 @@ class ShadingStage(IntEnum):
     CONNECT = 3
     CONNECT_TRANSPARENT = 4
     AIM = 5
+    # before all others: a path's program, or a pass, asks for rays
+    REQUEST = 9
+    OCCLUSION = 10
 
 
 class VolumeStage(IntEnum):

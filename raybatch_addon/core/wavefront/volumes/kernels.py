@@ -89,12 +89,13 @@ def _bound_kernel(function: wp.Function) -> wp.Kernel:
 def _general_kernel(features: VolumeFeatures) -> wp.Kernel:
     # lamps are in the same interpreter as volumes
     features = dataclasses.replace(features, lamp_program=features.volume_program)
-    return _kernel_of_all(make_scatter(features), make_transmit(features), make_bound(features.volume_program))
+    program = features.volume_program
+    return _kernel_of_all(make_scatter(features), make_transmit(features), make_bound(program), program.ops)
 
 
 @functools.cache
-def _kernel_of_all(scatter: wp.Function, transmit: wp.Function, bound: wp.Function) -> wp.Kernel:
-    @wp.kernel(**general_options("volumes"))
+def _kernel_of_all(scatter: wp.Function, transmit: wp.Function, bound: wp.Function, of: tuple[str, ...]) -> wp.Kernel:
+    @wp.kernel(**general_options("volumes", of))
     def all_of_volumes(
         data: SceneData,
         volumes: VolumeData,

@@ -20,7 +20,7 @@ from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.lights.light_choice import VOLUME_SIDE
 from ...shading.lights.light_hits import LightHitFeatures, make_light_hits
-from ...shading.lights.links import group_of, is_linked, owner_of_world
+from ...shading.lights.links import group_of, is_linked, owner_of_world, receiver_of
 from ...shading.segments import make_surface_point
 from ...shading.sequences.keys import DIMENSIONS_PER_BOUNCE
 from ...shading.sequences.sampler import make_sampler
@@ -205,9 +205,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         v.wo = -direction
         v.side = wp.uint32(VOLUME_SIDE)
         if wp.static(features.light_links):
-            instance = innermost_instance(inside, volumes.volume_count)
-            if instance >= 0:
-                v.receiver = data.lights.choice[0].links.receiver[instance]
+            v.receiver = receiver_of(data.lights, innermost_instance(inside, volumes.volume_count))
         tasks = int(wp.static(AIM | SCATTER))
         if wp.static(features.shadow_rays):
             if not is_empty(volumes, inside) and not changes(volumes, inside):

@@ -156,7 +156,7 @@ def translucent(
     return simple_closure(kind, vector(data, stack, pc + 1), vector(data, stack, pc + 2), closures, count)
 
 
-@closure_op("ray_portal", "vivv", general=False)
+@closure_op("ray_portal", "vivv")
 @wp.func
 def ray_portal(
     data: NodeData,

@@ -7,7 +7,7 @@ from ...op import NodeData, closure_op, vector
 from ...point import ShadingPoint
 
 
-@closure_op("vertex_offset", "v", foldable=False, general=False)
+@closure_op("vertex_offset", "v", foldable=False)
 @wp.func
 def vertex_offset(
     data: NodeData,

@@ -42,7 +42,7 @@ def _answer(data: NodeData, stack: wp.array(dtype=float), pc: int) -> wp.vec3:
     return wp.vec3(stack[at], stack[at + 1], stack[at + 2])
 
 
-@op("ambient_occlusion", "vniii>N", foldable=False, general=False)
+@op("ambient_occlusion", "vniii>N", foldable=False)
 @wp.func
 def ambient_occlusion(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Share of the half-space about a normal in which nothing is nearer than a distance [m], weighed by the cosine;
@@ -54,7 +54,7 @@ def ambient_occlusion(data: NodeData, stack: wp.array(dtype=float), pc: int, poi
     put_number(data, stack, pc + 6, seen)
 
 
-@op("bevel", "vniii>V", foldable=False, general=False)
+@op("bevel", "vniii>V", foldable=False)
 @wp.func
 def bevel(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
     """Mean normal of the object's surface within a radius [m]; where that is none, the normal that is given. Operands

@@ -19,6 +19,12 @@ _ONE_BELOW = wp.constant(1.0 - 2.0**-24)  # the largest float32 below 1
 
 
 @wp.func
+def has_portals(table: LightTable) -> bool:
+    """Whether the world is sampled through portals."""
+    return table.lights.shape[0] > table.light_count
+
+
+@wp.func
 def _faces(portal: LightRecord, position: wp.vec3) -> bool:
     return wp.dot(position - portal.position, portal.axis) > 0.0
 

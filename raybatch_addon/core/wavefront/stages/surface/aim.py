@@ -23,6 +23,7 @@ from ....shading.lights.lights import LightFeatures, make_lights
 from ....shading.lights.links import group_of, owner_of
 from ....shading.sequences.keys import LIGHT
 from ....shading.sequences.sampler import make_sampler
+from ...passes.light import has_groups
 from ...rays import Paths
 from ...scene.scene_data import SceneData
 from ..limits import PathLimits
@@ -84,7 +85,7 @@ def make_choose_light(features: AimFeatures) -> wp.Function:
         u = sample_3d(v.key, v.where.sample, v.dimension + wp.uint32(LIGHT))
         light = light_sample(data.lights, data.geometry, point, u[2], wp.vec2(u[0], u[1]))
         if wp.static(features.light_groups):
-            if paths.passes.shape[0] > 0:
+            if has_groups(paths):
                 group = int(-1)
                 if light.pdf > 0.0:
                     group = group_of(data.lights, owner_of(data.lights, light.emitter))

@@ -17,6 +17,19 @@ from ...scene.scene_data import SceneData
 from .program import with_steps
 
 
+@wp.func
+def give_answers(paths: Paths, path: int, stack: wp.array(dtype=float)):
+    """Put what rays answered to a path, all of it, where its program looks; nothing where none are asked for."""
+    if paths.answers.shape[0] == 0:
+        return
+    first = paths.requests[0].first
+    count = paths.answers.shape[0] / paths.status.shape[0]
+    stack[first + wp.static(KNOWN)] = float(count)
+    for k in range(3 * count):
+        answer = paths.answers[(k / 3) * paths.status.shape[0] + path]
+        stack[first + wp.static(ANSWERS) + k] = answer[k % 3]
+
+
 @functools.cache
 def make_answered_program(features: ProgramFeatures) -> wp.Function:
     """Function (data, paths, path: int, first: int, point, records, width, chance) -> int: `run_filtered` of
@@ -25,7 +38,6 @@ def make_answered_program(features: ProgramFeatures) -> wp.Function:
     run = make_run(features)
     has_levels = "image_level" in features.ops
     has_steps = has_levels or "bump" in features.ops
-    answers = features.register_count - ANSWERS - 3 * features.answer_count
 
     @wp.func
     def run_answered(
@@ -48,10 +60,7 @@ def make_answered_program(features: ProgramFeatures) -> wp.Function:
             if cell > 0.0:
                 stack[wp.static(FOOTPRINT)] = wp.min(width * width / cell, wp.static(3e38))
             stack[wp.static(CHANCE)] = chance
-        stack[wp.static(answers + KNOWN)] = wp.static(float(features.answer_count))
-        for k in range(wp.static(3 * features.answer_count)):
-            answer = paths.answers[(k / 3) * paths.status.shape[0] + path]
-            stack[wp.static(answers + ANSWERS) + k] = answer[k % 3]
+        give_answers(paths, path, stack)
         return run(data.nodes, stack, first, stepped, closures)
 
     return run_answered

@@ -100,10 +100,13 @@ def make_connect_light(features: SurfaceFeatures, in_volume: bool = False) -> wp
         rays.direction[slot] = direction
         rays.t_max[slot] = distance
         if rays.visibility.shape[0] > 0:
-            if wp.static(features.shadow_links):  # shadow sets have bits of their own
-                rays.visibility[slot] = light.visibility & wp.static(ALL_SHADOW_SETS << SHADOW_SET_SHIFT)
-            else:
-                rays.visibility[slot] = wp.static(int(Visibility.SHADOW))
+            seen_by = int(wp.static(int(Visibility.SHADOW)))
+            if wp.static(features.shadow_links):
+                # shadow sets have bits of their own; what blocks at all is in one of them, where light is linked
+                sets = light.visibility & wp.static(ALL_SHADOW_SETS << SHADOW_SET_SHIFT)
+                if sets != wp.static(ALL_SHADOW_SETS << SHADOW_SET_SHIFT):
+                    seen_by = sets
+            rays.visibility[slot] = seen_by
         paths.shadow_light[path] = contribution
         if wp.static(features.transparency and bool(programs)):
             paths.shadow_t[path] = 0.0

@@ -34,7 +34,7 @@ from ....shading.surface import spawn_origin
 from ...passes.guides import make_note_surface, note_seen_light
 from ...passes.light import divide_extending_ray
 from ...passes.record import make_record_surface, record_aov, settles
-from ...rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, visibility_of
+from ...rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, note_receiver, visibility_of
 from ...scene.scene_data import SceneData, depth_of
 from ..limits import PathLimits, has_light
 from ..walk import make_walk_begin
@@ -130,10 +130,10 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 if wp.static(features.texture_levels):
                     width = cone_width(path_cone(data.nodes, paths, path, v.bounce), point.ray_length)
                     chance = sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(TEXTURE))
+                if wp.static(programs.answer_count > 0 and not features.texture_levels):
+                    width = float(0.0)
+                    chance = float(0.0)
                 if wp.static(programs.answer_count > 0):
-                    if wp.static(not features.texture_levels):
-                        width = float(0.0)
-                        chance = float(0.0)
                     end = run_answered(data, paths, path, program, point, records, width, chance)
                 elif wp.static(features.texture_levels):
                     end = run_filtered(data, program, point, records, width, chance)
@@ -239,7 +239,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
             of_blurred = wp.zeros(wp.static(lobes_most * RECORD_FLOATS), dtype=float)
             blurred = wp.array(ptr=address_of(of_blurred), shape=(wp.static(lobes_most),), dtype=ClosureRecord)
             where = address_of_closure(closures, 0)
-            if paths.least_density.shape[0] > 0:
+            if paths.least_density.shape[0] > 0 and limits.filter_glossy > 0.0:
                 least = float(0.0)
                 if v.bounce > 0:
                     least = blur_alpha(limits.filter_glossy, paths.least_density[path])
@@ -329,7 +329,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
             if wp.static(features.shadow_rays and features.light_choice):
                 paths.side[path] = v.side
             if wp.static(features.light_links):
-                paths.receiver[path] = v.receiver
+                note_receiver(paths, path, v.receiver)
             seen_by = wp.static(int(Visibility.GLOSSY))
             if (scattered.lobe & TRANSMISSION) != 0:
                 seen_by = wp.static(int(Visibility.TRANSMISSION))

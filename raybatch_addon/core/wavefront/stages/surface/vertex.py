@@ -11,6 +11,7 @@ from ....rays import Rays
 from ....shading.bsdf.materials import ShadingFrame
 from ....shading.bsdf.normals import shading_frame
 from ....shading.lights.light_choice import packed_side
+from ....shading.lights.links import receiver_of
 from ....shading.segments import make_surface_point
 from ....shading.sequences.keys import DIMENSIONS_PER_BOUNCE
 from ....shading.sequences.sampler import make_sampler
@@ -61,7 +62,7 @@ class Vertex:
     surface: SurfacePoint
     frame: ShadingFrame
     side: wp.uint32  # `packed_side`, for the choice among emitters
-    receiver: int  # the light set of the instance, where light is linked
+    receiver: int  # the light set of the instance, where light is linked; -1: it is not
 
 
 @functools.cache
@@ -104,7 +105,7 @@ def make_vertex(features: VertexFeatures) -> wp.Function:
         if wp.static(features.shadow_rays and features.light_choice):
             v.side = packed_side(v.frame.normal, data.materials.records[v.surface.material].transmits != 0)
         if wp.static(features.light_links):
-            v.receiver = data.lights.choice[0].links.receiver[rays.hit_instance[path]]
+            v.receiver = receiver_of(data.lights, rays.hit_instance[path])
         return v
 
     return vertex
