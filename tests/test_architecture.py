@@ -222,7 +222,7 @@ def test_kernels_are_declared_with_the_cores_options_and_have_few_parameters(pat
         elif isinstance(node, ast.Call) and ast.unparse(node.func) == "wp.kernel" and node.args:
             called.append((f"wp.kernel({ast.unparse(node.keywords[0])})", ast.unparse(node.args[0])))
     for found, name in called:
-        found = re.sub(r"general_options\('\w+'\)", "KERNEL_OPTIONS", found)
+        found = re.sub(r"general_options\('\w+', of\)", "KERNEL_OPTIONS", found)
         assert found == "wp.kernel(**KERNEL_OPTIONS)", f"{name_of(path)}: {name}"
         assert bodies[name] <= KERNEL_PARAMETERS_MAX, f"{name_of(path)}: {name}"
 

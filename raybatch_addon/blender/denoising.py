@@ -7,7 +7,7 @@ import time
 
 from ..core.convergence.halves import filtered_half_error
 from ..core.denoise.library import DenoiseLibrary
-from ..core.denoise.picture import COMBINED, NOISY_IMAGE, denoised, description, guiding_passes
+from ..core.denoise.picture import COMBINED, NOISY_IMAGE, denoised, denoised_catchers, description, guiding_passes
 from ..core.film import Film
 from ..core.observers import Tile
 from ..core.scene.description import Scene
@@ -31,6 +31,7 @@ def denoise_film(film: Film, settings: RenderSettings, library: DenoiseLibrary) 
         film.made = {NOISY_IMAGE: passes[COMBINED]}
         return
     film.made = {COMBINED: denoised(passes, settings, library), NOISY_IMAGE: passes[COMBINED]}
+    film.made |= denoised_catchers(passes, settings, library)
     told = description(settings, library, time.perf_counter() - start)
     if film.halves:
         halves = [half.passes for half in film.halves]

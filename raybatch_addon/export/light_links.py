@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import bpy
 
-from ..core.scene.description import ALL_LIGHT_SETS, ALL_SHADOW_SETS, LIGHT_SETS, SHADOW_SETS
+from ..core.scene.description import ALL_LIGHT_SETS, ALL_SHADOW_SETS, COPY_SET, SHADOW_SETS
 from ..core.scene.notice import Notice, Weight
 
 
@@ -31,10 +31,13 @@ class LightLinking:
     def __init__(self, objects: Iterator[bpy.types.Object], warnings: list[str]) -> None:
         """`objects`: all that are rendered, original."""
         emitters = [(obj, obj.light_linking) for obj in objects if getattr(obj, "light_linking", None)]
-        receivers = _Sets("receiver", [links.receiver_collection for _, links in emitters], LIGHT_SETS, warnings)
+        receivers = _Sets("receiver", [links.receiver_collection for _, links in emitters], COPY_SET, warnings)
         blockers = _Sets("blocker", [links.blocker_collection for _, links in emitters], SHADOW_SETS, warnings)
         self._emitters = {
-            obj.as_pointer(): (receivers.lit_by(links.receiver_collection), blockers.lit_by(links.blocker_collection))
+            obj.as_pointer(): (
+                receivers.lit_by(links.receiver_collection) | 1 << COPY_SET,
+                blockers.lit_by(links.blocker_collection),
+            )
             for obj, links in emitters
         }
         self._receiver_of, self._blocker_of = receivers.of, blockers.of

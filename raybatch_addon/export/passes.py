@@ -30,6 +30,10 @@ LIGHT_PASS_PROPERTIES = {
 }
 # Passes of volumes' light, by Cycles' own property of a view layer
 VOLUME_PASS_PROPERTIES = {"use_pass_volume_direct": "Volume Direct", "use_pass_volume_indirect": "Volume Indirect"}
+# The pass of shadow catchers, by Cycles' own property of a view layer
+CATCHER_PROPERTY, CATCHER_PASS = "use_pass_shadow_catcher", "Shadow Catcher"
+# What is rendered in its place where nobody asks for it: Combined has the shadows then
+CATCHER_SHADOWS = "Catcher Shadows"
 # Passes that show cost, by the property of a view layer's `raybatch`
 COST_PASS_PROPERTIES = {
     "use_pass_rays": "Rays",
@@ -80,6 +84,8 @@ def wanted_passes(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
     passes = [name for prop, name in blenders.items() if getattr(view_layer, prop)]
     of_cycles = getattr(view_layer, "cycles", None)  # missing while that add-on is not enabled
     passes += [name for prop, name in VOLUME_PASS_PROPERTIES.items() if getattr(of_cycles, prop, False)]
+    if getattr(of_cycles, CATCHER_PROPERTY, False):
+        passes.append(CATCHER_PASS)
     if getattr(of_cycles, "denoising_store_passes", False):
         passes += DENOISING_PASSES
     passes += [name for prop, name in OWN_PASS_PROPERTIES.items() if getattr(own, prop, False)]

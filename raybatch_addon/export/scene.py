@@ -17,7 +17,14 @@ from .motion.shutter import Exposure, export_shutter, neighbours, open_time
 from .motion.steps import MotionSteps, camera_steps, with_frames
 from .nodes.collections import occlusion_distance
 from .passed_over.look import passed_over
-from .passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES, wanted_passes
+from .passes import (
+    CATCHER_PASS,
+    CATCHER_SHADOWS,
+    LIGHT_PASS_PROPERTIES,
+    MATTE_PROPERTIES,
+    PASS_PROPERTIES,
+    wanted_passes,
+)
 from .view import View
 from .world import export_world, with_portals
 
@@ -65,6 +72,8 @@ def _exported(
         placements = collect_placements(depsgraph, cancelled, exposure is not None)
     except Cancelled:
         return None
+    if placements.catches and CATCHER_PASS not in frame.passes:
+        frame = replace(frame, passes=(*frame.passes, CATCHER_SHADOWS))
     collections = placements.materials.collections
     # evaluated: with the current values of drivers and keyframes
     shown = _world(depsgraph.scene_eval, depsgraph.view_layer_eval)

@@ -7,6 +7,7 @@ from __future__ import annotations
 import bpy
 
 from ..export.passes import (
+    CATCHER_PROPERTY,
     COST_PASS_PROPERTIES,
     LIGHT_PASS_PROPERTIES,
     MATTE_PROPERTIES,
@@ -39,7 +40,7 @@ class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
         for name in LIGHT_PASS_PROPERTIES:
             column.prop(context.view_layer, name)
         if hasattr(context.view_layer, "cycles"):  # as above
-            for name in VOLUME_PASS_PROPERTIES:
+            for name in (*VOLUME_PASS_PROPERTIES, CATCHER_PROPERTY):
                 column.prop(context.view_layer.cycles, name)
         column = layout.column(heading="Cryptomatte")
         for name in MATTE_PROPERTIES:
@@ -72,7 +73,7 @@ class RAYBATCH_VIEWLAYER_PT_filter(EnginePanel, bpy.types.Panel):
 
 
 class RAYBATCH_OBJECT_PT_ray_visibility(EnginePanel, bpy.types.Panel):
-    """Kinds of rays that see an object."""
+    """Kinds of rays that see an object, and whether it catches shadows."""
 
     bl_label = "Ray Visibility"
     bl_context = "object"
@@ -90,6 +91,7 @@ class RAYBATCH_OBJECT_PT_ray_visibility(EnginePanel, bpy.types.Panel):
             column.prop(context.object, f"visible_{ray}", text=ray.title())
         if context.object.type != "LIGHT":  # a light has a switch of its own for its shadow
             column.prop(context.object, "visible_shadow", text="Shadow")
+            column.prop(context.object, "is_shadow_catcher")
 
 
 class RAYBATCH_LIGHT_PT_settings(EnginePanel, bpy.types.Panel):

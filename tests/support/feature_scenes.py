@@ -23,13 +23,14 @@ from raybatch_addon.core.scene.description import (
     Volume,
     World,
 )
-from raybatch_addon.core.scene.linking import shadow_bit
+from raybatch_addon.core.scene.linking import catcher_bits, shadow_bit
 from raybatch_addon.core.scene.motion import instance_maps
-from raybatch_addon.core.scene.passes import GUIDE_PASSES, LIGHT_GROUP, OCCLUSION_PASS
+from raybatch_addon.core.scene.passes import CATCHER_PASS, GUIDE_PASSES, LIGHT_GROUP, OCCLUSION_PASS
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
 SETTINGS = RenderSettings(sample_count=1, bounce_max=2, ray_sort="OFF")
+CAUGHT = Frame(32, 32, passes=("Combined", CATCHER_PASS, "Diffuse Direct"), transparent=True)
 
 
 def lit(surface=None, frame=None, visibility=int(Visibility.ALL), lamp=None):
@@ -104,24 +105,15 @@ def toon():
 
 
 def hair() -> Material:
-    """All closures of fibres."""
+    """All closures of fibres but that of facets."""
     program = ProgramBuilder()
     place = program.value("separate_xyz", program.value("object_coordinates", 0))
     grey = program.value("combine_xyz", program.value("math", 2, False, place[0], place[0], 0.0), 0.4, 0.4)
     program.closure("principled_hair", (0.3,) * 3, grey, 0.3, 0.3, 0.0, 1.55, 0.03)
     program.closure("hair_reflection", (0.3,) * 3, 0.2, 0.3, 0.05, (0.0, 0.0, 0.0))
     program.closure("hair_transmission", (0.3,) * 3, 0.2, 0.3, 0.05, (0.0, 0.0, 0.0))
-    program.closure("facet_hair", (0.3,) * 3, grey, 0.3, 0.8, 0.05, 1.55, (1.0, 0.9, 0.8), (0.0, 0.0, 0.0))
-    kinds = [kind for kind in ClosureKind if kind.is_hair]
-    return Material("hair", kinds=(*kinds, ClosureKind.TRANSPARENT), program=program.finish())
-
-
-def facets() -> Material:
-    """Fibres of an elliptic section."""
-    program = ProgramBuilder()
-    place = program.value("object_coordinates", 0)
-    program.closure("facet_hair", (0.8,) * 3, place, 0.3, 0.6, 0.05, 1.55, (1.0, 0.9, 0.8), (0.0, 1.0, 0.0))
-    return Material("facets", kinds=(ClosureKind.FACET_HAIR, ClosureKind.TRANSPARENT), program=program.finish())
+    kinds = (ClosureKind.HAIR_REFLECTION, ClosureKind.HAIR_TRANSMISSION, ClosureKind.PRINCIPLED_HAIR)
+    return Material("hair", kinds=kinds, program=program.finish())
 
 
 def strands() -> Mesh:
@@ -255,9 +247,7 @@ def sky() -> World:
 
 
 def linked(scene: Scene, lights=False, shadows=False, groups=False) -> Scene:
-    """`scene` whose first lamp lights the second object alone, whose second object does not block it, and whose
-    emitters are in groups.
-    """
+    """`scene` whose first lamp lights the second object alone, which does not block it; emitters are in groups."""
     instances, lamp = scene.instances, scene.lights[0]
     count = len(instances)
     links = np.zeros((count, 3), np.uint64)
@@ -374,8 +364,8 @@ EACH_WIDE_FEATURE = {
     "no caustics": (lit(shiny()), {"caustics_reflective": "OFF", "bounce_max": 4}),
     "a denoiser's passes": (lit(veil(), GUIDED), {}),
     "toon": (lit(toon()), {}),
+    "shadow catchers": (lit(veil(), CAUGHT, int(Visibility.ALL) | catcher_bits(int(Visibility.ALL))), {}),
     "fibres": (furry(), {}),
-    "fibres of facets": (furry(facets()), {}),
     "moving": (moving(lit()), {}),
     "moving, transparent with a program": (moving(lit(veil_program())), {}),
     "volume": (filled(fog()), {}),

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from ..bvh.build.refit import join_boxes_kernel, write_boxes_kernel
 from ..bvh.build.scene_tree import build_kernels, layout_for
 from ..film.tile import add_integers_kernel
 from ..scene.description import ClosureKind
@@ -57,6 +58,8 @@ class GeneralRequest:
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
         """All of them."""
         found = [*general_kernels(device), *build_kernels(device), *LIGHT_TREE_KERNELS, add_integers_kernel]
+        if not device.is_cuda:
+            found += [join_boxes_kernel, write_boxes_kernel]  # for the frame behind the first one
         general = general_features(device)
         for features in (*_plain_scenes(plain_features(general)), *_wide_scenes(general)):
             features = dataclasses.replace(features, adaptive=True)  # the kernels of both ways to sample

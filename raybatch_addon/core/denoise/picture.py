@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from .library import DenoiseLibrary
 
 COMBINED, NOISY_IMAGE = "Combined", "Noisy Image"
 ALBEDO, NORMAL = "Denoising Albedo", "Denoising Normal"
+CATCHER_PASS, CATCHER_SHADOWS = "Shadow Catcher", "Catcher Shadows"
 _GUIDES = {"NONE": (), "ALBEDO": (ALBEDO,), "ALBEDO_NORMAL": (ALBEDO, NORMAL)}
 _INPUTS = {ALBEDO: "albedo", NORMAL: "normal"}  # as the library calls them
 
@@ -22,7 +23,8 @@ def guiding_passes(settings: RenderSettings) -> tuple[str, ...]:
 
 
 def denoised(passes: Mapping[str, np.ndarray], settings: RenderSettings, library: DenoiseLibrary) -> np.ndarray:
-    """The pass "Combined" without its noise, float32, of its shape; alpha stays as it is.
+    """The pass "Combined" without its noise, float32, of its shape; alpha stays as it is, unless the shadows of shadow
+    catchers are in it.
 
     With the prefilter ACCURATE the guiding passes are filtered first, each alone, and then taken as free of noise; with
     NONE they are taken so as they are; with FAST they are taken as noisy, and all is filtered at once.
@@ -33,15 +35,37 @@ def denoised(passes: Mapping[str, np.ndarray], settings: RenderSettings, library
     Raises:
         RayBatchError: the library's own message.
     """
+    picture, filtered = passes[COMBINED], _filter(passes, settings, library)
+    result = np.array(picture, np.float32)
+    result[..., :3] = filtered(picture[..., :3], True)
+    if CATCHER_SHADOWS in passes and (picture[..., 3] != 1).any():
+        result[..., 3] = filtered(np.repeat(picture[..., 3:], 3, -1), False).mean(-1)
+    return result
+
+
+def denoised_catchers(
+    passes: Mapping[str, np.ndarray], settings: RenderSettings, library: DenoiseLibrary
+) -> dict[str, np.ndarray]:
+    """The pass of shadow catchers by its name, without its noise, if it is among `passes`; as `denoised` otherwise."""
+    if CATCHER_PASS not in passes:
+        return {}
+    return {CATCHER_PASS: _filter(passes, settings, library)(passes[CATCHER_PASS], True)}
+
+
+def _filter(
+    passes: Mapping[str, np.ndarray], settings: RenderSettings, library: DenoiseLibrary
+) -> Callable[[np.ndarray, bool], np.ndarray]:
+    """Function (picture, hdr) that filters a picture of three channels with the guiding passes among `passes`."""
     quality = settings.denoise_quality
     guides = {_INPUTS[name]: passes[name] for name in guiding_passes(settings)}
     if settings.denoise_prefilter == "ACCURATE":
         guides = {name: library.filtered({name: pixels}, {}, quality) for name, pixels in guides.items()}
-    picture = passes[COMBINED]
-    flags = {"hdr": True, "cleanAux": bool(guides) and settings.denoise_prefilter != "FAST"}
-    result = np.array(picture, np.float32)
-    result[..., :3] = library.filtered({"color": picture[..., :3]} | guides, flags, quality)
-    return result
+    flags = {"cleanAux": bool(guides) and settings.denoise_prefilter != "FAST"}
+
+    def filtered(picture: np.ndarray, hdr: bool) -> np.ndarray:
+        return library.filtered({"color": picture} | guides, {"hdr": hdr, **flags}, quality)
+
+    return filtered
 
 
 def description(settings: RenderSettings, library: DenoiseLibrary, seconds: float) -> dict[str, Any]:

@@ -11,9 +11,9 @@ import numpy as np
 
 from ..errors import RayBatchError
 from ..scene.description import Frame
-from ..scene.passes import matte_kinds
+from ..scene.passes import CAUGHT_LIGHT, matte_kinds
 from .host_samples import HostSamples
-from .layout import ChannelLayout, channels_of, layout_of, split_passes
+from .layout import ChannelLayout, channels_of, layout_of, mean_colors, split_passes
 from .sums import WIDE_DIGITS, ExactSums, means_of, normalised
 from .tile import FinishedTile
 
@@ -103,6 +103,16 @@ class Film:
             return dict(self.picture)
         means = means_of(self.sums.window, self.sums.wide, self.counts, self.layout.count)
         return split_passes(self.pass_names, self.layout, means, self._fetched().single(self.pass_names), self.shape)
+
+    @property
+    def colors(self) -> np.ndarray:
+        """RGBA of each pixel by the light of all its paths, float32, shape [height, width, 4]: "Combined", with shadow
+        catchers as surfaces like others.
+        """
+        if CAUGHT_LIGHT not in self.layout.others:
+            return self.passes["Combined"]
+        means = means_of(self.sums.window, self.sums.wide, self.counts, self.layout.count)
+        return mean_colors(means.reshape(*self.shape, self.layout.count), self.layout)
 
     @property
     def shown(self) -> dict[str, np.ndarray]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..scene.passes import (
+    CAUGHT_LIGHT,
     COLOR_PASSES,
     COST_PASSES,
     DIRECT_PASSES,
@@ -20,6 +21,7 @@ from ..scene.passes import (
     channels_of,
     summed_passes,
 )
+from .caught import CATCHER_PICTURES
 
 __all__ = ["COST_PASSES", "FIRST_SAMPLE_PASSES", "PASSES", "SAMPLE_COUNT", "ChannelLayout", "channels_of", "layout_of"]
 
@@ -84,22 +86,33 @@ def split_passes(
     own.
     """
     means = means.reshape(*shape, layout.count)
+
+    def mean_of(name: str) -> np.ndarray:
+        return mean_colors(means, layout) if name == "Combined" else means[..., layout.span(name)]
+
     passes = {}
     for name in names:
         if name in single:
             passes[name] = single[name].reshape(*shape, channels_of(name))
             continue
-        values = shown_pass(name, lambda wanted: means[..., layout.span(wanted)])
-        if name == "Combined" and not layout.transparent:
-            values = np.concatenate([values, np.ones((*shape, 1), np.float32)], axis=-1)
-        passes[name] = np.ascontiguousarray(values)
+        passes[name] = np.ascontiguousarray(shown_pass(name, mean_of, layout))
     return passes
 
 
-def shown_pass(name: str, mean_of: Callable[[str], np.ndarray]) -> np.ndarray:
-    """The pass `name` as a film shows it, float32, of what `mean_of` gives: means of summed passes by name, float32,
-    shape [..., channels].
+def mean_colors(means: np.ndarray, layout: ChannelLayout) -> np.ndarray:
+    """RGBA of pixels, float32, shape [..., 4], from the means of the summed channels, [..., `layout.count`]."""
+    colors = means[..., layout.span("Combined")]
+    if layout.transparent:
+        return colors
+    return np.concatenate([colors, np.ones((*colors.shape[:-1], 1), np.float32)], axis=-1)
+
+
+def shown_pass(name: str, mean_of: Callable[[str], np.ndarray], layout: ChannelLayout) -> np.ndarray:
+    """The pass `name` of a film with `layout` as it is shown, float32, of what `mean_of` gives: means of summed passes
+    by name, float32, shape [..., channels], of Combined with alpha.
     """
+    if CAUGHT_LIGHT in layout.others and name in CATCHER_PICTURES:
+        return CATCHER_PICTURES[name](mean_of, layout)
     mean = mean_of(name)
     if name == "Mist":  # what is summed is how clear the view is
         return np.clip(1 - mean, 0, 1)

@@ -314,7 +314,7 @@ class FinishedTile:
         )
 
     def colors(self) -> wp.array:
-        """RGBA of each pixel, as "Combined" shows it, vec4, shape [pixels], on the device that has the sums."""
+        """RGBA of each pixel, as `Film.colors`, vec4, shape [pixels], on the device that has the sums."""
         return self._resolved()[0]
 
     def _costs(self) -> dict[str, np.ndarray]:
@@ -348,9 +348,10 @@ class FinishedTile:
             single |= mean_costs(self._costs(), counts) | sample_counts(pass_names, counts)
         if matte_kinds(pass_names):
             single |= self._all_mattes().passes(pass_names, self.film.counts.numpy())
-        return {
-            name: np.ascontiguousarray(single[name] if name in single else shown_pass(name, means.__getitem__)).reshape(
-                *shape, channels_of(name)
-            )
+        pictures = {
+            name: single[name] if name in single else shown_pass(name, means.__getitem__, self._layout)
             for name in pass_names
+        }
+        return {
+            name: np.ascontiguousarray(pixels).reshape(*shape, channels_of(name)) for name, pixels in pictures.items()
         }

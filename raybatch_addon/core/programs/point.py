@@ -8,7 +8,8 @@ import warp as wp
 class HistoryBits(IntFlag):
     """Last scattering of a path.
 
-    Above DEPTH_SHIFT follow three counts of DEPTH_BITS each: diffuse, glossy and transmitted scatterings.
+    Above DEPTH_SHIFT follow three counts of DEPTH_BITS each: diffuse, glossy and transmitted scatterings. The two bits
+    left from PORTAL_SHIFT on count the portals that the path has passed.
     """
 
     DIFFUSE = 1
@@ -17,6 +18,7 @@ class HistoryBits(IntFlag):
 
 
 DEPTH_SHIFT, DEPTH_BITS = 3, 9
+PORTAL_SHIFT, PORTALS_MOST = DEPTH_SHIFT + 3 * DEPTH_BITS, 3
 
 
 # `ShadingPoint.primitive` of points in volumes

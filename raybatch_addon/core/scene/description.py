@@ -38,10 +38,13 @@ class Visibility(IntFlag):
 
 # Light linking: emitters light the receivers of some sets of objects, and the objects of some sets block their light.
 # Bits of all sets; a number of bits that are in sets is an unsigned integer
-LIGHT_SETS, SHADOW_SETS = 64, 26
+LIGHT_SETS, SHADOW_SETS = 64, 21
+COPY_SET = LIGHT_SETS - 1  # of paths that see shadow catchers alone
 ALL_LIGHT_SETS, ALL_SHADOW_SETS = (1 << LIGHT_SETS) - 1, (1 << SHADOW_SETS) - 1
 # In visibilities the bits of shadow sets lie from here on
 SHADOW_SET_SHIFT = 5
+# and behind them those of `Visibility` again, of shadow catchers alone: for rays that see nothing else
+CATCHER_SHIFT = SHADOW_SET_SHIFT + SHADOW_SETS
 
 
 class ClosureKind(IntEnum):
@@ -252,7 +255,7 @@ class Instances:
     transform: np.ndarray  # object to world, float32, shape [n, 3, 4]
     slot_first: np.ndarray  # first entry of the instance in `Scene.slot_materials`, int32, shape [n]
     # `Visibility` bits, int32, shape [n]; where light is linked to blockers also the bit of the instance's shadow set,
-    # from `SHADOW_SET_SHIFT` on, if shadow rays see it
+    # from `SHADOW_SET_SHIFT` on, if shadow rays see it; of a shadow catcher the first again, from `CATCHER_SHIFT` on
     visibility: np.ndarray
     object: np.ndarray  # index into `Scene.object_names`, int32, shape [n]
     # values that shader programs read: red, green, blue, alpha of the object's colour, its index, and a random number;

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..settings.settings import RenderSettings
 from .description import CameraKind, ClosureKind, LightKind, Scene, Visibility, Volume
-from .linking import RAY_BITS, links_lights, links_shadows
+from .linking import RAY_BITS, catchers, links_lights, links_shadows
 from .motion import apart
 from .passes import (
     COST_PASSES,
@@ -25,6 +25,7 @@ from .passes import (
     guides_denoising,
     light_group_passes,
     records_surfaces,
+    shows_catchers,
     splits_light,
 )
 from .program import ProgramFeatures, program_features
@@ -34,6 +35,8 @@ T = TypeVar("T")
 SCATTERING = tuple(k for k in ClosureKind if k not in (ClosureKind.EMISSION, ClosureKind.TRANSPARENT))
 
 
+# Ops that ask how a path came to a point
+PATH_HISTORY_OPS = frozenset(("path_history", "portal_depth"))
 # Passes that are no features of a scene: that which every film has, and those that counters fill
 _PASSES_OF_OTHERS = ("Combined", *COST_PASSES, SAMPLE_COUNT)
 
@@ -79,6 +82,7 @@ class SceneFeatures:
     caustics_refractive: bool = True
     light_links: bool = False  # some emitters light some objects alone
     shadow_links: bool = False  # the light of some emitters is blocked by some objects alone
+    catchers: bool = False  # some surfaces are shadow catchers, and passes show what they catch
     volumes: bool = False  # something fills surfaces or the world
     volume_program: ProgramFeatures = ProgramFeatures()  # needs of the shader graphs of volumes
     request_program: ProgramFeatures = ProgramFeatures()  # needs of the parts of materials that ask for rays
@@ -117,7 +121,7 @@ class SceneFeatures:
     @property
     def path_history(self) -> bool:
         """Whether programs ask how a path has scattered so far, or limits of bounces do."""
-        return "path_history" in self.programs.ops or self.bounces_by_kind
+        return self.bounces_by_kind or not PATH_HISTORY_OPS.isdisjoint(self.programs.ops)
 
     @property
     def requests(self) -> bool:
@@ -217,6 +221,7 @@ class SceneFeatures:
             "light linking": self.light_links,
             "shadow linking": self.shadow_links,
             "light groups": self.light_groups,
+            "shadow catchers": self.catchers,
             "volumes": self.volumes,
             "programs of volumes": bool(self.volume_program),
             "rays for programs": self.requests,
@@ -285,6 +290,7 @@ def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
         caustics_refractive=settings.caustics_refractive == "ON",
         light_links=links_lights(scene),
         shadow_links=is_sampled and links_shadows(scene),
+        catchers=surfaces and shows_catchers(scene.frame.passes) and bool(catchers(scene).any()),
         volumes=bool(volumes),
         volume_program=program_features(
             [volume.program for volume in volumes], max((len(volume.closures) for volume in volumes), default=0)

@@ -1,13 +1,13 @@
-"""Light linking: whether emitters light some objects alone, and whether some objects alone block their light."""
+"""What some rays alone see: emitters that light some objects alone, objects that block some light alone, catchers."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from .description import ALL_LIGHT_SETS, ALL_SHADOW_SETS, SHADOW_SET_SHIFT, Scene, Visibility
+from .description import ALL_LIGHT_SETS, ALL_SHADOW_SETS, CATCHER_SHIFT, SHADOW_SET_SHIFT, Scene, Visibility
 
 # Bits of visibilities that rays may have
-RAY_BITS = int(Visibility.ALL) | ALL_SHADOW_SETS << SHADOW_SET_SHIFT
+RAY_BITS = int(Visibility.ALL) | ALL_SHADOW_SETS << SHADOW_SET_SHIFT | int(Visibility.ALL) << CATCHER_SHIFT
 
 
 def links_lights(scene: Scene) -> bool:
@@ -24,6 +24,18 @@ def links_shadows(scene: Scene) -> bool:
     return any(light.shadow_sets != ALL_SHADOW_SETS for light in scene.lights) or (
         links is not None and bool(np.any(links[:, 2] != np.uint64(ALL_SHADOW_SETS)))
     )
+
+
+def catchers(scene: Scene) -> np.ndarray:
+    """Which instances of `scene` are shadow catchers: bool, shape [n]."""
+    return scene.instances.visibility >> CATCHER_SHIFT & int(Visibility.ALL) != 0
+
+
+def catcher_bits(visibility: int) -> int:
+    """The bits of a visibility by which rays that see shadow catchers alone see a catcher that others see by
+    `visibility`.
+    """
+    return (visibility & int(Visibility.ALL)) << CATCHER_SHIFT
 
 
 def shadow_bit(shadow_set: int) -> int:

@@ -22,6 +22,9 @@ OCCLUSION_PASS = "Ambient Occlusion"
 VOLUME_PASSES = ("Volume Direct", "Volume Indirect")
 # Motion in the picture, and what its sum is divided by: the samples that met something
 VECTOR, VECTOR_WEIGHT = "Vector", "Vector Weight"
+# What shadow catchers get of light, over what they would get if nothing else were there; and how dark their shadows lie
+# on what is behind, where Combined has them (`film/caught.py`)
+CATCHER_PASS, CATCHER_SHADOWS = "Shadow Catcher", "Catcher Shadows"
 # Passes that guide a denoiser (`wavefront/passes/guides.py`)
 GUIDE_PASSES = ("Denoising Albedo", "Denoising Normal", "Denoising Depth")
 # Channels of passes whose samples are summed beside those of Combined and Normal
@@ -32,6 +35,10 @@ SUMMED_PASSES: dict[str, int] = {
     **dict.fromkeys((*DIRECT_PASSES, *INDIRECT_PASSES, *COLOR_PASSES, *SEEN_PASSES, *VOLUME_PASSES, OCCLUSION_PASS), 3),
     **dict(zip(GUIDE_PASSES, (3, 3, 1))),
 }
+# What is summed for the passes of shadow catchers: light of paths that met one first, and of their copies, which see
+# catchers alone; by how much Combined is opaque by catchers alone; the world behind them, for `CATCHER_SHADOWS`
+CATCHER_SUMS = {"Caught Light": 3, "Catcher Light": 3, "Catcher Alpha": 1, "Caught World": 3}
+CAUGHT_LIGHT, CATCHER_LIGHT, CATCHER_ALPHA, CAUGHT_WORLD = CATCHER_SUMS
 # Kinds of identities that mattes are made by. Each has passes of two levels, which are numbered behind its name
 MATTE_KINDS = ("CryptoObject", "CryptoMaterial", "CryptoAsset")
 MATTE_PASSES = tuple(f"{kind}{i:02}" for kind in MATTE_KINDS for i in range(8))
@@ -45,7 +52,8 @@ PASSES: dict[str, int] = {
     "Material Index": 1,
     **SUMMED_PASSES,
     **dict.fromkeys(MATTE_PASSES, 4),
-    **dict.fromkeys((*COST_PASSES, SAMPLE_COUNT), 1),
+    **dict.fromkeys((*COST_PASSES, SAMPLE_COUNT, CATCHER_SHADOWS), 1),
+    CATCHER_PASS: 3,
 }
 # Beginnings of the names of passes that materials write by themselves (AOVs): of a colour, of a number
 AOV_COLOR, AOV_VALUE = "AOV color ", "AOV value "
@@ -72,6 +80,8 @@ def channels_of(name: str) -> int:
         return 3
     if name == VECTOR_WEIGHT:
         return 1
+    if name in CATCHER_SUMS:
+        return CATCHER_SUMS[name]
     return 1 if name.startswith(AOV_VALUE) else PASSES[name]
 
 
@@ -112,9 +122,13 @@ def summed_passes(passes: tuple[str, ...]) -> tuple[str, ...]:
     for light in (DIRECT_PASSES, INDIRECT_PASSES):
         wanted.update(color for name, color in zip(light, COLOR_PASSES) if name in passes)
     weights = (VECTOR_WEIGHT,) if VECTOR in wanted else ()
+    caught = ()
+    if shows_catchers(passes):
+        caught = tuple(name for name in CATCHER_SUMS if name != CAUGHT_WORLD or CATCHER_SHADOWS in wanted)
     return (
         *(name for name in SUMMED_PASSES if name in wanted),
         *weights,
+        *caught,
         *light_group_passes(passes),
         *aov_passes(passes),
     )
@@ -123,6 +137,11 @@ def summed_passes(passes: tuple[str, ...]) -> tuple[str, ...]:
 def records_surfaces(passes: tuple[str, ...]) -> bool:
     """Whether the first surfaces of paths are recorded for any of `passes`."""
     return bool(aov_passes(passes)) or not _RECORDED.isdisjoint((*passes, *summed_passes(passes)))
+
+
+def shows_catchers(passes: tuple[str, ...]) -> bool:
+    """Whether some of `passes` show what shadow catchers catch; where none does, catchers are objects as any other."""
+    return CATCHER_PASS in passes or CATCHER_SHADOWS in passes
 
 
 def guides_denoising(passes: tuple[str, ...]) -> bool:

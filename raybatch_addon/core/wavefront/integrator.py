@@ -6,7 +6,6 @@ import dataclasses
 import itertools
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import warp as wp
@@ -22,6 +21,7 @@ from ..rays import NO_RAYS, RayKind, RayList
 from ..scene.description import Frame
 from ..settings.settings import RenderSettings
 from ..shading.sampling import filter_table
+from .catchers.state import allocate_caught
 from .kernels import StageKernels
 from .order.hit_order import HitOrder
 from .order.ray_order import RayOrder
@@ -31,50 +31,21 @@ from .plan.plan import Method
 from .rays import RayNeeds, allocate_paths, allocate_rays
 from .requests.state import give_requests
 from .scene.device_scene import DeviceScene
-from .scheduler import Rectangle, WaterMarks
+from .scheduler import WaterMarks
 from .stages import generate
 from .stages.generate import counted_kernel
 from .stages.limits import half_seed, path_limits
 from .stages.stage import stage_thread_count
 from .stages.work import ShadingStage, TileWork, VolumeStage
 from .tier import array_features
+from .tile_state import RayTotals, TileState
 from .tracers.choose import make_tracer
 from .tracers.interface import Tracer
+from .volumes.table import MediaState
 from .volumes.volumes import with_state
 
 # A stopped tile whose rays are not at their end after this long gives them up [s]
 DRAIN_SECONDS = 0.25
-
-
-@dataclass
-class TileState:
-    """How far a tile has come, or one half of its samples; with it a stopped tile goes on later."""
-
-    tile: Rectangle
-    items_begun: int = 0  # paths generated so far in this round, in the sample order
-    drained: bool = True  # all of them are in the film
-    half: int = 0  # which of the film's halves; 0 where there is one film
-    held: FinishedTile | None = None  # what it has so far, on the device, while the render goes on
-    active: wp.array | None = None  # pixels that get samples, int32, as `active_number` takes them; None: all
-
-    @property
-    def pixel_count(self) -> int:
-        """Pixels that get samples in this round."""
-        return self.tile.pixel_count if self.active is None else self.active.size
-
-
-@dataclass
-class RayTotals:
-    """Rays traced so far."""
-
-    camera: int = 0
-    bounced: int = 0  # scattered, or gone on behind a transparent surface
-    shadow: int = 0
-
-    @property
-    def total(self) -> int:
-        """Rays of all kinds."""
-        return self.camera + self.bounced + self.shadow
 
 
 class TileIntegrator:
@@ -98,10 +69,15 @@ class TileIntegrator:
         tracing = scene.tracing
         needs = RayNeeds.of(features, tracing.method is Method.REFERENCE)
         self._rays = allocate_rays(count, device, dataclasses.replace(needs, shadow_rays=scene.shadow_rays))
+        self._catchers = None  # nothing catches shadows
+        if features.catchers:
+            of_scene = scene.pass_inputs.is_catcher
+            self._catchers = allocate_caught(count, self._layout, features, of_scene, device)
         self._volumes = None  # there are none
         if scene.volumes:
             self._volumes = with_state(scene.volumes.data, count, settings.volume_bounce_max, device)
         self._requests = give_requests(self._paths, features, device)  # None: nothing asks for rays
+        self._media = self._volumes.state if self._volumes else MediaState()
         self._shadow_kind = RayKind.TRANSPARENT_SHADOW if scene.transparent_shadows else RayKind.OCCLUSION
         self._lists = PathLists(count, device, walks=features.subsurface)
         self._film_tiles = FilmTiles(self._layout, frame.passes, device, self._lists.counts.at(Length.SPILL))
@@ -304,13 +280,16 @@ class TileIntegrator:
                     self._launch_volumes(VolumeStage.SCATTER, back, work)
                 miss, surface = self._lists.back(paths.status, bound)  # without those that scattered
             self._launch_stage(ShadingStage.LIGHT_HITS, miss, work, film)
+            self._catch(miss)
             self._launch_stage(ShadingStage.BACKGROUND, miss, work, film)
         if not self._scene.features.surfaces:
             return
         for hits in self._hit_order.parts(rays, surface) if self._hit_order else (surface,):
             with self._timer.stage("shade"):
-                for stage in (ShadingStage.LIGHT_HITS, ShadingStage.AIM, ShadingStage.SURFACE):
-                    self._launch_stage(stage, hits, work, film)
+                self._launch_stage(ShadingStage.LIGHT_HITS, hits, work, film)
+                self._catch(hits)
+                self._launch_stage(ShadingStage.AIM, hits, work, film)
+                self._launch_stage(ShadingStage.SURFACE, hits, work, film)
                 if self._volumes:
                     crossed = data, self._volumes, paths, rays
                     self._launch_over(self._kernels.volumes.cross, hits, *crossed)
@@ -320,6 +299,9 @@ class TileIntegrator:
 
         `generates`: there are paths to generate, which need free slots.
         """
+        if self._catchers:
+            state = self._paths, self._rays, self._media, self._catchers
+            self._launch(self._kernels.catchers[1], self.path_count, *state)
         by_bounce = self._order is not None and self._order.wants_parts()
         with self._timer.stage("lists"):
             done = self._lists.end_turn(self._paths.status, self._alive, by_bounce, generates)
@@ -346,6 +328,7 @@ class TileIntegrator:
         self._paths.status.zero_()
         if self._passes:
             self._passes.values.zero_()
+            self._passes.life.zero_()
         if self._requests:
             self._requests.phase.zero_()
         self._alive = 0
@@ -390,6 +373,10 @@ class TileIntegrator:
         work.stage = int(stage)
         scene = self._scene.data, self._volumes
         self._launch_over(kernel, slots, *scene, work, self._limits, self._paths, self._rays)
+
+    def _catch(self, slots: RayList) -> None:
+        if self._catchers:
+            self._launch_over(self._kernels.catchers[0], slots, self._paths, self._rays, self._catchers)
 
     def _launch_over(self, kernel: wp.Kernel, slots: RayList, *inputs) -> None:
         if slots.bound:

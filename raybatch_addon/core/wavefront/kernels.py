@@ -19,6 +19,7 @@ from ..settings.settings import RenderSettings
 from ..shading.bsdf.materials import HAIR_KINDS
 from ..shading.lights.light_hits import LightHitFeatures
 from .adaptive.active_pixels import ADAPTIVE_KERNELS
+from .catchers.lives import CATCHER_KERNELS
 from .order.hit_order import KEY_KERNELS, HitKey, sorts_materials
 from .order.ray_order import order_kernels
 from .path_lists import path_list_kernels
@@ -53,6 +54,7 @@ class StageKernels:
     shading: dict[ShadingStage, wp.Kernel]  # without the stages for which the scene has nothing to do
     accumulate: wp.Kernel
     resolve: wp.Kernel
+    catchers: tuple[wp.Kernel, ...] = ()  # none: no surface catches shadows
 
     @staticmethod
     def choose(features: SceneFeatures, device: wp.Device, shading: SceneFeatures | None = None) -> StageKernels:
@@ -86,6 +88,7 @@ class StageKernels:
             ),
             accumulate=accumulate_kernel(layout),
             resolve=resolve_kernel(layout),
+            catchers=CATCHER_KERNELS if features.catchers else (),
         )
 
     def that_shade(self) -> list[wp.Kernel]:
@@ -98,6 +101,7 @@ class StageKernels:
         kernels = [*stages, *path_list_kernels(walks=self.walk is not None), add_spill_kernel]
         if self.volumes:
             kernels += self.volumes.all()
+        kernels += self.catchers
         if self.generate_active:
             kernels += [self.generate_active, *ADAPTIVE_KERNELS]
         return list(dict.fromkeys(kernel for kernel in kernels if kernel is not None))
@@ -171,6 +175,7 @@ _RARE_FEATURES = {
     "light_links": False,
     "shadow_links": False,
     "light_portals": False,
+    "catchers": False,
 }
 
 

@@ -184,7 +184,11 @@ class RayNeeds:
         """
         through = features.transparency
         return RayNeeds(
-            features.shadow_rays, through, through or reference, features.instancing or reference, features.motion
+            features.shadow_rays,
+            through,
+            through or reference or features.catchers,
+            features.instancing or reference,
+            features.motion,
         )
 
     @property

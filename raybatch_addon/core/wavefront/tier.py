@@ -33,10 +33,11 @@ TIERS = ("AUTO", "GENERAL", "SPECIALISED")
 # Programs that need more registers or closures are left to specialised kernels
 REGISTERS_MOST, CLOSURES_MOST = 64, 16
 
-# What few scenes would use: closures, ops and passes that the general kernels of a GPU lack, whose compiler takes
-# minutes
-_KINDS_LEFT_OUT = {ClosureKind.FACET_HAIR, ClosureKind.RAY_PORTAL}
-_OPS_LEFT_OUT = {"facet_hair", "ray_portal", "vertex_offset", *REQUEST_OPS}
+# Closures whose code few scenes would use
+_LEFT_OUT = {ClosureKind.FACET_HAIR}
+# Closures, ops and passes that the general kernels of a GPU lack beside these, whose compiler takes minutes
+_KINDS_LEFT_OUT = {ClosureKind.RAY_PORTAL}
+_OPS_LEFT_OUT = {"ray_portal", "vertex_offset", *REQUEST_OPS}
 _PASSES_LEFT_OUT = {OCCLUSION_PASS}
 
 
@@ -55,7 +56,7 @@ def _general_features(on_gpu: bool) -> SceneFeatures:
     programs = _programs(name for name in ops if not name.startswith(VOLUME_PREFIX))
     # what surfaces scatter and let through is nothing to volumes and lamps
     of_volumes = [n for n in ops if n == "emission" or n.startswith(VOLUME_PREFIX) or not op_named(n).makes_closures]
-    kinds = [kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION]
+    kinds = [kind for kind in ClosureKind if kind < ClosureKind.VOLUME_ABSORPTION and kind not in _LEFT_OUT]
     passes = [*PASSES, LIGHT_GROUP]
     if on_gpu:
         kinds = [kind for kind in kinds if kind not in _KINDS_LEFT_OUT]
@@ -92,6 +93,7 @@ def _general_features(on_gpu: bool) -> SceneFeatures:
         light_links=not on_gpu,
         shadow_links=not on_gpu,
         light_portals=not on_gpu,
+        catchers=not on_gpu,
         volumes=True,
         volume_program=_programs(of_volumes),
     )
@@ -141,6 +143,7 @@ _LINKS = {
     "shadow_links": "light linking",
     "light_portals": "portals of the world",
     "light_groups": "the passes of light groups",
+    "catchers": "shadow catchers",
 }
 
 

@@ -22,7 +22,8 @@ def with_hole(template: Any, placements: Any, slots: int) -> tuple[Any, Any]:
     """The template of a holdout object with `slots` materials as two: what other rays than the camera's see, and what
     the camera sees; None in place of the second where one is all there is.
     """
-    camera, others = (int(template.visibility & kinds) for kinds in (Visibility.CAMERA, ~Visibility.CAMERA))
+    camera = template.visibility & int(Visibility.CAMERA)
+    others = template.visibility & ~int(Visibility.CAMERA)  # with the bits of its shadow set, and of a catcher
     if not camera:
         return template, None
     first = len(placements.slot_materials)

@@ -11,8 +11,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.scene.description import Light, Visibility
-from ...core.scene.linking import shadow_bit
+from ...core.scene.description import COPY_SET, Light, Visibility
+from ...core.scene.linking import catcher_bits, shadow_bit
 from ...core.scene.notice import Notice, Weight
 from ..curves.placing import StrandMeshes
 from ..curves.sources import STRAND_KIND, hair_systems
@@ -190,6 +190,10 @@ class _Collector:
         placements.lights = [
             _with_attributes(light, values, placements) for light, values in zip(placements.lights, self._light_values)
         ]
+        if not placements.catches:
+            placements.lights = [
+                replace(each, light_sets=each.light_sets | 1 << COPY_SET) for each in placements.lights
+            ]
         for what, names in self._unsupported.items():
             weight = Weight.MISSING if "left out" in what else Weight.REPLACED
             objects = dict.fromkeys(name.partition("/")[0] for name in names)
@@ -220,6 +224,8 @@ class _Collector:
                     shadow_sets=links.shadows,
                     light_group=self._groups.get(obj.lightgroup, -1),
                 )
+            if not obj.is_shadow_catcher:
+                light = replace(light, light_sets=light.light_sets & ~(1 << COPY_SET))
             self._light_values.append(self._object_values(obj, placed.parent, asked))
             placements.lights.append(light)
 
@@ -245,6 +251,9 @@ class _Collector:
         values = self._object_values(
             obj, placed.parent, sorted(each for each in asked if each[0] in _OBJECT_KINDS - {OF_INSTANCER})
         )
+        if obj.is_shadow_catcher or (placed.parent is not None and placed.parent.is_shadow_catcher):
+            visibility |= catcher_bits(visibility)
+            self.placements.catches = True
         links = self._linking.of(obj.original, placed.parent.original if placed.parent else None)
         if self._linking.links_shadows and visibility & Visibility.SHADOW:
             visibility |= shadow_bit(links.blocker)
@@ -349,8 +358,6 @@ class _Collector:
         """Remember by name the parts of `obj` that are not rendered as they are."""
         if obj.type not in _SOLID_TYPES:
             return
-        if obj.is_shadow_catcher:
-            self._note("shadow catcher (rendered as an ordinary object) is", obj.name)
         if any(getattr(each, "use_adaptive_subdivision", False) and each.show_render for each in obj.modifiers):
             self._note("adaptive subdivision (the modifier's levels for renders instead) is", obj.name)
 

@@ -54,6 +54,7 @@ class Placements:
     templates: list[Template] = field(default_factory=list)
     originals: list[Any] = field(default_factory=list)  # objects of all placements and lights
     linked: bool = False  # light is linked to receivers or blockers
+    catches: bool = False  # some objects are shadow catchers
     grouped: bool = False  # emitters are in groups
     info: list[tuple[float, ...]] = field(default_factory=list)  # rows of `Instances.info`
     # instance, index and value of attributes

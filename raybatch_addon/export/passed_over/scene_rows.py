@@ -32,7 +32,6 @@ def _denoises(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
 def _cycles_passes(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
     return unlike_new(
         _cycles_of(layer),
-        "use_pass_shadow_catcher",
         "pass_render_time",
         "use_pass_volume_scatter",
         "use_pass_volume_transmit",

@@ -9,7 +9,9 @@ bpy = pytest.importorskip("bpy")
 
 from mathutils import Matrix  # noqa: E402
 
-from raybatch_addon.core.scene.description import Visibility  # noqa: E402
+from raybatch_addon.core.scene.description import ALL_LIGHT_SETS, COPY_SET, Visibility  # noqa: E402
+from raybatch_addon.core.scene.linking import catcher_bits, catchers  # noqa: E402
+from raybatch_addon.core.scene.passes import CATCHER_PASS, CATCHER_SHADOWS  # noqa: E402
 from raybatch_addon.export.meshes.placements import is_singular  # noqa: E402
 from raybatch_addon.export.scene import export_scene  # noqa: E402
 from tests.support.blender_builders import add_grid, add_object, add_triangle, exported, material_of  # noqa: E402
@@ -218,12 +220,48 @@ def test_small_and_stretched_objects_are_not_taken_for_singular():
 
 
 def test_what_is_not_supported_is_listed_by_name(scene):
-    add_triangle("Catcher").is_shadow_catcher = True
     add_object("Smoke", bpy.data.volumes.new("Smoke"))
     scene.render.use_motion_blur = True
     text = "\n".join(exported().warnings)
-    for name in ("“Catcher”", "“Smoke”", "sharp"):
+    for name in ("“Smoke”", "sharp"):
         assert name in text
+
+
+def test_shadow_catchers_have_bits_of_their_own_and_ask_for_a_pass(scene):
+    add_triangle("Catcher").is_shadow_catcher = True
+    add_triangle("Hidden").is_shadow_catcher, bpy.data.objects["Hidden"].visible_shadow = True, False
+    add_triangle("Other")
+    got = exported()
+    seen = dict(zip((got.object_names[i] for i in got.instances.object), got.instances.visibility.tolist()))
+    all_bits, unshaded = int(Visibility.ALL), int(Visibility.ALL) & ~int(Visibility.SHADOW)
+    assert seen == {
+        "Catcher": all_bits | catcher_bits(all_bits),
+        "Hidden": unshaded | catcher_bits(unshaded),
+        "Other": all_bits,
+    }
+    assert CATCHER_SHADOWS in got.frame.passes and got.warnings == ()
+    scene.view_layers[0].cycles.use_pass_shadow_catcher = True
+    lamp = add_object("Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    got = exported()
+    assert got.frame.passes == ("Combined", CATCHER_PASS) and got.warnings == ()
+    lamp.is_shadow_catcher = False
+    got = exported()
+    assert got.lights[0].light_sets == ALL_LIGHT_SETS & ~(1 << COPY_SET) and got.warnings == ()
+    for obj in bpy.data.objects:
+        obj.is_shadow_catcher = False
+    assert exported().lights[0].light_sets == ALL_LIGHT_SETS
+
+
+def test_instances_of_a_catcher_catch_and_a_holdout_of_one_is_a_hole(scene):
+    tiles = add_collection(scene, "Tiles", add_triangle("Tile"))
+    for catches in (True, False):
+        instancer(tiles).is_shadow_catcher = catches
+    assert sorted(catchers(exported())) == [False, True]
+    add_triangle("Hole").is_shadow_catcher = bpy.data.objects["Hole"].is_holdout = True
+    got = exported()
+    camera = (got.instances.visibility & int(Visibility.CAMERA)) != 0
+    is_hole = np.array([got.object_names[i] == "Hole" for i in got.instances.object])
+    assert (catchers(got) & is_hole).tolist() == (is_hole & ~camera).tolist()
 
 
 def test_a_holdout_object_is_a_hole_for_the_camera_alone(scene):
@@ -235,6 +273,16 @@ def test_a_holdout_object_is_a_hole_for_the_camera_alone(scene):
     }
     assert seen == {int(Visibility.ALL & ~Visibility.CAMERA): "default", int(Visibility.CAMERA): "holdout"}
     assert got.warnings == ()
+
+
+def test_a_holdout_object_blocks_light_as_its_shadow_set_says(scene):
+    hole, lamp = add_triangle("Hole"), add_object("Lamp", bpy.data.lights.new("Lamp", "POINT"))
+    lamp.light_linking.blocker_collection = add_collection(scene, "Blockers")
+    lamp.light_linking.blocker_collection.objects.link(hole)
+    linked = exported().instances.visibility.tolist()
+    hole.is_holdout = True
+    bits = {each & ~int(Visibility.ALL) for each in exported().instances.visibility.tolist()}
+    assert linked[0] & ~int(Visibility.ALL) in bits - {0}
 
 
 def test_lights_are_exported_and_instanced(scene):

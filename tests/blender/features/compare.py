@@ -21,6 +21,7 @@ from raybatch_addon.blender import frame, reports
 
 EPSILON = 1e-2  # keeps nearly black pixels from counting most
 BOUNCES = 6
+GREY = 0.2  # what pictures with alpha are laid over
 
 
 class RenderFailed(Exception):
@@ -151,15 +152,23 @@ def add_world(scene: bpy.types.Scene, strength: float, color=(1, 1, 1)) -> bpy.t
 # --- the engines
 
 
-def by_raybatch(scene: bpy.types.Scene, seed: int, samples: int) -> tuple[np.ndarray, list[str]]:
-    """Pixels and warnings of a render by RayBatch. Raises `RenderFailed`."""
+def over_grey(pixels: np.ndarray) -> np.ndarray:
+    """Colours [..., 3] of pixels with alpha, or of pixels without."""
+    return pixels[..., :3] + GREY * (1 - pixels[..., 3:]) if pixels.shape[-1] == 4 else pixels
+
+
+def by_raybatch(
+    scene: bpy.types.Scene, seed: int, samples: int, shows: str = "Combined"
+) -> tuple[np.ndarray, list[str]]:
+    """Pixels of the pass `shows`, and warnings, of a render by RayBatch. Raises `RenderFailed`."""
     films = []
 
     def listen(_layer, _scene, film):
         films.append(film)
 
     scene.render.engine = "RAYBATCH"
-    scene.raybatch.seed, scene.raybatch.sample_count = seed, samples
+    # Cycles' own too: a difference would be told as a setting of Cycles that is not used
+    scene.raybatch.seed, scene.raybatch.sample_count, scene.cycles.samples = seed, samples, samples
     frame.film_listeners.append(listen)
     try:
         bpy.ops.render.render()
@@ -170,33 +179,54 @@ def by_raybatch(scene: bpy.types.Scene, seed: int, samples: int) -> tuple[np.nda
     (film,) = films
     if invalid := film.statistics["invalid_samples"]:
         raise RenderFailed(f"{invalid} samples were not finite")
-    return film.passes["Combined"][..., :3].astype(float), list(reports.last().warnings)
+    pixels = film.passes[shows].astype(float)
+    return over_grey(pixels) if scene.render.film_transparent else pixels[..., :3], list(reports.last().warnings)
 
 
-def by_cycles(scene: bpy.types.Scene, seed: int, samples: int, path: Path) -> np.ndarray:
-    """Pixels of a render by Cycles, through an EXR file at `path`."""
+def by_cycles(scene: bpy.types.Scene, seed: int, samples: int, path: Path, shows: str = "Combined") -> np.ndarray:
+    """Pixels of the pass `shows` of a render by Cycles, through an EXR file at `path`."""
+    image = scene.render.image_settings
+    if shows != "Combined":
+        image.media_type, image.file_format = "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER"
+    elif scene.render.film_transparent:
+        image.color_mode = "RGBA"
     scene.render.engine, scene.render.filepath = "CYCLES", str(path)
     scene.cycles.seed, scene.cycles.samples = seed, samples
     bpy.ops.render.render(write_still=True)
+    if shows != "Combined":
+        return page_of(path, shows)
     image = bpy.data.images.load(str(path))
     image.colorspace_settings.name = "Non-Color"
     pixels = np.empty(len(image.pixels), np.float32)
     image.pixels.foreach_get(pixels)
     width, height = image.size
-    pixels = pixels.reshape(height, width, -1)[..., :3].astype(float)
+    pixels = pixels.reshape(height, width, -1).astype(float)
     bpy.data.images.remove(image)
-    return pixels
+    return over_grey(pixels) if scene.render.film_transparent else pixels[..., :3]
 
 
-def raybatch_picture(scene: bpy.types.Scene, samples: int, seeds=(1, 2)) -> Picture:
-    """Two renders by RayBatch of `samples` each."""
-    (first, warnings), (second, _) = (by_raybatch(scene, seed, samples) for seed in seeds)
+def page_of(path: Path, shows: str) -> np.ndarray:
+    """The pass `shows`, of colours, of a multilayer file, bottom row first."""
+    import OpenEXR
+
+    for part in OpenEXR.File(str(path), separate_channels=True).parts:
+        channels = [part.channels.get(f"ViewLayer.{shows}.{letter}") for letter in "RGB"]
+        if None not in channels:
+            return np.stack([each.pixels for each in channels], axis=-1)[::-1].astype(float)
+    raise RenderFailed(f"Cycles has not written the pass {shows}")
+
+
+def raybatch_picture(scene: bpy.types.Scene, samples: int, seeds=(1, 2), shows: str = "Combined") -> Picture:
+    """Two renders by RayBatch of `samples` each, of the pass `shows`."""
+    (first, warnings), (second, _) = (by_raybatch(scene, seed, samples, shows) for seed in seeds)
     return Picture(first, second, warnings)
 
 
-def cycles_picture(scene: bpy.types.Scene, samples: int, folder: Path, seeds=(3, 4)) -> Picture:
-    """Two renders by Cycles of `samples` each."""
-    return Picture(*(by_cycles(scene, seed, samples, folder / f"{seed}.exr") for seed in seeds))
+def cycles_picture(
+    scene: bpy.types.Scene, samples: int, folder: Path, seeds=(3, 4), shows: str = "Combined"
+) -> Picture:
+    """Two renders by Cycles of `samples` each, of the pass `shows`."""
+    return Picture(*(by_cycles(scene, seed, samples, folder / f"{seed}.exr", shows) for seed in seeds))
 
 
 def both_reopened(folder: Path, samples: int, cycles_samples: int | None = None) -> tuple[Picture, Picture]:

@@ -7,7 +7,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-FAMILIES = ("Shaders", "Textures", "Inputs", "Utility", "World", "Surface", "Curves", "Volumes", "Light linking")
+FAMILIES = (
+    "Shaders",
+    "Textures",
+    "Inputs",
+    "Utility",
+    "World",
+    "Surface",
+    "Curves",
+    "Volumes",
+    "Light linking",
+    "Shadow catchers",
+)
 # files of features in `families/`
 MODULES = (
     "shaders",
@@ -27,6 +38,7 @@ MODULES = (
     "surfaces",
     "lamps",
     "linking",
+    "catchers.pictures",
     "curves",
     "volumes",
     "cameras",
@@ -54,6 +66,7 @@ class Feature:
     flat: bool = False  # the node gives one value everywhere
     samples: int = 0  # samples of each render of a picture, at first; 0: SAMPLES
     resolution: int = RESOLUTION
+    shows: str = "Combined"  # the pass of a picture that is compared; Combined lies over grey where it has alpha
     finding: str = ""  # who is right where the engines differ, and how that is known
 
 

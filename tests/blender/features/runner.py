@@ -168,7 +168,8 @@ def _run_picture(feature: Feature, folder: Path, result: Result) -> None:
     feature.build(scene)
     samples = feature.samples or SAMPLES
     for _ in range(2):
-        ours, theirs = raybatch_picture(scene, samples), cycles_picture(scene, samples, folder)
+        ours = raybatch_picture(scene, samples, shows=feature.shows)
+        theirs = cycles_picture(scene, samples, folder, shows=feature.shows)
         found = figures_of(ours, theirs)
         short = max((found.noise / MEAN_NOISE) ** 2, found.rel_mse_noise / REL_MSE_NOISE)
         if short <= 1 or samples >= SAMPLES_MOST:

@@ -73,23 +73,23 @@ def test_notices_are_texts_that_keep_what_they_are_about(tmp_path, scene):
 
 def test_what_is_missing_is_said_before_the_render(scene, monkeypatch):
     lamp(scene)
-    scene.view_layers[0].cycles.use_pass_shadow_catcher = True
+    scene.view_layers[0].cycles.pass_render_time = True
     order = []
     monkeypatch.setattr(frame, "scene_listeners", [lambda *_: order.append(list(missing.found_in(scene)))])
     monkeypatch.setattr(frame, "film_listeners", [lambda _layer, _scene, film: order.append(film.statistics)])
     bpy.ops.render.render()
     before, statistics = order
-    assert before[0].weight == Weight.MISSING and "Shadow Catcher" in before[0] and before[0].remedy
+    assert before[0].weight == Weight.MISSING and "Render Time" in before[0] and before[0].remedy
     assert statistics["missing"][0] == described(before[0]) and str(before[0]) in statistics["warnings"]
 
 
-@pytest.mark.parametrize("what", ["shadow catcher", "guiding", "culling", "samples", "Freestyle"])
+@pytest.mark.parametrize("what", ["render time", "guiding", "culling", "samples", "Freestyle"])
 def test_what_was_passed_over_is_named(scene, what):
     obj = add_grid("Host", 1)
     layer = scene.view_layers[0]
-    if what == "shadow catcher":
-        layer.cycles.use_pass_shadow_catcher = True
-        assert the_one(scene, "Shadow Catcher").weight == Weight.MISSING
+    if what == "render time":
+        layer.cycles.pass_render_time = True
+        assert the_one(scene, "Render Time").weight == Weight.MISSING
     elif what == "guiding":
         scene.cycles.use_guiding = True
         assert the_one(scene, "Guiding on").weight == Weight.SETTING
@@ -174,10 +174,10 @@ def test_a_look_says_nothing_of_motion_that_a_render_will_have(scene):
 def test_every_view_layer_has_its_notices_and_another_file_has_none(scene, tmp_path):
     lamp(scene)
     first, second = scene.view_layers[0], scene.view_layers.new("Second")
-    first.cycles.use_pass_shadow_catcher = True
+    first.cycles.pass_render_time = True
     bpy.ops.render.render()
-    assert second.use and any("Shadow Catcher" in each for each in missing.found_in(scene))
-    first.cycles.use_pass_shadow_catcher = False
+    assert second.use and any("Render Time" in each for each in missing.found_in(scene))
+    first.cycles.pass_render_time = False
     bpy.ops.render.render()
     assert missing.found_in(scene) == []
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"))
@@ -191,7 +191,7 @@ def test_what_is_rendered_is_looked_at(scene):
         obj = add_grid(name, 1)
         scene.collection.objects.unlink(obj)
         collection.objects.link(obj)
-        obj.cycles.use_camera_cull = obj.is_shadow_catcher = True
+        obj.cycles.use_camera_cull = True
         if hidden:
             scene.collection.children.link(collection)
             collection.hide_render = True
@@ -259,7 +259,7 @@ def test_options_behind_two_dashes_are_read():
 
 def test_a_process_ends_with_a_code_of_its_own_where_a_render_is_refused(scene, tmp_path):
     lamp(scene)
-    scene.view_layers[0].cycles.use_pass_shadow_catcher = True
+    scene.view_layers[0].cycles.pass_render_time = True
     file = tmp_path / "grouped.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(file), copy=True)
     code = (
@@ -271,7 +271,7 @@ def test_a_process_ends_with_a_code_of_its_own_where_a_render_is_refused(scene, 
         [sys.executable, "-c", code, "--", "--raybatch-strict"], capture_output=True, text=True, check=False
     )
     assert done.returncode == missing.REFUSED, done.stderr
-    assert "Shadow Catcher" in done.stderr
+    assert "Render Time" in done.stderr
     done = subprocess.run(
         [sys.executable, str(ROOT / "scripts/render.py"), str(file), "--strict", "--json", "-"],
         capture_output=True,

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import warp as wp
 
+from raybatch_addon.core.ahead.request import GeneralRequest
+from raybatch_addon.core.bvh.build.refit import join_boxes_kernel, write_boxes_kernel
 from raybatch_addon.core.displacement.displaced import DisplacedMeshes
 from raybatch_addon.core.programs.requests import prepared_scene
 from raybatch_addon.core.scene.features import derive_features
@@ -21,15 +23,7 @@ from tests.support.under_test import DEVICE
 
 @pytest.mark.parametrize(
     "feature",
-    [
-        "rays for programs",
-        "fibres of facets",
-        "linked light",
-        "linked shadows",
-        "groups",
-        "portal of the world",
-        "sent on elsewhere",
-    ],
+    ["rays for programs", "linked light", "linked shadows", "groups", "portal of the world", "sent on elsewhere"],
 )
 def test_general_kernels_of_a_gpu_lack_what_few_scenes_have(feature):
     """And say so: their compiler takes minutes."""
@@ -63,3 +57,8 @@ def test_displacement_is_by_general_kernels_where_these_are_ready(monkeypatch):
     assert not np.array_equal(moved[0][-1], scene.meshes[-1].positions)
     for positions in moved[1:]:
         assert all(np.array_equal(*each) for each in zip(positions, moved[0], strict=True))
+
+
+def test_trees_of_a_next_frame_are_fitted_by_kernels_that_are_there():
+    kernels = GeneralRequest().kernels(wp.get_device("cpu"))
+    assert {join_boxes_kernel, write_boxes_kernel} <= set(kernels)

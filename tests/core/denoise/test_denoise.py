@@ -6,7 +6,7 @@ import pytest
 from raybatch_addon.blender.denoise_library import library_places
 from raybatch_addon.core.convergence.halves import filtered_half_error
 from raybatch_addon.core.denoise.library import FILE_NAMES, VARIABLE, open_library
-from raybatch_addon.core.denoise.picture import denoised, guiding_passes
+from raybatch_addon.core.denoise.picture import denoised, denoised_catchers, guiding_passes
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.settings.settings import RenderSettings
 
@@ -80,6 +80,26 @@ def test_the_error_of_denoised_halves_is_told_without_the_truth(library):
     spread = np.std(np.subtract(told, true), ddof=1) / np.sqrt(len(told))
     assert abs(np.mean(told) - np.mean(true)) < 4 * spread
     assert spread < 0.25 * np.mean(true)  # else the line above says little
+
+
+@needs_library
+def test_shadows_on_catchers_are_denoised_in_alpha_and_in_their_pass(library):
+    x = np.arange(SHAPE[1])
+    shadow = np.broadcast_to(np.where(abs(x - 32) < 12, 0.7, 0.1)[:, None], (*SHAPE, 1)).astype(np.float32)
+    noise = np.random.default_rng(5).normal(0, 0.1, shadow.shape).astype(np.float32)
+    passes = noisy_passes(3)
+    passes["Combined"] = np.concatenate([passes["Combined"][..., :3], np.clip(shadow + noise, 0, 1)], -1)
+    passes["Shadow Catcher"] = np.repeat(1 - shadow - noise, 3, -1)
+    off = ON.replace(denoise_inputs="NONE")
+    assert np.array_equal(denoised(passes, off, library)[..., 3], passes["Combined"][..., 3])
+    alpha = denoised(passes | {"Catcher Shadows": shadow}, off, library)[..., 3:]
+    (shown,) = denoised_catchers(passes, off, library).values()
+    for found, noisy, truth in (
+        (alpha, passes["Combined"][..., 3:], shadow),
+        (shown, passes["Shadow Catcher"], 1 - shadow),
+    ):
+        assert np.mean((found - truth) ** 2) < 0.2 * np.mean((noisy - truth) ** 2)
+    assert not denoised_catchers(noisy_passes(3), off, library)
 
 
 def test_guiding_passes_are_rendered_only_for_a_denoiser():

@@ -12,6 +12,8 @@ from raybatch_addon.core.device.declared import declare_all
 from raybatch_addon.core.device.devices import find_device
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Light, LightKind, Visibility
 from raybatch_addon.core.scene.features import SceneFeatures, derive_features
+from raybatch_addon.core.scene.linking import catcher_bits
+from raybatch_addon.core.scene.passes import CATCHER_PASS
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.kernels import StageKernels, tracing_kernels
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
@@ -81,6 +83,13 @@ CODE = {
     "hidden objects": (
         scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse(), Visibility.CAMERA)]),
         "#define TWO_LEVEL 1",
+    ),
+    "shadow catchers": (
+        scenes.scene(
+            [(scenes.plane(), scenes.IDENTITY, scenes.diffuse(), Visibility.ALL | catcher_bits(int(Visibility.ALL)))],
+            frame=Frame(8, 8, passes=("Combined", CATCHER_PASS)),
+        ),
+        "lives_kernel",
     ),
     "smooth normals": (
         scenes.scene([(scenes.sphere(smooth=True), scenes.IDENTITY, scenes.diffuse())]),

@@ -29,7 +29,7 @@ from raybatch_addon.core.wavefront.scene.scene_cache import GeometryRequest, Sce
 from raybatch_addon.core.wavefront.scheduler import Rectangle, water_marks
 from raybatch_addon.core.wavefront.stages import generate
 from tests.support import scenes
-from tests.support.feature_scenes import FEATURES, SETTINGS, lit
+from tests.support.feature_scenes import EACH_WIDE_FEATURE, FEATURES, SETTINGS, lit
 from tests.support.under_test import DEVICE
 
 LEAST = 4096
@@ -100,15 +100,16 @@ def test_the_table_of_paths_has_all_their_arrays():
     assert needed_arrays(features).keys() == Paths.vars.keys() - {"walk", "passes", "answers", "requests"}
 
 
+CASES = FEATURES | {"shadow catchers": EACH_WIDE_FEATURE["shadow catchers"]}
 # Each compiles kernels of its own
 OFTEN = {next(iter(FEATURES)), "transparent"}
 
 
 @pytest.mark.parametrize(
-    "case", [pytest.param(each, marks=() if each in OFTEN else pytest.mark.thorough) for each in FEATURES]
+    "case", [pytest.param(each, marks=() if each in OFTEN else pytest.mark.thorough) for each in CASES]
 )
 def test_memory_grows_by_what_is_told(case):
-    scene, changes = FEATURES[case]
+    scene, changes = CASES[case]
     settings = SETTINGS.replace(**changes)
     features = derive_features(checked_scene(scene), settings)
     for asked, has in HAS.items():

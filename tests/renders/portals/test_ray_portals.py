@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from raybatch_addon.core.programs.builder import ProgramBuilder
 from raybatch_addon.core.scene.description import Closure, Frame, Material, Volume
 from raybatch_addon.core.scene.description import ClosureKind as K
 from raybatch_addon.core.scene.features import derive_features
@@ -64,6 +65,26 @@ def render(session, scene, **settings):
 def test_light_behind_a_portal_counts_once(session, shell, light, nee):
     seen = render(session, dome(shell), nee=nee)
     assert seen.mean() == pytest.approx(ALBEDO * light, rel=0.02)
+
+
+@pytest.mark.parametrize("gates", [0, 1, 2])
+def test_programs_are_told_how_many_portals_a_path_has_passed(session, gates):
+    """Up to three, on the way to a mirror and back; it and a veil are not among them."""
+    builder = ProgramBuilder()
+    told = builder.value("portal_depth")
+    builder.closure("emission", builder.value("combine_xyz", told, told, told))
+    wall = replace(scenes.emitter(), closures=(), program=builder.finish(), kinds=(K.EMISSION,))
+    between = [
+        (scenes.plane(f"gate {i}", 2.0), scenes.translation(0, 0, 1 + 0.1 * i), portal(1.0, None)) for i in range(gates)
+    ]
+    veil = scenes.plane("veil", 2.0), scenes.translation(0, 0, 0.5), scenes.material(transparent(1.0))
+    mirror = scenes.plane("mirror", 2.0), scenes.IDENTITY, scenes.material(Closure(K.GLOSSY, (1.0,) * 3))
+    scene = scenes.scene(
+        [*between, veil, mirror, (scenes.plane("wall", 40.0), scenes.translation(0, 0, 3), wall)],
+        view=scenes.camera(eye=(0, 0, 2.5), target=(0, 0, 0), half_width=0.01, up=(0.0, 1.0, 0.0)),
+        frame=Frame(4, 4),
+    )
+    assert (render(session, scene, sample_count=4, bounce_max=3) == min(2 * gates, 3)).all()
 
 
 def test_a_portal_hides_lamps(session):

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
-from raybatch_addon.core.scene.description import Closure, ClosureKind, Light, LightKind, Material, Mesh
+from raybatch_addon.core.scene.description import Closure, ClosureKind, Light, LightKind, Material, Mesh, Visibility
+from raybatch_addon.core.scene.linking import catcher_bits
+from raybatch_addon.core.scene.passes import CATCHER_PASS
 from tests.stability.bench import Bench
 from tests.stability.case import Outcome, Sweep, case
 from tests.stability.enclosures import (
@@ -172,4 +175,40 @@ def veils(bench: Bench) -> Outcome:
         lights=[above],
     )
     add_relative(sweep, bench.render(lit, settings, nee="ON"), passed, tolerance, "lit through them")
+    return sweep.outcome()
+
+
+@case(
+    "veils over a catcher",
+    "transport",
+    """A shadow catcher below veils that it alone sees, and a sun, in scenes of 1 mm to 10 km with suns of 1e-12 to
+    1e12: its pass is what the veils let through, their transmittance to the power of their number.""",
+    """both lives of a path compute the same light; a veil multiplies that of the first by its transmittance, rounded:
+    U for each. The exact sums of both, their means and the quotient are rounded once each: 5 U more""",
+    quick=True,
+)
+def veils_over_a_catcher(bench: Bench) -> Outcome:
+    sweep, transmittance = Sweep(), np.float32(0.7)
+    veil = Material("veil", (Closure(ClosureKind.TRANSPARENT, (0.7,) * 3),), (ClosureKind.TRANSPARENT,))
+    unseen, everything = int(Visibility.ALL & ~Visibility.CAMERA), int(Visibility.ALL)
+    for scale, strength, count in ((1.0, 1.0, 1), (1.0, 1.0, 16), (1e-3, 1e-12, 3), (1e4, 1e12, 3)):
+        sheets = [
+            (scenes.plane(f"veil {i}", 4 * scale), scenes.translation(0, 0, (1 + i) * scale), veil, unseen)
+            for i in range(count)
+        ]
+        floor = (
+            scenes.plane("floor", 4 * scale),
+            scenes.IDENTITY,
+            scenes.diffuse(),
+            everything | catcher_bits(everything),
+        )
+        scene = scenes.scene(
+            [floor, *sheets],
+            frame=replace(FEW, passes=("Combined", CATCHER_PASS)),
+            view=view_along((0, 0, 0.5 * scale), (0, 0, 0), half_width=0.5),
+            lights=[scenes.sun(strength)],
+        )
+        picture = bench.film(scene, bounce_max=0, transparent_bounce_max=32).passes[CATCHER_PASS].astype(np.float64)
+        expected = float(transmittance) ** count
+        add_relative(sweep, picture, expected, (count + 5) * U, f"{count} veils, {scale:g} m, a sun of {strength:g}")
     return sweep.outcome()

@@ -58,7 +58,7 @@ class HalfPictures:
     def of_film(film: Film, device: wp.Device) -> HalfPictures:
         """Of a whole film, which has halves."""
         x0, y0, x1, y1 = film.region
-        colors = [np.ascontiguousarray(half.passes["Combined"]).reshape(-1, 4) for half in film.halves]
+        colors = [np.ascontiguousarray(half.colors).reshape(-1, 4) for half in film.halves]
         return HalfPictures(
             Rectangle(x0, y0, x1 - x0, y1 - y0),
             tuple(wp.array(each, dtype=wp.vec4, device=device) for each in colors),

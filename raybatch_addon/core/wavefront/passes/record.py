@@ -9,6 +9,7 @@ import warp as wp
 from ...film.mattes import MatteTile, add_matte
 from ...film.tile import FilmTile
 from ...shading.bsdf.bsdf import ClosureFeatures, ClosureRecord, Lobe, ShadingFrame, make_bsdf
+from ..catchers.copies import is_copy
 from ..rays import Paths
 from ..scene.scene_data import SceneData, depth_of
 from ..stages.generate import pixel_sample
@@ -108,10 +109,10 @@ def record_background(work: TileWork, paths: Paths, film: FilmTile, path: int):
 
 
 @functools.cache
-def make_record_surface(features: ClosureFeatures, transparency: bool) -> wp.Function:
+def make_record_surface(features: ClosureFeatures, transparency: bool, catchers: bool = False) -> wp.Function:
     """Function (data, paths, film, path, v: Vertex, frame: ShadingFrame, instance, primitive, barycentric, closures,
     first, end, lobes): what passes show of a surface that a path meets before it scatters. Depth, Position and Normal
-    are among them where surfaces may be transparent (`transparency`).
+    are among them where surfaces may be transparent (`transparency`). With `catchers` copies of paths record nothing.
     """
     let_through = make_bsdf(features).transparency
     closure_colors = make_closure_colors(features)
@@ -133,6 +134,9 @@ def make_record_surface(features: ClosureFeatures, transparency: bool) -> wp.Fun
         lobes: wp.array(dtype=Lobe),
     ):
         passes = paths.passes[0]
+        if wp.static(catchers):
+            if is_copy(paths, path):
+                return
         throughput = paths.throughput[path]
         alpha = wp.vec3(1.0, 1.0, 1.0)
         settled = int(0)

@@ -11,7 +11,7 @@ from ...film.layout import ChannelLayout
 from ...film.mattes import MatteEntry
 from ...programs.inputs_data import corner_values
 from ...scene.cryptomatte import matte_identity
-from ...scene.description import CameraKind, Scene
+from ...scene.description import COPY_SET, CameraKind, Scene
 from ...scene.features import SceneFeatures
 from ...scene.passes import (
     COLOR_PASSES,
@@ -27,9 +27,11 @@ from ...scene.passes import (
     channels_of,
     light_group_passes,
     matte_kinds,
+    shows_catchers,
     summed_passes,
 )
 from ...shading.camera import CameraData, camera_axes
+from ..catchers.state import caught_bytes_per_path, upload_catchers
 from .vectors import VectorInputs, upload_vectors
 
 
@@ -45,6 +47,9 @@ class PassInputs:
     object_identity: wp.array(dtype=int)
     asset_identity: wp.array(dtype=int)
     material_identity: wp.array(dtype=int)
+    is_catcher: wp.array(dtype=int)  # 1, of each instance that is a shadow catcher
+    # the light set by which light is chosen where copies of paths see catchers alone; -1: as for others
+    copy_receiver: int
     # numbers of kinds of mattes; -1: no pass shows them
     object_matte: int
     material_matte: int
@@ -69,6 +74,7 @@ class PathPasses:
     # where a volume scattered it
     share: wp.array(dtype=wp.vec4)
     shadow_share: wp.array(dtype=wp.vec4)
+    life: wp.array(dtype=int)  # `Life` (`catchers/state.py`); where there are shadow catchers
     shadow_group: wp.array(dtype=int)  # number of the light group that the shadow ray is aimed at; -1: none
     settled: wp.array(dtype=int)  # 1: the surface that data passes show has been met; where surfaces may be transparent
     carried: wp.array(dtype=wp.vec3)  # `guides.py`: share that counts of what is met next; 0 when nothing does any more
@@ -114,6 +120,7 @@ def pass_bytes_per_path(features: SceneFeatures) -> int:
     channels = ChannelLayout(False, False, summed_passes(features.passes)).others_count
     settles = features.records_surfaces and features.transparency
     set_aside = MatteEntry.numpy_dtype()["itemsize"] * len(matte_kinds(features.passes))
+    set_aside += caught_bytes_per_path(features, channels)
     set_aside += 12 * features.guides + 4 * (features.light_groups and features.shadow_rays)
     return set_aside + 4 * channels + 16 * features.splits_light * (1 + features.shadow_rays) + 4 * settles
 
@@ -128,7 +135,7 @@ def make_path_passes(
 ) -> PathPasses | None:
     """The state of `path_count` paths for the passes of `features`; None where they need none."""
     asked = (features.records_surfaces, features.splits_light, features.guides, features.light_groups)
-    if not (any(asked) or features.occlusion_pass):
+    if not (any(asked) or features.occlusion_pass or shows_catchers(features.passes)):
         return None
 
     def first(name: str) -> int:
@@ -142,6 +149,7 @@ def make_path_passes(
         passes.share = wp.zeros(path_count if split else 0, dtype=wp.vec4)
         passes.shadow_share = wp.zeros(path_count if shadow else 0, dtype=wp.vec4)
         grouped = features.light_groups and features.shadow_rays
+        passes.life = wp.zeros(path_count if features.catchers else 0, dtype=int)
         passes.shadow_group = wp.zeros(path_count if grouped else 0, dtype=int)
         passes.carried = wp.zeros(path_count if features.guides else 0, dtype=wp.vec3)
         passes.settled = wp.zeros(path_count if settles else 0, dtype=int)
@@ -187,6 +195,9 @@ def upload_pass_inputs(scene: Scene, features: SceneFeatures, device: wp.Device)
         inputs.vector = upload_vectors(scene, device)
     kinds = matte_kinds(names)
     numbers = {kind: kinds.index(kind) if kind in kinds else -1 for kind in MATTE_KINDS}
+    inputs.is_catcher = upload_catchers(scene, features, device)
+    all_shine = all(light.light_sets >> COPY_SET & 1 for light in scene.lights)
+    inputs.copy_receiver = -1 if all_shine else COPY_SET
     inputs.object_matte, inputs.material_matte, inputs.asset_matte = numbers.values()
 
     def identities(of: Iterable[str]) -> np.ndarray:

@@ -14,7 +14,7 @@ from ...shading.lights.world import SampledWorld, is_even, sampled_world
 from .unchanged import Last, camera_key, images_of, pictures_of
 
 _SCATTERED = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
-_OF_RAYS = {"light_path", "path_history"}  # ops
+_OF_RAYS = {"light_path", "path_history", "portal_depth"}  # ops
 
 
 class WorldCache:

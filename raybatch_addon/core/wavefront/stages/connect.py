@@ -8,6 +8,7 @@ import warp as wp
 from ...device.kernel import KERNEL_OPTIONS
 from ...film.tile import FilmTile
 from ...rays import Rays
+from ...scene.features import PATH_HISTORY_OPS
 from ...scene.program import ProgramFeatures
 from ...shading.lights.lamp_program import make_lamp_emission
 from ...shading.lights.light_shapes import LAMP_PROGRAM, SURFACE_PROGRAM, WORLD_PROGRAM
@@ -84,7 +85,7 @@ def make_arrived(features: ConnectFeatures) -> wp.Function:
     """
     has_world, has_surfaces = features.world_light, features.mesh_programs
     has_lamps = bool(features.lamp_program)
-    has_history = "path_history" in features.programs.ops
+    has_history = not PATH_HISTORY_OPS.isdisjoint(features.programs.ops)
     world_emission = make_world_emission(features.world_program) if has_world else None
     lamp_emission = make_lamp_emission(features.lamp_program) if has_lamps else None
     surface_emission = None

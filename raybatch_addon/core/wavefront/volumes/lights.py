@@ -19,7 +19,7 @@ from ...shading.lights.links import make_counts, make_found_by_sampling
 from ...shading.sequences.keys import mix_bits
 from .features import VolumeFeatures
 from .segment import make_passed
-from .table import VolumeData
+from .table import IN_VACUUM, VolumeData
 
 
 @wp.struct
@@ -87,7 +87,12 @@ def make_lights_ahead(features: VolumeFeatures) -> wp.Function:
                                     )
                                     radiance = wp.cw_mul(radiance, emitted)
                             stream = mix_bits(way.stream + wp.uint32(emitter + 1))
-                            share = attenuated(volumes, way.inside, way.begin, t - way.before, stream)
+                            if wp.static(features.catchers):
+                                share = wp.vec3(1.0)
+                                if way.inside[0] != wp.static(IN_VACUUM):
+                                    share = attenuated(volumes, way.inside, way.begin, t - way.before, stream)
+                            else:
+                                share = attenuated(volumes, way.inside, way.begin, t - way.before, stream)
                             total += weight * wp.cw_mul(radiance, share)
         return total
 

@@ -27,6 +27,7 @@ from ...shading.sequences.sampler import make_sampler
 from ...shading.surface import material_at
 from ...shading.volumes.numbers import CHANNEL, LENGTH, LIGHTS, piece_dimension, stream_of
 from ...shading.volumes.phase import PhaseLobe
+from ..catchers.copies import is_in_vacuum
 from ..passes.light import add_to_group, make_add_light
 from ..rays import SHADOW_PASS, Paths, Status, bounce_of, left_point, time_of, visibility_of
 from ..scene.scene_data import SceneData
@@ -40,7 +41,7 @@ from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
 from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, has_program, make_medium, passes
 from .segment import make_segment, ray_point, scattering_shares
-from .table import AIMED, BACK, FARTHEST, FRONT, GOES_ON, VolumeData, innermost_instance, is_empty
+from .table import AIMED, BACK, FARTHEST, FRONT, GOES_ON, IN_VACUUM, VolumeData, innermost_instance, is_empty
 from .track import STOPPED
 from .vertex import AIM, SCATTER, make_scattered
 
@@ -188,6 +189,9 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         throughput = paths.throughput[path]
         pdf = paths.pdf[path]
         inside = volumes.state.inside[path]
+        empty = is_empty(volumes, inside)
+        if wp.static(features.catchers):
+            empty = empty or is_in_vacuum(paths, path, inside)
         number = int(volumes.state.segment[path])
         volumes.state.segment[path] = number + 1
         where = pixel_sample(work, paths.item[path])
@@ -208,7 +212,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             v.receiver = receiver_of(data.lights, innermost_instance(inside, volumes.volume_count))
         tasks = int(wp.static(AIM | SCATTER))
         if wp.static(features.shadow_rays):
-            if not is_empty(volumes, inside) and not changes(volumes, inside):
+            if not empty and not changes(volumes, inside):
                 tasks = int(wp.static(SCATTER))
                 if not is_lit and scatters and is_aimed(data.lights, limits, v):
                     v.dimension = piece_dimension(number) + wp.uint32(wp.static(LIGHTS))
@@ -223,7 +227,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         reach = length
         left = throughput
         medium = Coefficients()
-        if not is_empty(volumes, inside):
+        if not empty:
             dimension = piece_dimension(number)
             u = wp.vec2(
                 sample_1d(key, where.sample, dimension + wp.uint32(wp.static(CHANNEL))),
@@ -253,6 +257,9 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             ahead = Way()
             ahead.begin = begin
             ahead.inside = inside
+            if wp.static(features.catchers):
+                if empty:
+                    ahead.inside = wp.vec4i(wp.static(IN_VACUUM))
             ahead.before = before
             ahead.length = length
             ahead.bsdf_pdf = pdf

@@ -13,6 +13,8 @@ from ...shading.volumes.enclosures import Enclosures
 FARTHEST = 1e30
 # Volumes of meshes that a ray is in at once; those that it enters beyond them are not noticed
 INSIDE_MOST = 4
+# In place of what is inside, for paths of scenes with shadow catchers: there is no volume, not even the world's
+IN_VACUUM = -1
 # How a path met the surface where its ray ended: `MediaState.side`
 FRONT, BACK = 1, 2
 AIMED, GOES_ON = 1, 2

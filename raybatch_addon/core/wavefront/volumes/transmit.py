@@ -12,6 +12,7 @@ from ...shading.segments import make_is_closed, make_surface_point
 from ...shading.sequences.sampler import make_sampler
 from ...shading.surface import material_at
 from ...shading.volumes.numbers import SHADOW_STREAM, stream_of
+from ..catchers.copies import is_in_vacuum
 from ..rays import SHADOW_PASS, Paths, bounce_to_light, time_of
 from ..scene.scene_data import SceneData
 from ..stages.generate import pixel_sample
@@ -54,7 +55,10 @@ def make_transmit(features: VolumeFeatures) -> wp.Function:
                 return
             borders = bool(volumes.volume_of[material] >= 0 or volumes.enclosures.touching != 0)
             length = rays.hit_t[slot]
-        if not is_empty(volumes, inside):
+        empty = is_empty(volumes, inside)
+        if wp.static(features.catchers):
+            empty = empty or is_in_vacuum(paths, path, inside)
+        if not empty:
             where = pixel_sample(work, paths.item[path])
             key = pixel_key(limits.seed, wp.uint32(where.x), wp.uint32(where.y), wp.uint32(work.frame_width))
             # the path's number of pieces tells its vertices apart

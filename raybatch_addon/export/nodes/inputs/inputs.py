@@ -97,7 +97,7 @@ def camera_data(node: Node) -> dict[str, Value]:
 @values(
     "ShaderNodeLightPath",
     family="Inputs",
-    note="Portal Depth gives 0; in worlds and lights depths by kind of ray and singular rays do too",
+    note="Portal Depth counts to 3; in worlds and lights it, depths by kind of ray and singular rays give 0",
 )
 def light_path(node: Node) -> dict[str, Value]:
     """The ray that met the point."""
@@ -115,7 +115,10 @@ def light_path(node: Node) -> dict[str, Value]:
     )
     outputs = {node.output(name): value for name, value in zip(names, node.op("light_path"))}
     if node.wants("Portal Depth"):
-        node.warn("Portal Depth is 0: portals are not counted; this is an output")
+        if type(node.graph.owner).__name__ == "Material":
+            outputs[node.output("Portal Depth")] = node.op("portal_depth")
+        else:
+            node.warn("in worlds and lights Portal Depth is 0: it is not supported there; this is an output")
     # counted only if asked for
     counted = (
         "Is Diffuse Ray",

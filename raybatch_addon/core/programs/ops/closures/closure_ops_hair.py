@@ -120,7 +120,7 @@ def principled_hair(
     return count + 1
 
 
-@closure_op("facet_hair", "vvnnnnvv", foldable=False)
+@closure_op("facet_hair", "vvnnnnvv", foldable=False, general=False)
 @wp.func
 def facet_hair(
     data: NodeData,

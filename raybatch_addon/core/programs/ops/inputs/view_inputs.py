@@ -5,7 +5,7 @@ import warp as wp
 from ....scene.description import Visibility
 from ....shading.bsdf.fresnel import fresnel_dielectric
 from ...op import NodeData, number, op, put_number, vector, wanted
-from ...point import DEPTH_BITS, DEPTH_SHIFT, HistoryBits, ShadingPoint
+from ...point import DEPTH_BITS, DEPTH_SHIFT, PORTAL_SHIFT, PORTALS_MOST, HistoryBits, ShadingPoint
 
 _BELOW_ONE = 1e-5
 
@@ -96,3 +96,10 @@ def path_history(data: NodeData, stack: wp.array(dtype=float), pc: int, point: S
     put_number(data, stack, pc + 4, _depth(h, 0))
     put_number(data, stack, pc + 5, _depth(h, 1))
     put_number(data, stack, pc + 6, _depth(h, 2))
+
+
+@op("portal_depth", ">N", foldable=False, general=False)
+@wp.func
+def portal_depth(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
+    """How many portals the path has passed, as far as they are counted (`PORTALS_MOST`)."""
+    put_number(data, stack, pc + 1, float((point.history >> wp.static(PORTAL_SHIFT)) & wp.static(PORTALS_MOST)))

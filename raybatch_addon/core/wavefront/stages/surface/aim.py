@@ -23,6 +23,7 @@ from ....shading.lights.lights import LightFeatures, make_lights
 from ....shading.lights.links import group_of, owner_of
 from ....shading.sequences.keys import LIGHT
 from ....shading.sequences.sampler import make_sampler
+from ...catchers.copies import shines_on_copy
 from ...passes.light import has_groups
 from ...rays import Paths
 from ...scene.scene_data import SceneData
@@ -59,6 +60,7 @@ class AimFeatures:
     shadow_links: bool = False
     light_groups: bool = False
     light_portals: bool = False
+    catchers: bool = False
 
 
 @wp.func
@@ -84,6 +86,9 @@ def make_choose_light(features: AimFeatures) -> wp.Function:
             point.receiver = v.receiver
         u = sample_3d(v.key, v.where.sample, v.dimension + wp.uint32(LIGHT))
         light = light_sample(data.lights, data.geometry, point, u[2], wp.vec2(u[0], u[1]))
+        if wp.static(features.catchers):
+            if light.pdf > 0.0 and not shines_on_copy(data.lights, paths, path, light.emitter):
+                light.pdf = 0.0
         if wp.static(features.light_groups):
             if has_groups(paths):
                 group = int(-1)

@@ -45,6 +45,7 @@ class SurfaceFeatures:
     film_holes: bool = False  # surfaces cut holes into a film that has alpha
     records_surfaces: bool = False  # passes show what the first surfaces are
     splits_light: bool = False  # light is divided among passes
+    catchers: bool = False  # some surfaces catch shadows
     guides: bool = False  # the film has passes that guide a denoiser
 
     @property

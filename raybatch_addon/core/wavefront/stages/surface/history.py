@@ -2,14 +2,12 @@
 
 import warp as wp
 
-from ....programs.point import DEPTH_BITS, DEPTH_SHIFT, HistoryBits
+from ....programs.point import DEPTH_BITS, DEPTH_SHIFT, PORTAL_SHIFT, PORTALS_MOST, HistoryBits
 from ....shading.bsdf.bsdf import DELTA, DIFFUSE, TRANSMISSION
 from ..limits import PathLimits
 
 _MOST = (1 << DEPTH_BITS) - 1
-DEPTHS = ((1 << (DEPTH_SHIFT + 3 * DEPTH_BITS)) - 1) & ~(
-    (1 << DEPTH_SHIFT) - 1
-)  # all but the bits of the last scattering
+DEPTHS = ~((1 << DEPTH_SHIFT) - 1)  # all but the bits of the last scattering
 
 
 @wp.func
@@ -21,6 +19,14 @@ def is_spent(limits: PathLimits, history: int) -> bool:
         or ((counts >> wp.static(DEPTH_BITS)) & wp.static(_MOST)) > limits.glossy_bounce_max
         or ((counts >> wp.static(2 * DEPTH_BITS)) & wp.static(_MOST)) > limits.transmission_bounce_max
     )
+
+
+@wp.func
+def history_behind_portal(history: int) -> int:
+    """`history` of a path that passes a portal. The count stays at its largest."""
+    if ((history >> wp.static(PORTAL_SHIFT)) & wp.static(PORTALS_MOST)) < wp.static(PORTALS_MOST):
+        return int(wp.uint32(history) + wp.uint32(wp.static(1 << PORTAL_SHIFT)))
+    return history
 
 
 @wp.func

@@ -11,6 +11,7 @@ from ....rays import Rays
 from ....shading.bsdf.materials import PORTAL, BsdfSample, ClosureRecord
 from ....shading.surface import SurfacePoint
 from ...rays import Paths
+from .history import history_behind_portal
 
 
 @wp.func
@@ -27,6 +28,8 @@ def pass_portal(
         return
     paths.pdf[path] = 0.0
     paths.passed_t[path] = 0.0
+    if paths.history.shape[0] > 0:
+        paths.history[path] = history_behind_portal(paths.history[path])
     rays.t_max[path] = wp.inf
     position = closures[scattered.closure].edge
     moved = position - surface.position

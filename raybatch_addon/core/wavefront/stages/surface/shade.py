@@ -75,7 +75,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     sample_1d = sampler.sample_1d
     sample_3d = sampler.sample_3d
     vertex = make_vertex(narrow(features, VertexFeatures))
-    bsdf = make_bsdf(ClosureFeatures(features.closures))
+    kinds = ClosureFeatures(features.closures)
+    bsdf = make_bsdf(kinds)
     look, propose, mix, value, complete = bsdf.look, bsdf.propose, bsdf.mix, bsdf.value, bsdf.complete
     bsdf_holdout = bsdf.holdout
     lights = make_lights(narrow(features, LightFeatures))
@@ -88,14 +89,12 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     scattered_cone = make_scattered_cone(features.smooth_normals)
     begin_walk = make_walk_begin(features.sample_sequence)
     lobes_most = features.lobes_most
-    note_surface = make_note_surface(ClosureFeatures(features.closures)) if features.guides else None
+    note_surface = make_note_surface(kinds) if features.guides else None
     record_surface = None
     if features.records_surfaces:
-        record_surface = make_record_surface(ClosureFeatures(features.closures), features.transparency)
-    blur = make_blur(ClosureFeatures(features.closures))
-    leave_out_caustics = make_leave_out_caustics(
-        ClosureFeatures(features.closures), features.caustics_reflective, features.caustics_refractive
-    )
+        record_surface = make_record_surface(kinds, features.transparency, features.catchers)
+    blur = make_blur(kinds)
+    leave_out_caustics = make_leave_out_caustics(kinds, features.caustics_reflective, features.caustics_refractive)
 
     @wp.func
     def shade_surface(

@@ -16,6 +16,7 @@ from ....shading.segments import make_surface_point
 from ....shading.sequences.keys import DIMENSIONS_PER_BOUNCE
 from ....shading.sequences.sampler import make_sampler
 from ....shading.surface import SurfacePoint
+from ...catchers.copies import receiver_of_copy
 from ...rays import SHADOW_PASS, Paths, Status, bounce_of, time_of
 from ...scene.scene_data import SceneData
 from ..generate import PixelSample, pixel_sample
@@ -43,6 +44,7 @@ class VertexFeatures:
     bounces_by_kind: bool
     moving: bool = False
     light_links: bool = False
+    catchers: bool = False
 
 
 @wp.struct
@@ -106,6 +108,8 @@ def make_vertex(features: VertexFeatures) -> wp.Function:
             v.side = packed_side(v.frame.normal, data.materials.records[v.surface.material].transmits != 0)
         if wp.static(features.light_links):
             v.receiver = receiver_of(data.lights, rays.hit_instance[path])
+            if wp.static(features.catchers):
+                v.receiver = receiver_of_copy(paths, path, v.receiver)
         return v
 
     return vertex

@@ -106,3 +106,30 @@ def light_path(scene: bpy.types.Scene) -> None:
     wall = quad("Wall", [(17, 4, 0), (23, 4, 0), (23, 4, 3), (17, 4, 3)], (0.5, 0.5, 0.5))
     wall.data.materials.clear()
     material_graph(wall, shown)
+
+
+@feature("Light Path: Portal Depth", "Inputs", "picture")
+def portal_depth(scene: bpy.types.Scene) -> None:
+    """A floor and a ball whose colour says how many gates lie before them: none, one, or two behind each other."""
+    stage(scene)
+    far = ball("Deep", (39.6, 1.2, 0.7), 0.6)
+
+    def by_depth(graph: Graph):
+        depth = graph.value("ShaderNodeLightPath", output="Portal Depth")
+        color = graph.value("ShaderNodeCombineXYZ", {0: graph.math("MULTIPLY", depth, 0.3), 1: 0.2, 2: 0.6})
+        return graph.value("ShaderNodeBsdfDiffuse", {"Color": color})
+
+    def gate_to(step: float):
+        def surface(graph: Graph):
+            here = graph.value("ShaderNodeNewGeometry", output="Position")
+            return graph.value("ShaderNodeBsdfRayPortal", {"Position": graph.vector_math("ADD", here, (step, 0, 0))})
+
+        return surface
+
+    for obj in [far, *(each for each in bpy.data.objects if each.name.startswith(("Floor", "Far")))]:
+        obj.data.materials.clear()
+        material_graph(obj, by_depth)
+    material_graph(gate(), gate_to(20.0))
+    second = gate()
+    second.location, second.scale = (20.3, 0.4, 0.2), (0.5, 1.0, 0.6)
+    material_graph(second, gate_to(20.0))
