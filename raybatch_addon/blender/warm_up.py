@@ -7,7 +7,9 @@ RayBatch as its engine, else while Blender evaluates the scene that is to be ren
 from __future__ import annotations
 
 import contextlib
+import gc
 import threading
+from collections.abc import Iterator
 
 _thread: threading.Thread | None = None
 
@@ -27,7 +29,7 @@ def finish_warm_up() -> None:
 
 
 def _make() -> None:
-    with contextlib.suppress(Exception):  # whatever it is, the render meets it again and says it
+    with without_collections(), contextlib.suppress(Exception):  # the render meets what goes wrong again, and says it
         from ..core.device.devices import find_device, is_compiled, start_warp
         from ..core.wavefront.tier import general_kernels
         from ..export import scene  # noqa: F401 - renders begin with it
@@ -37,3 +39,19 @@ def _make() -> None:
         start_warp(kernel_cache_folder())
         device = find_device("cpu")
         is_compiled(general_kernels(device)[0], device)  # makes the names of all of them
+
+
+@contextlib.contextmanager
+def without_collections() -> Iterator[None]:
+    """Python does not look for what nobody uses: whatever is imported stays, and each look at all that Blender and the
+    core hold takes a tenth of a second.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.unfreeze()  # both together: what is there now counts as old, without a look at it
+        if was_enabled:
+            gc.enable()

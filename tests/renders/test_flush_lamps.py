@@ -49,7 +49,7 @@ def room(place, ceiling=0.0, with_ceiling=True, **changes):
 
 
 def picture(session, scene, **settings):
-    chosen = RenderSettings(device=DEVICE, sample_count=16, bounce_max=2, **settings)
+    chosen = RenderSettings(device=DEVICE, sample_count=64, bounce_max=2, **settings)
     return session.render(scene, chosen).passes["Combined"]
 
 

@@ -16,6 +16,7 @@ from ..scene.description import ClosureKind
 from ..scene.features import SCATTERING, SceneFeatures
 from ..settings.settings import RenderSettings
 from ..shading.lights.light_tree import LIGHT_TREE_KERNELS
+from ..sky.scattering_kernels import SKY_KERNELS
 from ..wavefront.kernels import StageKernels, plain_features, tracing_kernels, without_programs
 from ..wavefront.plan.plan import Method, TracingPlan
 from ..wavefront.plan.tracing import Tracing
@@ -58,8 +59,12 @@ class GeneralRequest:
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
         """All of them."""
         found = [*general_kernels(device), *build_kernels(device), *LIGHT_TREE_KERNELS, add_integers_kernel]
-        if not device.is_cuda:
-            found += [join_boxes_kernel, write_boxes_kernel]  # for the frame behind the first one
+        if device.is_cpu:
+            found += [
+                join_boxes_kernel,
+                write_boxes_kernel,
+                *SKY_KERNELS,
+            ]  # boxes are for the frame behind the first one
         general = general_features(device)
         for features in (*_plain_scenes(plain_features(general)), *_wide_scenes(general)):
             features = dataclasses.replace(features, adaptive=True)  # the kernels of both ways to sample

@@ -20,7 +20,7 @@ from typing import Any
 import warp as wp
 
 from .identity import UnknownError, identity_of, is_of_core
-from .ready import KnownModule, forget_module, known_module, note_module
+from .ready import KnownModule, forget_module, is_any_known, known_module, note_module
 
 _WARP_VERSION = "1.19.0"
 _codegen = wp._src.codegen
@@ -298,7 +298,11 @@ class _Module(wp.Module):
     def is_known(self, size: int) -> bool:
         """Whether its hash for blocks of `size` threads can be told without its code."""
         with _codegen._codegen_lock:
-            return size in self.hashers or ((known := self._known()) is not None and size in known.hashes)
+            if size in self.hashers:
+                return True
+            if self._kernel_key and not is_any_known(self._kernel_key):  # nobody has to tell which it is
+                return False
+            return (known := self._known()) is not None and size in known.hashes
 
     def forget(self) -> None:
         """What is known is wrong: hash the code from now on."""

@@ -231,7 +231,7 @@ class SceneFeatures:
 
 def derive_features(scene: Scene, settings: RenderSettings) -> SceneFeatures:
     """The features of `scene` rendered with `settings`."""
-    used_meshes = np.unique(scene.instances.mesh)
+    used_meshes = np.flatnonzero(np.bincount(scene.instances.mesh))
     surfaces = any(len(scene.meshes[i].triangles) for i in used_meshes)
     kinds: set[ClosureKind] = set()
     if surfaces:

@@ -87,7 +87,7 @@ def flatten(scene: Scene) -> FlatGeometry:
         merged.append(Merged(visibility, triangle_first, start, members, np.array(starts, np.int32)))
         triangle_first += start
     shared = np.flatnonzero(alive & ~baked).astype(np.int32)
-    for mesh in np.unique(instances.mesh[shared]).tolist():
+    for mesh in np.flatnonzero(np.bincount(instances.mesh[shared])).tolist():
         mesh_position[mesh] = len(chunks)
         chunks.append(_keep(scene.meshes[mesh]))
 

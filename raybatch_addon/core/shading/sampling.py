@@ -4,6 +4,7 @@ Points of the unit square are in [0, 1) with 24 bits. Warps centre them in their
 the border of the square, where directions would degenerate.
 """
 
+import functools
 import math
 
 import numpy as np
@@ -138,10 +139,12 @@ def spherical_direction(cos_theta: float, phi: float) -> wp.vec3:
 # --- pixel filter ---------------------------------------------------------------------------------
 
 
+@functools.cache
 def filter_table(name: str, width: float) -> np.ndarray:
     """Inverse CDF of a pixel filter at FILTER_TABLE_SIZE even probabilities from 0 to 1.
 
-    Offsets from the pixel's centre [pixels], float32, shape [FILTER_TABLE_SIZE], increasing and exactly antisymmetric.
+    Offsets from the pixel's centre [pixels], float32, shape [FILTER_TABLE_SIZE], increasing and exactly antisymmetric,
+    kept for the next render: not to be written to.
     Shapes and extents are those of Blender's Cycles: "BOX" is 1 pixel wide whatever `width`; "GAUSSIAN" is exp(-8 (x /
     width)^2) on |x| < 1.5 width; "BLACKMAN_HARRIS" is the 4-term window on |x| < width. `width` in pixels, > 0; raises
     `ValueError` for an unknown name.
@@ -159,7 +162,9 @@ def filter_table(name: str, width: float) -> np.ndarray:
         upper = _invert(lambda x: _blackman_harris_cdf(x / width), probability, width)
     else:
         raise ValueError(f"no pixel filter is called {name!r}; there are BOX, GAUSSIAN, BLACKMAN_HARRIS")
-    return np.concatenate([-upper[::-1], upper]).astype(np.float32)
+    table = np.concatenate([-upper[::-1], upper]).astype(np.float32)
+    table.flags.writeable = False
+    return table
 
 
 def _blackman_harris_cdf(x: np.ndarray) -> np.ndarray:

@@ -308,7 +308,7 @@ def _first_strand(system: Any) -> int:
 def _paths(owner: bpy.types.Object, system: Any, viewport: bool) -> tuple[np.ndarray, np.ndarray]:
     """Points of all strands in the object's space [m], and the first of each.
 
-    Blender tells one point a call, and nothing else: 0.9 microseconds each.
+    Blender tells one point a call, and nothing else: 0.4 microseconds each, a third more without a tuple of it.
     """
     settings, begin = system.settings, _first_strand(system)
     end = len(system.particles) + (0 if settings.child_type == "NONE" else len(system.child_particles))
@@ -317,7 +317,7 @@ def _paths(owner: bpy.types.Object, system: Any, viewport: bool) -> tuple[np.nda
         steps += settings.kink_extra_steps
     count = max(end - begin, 0)
     told = system.co_hair
-    values = (told(owner, particle_no=i, step=k) for i in range(begin, end) for k in range(steps))
+    values = (told(owner, particle_no=i, step=k)[:] for i in range(begin, end) for k in range(steps))
     points = np.fromiter(chain.from_iterable(values), np.float32, 3 * count * steps).reshape(-1, 3)
     inverse = np.array(owner.matrix_world.inverted_safe(), np.float64)
     points = (points @ inverse[:3, :3].T + inverse[:3, 3]).astype(np.float32)

@@ -9,7 +9,10 @@ from pathlib import PurePath
 from typing import Any
 
 import bpy
+import imbuf
 import numpy as np
+
+_HEAD_LENGTH = 32  # bytes of a file that tell its kind
 
 
 def frame_number(user: Any, frame: int) -> int:
@@ -68,6 +71,42 @@ def stored_pixels(image: bpy.types.Image, path: str | None, tile: int, raw: bool
             return _pixels_of(copy)
     except (AttributeError, RuntimeError):  # no such file; or Blender does not let its data be changed now
         return None, False
+
+
+def stored_bytes(image: bpy.types.Image) -> np.ndarray | None:
+    """Pixels of a file or packed file of 8-bit numbers, as it stores them, uint8 [height, width, channels] from the
+    bottom; None where it is another or cannot be read, where Blender has read it before, or tells no bytes.
+
+    Blender tells numbers of an image datablock as float32 alone: of a large file that takes longer than to read it.
+    """
+    if not hasattr(imbuf.types.ImBuf, "with_buffer"):  # before Blender 5.2
+        return None
+    own = image.source == "FILE" and image.type == "IMAGE" and len(image.packed_files) <= 1
+    if not own or image.use_multiview or image.use_deinterlace or image.has_data:
+        return None
+    path = bpy.path.abspath(image.filepath, library=image.library)
+    try:
+        packed = image.packed_files[0].packed_file.data if image.packed_files else None
+        if packed is None:
+            with open(path, "rb") as file:
+                head = file.read(_HEAD_LENGTH)
+        if not _is_of_bytes(head if packed is None else packed[:_HEAD_LENGTH]):
+            return None
+        read = imbuf.load(path) if packed is None else imbuf.load_from_buffer(packed)
+    except (AttributeError, OSError, ValueError, RuntimeError):  # whoever reads it in another way says why
+        return None
+    try:
+        if read.buffer_type != "BYTE":
+            return None
+        with read.with_buffer() as pixels:
+            return np.array(pixels)
+    finally:
+        read.free()
+
+
+def _is_of_bytes(head: bytes) -> bool:
+    """Whether a file that begins so is a JPEG, or a PNG of 8 bits a channel or less."""
+    return head.startswith(b"\xff\xd8\xff") or (head.startswith(b"\x89PNG\r\n\x1a\n") and head[24:25] <= b"\x08")
 
 
 def _packed_tile(image: bpy.types.Image, tile: int) -> bytes | None:

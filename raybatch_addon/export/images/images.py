@@ -22,7 +22,7 @@ import numpy as np
 from ...core.scene.description import Image, ImageEncoding
 from ...core.scene.frozen import freeze
 from .color_spaces import CannotConvertNow, SpaceKind, space_kind, to_scene_linear, working_space
-from .files import frame_number, sequence_path, stored_pixels, tile_path
+from .files import frame_number, sequence_path, stored_bytes, stored_pixels, tile_path
 
 KEPT_SECONDS = 600.0  # images that no export has used for this long are dropped
 _HALF_MAX = 65504.0
@@ -215,14 +215,17 @@ def _picture(
     def read(raw: bool) -> tuple[np.ndarray | None, bool]:
         return stored_pixels(image, path, tile, raw)
 
-    pixels, is_float = read(raw=False)
-    if pixels is None:
+    # the colours of others are divided by alpha as Blender reads them
+    own = stored_bytes(image) if path is None and not tile and image.alpha_mode != "PREMUL" else None
+    pixels, is_float = read(raw=False) if own is None else (None, False)
+    if own is None and pixels is None:
         return None, encoding
     if not is_float:
-        if image.alpha_mode == "PREMUL" and from_file and kind is not SpaceKind.DATA:
-            raw, _ = read(raw=True)  # with the colours that Blender has divided out
-            pixels = pixels if raw is None else raw
-        own = _as_bytes(pixels)
+        if own is None:
+            if image.alpha_mode == "PREMUL" and from_file and kind is not SpaceKind.DATA:
+                raw, _ = read(raw=True)  # with the colours that Blender has divided out
+                pixels = pixels if raw is None else raw
+            own = _as_bytes(pixels)
         if kind is SpaceKind.OTHER:
             return _compact(_converted(own, image), image), ImageEncoding.LINEAR
         if straight:
@@ -291,6 +294,10 @@ def _converted(pixels: np.ndarray, image: bpy.types.Image) -> np.ndarray:
     return np.clip(values, -_HALF_MAX, _HALF_MAX).astype(np.float16)
 
 
+def _is_grey(pixels: np.ndarray) -> bool:
+    return np.array_equal(pixels[..., 0], pixels[..., 1]) and np.array_equal(pixels[..., 0], pixels[..., 2])
+
+
 def _compact(pixels: np.ndarray, image: bpy.types.Image) -> np.ndarray:
     """`pixels` in as few bytes as hold them exactly.
 
@@ -303,11 +310,7 @@ def _compact(pixels: np.ndarray, image: bpy.types.Image) -> np.ndarray:
         pixels = np.concatenate([pixels, np.zeros_like(pixels[..., :1]), np.full_like(pixels[..., :1], one)], 2)
     if channels == 4 and image.alpha_mode == "NONE":
         pixels[..., 3] = one
-    if (
-        pixels.shape[2] > 1
-        and np.array_equal(pixels[..., 0], pixels[..., 1])
-        and np.array_equal(pixels[..., 0], pixels[..., 2])
-    ):
+    if pixels.shape[2] > 1 and _is_grey(pixels[::_ROWS]) and _is_grey(pixels):
         if pixels.shape[2] == 3 or np.all(pixels[..., 3] == one):
             pixels = pixels[..., :1]
     if pixels.dtype == np.uint8 and pixels.shape[2] == 4 and np.all(pixels[..., 3] == one):

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from raybatch_addon.core.sky import multiple_scattering
 from raybatch_addon.core.sky.atmosphere import (
     PICTURE_HEIGHT,
     PICTURE_WIDTH,
@@ -120,3 +121,13 @@ def test_angles_of_the_sun():
     assert sun_angles((1, 0, 0)) == pytest.approx((math.pi / 2, math.pi / 2))
     assert sun_angles((0, 2, 0)) == pytest.approx((0.0, math.pi / 2))
     assert sun_angles((0, 0, -1))[1] == pytest.approx(math.pi)
+
+
+def test_the_table_of_kernels_is_what_numpy_computes():
+    atmosphere = Atmosphere(0.0, 0.0, 0.7, 2.0, 1.5)
+    table = multiple_scattering._lit_table(0.7, 2.0, 1.5).numpy()
+    height, width = table.shape[:2]
+    cosine = np.linspace(-1, 1, width, dtype=np.float32)[None, :]
+    heights = np.linspace(0, 1, height, dtype=np.float32)[:, None]
+    expected = multiple_scattering._transmittance(*np.broadcast_arrays(cosine, heights), atmosphere)
+    assert np.abs(table - expected).max() < 1e-5 and (table > 0.5).any()

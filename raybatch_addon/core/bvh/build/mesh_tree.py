@@ -51,7 +51,8 @@ def mesh_parts(flat: FlatGeometry) -> list[MeshPart]:
     starts = [(group.triangle_first, group.triangle_count, -1) for group in flat.merged]
     first = flat.mesh_triangle_first
     starts += [
-        (int(first[i]), int(first[i + 1] - first[i]), i) for i in np.unique(flat.instance_mesh[flat.shared]).tolist()
+        (int(first[i]), int(first[i + 1] - first[i]), i)
+        for i in np.flatnonzero(np.bincount(flat.instance_mesh[flat.shared])).tolist()
     ]
     parts = []
     for start, count, mesh in starts:

@@ -53,13 +53,25 @@ class AlbedoTables:
 
 
 @functools.cache
+def load_table(name: str) -> np.ndarray:
+    """The array `name` of `AlbedoTables`, float32; made when it is asked for, as most scenes need few of them."""
+    if name in ("sheen", "film"):
+        return load_sheen() if name == "sheen" else load_film()
+    if name == "glass_average":
+        return _average_over_cosines(_stored("glass")).astype(np.float32)
+    return _stored(name).astype(np.float32)
+
+
 def load_tables() -> dict[str, np.ndarray]:
-    """The arrays of `AlbedoTables` by name, float32."""
+    """All arrays of `AlbedoTables` by name, float32."""
+    return {name: load_table(name) for name in AlbedoTables.vars}
+
+
+def _stored(name: str) -> np.ndarray:
+    """A table of the file, float64."""
     with np.load(_FILE) as file:
-        tables = {name: file[name] / np.float64(np.iinfo(file[name].dtype).max) for name in file.files}
-    tables["glass_average"] = _average_over_cosines(tables["glass"])
-    tables["sheen"], tables["film"] = load_sheen(), load_film()
-    return {name: table.astype(np.float32) for name, table in tables.items()}
+        table = file[name]
+    return table / np.float64(np.iinfo(table.dtype).max)
 
 
 def _average_over_cosines(table: np.ndarray) -> np.ndarray:
@@ -95,7 +107,7 @@ def upload_tables(device, reflection: bool, coat: bool, glass: bool, sheen: bool
     dimensions = {"reflection": 2, "coat": 3, "glass": 3, "glass_average": 2, "sheen": 3, "film": 3}
     tables = AlbedoTables()
     for name, there in wanted.items():
-        values = load_tables()[name] if there else np.zeros((0,) * dimensions.get(name, 1), np.float32)
+        values = load_table(name) if there else np.zeros((0,) * dimensions.get(name, 1), np.float32)
         setattr(tables, name, wp.array(values, dtype=float, device=device))
     return tables
 

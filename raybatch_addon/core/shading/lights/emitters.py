@@ -6,6 +6,7 @@ instance and then by primitive.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -41,6 +42,11 @@ class EmissiveTriangles:
     def __len__(self) -> int:
         return len(self.instance)
 
+    @functools.cached_property
+    def strength_most(self) -> float:
+        """The largest of `triangle_strengths`; 0 where there are none."""
+        return float(triangle_strengths(self).max(initial=0))
+
 
 def find_emissive_triangles(
     scene: Scene, emitted: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
@@ -57,14 +63,14 @@ def find_emissive_triangles(
     chunks: list[tuple[np.ndarray, ...]] = []
     # what moves is not aimed at: where it is, and how wide it is seen, is another matter at each time
     candidates = np.flatnonzero((instances.visibility & _LIT) * ~apart(scene)) if emits.any() else np.zeros(0, int)
-    for mesh_index in np.unique(instances.mesh[candidates]).tolist():
+    for mesh_index in np.flatnonzero(np.bincount(instances.mesh[candidates])).tolist():
         mesh = scene.meshes[mesh_index]
         if len(mesh.triangles) == 0:
             continue
         placed = candidates[instances.mesh[candidates] == mesh_index]
         slots = 1 if mesh.triangle_slot is None else fact(mesh.triangle_slot, _most) + 1
         # instances that share their first slot share their materials
-        for slot_first in np.unique(instances.slot_first[placed]).tolist():
+        for slot_first in np.flatnonzero(np.bincount(instances.slot_first[placed])).tolist():
             if not emits[scene.slot_materials[slot_first : slot_first + slots]].any():
                 continue
             slot = np.zeros(len(mesh.triangles), np.int32) if mesh.triangle_slot is None else mesh.triangle_slot

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,8 +13,9 @@ from ...scene.description import Light, LightKind, Scene
 from ...scene.geometry import Geometry
 from .choice_table import ChoiceTable
 from .emitters import EmissiveTriangles, find_emissive_triangles, light_area, light_strengths, triangle_strengths
-from .light_tree import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel, fill_blocks
+from .light_tree import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel, fill_blocks, launch_parts
 from .link_table import upload_links
+from .tree.topology import Alike, runs_alike
 from .world import SampledWorld, WorldTable
 
 _FLOAT = np.finfo(np.float32)
@@ -155,9 +156,10 @@ def upload_lights(
         low, high = _boxes(records[placed])
         tree = wp.Bvh(upload(low, wp.vec3), upload(high, wp.vec3))
         table.tree = tree.id
-    table.triangle_instance = upload(triangles.instance, int)
-    table.triangle_primitive = upload(triangles.primitive, int)
-    table.triangle_radiance = upload(triangles.radiance, wp.vec3)
+    # millions of numbers that nobody writes to: on the CPU they are where they are
+    table.triangle_instance = wp.array(triangles.instance, dtype=int, device=device, copy=False)
+    table.triangle_primitive = wp.array(triangles.primitive, dtype=int, device=device, copy=False)
+    table.triangle_radiance = wp.array(triangles.radiance, dtype=wp.vec3, device=device, copy=False)
     table.triangle_program = upload(triangles.program if triangles.program.any() else triangles.program[:0], int)
     table.world_emitter = -1
     if world is not None:
@@ -168,7 +170,7 @@ def upload_lights(
     table.instance_first = upload(triangles.instance_first if has_triangles else np.zeros(0, np.int32), int)
     visibility = scene.instances.visibility.astype(np.int32)
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
-    choice = _choice_table(table, records, strength, triangles, geometry, world, keep)
+    choice = _choice_table(table, records, strength, triangles, scene, geometry, world, keep)
     upload_links(scene, choice, triangles.instance, device)
     table.choice = wp.array([choice], dtype=ChoiceTable, device=device)
     return UploadedLights(table, choice, tree, len(triangles))
@@ -188,15 +190,15 @@ def _choice_table(
     records: np.ndarray,
     strength: np.ndarray,
     triangles: EmissiveTriangles,
+    scene: Scene,
     geometry: Geometry | None,
     world: SampledWorld | None,
     keep: KeepTree,
 ) -> ChoiceTable:
     """What the choice among the emitters of `table` reads; `strength` is that of lights without mesh."""
     device = table.lights.device
-    of_triangles = triangle_strengths(triangles)
     irradiance = np.zeros(9) if world is None else world.irradiance
-    largest = max(strength.max(initial=0), of_triangles.max(initial=0), irradiance[0])
+    largest = max(strength.max(initial=0), triangles.strength_most, irradiance[0])
     largest = largest if largest > 0 else 1.0
     # a lamp whose program was black at every point that was looked at may still shine
     may_shine = (records["program"] != 0) & (strength == 0) & records["emission"].any(1)
@@ -207,7 +209,9 @@ def _choice_table(
     lamps = _lamp_nodes(records, local, strength)
 
     def make() -> ChoiceTable:
-        return _tree_alone(table, _boxes(records[local]), lamps, _in_range(of_triangles / largest), geometry)
+        power = _in_range(triangle_strengths(triangles) / largest)
+        alike = [] if device.is_cuda else runs_alike(triangles, scene.instances.mesh, len(lamps))
+        return _tree_alone(table, _boxes(records[local]), lamps, power, geometry, alike)
 
     # triangles that are the same array have the same places too
     followed = digest_of([records, lamps]), largest, table.emitter_count, device.alias
@@ -231,9 +235,10 @@ def _tree_alone(
     lamps: np.ndarray,
     power: np.ndarray,
     geometry: Geometry | None,
+    alike: Sequence[Alike],
 ) -> ChoiceTable:
     """A table that has only the tree: over `lamps`, leaves of those with a place, and the triangles of `table`, which
-    have `power`.
+    have `power`. Runs of leaves that are `alike` are joined alike.
     """
     device, count = table.lights.device, len(lamps) + len(power)
     boxes = EmitterBoxes()
@@ -247,10 +252,10 @@ def _tree_alone(
         emitting.instance, emitting.primitive = table.triangle_instance, table.triangle_primitive
         emitting.power = wp.array(power, dtype=float, device=device)
         emitting.emitter_first, emitting.node_first = table.light_count, len(lamps)
-        wp.launch(bound_triangles_kernel, len(power), [geometry, emitting, boxes], device=device)
+        launch_parts(bound_triangles_kernel, len(power), lambda at: [geometry, emitting, boxes, at], device)
     tree = ChoiceTable()
     tree.leaf = wp.full(table.emitter_count, -1, dtype=int, device=device)
-    fill_blocks(tree, boxes)
+    fill_blocks(tree, boxes, alike)
     return tree
 
 

@@ -6,21 +6,16 @@ cone of directions and the power of what lies below it (Conty Estevez and Kulla 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 
-import numpy as np
 import warp as wp
 
-from ...bvh.build.binary import BuildOptions
-from ...bvh.build.cpu.build import build_binary_from_boxes
-from ...bvh.build.cuda.clusters import merge_leaves, sort_leaves
-from ...bvh.build.cuda.order import find_parents, order_by_height, refit
 from ...device.bulk import in_slices
 from ...device.devices import load_module
 from ...device.kernel import KERNEL_OPTIONS
 from ...scene.geometry import Geometry, triangle_vertices
 from .choice_table import FIELDS, WIDTH, ChoiceTable
+from .tree.topology import Alike, Joints, topology_on_cpu, topology_on_cuda
 
 # Where the numbers of a block of one kind begin
 _ROWS = {name: place * WIDTH for place, name in enumerate(FIELDS)}
@@ -63,25 +58,6 @@ class EmitterBoxes:
 
 
 @wp.struct
-class Joints:
-    """A binary tree over emitters: leaves [0, leaf_count) first, inner node `leaf_count + k` at k."""
-
-    leaf_count: int
-    low: wp.array(dtype=wp.vec3)  # of boxes of all nodes [m]
-    high: wp.array(dtype=wp.vec3)
-    children: wp.array(dtype=wp.vec2i)
-    which: wp.array(dtype=int)  # which emitter a leaf is
-
-
-@dataclass(frozen=True)
-class _Topology:
-    joints: Joints
-    order: wp.array  # inner nodes, those below others first, int
-    level_first: list[int]  # index in `order` of the first of each level, then their count
-    root: int
-
-
-@wp.struct
 class EmittingTriangles:
     """Triangles that emit."""
 
@@ -93,9 +69,9 @@ class EmittingTriangles:
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def bound_triangles_kernel(geometry: Geometry, triangles: EmittingTriangles, boxes: EmitterBoxes):
-    """Sphere, direction and box of each triangle."""
-    i = wp.tid()
+def bound_triangles_kernel(geometry: Geometry, triangles: EmittingTriangles, boxes: EmitterBoxes, first: int):
+    """Sphere, direction and box of each triangle from `first` on."""
+    i = first + wp.tid()
     a, b, c = triangle_vertices(geometry, triangles.instance[i], triangles.primitive[i])
     low = wp.min(wp.min(a, b), c)
     high = wp.max(wp.max(a, b), c)
@@ -122,8 +98,11 @@ def bound_triangles_kernel(geometry: Geometry, triangles: EmittingTriangles, box
 def place_leaves_kernel(boxes: EmitterBoxes, joints: Joints, first: int, nodes: wp.array(dtype=TreeNode)):
     """Emitters from `first` on become leaves."""
     i = first + wp.tid()
+    emitter = joints.which[i]
+    joints.low[i] = boxes.low[emitter]
+    joints.high[i] = boxes.high[emitter]
     node = TreeNode()
-    node.held = boxes.nodes[joints.which[i]]
+    node.held = boxes.nodes[emitter]
     node.first = -1
     node.second = -1
     nodes[i] = node
@@ -186,8 +165,10 @@ def join_kernel(joints: Joints, order: wp.array(dtype=int), first: int, nodes: w
     a = nodes[children[0]]
     b = nodes[children[1]]
     held = LightNode()
-    low = joints.low[number]
-    high = joints.high[number]
+    low = wp.min(joints.low[children[0]], joints.low[children[1]])
+    high = wp.max(joints.high[children[0]], joints.high[children[1]])
+    joints.low[number] = low
+    joints.high[number] = high
     held.centre = 0.5 * low + 0.5 * high
     held.radius = wp.length(0.5 * high - 0.5 * low)
     held.power = a.held.power + b.held.power
@@ -307,22 +288,28 @@ LIGHT_TREE_KERNELS = (
 )
 
 
-def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes) -> None:
-    """Fill in the blocks of `choice`, whose emitters with a place are `boxes`, and their entries of `leaf`."""
+def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes, alike: Sequence[Alike] = ()) -> None:
+    """Fill in the blocks of `choice`, whose emitters with a place are `boxes`, and their entries of `leaf`.
+
+    `alike`: runs of emitters that a CPU joins alike.
+    """
     count, device = boxes.nodes.size, boxes.nodes.device
     if count <= WIDTH:
         _allocate(choice, 1, device)
         if count:
             wp.launch(fill_block_kernel, count, [boxes, choice], device=device)
         return
-    topology = _built_on_cuda(boxes) if device.is_cuda else _built_on_cpu(boxes)
+    if device.is_cuda:
+        topology = topology_on_cuda(boxes.low, boxes.high)
+    else:
+        topology = topology_on_cpu(boxes.low.numpy(), boxes.high.numpy(), alike)
     joints, order = topology.joints, topology.order
     tree = LightBlocks()
     tree.leaf_count = count
     tree.nodes = wp.empty(joints.low.size, dtype=TreeNode, device=device)
-    _launch(place_leaves_kernel, count, lambda at: [boxes, joints, at, tree.nodes], device)
+    launch_parts(place_leaves_kernel, count, lambda at: [boxes, joints, at, tree.nodes], device)
     for first, end in zip(topology.level_first[:-1], topology.level_first[1:]):
-        _launch(join_kernel, end - first, lambda at, level=first: [joints, order, level + at, tree.nodes], device)
+        launch_parts(join_kernel, end - first, lambda at, level=first: [joints, order, level + at, tree.nodes], device)
     tree.block_node = wp.full(count - 1, topology.root, dtype=int, device=device)
     tree.block_of = wp.zeros(count - 1, dtype=int, device=device)
     tree.block_count = wp.ones(1, dtype=int, device=device)
@@ -331,10 +318,10 @@ def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes) -> None:
         wp.launch(find_blocks_kernel, end - first, [tree, first], device=device)
         first, end = end, int(tree.block_count.numpy()[0])
     _allocate(choice, end, device)
-    _launch(fill_blocks_kernel, end, lambda at: [tree, choice, at], device)
+    launch_parts(fill_blocks_kernel, end, lambda at: [tree, choice, at], device)
 
 
-def _launch(kernel: wp.Kernel, count: int, inputs: Callable[[int], list], device: wp.Device) -> None:
+def launch_parts(kernel: wp.Kernel, count: int, inputs: Callable[[int], list], device: wp.Device) -> None:
     """Launch `kernel` for `count` items; its `inputs` name the first one. A launch on the CPU runs on one thread, so
     many items are parted.
     """
@@ -353,47 +340,3 @@ def _allocate(choice: ChoiceTable, block_count: int, device: wp.Device) -> None:
     choice.blocks = wp.zeros(block_count * WIDTH * len(FIELDS), dtype=float, device=device)
     choice.below = wp.full(block_count * WIDTH, -1, dtype=int, device=device)
     choice.above = wp.full(block_count, -1, dtype=int, device=device)
-
-
-def _joints(low: wp.array, high: wp.array, children: wp.array, which: wp.array) -> Joints:
-    joints = Joints()
-    joints.leaf_count = which.size
-    joints.low, joints.high, joints.children, joints.which = low, high, children, which
-    return joints
-
-
-def _built_on_cuda(boxes: EmitterBoxes) -> _Topology:
-    tree, clusters = sort_leaves(boxes.low, boxes.high)
-    merge_leaves(tree, clusters)
-    nodes = tree.nodes
-    links = find_parents(nodes)
-    refit(nodes, links)
-    heights = order_by_height(nodes, links)
-    if heights is None:
-        raise RuntimeError("the tree of emitters is too high, though merging bounds its height")
-    joints = _joints(nodes.low, nodes.high, nodes.children, nodes.primitive)
-    return _Topology(joints, heights.node, heights.first, 2 * nodes.leaf_count - 2)
-
-
-def _built_on_cpu(boxes: EmitterBoxes) -> _Topology:
-    built = build_binary_from_boxes(boxes.low.numpy(), boxes.high.numpy(), BuildOptions(leaf_group=1, leaf_max=1))
-    below, size = built.links
-    leaves, inner = np.flatnonzero(size > 0), np.flatnonzero(size == 0)
-    number = np.empty(len(size), np.int32)  # of each node here
-    number[leaves] = np.arange(len(leaves))
-    number[inner] = len(leaves) + np.arange(len(inner))
-    rows = built.nodes[np.concatenate([leaves, inner])]
-    children = number[np.stack([below[inner], below[inner] + 1], 1)]
-    levels, level = [], np.zeros(1, np.int64)
-    while len(level := level[size[level] == 0]):
-        levels.append(number[level])
-        level = np.concatenate([below[level], below[level] + 1]).astype(np.int64)
-    levels.reverse()
-    firsts = np.cumsum([0, *map(len, levels)]).tolist()
-
-    def upload(values: np.ndarray, dtype) -> wp.array:
-        return wp.array(np.ascontiguousarray(values), dtype=dtype, device="cpu")
-
-    low, high = upload(rows[:, :3], wp.vec3), upload(rows[:, 4:7], wp.vec3)
-    joints = _joints(low, high, upload(children, wp.vec2i), upload(built.references[below[leaves]], int))
-    return _Topology(joints, upload(np.concatenate(levels), int), firsts, int(number[0]))

@@ -17,9 +17,11 @@ from ..scene.scene_data import SceneData
 from .kernels import estimate_kernel
 from .work import Estimate, EstimateWork
 
-# Points of a texel of the world, along either axis, whose mean is its brightness; one where texels are as many as an
-# image's
+# Points of a texel of the world, along either axis, whose mean is its brightness where that differs from the texels
+# around it by more than a share of itself, or of all texels' mean if that is larger; elsewhere, and where texels are as
+# many as an image's, one
 _TEXEL_POINTS = 2
+_TEXEL_DIFFERENCE = 0.2
 _FINE_WIDTH = 4096
 # Points of each lamp, of which the mean counts
 _LAMP_POINTS = 96
@@ -52,12 +54,33 @@ def world_texels(data: SceneData, features: SceneFeatures, width: int, device: w
     def work_of(first: int, end: int) -> tuple[EstimateWork, int]:
         work = EstimateWork()
         work.world.width, work.world.height = width, height
-        work.row_first, work.texels = first, texels
-        work.points = 1 if width >= _FINE_WIDTH else _TEXEL_POINTS
+        work.row_first, work.texels, work.points = first, texels, 1
         return work, (end - first) * width
 
     _launch_in_parts(Estimate.WORLD, data, features, device, height, work_of)
+    light = texels.numpy().reshape(height, width)
+    rough = np.flatnonzero(_is_rough(light)).astype(np.int32) if width < _FINE_WIDTH else np.zeros(0, np.int32)
+    if len(rough) == 0:
+        return light
+    listed = wp.array(rough, dtype=int, device=device)
+
+    def work_of_rough(first: int, end: int) -> tuple[EstimateWork, int]:
+        work, _ = work_of(0, 0)
+        work.listed, work.points = listed[first:end], _TEXEL_POINTS
+        return work, end - first
+
+    _launch_in_parts(Estimate.WORLD, data, features, device, len(rough), work_of_rough)
     return texels.numpy().reshape(height, width)
+
+
+def _is_rough(light: np.ndarray) -> np.ndarray:
+    """Whether texels [height, width] differ from those around them by so much that a point does not tell their mean."""
+    around = np.pad(light, ((1, 1), (0, 0)), "edge")
+    around = np.stack([around[:-2], around[1:-1], around[2:]])
+    low, high = around.min(0), around.max(0)
+    low = np.minimum(low, np.minimum(np.roll(low, 1, 1), np.roll(low, -1, 1)))
+    high = np.maximum(high, np.maximum(np.roll(high, 1, 1), np.roll(high, -1, 1)))
+    return high - low > _TEXEL_DIFFERENCE * np.maximum(light, light.mean(dtype=np.float64))
 
 
 def brightness_of_lamps(

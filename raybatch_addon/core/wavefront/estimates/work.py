@@ -30,7 +30,8 @@ class EstimateWork:
     primitive: wp.array(dtype=int)
     radiance: wp.array(dtype=wp.vec3)  # result of each triangle [W/(m² sr)]
     world: WorldTable  # of which width and height count
-    row_first: int  # item 0 is the first texel of this row
+    row_first: int  # item 0 is the first texel of this row, where none are listed
+    listed: wp.array(dtype=int)  # texel of each item
     texels: wp.array(dtype=float)  # result of each texel of the world [W/(m² sr)]
     lamps: wp.array(dtype=int)  # numbers of lights
     lights: LightTable  # these lights

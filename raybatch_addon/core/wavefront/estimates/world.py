@@ -21,6 +21,8 @@ def make_world_estimate(programs: ProgramFeatures) -> wp.Function:
     @wp.func
     def world_estimate(data: SceneData, work: EstimateWork, i: int):
         texel = work.row_first * work.world.width + i
+        if work.listed.shape[0] > 0:
+            texel = work.listed[i]
         row = texel / work.world.width
         column = texel % work.world.width
         points = work.points

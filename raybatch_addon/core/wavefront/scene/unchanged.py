@@ -13,6 +13,7 @@ from ...programs.op import op_named
 from ...scene.description import Image, Material, Scene
 from ...scene.features import scene_volumes
 from ...scene.frozen import Same, is_frozen
+from ...scene.motion import apart
 from ...scene.program import Program
 
 Made = TypeVar("Made")
@@ -67,13 +68,14 @@ def emission_key(
 ) -> tuple[list[np.ndarray | None], tuple]:
     """What the emissive triangles follow from: arrays and values. `emits`: whether each material may emit."""
     arrays, values = inputs_key(scene, ops, device)
-    arrays += [mesh.corner_normals for mesh in scene.meshes] + [mesh.motion for mesh in scene.meshes]
+    arrays += [mesh.corner_normals for mesh in scene.meshes]
     pictures = [pixels for image in scene.images for pixels in pictures_of(image)]
     kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in scene.images)
     emitting = [material if emits_light else None for material, emits_light in zip(scene.materials, emits)]
     materials = tuple(material and _light_of(material) for material in emitting)
     seen = camera_key(scene, [material.program for material in emitting if material])
-    shown = digest_of([scene.instances.visibility, *_motion(scene)])
+    # what moves is no emitter, wherever it goes
+    shown = digest_of([scene.instances.visibility, apart(scene)])
     return arrays + pictures, (values, kinds, materials, seen, shown)
 
 

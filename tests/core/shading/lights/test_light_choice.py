@@ -11,9 +11,11 @@ from raybatch_addon.core.scene.description import Closure, ClosureKind, Instance
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import Geometry, upload_geometry
 from raybatch_addon.core.shading.lights.choice_table import FIELDS, WIDTH
+from raybatch_addon.core.shading.lights.emitters import EmissiveTriangles
 from raybatch_addon.core.shading.lights.light_choice import ChoiceFeatures, lit_point, make_light_choice, packed_side
 from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
+from raybatch_addon.core.shading.lights.tree import topology
 from raybatch_addon.core.shading.lights.world import sampled_world
 from tests.core.shading.lights.light_probe import facing, scene_of
 from tests.support.under_test import BLOCK_DIM, DEVICE
@@ -91,18 +93,21 @@ def world_of(device):
     )
 
 
-def uploaded(lights, triangle_count=0, world=False):
+def uploaded(lights, triangle_count=0, world=False, copies=0):
+    """Lights, a mesh of triangles that emit, and smaller `copies` of it, turned and stretched at random."""
     device = wp.get_device(DEVICE)
     rest = {}
     if triangle_count:
+        transform = np.random.default_rng(7).normal(size=(1 + copies, 3, 4)).astype(np.float32) * np.float32(0.3)
+        transform[0] = np.eye(3, 4)
         rest = dict(
             meshes=(glowing(triangle_count, 3),),
             instances=Instances(
-                mesh=np.zeros(1, np.int32),
-                transform=np.eye(3, 4, dtype=np.float32)[None],
-                slot_first=np.zeros(1, np.int32),
-                visibility=np.full(1, 31, np.int32),
-                object=np.zeros(1, np.int32),
+                mesh=np.zeros(1 + copies, np.int32),
+                transform=transform,
+                slot_first=np.zeros(1 + copies, np.int32),
+                visibility=np.full(1 + copies, 31, np.int32),
+                object=np.zeros(1 + copies, np.int32),
             ),
             slot_materials=np.zeros(1, np.int32),
             materials=(Material("glow", (Closure(ClosureKind.EMISSION, (2.0, 1.0, 0.5)),)),),
@@ -163,7 +168,16 @@ CASES = {
     "many": (lamps(300, 4), 0, True),
     "triangles": ([], 500, False),
     "all": (lamps(40, 5), 700, True),
+    "placed again and again": (lamps(5, 6), 40, True, 30),
 }
+
+
+@pytest.fixture(autouse=True)
+def joined_alike(monkeypatch):
+    """Triangles that are placed again are joined alike, however few they are."""
+    monkeypatch.setattr(topology, "_MANY", 0)
+
+
 POINTS = [((0, 0, 0), (0, 0, 1), False), ((3.1, -2, 0.5), (-1, 1, 0.2), True), ((40, 3, 9), (-1, 0, 0), False)]
 
 
@@ -255,13 +269,14 @@ def test_many_lamps_together_light_as_each_alone():
         assert together.var() < by_power - expected**2
 
 
-def test_nodes_hold_what_lies_below():
-    lights, _ = uploaded(*CASES["all"])
+@pytest.mark.parametrize("case", ["all", "placed again and again"])
+def test_nodes_hold_what_lies_below(case):
+    lights, _ = uploaded(*CASES[case])
     choice = lights.choice
     fields = choice.blocks.numpy().reshape(-1, len(FIELDS), WIDTH)
     below, above, leaf = choice.below.numpy(), choice.above.numpy(), choice.leaf.numpy()
     assert above[0] == -1 and len(fields) == len(above) == len(below) // WIDTH
-    assert choice.distant_count == sum(lamp.kind == LightKind.SUN for lamp in CASES["all"][0]) + 1
+    assert choice.distant_count == sum(lamp.kind == LightKind.SUN for lamp in CASES[case][0]) + 1
 
     def node_at(number):
         values = dict(zip(FIELDS, fields[number // WIDTH, :, number % WIDTH], strict=True))
@@ -294,7 +309,7 @@ def test_nodes_hold_what_lies_below():
                 assert cosine >= each["cos_axis"] - 1e-3
             assert each["cos_axis"] == -1 or node["cos_axis"] > -1
             assert each["cos_axis"] == -1 or each["cos_edge"] <= node["cos_edge"]
-    suns = [i for i, lamp in enumerate(CASES["all"][0]) if lamp.kind == LightKind.SUN]
+    suns = [i for i, lamp in enumerate(CASES[case][0]) if lamp.kind == LightKind.SUN]
     assert sorted(held) == sorted(set(range(lights.emitter_count - 1)) - set(suns))
 
 
@@ -328,3 +343,20 @@ def test_sides_keep_normals():
         back = back / (2 if both_sides else 1)
         np.testing.assert_allclose(np.linalg.norm(back, axis=1), 1, rtol=1e-6)
         assert np.abs(back - normals).max() < 2e-4
+
+
+def test_the_same_triangles_of_a_mesh_in_several_places_are_joined_alike():
+    primitives = [[0, 1, 4], [0, 1, 4], [0, 2, 4], [0, 1, 4], [0, 1, 4], [3]]  # of each instance
+    mesh = np.array([0, 0, 0, 1, 0, 1], np.int32)
+    count = np.array([len(each) for each in primitives])
+    first = np.cumsum([0, *count]).astype(np.int32)
+    triangles = EmissiveTriangles(
+        np.repeat(np.arange(6), count).astype(np.int32),
+        np.concatenate(primitives).astype(np.int32),
+        np.ones((first[-1], 3), np.float32),
+        np.ones(first[-1]),
+        np.zeros(first[-1], np.int32),
+        first,
+    )
+    (runs,) = topology.runs_alike(triangles, mesh, 5)
+    assert (runs.first - 5).tolist() == [0, 3, 12] and runs.count == 3

@@ -163,3 +163,29 @@ def test_light_that_is_bumped_follows_the_camera(made, general_kernels):
     again = list(made)
     assert film == pixels(nearer), "as a session renders it that has nothing to keep"
     assert again == EVERYTHING[2:]
+
+
+def deforming(scene, mesh, way):
+    """`scene`; vertices of its mesh number `mesh` move by `way` [m] while the shutter is open, in a new array."""
+    still = scene.meshes[mesh].positions
+    steps = still + np.linspace(-0.5, 0.5, 3, dtype=np.float32)[:, None, None] * np.float32([way, 0, 0])
+    moved = replace(scene.meshes[mesh], motion=steps)
+    return replace(scene, meshes=(*scene.meshes[:mesh], moved, *scene.meshes[mesh + 1 :]))
+
+
+def test_emitters_are_kept_while_other_things_deform(made):
+    """An exporter steps through the shutter for each render: what moves is a new array each time."""
+    session, scene = Session(DEVICE), frozen(scene_of())
+    pixels(deforming(scene, 1, 0.2), session)
+    made.clear()
+    other = deforming(scene, 1, 0.4)
+    film = pixels(other, session)
+    assert "find_emissive_triangles" not in made and "fill_blocks" not in made
+    assert film == pixels(other), "as a session renders it that has nothing to keep"
+
+
+def test_an_emitter_that_begins_to_deform_is_none_any_more(made):
+    session, scene = Session(DEVICE), frozen(scene_of())
+    pixels(scene, session)
+    other = deforming(scene, 0, 0.2)
+    assert pixels(other, session) == pixels(other)

@@ -11,6 +11,7 @@ from raybatch_addon.core.scene.description import Frame, Image, Visibility, Worl
 from raybatch_addon.core.scene.frozen import freeze
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.estimates import launch
 from raybatch_addon.core.wavefront.scene import device_scene
 from tests.support import scenes
 from tests.support.under_test import DEVICE
@@ -114,3 +115,26 @@ def test_a_world_that_looks_at_rays_is_aimed_at_though_one_kind_sees_it_even():
     builder.closure("emission", builder.value("combine_xyz", is_diffuse, is_diffuse, is_diffuse))
     world = World(program=builder.finish(), sampling_size=16)
     assert Session(DEVICE).render(scene_of(world), SETTINGS).statistics["rays"]["shadow"] > 0
+
+
+def test_texels_have_more_points_where_they_differ_from_those_around_them(monkeypatch):
+    """A pale sky with a bright patch: there the mean of four points counts, and one point elsewhere."""
+    pixels = np.full((8, 16, 4), 0.5, np.float32)
+    pixels[3, 5, :3] = 40.0
+    scene = scene_of(world_of(), image=Image("sky", freeze(pixels)))
+    found = []
+    real = device_scene.world_texels
+    monkeypatch.setattr(device_scene, "world_texels", lambda *arguments: found.append(real(*arguments)) or found[-1])
+
+    def texels(difference):
+        monkeypatch.setattr(launch, "_TEXEL_DIFFERENCE", difference)
+        Session(DEVICE).render(replace(scene, world=replace(scene.world, sampling_size=64)), SETTINGS)
+        return found[-1]
+
+    default = launch._TEXEL_DIFFERENCE
+    one, four, chosen = texels(1e30), texels(-1.0), texels(default)
+    differs = one != four
+    assert 0 < differs.sum() < differs.size / 4 and np.array_equal(chosen[differs], four[differs])
+    assert (chosen == one)[~differs].all()
+    rough = launch._is_rough(one)
+    assert rough[differs].all() and rough.sum() < rough.size / 4

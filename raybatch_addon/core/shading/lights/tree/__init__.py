@@ -1,0 +1,1 @@
+"""The binary tree over emitters: which two nodes each of its nodes joins."""
