@@ -14,6 +14,7 @@ def test_passes_of_the_panel_are_those_of_the_film():
     names = {*(asked.PASS_PROPERTIES | asked.LIGHT_PASS_PROPERTIES | asked.OWN_PASS_PROPERTIES).values()}
     names |= {f"{kind}{level:02}" for kind in asked.MATTE_PROPERTIES.values() for level in range(8)}
     names |= {"Combined", *asked.DENOISING_PASSES, *asked.VOLUME_PASS_PROPERTIES.values()}
+    names |= {asked.CATCHER_PASS, asked.CATCHER_SHADOWS}
     assert names == set(film_passes)
     assert tuple(asked.COST_PASS_PROPERTIES.values()) == COST_PASSES
     assert {name: len(letters_of(name)) for name in film_passes} == film_passes

@@ -53,5 +53,6 @@ def test_tiers_give_the_same_film(name):
     assert general.statistics["warnings"] == specialised.statistics["warnings"]  # general ones were there
     assert general.passes.keys() == specialised.passes.keys()
     for pass_name, values in specialised.passes.items():
-        assert np.isfinite(values).all() and values.any(), pass_name
+        assert np.isfinite(values).all(), pass_name
         assert np.array_equal(general.passes[pass_name], values), pass_name
+    assert specialised.passes["Combined"][..., :3].std() > 0

@@ -10,10 +10,16 @@ from tests.blender.features.families.volumes import volume_of, world_volume
 from tests.blender.features.registry import feature
 
 CATCHER = "Shadow Catcher"
+# A ball there is seen beside no floor: a pixel of both has few paths that meet a catcher, and their ratio is noise
+HIGH = 2.2
 
 
-def stage(scene: bpy.types.Scene, apart: bool, transparent: bool = True) -> dict[str, bpy.types.Object]:
-    """A ball on a floor that catches its shadow, below a lamp and a pale sky; `apart`: in a pass of its own."""
+def stage(
+    scene: bpy.types.Scene, apart: bool, transparent: bool = True, height: float = 0.7
+) -> dict[str, bpy.types.Object]:
+    """A ball on a floor that catches its shadow, or above it, below a lamp and a pale sky; `apart`: in a pass of its
+    own.
+    """
     scene.view_layers[0].cycles.use_pass_shadow_catcher = apart
     scene.render.film_transparent = transparent
     add_world(scene, 0.25, (0.6, 0.75, 1.0))
@@ -21,7 +27,7 @@ def stage(scene: bpy.types.Scene, apart: bool, transparent: bool = True) -> dict
     ground = floor(4.0)
     ground.is_shadow_catcher = True
     look(scene, (0, -5, 2.6), (0, 0, 0.5))
-    return {"floor": ground, "ball": diffuse(ball("Ball", (0, 0, 0.7), 0.7), (0.8, 0.3, 0.2))}
+    return {"floor": ground, "ball": diffuse(ball("Ball", (0, 0, height), 0.7), (0.8, 0.3, 0.2))}
 
 
 def bare(obj: bpy.types.Object) -> bpy.types.Object:
@@ -32,7 +38,7 @@ def bare(obj: bpy.types.Object) -> bpy.types.Object:
 
 @feature("Shadow Catcher: its pass", "Shadow catchers", "picture", quick=True, shows=CATCHER)
 def of_its_own(scene: bpy.types.Scene) -> None:
-    stage(scene, True)
+    stage(scene, True, height=HIGH)
 
 
 @feature("Shadow Catcher: Combined beside its pass", "Shadow catchers", "picture")
@@ -58,12 +64,12 @@ def before_a_world(scene: bpy.types.Scene) -> None:
 
 @feature("Shadow Catcher: its pass with a world", "Shadow catchers", "picture", shows=CATCHER)
 def with_a_world(scene: bpy.types.Scene) -> None:
-    stage(scene, True, transparent=False)
+    stage(scene, True, transparent=False, height=HIGH)
 
 
 @feature("Shadow Catcher: a glossy one", "Shadow catchers", "picture", shows=CATCHER)
 def glossy(scene: bpy.types.Scene) -> None:
-    principled(bare(stage(scene, True)["floor"]), (0.8, 0.8, 0.7), Roughness=0.3, Metallic=1.0)
+    principled(bare(stage(scene, True, height=HIGH)["floor"]), (0.8, 0.8, 0.7), Roughness=0.3, Metallic=1.0)
 
 
 @feature("Shadow Catcher: a textured one", "Shadow catchers", "picture", shows=CATCHER)
@@ -72,7 +78,7 @@ def textured(scene: bpy.types.Scene) -> None:
         texture = graph.value("ShaderNodeTexChecker", {"Scale": 6.0, "Color1": (0.8, 0.2, 0.1, 1)})
         return graph.value("ShaderNodeBsdfDiffuse", {"Color": texture})
 
-    material_graph(bare(stage(scene, True)["floor"]), checks)
+    material_graph(bare(stage(scene, True, height=HIGH)["floor"]), checks)
 
 
 @feature("Shadow Catcher: seen in a mirror", "Shadow catchers", "picture")
@@ -104,14 +110,13 @@ def indirect(scene: bpy.types.Scene) -> None:
 
 @feature("Shadow Catcher: light of an object that emits", "Shadow catchers", "picture", shows=CATCHER)
 def luminous(scene: bpy.types.Scene) -> None:
-    on = stage(scene, True)
-    on["ball"].location.z = 2.2  # no pixel shows it beside the floor: few paths of such a one would meet a catcher
+    on = stage(scene, True, height=HIGH)
     shaded(bare(on["ball"]), "ShaderNodeEmission", Color=(1, 0.5, 0.2, 1), Strength=3.0)
 
 
 @feature("Shadow Catcher: a lamp that is none", "Shadow catchers", "picture", shows=CATCHER)
 def without_a_lamp(scene: bpy.types.Scene) -> None:
-    stage(scene, True)["ball"].location.z = 2.2  # as above
+    stage(scene, True, height=HIGH)
     shape = {"shape": "DISK", "size": 1.0}
     lamp("AREA", (-2.5, -0.5, 2.0), target=(0, 0, 0.5), energy=60.0, **shape).is_shadow_catcher = False
 
