@@ -10,12 +10,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from bpy_extras.object_utils import world_to_camera_view  # noqa: E402
+from bpy_extras.object_utils import world_to_camera_view
 
-from raybatch_addon.blender import frame, reports, sessions  # noqa: E402
-from raybatch_addon.core import session as core_session  # noqa: E402
-from tests.support.blender_builders import add_grid, add_mesh, add_object, add_triangle, material_of, node_tree  # noqa: E402
-from tests.support.blender_watch import watch_engines  # noqa: E402
+from raybatch_addon.blender import frame, reports, sessions
+from raybatch_addon.core import session as core_session
+from tests.support.blender_builders import add_grid, add_mesh, add_object, add_triangle, material_of, node_tree
+from tests.support.blender_watch import watch_engines
 
 STATM = Path("/proc/self/statm")
 # Bound of the growth of resident memory between frames 50 and 200 [bytes]: the allocator's own variation is 4 MiB, and

@@ -8,7 +8,7 @@ from tests.support.scripts_here import call_script
 
 bpy = pytest.importorskip("bpy")
 
-from tests.support.blender_builders import add_grid, add_object, material_of, node_tree  # noqa: E402
+from tests.support.blender_builders import add_grid, add_object, material_of, node_tree
 
 
 @pytest.fixture

@@ -9,12 +9,12 @@ from tests.support.scripts_here import call_script
 
 bpy = pytest.importorskip("bpy")
 
-import warp as wp  # noqa: E402
-from benchmarking.whole_render import OpenedScene  # noqa: E402
-from converging.cycles import open_peer  # noqa: E402
+import warp as wp
+from benchmarking.whole_render import OpenedScene
+from converging.cycles import open_peer
 
-from raybatch_addon.core.settings.settings import RenderSettings  # noqa: E402
-from tests.support.blender_builders import add_grid, add_object, material_of, node_tree  # noqa: E402
+from raybatch_addon.core.settings.settings import RenderSettings
+from tests.support.blender_builders import add_grid, add_object, material_of, node_tree
 
 OPTIONS = ("--device", "cpu", "--size", "24x24", "--runs", "1", "--no-flip", "--set", "thread_count=1")
 

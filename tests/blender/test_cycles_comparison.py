@@ -5,9 +5,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from tests.blender.features.build import ball, box, diffuse, floor, lamp, look, principled, quad, shaded  # noqa: E402
-from tests.blender.features.compare import add_world, both_reopened, figures_of, set_alike  # noqa: E402
-from tests.support.blender_builders import add_object  # noqa: E402
+from tests.blender.features.build import ball, box, diffuse, floor, lamp, look, principled, quad, shaded
+from tests.blender.features.compare import add_world, both_reopened, figures_of, set_alike
+from tests.support.blender_builders import add_object
 
 MEAN_TOLERANCE = 0.01
 REL_MSE = 2e-3

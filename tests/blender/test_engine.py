@@ -10,12 +10,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import frame, reports, sessions  # noqa: E402
-from raybatch_addon.blender.result import ResultWriter, register_passes  # noqa: E402
-from raybatch_addon.core.errors import SceneError  # noqa: E402
-from raybatch_addon.export.passes import OWN_PASS_PROPERTIES  # noqa: E402
-from tests.support.blender_builders import add_object, add_triangle, material_of, node_tree  # noqa: E402
-from tests.support.blender_watch import watch_engines  # noqa: E402
+from raybatch_addon.blender import frame, reports, sessions
+from raybatch_addon.blender.result import ResultWriter, register_passes
+from raybatch_addon.core.errors import SceneError
+from raybatch_addon.export.passes import OWN_PASS_PROPERTIES
+from tests.support.blender_builders import add_object, add_triangle, material_of, node_tree
+from tests.support.blender_watch import watch_engines
 
 
 @pytest.fixture

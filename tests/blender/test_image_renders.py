@@ -6,9 +6,9 @@ import pytest
 bpy = pytest.importorskip("bpy")
 OpenEXR = pytest.importorskip("OpenEXR")
 
-from raybatch_addon.blender import frame, reports  # noqa: E402
-from raybatch_addon.export.images.images import forget_images  # noqa: E402
-from tests.support.blender_builders import add_mesh, exported, material_of, node_tree  # noqa: E402
+from raybatch_addon.blender import frame, reports
+from raybatch_addon.export.images.images import forget_images
+from tests.support.blender_builders import add_mesh, exported, material_of, node_tree
 
 
 @pytest.fixture

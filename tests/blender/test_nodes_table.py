@@ -4,9 +4,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from tables import nodes_table  # noqa: E402
+from tables import nodes_table
 
-from raybatch_addon.export.nodes.registry import shader_nodes, value_nodes  # noqa: E402
+from raybatch_addon.export.nodes.registry import shader_nodes, value_nodes
 
 NEWEST = pytest.mark.skipif(bpy.app.version < (5, 2), reason="the list is that of Blender 5.2")
 

@@ -7,15 +7,15 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import reports, sessions  # noqa: E402
-from raybatch_addon.core.errors import SettingsError  # noqa: E402
-from raybatch_addon.core.settings.settings import BYTES, GROUPS, SETTINGS, RenderSettings  # noqa: E402
-from raybatch_addon.export.settings import assign_setting, settings_from  # noqa: E402
-from raybatch_addon.ui import builtin_panels, last_render  # noqa: E402
-from raybatch_addon.ui.properties import megabytes_name  # noqa: E402
-from raybatch_addon.ui.render_panels import shown_name  # noqa: E402
-from tests.support.blender_builders import add_grid  # noqa: E402
-from tests.support.panel_layout import ENGINE, context_of, drawn, enabled_panels, own_panels  # noqa: E402
+from raybatch_addon.blender import reports, sessions
+from raybatch_addon.core.errors import SettingsError
+from raybatch_addon.core.settings.settings import BYTES, GROUPS, SETTINGS, RenderSettings
+from raybatch_addon.export.settings import assign_setting, settings_from
+from raybatch_addon.ui import builtin_panels, last_render
+from raybatch_addon.ui.properties import megabytes_name
+from raybatch_addon.ui.render_panels import shown_name
+from tests.support.blender_builders import add_grid
+from tests.support.panel_layout import ENGINE, context_of, drawn, enabled_panels, own_panels
 
 
 @pytest.mark.parametrize("name", list(SETTINGS))

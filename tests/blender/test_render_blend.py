@@ -11,7 +11,7 @@ from tests.support.scripts_here import call_script
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.export.passes import DENOISING_PASSES  # noqa: E402
+from raybatch_addon.export.passes import DENOISING_PASSES
 
 # the steps of a person: open the file, render, save
 RENDER_BY_HAND = """

@@ -6,13 +6,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import reports  # noqa: E402
-from raybatch_addon.core.settings.presets import PRESETS, preset_settings  # noqa: E402
-from raybatch_addon.core.settings.settings import SETTINGS  # noqa: E402
-from raybatch_addon.export.settings import assign_setting, settings_from  # noqa: E402
-from raybatch_addon.ui import choices, memory  # noqa: E402
-from tests.support.blender_builders import add_grid  # noqa: E402
-from tests.support.panel_layout import ENGINE, context_of, drawn, own_panels  # noqa: E402
+from raybatch_addon.blender import reports
+from raybatch_addon.core.settings.presets import PRESETS, preset_settings
+from raybatch_addon.core.settings.settings import SETTINGS
+from raybatch_addon.export.settings import assign_setting, settings_from
+from raybatch_addon.ui import choices, memory
+from tests.support.blender_builders import add_grid
+from tests.support.panel_layout import ENGINE, context_of, drawn, own_panels
 
 AUTO = {
     "treelet_size": {"value": 4096, "why": "1 MB of nodes and triangles fits the cache"},

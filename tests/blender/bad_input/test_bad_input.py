@@ -11,9 +11,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import frame  # noqa: E402
-from tests.blender.bad_input.outcomes import BACKGROUND, assert_fails, assert_picture, glow, render  # noqa: E402
-from tests.support.blender_builders import add_mesh, add_object, add_triangle  # noqa: E402
+from raybatch_addon.blender import frame
+from tests.blender.bad_input.outcomes import BACKGROUND, assert_fails, assert_picture, glow, render
+from tests.support.blender_builders import add_mesh, add_object, add_triangle
 
 NAN, INFINITY = math.nan, math.inf
 

@@ -12,13 +12,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import reports, sessions  # noqa: E402
-from raybatch_addon.core import session as core_session  # noqa: E402
-from raybatch_addon.core.ahead import prepare  # noqa: E402
-from raybatch_addon.core.wavefront import integrator  # noqa: E402
-from raybatch_addon.core.wavefront.render import workers  # noqa: E402
-from tests.blender.bad_input.outcomes import BACKGROUND, assert_fails, assert_picture, render  # noqa: E402
-from tests.support.blender_watch import watch_engines  # noqa: E402
+from raybatch_addon.blender import reports, sessions
+from raybatch_addon.core import session as core_session
+from raybatch_addon.core.ahead import prepare
+from raybatch_addon.core.wavefront import integrator
+from raybatch_addon.core.wavefront.render import workers
+from tests.blender.bad_input.outcomes import BACKGROUND, assert_fails, assert_picture, render
+from tests.support.blender_watch import watch_engines
 
 ROOT = Path(__file__).resolve().parents[3]
 

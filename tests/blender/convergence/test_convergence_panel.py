@@ -7,15 +7,15 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import frame  # noqa: E402
-from raybatch_addon.convergence.plot import SLOT_COLORS  # noqa: E402
-from raybatch_addon.convergence.records import RUNNING, SLOT_COUNT, store  # noqa: E402
-from raybatch_addon.core.settings.settings import SETTINGS  # noqa: E402
-from raybatch_addon.ui.convergence import operators, shown  # noqa: E402
-from raybatch_addon.ui.convergence.panel import RAYBATCH_RENDER_PT_convergence  # noqa: E402
-from raybatch_addon.ui.convergence.properties import chosen_target  # noqa: E402
-from tests.blender.convergence.recorded import has_color, plot, render  # noqa: E402
-from tests.support.panel_layout import context_of, drawn, own_panels  # noqa: E402
+from raybatch_addon.blender import frame
+from raybatch_addon.convergence.plot import SLOT_COLORS
+from raybatch_addon.convergence.records import RUNNING, SLOT_COUNT, store
+from raybatch_addon.core.settings.settings import SETTINGS
+from raybatch_addon.ui.convergence import operators, shown
+from raybatch_addon.ui.convergence.panel import RAYBATCH_RENDER_PT_convergence
+from raybatch_addon.ui.convergence.properties import chosen_target
+from tests.blender.convergence.recorded import has_color, plot, render
+from tests.support.panel_layout import context_of, drawn, own_panels
 
 
 def test_both_ends_of_a_render_are_shown_beside_its_samples(lit):

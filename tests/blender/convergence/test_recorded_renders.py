@@ -8,16 +8,16 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import frame, reports  # noqa: E402
-from raybatch_addon.convergence.records import CANCELLED, FAILED, FINISHED, RUNNING, store  # noqa: E402
-from raybatch_addon.convergence.run_data import runs_as_data  # noqa: E402
-from raybatch_addon.convergence.run_texts import names_of  # noqa: E402
-from raybatch_addon.core.session import Session  # noqa: E402
-from raybatch_addon.ui import last_render  # noqa: E402
-from raybatch_addon.ui.convergence.panel import RAYBATCH_RENDER_PT_convergence  # noqa: E402
-from raybatch_addon.ui.convergence.properties import chosen_target  # noqa: E402
-from tests.blender.convergence.recorded import render  # noqa: E402
-from tests.support.panel_layout import context_of, drawn  # noqa: E402
+from raybatch_addon.blender import frame, reports
+from raybatch_addon.convergence.records import CANCELLED, FAILED, FINISHED, RUNNING, store
+from raybatch_addon.convergence.run_data import runs_as_data
+from raybatch_addon.convergence.run_texts import names_of
+from raybatch_addon.core.session import Session
+from raybatch_addon.ui import last_render
+from raybatch_addon.ui.convergence.panel import RAYBATCH_RENDER_PT_convergence
+from raybatch_addon.ui.convergence.properties import chosen_target
+from tests.blender.convergence.recorded import render
+from tests.support.panel_layout import context_of, drawn
 
 
 def test_a_render_whose_error_is_estimated_is_recorded(lit):

@@ -4,7 +4,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from tests.support.blender_builders import add_triangle, exported, material_of, node_tree  # noqa: E402
+from tests.support.blender_builders import add_triangle, exported, material_of, node_tree
 
 pytestmark = pytest.mark.usefixtures("scene")
 

@@ -10,13 +10,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from mathutils import Vector  # noqa: E402
+from mathutils import Vector
 
-from raybatch_addon.core.scene.description import ClosureKind as K  # noqa: E402
-from raybatch_addon.export.materials import export_material  # noqa: E402
-from tests.blender.features.compare import by_cycles, set_alike, set_bounces  # noqa: E402
-from tests.core.shading.bsdf import closure_probe as probe  # noqa: E402
-from tests.support.blender_builders import add_mesh, node_tree  # noqa: E402
+from raybatch_addon.core.scene.description import ClosureKind as K
+from raybatch_addon.export.materials import export_material
+from tests.blender.features.compare import by_cycles, set_alike, set_bounces
+from tests.core.shading.bsdf import closure_probe as probe
+from tests.support.blender_builders import add_mesh, node_tree
 
 pytestmark = pytest.mark.skipif(bpy.app.version < (5, 2), reason="the models are those of Cycles 5.2")
 

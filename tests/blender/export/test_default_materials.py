@@ -5,9 +5,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.core.scene.description import ClosureKind as K  # noqa: E402
-from raybatch_addon.export.materials import export_material  # noqa: E402
-from tests.support.blender_builders import add_triangle, exported  # noqa: E402
+from raybatch_addon.core.scene.description import ClosureKind as K
+from raybatch_addon.export.materials import export_material
+from tests.support.blender_builders import add_triangle, exported
 
 pytestmark = pytest.mark.usefixtures("scene")
 

@@ -5,10 +5,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.export.meshes.attributes import mesh_attributes, property_value  # noqa: E402
-from raybatch_addon.export.meshes.mesh_shape import hashed, pointiness, random_per_island, welded  # noqa: E402
-from raybatch_addon.export.meshes.tangents import corner_tangents  # noqa: E402
-from tests.support.blender_builders import add_object, add_triangle, exported, material_of, node_tree  # noqa: E402
+from raybatch_addon.export.meshes.attributes import mesh_attributes, property_value
+from raybatch_addon.export.meshes.mesh_shape import hashed, pointiness, random_per_island, welded
+from raybatch_addon.export.meshes.tangents import corner_tangents
+from tests.support.blender_builders import add_object, add_triangle, exported, material_of, node_tree
 
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], np.float32)
 TRIANGLES = np.array([(0, 1, 2), (0, 2, 3)])

@@ -7,15 +7,15 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import warp as wp  # noqa: E402
-from bpy_extras.object_utils import world_to_camera_view  # noqa: E402
-from mathutils import Euler, Matrix, Vector  # noqa: E402
+import warp as wp
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Euler, Matrix, Vector
 
-from raybatch_addon.core.device.kernel import KERNEL_OPTIONS  # noqa: E402
-from raybatch_addon.core.errors import SceneError  # noqa: E402
-from raybatch_addon.core.scene.description import CameraKind  # noqa: E402
-from raybatch_addon.core.shading.camera import CameraData, CameraFeatures, make_camera_ray, upload_camera  # noqa: E402
-from raybatch_addon.export.camera import export_camera  # noqa: E402
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.errors import SceneError
+from raybatch_addon.core.scene.description import CameraKind
+from raybatch_addon.core.shading.camera import CameraData, CameraFeatures, make_camera_ray, upload_camera
+from raybatch_addon.export.camera import export_camera
 
 
 def shoot(camera, width, height, pixel, lens):

@@ -7,14 +7,14 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from mathutils import Matrix  # noqa: E402
+from mathutils import Matrix
 
-from raybatch_addon.core.scene.description import ALL_LIGHT_SETS, COPY_SET, Visibility  # noqa: E402
-from raybatch_addon.core.scene.linking import catcher_bits, catchers  # noqa: E402
-from raybatch_addon.core.scene.passes import CATCHER_PASS, CATCHER_SHADOWS  # noqa: E402
-from raybatch_addon.export.meshes.placements import is_singular  # noqa: E402
-from raybatch_addon.export.scene import export_scene  # noqa: E402
-from tests.support.blender_builders import add_grid, add_object, add_triangle, exported, material_of  # noqa: E402
+from raybatch_addon.core.scene.description import ALL_LIGHT_SETS, COPY_SET, Visibility
+from raybatch_addon.core.scene.linking import catcher_bits, catchers
+from raybatch_addon.core.scene.passes import CATCHER_PASS, CATCHER_SHADOWS
+from raybatch_addon.export.meshes.placements import is_singular
+from raybatch_addon.export.scene import export_scene
+from tests.support.blender_builders import add_grid, add_object, add_triangle, exported, material_of
 
 pytestmark = pytest.mark.usefixtures("scene")
 

@@ -8,20 +8,20 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import warp as wp  # noqa: E402
-from mathutils import Matrix, Vector  # noqa: E402
+import warp as wp
+from mathutils import Matrix, Vector
 
-from raybatch_addon.core.device.kernel import KERNEL_OPTIONS  # noqa: E402
-from raybatch_addon.core.programs.op import NodeData  # noqa: E402
-from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, LightKind, Scene, Visibility  # noqa: E402
-from raybatch_addon.core.scene.geometry import Geometry  # noqa: E402
-from raybatch_addon.core.shading.lights.light_choice import lit_point, packed_side  # noqa: E402
-from raybatch_addon.core.shading.lights.light_hits import LightHitFeatures, make_light_hits  # noqa: E402
-from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights  # noqa: E402
-from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights  # noqa: E402
-from raybatch_addon.export.lights import export_light  # noqa: E402
-from raybatch_addon.export.scene import export_scene  # noqa: E402
-from raybatch_addon.export.world import export_world  # noqa: E402
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.programs.op import NodeData
+from raybatch_addon.core.scene.description import Camera, CameraKind, Frame, LightKind, Scene, Visibility
+from raybatch_addon.core.scene.geometry import Geometry
+from raybatch_addon.core.shading.lights.light_choice import lit_point, packed_side
+from raybatch_addon.core.shading.lights.light_hits import LightHitFeatures, make_light_hits
+from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
+from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
+from raybatch_addon.export.lights import export_light
+from raybatch_addon.export.scene import export_scene
+from raybatch_addon.export.world import export_world
 
 COUNT = 2**15
 FEATURES = LightFeatures(lights=tuple(LightKind), light_sphere=True)

@@ -7,10 +7,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.core.scene.description import ClosureKind as K  # noqa: E402
-from raybatch_addon.export.materials import export_material  # noqa: E402
-from raybatch_addon.export.nodes.registry import Handled, shader_nodes  # noqa: E402
-from tests.support.blender_builders import add_object, add_triangle, exported, material_of, node_tree  # noqa: E402
+from raybatch_addon.core.scene.description import ClosureKind as K
+from raybatch_addon.export.materials import export_material
+from raybatch_addon.export.nodes.registry import Handled, shader_nodes
+from tests.support.blender_builders import add_object, add_triangle, exported, material_of, node_tree
 
 pytestmark = pytest.mark.usefixtures("scene")
 

@@ -7,9 +7,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.core.scene.description import Mesh  # noqa: E402
-from raybatch_addon.export.meshes.meshes import export_mesh  # noqa: E402
-from tests.support.blender_builders import add_grid, add_mesh, add_object, add_triangle, exported  # noqa: E402
+from raybatch_addon.core.scene.description import Mesh
+from raybatch_addon.export.meshes.meshes import export_mesh
+from tests.support.blender_builders import add_grid, add_mesh, add_object, add_triangle, exported
 
 pytestmark = pytest.mark.usefixtures("scene")
 

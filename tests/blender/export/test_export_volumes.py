@@ -7,10 +7,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.core.scene.notice import Weight  # noqa: E402
-from raybatch_addon.export.meshes.smoke import any_grids  # noqa: E402
-from raybatch_addon.export.meshes.volumes import export_volume  # noqa: E402
-from tests.support.blender_builders import add_object  # noqa: E402
+from raybatch_addon.core.scene.notice import Weight
+from raybatch_addon.export.meshes.smoke import any_grids
+from raybatch_addon.export.meshes.volumes import export_volume
+from tests.support.blender_builders import add_object
 
 
 def _openvdb():

@@ -7,13 +7,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.core.programs.table import encode  # noqa: E402
-from raybatch_addon.export.nodes.textures import ies  # noqa: E402
-from raybatch_addon.export.scene import export_scene  # noqa: E402
-from tests.blender.features.build import floor, lamp, look  # noqa: E402
-from tests.blender.features.compare import by_cycles, by_raybatch, set_alike, set_bounces  # noqa: E402
-from tests.blender.features.families.lamps import lamp_graph, profile  # noqa: E402
-from tests.blender.features.images import image_of, pattern  # noqa: E402
+from raybatch_addon.core.programs.table import encode
+from raybatch_addon.export.nodes.textures import ies
+from raybatch_addon.export.scene import export_scene
+from tests.blender.features.build import floor, lamp, look
+from tests.blender.features.compare import by_cycles, by_raybatch, set_alike, set_bounces
+from tests.blender.features.families.lamps import lamp_graph, profile
+from tests.blender.features.images import image_of, pattern
 
 
 def exported(scene):

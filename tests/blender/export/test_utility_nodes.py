@@ -10,16 +10,16 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.core.programs.ops.values.color import ColorModel  # noqa: E402
-from raybatch_addon.core.programs.ops.values.map_range import RangeInterpolation  # noqa: E402
-from raybatch_addon.core.programs.ops.values.math import MathOperation  # noqa: E402
-from raybatch_addon.core.programs.ops.values.mixing import BlendMode  # noqa: E402
-from raybatch_addon.core.programs.ops.values.rotate import MappingKind, RotationKind  # noqa: E402
-from raybatch_addon.core.programs.ops.values.spectrum import blackbody_table, wavelength_table  # noqa: E402
-from raybatch_addon.core.programs.ops.values.vector_math import VectorOperation  # noqa: E402
-from tests.blender.features.sheet import TOLERANCE  # noqa: E402
-from tests.core.programs.utility_probe import on_device, points_of  # noqa: E402
-from tests.support.cycles_points import COUNT  # noqa: E402
+from raybatch_addon.core.programs.ops.values.color import ColorModel
+from raybatch_addon.core.programs.ops.values.map_range import RangeInterpolation
+from raybatch_addon.core.programs.ops.values.math import MathOperation
+from raybatch_addon.core.programs.ops.values.mixing import BlendMode
+from raybatch_addon.core.programs.ops.values.rotate import MappingKind, RotationKind
+from raybatch_addon.core.programs.ops.values.spectrum import blackbody_table, wavelength_table
+from raybatch_addon.core.programs.ops.values.vector_math import VectorOperation
+from tests.blender.features.sheet import TOLERANCE
+from tests.core.programs.utility_probe import on_device, points_of
+from tests.support.cycles_points import COUNT
 
 EDGES = [0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.0, 3.0, 0.25, -7.5]
 LARGEST = 1e30  # beyond it pictures lose Cycles' values

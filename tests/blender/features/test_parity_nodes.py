@@ -6,9 +6,9 @@ bpy = pytest.importorskip("bpy")
 if bpy.app.version < (5, 2):
     pytest.skip("features are compared with the Cycles of Blender 5.2", allow_module_level=True)
 
-from tests.blender.features.known import quick_parameters  # noqa: E402
-from tests.blender.features.registry import chosen_features  # noqa: E402
-from tests.blender.features.runner import run_sheet, sheets  # noqa: E402
+from tests.blender.features.known import quick_parameters
+from tests.blender.features.registry import chosen_features
+from tests.blender.features.runner import run_sheet, sheets
 
 SHEETS = sheets([each for each in chosen_features(quick=True) if each.kind == "node"])
 

@@ -6,8 +6,8 @@ bpy = pytest.importorskip("bpy")
 if bpy.app.version < (5, 2):
     pytest.skip("features are compared with the Cycles of Blender 5.2", allow_module_level=True)
 
-from tests.blender.features.known import quick_parameters  # noqa: E402
-from tests.blender.features.runner import run_picture  # noqa: E402
+from tests.blender.features.known import quick_parameters
+from tests.blender.features.runner import run_picture
 
 
 @pytest.mark.parametrize("feature", quick_parameters("picture"))

@@ -11,15 +11,15 @@ bpy = pytest.importorskip("bpy")
 if bpy.app.version < (5, 2):
     pytest.skip("features are compared with the Cycles of Blender 5.2", allow_module_level=True)
 
-import numpy as np  # noqa: E402
-from parity_report.page import counts, earlier_results, json_report, page, together  # noqa: E402
-from parity_report.sheets import CELL, read_sheet, write_sheets  # noqa: E402
-from parity_report.workers import groups_of, read_results, write_results  # noqa: E402
+import numpy as np
+from parity_report.page import counts, earlier_results, json_report, page, together
+from parity_report.sheets import CELL, read_sheet, write_sheets
+from parity_report.workers import groups_of, read_results, write_results
 
-from tests.blender.features.compare import Picture, figures_of  # noqa: E402
-from tests.blender.features.known import KNOWN  # noqa: E402
-from tests.blender.features.registry import FAMILIES, all_features, chosen_features  # noqa: E402
-from tests.blender.features.runner import DIFFERENT, OK, UNSUPPORTED, Result, _reasons, sheets  # noqa: E402
+from tests.blender.features.compare import Picture, figures_of
+from tests.blender.features.known import KNOWN
+from tests.blender.features.registry import FAMILIES, all_features, chosen_features
+from tests.blender.features.runner import DIFFERENT, OK, UNSUPPORTED, Result, _reasons, sheets
 
 ROOT = Path(__file__).resolve().parents[3]
 

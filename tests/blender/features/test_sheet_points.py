@@ -4,11 +4,11 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-import numpy as np  # noqa: E402
+import numpy as np
 
-from tests.blender.features.families.inputs import TURNS, hills  # noqa: E402
-from tests.blender.features.graph import Graph  # noqa: E402
-from tests.blender.features.sheet import EDGE, _plane  # noqa: E402
+from tests.blender.features.families.inputs import TURNS, hills
+from tests.blender.features.graph import Graph
+from tests.blender.features.sheet import EDGE, _plane
 
 
 @pytest.mark.parametrize("turn", TURNS)

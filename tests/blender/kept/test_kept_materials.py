@@ -5,8 +5,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.export import kept_materials, materials  # noqa: E402
-from tests.support.blender_builders import add_triangle, exported, node_tree  # noqa: E402
+from raybatch_addon.export import kept_materials, materials
+from tests.support.blender_builders import add_triangle, exported, node_tree
 
 pytestmark = pytest.mark.usefixtures("scene")
 

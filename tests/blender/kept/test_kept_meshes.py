@@ -5,9 +5,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.core.scene.frozen import is_frozen  # noqa: E402
-from raybatch_addon.export.meshes import kept_meshes  # noqa: E402
-from tests.support.blender_builders import add_grid, exported, node_tree  # noqa: E402
+from raybatch_addon.core.scene.frozen import is_frozen
+from raybatch_addon.export.meshes import kept_meshes
+from tests.support.blender_builders import add_grid, exported, node_tree
 
 pytestmark = pytest.mark.usefixtures("scene")
 FIELDS = ("positions", "triangles", "triangle_slot", "corner_normals", "corner_uvs")

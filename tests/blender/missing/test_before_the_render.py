@@ -9,13 +9,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import frame, missing, reports  # noqa: E402
-from raybatch_addon.core.scene.archive import load_scene, save_scene  # noqa: E402
-from raybatch_addon.core.scene.notice import Notice, Weight, by_weight, described  # noqa: E402
-from raybatch_addon.core.settings.settings import RenderSettings  # noqa: E402
-from raybatch_addon.export.asked import asked  # noqa: E402
-from raybatch_addon.export.scene import export_scene  # noqa: E402
-from tests.support.blender_builders import add_grid  # noqa: E402
+from raybatch_addon.blender import frame, missing, reports
+from raybatch_addon.core.scene.archive import load_scene, save_scene
+from raybatch_addon.core.scene.notice import Notice, Weight, by_weight, described
+from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.export.asked import asked
+from raybatch_addon.export.scene import export_scene
+from tests.support.blender_builders import add_grid
 
 ROOT = Path(__file__).resolve().parents[3]
 

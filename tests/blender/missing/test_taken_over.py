@@ -4,14 +4,14 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.core.settings.settings import SETTINGS  # noqa: E402
-from raybatch_addon.export.materials import export_material  # noqa: E402
-from raybatch_addon.export.nodes.collections import Collections  # noqa: E402
-from raybatch_addon.export.settings import settings_from  # noqa: E402
-from raybatch_addon.export.taken_over.rows import CYCLES, EEVEE, ROWS  # noqa: E402
-from raybatch_addon.export.taken_over.take import differences, passed_over_settings, take_over  # noqa: E402
-from raybatch_addon.ui.before_render.panel import RAYBATCH_RENDER_PT_settings_from  # noqa: E402
-from tests.support.panel_layout import context_of, drawn  # noqa: E402
+from raybatch_addon.core.settings.settings import SETTINGS
+from raybatch_addon.export.materials import export_material
+from raybatch_addon.export.nodes.collections import Collections
+from raybatch_addon.export.settings import settings_from
+from raybatch_addon.export.taken_over.rows import CYCLES, EEVEE, ROWS
+from raybatch_addon.export.taken_over.take import differences, passed_over_settings, take_over
+from raybatch_addon.ui.before_render.panel import RAYBATCH_RENDER_PT_settings_from
+from tests.support.panel_layout import context_of, drawn
 
 
 @pytest.mark.parametrize("engine", [CYCLES, EEVEE])

@@ -4,9 +4,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from tests.blender.features.build import ball, diffuse, floor, lamp, look, shaded  # noqa: E402
-from tests.blender.features.compare import Picture, add_world, figures_of, set_alike  # noqa: E402
-from tests.blender.passes.test_passes import rendered  # noqa: E402
+from tests.blender.features.build import ball, diffuse, floor, lamp, look, shaded
+from tests.blender.features.compare import Picture, add_world, figures_of, set_alike
+from tests.blender.passes.test_passes import rendered
 
 GROUPS = ("key", "fill", "glow", "sky")
 

@@ -8,11 +8,11 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.core.scene.cryptomatte import matte_identity, murmur_hash  # noqa: E402
-from raybatch_addon.core.scene.passes import PASSES  # noqa: E402
-from raybatch_addon.export.passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES, blender_name  # noqa: E402
-from tests.blender.features.build import ball, diffuse, floor, lamp, look, material_graph, principled, shaded  # noqa: E402
-from tests.blender.features.compare import Picture, add_world, figures_of, set_alike  # noqa: E402
+from raybatch_addon.core.scene.cryptomatte import matte_identity, murmur_hash
+from raybatch_addon.core.scene.passes import PASSES
+from raybatch_addon.export.passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES, blender_name
+from tests.blender.features.build import ball, diffuse, floor, lamp, look, material_graph, principled, shaded
+from tests.blender.features.compare import Picture, add_world, figures_of, set_alike
 
 # Names of the film's passes by those that Blender has for them
 OF_FILM = {blender_name(name): name for name in PASSES}

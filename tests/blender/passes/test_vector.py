@@ -5,9 +5,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from tests.blender.features.build import ball, diffuse, floor, look  # noqa: E402
-from tests.blender.features.compare import add_world, set_alike  # noqa: E402
-from tests.blender.passes import test_passes  # noqa: E402
+from tests.blender.features.build import ball, diffuse, floor, look
+from tests.blender.features.compare import add_world, set_alike
+from tests.blender.passes import test_passes
 
 
 def keyed(owner, path, *values):

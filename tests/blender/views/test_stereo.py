@@ -9,10 +9,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import frame  # noqa: E402
-from tests.blender.features.compare import empty_scene, set_alike  # noqa: E402
-from tests.blender.features.families.cameras import surroundings  # noqa: E402
-from tests.support.scripts_here import call_script  # noqa: E402
+from raybatch_addon.blender import frame
+from tests.blender.features.compare import empty_scene, set_alike
+from tests.blender.features.families.cameras import surroundings
+from tests.support.scripts_here import call_script
 
 SAMPLES = 64
 

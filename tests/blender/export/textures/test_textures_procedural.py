@@ -8,17 +8,17 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.core.programs.ops.textures.gradient import GradientKind  # noqa: E402
-from raybatch_addon.core.programs.ops.textures.noise import FractalKind  # noqa: E402
-from raybatch_addon.core.programs.ops.textures.wave import WaveKind, WaveProfile  # noqa: E402
-from raybatch_addon.export.nodes.collections import Collections  # noqa: E402
-from raybatch_addon.export.nodes.compile import compile_graph  # noqa: E402
-from raybatch_addon.export.nodes.textures.mapping import affine_of  # noqa: E402
-from tests.blender.features.graph import Graph  # noqa: E402
-from tests.blender.features.sheet import TOLERANCE  # noqa: E402
-from tests.core.programs.op_probe import run_op  # noqa: E402
-from tests.support.blender_builders import node_tree  # noqa: E402
-from tests.support.cycles_points import COUNT  # noqa: E402
+from raybatch_addon.core.programs.ops.textures.gradient import GradientKind
+from raybatch_addon.core.programs.ops.textures.noise import FractalKind
+from raybatch_addon.core.programs.ops.textures.wave import WaveKind, WaveProfile
+from raybatch_addon.export.nodes.collections import Collections
+from raybatch_addon.export.nodes.compile import compile_graph
+from raybatch_addon.export.nodes.textures.mapping import affine_of
+from tests.blender.features.graph import Graph
+from tests.blender.features.sheet import TOLERANCE
+from tests.core.programs.op_probe import run_op
+from tests.support.blender_builders import node_tree
+from tests.support.cycles_points import COUNT
 
 # name: coordinates are multiples of 1/4 around 0, or random ones up to this
 PLACES = {"cells": None, "near": 10.0, "1e5": 1e5, "1e7": 1e7}

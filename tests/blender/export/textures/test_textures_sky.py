@@ -9,25 +9,25 @@ import warp as wp
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.core.device.kernel import KERNEL_OPTIONS  # noqa: E402
-from raybatch_addon.core.programs.op import NodeData  # noqa: E402
-from raybatch_addon.core.programs.point import ShadingPoint  # noqa: E402
-from raybatch_addon.core.programs.run import make_run  # noqa: E402
-from raybatch_addon.core.programs.table import encode  # noqa: E402
-from raybatch_addon.core.scene.program import program_features  # noqa: E402
-from raybatch_addon.core.shading.bsdf.materials import ClosureRecord  # noqa: E402
-from raybatch_addon.core.shading.images.image_upload import ImageCache  # noqa: E402
-from raybatch_addon.core.sky.atmosphere import sun_direction, wrapped_sun  # noqa: E402
-from raybatch_addon.core.wavefront.stages.emitted import emission_of  # noqa: E402
-from raybatch_addon.export.nodes.collections import Collections  # noqa: E402
-from raybatch_addon.export.nodes.compile import compile_graph  # noqa: E402
-from raybatch_addon.export.world import export_world  # noqa: E402
-from tests.blender.features.build import world_graph  # noqa: E402
-from tests.blender.features.compare import by_cycles, empty_scene, set_alike, set_bounces  # noqa: E402
-from tests.blender.features.sheet import TOLERANCE  # noqa: E402
-from tests.support.blender_builders import node_tree  # noqa: E402
-from tests.support.cycles_points import COUNT, EDGE, CyclesPoints  # noqa: E402
-from tests.support.under_test import DEVICE  # noqa: E402
+from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.programs.op import NodeData
+from raybatch_addon.core.programs.point import ShadingPoint
+from raybatch_addon.core.programs.run import make_run
+from raybatch_addon.core.programs.table import encode
+from raybatch_addon.core.scene.program import program_features
+from raybatch_addon.core.shading.bsdf.materials import ClosureRecord
+from raybatch_addon.core.shading.images.image_upload import ImageCache
+from raybatch_addon.core.sky.atmosphere import sun_direction, wrapped_sun
+from raybatch_addon.core.wavefront.stages.emitted import emission_of
+from raybatch_addon.export.nodes.collections import Collections
+from raybatch_addon.export.nodes.compile import compile_graph
+from raybatch_addon.export.world import export_world
+from tests.blender.features.build import world_graph
+from tests.blender.features.compare import by_cycles, empty_scene, set_alike, set_bounces
+from tests.blender.features.sheet import TOLERANCE
+from tests.support.blender_builders import node_tree
+from tests.support.cycles_points import COUNT, EDGE, CyclesPoints
+from tests.support.under_test import DEVICE
 
 # Preetham's formula is for turbidities from 2 on; below 1.2 it grows without bounds at the horizon
 FORMULAS = [
