@@ -60,11 +60,8 @@ class GeneralRequest:
         """All of them."""
         found = [*general_kernels(device), *build_kernels(device), *LIGHT_TREE_KERNELS, add_integers_kernel]
         if device.is_cpu:
-            found += [
-                join_boxes_kernel,
-                write_boxes_kernel,
-                *SKY_KERNELS,
-            ]  # boxes are for the frame behind the first one
+            # those of boxes refit trees for the frame behind the first one
+            found += [join_boxes_kernel, write_boxes_kernel, *SKY_KERNELS]
         general = general_features(device)
         for features in (*_plain_scenes(plain_features(general)), *_wide_scenes(general)):
             features = dataclasses.replace(features, adaptive=True)  # the kernels of both ways to sample

@@ -59,7 +59,8 @@ def is_any_known(kernel_key: str) -> bool:
     """Whether any module of its own is known for a kernel called `kernel_key`, whatever it is specialised on."""
     with _lock:
         known = [_new, *(_entries(path) for path in (*_paths(), SHIPPED / file_name()))]
-        return any(str(entry.get("name")).rpartition("_")[0] == kernel_key for each in known for entry in each.values())
+        entries = [entry for each in known for entry in each.values() if isinstance(entry, dict)]
+        return any(str(entry.get("name")).rpartition("_")[0] == kernel_key for entry in entries)
 
 
 def note_module(identity: str, known: KnownModule) -> None:

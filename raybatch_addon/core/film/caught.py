@@ -24,7 +24,9 @@ Means = Callable[[str], np.ndarray]
 def _catcher_pass(mean_of: Means, layout: ChannelLayout) -> np.ndarray:
     """Light over light without other objects; 1 where there is none, and where the film shows no surface."""
     light, alone = mean_of(CAUGHT_LIGHT), mean_of(CATCHER_LIGHT)
-    share = np.divide(light, alone, out=np.ones_like(light), where=alone != 0)
+    with np.errstate(over="ignore"):  # nearly no light alone
+        share = np.divide(light, alone, out=np.ones_like(light), where=alone != 0)
+    share = np.clip(share, None, np.finfo(np.float32).max)
     alpha = np.clip(mean_of("Combined")[..., 3:], 0, 1)
     return (1 - alpha) + alpha * share
 

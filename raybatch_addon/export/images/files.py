@@ -95,6 +95,8 @@ def stored_bytes(image: bpy.types.Image) -> np.ndarray | None:
         read = imbuf.load(path) if packed is None else imbuf.load_from_buffer(packed)
     except (AttributeError, OSError, ValueError, RuntimeError):  # whoever reads it in another way says why
         return None
+    if read is None:
+        return None
     try:
         if read.buffer_type != "BYTE":
             return None
@@ -106,7 +108,7 @@ def stored_bytes(image: bpy.types.Image) -> np.ndarray | None:
 
 def _is_of_bytes(head: bytes) -> bool:
     """Whether a file that begins so is a JPEG, or a PNG of 8 bits a channel or less."""
-    return head.startswith(b"\xff\xd8\xff") or (head.startswith(b"\x89PNG\r\n\x1a\n") and head[24:25] <= b"\x08")
+    return head.startswith(b"\xff\xd8\xff") or (head.startswith(b"\x89PNG\r\n\x1a\n") and b"" < head[24:25] <= b"\x08")
 
 
 def _packed_tile(image: bpy.types.Image, tile: int) -> bytes | None:

@@ -19,7 +19,7 @@ from .work import Estimate, EstimateWork
 
 # Points of a texel of the world, along either axis, whose mean is its brightness where that differs from the texels
 # around it by more than a share of itself, or of all texels' mean if that is larger; elsewhere, and where texels are as
-# many as an image's, one
+# many as an image's, one. What is smaller than a texel and lies between such points stays unseen.
 _TEXEL_POINTS = 2
 _TEXEL_DIFFERENCE = 0.2
 _FINE_WIDTH = 4096
