@@ -63,6 +63,8 @@ LINES_MAX = 400
 FOLDER_FILES_MAX = 16  # of code in one folder, beside `__init__.py`
 KERNEL_PARAMETERS_MAX = 8
 NATIVE_PARAMETERS_MAX = 8
+# of C++: its name, and its parameters
+LAMBDA = re.compile(r"(\w+) = \[[&=]?\]\s*\(([^()]*)\)")
 
 
 def name_of(path: Path) -> str:
@@ -232,6 +234,16 @@ def test_native_functions_have_few_parameters(path):
     for node in ast.walk(parsed(path)):
         if isinstance(node, ast.FunctionDef) and any("func_native" in ast.unparse(d) for d in node.decorator_list):
             assert len(node.args.args) <= NATIVE_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
+
+
+def test_lambdas_of_headers_have_few_parameters():
+    counts = {}
+    for path in sorted(PACKAGE.rglob("*.h")):
+        for name, parameters in LAMBDA.findall(path.read_text(encoding="utf-8")):
+            listed = re.sub(r"<[^<>]*>", "", parameters).split(",")
+            counts[f"{name_of(path)}: {name}"] = len([each for each in listed if each.strip()])
+    assert counts["core/native/traverse/triangle.h: meet_triangle"] == 7, "lambdas are not seen any more"
+    assert not {name: count for name, count in counts.items() if count > NATIVE_PARAMETERS_MAX}
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)

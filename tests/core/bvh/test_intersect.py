@@ -47,11 +47,11 @@ def meet_kernel() -> wp.Kernel:
         + """
         const auto& o = origin.data[i];
         const auto& d = direction.data[i];
-        const auto *a = corners.data + 3 * i, *b = a + 1, *c = a + 2;
+        const auto* a = corners.data + 3 * i;
+        auto corner = [](const wp::vec_t<3, float>& p) -> Corner { return {p[0], p[1], p[2]}; };
         const ShearedRay ray = shear_ray(o[0], o[1], o[2], d[0], d[1], d[2]);
         float t = 0.0f, v = 0.0f, w = 0.0f;
-        const bool hit = meet_triangle(
-            ray, (*a)[0], (*a)[1], (*a)[2], (*b)[0], (*b)[1], (*b)[2], (*c)[0], (*c)[1], (*c)[2], t, v, w);
+        const bool hit = meet_triangle(ray, corner(a[0]), corner(a[1]), corner(a[2]), t, v, w);
         out.data[i] = wp::vec_t<4, float>(hit ? 1.0f : 0.0f, t, v, w);
         """
     )

@@ -16,6 +16,9 @@ struct ShearedRay {
     float sx, sy, sz;  // dx / dz, dy / dz, 1 / dz in the ray's own axes
     int z;             // axis 0..2 of the direction's largest component
 };
+struct Corner {
+    float x, y, z;
+};
 // Constants of the ray (o, d). d is not 0, of any length.
 auto shear_ray = [&](float ox, float oy, float oz, float dx, float dy, float dz) -> ShearedRay {
     ShearedRay r;
@@ -32,8 +35,7 @@ auto shear_ray = [&](float ox, float oy, float oz, float dx, float dy, float dz)
     return r;
 };
 // Whether the ray's line meets the triangle (a, b, c) at a t > 0. If so t, and the weights v of b and w of c.
-auto meet_triangle = [&](const ShearedRay& r, float ax, float ay, float az, float bx, float by, float bz, float cx,
-                         float cy, float cz, float& t, float& v, float& w) -> bool {
+auto meet_triangle = [&](const ShearedRay& r, Corner a, Corner b, Corner c, float& t, float& v, float& w) -> bool {
 #if defined(__CUDA_ARCH__)
     auto fused = [](float a, float b, float c) -> float { return __fmaf_rn(a, b, c); };
     auto lesser = [](float a, float b) -> float { return fminf(a, b); };
@@ -56,12 +58,12 @@ auto meet_triangle = [&](const ShearedRay& r, float ax, float ay, float az, floa
     auto reciprocal = [](float a) -> float { return 1.0f / a; };
     auto quotient = [](double a, double b, double reciprocal_b) -> float { return (float)(a / b); };
 #endif
-    // corner (px, py, pz) with the origin at 0, in the ray's own axes, and sheared
-    auto shear = [&](float& px, float& py, float& pz) {
-        const float x = px - r.ox, y = py - r.oy, z = pz - r.oz;
-        pz = along(r.z, x, y, z);
-        px = fused(-r.sx, pz, across(r.z, x, y, z));
-        py = fused(-r.sy, pz, across_too(r.z, x, y, z));
+    // a corner with the origin at 0, in the ray's own axes, and sheared
+    auto shear = [&](Corner& p) {
+        const float x = p.x - r.ox, y = p.y - r.oy, z = p.z - r.oz;
+        p.z = along(r.z, x, y, z);
+        p.x = fused(-r.sx, p.z, across(r.z, x, y, z));
+        p.y = fused(-r.sy, p.z, across_too(r.z, x, y, z));
     };
     // a b - c d, the sign exact (Kahan)
     auto difference = [&](float a, float b, float c, float d) -> float {
@@ -69,12 +71,12 @@ auto meet_triangle = [&](const ShearedRay& r, float ax, float ay, float az, floa
         const float error = fused(-c, d, product);
         return fused(a, b, -product) + error;
     };
-    shear(ax, ay, az);
-    shear(bx, by, bz);
-    shear(cx, cy, cz);
-    float u = difference(cx, by, cy, bx);
-    v = difference(ax, cy, ay, cx);
-    w = difference(bx, ay, by, ax);
+    shear(a);
+    shear(b);
+    shear(c);
+    float u = difference(c.x, b.y, c.y, b.x);
+    v = difference(a.x, c.y, a.y, c.x);
+    w = difference(b.x, a.y, b.y, a.x);
     // Where signs differ the sum counts as infinite: the weights are 0, and t is not above 0. (The highest bit is the
     // sign.)
     if (lesser(lesser(fabsf(u), fabsf(v)), fabsf(w)) > EDGE_TINY) {
@@ -85,15 +87,15 @@ auto meet_triangle = [&](const ShearedRay& r, float ax, float ay, float az, floa
     } else {
         // on or near the line of an edge, or a triangle that is tiny or seen edge-on (then all are 0, and t is no
         // number)
-        const double du = (double)cx * by - (double)cy * bx;
-        const double dv = (double)ax * cy - (double)ay * cx;
-        const double dw = (double)bx * ay - (double)by * ax;
+        const double du = (double)c.x * b.y - (double)c.y * b.x;
+        const double dv = (double)a.x * c.y - (double)a.y * c.x;
+        const double dw = (double)b.x * a.y - (double)b.y * a.x;
         const bool differ = (du < 0.0 || dv < 0.0 || dw < 0.0) && (du > 0.0 || dv > 0.0 || dw > 0.0);
         const double sum = differ ? (double)INFINITY : du + dv + dw, q = 1.0 / sum;
         u = quotient(du, sum, q);
         v = quotient(dv, sum, q);
         w = quotient(dw, sum, q);
     }
-    t = fused(w, cz, fused(v, bz, u * az)) * r.sz;
+    t = fused(w, c.z, fused(v, b.z, u * a.z)) * r.sz;
     return t > 0.0f;
 };

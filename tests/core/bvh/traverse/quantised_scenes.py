@@ -202,13 +202,14 @@ def trace(tree: Tree, rays: Rays, options: TraceOptions, slots=None, counts=None
         DIRECTION_LEAST=DIRECTION_LEAST,
     )
     + """
-    const Ray r = begin_ray(o[0], o[1], o[2], d[0], d[1], d[2], 0.0f, 0.0f, 0.0f, 0.0f);
+    const Ray r = begin_ray(o, d, wp::vec_t<3, float>(0.0f), 0.0f);
     const int axis = (r.order >> 5) & 3u;
     const ShearedRay sheared = {r.ox, r.oy, r.oz, r.sx, r.sy, along(axis, r.ix, r.iy, r.iz), axis};
+    auto corner = [](const wp::vec_t<3, float>& p) -> Corner { return {p[0], p[1], p[2]}; };
     for (int face = 0; face < count; ++face) {
-        const auto a = corners.data[3 * face], b = corners.data[3 * face + 1], c = corners.data[3 * face + 2];
+        const auto* a = corners.data + 3 * face;
         float t, v, w;
-        if (!meet_triangle(sheared, a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2], t, v, w)) continue;
+        if (!meet_triangle(sheared, corner(a[0]), corner(a[1]), corner(a[2]), t, v, w)) continue;
         const auto id = ids.data[face];
         const bool tie = t == rays_t.data[i] && instance.data[i] >= 0;
         const bool earlier = id[0] < instance.data[i]

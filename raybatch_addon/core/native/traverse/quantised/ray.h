@@ -13,22 +13,24 @@ struct Ray {
     float sx, sy;      // shear of the triangle test
     unsigned order;    // in each byte the octant that is visited first; in bits 5 and 6 the axis of the triangle test
 };
-auto begin_ray = [&](float ox, float oy, float oz, float dx, float dy, float dz, float cx, float cy, float cz,
+// The ray (o, d) in a tree around the point c
+auto begin_ray = [&](const wp::vec_t<3, float>& o, const wp::vec_t<3, float>& d, const wp::vec_t<3, float>& c,
                      float margin) -> Ray {
+    const float dx = d[0], dy = d[1], dz = d[2];
     Ray r;
-    r.ox = ox;
-    r.oy = oy;
-    r.oz = oz;
+    r.ox = o[0];
+    r.oy = o[1];
+    r.oz = o[2];
     const float ax = fabsf(dx), ay = fabsf(dy), az = fabsf(dz);
     const int axis = az > (ay > ax ? ay : ax) ? 2 : ay > ax ? 1 : 0;
     const float most = larger(larger(ax, ay), az), least = most * DIRECTION_LEAST;
     r.ix = reciprocal(ax < least ? wp::copysign(least, dx) : dx);
     r.iy = reciprocal(ay < least ? wp::copysign(least, dy) : dy);
     r.iz = reciprocal(az < least ? wp::copysign(least, dz) : dz);
-    const float d = along(axis, dx, dy, dz), inverse = along(axis, r.ix, r.iy, r.iz);
-    r.sx = quotient(across(axis, dx, dy, dz), d, inverse);
-    r.sy = quotient(across_too(axis, dx, dy, dz), d, inverse);
-    const float x = ox - cx, y = oy - cy, z = oz - cz;
+    const float dominant = along(axis, dx, dy, dz), inverse = along(axis, r.ix, r.iy, r.iz);
+    r.sx = quotient(across(axis, dx, dy, dz), dominant, inverse);
+    r.sy = quotient(across_too(axis, dx, dy, dz), dominant, inverse);
+    const float x = r.ox - c[0], y = r.oy - c[1], z = r.oz - c[2];
     const float reach = margin * larger(larger(fabsf(x), fabsf(y)), fabsf(z));
     const float ex = reach * fabsf(r.ix), ey = reach * fabsf(r.iy), ez = reach * fabsf(r.iz);
     r.nx = fused(-x, r.ix, -ex);

@@ -39,12 +39,9 @@ auto test = [&]() {
 #endif
     const int axis = (ray.order >> 5) & 3u;
     const ShearedRay sheared = {ray.ox, ray.oy, ray.oz, ray.sx, ray.sy, along(axis, ray.ix, ray.iy, ray.iz), axis};
+    auto corner = [&](const Words& p) -> Corner { return {as_float(p.x), as_float(p.y), as_float(p.z)}; };
     float t, v, w;
-    if (!meet_triangle(
-            sheared, as_float(a.x), as_float(a.y), as_float(a.z), as_float(b.x), as_float(b.y), as_float(b.z),
-            as_float(c.x), as_float(c.y), as_float(c.z), t, v, w
-        ))
-        return;
+    if (!meet_triangle(sheared, corner(a), corner(b), corner(c), t, v, w)) return;
     if (asks_any()) {
         if (t < best) {
             rays.hit_instance.data[slot] = 0;

@@ -33,8 +33,7 @@ auto test_segments = [&](Ray& ray, const char* p, unsigned marked) INLINE {
     auto radius = [&](int shift) INLINE -> Floats { return radius_of(p, shift); };
     auto normal = [&](int word, float* n) INLINE { segment_normal(((const unsigned*)p)[word], n); };
 #endif
-    const Floats ax = row(0), ay = row(1), az = row(2), bx = row(3), by = row(4), bz = row(5);
-    const Floats r0 = radius(0), r1 = radius(16);
+    const Segment g = {row(0), row(1), row(2), row(3), row(4), row(5), radius(0), radius(16)};
 #if COUNTERS
     ray.triangle_tests += __builtin_popcount(marked);
 #endif
@@ -42,29 +41,29 @@ auto test_segments = [&](Ray& ray, const char* p, unsigned marked) INLINE {
     const unsigned ribbons = marked & negative(*(const Ints*)(p + 224) << 9);
     // of ribbons or of others, which `chosen` says
     auto test_alike = [&](unsigned chosen, bool flat) INLINE {
-        Floats t, s, qx, qy, qz, good;
-        if (flat) enter_ribbon(o, d, ax, ay, az, bx, by, bz, r0, r1, t, s, qx, qy, qz, good);
-        else enter_segment(o, d, ax, ay, az, bx, by, bz, r0, r1, t, s, qx, qy, qz, good);
-        unsigned hits = chosen & at_most(all(0.0f), good) & below(all(0.0f), t) & below(t, finite);
-        hits &= asks_any(ray) ? below(t, limit) : at_most(t, limit);
+        const Entry entry = flat ? enter_ribbon(o, d, g) : enter_segment(o, d, g);
+        unsigned hits = chosen & at_most(all(0.0f), entry.good) & below(all(0.0f), entry.t) & below(entry.t, finite);
+        hits &= asks_any(ray) ? below(entry.t, limit) : at_most(entry.t, limit);
         for (; hits; hits &= hits - 1u) {
             const int k = __builtin_ctz(hits);
             auto element = [&](const Floats& x) INLINE -> float { return ((const float*)&x)[k]; };
-            const float e[3] = {element(bx) - element(ax), element(by) - element(ay), element(bz) - element(az)};
-            const float q[3] = {element(qx), element(qy), element(qz)};
-            float n[3], m[3], u, v;
-            normal(56 + k, n);
-            normal(64 + k, m);
+            Axis axis = {
+                {element(g.bx) - element(g.ax), element(g.by) - element(g.ay), element(g.bz) - element(g.az)}, {}, {}
+            };
+            const float q[3] = {element(entry.qx), element(entry.qy), element(entry.qz)}, s = element(entry.s);
+            float u, v;
+            normal(56 + k, axis.n);
+            normal(64 + k, axis.m);
             if (flat) {
-                const float width = element(r0) + element(s) * (element(r1) - element(r0));
-                if (!place_on_ribbon(e, d, width, n, m, q, element(s), u, v)) continue;
-            } else if (!place_on_segment(e, n, m, q, element(s), u, v)) continue;
+                const float width = element(g.r0) + s * (element(g.r1) - element(g.r0));
+                if (!place_on_ribbon(axis, d, width, q, s, u, v)) continue;
+            } else if (!place_on_segment(axis, q, s, u, v)) continue;
             if (asks_any(ray)) {
                 ray.face = 0;
                 ray.top = 8;
                 return;
             }
-            keep(ray, element(t), ((const int*)&face)[k], u, v);
+            keep(ray, element(entry.t), ((const int*)&face)[k], u, v);
         }
     };
     if (marked != ribbons) test_alike(marked & ~ribbons, false);

@@ -9,73 +9,88 @@
 // Rays closer to the axis's direction than this, squared, keep their origin: nothing says where they are nearest to it
 constexpr float PARALLEL = 1e-10f;
 constexpr unsigned RADIUS_MASK = 0xffffu, NORMAL_MASK = 0x7ffu, RIBBON = 1u << 22;
-// t, how far along the axis (0 at the first point, 1 at the second), and the point relative to the middle. Whether t is
-// a hit is in `good`: not below 0 where it is.
-auto enter_segment = [&](const float* o, const float* d, auto ax, auto ay, auto az, auto bx, auto by, auto bz, auto r0,
-                         auto r1, auto& t, auto& s, auto& qx, auto& qy, auto& qz, auto& good) INLINE_SEGMENT {
+struct Segment {
+    Number ax, ay, az, bx, by, bz;  // its points
+    Number r0, r1;                  // its radii there
+};
+struct Entry {
+    Number t;
+    Number s;           // how far along the axis: 0 at the first point, 1 at the second
+    Number qx, qy, qz;  // the point relative to the middle
+    Number good;        // whether t is a hit: not below 0 where it is
+};
+// The axis from one point of a segment to the other, and the normals of the planes that cut it there
+struct Axis {
+    float e[3], n[3], m[3];
+};
+auto enter_segment = [&](const float* o, const float* d, const Segment& g) INLINE_SEGMENT -> Entry {
     const float dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-    const auto ex = bx - ax, ey = by - ay, ez = bz - az;
-    const auto px = (ax - o[0]) + 0.5f * ex, py = (ay - o[1]) + 0.5f * ey, pz = (az - o[2]) + 0.5f * ez;
-    const auto to_middle = (px * d[0] + py * d[1] + pz * d[2]) / dd;
-    auto ox = to_middle * d[0] - px, oy = to_middle * d[1] - py, oz = to_middle * d[2] - pz;
-    const auto ee = ex * ex + ey * ey + ez * ez;
-    const auto zero = ee - ee;
-    const auto inverse = ee > 0.0f ? 1.0f / ee : zero;
-    auto along = (ox * ex + oy * ey + oz * ez) * inverse;
-    const auto speed = (d[0] * ex + d[1] * ey + d[2] * ez) * inverse;
+    const Number ex = g.bx - g.ax, ey = g.by - g.ay, ez = g.bz - g.az;
+    const Number px = (g.ax - o[0]) + 0.5f * ex, py = (g.ay - o[1]) + 0.5f * ey, pz = (g.az - o[2]) + 0.5f * ez;
+    const Number to_middle = (px * d[0] + py * d[1] + pz * d[2]) / dd;
+    Number ox = to_middle * d[0] - px, oy = to_middle * d[1] - py, oz = to_middle * d[2] - pz;
+    const Number ee = ex * ex + ey * ey + ez * ez;
+    const Number zero = ee - ee;
+    const Number inverse = ee > 0.0f ? 1.0f / ee : zero;
+    Number along = (ox * ex + oy * ey + oz * ez) * inverse;
+    const Number speed = (d[0] * ex + d[1] * ey + d[2] * ez) * inverse;
     // across the axis
-    auto x = ox - ex * along, y = oy - ey * along, z = oz - ez * along;
-    const auto dx = d[0] - ex * speed, dy = d[1] - ey * speed, dz = d[2] - ez * speed;
-    const auto squared = dx * dx + dy * dy + dz * dz;
-    const auto to_axis = squared > PARALLEL * dd ? -(dx * x + dy * y + dz * z) / squared : zero;
+    Number x = ox - ex * along, y = oy - ey * along, z = oz - ez * along;
+    const Number dx = d[0] - ex * speed, dy = d[1] - ey * speed, dz = d[2] - ez * speed;
+    const Number squared = dx * dx + dy * dy + dz * dz;
+    const Number to_axis = squared > PARALLEL * dd ? -(dx * x + dy * y + dz * z) / squared : zero;
     x = x + to_axis * dx;
     y = y + to_axis * dy;
     z = z + to_axis * dz;
     along = along + to_axis * speed;
-    const auto taper = r1 - r0, radius = 0.5f * (r0 + r1) + taper * along, widens = taper * speed;
-    const auto a = squared - widens * widens, b = dx * x + dy * y + dz * z - widens * radius;
-    const auto c = x * x + y * y + z * z - radius * radius, discriminant = b * b - a * c;
-    const auto root = square_root(discriminant > 0.0f ? discriminant : zero);
-    const auto step = b < 0.0f ? c / (root - b) : -(b + root) / a;
-    t = to_middle + to_axis + step;
+    const Number taper = g.r1 - g.r0, radius = 0.5f * (g.r0 + g.r1) + taper * along, widens = taper * speed;
+    const Number a = squared - widens * widens, b = dx * x + dy * y + dz * z - widens * radius;
+    const Number c = x * x + y * y + z * z - radius * radius, discriminant = b * b - a * c;
+    const Number root = square_root(discriminant > 0.0f ? discriminant : zero);
+    const Number step = b < 0.0f ? c / (root - b) : -(b + root) / a;
+    Entry entry;
+    entry.t = to_middle + to_axis + step;
     along = along + step * speed;
-    s = along + 0.5f;
-    qx = x + step * dx + ex * along;
-    qy = y + step * dy + ey * along;
-    qz = z + step * dz + ez * along;
-    const auto met = 0.5f * (r0 + r1) + taper * along, most = r0 > r1 ? r0 : r1;
+    entry.s = along + 0.5f;
+    entry.qx = x + step * dx + ex * along;
+    entry.qy = y + step * dy + ey * along;
+    entry.qz = z + step * dz + ez * along;
+    const Number met = 0.5f * (g.r0 + g.r1) + taper * along, most = g.r0 > g.r1 ? g.r0 : g.r1;
     // how far out it may be, which the box of the segment allows for; a plane may cut farther out where radii change
-    const auto beyond = along > 0.5f ? along - 0.5f : along < -0.5f ? -0.5f - along : zero;
-    const auto room = 4.0f * most * most - beyond * beyond * ee;
-    auto least = discriminant < met ? discriminant : met;
+    const Number beyond = along > 0.5f ? along - 0.5f : along < -0.5f ? -0.5f - along : zero;
+    const Number room = 4.0f * most * most - beyond * beyond * ee;
+    Number least = discriminant < met ? discriminant : met;
     least = least < room ? least : room;
-    good = met > 2.0f * most ? -1.0f + zero : least;
+    entry.good = met > 2.0f * most ? -1.0f + zero : least;
+    return entry;
 };
 // The same of a strip that faces the ray: where the ray passes the axis, or the nearer end of it, at most a radius away.
 // Nearer to the ray's origin than twice the radius no strip is met: not the one that the ray leaves.
-auto enter_ribbon = [&](const float* o, const float* d, auto ax, auto ay, auto az, auto bx, auto by, auto bz, auto r0,
-                        auto r1, auto& t, auto& s, auto& qx, auto& qy, auto& qz, auto& good) INLINE_SEGMENT {
+auto enter_ribbon = [&](const float* o, const float* d, const Segment& g) INLINE_SEGMENT -> Entry {
     const float dd = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-    const auto ex = bx - ax, ey = by - ay, ez = bz - az;
-    const auto px = (ax - o[0]) + 0.5f * ex, py = (ay - o[1]) + 0.5f * ey, pz = (az - o[2]) + 0.5f * ez;
-    const auto to_middle = (px * d[0] + py * d[1] + pz * d[2]) / dd;
-    const auto ox = to_middle * d[0] - px, oy = to_middle * d[1] - py, oz = to_middle * d[2] - pz;
+    const Number ex = g.bx - g.ax, ey = g.by - g.ay, ez = g.bz - g.az;
+    const Number px = (g.ax - o[0]) + 0.5f * ex, py = (g.ay - o[1]) + 0.5f * ey, pz = (g.az - o[2]) + 0.5f * ez;
+    const Number to_middle = (px * d[0] + py * d[1] + pz * d[2]) / dd;
+    const Number ox = to_middle * d[0] - px, oy = to_middle * d[1] - py, oz = to_middle * d[2] - pz;
     // the axis as the ray sees it
-    const auto speed = (d[0] * ex + d[1] * ey + d[2] * ez) / dd;
-    const auto fx = ex - speed * d[0], fy = ey - speed * d[1], fz = ez - speed * d[2];
-    const auto ff = fx * fx + fy * fy + fz * fz;
-    const auto zero = ff - ff;
-    auto along = ff > 0.0f ? (ox * fx + oy * fy + oz * fz) / ff : zero;
+    const Number speed = (d[0] * ex + d[1] * ey + d[2] * ez) / dd;
+    const Number fx = ex - speed * d[0], fy = ey - speed * d[1], fz = ez - speed * d[2];
+    const Number ff = fx * fx + fy * fy + fz * fz;
+    const Number zero = ff - ff;
+    Number along = ff > 0.0f ? (ox * fx + oy * fy + oz * fz) / ff : zero;
     along = along < -0.5f ? zero - 0.5f : along > 0.5f ? zero + 0.5f : along;
-    const auto radius = 0.5f * (r0 + r1) + (r1 - r0) * along;
-    const auto x = ox - along * fx, y = oy - along * fy, z = oz - along * fz;
-    t = to_middle + along * speed;
-    s = along + 0.5f;
-    qx = x + along * ex;
-    qy = y + along * ey;
-    qz = z + along * ez;
-    const auto far = t * t * dd - 4.0f * (radius * radius), near = radius * radius - (x * x + y * y + z * z);
-    good = ff > 0.0f ? (far < near ? far : near) : zero - 1.0f;
+    const Number radius = 0.5f * (g.r0 + g.r1) + (g.r1 - g.r0) * along;
+    const Number x = ox - along * fx, y = oy - along * fy, z = oz - along * fz;
+    Entry entry;
+    entry.t = to_middle + along * speed;
+    entry.s = along + 0.5f;
+    entry.qx = x + along * ex;
+    entry.qy = y + along * ey;
+    entry.qz = z + along * ez;
+    const Number far = entry.t * entry.t * dd - 4.0f * (radius * radius),
+                 near = radius * radius - (x * x + y * y + z * z);
+    entry.good = ff > 0.0f ? (far < near ? far : near) : zero - 1.0f;
+    return entry;
 };
 // A vector of 22 bits, of any length
 auto segment_normal = [&](unsigned bits, float* n) INLINE_SEGMENT {
@@ -110,11 +125,10 @@ auto turn_of = [&](const float* e, const float* q, float& v) INLINE_SEGMENT -> b
     v = j < 0.0f ? i / size - 1.0f : 1.0f - i / size;
     return true;
 };
-// Whether the point q, relative to the middle, lies between the planes, normals n and m, of a segment with the axis e;
-// its place on the
-// surface (`shading/segments.py`): along the axis, and around it
-auto place_on_segment = [&](const float* e, const float* n, const float* m, const float* q, float s, float& u, float& v)
-                            INLINE_SEGMENT -> bool {
+// Whether the point q, relative to the middle, lies between the planes of a segment; its place on the surface
+// (`shading/segments.py`): along the axis, and around it
+auto place_on_segment = [&](const Axis& axis, const float* q, float s, float& u, float& v) INLINE_SEGMENT -> bool {
+    const float *e = axis.e, *n = axis.n, *m = axis.m;
     const float largest = fabsf(e[0]) + fabsf(e[1]) + fabsf(e[2]);
     if (largest == 0.0f) {  // a sphere: the octahedron's coordinates
         const float size = fabsf(q[0]) + fabsf(q[1]) + fabsf(q[2]);
@@ -135,8 +149,9 @@ auto place_on_segment = [&](const float* e, const float* n, const float* m, cons
 };
 // Whether the point q, relative to the middle, lies between the planes of a strip, turned until the ray lies in them; its
 // place on the surface of the round curve that the strip stands for, in front of q. s: 0 to 1
-auto place_on_ribbon = [&](const float* e, const float* d, float radius, const float* n, const float* m, const float* q,
-                           float s, float& u, float& v) INLINE_SEGMENT -> bool {
+auto place_on_ribbon = [&](const Axis& axis, const float* d, float radius, const float* q, float s, float& u, float& v)
+                           INLINE_SEGMENT -> bool {
+    const float *e = axis.e, *n = axis.n, *m = axis.m;
     float dd = 0.0f, ed = 0.0f, ee = 0.0f, nd = 0.0f, md = 0.0f, qd = 0.0f, nq = 0.0f, mq = 0.0f, ne = 0.0f, me = 0.0f;
     for (int k = 0; k < 3; ++k) {
         dd += d[k] * d[k];
