@@ -37,6 +37,8 @@ class Status(IntFlag):
     INSIDE = 256  # the extending ray is a step of a random walk below a surface
 
 
+# How the extending ray came back, which the next stage no longer asks for
+CAME_BACK = int(Status.HIT | Status.STRAIGHT)
 # Above the status: the `Visibility` bit of the extending ray (5 bits), and the bounce (up to 2^17 - 1)
 VISIBILITY_SHIFT = 9
 BOUNCE_SHIFT = 14
@@ -150,6 +152,16 @@ def note_receiver(paths: Paths, path: int, receiver: int):
     """Note the light set of what the path scatters at, where light is linked."""
     if paths.receiver.shape[0] > 0:
         paths.receiver[path] = receiver
+
+
+@wp.func
+def note_density(paths: Paths, path: int, bounce: int, density: float):
+    """Note that the path scattered with this density [1/sr] at its vertex `bounce`, where the least so far is kept."""
+    if paths.least_density.shape[0] > 0:
+        least = float(density)
+        if bounce > 0:
+            least = wp.min(density, paths.least_density[path])
+        paths.least_density[path] = least
 
 
 @wp.func

@@ -30,7 +30,7 @@ from .light_table import LightRecord, LightTable
 from .light_triangles import find_triangle, sample_triangle_light, triangle_pdf
 from .links import blocking_visibility, is_linked, owner_of
 from .portals.portals import has_portals, sample_through_portals
-from .world import sample_world
+from .world import WorldDirection, sample_world
 
 _POINT = wp.constant(int(LightKind.POINT))
 _SPOT = wp.constant(int(LightKind.SPOT))
@@ -38,7 +38,7 @@ _SUN = wp.constant(int(LightKind.SUN))
 _ELLIPSE = wp.constant(int(LightKind.ELLIPSE))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LightFeatures:
     """Features that light sampling is specialised on, under the names that `SceneFeatures` has for them."""
 
@@ -65,10 +65,9 @@ class Lights(NamedTuple):
 
 
 @wp.func
-def sample_world_light(table: LightTable, u: wp.vec2) -> LightSample:
-    """A direction into the world."""
+def world_light(table: LightTable, found: WorldDirection) -> LightSample:
+    """The world in a direction that was found."""
     s = LightSample()
-    found = sample_world(table.world, u)
     s.direction = found.direction
     s.pdf = found.pdf
     s.distance = wp.inf
@@ -212,12 +211,13 @@ def make_lights(features: LightFeatures) -> Lights:
                                     s.program = SURFACE_PROGRAM
                 if wp.static(features.world_light):
                     if emitter == table.world_emitter:
-                        s = sample_world_light(table, u)
                         if wp.static(features.light_portals):
                             if has_portals(table):
-                                found = sample_through_portals(table, position, u)
-                                s.direction = found.direction
-                                s.pdf = found.pdf
+                                s = world_light(table, sample_through_portals(table, position, u))
+                            else:
+                                s = world_light(table, sample_world(table.world, u))
+                        else:
+                            s = world_light(table, sample_world(table.world, u))
             s.pdf = s.pdf * choice.pdf
             s.emitter = emitter
             if wp.static(features.light_links):

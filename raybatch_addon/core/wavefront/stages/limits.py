@@ -74,6 +74,13 @@ def clamped(limits: PathLimits, light: wp.vec3, bounce: int) -> wp.vec3:
 
 
 @wp.func
+def survival_of(limits: PathLimits, throughput: wp.vec3) -> float:
+    """Probability with which a path of this throughput goes on where Russian roulette is played."""
+    largest = wp.max(throughput[0], wp.max(throughput[1], throughput[2]))
+    return wp.min(largest / limits.roulette_throughput, 1.0)
+
+
+@wp.func
 def has_light(light: wp.vec3) -> bool:
     """Whether any channel is above 0, or not a number: that must reach the film, which counts it."""
     return not (light[0] <= 0.0 and light[1] <= 0.0 and light[2] <= 0.0)

@@ -29,7 +29,7 @@ from ...shading.volumes.numbers import CHANNEL, LENGTH, LIGHTS, piece_dimension,
 from ...shading.volumes.phase import PhaseLobe
 from ..catchers.copies import is_in_vacuum
 from ..passes.light import add_to_group, make_add_light
-from ..rays import SHADOW_PASS, Paths, Status, bounce_of, left_point, time_of, visibility_of
+from ..rays import CAME_BACK, SHADOW_PASS, Paths, Status, bounce_of, left_point, time_of, visibility_of
 from ..scene.scene_data import SceneData
 from ..stages.generate import pixel_sample
 from ..stages.limits import PathLimits, clamped, has_light
@@ -47,7 +47,6 @@ from .vertex import AIM, SCATTER, make_scattered
 
 RAY_NEW, ENDED, HIT, INSIDE = int(Status.RAY_NEW), int(Status.ENDED), int(Status.HIT), int(Status.INSIDE)
 STRAIGHT, SHADOW_NEW = int(Status.STRAIGHT), int(Status.SHADOW_NEW)
-_CAME_BACK = int(Status.HIT | Status.STRAIGHT)
 # Pieces of a path's way: more of them are rays that go round in a circle between two surfaces
 SEGMENTS_MOST = 1 << 16
 
@@ -201,7 +200,7 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         scatters = bounce <= limits.bounce_max and volumes.state.scattered[path] <= volumes.bounce_max
         v = Vertex()
         v.there = True
-        v.status = status & ~wp.static(_CAME_BACK)
+        v.status = status & ~wp.static(CAME_BACK)
         v.bounce = bounce
         v.passed = passed
         v.where = where

@@ -15,9 +15,9 @@ from ...shading.sequences.keys import BSDF, ROULETTE
 from ...shading.sequences.sampler import make_sampler
 from ...shading.volumes.phase import PhaseLobe
 from ..passes.light import divide_volume_ray
-from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status
+from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, note_density, note_receiver
 from ..scene.scene_data import SceneData
-from ..stages.limits import PathLimits, has_light
+from ..stages.limits import PathLimits, has_light, survival_of
 from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light
 from ..stages.surface.connect_light import make_connect_light
 from ..stages.surface.history import DEPTHS
@@ -91,8 +91,7 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
         goes_on = has_light(carried)
         if wp.static(features.roulette):
             if goes_on and v.bounce >= limits.roulette_bounce:
-                largest = wp.max(carried[0], wp.max(carried[1], carried[2]))
-                survival = wp.min(largest / limits.roulette_throughput, 1.0)
+                survival = survival_of(limits, carried)
                 if sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(ROULETTE)) >= survival:
                     goes_on = False
                 carried = carried / survival
@@ -108,15 +107,10 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
         paths.passed_t[path] = 0.0
         if paths.side.shape[0] > 0:
             paths.side[path] = v.side
-        if paths.receiver.shape[0] > 0:
-            paths.receiver[path] = v.receiver
+        note_receiver(paths, path, v.receiver)
         if paths.cone.shape[0] > 0:
             paths.cone[path] = wp.vec2(0.0, 0.0)
-        if paths.least_density.shape[0] > 0:
-            density = float(chosen.pdf)
-            if v.bounce > 0:
-                density = wp.min(density, paths.least_density[path])
-            paths.least_density[path] = density
+        note_density(paths, path, v.bounce, chosen.pdf)
         rays.origin[path] = v.surface.position
         rays.direction[path] = new
         rays.t_max[path] = wp.inf

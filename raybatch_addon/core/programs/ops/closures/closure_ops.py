@@ -30,6 +30,12 @@ def is_black(weight: wp.vec3) -> bool:
 
 
 @wp.func
+def begins(weight: wp.vec3, closures: wp.array(dtype=ClosureRecord), count: int) -> bool:
+    """Whether a closure of this weight joins the `count` that `closures` has: it is visible, and there is room."""
+    return not is_black(weight) and count < closures.shape[0]
+
+
+@wp.func
 def unit_number(x: float) -> float:
     """`x` clamped to [0, 1]; 0 for NaN."""
     result = float(0.0)
@@ -69,7 +75,7 @@ def simple_closure(
 ) -> int:
     """Append a closure that has nothing but a weight and a normal; returns the new count."""
     w = usable_weight(weight)
-    if is_black(w) or count >= closures.shape[0]:
+    if not begins(w, closures, count):
         return count
     record = new_closure(kind, w)
     record.normal = usable_normal(normal)
@@ -172,7 +178,7 @@ def ray_portal(
     """
     w = usable_weight(vector(data, stack, pc + 1))
     position = vector(data, stack, pc + 3)
-    if is_black(w) or count >= closures.shape[0] or not wp.dot(position, position) < wp.inf:
+    if not begins(w, closures, count) or not wp.dot(position, position) < wp.inf:
         return count
     record = new_closure(wp.static(int(ClosureKind.RAY_PORTAL)), w)
     record.distribution = data.code[pc + 2]

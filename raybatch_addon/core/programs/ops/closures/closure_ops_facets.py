@@ -13,7 +13,7 @@ from ....shading.bsdf.materials import ASPECT_LEAST, FILM_IOR_LEAST, IOR_RANGE, 
 from ....shading.bsdf.thin_film import FILM_LEAST
 from ...op import NodeData, closure_op, number, vector
 from ...point import ShadingPoint
-from .closure_ops import is_black, unit_color, unit_number, usable_index, usable_normal, usable_weight
+from .closure_ops import begins, unit_color, unit_number, usable_index, usable_normal, usable_weight
 
 
 class Distribution(IntEnum):
@@ -111,7 +111,7 @@ def glossy(
     The weight contains the colour.
     """
     weight = usable_weight(vector(data, stack, pc + 1))
-    if is_black(weight) or count >= closures.shape[0]:
+    if not begins(weight, closures, count):
         return count
     record = turned_facets(data, stack, _GLOSSY, weight, pc + 3, pc + 5)
     record.color = usable_weight(vector(data, stack, pc + 2))
@@ -131,7 +131,7 @@ def ashikhmin_shirley(
 ) -> int:
     """Phong lobe: weight, roughness, aspect, tangent, normal."""
     weight = usable_weight(vector(data, stack, pc + 1))
-    if is_black(weight) or count >= closures.shape[0]:
+    if not begins(weight, closures, count):
         return count
     record = facet_closure(_ASHIKHMIN_SHIRLEY, weight, 0, number(data, stack, pc + 2), vector(data, stack, pc + 5))
     record.aspect = usable_aspect(number(data, stack, pc + 3))
@@ -156,7 +156,7 @@ def metal(
     aspect, tangent, normal, film's thickness [nm] and index.
     """
     weight = usable_weight(vector(data, stack, pc + 1))
-    if is_black(weight) or count >= closures.shape[0]:
+    if not begins(weight, closures, count):
         return count
     record = filmed_facets(data, stack, _METAL, weight, pc + 4, pc + 6)
     record.color = unit_color(vector(data, stack, pc + 2))
@@ -181,7 +181,7 @@ def conductor(
     film's thickness [nm] and index.
     """
     weight = usable_weight(vector(data, stack, pc + 1))
-    if is_black(weight) or count >= closures.shape[0]:
+    if not begins(weight, closures, count):
         return count
     record = filmed_facets(data, stack, _CONDUCTOR, weight, pc + 4, pc + 6)
     record.color = usable_weight(vector(data, stack, pc + 2))
@@ -208,7 +208,7 @@ def dielectric(
     weight = usable_weight(vector(data, stack, pc + 1))
     ior = usable_index(number(data, stack, pc + 5), wp.static(_IOR_LEAST))
     film = film_thickness(data, stack, pc + 9)
-    if is_black(weight) or (ior == 1.0 and film <= wp.static(FILM_LEAST)) or count >= closures.shape[0]:
+    if not begins(weight, closures, count) or (ior == 1.0 and film <= wp.static(FILM_LEAST)):
         return count
     record = filmed_facets(data, stack, _DIELECTRIC, weight, pc + 3, pc + 6)
     record.ior = ior
@@ -232,7 +232,7 @@ def layered_diffuse(
     It gets the light that `dielectric` of the same distribution, roughness and index does not reflect.
     """
     weight = usable_weight(vector(data, stack, pc + 1))
-    if is_black(weight) or count >= closures.shape[0]:
+    if not begins(weight, closures, count):
         return count
     record = facet_closure(
         _LAYERED_DIFFUSE, weight, data.code[pc + 2], number(data, stack, pc + 3), vector(data, stack, pc + 5)
@@ -258,7 +258,7 @@ def glass(
     incidence, distribution, roughness, index, normal, film's thickness [nm] and index.
     """
     weight = usable_weight(vector(data, stack, pc + 1))
-    if is_black(weight) or count >= closures.shape[0]:
+    if not begins(weight, closures, count):
         return count
     record = facet_closure(_GLASS, weight, data.code[pc + 5], number(data, stack, pc + 6), vector(data, stack, pc + 8))
     record.refraction = usable_weight(vector(data, stack, pc + 2))
@@ -283,7 +283,7 @@ def refraction(
 ) -> int:
     """Facets that refract all light: weight, distribution, roughness, index, normal."""
     weight = usable_weight(vector(data, stack, pc + 1))
-    if is_black(weight) or count >= closures.shape[0]:
+    if not begins(weight, closures, count):
         return count
     record = facet_closure(
         _REFRACTION, weight, data.code[pc + 2], number(data, stack, pc + 3), vector(data, stack, pc + 5)
@@ -309,7 +309,7 @@ def sheet(
     Imageworks", 2017, page 40). A smooth sheet, and one of an index of at most 1, is transparent.
     """
     weight = usable_weight(vector(data, stack, pc + 1))
-    if is_black(weight) or count >= closures.shape[0]:
+    if not begins(weight, closures, count):
         return count
     roughness = unit_number(number(data, stack, pc + 2))
     eta = usable_index(number(data, stack, pc + 3), 1.0)

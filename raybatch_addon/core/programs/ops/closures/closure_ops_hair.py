@@ -8,7 +8,7 @@ from ....shading.sampling import tangent_of
 from ...op import NodeData, closure_op, number, op, put_vector, vector
 from ...point import ShadingPoint
 from ..inputs.curve_inputs import curve_tangent
-from .closure_ops import is_black, usable_index, usable_weight
+from .closure_ops import begins, usable_index, usable_weight
 
 # Widths of lobes, and roughnesses, are in this range
 _LEAST, _MOST = 0.001, 1.0
@@ -17,6 +17,11 @@ _LEAST, _MOST = 0.001, 1.0
 @wp.func
 def _finite(x: float) -> float:
     return wp.where(wp.isfinite(x), x, 0.0)
+
+
+@wp.func
+def _width(x: float) -> float:
+    return wp.clamp(_finite(x), wp.static(_LEAST), wp.static(_MOST))
 
 
 @wp.func
@@ -30,11 +35,11 @@ def _lobe(
     count: int,
 ) -> int:
     w = usable_weight(vector(data, stack, pc + 1))
-    if is_black(w) or count >= closures.shape[0]:
+    if not begins(w, closures, count):
         return count
     record = new_closure(kind, w)
-    record.roughness = wp.clamp(_finite(number(data, stack, pc + 2)), wp.static(_LEAST), wp.static(_MOST))
-    record.aspect = wp.clamp(_finite(number(data, stack, pc + 3)), wp.static(_LEAST), wp.static(_MOST))
+    record.roughness = _width(number(data, stack, pc + 2))
+    record.aspect = _width(number(data, stack, pc + 3))
     record.tangent = curve_tangent(data, point)
     record.film_ior = 0.0
     if wp.dot(record.tangent, record.tangent) > 0.5:  # surfaces of meshes are not shifted
@@ -100,19 +105,16 @@ def principled_hair(
 ) -> int:
     """A fibre that absorbs: weight, absorption, roughness along it and around it, coat, index, tilt [rad]."""
     w = usable_weight(vector(data, stack, pc + 1))
-    if is_black(w) or count >= closures.shape[0]:
+    if not begins(w, closures, count):
         return count
     record = new_closure(wp.static(int(ClosureKind.PRINCIPLED_HAIR)), w)
-    sigma = vector(data, stack, pc + 2)
-    record.color = wp.vec3(
-        wp.max(_finite(sigma[0]), 0.0), wp.max(_finite(sigma[1]), 0.0), wp.max(_finite(sigma[2]), 0.0)
-    )
-    along = wp.clamp(_finite(number(data, stack, pc + 3)), wp.static(_LEAST), wp.static(_MOST))
-    around = wp.clamp(_finite(number(data, stack, pc + 4)), wp.static(_LEAST), wp.static(_MOST))
+    record.color = usable_weight(vector(data, stack, pc + 2))
+    along = _width(number(data, stack, pc + 3))
+    around = _width(number(data, stack, pc + 4))
     coat = wp.clamp(_finite(number(data, stack, pc + 5)), 0.0, 1.0)
     record.roughness = variance_along(along)
     record.aspect = scale_around(around)
-    record.mean_cosine = variance_along(wp.clamp((1.0 - coat) * along, wp.static(_LEAST), wp.static(_MOST)))
+    record.mean_cosine = variance_along(_width((1.0 - coat) * along))
     record.ior = usable_index(number(data, stack, pc + 6), 1.0e-3)
     record.film_ior = -_finite(number(data, stack, pc + 7))
     record.tangent = curve_tangent(data, point)
@@ -136,20 +138,14 @@ def facet_hair(
     Beside an ellipse, which is narrower than the curve seen from its sharp end, the curve is transparent.
     """
     w = usable_weight(vector(data, stack, pc + 1))
-    if is_black(w) or count >= closures.shape[0]:
+    if not begins(w, closures, count):
         return count
-    factors = vector(data, stack, pc + 7)
-    factors = wp.vec3(
-        wp.max(_finite(factors[0]), 0.0), wp.max(_finite(factors[1]), 0.0), wp.max(_finite(factors[2]), 0.0)
-    )
+    factors = usable_weight(vector(data, stack, pc + 7))
     if factors[0] + factors[1] + factors[2] <= 0.0:
         return count
     record = new_closure(wp.static(int(ClosureKind.FACET_HAIR)), w)
-    sigma = vector(data, stack, pc + 2)
-    record.color = wp.vec3(
-        wp.max(_finite(sigma[0]), 0.0), wp.max(_finite(sigma[1]), 0.0), wp.max(_finite(sigma[2]), 0.0)
-    )
-    record.roughness = wp.clamp(_finite(number(data, stack, pc + 3)), wp.static(_LEAST), wp.static(_MOST))
+    record.color = usable_weight(vector(data, stack, pc + 2))
+    record.roughness = _width(number(data, stack, pc + 3))
     aspect = wp.max(_finite(number(data, stack, pc + 4)), wp.static(_LEAST))
     record.aspect = wp.min(aspect, 1.0 / aspect)
     record.ior = usable_index(number(data, stack, pc + 5), 1.0e-3)

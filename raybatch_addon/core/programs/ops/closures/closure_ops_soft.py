@@ -10,7 +10,7 @@ from ....shading.bsdf.materials import ClosureRecord, new_closure
 from ....shading.bsdf.subsurface import dipole_albedo, fitted_albedo, lifted_albedo, medium_albedo
 from ...op import NodeData, closure_op, number, vector
 from ...point import ShadingPoint
-from .closure_ops import is_black, unit_color, unit_number, usable_index, usable_normal, usable_weight
+from .closure_ops import begins, is_black, unit_color, unit_number, usable_index, usable_normal, usable_weight
 
 
 class SubsurfaceMethod(IntEnum):
@@ -37,7 +37,7 @@ def _soft_closure(
     count: int,
 ) -> int:
     w = usable_weight(vector(data, stack, pc + 1))
-    if is_black(w) or count >= closures.shape[0]:
+    if not begins(w, closures, count):
         return count
     record = new_closure(kind, w)
     record.roughness = unit_number(number(data, stack, pc + 2))
@@ -61,7 +61,7 @@ def rough_diffuse(
     Without roughness it is Lambert's law.
     """
     weight = usable_weight(vector(data, stack, pc + 1))
-    if is_black(weight) or count >= closures.shape[0]:
+    if not begins(weight, closures, count):
         return count
     roughness = unit_number(number(data, stack, pc + 3))
     record = new_closure(wp.static(int(ClosureKind.ROUGH_DIFFUSE)), weight)
@@ -114,7 +114,7 @@ def toon(
 ) -> int:
     """A cone of light: weight, whether it mirrors (1), size, width of its edge, normal."""
     w = usable_weight(vector(data, stack, pc + 1))
-    if is_black(w) or count >= closures.shape[0]:
+    if not begins(w, closures, count):
         return count
     record = new_closure(wp.static(int(ClosureKind.TOON)), w)
     record.distribution = data.code[pc + 2]
@@ -142,7 +142,7 @@ def subsurface(
     """
     color = unit_color(vector(data, stack, pc + 2))
     weight = wp.cw_mul(usable_weight(vector(data, stack, pc + 1)), color)
-    if is_black(weight) or count >= closures.shape[0]:
+    if not begins(weight, closures, count):
         return count
     radius = usable_weight(vector(data, stack, pc + 3))
     method = data.code[pc + 5]
@@ -187,7 +187,7 @@ def subsurface(
     if not is_black(record.weight):
         closures[count] = record
         count += 1
-    if not is_black(flat) and count < closures.shape[0]:
+    if begins(flat, closures, count):
         lambertian = new_closure(wp.static(int(ClosureKind.DIFFUSE)), flat)
         lambertian.normal = record.normal
         closures[count] = lambertian

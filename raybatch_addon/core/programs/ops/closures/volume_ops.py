@@ -7,7 +7,7 @@ from ....shading.bsdf.materials import ClosureRecord, new_closure
 from ....shading.volumes.phase import usable_cosine
 from ...op import NodeData, closure_op, number, vector
 from ...point import ShadingPoint
-from .closure_ops import is_black, usable_weight
+from .closure_ops import begins, usable_weight
 
 
 @wp.func
@@ -16,7 +16,7 @@ def _scattering(
 ) -> int:
     """Append a closure of a volume; returns the new count. `first` and `second` as `PhaseLobe` has them."""
     w = usable_weight(weight)
-    if is_black(w) or count >= closures.shape[0]:
+    if not begins(w, closures, count):
         return count
     record = new_closure(kind, w)
     if kind == wp.static(int(ClosureKind.FOURNIER_FORAND)):

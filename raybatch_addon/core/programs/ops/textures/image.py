@@ -124,6 +124,13 @@ def projected_uv(p: wp.vec3, projection: int) -> wp.vec2:
     return image_uv
 
 
+@wp.func
+def put_texel(data: NodeData, stack: wp.array(dtype=float), at: int, value: wp.vec4):
+    """Write colour and alpha of a look-up, the outputs from the word at `at` on."""
+    put_vector(data, stack, at, wp.vec3(value[0], value[1], value[2]))
+    put_number(data, stack, at + 1, value[3])
+
+
 @op("image", "miiiiv>VN", foldable=False)
 @wp.func
 def image(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
@@ -135,8 +142,7 @@ def image(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingP
     value = sample_image(
         data.images, data.code[pc + 1], image_uv, data.code[pc + 2], data.code[pc + 3], data.code[pc + 5]
     )
-    put_vector(data, stack, pc + 7, wp.vec3(value[0], value[1], value[2]))
-    put_number(data, stack, pc + 8, value[3])
+    put_texel(data, stack, pc + 7, value)
 
 
 @op("image_box", "miiinvv>VN", foldable=False)
@@ -160,5 +166,4 @@ def image_box(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Shad
             )
             total += weights[axis] * value
         axis += 1
-    put_vector(data, stack, pc + 8, wp.vec3(total[0], total[1], total[2]))
-    put_number(data, stack, pc + 9, total[3])
+    put_texel(data, stack, pc + 8, total)

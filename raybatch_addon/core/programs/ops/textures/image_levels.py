@@ -8,9 +8,9 @@ itself.
 import warp as wp
 
 from ....shading.images.textures import footprint_level, sample_level
-from ...op import NodeData, number, op, put_number, put_vector, vector
+from ...op import NodeData, number, op, put_number, vector
 from ...point import ShadingPoint
-from .image import Projection, box_uv, box_weights, projected_uv
+from .image import Projection, box_uv, box_weights, projected_uv, put_texel
 
 # Registers that are set before a program runs
 FOOTPRINT = 0  # area of the footprint on the surface, in areas of the parallelogram of the point's two steps
@@ -69,8 +69,7 @@ def image_at(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Shadi
     value = sample_level(
         data.images, data.code[pc + 1], level, image_uv, data.code[pc + 2], data.code[pc + 3], data.code[pc + 5]
     )
-    put_vector(data, stack, pc + 8, wp.vec3(value[0], value[1], value[2]))
-    put_number(data, stack, pc + 9, value[3])
+    put_texel(data, stack, pc + 8, value)
 
 
 @op("image_box_at", "miiinnvv>VN", foldable=False, general=False)
@@ -94,5 +93,4 @@ def image_box_at(data: NodeData, stack: wp.array(dtype=float), pc: int, point: S
             )
             total += weights[axis] * value
         axis += 1
-    put_vector(data, stack, pc + 9, wp.vec3(total[0], total[1], total[2]))
-    put_number(data, stack, pc + 10, total[3])
+    put_texel(data, stack, pc + 9, total)

@@ -59,7 +59,7 @@ def make_gather_emission(
                     seen_from + rays.hit_t[path],
                 )
                 weight = hit_weight(pdf, light_pdf)
-                # what is not aimed at is in no table
+                # the density of a triangle that light is never aimed at is 0
                 if light_pdf > 0.0 and found_by_sampling(
                     data.lights, owner, data.lights.instance_visibility[rays.hit_instance[path]]
                 ):

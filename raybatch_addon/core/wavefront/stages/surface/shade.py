@@ -34,9 +34,18 @@ from ....shading.surface import spawn_origin
 from ...passes.guides import make_note_surface, note_seen_light
 from ...passes.light import divide_extending_ray
 from ...passes.record import make_record_surface, record_aov, settles
-from ...rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, note_receiver, visibility_of
+from ...rays import (
+    BOUNCE_SHIFT,
+    SHADOW_PASS,
+    VISIBILITY_SHIFT,
+    Paths,
+    Status,
+    note_density,
+    note_receiver,
+    visibility_of,
+)
 from ...scene.scene_data import SceneData, depth_of
-from ..limits import PathLimits, has_light
+from ..limits import PathLimits, has_light, survival_of
 from ..walk import make_walk_begin
 from ..work import TileWork
 from .aim import AimFeatures, aimed_light, is_aimed, make_choose_light
@@ -307,13 +316,10 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 pdf = 0.0
             paths.pdf[path] = pdf
             if wp.static(features.least_density):
-                if paths.least_density.shape[0] > 0:
-                    density = float(scattered.pdf)
-                    if (scattered.lobe & DELTA) != 0:
-                        density = wp.inf
-                    if v.bounce > 0:
-                        density = wp.min(density, paths.least_density[path])
-                    paths.least_density[path] = density
+                density = float(scattered.pdf)
+                if (scattered.lobe & DELTA) != 0:
+                    density = wp.inf
+                note_density(paths, path, v.bounce, density)
             if wp.static(features.texture_levels):
                 paths.cone[path] = scattered_cone(
                     data.geometry,
@@ -341,8 +347,7 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
                 rays.visibility[path] = seen_by
             if wp.static(features.roulette):
                 if goes_on and v.bounce >= limits.roulette_bounce:
-                    largest = wp.max(throughput[0], wp.max(throughput[1], throughput[2]))
-                    survival = wp.min(largest / limits.roulette_throughput, 1.0)
+                    survival = survival_of(limits, throughput)
                     if sample_1d(v.key, v.where.sample, v.dimension + wp.uint32(ROULETTE)) >= survival:
                         goes_on = False
                     throughput = throughput / survival

@@ -17,7 +17,7 @@ from ....shading.sequences.keys import DIMENSIONS_PER_BOUNCE
 from ....shading.sequences.sampler import make_sampler
 from ....shading.surface import SurfacePoint
 from ...catchers.copies import receiver_of_copy
-from ...rays import SHADOW_PASS, Paths, Status, bounce_of, time_of
+from ...rays import CAME_BACK, SHADOW_PASS, Paths, Status, bounce_of, time_of
 from ...scene.scene_data import SceneData
 from ..generate import PixelSample, pixel_sample
 from ..limits import PathLimits
@@ -26,10 +26,9 @@ from ..work import TileWork
 from .history import is_spent
 
 INSIDE = int(Status.INSIDE)
-_CAME_BACK = int(Status.HIT | Status.STRAIGHT)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VertexFeatures:
     """What a vertex is specialised on; the fields are those of `SceneFeatures`."""
 
@@ -76,7 +75,7 @@ def make_vertex(features: VertexFeatures) -> wp.Function:
     @wp.func
     def vertex(data: SceneData, work: TileWork, limits: PathLimits, paths: Paths, rays: Rays, path: int) -> Vertex:
         v = Vertex()
-        v.status = paths.status[path] & ~wp.static(_CAME_BACK)
+        v.status = paths.status[path] & ~wp.static(CAME_BACK)
         v.bounce = bounce_of(v.status)
         direction = rays.direction[path]
         v.wo = -direction
