@@ -21,6 +21,7 @@ CODE = [*FILES, *SCRIPTS, *sorted((ROOT / "tests").rglob("*.py"))]
 ROOMS = (
     "core/errors.py",
     "core/files.py",
+    "core/float32.py",
     "core/native",
     "core/settings",
     "core/denoise",

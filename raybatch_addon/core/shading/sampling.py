@@ -10,15 +10,15 @@ import math
 import numpy as np
 import warp as wp
 
-FILTER_TABLE_SIZE = 1024
+from .sequences.keys import ULP_BELOW_ONE
 
-_ULP_BELOW_ONE = wp.constant(2.0**-24)  # spacing of the 24-bit points, and of floats in [0.5, 1)
+FILTER_TABLE_SIZE = 1024
 
 
 @wp.func
 def _centred(u: float) -> float:
     """A number in (-1, 1) for one in [0, 1): the middle of its 24-bit cell, exact in float32, never 0 nor an end."""
-    return (2.0 * u - 1.0) + _ULP_BELOW_ONE
+    return (2.0 * u - 1.0) + ULP_BELOW_ONE
 
 
 @wp.func

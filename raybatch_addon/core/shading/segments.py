@@ -13,12 +13,12 @@ import functools
 import warp as wp
 
 from ..bvh.margin import TRIANGLE_TEST
+from ..float32 import UNIT_ROUNDOFF
 from ..scene.geometry import Geometry, corners_of, transform_vector
 from ..scene.moved import positions_at, step_place, transform_at
 from ..scene.segments import NORMAL_STEPS
 from .surface import SurfacePoint, carried_error, make_surface, material_of, moved_normal, unit_or_zero
 
-_U = 2.0**-24
 # Position on a segment, and the next ray's test of it: roundings of numbers of the segment's size
 _SEGMENT_TEST = 3.0 * TRIANGLE_TEST
 
@@ -165,7 +165,7 @@ def make_segment_point(instancing: bool, moving: bool = False) -> wp.Function:
         reach = wp.abs(s.axis[0]) + wp.abs(s.axis[1]) + wp.abs(s.axis[2])
         reach = wp.static(_SEGMENT_TEST) * (reach + 2.0 * wp.max(s.first_radius, s.second_radius))
         surface = SurfacePoint()
-        surface.error = wp.vec3(reach, reach, reach) + wp.static(3.0 * _U) * wp.vec3(
+        surface.error = wp.vec3(reach, reach, reach) + wp.static(3.0 * UNIT_ROUNDOFF) * wp.vec3(
             wp.abs(position[0]), wp.abs(position[1]), wp.abs(position[2])
         )
         if wp.static(instancing):

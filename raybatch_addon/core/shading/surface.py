@@ -8,13 +8,11 @@ from typing import Any, NamedTuple
 import warp as wp
 
 from ..bvh.margin import TRIANGLE_TEST
+from ..float32 import UNIT_ROUNDOFF, roundoff
 from ..scene.geometry import Geometry, corners_of, mat34, transform_vector
 from ..scene.moved import normals_at, positions_at, transform_at
 
-# Unit roundoff of float32. n operations are wrong by at most n u / (1 - n u), relatively (Higham 2002, section 3.1).
-_U = 2.0**-24
-_GAMMA_3 = 3 * _U / (1 - 3 * _U)
-_GAMMA_8 = 8 * _U / (1 - 8 * _U)
+_GAMMA_3, _GAMMA_8 = roundoff(3), roundoff(8)
 _TRIANGLE_TEST = TRIANGLE_TEST / (1 - TRIANGLE_TEST)
 
 
@@ -57,7 +55,7 @@ def spawn_origin(position: wp.vec3, error: wp.vec3, normal: wp.vec3, direction: 
 @wp.func
 def _rounded_away(x: float, towards: float) -> float:
     # one rounding of the sum above, at most half a unit in the last place of x
-    step = wp.abs(x) * wp.static(2.0 * _U)
+    step = wp.abs(x) * wp.static(2.0 * UNIT_ROUNDOFF)
     if towards > 0.0:
         return x + step
     if towards < 0.0:
@@ -167,7 +165,7 @@ def make_surface(instancing: bool, smooth_normals: bool, moving: bool = False) -
         error = (
             wp.static(_GAMMA_3) * (_abs(edge_1) + _abs(edge_2))
             + wp.vec3(tested, tested, tested)
-            + wp.static(2.0 * _U) * _abs(position)
+            + wp.static(2.0 * UNIT_ROUNDOFF) * _abs(position)
         )
         edge_cross = wp.cross(edge_1, edge_2)
         if wp.static(instancing):

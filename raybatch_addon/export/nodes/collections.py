@@ -6,13 +6,13 @@ from typing import Any
 
 # Kind of an attribute: position of instances on the surface that places them, `generated` or `uv`
 OF_INSTANCER = "OF_INSTANCER"
-_FARTHEST = 3e38  # without a world [m]
+_WITHOUT_WORLD = 3e38  # [m]
 
 
 def occlusion_distance(scene: Any, view_layer: Any) -> float:
     """How far occlusion reaches in Blender's `scene` where nothing else says so [m]."""
     world = getattr(view_layer, "world_override", None) or getattr(scene, "world", None)
-    return _FARTHEST if world is None else float(world.light_settings.distance)
+    return _WITHOUT_WORLD if world is None else float(world.light_settings.distance)
 
 
 class Collections:

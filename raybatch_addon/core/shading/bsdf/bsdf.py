@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import warp as wp
 
+from ...float32 import ONE_BELOW
 from ...scene.description import ClosureKind
 from ..hair.closures import with_hair
 from ..sampling import bitangent_of, sample_cosine_hemisphere, spherical_direction, tangent_of, to_world
@@ -74,7 +75,6 @@ _SHEET = wp.constant(int(_K.SHEET))
 _SUBSURFACE = wp.constant(int(_K.SUBSURFACE))
 _TOON = wp.constant(int(_K.TOON))
 _RAY_PORTAL = wp.constant(int(_K.RAY_PORTAL))
-_ONE_BELOW = wp.constant(1.0 - 2.0**-24)  # the largest float32 below 1
 
 
 class Bsdf(NamedTuple):
@@ -161,11 +161,11 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                 total += candidate.selection
                 p = candidate.selection / total
                 if left < p:
-                    left = wp.min(left / p, _ONE_BELOW)
+                    left = wp.min(left / p, ONE_BELOW)
                     chosen = int(c)
                     lobe = candidate
                 else:
-                    left = wp.min((left - p) / (1.0 - p), _ONE_BELOW)
+                    left = wp.min((left - p) / (1.0 - p), ONE_BELOW)
         if chosen < 0:
             return result
 
@@ -226,7 +226,7 @@ def make_bsdf(features: ClosureFeatures) -> Bsdf:
                 if wp.static(has_subsurface):
                     if kind == _SUBSURFACE and closures[chosen].multiscatter == 1:
                         goes_in_diffusely = u[0] < 0.5
-                        u = wp.vec2(wp.min(2.0 * wp.where(goes_in_diffusely, u[0], u[0] - 0.5), _ONE_BELOW), u[1])
+                        u = wp.vec2(wp.min(2.0 * wp.where(goes_in_diffusely, u[0], u[0] - 0.5), ONE_BELOW), u[1])
                 if not is_specular(alpha):
                     facets = facets_of(closures, chosen, n, cos_o)
                     if kind != _ASHIKHMIN_SHIRLEY:

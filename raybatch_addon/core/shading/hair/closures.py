@@ -9,6 +9,7 @@ from typing import Any
 
 import warp as wp
 
+from ...float32 import ONE_BELOW
 from ...scene.description import ClosureKind
 from ..bsdf.albedo import AlbedoTables
 from ..bsdf.lobes import Lobe
@@ -21,7 +22,6 @@ from .lobes import hair_lobe_value, sample_hair_lobe
 _TRANSMISSION = wp.constant(int(ClosureKind.HAIR_TRANSMISSION))
 _PRINCIPLED = wp.constant(int(ClosureKind.PRINCIPLED_HAIR))
 _FACETS = wp.constant(int(ClosureKind.FACET_HAIR))
-_ONE_BELOW = wp.constant(1.0 - 2.0**-24)
 
 
 def with_hair(bsdf: Any, features: ClosureFeatures) -> Any:
@@ -82,10 +82,10 @@ def with_hair(bsdf: Any, features: ClosureFeatures) -> Any:
                 total += selection
                 p = selection / total
                 if left < p:
-                    left = wp.min(left / p, _ONE_BELOW)
+                    left = wp.min(left / p, ONE_BELOW)
                     chosen = int(c)
                 else:
-                    left = wp.min((left - p) / (1.0 - p), _ONE_BELOW)
+                    left = wp.min((left - p) / (1.0 - p), ONE_BELOW)
         if chosen >= 0 and is_hair(closures[chosen].kind):
             found = HairDirection()
             if wp.static(has_principled):

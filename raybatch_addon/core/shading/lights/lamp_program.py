@@ -11,6 +11,7 @@ import functools
 import numpy as np
 import warp as wp
 
+from ...float32 import LARGEST
 from ...programs.inputs_data import InputData, inverses, upload_camera_inputs
 from ...programs.op import NodeData
 from ...programs.ops.values.finite import finite_or_zero
@@ -28,8 +29,6 @@ _POINT = wp.constant(int(LightKind.POINT))
 _SPOT = wp.constant(int(LightKind.SPOT))
 _SUN = wp.constant(int(LightKind.SUN))
 _EMISSION = int(ClosureKind.EMISSION)
-# Length of the ray from a sun that programs are given [m]
-INFINITELY_FAR = float(np.finfo(np.float32).max)
 # Largest value of a channel that a program may give
 _RADIANCE_MOST = 1e30
 
@@ -131,7 +130,7 @@ def lamp_point(
     point.primitive = -1
     if light.kind == _SUN:
         point.position = -direction
-        point.ray_length = wp.static(INFINITELY_FAR)
+        point.ray_length = LARGEST
     elif light.kind > _SUN:
         point.normal = light.axis
     elif light.sphere != 0:

@@ -10,6 +10,7 @@ Area lights are in `area_shapes.py`.
 
 import warp as wp
 
+from ...float32 import roundoff
 from ..sampling import bitangent_of, cone_pdf, sample_cone, sample_disk, sample_sphere, tangent_of, to_world
 from .light_table import LightRecord
 
@@ -18,7 +19,7 @@ WORLD_PROGRAM = 1
 SURFACE_PROGRAM = 2
 LAMP_PROGRAM = 3
 # Bound of the relative error of eight operations (Higham 2002, section 3.1)
-GAMMA_8 = 8 * 2.0**-24 / (1 - 8 * 2.0**-24)
+GAMMA_8 = roundoff(8)
 
 
 @wp.struct

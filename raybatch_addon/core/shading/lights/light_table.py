@@ -21,8 +21,8 @@ from .world import SampledWorld, WorldTable
 _FLOAT = np.finfo(np.float32)
 
 # The square of a sphere's angular radius must stay a normal float32 up to this distance; smaller spheres act as points
-_FARTHEST = 1e9  # [m]
-_RADIUS_MIN = float(np.sqrt(_FLOAT.tiny)) * _FARTHEST  # [m], about 1e-10
+_DISTANCE_MAX = 1e9  # [m]
+_RADIUS_MIN = float(np.sqrt(_FLOAT.tiny)) * _DISTANCE_MAX  # [m], about 1e-10
 # Rounding of a direction; light that spreads less than this is parallel
 _ANGLE_MIN = float(_FLOAT.eps)  # [rad]
 # Strength of a lamp that seems black, beside the scene's strongest emitter

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ...float32 import ONE_BELOW
+
 # Least light that a texel counts for, as a share of the mean: light that the texels' test points missed is still found
 _FLOOR = 1e-3
 # ... and as a share of the brightest texel around it: the rim of a sun may lie between the points of a texel
@@ -171,7 +173,7 @@ def _probability(first: wp.array(dtype=wp.uint32), begin: int, count: int, index
 @wp.func
 def _within(first: wp.array(dtype=wp.uint32), begin: int, index: int, bits: wp.uint32, probability: float) -> float:
     """Position of `bits` within its interval, 0..1."""
-    return wp.min(float(bits - first[begin + index]) / (probability * wp.static(2.0**32)), wp.static(1.0 - 2.0**-24))
+    return wp.min(float(bits - first[begin + index]) / (probability * wp.static(2.0**32)), ONE_BELOW)
 
 
 @wp.func

@@ -19,7 +19,7 @@ ROULETTE = 6  # 1D: whether the path goes on
 TEXTURE = 7  # 1D: which level of images
 TIME = 0xFFFFFFFF  # 1D: when the path is, for all of it
 
-_ULP_BELOW_ONE = wp.constant(2.0**-24)  # spacing of the 24-bit points, and of floats in [0.5, 1)
+ULP_BELOW_ONE = wp.constant(2.0**-24)  # spacing of the 24-bit points, and of floats in [0.5, 1)
 
 
 @wp.func
@@ -54,4 +54,4 @@ def set_seed(key: wp.uint32, dimension: wp.uint32) -> wp.uint32:
 @wp.func
 def sequence_number(x: wp.uint32) -> float:
     """The upper 24 bits as a number in [0, 1 - 2**-24], exact in float32."""
-    return wp.float32(x >> wp.uint32(8)) * _ULP_BELOW_ONE
+    return wp.float32(x >> wp.uint32(8)) * ULP_BELOW_ONE

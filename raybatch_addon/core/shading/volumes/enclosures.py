@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from ...float32 import UNIT_ROUNDOFF
 from ...scene.description import Camera, CameraKind, Mesh, Scene
 from ...scene.frozen import fact
 from ...scene.geometry import Geometry, corners_of, mat34, transform_point, transform_vector
@@ -23,7 +24,6 @@ _AHEAD = (0.436, 0.218, 0.873)
 _FARTHEST = 1e30
 # Half the edge of a box around what moves [m], whose area is still a number of float32
 _EVERYWHERE = 1e15
-_U = 2.0**-24
 # Roundings of the distance between a point and a plane, and of carrying the point to the object
 _ROUNDINGS = 16.0
 # Cosine of the angle between faces that may coincide, at least
@@ -167,7 +167,7 @@ def passed_at_once(
         for k in range(3):
             size += wp.abs(to_object[axis, k] * point[k])
         carried = wp.max(carried, size)
-    window = wp.static(_REACHES) * reach * length + wp.static(_ROUNDINGS * _U) * carried
+    window = wp.static(_REACHES) * reach * length + wp.static(_ROUNDINGS * UNIT_ROUNDOFF) * carried
     around = wp.vec3(window, window, window)
     found = wp.vec2i(0, 0)
     item = int(0)
@@ -179,7 +179,7 @@ def passed_at_once(
         facing = wp.dot(normal, across)
         if size > 0.0 and wp.abs(facing) > wp.static(_PARALLEL) * size * length:
             farthest = wp.max(wp.length(a), wp.max(wp.length(b), wp.length(c)))
-            rounding = wp.static(_ROUNDINGS * _U) * (carried + farthest) * size
+            rounding = wp.static(_ROUNDINGS * UNIT_ROUNDOFF) * (carried + farthest) * size
             if wp.abs(wp.dot(normal, a)) <= wp.static(_REACHES) * reach * wp.abs(facing) + rounding:
                 side = _side(a, b, c, across)
                 if side != 0:
@@ -332,7 +332,7 @@ def _share_places(positions: np.ndarray) -> bool:
 
 def _rounded(corners: np.ndarray, side: int) -> np.ndarray:
     """`corners` of boxes, a little farther out (`side` 0: the lower ones), float32."""
-    away = np.where(side, 1.0, -1.0) * 8 * _U * np.abs(corners)
+    away = np.where(side, 1.0, -1.0) * 8 * UNIT_ROUNDOFF * np.abs(corners)
     return (corners + away).astype(np.float32)
 
 
@@ -340,7 +340,7 @@ def _overlaps(boxes: np.ndarray) -> np.ndarray:
     """Whether each of `boxes` [n, 2, 3] touches another, to the rounding of its corners: bool, shape [n]."""
     if len(boxes) > _PAIRED_MOST:
         return np.ones(len(boxes), bool)
-    margin = 64 * _U * np.abs(boxes).max(1)
+    margin = 64 * UNIT_ROUNDOFF * np.abs(boxes).max(1)
     low, high = boxes[:, 0] - margin, boxes[:, 1] + margin
     return np.array([np.count_nonzero(((low <= h) & (high >= lo)).all(1)) > 1 for lo, h in zip(low, high)], bool)
 

@@ -2,9 +2,9 @@
 
 import functools
 
-import numpy as np
 import warp as wp
 
+from ...float32 import LARGEST
 from ...programs.point import ShadingPoint
 from ...programs.run import make_run
 from ...scene.description import ClosureKind
@@ -13,9 +13,6 @@ from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
 from ...shading.surface import make_surface
 from ..scene.scene_data import SceneData
 from .surface.program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
-
-# How long a ray into the world is, as Cycles has it: the largest float32
-_FARTHEST = float(np.finfo(np.float32).max)
 
 
 @wp.func
@@ -43,7 +40,7 @@ def make_world_emission(programs: ProgramFeatures) -> wp.Function:
         point.normal = -direction
         point.geometric_normal = -direction
         point.instance = -1
-        point.ray_length = wp.static(_FARTHEST)
+        point.ray_length = LARGEST  # as in Cycles
         point.ray_kind = ray_kind
         point.bounce = bounce
         point.passed = passed

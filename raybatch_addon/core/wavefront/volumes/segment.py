@@ -6,6 +6,7 @@ import functools
 
 import warp as wp
 
+from ...float32 import UNIT_ROUNDOFF
 from ...programs.point import IN_VOLUME, ShadingPoint
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
@@ -15,7 +16,6 @@ from .medium import LOBE_FLOATS, LOBES_MOST, has_program, make_medium, passes
 from .table import FARTHEST, VolumeData
 from .track import PASSED, SCATTERED, Track, make_track, make_transmitted
 
-_U = 2.0**-24
 # Depths below which 1 - exp(-x) is x, to rounding
 _SHALLOW = 1e-4
 
@@ -100,7 +100,7 @@ def make_segment(programs: ProgramFeatures) -> wp.Function:
         # the middle of the numbers that u stands for, so that no flight has length 0
         flight = float(wp.static(FARTHEST))
         if chosen > 0.0:
-            flight = -wp.log(1.0 - u[1] - wp.static(0.5 * _U)) / chosen
+            flight = -wp.log(1.0 - u[1] - wp.static(0.5 * UNIT_ROUNDOFF)) / chosen
         if flight < length:
             left = passes(extinction, flight)
             density = wp.dot(shares, wp.cw_mul(extinction, left))

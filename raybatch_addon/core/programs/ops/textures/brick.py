@@ -5,10 +5,8 @@ import warp as wp
 from ...op import NodeData, number, op, put_number, put_vector, vector, wanted
 from ...point import ShadingPoint
 from ..values.finite import finite_or_zero, finite_vector_or_zero
+from .hashing import LOW_31, UNIT_31
 from .perlin import floor_to_int, sum_with_product
-
-_LOW_31 = wp.constant(wp.uint32(0x7FFFFFFF))
-_UNIT_31 = wp.constant(2.0**-31)
 
 
 @wp.struct
@@ -30,10 +28,10 @@ class Wall:
 def _tint_of(brick: int, row: int) -> float:
     """Tint of a brick in [0, 1]: an old integer noise (three multiplications) over the lower halves of both numbers."""
     n = (wp.uint32(row) << wp.uint32(16)) + (wp.uint32(brick) & wp.uint32(0xFFFF))
-    n = (n + wp.uint32(1013)) & _LOW_31
+    n = (n + wp.uint32(1013)) & LOW_31
     n = n ^ (n >> wp.uint32(13))
-    n = (n * (n * n * wp.uint32(60493) + wp.uint32(19990303)) + wp.uint32(1376312589)) & _LOW_31
-    return wp.float32(n) * _UNIT_31
+    n = (n * (n * n * wp.uint32(60493) + wp.uint32(19990303)) + wp.uint32(1376312589)) & LOW_31
+    return wp.float32(n) * UNIT_31
 
 
 @wp.func

@@ -7,16 +7,16 @@ from ...point import ShadingPoint
 from .perlin import floor_to_int
 
 # Blender's nudge: coordinates 0 and 1, which faces of cubes have, are both within the first cell
-_NUDGE = wp.constant(0.000001)
-_SHRINK = wp.constant(0.999999)
+NUDGE = wp.constant(0.000001)
+SHRINK = wp.constant(0.999999)
 
 
 @wp.func
 def checker(p: wp.vec3) -> float:
     """1 in every other unit cube, 0 between. Beyond 32 bits, and for NaN, a coordinate counts as even."""
-    i = floor_to_int((p[0] + _NUDGE) * _SHRINK) & 1
-    j = floor_to_int((p[1] + _NUDGE) * _SHRINK) & 1
-    k = floor_to_int((p[2] + _NUDGE) * _SHRINK) & 1
+    i = floor_to_int((p[0] + NUDGE) * SHRINK) & 1
+    j = floor_to_int((p[1] + NUDGE) * SHRINK) & 1
+    k = floor_to_int((p[2] + NUDGE) * SHRINK) & 1
     return wp.where((i ^ j ^ k) == 1, 1.0, 0.0)
 
 

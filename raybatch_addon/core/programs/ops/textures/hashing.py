@@ -14,10 +14,10 @@ _SEED = 0xDEADBEEF + 13  # of lookup3; plus four times the number of words
 _LOOKUP3 = wp.constant(wp.uint32(_SEED))
 HASH_SEED_3 = f"{_SEED + 12}u"  # of three words, as C++ spells it
 _UNIT_32 = wp.constant(2.0**-32)
-_UNIT_31 = wp.constant(2.0**-31)
+UNIT_31 = wp.constant(2.0**-31)
 _MULTIPLIER = wp.constant(wp.uint32(1664525))
 _INCREMENT = wp.constant(wp.uint32(1013904223))
-_LOW_31 = wp.constant(wp.uint32(0x7FFFFFFF))
+LOW_31 = wp.constant(wp.uint32(0x7FFFFFFF))
 
 
 @wp.func
@@ -155,7 +155,7 @@ def _fold(x: wp.uint32) -> wp.uint32:
 
 @wp.func
 def _unit_of_low_bits(x: wp.uint32) -> float:
-    return wp.float32(x & _LOW_31) * _UNIT_31
+    return wp.float32(x & LOW_31) * UNIT_31
 
 
 @wp.func

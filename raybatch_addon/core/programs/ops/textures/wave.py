@@ -7,6 +7,7 @@ import warp as wp
 from ...op import NodeData, number, op, put_number, put_vector, vector
 from ...point import ShadingPoint
 from ..values.finite import finite_or_zero
+from .checker import NUDGE, SHRINK
 from .noise import FractalKind, fractal_noise_3d, make_fractal
 
 
@@ -42,9 +43,6 @@ _SAW = wp.constant(int(WaveProfile.SAW))
 _FBM = wp.constant(int(FractalKind.FBM))
 _HALF_PI = wp.constant(1.5707963267948966)
 _ONE_OVER_TWO_PI = wp.constant(0.15915494309189535)
-# Blender's nudge: coordinates 0 and 1, which faces of cubes have, are both within the first cell
-_NUDGE = wp.constant(0.000001)
-_SHRINK = wp.constant(0.999999)
 
 
 @wp.struct
@@ -63,7 +61,7 @@ def wave(kind: int, profile: int, p: wp.vec3, phase: float, distortion: Distorti
 
     The phase grows by 20 radians a unit across fronts (17.3 on the diagonal); `phase` in radians.
     """
-    q = wp.vec3((p[0] + _NUDGE) * _SHRINK, (p[1] + _NUDGE) * _SHRINK, (p[2] + _NUDGE) * _SHRINK)
+    q = wp.vec3((p[0] + NUDGE) * SHRINK, (p[1] + NUDGE) * SHRINK, (p[2] + NUDGE) * SHRINK)
     if kind < _DIAGONAL:
         angle = q[kind] * 20.0
     elif kind == _DIAGONAL:

@@ -8,6 +8,7 @@ the light that comes by other ways as well by themselves.
 
 import warp as wp
 
+from ....float32 import ONE_BELOW
 from ....scene.description import LightKind
 from ..area_shapes import meet_area_light, sample_area_light
 from ..light_shapes import LightSample
@@ -15,7 +16,6 @@ from ..light_table import LightRecord, LightTable
 from ..world import WorldDirection, sample_world, world_pdf
 
 _ELLIPSE = wp.constant(int(LightKind.ELLIPSE))
-_ONE_BELOW = wp.constant(1.0 - 2.0**-24)  # the largest float32 below 1
 
 
 @wp.func
@@ -69,7 +69,7 @@ def _sample_portal(table: LightTable, position: wp.vec3, facing: int, u: wp.vec2
     """A direction through one of the portals that face `position`; all are as likely."""
     stretched = u[0] * float(facing)
     number = wp.min(int(stretched), facing - 1)
-    left = wp.vec2(wp.min(stretched - float(number), _ONE_BELOW), u[1])
+    left = wp.vec2(wp.min(stretched - float(number), ONE_BELOW), u[1])
     sample = LightSample()
     for i in range(table.light_count, table.lights.shape[0]):
         portal = table.lights[i]
@@ -87,9 +87,9 @@ def sample_through_portals(table: LightTable, position: wp.vec3, u: wp.vec2) -> 
     facing = _facing_count(table, position)
     share = _world_share(table, facing)
     if u[0] < share:
-        result = sample_world(table.world, wp.vec2(wp.min(u[0] / share, _ONE_BELOW), u[1]))
+        result = sample_world(table.world, wp.vec2(wp.min(u[0] / share, ONE_BELOW), u[1]))
     elif facing > 0:
-        left = wp.vec2(wp.min((u[0] - share) / (1.0 - share), _ONE_BELOW), u[1])
+        left = wp.vec2(wp.min((u[0] - share) / (1.0 - share), ONE_BELOW), u[1])
         found = _sample_portal(table, position, facing, left)
         result.direction = found.direction
         result.pdf = found.pdf

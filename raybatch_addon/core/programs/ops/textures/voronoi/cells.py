@@ -17,7 +17,6 @@ MANHATTAN = 1
 CHEBYCHEV = 2
 MINKOWSKI = 3
 
-FARTHEST = wp.constant(3.4028234663852886e38)  # largest finite float
 _INT_LOWEST = wp.constant(-(2**31))
 _INT_RANGE = wp.constant(2.0**31)
 

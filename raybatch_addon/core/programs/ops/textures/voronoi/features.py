@@ -7,12 +7,13 @@ import functools
 
 import warp as wp
 
+from .....float32 import LARGEST
 from ...values.finite import finite_or_zero
 from ..hashing import hash_1_to_1
-from .cells import FARTHEST, make_cells
+from ..noise import DETAIL_MAX
+from .cells import make_cells
 
 FEATURES = ("f1", "f2", "smooth_f1", "distance_to_edge", "n_sphere_radius")
-DETAIL_MAX = 15.0  # most octaves beyond the first
 # Squared distance below which two points count as one, for edges
 _SAME_POINT = wp.constant(1e-4)
 
@@ -77,7 +78,7 @@ def make_octave(dimensions: int, feature: str) -> wp.Function:
     def first(settings: VoronoiSettings, coordinates: coordinates_type):
         cell = cells.floor(coordinates)
         local = coordinates - cell
-        nearest = float(FARTHEST)
+        nearest = float(LARGEST)
         offset = offset_type()
         found = coordinates_type()
         count = int(wp.static(3**dimensions))  # a variable, so that the loop is not unrolled
@@ -99,10 +100,10 @@ def make_octave(dimensions: int, feature: str) -> wp.Function:
     def second(settings: VoronoiSettings, coordinates: coordinates_type):
         cell = cells.floor(coordinates)
         local = coordinates - cell
-        nearest = float(FARTHEST)
+        nearest = float(LARGEST)
         nearest_offset = offset_type()
         nearest_point = coordinates_type()
-        next_nearest = float(FARTHEST)
+        next_nearest = float(LARGEST)
         offset = offset_type()
         found = coordinates_type()
         count = int(wp.static(3**dimensions))
@@ -122,7 +123,7 @@ def make_octave(dimensions: int, feature: str) -> wp.Function:
                 offset = candidate
                 found = point
         result = VoronoiSample()
-        result.distance = wp.where(next_nearest < FARTHEST, next_nearest, 0.0)
+        result.distance = wp.where(next_nearest < LARGEST, next_nearest, 0.0)
         result.color = cells.color(cell, offset)
         result.position = cells.position(found + cell)
         return result
@@ -246,7 +247,7 @@ def make_edge_octave(dimensions: int) -> wp.Function:
     def edge(coordinates: coordinates_type, randomness: float):
         cell = cells.floor(coordinates)
         local = coordinates - cell
-        nearest = float(FARTHEST)
+        nearest = float(LARGEST)
         to_nearest = coordinates_type()
         count = int(wp.static(3**dimensions))
         for i in range(count):
@@ -255,7 +256,7 @@ def make_edge_octave(dimensions: int) -> wp.Function:
             if squared < nearest:
                 nearest = squared
                 to_nearest = to_point
-        nearest = float(FARTHEST)
+        nearest = float(LARGEST)
         for i in range(count):
             to_point = cells.point(cell, cells.offset(i, 3), randomness) - local
             across = to_point - to_nearest
@@ -322,7 +323,7 @@ def make_n_sphere_radius(dimensions: int) -> wp.Function:
         coordinates = cells.coordinates(xyz * settings.scale, w * settings.scale)
         cell = cells.floor(coordinates)
         local = coordinates - cell
-        nearest = float(FARTHEST)
+        nearest = float(LARGEST)
         offset = offset_type()
         found = coordinates_type()
         count = int(wp.static(3**dimensions))
@@ -334,7 +335,7 @@ def make_n_sphere_radius(dimensions: int) -> wp.Function:
                 nearest = squared
                 offset = candidate
                 found = point
-        nearest = float(FARTHEST)
+        nearest = float(LARGEST)
         neighbour = coordinates_type()
         for i in range(count):
             if i != wp.static(3**dimensions // 2):  # not the point's own cell
