@@ -14,8 +14,8 @@ import warp as wp
 
 from .ahead.change import TierChange, TierChanges
 from .ahead.prepare import Preparation
-from .ahead.request import CompileRequest, GeneralRequest
-from .bvh.build.scene_tree import build_kernels, layout_for
+from .ahead.request import CompileRequest, GeneralRequest, tree_kernels
+from .bvh.build.scene_tree import layout_for
 from .bvh.memory import GeometrySize
 from .device.devices import find_device, free_memory, load_kernels, start_warp, warp_cache_folder, worker_count
 from .film import Film
@@ -32,7 +32,6 @@ from .scene.features import SceneFeatures, derive_features
 from .scene.notice import by_weight, described
 from .scene.validate import checked_scene
 from .settings.settings import RenderSettings
-from .shading.lights.light_tree import LIGHT_TREE_KERNELS
 from .wavefront.adaptive.ranges import check_after, chosen_looks, first_active, pixels_can_end
 from .wavefront.estimates.displacement import mover
 from .wavefront.integrator import TileIntegrator
@@ -91,7 +90,7 @@ class Session:
         if features:
             requests = [CompileRequest(each, self.settings, plan) for each in features]
             kernels = [kernel for each in requests for kernel in each.kernels(self.device)]
-            kernels += [*build_kernels(self.device), *LIGHT_TREE_KERNELS]
+            kernels += tree_kernels(self.device)
         else:
             kernels = GeneralRequest().kernels(self.device)
         return load_kernels(kernels, self.device, on_progress or (lambda *_: None))

@@ -52,13 +52,18 @@ class CompileRequest:
         return _KERNELS_SECONDS + _OP_SECONDS * (ops + lamps * 3 + len(each.volume_program.ops) * 4)
 
 
+def tree_kernels(device: wp.Device) -> list[wp.Kernel]:
+    """Those that build trees, over triangles and over lights."""
+    return [*build_kernels(device), *LIGHT_TREE_KERNELS]
+
+
 @dataclass(frozen=True)
 class GeneralRequest:
     """The kernels that any scene can begin with: the general tier, trees, and tracing without queues."""
 
     def kernels(self, device: wp.Device) -> list[wp.Kernel]:
         """All of them."""
-        found = [*general_kernels(device), *build_kernels(device), *LIGHT_TREE_KERNELS, add_integers_kernel]
+        found = [*general_kernels(device), *tree_kernels(device), add_integers_kernel]
         if device.is_cpu:
             # those of boxes refit trees for the frame behind the first one
             found += [join_boxes_kernel, write_boxes_kernel, *SKY_KERNELS]

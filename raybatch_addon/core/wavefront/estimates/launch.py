@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import warp as wp
 
+from ...device.bulk import in_slices
 from ...device.devices import load_module, worker_count
 from ...scene.description import Scene
 from ...scene.features import SceneFeatures
@@ -122,12 +122,9 @@ def _launch_in_parts(
     kernel = estimate_kernel(features, estimate)
     load_module(kernel, device)
 
-    def launch(first: int, end: int) -> None:
-        work, items = work_of(first, end)
+    def launch(part: slice) -> None:
+        work, items = work_of(part.start, part.stop)
         work.estimate = int(estimate)
         wp.launch(kernel, items, [data, work], device=device)
 
-    threads = max(1, min(worker_count(device, 0), count))
-    ends = [count * i // threads for i in range(threads + 1)]
-    with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(launch, ends[:-1], ends[1:]))
+    in_slices(count, launch, -(-count // worker_count(device, 0)))

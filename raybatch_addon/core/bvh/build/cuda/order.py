@@ -67,8 +67,8 @@ def height_kernel(nodes: BinaryNodes, links: ParentLinks, keys: wp.array(dtype=i
 
 
 @wp.kernel(**KERNEL_OPTIONS)
-def height_first_kernel(keys: wp.array(dtype=int), first: wp.array(dtype=int)):
-    """First index of each height among the sorted `keys`."""
+def run_first_kernel(keys: wp.array(dtype=int), first: wp.array(dtype=int)):
+    """First index of each number among the sorted `keys`."""
     i = wp.tid()
     if i == 0:
         first[keys[0]] = 0
@@ -76,7 +76,7 @@ def height_first_kernel(keys: wp.array(dtype=int), first: wp.array(dtype=int)):
         first[keys[i]] = i
 
 
-ORDER_KERNELS = (parent_kernel, refit_kernel, height_kernel, height_first_kernel)
+ORDER_KERNELS = (parent_kernel, refit_kernel, height_kernel, run_first_kernel)
 
 
 def find_parents(nodes: BinaryNodes) -> ParentLinks:
@@ -105,5 +105,5 @@ def order_by_height(nodes: BinaryNodes, links: ParentLinks) -> HeightOrder | Non
     wp.launch(height_kernel, count, [nodes, links, keys, order], device=device)
     wp.utils.radix_sort_pairs(keys, order, count, 0, HEIGHT_BITS)
     first = wp.empty(highest + 1, dtype=int, device=device)
-    wp.launch(height_first_kernel, count, [keys, first], device=device)
+    wp.launch(run_first_kernel, count, [keys, first], device=device)
     return HeightOrder(order[:count], [*first.numpy()[1:].tolist(), count])

@@ -146,16 +146,6 @@ def labels_kernel(
     order[i] = triangle
 
 
-@wp.kernel(**KERNEL_OPTIONS)
-def label_first_kernel(keys: wp.array(dtype=int), first: wp.array(dtype=int)):
-    """First index of each label among the sorted `keys`."""
-    i = wp.tid()
-    if i == 0:
-        first[keys[0]] = 0
-    elif keys[i] != keys[i - 1]:
-        first[keys[i]] = i
-
-
 def mesh_triangles(
     positions: np.ndarray, triangles: np.ndarray, device: wp.Device, corners: wp.array | None = None
 ) -> MeshTriangles:

@@ -19,12 +19,12 @@ import warp as wp
 from ....device.devices import load_module, worker_count
 from ....device.locked import locked_empty
 from ....errors import check_cancelled
+from ...build.cuda.order import run_first_kernel
 from .cells import (
     CellGrid,
     MeshTriangles,
     cells_kernel,
     count_labels_kernel,
-    label_first_kernel,
     labels_kernel,
     middle_bounds_kernel,
     scatter_kernel,
@@ -198,7 +198,7 @@ class CudaTriangles:
                 wp.launch(labels_kernel, size, [self.mesh, grid, own, listed, start, keys, order], device=device)
                 wp.utils.radix_sort_pairs(keys, order, size, 0, max(label_count - 1, 1).bit_length())
                 first = wp.full(label_count, -1, dtype=int, device=device)
-                wp.launch(label_first_kernel, size, [keys, first], device=device)
+                wp.launch(run_first_kernel, size, [keys, first], device=device)
                 wp.copy(on_host, order, count=size)
                 starts = first.numpy()
                 there = np.flatnonzero(starts >= 0)
@@ -228,5 +228,5 @@ def _cell_count(grid: CellGrid) -> int:
 def partition_kernels(device: wp.Device) -> tuple[wp.Kernel, ...]:
     """What `triangles_on` launches on `device`."""
     if device.is_cuda:
-        return middle_bounds_kernel, cells_kernel, labels_kernel, label_first_kernel
+        return middle_bounds_kernel, cells_kernel, labels_kernel, run_first_kernel
     return middle_bounds_kernel, cells_kernel, count_labels_kernel, scatter_kernel
