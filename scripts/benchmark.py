@@ -252,31 +252,31 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
             report = measure_recording(
                 RenderRequest(
                     scene,
-                    options.device,
-                    options.samples,
-                    options.bounces,
-                    options.threads,
-                    options.runs,
-                    resolution,
+                    device=options.device,
+                    samples=options.samples,
+                    bounces=options.bounces,
+                    threads=options.threads,
+                    runs=options.runs,
+                    size=resolution,
                     settings=changes,
                 )
             )
             return report, recording_text(report)
         request = RenderRequest(
             scene,
-            options.device,
-            counts[0],
-            options.bounces,
-            options.threads,
-            options.runs,
-            resolution,
-            options.against,
-            options.budgets,
-            not options.no_counters,
-            options.equal_error,
-            options.picture,
-            changes,
-            counts[1],
+            device=options.device,
+            samples=counts[0],
+            bounces=options.bounces,
+            threads=options.threads,
+            runs=options.runs,
+            size=resolution,
+            against=options.against,
+            budgets=options.budgets,
+            counters=not options.no_counters,
+            equal_error=options.equal_error,
+            picture=options.picture,
+            settings=changes,
+            samples_longer=counts[1],
         )
         report = measure_render(request)
         text = slopes_text if counts[1] else memory_text if options.against == "memory" else render_text
@@ -293,18 +293,18 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
             "--set resolution has no use here: the frame has about as many pixels as there are rays (--ray-count)"
         )
     request = TraversalRequest(
-        scene,
-        options.device,
-        [name.strip() for name in options.tracers.split(",") if name.strip()],
-        parse_ray_types(options.rays),
-        parse_orders(options.orders),
-        parse_threads(options.threads),
-        options.runs,
-        options.ray_count,
-        not options.no_counters,
-        {None: None, "resident": True, "paged": False}[options.nodes],
-        parse_setting("geometry_budget", options.budget),
-        changes,
+        scene=scene,
+        device=options.device,
+        tracers=[name.strip() for name in options.tracers.split(",") if name.strip()],
+        ray_types=parse_ray_types(options.rays),
+        orders=parse_orders(options.orders),
+        threads=parse_threads(options.threads),
+        runs=options.runs,
+        ray_count=options.ray_count,
+        counters=not options.no_counters,
+        nodes_resident={None: None, "resident": True, "paged": False}[options.nodes],
+        budget=parse_setting("geometry_budget", options.budget),
+        settings=changes,
     )
     report = measure_traversal(request)
     return report, traversal_text(report)

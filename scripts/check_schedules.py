@@ -84,17 +84,17 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
         folders.prepare(Path(options.json).absolute())
     report = check_schedules(
         ScheduleRequest(
-            tuple(options.scene),
-            options.device,
-            options.count,
-            options.first,
-            options.seed,
-            options.size,
-            options.samples,
-            options.bounces,
-            options.turns,
-            tuple(options.set),
-            options.kernel_cache,
+            scenes=tuple(options.scene),
+            device=options.device,
+            count=options.count,
+            first=options.first,
+            seed=options.seed,
+            size=options.size,
+            samples=options.samples,
+            bounces=options.bounces,
+            turns=options.turns,
+            fixed=tuple(options.set),
+            kernel_cache=options.kernel_cache,
         )
     )
     write_report(options.json, report, report_text(report), standard_output)

@@ -64,6 +64,7 @@ LINES_MAX = 400
 FOLDER_FILES_MAX = 16  # of code in one folder, beside `__init__.py`
 KERNEL_PARAMETERS_MAX = 8
 NATIVE_PARAMETERS_MAX = 8
+WIDE_FIELDS = 8  # of a dataclass from which on they are given by name
 # of C++: its name, and its parameters
 LAMBDA = re.compile(r"(\w+) = \[[&=]?\]\s*\(([^()]*)\)")
 
@@ -245,6 +246,19 @@ def test_lambdas_of_headers_have_few_parameters():
             counts[f"{name_of(path)}: {name}"] = len([each for each in listed if each.strip()])
     assert counts["core/native/traverse/triangle.h: meet_triangle"] == 7, "lambdas are not seen any more"
     assert not {name: count for name, count in counts.items() if count > NATIVE_PARAMETERS_MAX}
+
+
+@pytest.mark.parametrize("path", [*FILES, *SCRIPTS], ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_wide_dataclasses_are_built_by_keywords(path):
+    """At most the first few fields of a wide dataclass are given by their order."""
+    for node in ast.walk(parsed(path)):
+        if not isinstance(node, ast.ClassDef):
+            continue
+        decorators = [ast.unparse(each) for each in node.decorator_list]
+        types = [ast.unparse(each.annotation) for each in node.body if isinstance(each, ast.AnnAssign)]
+        by_order = types.index("KW_ONLY") if "KW_ONLY" in types else len(types)
+        if any(each.startswith("dataclass") and "kw_only=True" not in each for each in decorators):
+            assert by_order < WIDE_FIELDS, f"{node.name} is built by the order of {by_order} fields"
 
 
 @pytest.mark.parametrize("path", FILES, ids=name_of)

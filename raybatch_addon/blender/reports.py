@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 
@@ -12,6 +12,7 @@ class RenderReport:
 
     scene: str
     frame: int
+    _: KW_ONLY
     errors: list[str] = field(default_factory=list)  # the render failed
     interrupted: bool = False  # by Ctrl-C
     refused: bool = False  # it would have lacked what it may not lack

@@ -13,7 +13,7 @@ import math
 import queue
 import threading
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -54,6 +54,7 @@ class Run:
     slot: int  # 0 to SLOT_COUNT - 1
     scene: str
     layer: str
+    _: KW_ONLY
     frame: int
     settings: dict[str, Any]  # all of `RenderSettings`
     state: str = RUNNING
@@ -110,7 +111,9 @@ class RunStore:
             free = [i for i, run in enumerate(self._slots) if run is None]
             loose = sorted((run.number, run.slot) for run in self._slots if run and not run.kept)
             slot = free[0] if free else loose[0][1]
-            run = Run(next(self._numbers), slot, scene, layer, frame, dataclasses.asdict(settings), view=view)
+            run = Run(
+                next(self._numbers), slot, scene, layer, frame=frame, settings=dataclasses.asdict(settings), view=view
+            )
             self._slots[slot] = run
             self.version += 1
             return run

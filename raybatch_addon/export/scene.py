@@ -145,12 +145,12 @@ def export_frame(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, world:
     return Frame(
         width,
         height,
-        border,
-        bool(render.film_transparent),
-        passes,
-        _mist(world),
-        threshold,
-        occlusion_distance(scene, view_layer),
+        border=border,
+        transparent=bool(render.film_transparent),
+        passes=passes,
+        mist=_mist(world),
+        alpha_threshold=threshold,
+        occlusion_distance=occlusion_distance(scene, view_layer),
     )
 
 

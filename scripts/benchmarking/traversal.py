@@ -32,7 +32,7 @@ RAY_COUNT = {"cpu": 1_000_000, "cuda": 4_000_000}  # where --ray-count is not gi
 WARM_UPS = 1  # runs before those that are timed
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TraversalRequest:
     """One call of `benchmark.py traversal`."""
 

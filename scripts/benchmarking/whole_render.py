@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ class RenderRequest:
     """One call of `benchmark.py render`."""
 
     scene: SceneRequest
+    _: KW_ONLY
     device: str = "AUTO"
     samples: int = 16
     bounces: int = 7

@@ -31,7 +31,7 @@ PAGE_FILES_MOST = 1 << 30  # that are kept at a time [bytes]
 FAULTS_MOST = 8  # of a scene, before the next one is begun
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ScheduleRequest:
     """One call of check_schedules.py."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,7 @@ class ConvergenceRequest:
     """One call of convergence.py; raises `UsageError` for what does not go together."""
 
     scene: SceneRequest
+    _: KW_ONLY
     device: str = "AUTO"
     size: tuple[int, int] | None = None
     samples: int | None = None  # None: SAMPLES_DEFAULT, or as many as fit in `seconds`

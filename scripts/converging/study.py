@@ -6,7 +6,7 @@ import dataclasses
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from importlib import metadata
 from typing import Any
 
@@ -65,6 +65,7 @@ class Study:
     runs: list[Run] = field(default_factory=list)
     references: dict[str, UsedReference] = field(default_factory=dict)  # by the variant's label
     used: list[UsedReference] = field(default_factory=list)  # each once
+    _: KW_ONLY
     apart: dict[str, float] | None = None  # limits of two engines
     cycles_device: str | None = None  # as Cycles calls it, where it competes
     first_seconds: dict[str, float] = field(

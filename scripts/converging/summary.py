@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import statistics
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 from benchmarking.tables import table
@@ -55,6 +55,7 @@ class Outcome:
     runs: list[Run]
     slope: Slope | None  # of RMSE against samples, over all runs
     slope_seconds: Slope | None  # against seconds
+    _: KW_ONLY
     efficiency: Ranged | None  # 1 / (relMSE x seconds), no pixel counting for more than `RELMSE_MOST`
     efficiency_relative: Ranged | None  # to the first variant's
     efficiency_relmse: float | None  # 1 / (relMSE x seconds), as it is
@@ -124,12 +125,12 @@ def _outcome(study: Study, variant: Variant, target: float | None, first: Outcom
         runs,
         slope,
         fit_slope(points, "seconds"),
-        Ranged.of(list(own.values())),
-        relative,
-        statistics.median(of_relmse) if of_relmse else None,
-        seconds,
-        2 * sum(beyond for _, beyond in reached) > len(reached),
-        sooner,
+        efficiency=Ranged.of(list(own.values())),
+        efficiency_relative=relative,
+        efficiency_relmse=statistics.median(of_relmse) if of_relmse else None,
+        target_seconds=seconds,
+        target_extrapolated=2 * sum(beyond for _, beyond in reached) > len(reached),
+        speed_up=sooner,
     )
 
 

@@ -30,7 +30,7 @@ RESOLUTION_MAX = 65_536  # Blender's own limit
 VECTOR_PASSES = tuple(name for name, channels in PASSES.items() if channels > 1)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Request:
     """One call of render.py, checked as far as it can be without opening the file."""
 

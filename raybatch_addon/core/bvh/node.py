@@ -91,7 +91,7 @@ class Layout(enum.Enum):
         return (BOXES_GROUP if self is Layout.BOXES else QUANTISED_TRIANGLE).itemsize // 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class WideTree:
     """Nodes over something that leaves list."""
 

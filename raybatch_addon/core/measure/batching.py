@@ -24,7 +24,7 @@ TOP_LEVEL_TOTALS = (
 _MEANS = ("treelet_visits", "rays_queued", "bytes_copied")
 
 
-@dataclass
+@dataclass(kw_only=True)
 class BatchingTotals:
     """Counts of one worker, or of several together."""
 

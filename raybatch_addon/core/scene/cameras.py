@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -28,7 +28,7 @@ class CameraKind(IntEnum):
         return self > CameraKind.ORTHOGRAPHIC
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Panorama:
     """The projection of a panoramic camera; fields that its kind does not use are ignored."""
 
@@ -74,6 +74,7 @@ class Camera:
     # left, right, bottom, top edges of the full frame: on the plane z = -1 (PERSPECTIVE) or the camera's plane [m], or
     # of the part of a panorama that is seen, of which (0, 1, 0, 1) is all
     window: tuple[float, float, float, float]
+    _: KW_ONLY
     clip_start: float = 0.0  # distance of the near plane along the view axis; of panoramas along the ray [m]
     clip_end: float = np.inf  # distance of the far plane [m]
     lens_radius: float = 0.0  # radius of the aperture [m]; 0: everything is sharp

@@ -6,7 +6,7 @@ Axes are Blender's world axes. A camera looks along its own -Z, with +X right an
 
 from __future__ import annotations
 
-from dataclasses import Field, dataclass, field
+from dataclasses import KW_ONLY, Field, dataclass, field
 from enum import IntEnum, IntFlag
 
 import numpy as np
@@ -142,6 +142,7 @@ class Mesh:
     positions: np.ndarray  # [m], float32, shape [vertex_count, 3]
     triangles: np.ndarray  # vertex indices, int32, shape [triangle_count, 3]
     triangle_slot: np.ndarray | None = None  # material slot, int32, shape [triangle_count]; None: slot 0 everywhere
+    _: KW_ONLY
     corner_normals: np.ndarray | None = None  # unit, float32, shape [triangle_count, 3, 3]; None: flat
     corner_uvs: np.ndarray | None = None  # float32, shape [triangle_count, 3, 2]; None: no UV map
     # centre and half size of the box that generated texture coordinates span, in object space [m]; None: -1..1
@@ -176,6 +177,7 @@ class Closure:
     weight: tuple[float, float, float]  # linear RGB, >= 0: colour times mix factors (EMISSION: radiance, W/(m² sr))
     roughness: float = 0.0  # Blender's roughness, 0..1; the facets' alpha is its square
     ior: float = 1.5  # index of the inside relative to the outside (GLASS, DIELECTRIC, LAYERED_DIFFUSE)
+    _: KW_ONLY
     # METAL: tint at 82 degrees; DIELECTRIC, GLASS: tint at normal incidence; CONDUCTOR: extinction coefficient
     edge: tuple[float, float, float] = (1.0, 1.0, 1.0)
     # GLASS: refracted light is multiplied by `weight` times this, reflected light by `weight`
@@ -233,6 +235,7 @@ class Material:
     # for these, so that moving a slider never compiles. Includes the kinds of `closures`.
     kinds: tuple[ClosureKind, ...] = ()
     program: Program | None = None  # makes the closures at every point, instead of `closures`
+    _: KW_ONLY
     index: int = 0  # what the pass Material Index shows
     displacement: Program | None = None  # moves vertices (op `vertex_offset`)
     displacement_bends: bool = False  # `program` bends the normals of surfaces by the displacement too
@@ -258,6 +261,7 @@ class Instances:
     # from `SHADOW_SET_SHIFT` on, if shadow rays see it; of a shadow catcher the first again, from `CATCHER_SHIFT` on
     visibility: np.ndarray
     object: np.ndarray  # index into `Scene.object_names`, int32, shape [n]
+    _: KW_ONLY
     # values that shader programs read: red, green, blue, alpha of the object's colour, its index, and a random number;
     # float32, shape [n, 6]
     info: np.ndarray | None = None
@@ -290,6 +294,7 @@ class Light:
     # POINT, SPOT: radiant intensity (on the axis, before blending) [W/sr]; SUN: irradiance of a
     # surface that faces it [W/m²]; RECTANGLE, ELLIPSE: radiosity / pi, the radiance where `spread` is pi [W/(m² sr)]
     emission: tuple[float, float, float]
+    _: KW_ONLY
     radius: float = 0.0  # POINT, SPOT: radius of the luminous sphere [m]
     soft_falloff: bool = True  # POINT, SPOT: the light is a disk that faces the shaded point, else a sphere
     angle: float = 0.0  # SUN: angular diameter [rad]; SPOT: full cone angle [rad]
@@ -356,6 +361,7 @@ class Frame:
 
     width: int  # width of the full frame [pixels]
     height: int
+    _: KW_ONLY
     border: tuple[int, int, int, int] | None = None  # x0, y0, x1, y1: rendered part (end exclusive); None: all
     transparent: bool = False  # the world does not cover the background of the objects: alpha is below 1 there
     passes: tuple[str, ...] = ("Combined",)  # names of `PASSES` in `scene/passes.py`
@@ -384,6 +390,7 @@ class Scene:
     frame: Frame
     meshes: tuple[Mesh, ...] = ()
     instances: Instances = field(default_factory=Instances.empty)
+    _: KW_ONLY
     # material index by slot; an instance's slot s is `slot_materials[slot_first + s]`. int32, shape [k]
     slot_materials: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
     materials: tuple[Material, ...] = ()

@@ -41,7 +41,7 @@ PATH_HISTORY_OPS = frozenset(("path_history", "portal_depth"))
 _PASSES_OF_OTHERS = ("Combined", *COST_PASSES, SAMPLE_COUNT)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SceneFeatures:
     """Features that kernels are specialised on."""
 

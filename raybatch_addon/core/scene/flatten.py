@@ -41,7 +41,7 @@ class FlatMotion:
     steps: dict[int, tuple[np.ndarray, np.ndarray | None]]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FlatGeometry:
     """All triangles; instance ids and primitive indices are those of the `Scene`. Its arrays may be among these, which
     are only read.

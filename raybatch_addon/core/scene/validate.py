@@ -329,8 +329,8 @@ def _checked_instances(scene: Scene, warnings: list[str]) -> Instances:
     instances = _with_usable_maps(instances, warnings)
     if keep.all():
         return instances
-    columns = (getattr(instances, field.name) for field in dataclasses.fields(Instances))
-    return Instances(*(_kept(column, keep) for column in columns))
+    names = (field.name for field in dataclasses.fields(Instances))
+    return Instances(**{name: _kept(getattr(instances, name), keep) for name in names})
 
 
 def _kept(column: np.ndarray | InstanceMaps | None, keep: np.ndarray) -> np.ndarray | InstanceMaps | None:

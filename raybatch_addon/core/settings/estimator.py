@@ -10,7 +10,7 @@ from .info import INT_MAX, setting
 KIND_BOUNCES_MOST = 1024
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class EstimatorSettings:
     """How many paths are traced, how far light is followed, and how samples become pixels."""
 

@@ -57,7 +57,7 @@ GROUPS = {
 }
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SettingInfo:
     """Facts about one setting beside its value."""
 

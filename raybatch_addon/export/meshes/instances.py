@@ -258,14 +258,14 @@ class _Collector:
         if self._linking.links_shadows and visibility & Visibility.SHADOW:
             visibility |= shadow_bit(links.blocker)
         return Template(
-            mesh,
-            first,
-            visibility,
-            self._name_index(obj),
-            values,
-            of_instancer,
-            links,
-            self._groups.get(obj.lightgroup, -1),
+            mesh=mesh,
+            slot_first=first,
+            visibility=visibility,
+            object=self._name_index(obj),
+            attributes=values,
+            of_instancer=of_instancer,
+            links=links,
+            light_group=self._groups.get(obj.lightgroup, -1),
         )
 
     def _mesh(self, obj, data, asked: list[tuple[str, str]]) -> int | None:

@@ -49,7 +49,16 @@ def export_mesh(mesh: bpy.types.Mesh, name: str, warnings: list[str]) -> Mesh | 
         uvs = read(layer.uv, "vector", np.float32, len(mesh.loops), 2)[loops]
     space = (tuple(mesh.texspace_location), tuple(mesh.texspace_size))
     flat = _flat(mesh, count) if normals is not None else None
-    return Mesh(mesh.name, positions, triangles, _slots(mesh, count), normals, uvs, space, flat=flat)
+    return Mesh(
+        mesh.name,
+        positions,
+        triangles,
+        _slots(mesh, count),
+        corner_normals=normals,
+        corner_uvs=uvs,
+        texture_space=space,
+        flat=flat,
+    )
 
 
 def mesh_velocity(mesh: bpy.types.Mesh, exported: Mesh) -> np.ndarray | None:

@@ -19,7 +19,7 @@ from ..motion.objects import PlacedMotion
 _MATRIX_ERROR = 8 * 2.0**-24
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Template:
     """Data that all placements of one mesh by one object share."""
 
@@ -35,7 +35,7 @@ class Template:
     light_group: int = -1  # as in `Instances.light_group`
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Placements:
     """Everything in the depsgraph that can be placed, collected in one pass."""
 
@@ -103,8 +103,8 @@ class Placements:
             slot_first,
             visibility,
             owner,
-            info,
-            self._attributes(usable),
+            info=info,
+            attributes=self._attributes(usable),
             links=links,
             light_group=groups,
         )

@@ -6,7 +6,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 from ...core.programs.builder import Constant, ProgramBuilder, Value
@@ -32,6 +32,7 @@ class Graph:
     owner: Any = None  # Blender's material, world or light
     collections: Collections = field(default_factory=Collections)
     builder: ProgramBuilder = field(default_factory=ProgramBuilder)
+    _: KW_ONLY
     kinds: set[ClosureKind] = field(default_factory=set)
     notes: list[str] = field(default_factory=list)  # messages about parts that are left out or approximated
     # nodes whose outputs are not constants, in the order in which the walk meets them

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Any
 
 FAMILIES = (
@@ -60,6 +60,7 @@ class Feature:
     family: str
     kind: str
     build: Callable[..., Any]
+    _: KW_ONLY
     quick: bool = False
     variants: tuple[Any, ...] = (None,)
     offset: float = 8.0  # added to a node's output, so that negative numbers can be emitted

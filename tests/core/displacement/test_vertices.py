@@ -19,7 +19,7 @@ def grid(count: int, smooth: bool = True) -> Mesh:
         [np.stack([a, a + 1, a + count + 2], -1), np.stack([a, a + count + 2, a + count + 1], -1)]
     )
     normals = np.tile(np.array([0, 0, 1], np.float32), (len(triangles), 3, 1)) if smooth else None
-    return Mesh("grid", positions, triangles.astype(np.int32), None, normals)
+    return Mesh("grid", positions, triangles.astype(np.int32), None, corner_normals=normals)
 
 
 def all_of(mesh: Mesh) -> tuple[MovedVertices, np.ndarray]:
@@ -77,7 +77,7 @@ def test_sharp_edges_stay_sharp_and_smooth_ones_smooth():
     positions = np.array([(0, 0, 0), (0, 0, 1), (1, 0, 0), (1, 0, 1), (0, 1, 0), (0, 1, 1)], np.float32)
     triangles = np.array([(0, 2, 3), (0, 3, 1), (0, 1, 5), (0, 5, 4)], np.int32)
     walls = np.array([(0, -1, 0), (0, -1, 0), (-1, 0, 0), (-1, 0, 0)], np.float32)
-    sharp = Mesh("sharp", positions, triangles, None, np.repeat(walls[:, None], 3, 1))
+    sharp = Mesh("sharp", positions, triangles, None, corner_normals=np.repeat(walls[:, None], 3, 1))
     moved, moves = all_of(sharp)
     offset = np.full((6, 3), 0.25)
     assert np.allclose(moved_mesh(sharp, moved, offset, moves).corner_normals, sharp.corner_normals, atol=1e-6)

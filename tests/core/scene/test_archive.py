@@ -44,8 +44,8 @@ def full_scene() -> d.Scene:
         np.array([[0, 0, 0], [1, 0, 0], [0, 1, -0.0]], np.float32),
         np.array([[0, 1, 2]], np.int32),
         np.array([1], np.int32),
-        np.tile(np.array([0, 0, 1], np.float32), (1, 3, 1)),
-        np.random.default_rng(1).random((1, 3, 2), np.float32),
+        corner_normals=np.tile(np.array([0, 0, 1], np.float32), (1, 3, 1)),
+        corner_uvs=np.random.default_rng(1).random((1, 3, 2), np.float32),
         attributes=(
             d.Attribute("GEOMETRY", "Größe", np.full((1, 3, 4), 0.1, np.float32)),
             d.Attribute("COLOR", "", np.zeros((1, 1), np.float32)),

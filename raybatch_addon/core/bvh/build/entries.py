@@ -19,7 +19,7 @@ from .cuda.build import build_top
 from .encode import as_vectors
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Entries:
     """Mesh trees as instances place them: groups of baked instances, then instances of shared meshes. Shapes begin with
     [n].

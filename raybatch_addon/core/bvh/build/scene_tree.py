@@ -29,7 +29,7 @@ _VECTORS_MAX = 2**31 - 1  # elements of an array
 _TOP_ROOM_SHARE, _TOP_ROOM_NODES = 0.25, 4
 
 
-@dataclass
+@dataclass(kw_only=True)
 class BuiltTree:
     """A scene's trees with everything that must outlive them."""
 
@@ -81,7 +81,12 @@ def build_scene_tree(
     start = time.perf_counter()
     trees = MeshTrees(flat, geometry, device, layout, spatial_splits, on_device)
     built = BuiltTree(
-        Tree(), layout, instancing, splits_moving, spatial_splits, [trees.build(part) for part in mesh_parts(flat)]
+        tree=Tree(),
+        layout=layout,
+        instancing=instancing,
+        splits_moving=splits_moving,
+        splits_planned=spatial_splits,
+        meshes=[trees.build(part) for part in mesh_parts(flat)],
     )
     _assemble(built, flat, entries_of(flat, visibility), device, fresh=True)
     built.note(len(built.meshes), 0, start)

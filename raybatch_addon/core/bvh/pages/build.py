@@ -41,7 +41,7 @@ _PLAIN_SHARE = 0.5
 _ENCODED_BYTES = 25
 
 
-@dataclass
+@dataclass(kw_only=True)
 class PagedScene:
     """The trees of a scene: what stays on the device, and pages of the rest.
 

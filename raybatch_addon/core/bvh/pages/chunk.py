@@ -10,7 +10,7 @@ import warp as wp
 from ..node import Layout
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Chunk:
     """The tree of some triangles of a mesh, cut into treelets (as `treelets.Cut`); units are triangles, or groups of
     them (BOXES).

@@ -15,7 +15,7 @@ from .packing import PagePacker
 from .store import padded
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PageTables:
     """Arrays that describe the pages of a scene. A page has a segment of nodes, then one of triangles
     (`store.py`).

@@ -62,7 +62,7 @@ class CutRule:
                 raise ValueError(f"{name} of a cut is {value}, and must be 0 or more")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Cut:
     """A mesh tree that was cut. Units are triangles (QUANTISED) or groups of triangles (BOXES).
 

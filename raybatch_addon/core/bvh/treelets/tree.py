@@ -45,7 +45,7 @@ def gather_kernel(
 TREELET_KERNELS = (gather_kernel,)
 
 
-@dataclass
+@dataclass(kw_only=True)
 class TreeletTree:
     """A scene's trees, cut, with everything that must outlive them. Bytes of a treelet are those of its root too."""
 

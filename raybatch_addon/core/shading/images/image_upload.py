@@ -33,7 +33,7 @@ _KINDS = {
 }
 
 
-@dataclass
+@dataclass(kw_only=True)
 class _Picture:
     """The pixels of an image or tile on the device."""
 
@@ -290,7 +290,17 @@ def _upload(wanted: _Wanted, halvings: int, device) -> _Picture:
             [each.reshape(-1, channels) for each in coarser_levels(own, wanted.encoding, wanted.levels)]
         )
         levels = _uploaded(flat, dtype, device)
-    return _Picture(weakref.ref(pixels), halvings, texels, width, height, array, replaced, levels, encoding)
+    return _Picture(
+        source=weakref.ref(pixels),
+        halvings=halvings,
+        texels=texels,
+        width=width,
+        height=height,
+        array=array,
+        replaced=replaced,
+        levels=levels,
+        level_encoding=encoding,
+    )
 
 
 def _uploaded(pixels: np.ndarray, dtype: Any, device) -> wp.array:

@@ -6,7 +6,7 @@ Lights neither block rays nor hide one another, as in Cycles: a ray gathers the 
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import NamedTuple
 
 import warp as wp
@@ -36,6 +36,7 @@ class LightHitFeatures:
     lights: tuple[LightKind, ...] = ()  # kinds of the scene's lights
     light_sphere: bool = False  # a POINT or SPOT shaped as a sphere
     light_hits: bool = False  # a light that rays can meet
+    _: KW_ONLY
     light_choice: bool = True  # there may be several emitters
     mesh_lights: bool = False  # emissive triangles
     world_light: bool = False  # the world is sampled

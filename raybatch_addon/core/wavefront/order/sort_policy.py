@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 # Classes of rays that are decided apart: what they start from
@@ -52,6 +52,7 @@ class _Decision:
     """What is known of one class of rays."""
 
     next_trial: int  # number of begun paths at which both ways are tried again
+    _: KW_ONLY
     sorts: bool = False
     trial: _Trial | None = None
     is_trying: bool = False  # the wave that was decided last belongs to the trial

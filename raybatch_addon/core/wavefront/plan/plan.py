@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import enum
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
 from ...bvh.build.scene_tree import splits_triangles
@@ -54,6 +54,7 @@ class TracingPlan:
     """What a render does."""
 
     method: Method
+    _: KW_ONLY
     geometry_budget: int = 0  # PAGED: tree and triangles on the device [bytes]
     geometry_store: str = "HOST"  # PAGED: what is behind it
     treelet_bytes: int = 0  # BATCHED: most of a treelet's; 0: no limit

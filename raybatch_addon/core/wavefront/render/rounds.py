@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 
 from ...settings.settings import RenderSettings
 from ..adaptive.looks import Looks
@@ -54,6 +54,7 @@ class RoundPolicy:
 
     sample_count: int  # asked for
     marks: tuple[int, ...] = ()  # where rounds must end, ascending
+    _: KW_ONLY
     time_limit: float = 0.0  # [s]; 0: none
     error_target: float = 0.0  # relMSE; 0: none
     looks: Looks | None = None  # at the noise of pixels, which may end their sampling; None: all get all samples
@@ -72,9 +73,9 @@ class RoundPolicy:
         return RoundPolicy(
             settings.sample_count,
             sample_marks(wanted, settings.sample_count),
-            settings.time_limit,
-            settings.error_target,
-            Looks.of(settings) if sample_first == 0 else None,
+            time_limit=settings.time_limit,
+            error_target=settings.error_target,
+            looks=Looks.of(settings) if sample_first == 0 else None,
         )
 
     @property

@@ -52,7 +52,7 @@ _DIFFUSE_KINDS = tuple(
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class OcclusionFeatures:
     """What the stage is specialised on; the fields are those of `SceneFeatures`."""
 

@@ -62,7 +62,7 @@ def make_connect(clamping: bool, splits_light: bool, light_groups: bool = False)
     return connect
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ConnectFeatures:
     """What light that arrives is specialised on; the fields are those of `SceneFeatures`."""
 

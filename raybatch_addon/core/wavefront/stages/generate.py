@@ -27,7 +27,7 @@ CAMERA_RAY = int(Visibility.CAMERA)
 NEW_PATH = int(Status.ALIVE | Status.RAY_OUT) | CAMERA_RAY << VISIBILITY_SHIFT
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GenerateFeatures:
     """What the stage is specialised on."""
 

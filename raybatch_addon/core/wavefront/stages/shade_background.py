@@ -35,7 +35,7 @@ from .work import TileWork
 ENDED, INSIDE = int(Status.ENDED), int(Status.INSIDE)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BackgroundFeatures:
     """What the background stage is specialised on."""
 

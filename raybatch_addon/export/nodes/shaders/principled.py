@@ -7,7 +7,7 @@ remainder goes to a dielectric above a base that is diffuse or a medium.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 from ....core.programs.builder import Value
 from ....core.programs.ops.closures.closure_ops_facets import Distribution
@@ -62,6 +62,7 @@ class Layers:
     base: Value
     metallic: Value
     roughness: Value
+    _: KW_ONLY
     ior: Value = Value.of(1.5)
     level: Value = Value.of(0.5)  # specular level: the reflectance of the specular layer is multiplied by twice this
     tint: Value = WHITE  # colour of reflected light: at the edge for metal, at normal incidence for the rest

@@ -35,7 +35,7 @@ from .vertex import Vertex, VertexFeatures, make_vertex
 _CASTS_SHADOW, _VISIBILITY_SHIFT, _PROGRAM_SHIFT = 2, 2, 7
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AimFeatures:
     """What the stage is specialised on; the fields are those of `SceneFeatures`."""
 

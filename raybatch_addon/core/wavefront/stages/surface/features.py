@@ -8,7 +8,7 @@ from ....scene.description import ClosureKind, LightKind
 from ....scene.program import ProgramFeatures
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SurfaceFeatures:
     """The part of `SceneFeatures` that shading a surface depends on; fields have the same names."""
 
