@@ -64,6 +64,7 @@ LINES_MAX = 400
 FOLDER_FILES_MAX = 16  # of code in one folder, beside `__init__.py`
 KERNEL_PARAMETERS_MAX = 8
 NATIVE_PARAMETERS_MAX = 8
+FUNCTION_PARAMETERS_MAX = 12  # of Warp's functions: compilers inline them, and what belongs together is a struct
 WIDE_FIELDS = 8  # of a dataclass from which on they are given by name
 # of C++: its name, and its parameters
 LAMBDA = re.compile(r"(\w+) = \[[&=]?\]\s*\(([^()]*)\)")
@@ -236,6 +237,13 @@ def test_native_functions_have_few_parameters(path):
     for node in ast.walk(parsed(path)):
         if isinstance(node, ast.FunctionDef) and any("func_native" in ast.unparse(d) for d in node.decorator_list):
             assert len(node.args.args) <= NATIVE_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
+
+
+@pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
+def test_functions_of_kernels_have_few_parameters(path):
+    for node in ast.walk(parsed(path)):
+        if isinstance(node, ast.FunctionDef) and "wp.func" in map(ast.unparse, node.decorator_list):
+            assert len(node.args.args) <= FUNCTION_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
 
 
 def test_lambdas_of_headers_have_few_parameters():

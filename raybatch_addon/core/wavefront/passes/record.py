@@ -8,6 +8,8 @@ import warp as wp
 
 from ...film.mattes import MatteTile, add_matte
 from ...film.tile import FilmTile
+from ...rays import Rays
+from ...shading.bsdf.albedo import AlbedoTables
 from ...shading.bsdf.bsdf import ClosureFeatures, ClosureRecord, Lobe, ShadingFrame, make_bsdf
 from ..catchers.copies import is_copy
 from ..rays import Paths
@@ -110,33 +112,32 @@ def record_background(work: TileWork, paths: Paths, film: FilmTile, path: int):
 
 @functools.cache
 def make_record_surface(features: ClosureFeatures, transparency: bool, catchers: bool = False) -> wp.Function:
-    """Function (data, paths, film, path, v: Vertex, frame: ShadingFrame, instance, primitive, barycentric, closures,
-    first, end, lobes): what passes show of a surface that a path meets before it scatters. Depth, Position and Normal
-    are among them where surfaces may be transparent (`transparency`). With `catchers` copies of paths record nothing.
+    """Function (data, paths, rays, film, path, v: Vertex, frame: ShadingFrame, closures, first, end): what passes show
+    of a surface that a path meets before it scatters, but for its colours. Depth, Position and Normal are among them
+    where surfaces may be transparent (`transparency`). With `catchers` copies of paths record nothing.
     """
     let_through = make_bsdf(features).transparency
-    closure_colors = make_closure_colors(features)
 
     @wp.func
     def record_surface(
         data: SceneData,
         paths: Paths,
+        rays: Rays,
         film: FilmTile,
         path: int,
         v: Vertex,
         frame: ShadingFrame,
-        instance: int,
-        primitive: int,
-        barycentric: wp.vec2,
         closures: wp.array(dtype=ClosureRecord),
         first: int,
         end: int,
-        lobes: wp.array(dtype=Lobe),
     ):
         passes = paths.passes[0]
         if wp.static(catchers):
             if is_copy(paths, path):
                 return
+        instance = rays.hit_instance[path]
+        primitive = rays.hit_primitive[path]
+        barycentric = rays.hit_uv[path]
         throughput = paths.throughput[path]
         alpha = wp.vec3(1.0, 1.0, 1.0)
         settled = int(0)
@@ -179,10 +180,35 @@ def make_record_surface(features: ClosureFeatures, transparency: bool, catchers:
         if passes.mist >= 0:
             seen = clear_view(data, passes.inputs, v.surface.position) * mean_channel(wp.cw_mul(throughput, alpha))
             passes.values[passes.mist, path] = passes.values[passes.mist, path] + seen
+
+    return record_surface
+
+
+@functools.cache
+def make_record_colors(features: ClosureFeatures, catchers: bool = False) -> wp.Function:
+    """Function (paths, path, closures, first, end, lobes, tables, frame): the colours of such a surface."""
+    closure_colors = make_closure_colors(features)
+
+    @wp.func
+    def record_colors(
+        paths: Paths,
+        path: int,
+        closures: wp.array(dtype=ClosureRecord),
+        first: int,
+        end: int,
+        lobes: wp.array(dtype=Lobe),
+        tables: AlbedoTables,
+        frame: ShadingFrame,
+    ):
+        passes = paths.passes[0]
+        if wp.static(catchers):
+            if is_copy(paths, path):
+                return
+        throughput = paths.throughput[path]
         if passes.color[0] >= 0 or passes.color[1] >= 0 or passes.color[2] >= 0:
-            colors = closure_colors(closures, first, end, lobes, data.materials.albedo, frame)
+            colors = closure_colors(closures, first, end, lobes, tables, frame)
             add_channels(passes, passes.color[0], path, wp.cw_mul(throughput, colors.diffuse))
             add_channels(passes, passes.color[1], path, wp.cw_mul(throughput, colors.glossy))
             add_channels(passes, passes.color[2], path, wp.cw_mul(throughput, colors.transmission))
 
-    return record_surface
+    return record_colors

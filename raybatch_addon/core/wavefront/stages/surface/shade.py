@@ -33,7 +33,7 @@ from ....shading.sequences.sampler import make_sampler
 from ....shading.surface import spawn_origin
 from ...passes.guides import make_note_surface, note_seen_light
 from ...passes.light import divide_extending_ray
-from ...passes.record import make_record_surface, record_aov, settles
+from ...passes.record import make_record_colors, make_record_surface, record_aov, settles
 from ...rays import (
     BOUNCE_SHIFT,
     SHADOW_PASS,
@@ -99,9 +99,10 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     begin_walk = make_walk_begin(features.sample_sequence)
     lobes_most = features.lobes_most
     note_surface = make_note_surface(kinds) if features.guides else None
-    record_surface = None
+    record_surface = record_colors = None
     if features.records_surfaces:
         record_surface = make_record_surface(kinds, features.transparency, features.catchers)
+        record_colors = make_record_colors(kinds, features.catchers)
     blur = make_blur(kinds)
     leave_out_caustics = make_leave_out_caustics(kinds, features.caustics_reflective, features.caustics_refractive)
 
@@ -226,21 +227,8 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
             note_surface(paths, path, closures, first, end, lobes, data.materials.albedo, frame, hit_t)
         if wp.static(features.records_surfaces):
             if v.bounce == 0 and not v.comes_out and paths.passes.shape[0] > 0:
-                record_surface(
-                    data,
-                    paths,
-                    film,
-                    path,
-                    v,
-                    frame,
-                    rays.hit_instance[path],
-                    rays.hit_primitive[path],
-                    rays.hit_uv[path],
-                    closures,
-                    first,
-                    end,
-                    lobes,
-                )
+                record_surface(data, paths, rays, film, path, v, frame, closures, first, end)
+                record_colors(paths, path, closures, first, end, lobes, data.materials.albedo, frame)
         if wp.static(features.lacks_caustics):
             leave_out_caustics(limits, closures, first, end, lobes, visibility_of(status))
         if wp.static(features.filter_glossy):  # colours are those of the facets as they are
