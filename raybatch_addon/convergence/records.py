@@ -25,6 +25,7 @@ from ..core.settings.settings import keeps_halves
 if TYPE_CHECKING:
     from ..core.measure.snapshot import Snapshot
     from ..core.observers import Progress
+    from ..core.settings.settings import RenderSettings
 
 # Runs that are there to compare
 SLOT_COUNT = 6
@@ -105,7 +106,7 @@ class RunStore:
         """The newest, running or not."""
         return next(iter(self.runs()), None)
 
-    def begin(self, scene: str, layer: str, frame: int, settings: Any, view: str = "") -> Run:
+    def begin(self, scene: str, layer: str, frame: int, settings: RenderSettings, view: str = "") -> Run:
         """A new run, in a free slot, else in that of the oldest run that is not kept."""
         with self._lock:
             free = [i for i, run in enumerate(self._slots) if run is None]
@@ -259,7 +260,9 @@ def point_of_halves(snapshot: Snapshot) -> ErrorPoint | None:
     )
 
 
-def recorder_for(runs: RunStore, scene: str, layer: str, frame: int, settings: Any, view: str = "") -> RateRecorder:
+def recorder_for(
+    runs: RunStore, scene: str, layer: str, frame: int, settings: RenderSettings, view: str = ""
+) -> RateRecorder:
     """Begin a run, and what is to observe it."""
     run = runs.begin(scene, layer, frame, settings, view)
     return (ErrorRecorder if run.estimates_error else RateRecorder)(runs, run)

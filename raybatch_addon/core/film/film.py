@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import warp as wp
 
 from ..errors import RayBatchError
 from ..scene.description import Frame
@@ -175,7 +176,7 @@ class Film:
             merged._sum = merged.samples
         return merged
 
-    def tile_on(self, rectangle: tuple[int, int, int, int], device: Any) -> FinishedTile:
+    def tile_on(self, rectangle: tuple[int, int, int, int], device: wp.Device) -> FinishedTile:
         """The samples of the `rectangle` (x, y, width, height in the frame) as a tile on `device` that more can
         be added to.
         """

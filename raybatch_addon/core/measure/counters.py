@@ -18,6 +18,7 @@ import warp as wp
 from ..bvh.traverse.counts import LANE_PARTS, TraceCounts
 from ..device.kernel import KERNEL_OPTIONS
 from ..film.layout import COST_PASSES
+from ..rays import RayList
 from .timing import StageTimer, clock_of
 
 # Numbered like `RayKind`
@@ -247,8 +248,8 @@ class Counters:
         """Costs of a tile, all 0, int64, shape [cost passes, pixels]."""
         return wp.zeros((len(self.features.cost_passes), pixel_count), dtype=wp.int64, device=self._device)
 
-    def add(self, kind: int, listed: Any, bounce: wp.array, pixel: wp.array, cost: wp.array) -> None:
-        """Count the rays of the `RayList` `listed`, of `RayKind` `kind`, that were just finished: each ray once.
+    def add(self, kind: int, listed: RayList, bounce: wp.array, pixel: wp.array, cost: wp.array) -> None:
+        """Count the rays of `listed`, of `RayKind` `kind`, that were just finished: each ray once.
 
         `bounce` and `pixel` are those of each path, `cost` comes from `begin_tile`. Shadow rays are counted at their
         path's bounce too: 1 is a shadow ray from the first surface, unless the path went straight on through it.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import warp as wp
 
@@ -38,7 +36,9 @@ def stand_ins(
     return np.concatenate([positions, low, high]), replaced
 
 
-def place_primitives(blocks: wp.array, layout: Layout, positions: Any, triangles: Any) -> None:
+def place_primitives(
+    blocks: wp.array, layout: Layout, positions: wp.array | np.ndarray, triangles: wp.array | np.ndarray
+) -> None:
     """Write the primitives themselves into the blocks of a tree that was built over `stand_ins`: `positions` and
     `triangles` are what these were made of, as arrays of the device of `blocks` or of NumPy.
     """

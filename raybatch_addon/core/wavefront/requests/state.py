@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any
+from typing import TYPE_CHECKING
 
 import warp as wp
 
 from ...programs.ops.inputs.ray_inputs import ANSWERS
 from ...scene.features import SceneFeatures
+
+if TYPE_CHECKING:
+    from ..rays import Paths
 
 
 class Phase(IntEnum):
@@ -50,8 +53,8 @@ def _arrays() -> dict[str, type]:
     return {name: each.type.dtype for name, each in Requests.vars.items() if name != "first"}
 
 
-def give_requests(paths: Any, features: SceneFeatures, device: wp.Device) -> Requests | None:
-    """The state of `paths` (`Paths`), which get it; the programs are those of `features`. None where no rays are asked
+def give_requests(paths: Paths, features: SceneFeatures, device: wp.Device) -> Requests | None:
+    """The state of `paths`, which get it; the programs are those of `features`. None where no rays are asked
     for.
     """
     if not (features.requests or features.occlusion_pass):

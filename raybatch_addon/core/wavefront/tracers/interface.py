@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from ...bvh.traverse.counts import TraceCounts
 from ...measure.timing import NoTimer, StageTimer
 from ...rays import RayKind, RayList, Rays
 from ..order.ray_order import RayOrder
+
+if TYPE_CHECKING:
+    from ...bvh.traverse.reference import ReferenceTree
+    from ...bvh.tree import Tree
+    from .unbatched import TraceStage
 
 
 class Tracer(Protocol):
@@ -39,9 +44,9 @@ class UnbatchedTracer:
 
     def __init__(
         self,
-        tree: Any,
+        tree: Tree | ReferenceTree,
         rays: Rays,
-        stages: dict[RayKind, Any],
+        stages: dict[RayKind, TraceStage],
         *,
         order: RayOrder | None = None,
         timer: StageTimer | NoTimer | None = None,

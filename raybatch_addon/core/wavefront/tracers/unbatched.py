@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, Protocol
+from typing import Protocol
 
 import warp as wp
 
@@ -25,7 +25,7 @@ class TraceStage(Protocol):
 
     kernels: tuple[wp.Kernel, ...]
 
-    def launch(self, tree: Any, rays: Rays, listed: RayList, counts: TraceCounts | None) -> None:
+    def launch(self, tree: Tree | ReferenceTree, rays: Rays, listed: RayList, counts: TraceCounts | None) -> None:
         """Trace the rays of `listed`; hits go to their slots, what was counted to `counts`."""
 
 
