@@ -44,7 +44,7 @@ class Triangles:
 
     @staticmethod
     def of(scene: Scene) -> Triangles:
-        """Those of `scene`; raises `UsageError` for what is not known here."""
+        """The triangles of `scene`; raises `UsageError` for what is not known here."""
         flat = flatten(scene)
         matt = all(c.kind == ClosureKind.DIFFUSE for material in scene.materials for c in material.closures)
         suns = all(light.kind == LightKind.SUN for light in scene.lights)

@@ -99,8 +99,8 @@ def every_feature(features: Any) -> Any:
 
 
 def features_without_data(features: Any) -> Any:
-    """Those of `every_feature` whose kernels can render a scene that has none of them: the others read tables that are
-    not there.
+    """The features of `every_feature` whose kernels can render a scene that has none of them: the others read tables
+    that are not there.
     """
     import dataclasses
 

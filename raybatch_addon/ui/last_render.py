@@ -36,8 +36,8 @@ class RAYBATCH_RENDER_PT_last_render(EnginePanel, bpy.types.Panel):
 
 
 def report_lines(report: reports.RenderReport) -> list[str]:
-    """Of each view layer: device, seconds, rays a second, samples and error, its tree, what was counted, samples that
-    had to be repaired.
+    """Lines about each view layer: device, seconds, rays a second, samples and error, its tree, what was counted,
+    samples that had to be repaired.
     """
     lines = []
     for name, statistics in report.statistics.items():

@@ -66,7 +66,7 @@ def _estimate(context, settings: RenderSettings, statistics: dict[str, Any] | No
 
 
 def _features(context):
-    """Of a scene that has what paths need most memory for."""
+    """Features of a scene that has what paths need most memory for."""
     from ..core.scene.description import ClosureKind, LightKind
     from ..core.scene.features import SceneFeatures
 

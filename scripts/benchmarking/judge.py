@@ -68,8 +68,8 @@ def edge_closest(p: wp.vec3d, e: wp.vec3d, d: wp.vec3d) -> wp.vec2d:
 
 @wp.func
 def certainty(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d, t_max: wp.float64, carried: wp.float64) -> Certainty:
-    """Of the triangle a, b, c, taken relative to the origin of a ray along the unit vector `d`, which was carried there
-    with the error `carried`.
+    """Certainty of the triangle a, b, c, taken relative to the origin of a ray along the unit vector `d`, which was
+    carried there with the error `carried`.
     """
     result = Certainty()
     reach = wp.max(wp.max(wp.abs(a)), wp.max(wp.max(wp.abs(b)), wp.max(wp.abs(c))))

@@ -18,7 +18,7 @@ from checking.comparing import (
     disagree_kernel,
     hits_beside,
     limits_kernel,
-    told_ray,
+    ray_record,
     unequal_any_kernel,
     unequal_kernel,
     where_found,
@@ -185,7 +185,7 @@ class SceneCheck:
         check.failures += len(failed)
         for slot in failed[: max(0, EXAMPLES - len(check.examples))].tolist():
             check.examples.append(
-                {"number": first + slot, "kind": KINDS[kinds_of(first + slot, 1)[0]], **told_ray(rays, slot)}
+                {"number": first + slot, "kind": KINDS[kinds_of(first + slot, 1)[0]], **ray_record(rays, slot)}
             )
 
 

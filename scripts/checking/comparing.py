@@ -89,7 +89,7 @@ def where_found(kernel: wp.Kernel, inputs: list, count: int, device: wp.Device) 
     return np.flatnonzero(found.numpy())
 
 
-def told_ray(rays: Rays, slot: int) -> dict[str, Any]:
+def ray_record(rays: Rays, slot: int) -> dict[str, Any]:
     """One ray and its hit, to the bit."""
     values = {
         name: getattr(rays, name)[slot : slot + 1].numpy()[0]

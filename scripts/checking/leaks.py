@@ -10,7 +10,7 @@ import warp as wp
 from benchmarking.judge import RELATIVE_BOUND, placed_triangles
 from benchmarking.scenes import BenchmarkScene
 
-from checking.comparing import told_ray
+from checking.comparing import ray_record
 from checking.placing import with_instances
 from checking.rays import PLACE_GROWN, RaySource, make_source, random_direction, with_component
 from checking.trees import TreeTracer, build_tracer, reference_tracer, slot_lists, thread_count_of
@@ -226,7 +226,7 @@ class LeakTest:
             self.rays += whole
             self.escapes += escaped
             if escaped and self.example is None:
-                self.example = {"tree": tracer.name, **told_ray(self._buffer, int(self._found[1].numpy()[0]))}
+                self.example = {"tree": tracer.name, **ray_record(self._buffer, int(self._found[1].numpy()[0]))}
 
     def of_reference(self, reference: TreeTracer, count: int) -> int:
         """How many of `count` rays escape in Warp's tree."""

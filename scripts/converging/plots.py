@@ -55,7 +55,7 @@ def require_plots(path: Path | None) -> None:
 
 
 def panels(summary: Summary) -> list[Panel]:
-    """Those that have anything to show."""
+    """The panels that have anything to show."""
     found = [ERROR, SAMPLES]
     if any(positive(point, "flip") for run in summary.study.runs for point in run.points):
         found.append(FLIP)

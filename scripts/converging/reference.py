@@ -234,7 +234,7 @@ def picture_key(settings: RenderSettings) -> tuple:
 
 
 def reference_settings(settings: RenderSettings, samples: int) -> RenderSettings:
-    """Those of an unbiased reference for renders with `settings`, in two halves, with a seed that runs do not have."""
+    """Settings of an unbiased reference for renders with `settings`: two halves, with a seed that runs do not have."""
     estimating = [
         name for name, info in SETTINGS.items() if info.effect == "estimator" and name not in PICTURE_SETTINGS
     ]

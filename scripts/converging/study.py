@@ -77,7 +77,7 @@ class Study:
     seconds: float = 0.0  # that all took
 
     def runs_of(self, variant: Variant) -> list[Run]:
-        """Those of one variant, in the order of seeds."""
+        """Runs of one variant, in the order of seeds."""
         return [run for run in self.runs if run.variant is variant]
 
 

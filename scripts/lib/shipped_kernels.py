@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from raybatch_addon.core.ahead.request import GeneralRequest
-from raybatch_addon.core.device.declared import declare_all, identity_told
+from raybatch_addon.core.device.declared import declare_all, module_identity
 from raybatch_addon.core.device.devices import start_warp
 from raybatch_addon.core.device.kept_kernels import digest
 from raybatch_addon.core.device.kernel import MODULE_OPTIONS, block_size_of, is_general
@@ -136,4 +136,4 @@ def make_kernels(
         "modules": dict(sorted(entries.items())),
     }
     (out / INDEX).write_text(json.dumps(index, indent=1), encoding="utf-8")
-    write_for_shipping(out, [identity_told(kernel.module) for kernel, _ in tasks])
+    write_for_shipping(out, [module_identity(kernel.module) for kernel, _ in tasks])

@@ -22,7 +22,7 @@ from real_files.page import html_page
 from real_files.process import COLD, Outcome, run_process
 from real_files.records import ENGINES, Record, Records
 from real_files.rows import DIFFERS, FAILED, SAME, row_of, summary_of
-from real_files.tables import counted, remarks, summary_rows, told_of_old
+from real_files.tables import counted, notes_of_old, remarks, summary_rows
 from real_files.worker import PICTURES, SOURCES
 
 
@@ -177,7 +177,7 @@ def _kept_request(folder: Path) -> dict[str, Any]:
 
 
 def _versions(records: list[Record]) -> dict[str, str]:
-    """Those that the files were rendered with; several where they changed on the way."""
+    """The versions that the files were rendered with; several where they changed on the way."""
     found: dict[str, set[str]] = {}
     for task in (task for record in records for task in record.tasks.values()):
         for name, version in task.get("versions", {}).items():
@@ -186,7 +186,7 @@ def _versions(records: list[Record]) -> dict[str, str]:
 
 
 def _text(report: dict[str, Any], folder: Path) -> str:
-    lines = [counted(report["summary"]), *told_of_old(report)]
+    lines = [counted(report["summary"]), *notes_of_old(report)]
     for name, ratio, interval, worst, worst_of, *_ in summary_rows(report["summary"]):
         lines.append(
             f"{name}: RayBatch takes {ratio} times as long as Cycles ({interval}), at worst {worst} ({worst_of})"

@@ -60,7 +60,7 @@ class RealFile:
         return ""
 
     def md5(self) -> str:
-        """Of the file's bytes."""
+        """MD5 of the file's bytes."""
         with open(self.path, "rb") as opened:
             return hashlib.file_digest(opened, "md5").hexdigest()
 

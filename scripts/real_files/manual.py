@@ -25,9 +25,9 @@ from real_files.tables import (
     cells,
     counted,
     how_rendered,
+    notes_of_old,
     remarks,
     summary_rows,
-    told_of_old,
 )
 
 WIDTH = 120  # columns of the page
@@ -87,7 +87,7 @@ def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
             how=f"{how_rendered(defaults)}, each in a process of its own. {versions}.{note}",
             kernel_cache=_KERNEL_CACHES[report["request"]["kernel_cache"]],
             counted=counted(report["summary"]),
-            old="".join("\n\n" + "\n".join(_wrapped(text)) for text in told_of_old(report)),
+            old="".join("\n\n" + "\n".join(_wrapped(text)) for text in notes_of_old(report)),
             summary=_table(SUMMARY_HEADS, summary_rows(report["summary"])),
             files=_table(HEADS, [cells(row) for row in report["files"]]),
             explained=EXPLAINED,

@@ -173,7 +173,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: dict[str, float]) -> Spread | None:
-        """Of `values` by file; None where there are none."""
+        """The spread of `values` by file; None where there are none."""
         if not values:
             return None
         numbers = np.array(list(values.values()), float)

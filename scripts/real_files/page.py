@@ -16,9 +16,9 @@ from real_files.tables import (
     cells,
     counted,
     how_rendered,
+    notes_of_old,
     remarks,
     summary_rows,
-    told_of_old,
 )
 
 _STYLE = """
@@ -46,7 +46,7 @@ def html_page(report: dict[str, Any], records: list[Record], command: str) -> st
         f"<h1>Real files by Cycles and by RayBatch</h1>\n<p>{_text(counted(report['summary']))}; {request['width']} "
         f"pixels wide, {request['samples']} samples, on the CPU, {how_rendered(request.get('defaults', False))}. {_text(machine)}.</p>\n"
         f'<div class="wide">{_table(SUMMARY_HEADS, summary_rows(report["summary"]))}</div>\n'
-        + "".join(f"<p>{_text(told)}</p>\n" for told in told_of_old(report))
+        + "".join(f"<p>{_text(told)}</p>\n" for told in notes_of_old(report))
         + f'<h2>Files</h2>\n<div class="wide">{_table(HEADS, [cells(row) for row in report["files"]])}</div>\n'
         f'<p class="soft">{_text(EXPLAINED.replace("*", ""))}</p>\n'
         f"<p>Pictures: Cycles, RayBatch, and their absolute difference {GAIN} times as bright.</p>\n"

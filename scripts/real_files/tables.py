@@ -68,7 +68,7 @@ def counted(summary: dict[str, Any]) -> str:
     return f"{summary['files']} files by verdict: {counts or 'none'}"
 
 
-def told_of_old(report: dict[str, Any]) -> list[str]:
+def notes_of_old(report: dict[str, Any]) -> list[str]:
     """A sentence about files that were rendered by other code than that which reports; none where there are none."""
     old, count = report.get("old", []), len(report["files"])
     if not old:

@@ -72,7 +72,7 @@ class BlenderRender:
         self._films: list[tuple[str, Film]] = []  # of the frame in work, by view layer
         self._statistics: list[dict[str, Any]] = []
         self._scene_saved = False
-        self._told: set[str] = set()  # messages about the exported scene
+        self._shown: set[str] = set()  # messages about the exported scene
 
     def run(self) -> None:
         """Open, render and write what was asked for; raises `RayBatchError`."""
@@ -112,7 +112,7 @@ class BlenderRender:
 
     def _on_scene(self, _layer: str, exported: Scene, settings: RenderSettings) -> None:
         tell_warnings(exported.warnings)
-        self._told = set(exported.warnings)
+        self._shown = set(exported.warnings)
         if self._request.save_scene and not self._scene_saved:
             save_scene(Path(self._request.save_scene).absolute(), exported, settings)
             self._scene_saved = True
@@ -120,7 +120,7 @@ class BlenderRender:
                 raise _SceneSaved("the scene is saved")
 
     def _on_film(self, layer: str, _exported: Scene, film: Film) -> None:
-        tell_warnings(text for text in film.statistics["warnings"] if text not in self._told)
+        tell_warnings(text for text in film.statistics["warnings"] if text not in self._shown)
         self._statistics.append(described(film, bpy.context.scene.frame_current, layer))
         if self._request.film or self._request.heat_maps:
             view = film.statistics.get("frame", {}).get("view")

@@ -27,7 +27,7 @@ def _counts(passed: int, failures: list[str], skipped: int = 0) -> Counts:
 
 
 def suite_counts(work: Path) -> Counts:
-    """Of pytest's JUnit file."""
+    """Counts of pytest's JUnit file."""
     passed, skipped, failures = 0, 0, []
     for each in ElementTree.parse(work / "suite.xml").iter("testcase"):
         children = {child.tag for child in each}
@@ -45,21 +45,21 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def stability_counts(work: Path) -> Counts:
-    """Of runs: a case with one tracer."""
+    """Counts of runs: a case with one tracer."""
     report = _read(work / "stability.json")
     failures = [f"{each['name']} ({each['tracer']})" for each in report["cases"] if not each["passed"]]
     return _counts(report["passed"], failures, len(report["skipped"]))
 
 
 def parity_counts(work: Path) -> Counts:
-    """Of features; those out of bounds, or not supported, failed."""
+    """Counts of features; those out of bounds, or not supported, failed."""
     report = _read(work / "parity.json")
     failures = [f"{each['name']}: {each['status']}" for each in report["features"] if each["status"] != "ok"]
     return _counts(report["counts"]["all"]["ok"], failures)
 
 
 def tracing_counts(work: Path) -> Counts:
-    """Of the report's checks, each over all rays."""
+    """Counts of the report's checks, each over all rays."""
     report = _read(work / "tracing.json")
     failures = [name for name, each in report["checks"].items() if each["failures"]]
     if report["leaks"] and report["leaks"]["escapes"]:
@@ -69,7 +69,7 @@ def tracing_counts(work: Path) -> Counts:
 
 
 def schedules_counts(work: Path) -> Counts:
-    """Of films."""
+    """Counts of films."""
     report = _read(work / "schedules.json")
     return _counts(report["compared"] - report["faults"], ["a film differs"] * report["faults"])
 

@@ -72,13 +72,13 @@ class CompileProcess:
         """Why it failed, in a line; empty where it did not, or has not ended."""
         if self._process.poll() in (None, 0):
             return ""
-        return self._told() or f"it ended with code {self._process.returncode}"
+        return self._report() or f"it ended with code {self._process.returncode}"
 
     def notes(self) -> str:
         """What is to be known of it although it did not fail, in a line; empty as long as it compiles."""
-        return self._told() if self._process.poll() == 0 else ""
+        return self._report() if self._process.poll() == 0 else ""
 
-    def _told(self) -> str:
+    def _report(self) -> str:
         if not self._process.stderr.closed:
             with self._process.stderr as pipe:
                 lines = pipe.read().decode("utf-8", "replace").strip().splitlines()

@@ -53,7 +53,7 @@ class CompileRequest:
 
 
 def tree_kernels(device: wp.Device) -> list[wp.Kernel]:
-    """Those that build trees, over triangles and over lights."""
+    """Kernels that build trees, over triangles and over lights."""
     return [*build_kernels(device), *LIGHT_TREE_KERNELS]
 
 

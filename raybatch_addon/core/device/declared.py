@@ -54,13 +54,13 @@ def declare_all(module: wp.Module) -> None:
         module.declare()
 
 
-def identity_told(module: wp.Module) -> str:
+def module_identity(module: wp.Module) -> str:
     """The identity of `module`, whose code was hashed; empty where it has none."""
     return module.identity if isinstance(module, _Module) else ""
 
 
 def is_known(module: wp.Module, block_size: int) -> bool:
-    """Whether the hash of `module` can be told at once."""
+    """Whether the hash of `module` is known without declaring it."""
     return not isinstance(module, _Module) or module.is_known(block_size)
 
 
@@ -211,7 +211,7 @@ class _KnownHash:
         self.unique_kernels: dict[bytes, wp.Kernel] = {}
 
     def get_hash(self) -> bytes:
-        """Of the module."""
+        """The hash of the module."""
         return self.hash
 
 
@@ -226,7 +226,8 @@ class _Module(wp.Module):
         self.goes_by_what_is_known = False
         self._kernel_key = kernel_key
         self._trusts = True
-        self._told: tuple[str, list[str]] | None = None  # identities of it and of its kernels; empty where unknown
+        # of it and of its kernels; empty where unknown
+        self._known_identities: tuple[str, list[str]] | None = None
 
     @property
     def name(self) -> str:
@@ -280,7 +281,7 @@ class _Module(wp.Module):
         arg_types = {name: each for name, each in annotations.items() if name != "return"}
         if any(wp._src.types.type_is_generic(each) for each in arg_types.values()):
             return False
-        identity = self._told[1][self.all_kernels.index(kernel)]
+        identity = self._known_identities[1][self.all_kernels.index(kernel)]
         stride = wp._src.codegen.resolve_grid_stride(
             kernel.options, self.resolve_options(wp.config)["default_grid_stride"]
         )
@@ -291,7 +292,7 @@ class _Module(wp.Module):
 
     @property
     def identity(self) -> str:
-        """What it is known by; empty where that cannot be told."""
+        """What it is known by; empty where nothing is."""
         with _codegen._codegen_lock:
             return self._identities()[0]
 
@@ -306,8 +307,8 @@ class _Module(wp.Module):
 
     def forget(self) -> None:
         """What is known is wrong: hash the code from now on."""
-        if self._told:
-            forget_module(self._told[0])
+        if self._known_identities:
+            forget_module(self._known_identities[0])
         self._trusts = False
         self.execs = {}
         self.declare()
@@ -323,21 +324,21 @@ class _Module(wp.Module):
             known = self._known() if waits else None
             if known and size in known.hashes:
                 own, of_kernels = known.hashes[size]
-                pairs = zip(self.all_kernels, self._told[1], strict=True)
-                self.hashers[size] = _KnownHash(own, {each: bytes.fromhex(of_kernels[told]) for each, told in pairs})
+                pairs = zip(self.all_kernels, self._known_identities[1], strict=True)
+                self.hashers[size] = _KnownHash(own, {each: bytes.fromhex(of_kernels[name]) for each, name in pairs})
                 self.resolved_options[size] = self.resolve_options(wp.config, block_dim=size)
                 self.goes_by_what_is_known = True
                 return self.hashers[size].get_hash()
-            told = self._identities()
+            identities = self._identities()
             self.declare()
             found = super().get_module_hash(size)
-            self._told = told
+            self._known_identities = identities
             self._tell(size)
             return found
 
     def mark_modified(self) -> None:
         super().mark_modified()
-        self._told = None
+        self._known_identities = None
 
     def increment_id(self) -> int:
         """Two modules may have one name, as that of code that is the same."""
@@ -353,13 +354,13 @@ class _Module(wp.Module):
         return super()._get_kernel_tid_extent_limit(kernel, block_dim)
 
     def _identities(self) -> tuple[str, list[str]]:
-        if self._told is None:
+        if self._known_identities is None:
             try:
                 options = self.resolve_options(wp.config, block_dim=0)
-                self._told = identity_of([(each.func, each.options) for each in self.all_kernels], options)
+                self._known_identities = identity_of([(each.func, each.options) for each in self.all_kernels], options)
             except UnknownError:
-                self._told = "", []
-        return self._told
+                self._known_identities = "", []
+        return self._known_identities
 
     def _known(self) -> KnownModule | None:
         """What is known of the module, if that is all that it takes."""
@@ -375,8 +376,8 @@ class _Module(wp.Module):
         if not own or any(each.is_generic for each in self.all_kernels):
             return
         hasher, pairs = self.hashers[size], list(zip(of_kernels, self.all_kernels, strict=True))
-        hashes = {told: hasher.kernel_hashes[each].hex() for told, each in pairs}
-        dimensions = {told: each.adj.kernel_dim for told, each in pairs}
+        hashes = {name: hasher.kernel_hashes[each].hex() for name, each in pairs}
+        dimensions = {name: each.adj.kernel_dim for name, each in pairs}
         note_module(own, KnownModule(self.name, {size: (hasher.get_hash().hex(), hashes)}, dimensions))
 
 

@@ -35,8 +35,8 @@ class UnknownError(Exception):
 
 @functools.cache
 def sources_digest() -> str:
-    """Of all sources of the core, as they are when this file is imported, before anything is declared; and of what else
-    decides what they mean.
+    """Digest of all sources of the core, as they are when this file is imported, before anything is declared; and of
+    what else decides what they mean.
     """
     digest = hashlib.blake2b(digest_size=16)
     _add_folder(digest, str(_CORE))
@@ -90,7 +90,7 @@ class _Teller:
     """Tells one module; what it told once it remembers, as nothing changes meanwhile."""
 
     def __init__(self):
-        self._told: dict[int, tuple[Any, str]] = {}  # by id, with the object, which must live as long
+        self._texts: dict[int, tuple[Any, str]] = {}  # by id, with the object, which must live as long
         self._functions: dict[int, tuple[types.FunctionType, bytes]] = {}
 
     def of_warp(self, function: types.FunctionType) -> bytes:
@@ -141,7 +141,7 @@ class _Teller:
         if isinstance(value, str):
             found = names.get(value)
             return value if found is None else f"{value} {self.annotation(found, {})}"
-        known = self._told.get(id(value))
+        known = self._texts.get(id(value))
         if known is None:
             try:
                 text = wp._src.types.get_type_code(value) if value is not None else "None"
@@ -151,16 +151,16 @@ class _Teller:
                 text += value.hash.hex()
             elif isinstance(dtype := getattr(value, "dtype", None), wp._src.codegen.Struct):
                 text += dtype.hash.hex()
-            known = self._told[id(value)] = value, text
+            known = self._texts[id(value)] = value, text
         return known[1]
 
     def value(self, value: Any) -> str:
         """A value that a function refers to."""
         if isinstance(value, _PLAIN) and type(value) in _PLAIN:
             return repr(value)
-        known = self._told.get(id(value))
+        known = self._texts.get(id(value))
         if known is None:
-            known = self._told[id(value)] = value, self._value(value)
+            known = self._texts[id(value)] = value, self._value(value)
         return known[1]
 
     def _value(self, value: Any) -> str:

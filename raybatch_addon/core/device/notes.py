@@ -6,14 +6,14 @@ import threading
 
 _lock = threading.Lock()
 _notes: list[str] = []
-_told: set[str] = set()
+_noted: set[str] = set()
 
 
 def note(text: str) -> None:
     """Tell `text` with the next report; the same text is told once."""
     with _lock:
-        if text not in _told:
-            _told.add(text)
+        if text not in _noted:
+            _noted.add(text)
             _notes.append(text)
 
 

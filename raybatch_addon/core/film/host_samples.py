@@ -51,7 +51,7 @@ class HostSamples:
         )
 
     def part(self, pixels: np.ndarray, matte_kinds: int = 0) -> HostSamples:
-        """Those of some pixels, in the order of `pixels`; `matte_kinds`: how many kinds of mattes there are."""
+        """Samples of some pixels, in the order of `pixels`; `matte_kinds`: how many kinds of mattes there are."""
         channels = self.sums.channels
 
         def cells(sums: np.ndarray) -> np.ndarray:
@@ -67,6 +67,6 @@ class HostSamples:
         )
 
     def single(self, pass_names: tuple[str, ...]) -> dict[str, np.ndarray]:
-        """Those of the passes that are no means of summed channels, float32, shape [pixels * channels]."""
+        """Values of the passes that are no means of summed channels, float32, shape [pixels * channels]."""
         costs = mean_costs(self.cost, self.counts) | sample_counts(pass_names, self.counts)
         return self.first | costs | self.mattes.passes(pass_names, self.counts)

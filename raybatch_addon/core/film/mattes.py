@@ -108,7 +108,7 @@ class Mattes:
         return Mattes(cell[first], identity[first], sums)
 
     def part(self, pixels: np.ndarray, kinds: int) -> Mattes:
-        """Those of some pixels, which are numbered by their places in `pixels`."""
+        """Mattes of some pixels, which are numbered by their places in `pixels`."""
         if not len(self.cell):
             return Mattes()
         place = np.full(max(int(pixels.max(initial=0)), int(self.cell.max()) // kinds) + 1, -1, np.int64)

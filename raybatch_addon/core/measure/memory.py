@@ -27,7 +27,7 @@ class MemoryEstimate:
 
     @property
     def behind(self) -> int:
-        """Of `tree`, what waits in host memory or on disk."""
+        """What of `tree` waits in host memory or on disk."""
         return self.tree - self.resident
 
     @property

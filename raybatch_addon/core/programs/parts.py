@@ -26,7 +26,7 @@ def steps_towards(
 
 
 def transparent_parts(programs: Sequence[Program | None]) -> list[Program | None]:
-    """Of each of `programs` the part that makes the closures that let light pass straight on, all that shadow rays ask
+    """The part of each of `programs` that makes the closures that let light pass straight on, all that shadow rays ask
     for; None where there are no such closures. A program that occurs several times has one part.
     """
     known: dict[int, Program | None] = {}

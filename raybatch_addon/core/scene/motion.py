@@ -18,7 +18,7 @@ _TURN, _PARTS_MOST = 0.1, 64
 
 
 def instance_maps(maps: np.ndarray) -> InstanceMaps:
-    """Those of all instances, float32, shape [n, times, 3, 4]."""
+    """Maps of all instances, float32, shape [n, times, 3, 4]."""
     return InstanceMaps(np.arange(len(maps), dtype=np.int32), maps)
 
 

@@ -106,7 +106,7 @@ class StepPlace:
 
 @wp.func
 def step_place(geometry: Geometry, mesh: int, time: float, what: int) -> StepPlace:
-    """Of the vertices (`what` 0) or normals (2) of a mesh."""
+    """The step of the vertices (`what` 0) or normals (2) of a mesh."""
     place = StepPlace()
     count = geometry.instance_slot_first.shape[0]
     if geometry.instance_mesh.shape[0] > count:

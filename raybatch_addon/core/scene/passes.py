@@ -100,17 +100,17 @@ def is_pass(name: str) -> bool:
 
 
 def aov_passes(passes: tuple[str, ...]) -> tuple[str, ...]:
-    """Those of `passes` that materials write; their places are the numbers that programs know them by."""
+    """The names of `passes` that materials write; their places are the numbers that programs know them by."""
     return tuple(name for name in passes if name.startswith((AOV_COLOR, AOV_VALUE)))
 
 
 def light_group_passes(passes: tuple[str, ...]) -> tuple[str, ...]:
-    """Those of `passes` that show the light of a group of emitters."""
+    """The names of `passes` that show the light of a group of emitters."""
     return tuple(name for name in passes if name.startswith(LIGHT_GROUP))
 
 
 def matte_kinds(pass_names: tuple[str, ...]) -> tuple[str, ...]:
-    """Those of `MATTE_KINDS` that some of `pass_names` show."""
+    """The kinds of `MATTE_KINDS` that some of `pass_names` show."""
     return tuple(kind for kind in MATTE_KINDS if any(name.startswith(kind) for name in pass_names))
 
 

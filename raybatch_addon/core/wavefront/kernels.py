@@ -92,7 +92,7 @@ class StageKernels:
         )
 
     def that_shade(self) -> list[wp.Kernel]:
-        """Those of surfaces, lights, the world and volumes."""
+        """Kernels of surfaces, lights, the world and volumes."""
         return [*self.shading.values(), *(self.volumes.all() if self.volumes else ())]
 
     def all(self) -> list[wp.Kernel]:

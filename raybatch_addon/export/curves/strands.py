@@ -158,7 +158,7 @@ class CutStrands:
         return np.concatenate([[0], np.cumsum(counts)])
 
     def _origin_of(self, first: int, end: int) -> tuple[np.ndarray, np.ndarray]:
-        """Of each vertex of the pieces behind the points from `first` to `end` that piece, and how far along it."""
+        """The piece of each vertex behind the points from `first` to `end`, and how far along it the vertex is."""
         begin = self._vertex_first[first : end + 1]
         counts = np.diff(begin)
         piece = np.repeat(np.arange(first, end), counts)

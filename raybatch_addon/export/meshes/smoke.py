@@ -62,7 +62,7 @@ def _makes_volumes(tree: bpy.types.NodeTree, known: dict[int, bool]) -> bool:
 
 
 def smoke_grids(obj: bpy.types.Object, names: list[str], frame: int, label: str, warnings: list[str]) -> list[Grid]:
-    """Those of the grids called `names` that the smoke of `obj`, evaluated at `frame`, has and that are not 0
+    """The grids called `names` that the smoke of `obj`, evaluated at `frame`, has and that are not 0
     everywhere.
 
     They fill the box of the mesh's texture space, a value in the middle of each cell.

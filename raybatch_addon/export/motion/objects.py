@@ -80,7 +80,7 @@ class PlacedMotions:
     def of(
         self, placed: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, mesh: int, made: Any, item: int
     ) -> PlacedMotion:
-        """That of `placed`, number `item` of the depsgraph's list, which is mesh number `mesh` of `made`, the
+        """The motion of `placed`, number `item` of the depsgraph's list, which is mesh number `mesh` of `made`, the
         `Placements`.
         """
         parent = placed.parent if placed.is_instance else None

@@ -94,7 +94,7 @@ def sizes(options: Options) -> tuple[int, int, int]:
 
 
 def settings_of(variant: str) -> tuple[RenderSettings, RenderSettings]:
-    """Those of references, and those of a variant."""
+    """Settings of references, and those of a variant."""
     plain = RenderSettings(bounce_max=4, kernel_tier="SPECIALISED")
     width = VARIANTS[variant]
     return plain, plain.replace(texture_filter="FOOTPRINT", texture_filter_width=width) if width else plain

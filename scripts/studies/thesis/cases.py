@@ -58,7 +58,7 @@ def initial_cases() -> list[Case]:
 
 
 def cases(options: Options) -> list[Case]:
-    """Those of the three tables, each group beside the same render without queues, and on one warp where there are
+    """The cases of the three tables, each group beside the same render without queues, and on one warp where there are
     warps.
     """
     found = initial_cases()

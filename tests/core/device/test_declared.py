@@ -65,7 +65,7 @@ def result_of(kernel: wp.Kernel) -> float:
     return float(values.numpy()[2])
 
 
-def identity_told(kernel: wp.Kernel) -> str:
+def module_identity(kernel: wp.Kernel) -> str:
     return identity_of([(kernel.func, kernel.options)], kernel.module.options)[0]
 
 
@@ -114,12 +114,12 @@ def test_identity_follows_all_that_code_is_made_of(monkeypatch):
         return value
 
     kernels = [make_kernel(3.0), make_kernel(4.0), make_kernel(3.0, Pair), make_kernel(3.0, helper=other)]
-    told = [identity_told(kernel) for kernel in kernels]
-    assert len(set(told)) == 4 and identity_told(make_kernel(3.0)) == told[0]
+    told = [module_identity(kernel) for kernel in kernels]
+    assert len(set(told)) == 4 and module_identity(make_kernel(3.0)) == told[0]
     assert identity_of([(kernels[0].func, {"enable_backward": True})], kernels[0].module.options)[0] != told[0]
     assert identity_of([(kernels[0].func, kernels[0].options)], {"fast_math": True})[0] != told[0]
     monkeypatch.setitem(globals(), "FACTOR", 3.0)
-    assert identity_told(kernels[0]) != told[0] and result_of(make_kernel(3.0)) == 9.0
+    assert module_identity(kernels[0]) != told[0] and result_of(make_kernel(3.0)) == 9.0
 
 
 def test_identity_is_that_of_the_functions_not_of_their_order():
@@ -143,7 +143,7 @@ def test_what_has_no_identity_is_declared():
     things = [Thing()]
     kernel = make_kernel(1.0, helper=helper)
     with pytest.raises(UnknownError, match="Thing"):
-        identity_told(kernel)
+        module_identity(kernel)
     assert result_of(kernel) == 5.0 and kernel.module.identity == ""
 
 
@@ -375,11 +375,11 @@ def test_a_changed_source_is_noticed(tmp_path):
 def test_bytecode_that_is_not_the_sources_is_noticed():
     """As in a session whose files were changed after they were imported."""
     kernel = make_kernel(3.0)
-    told = identity_told(kernel)
+    told = module_identity(kernel)
     kernel.func.__code__ = kernel.func.__code__.replace(co_consts=(*kernel.func.__code__.co_consts, "other"))
-    assert identity_told(kernel) != told
+    assert module_identity(kernel) != told
 
 
 def test_floats_are_told_to_the_last_bit():
-    assert identity_told(make_kernel(0.1)) != identity_told(make_kernel(float(np.nextafter(0.1, 1.0))))
-    assert identity_told(make_kernel(0.0)) != identity_told(make_kernel(-0.0))
+    assert module_identity(make_kernel(0.1)) != module_identity(make_kernel(float(np.nextafter(0.1, 1.0))))
+    assert module_identity(make_kernel(0.0)) != module_identity(make_kernel(-0.0))

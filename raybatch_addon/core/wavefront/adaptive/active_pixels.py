@@ -50,13 +50,13 @@ class HalfPictures:
 
     @staticmethod
     def of_tile(first: FinishedTile, second: FinishedTile) -> HalfPictures:
-        """Of one tile."""
+        """The pictures of one tile."""
         rectangle = Rectangle(first.x, first.y, first.width, first.height)
         return HalfPictures(rectangle, (first.colors(), second.colors()), (first.film.counts, second.film.counts))
 
     @staticmethod
     def of_film(film: Film, device: wp.Device) -> HalfPictures:
-        """Of a whole film, which has halves."""
+        """The pictures of a whole film, which has halves."""
         x0, y0, x1, y1 = film.region
         colors = [np.ascontiguousarray(half.colors).reshape(-1, 4) for half in film.halves]
         return HalfPictures(
@@ -84,7 +84,7 @@ class ActivePixels:
 
     @staticmethod
     def after(film: Film, samples: int, threshold: float, device: wp.Device) -> ActivePixels:
-        """Those that go on after a look at `film`, which has all samples up to `samples` of every pixel that went on
+        """Pixels that go on after a look at `film`, which has all samples up to `samples` of every pixel that went on
         until then.
         """
         active = ActivePixels.all_of(film.region, threshold)
@@ -127,7 +127,7 @@ class ActivePixels:
         self.looks.append({"samples": samples, "pixels": self.stopped.size - int(np.count_nonzero(self.stopped))})
 
     def lists(self, tiles: Iterable[Rectangle], device: wp.Device) -> list[wp.array | None]:
-        """Of each tile the pixels that get samples, int32, as `active_number` takes them; None for all of them."""
+        """The pixels of each tile that get samples, int32, as `active_number` takes them; None for all of them."""
         stopped = wp.array(self.stopped.reshape(-1), dtype=int, device=device)
         return [self._list(tile, stopped) for tile in tiles]
 

@@ -76,7 +76,7 @@ def sample_noise_kernel(part: NoisePart, width: int, noise: wp.array(dtype=float
 
 @wp.kernel(**KERNEL_OPTIONS)
 def row_sums_kernel(noise: wp.array(dtype=float), width: int, sums: wp.array(dtype=wp.vec2)):
-    """Of each pixel the sum over the row of its neighbourhood, with and without itself."""
+    """Each pixel's sum over the row of its neighbourhood, with and without itself."""
     i = wp.tid()
     column = i % width
     left = float(0.0)

@@ -37,7 +37,7 @@ class SnapshotWatcher:
 
 
 def snapshot_watchers(observers: Iterable[RenderObserver], sample_count: int) -> list[SnapshotWatcher]:
-    """Those of the observers that want snapshots of a render of `sample_count` samples."""
+    """The observers that want snapshots of a render of `sample_count` samples."""
     wanted = [(observer, observer.snapshot_samples(sample_count)) for observer in observers]
     return [
         SnapshotWatcher(sample_marks(marks, sample_count), observer.on_snapshot)

@@ -119,7 +119,7 @@ def make_occlusion(features: OcclusionFeatures) -> wp.Function:
 
     @wp.func
     def mean_normal(closures: wp.array(dtype=ClosureRecord), first: int, end: int, frame: ShadingFrame) -> wp.vec3:
-        """Of the diffuse closures by their weights; without them the surface's."""
+        """The normal of the diffuse closures by their weights; without them the surface's."""
         normal = wp.vec3(0.0)
         for c in range(first, end):
             if is_diffuse(closures[c].kind):

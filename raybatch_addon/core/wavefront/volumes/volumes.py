@@ -26,7 +26,7 @@ class VolumeKernels:
 
     @staticmethod
     def choose(features: SceneFeatures, shading: SceneFeatures) -> VolumeKernels | None:
-        """Those of a scene with `features`, specialised on `shading`; None where there are no volumes."""
+        """The kernels of a scene with `features`, specialised on `shading`; None where there are no volumes."""
         if not features.volumes:
             return None
         needs = narrow(shading, VolumeFeatures)
