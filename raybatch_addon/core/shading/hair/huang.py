@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import warp as wp
 
+from ...native.build import native_source
 from ..bsdf.albedo import AlbedoTables, glass_albedo
 from ..bsdf.fresnel import fresnel_dielectric
 from ..bsdf.ggx import ggx_distribution, ggx_slope, reflected, refracted, sample_visible_normal
@@ -79,19 +80,7 @@ class _Facet:
     density: float
 
 
-@wp.func_native("""
-    unsigned state = (unsigned)salt * 0x9E3779B9u;
-    const float numbers[6] = {a[0], a[1], a[2], b[0], b[1], b[2]};
-    for (int k = 0; k < 6; ++k) {
-        unsigned bits;
-        memcpy(&bits, &numbers[k], 4);
-        state = (state ^ bits) * 0x85EBCA6Bu;
-        state ^= state >> 13;
-        state *= 0xC2B2AE35u;
-        state ^= state >> 16;
-    }
-    return static_cast<int>(state >> 8);
-""")
+@wp.func_native(native_source("math/hash_vectors.h"))
 def _hashed(a: wp.vec3, b: wp.vec3, salt: int) -> int: ...
 
 

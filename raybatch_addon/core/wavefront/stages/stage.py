@@ -33,24 +33,12 @@ _LAUNCHES = {
 
 # A launch on a CPU runs in one thread, in a loop around the kernel that copies all of its arguments each time: some
 # thousand bytes for a stage, which took 5 % of its time. So the first of its threads goes through all slots itself.
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-return thread;
-#else
-return thread == 0 ? 0 : 0x7fffffff;
-#endif
-""")
+@wp.func_native(native_source("threads/first.h"))
 def first_of_thread(thread: int) -> int:
     """The first index of a thread; on a CPU the threads behind the first one have none."""
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-return 0x7fffffff;
-#else
-return i + 1;
-#endif
-""")
+@wp.func_native(native_source("threads/next.h"))
 def next_of_thread(i: int) -> int:
     """The index of a thread that follows `i`; beyond all counts on a GPU, where a thread has one."""
 
