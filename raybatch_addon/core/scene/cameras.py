@@ -1,4 +1,4 @@
-"""Cameras of a scene: their projections, and when they take the picture."""
+"""Cameras of a scene: their projections, when they take the picture, and the frame that they fill."""
 
 from __future__ import annotations
 
@@ -92,3 +92,30 @@ class Camera:
     # None: they stay
     frames: np.ndarray | None = None
     window_frames: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The picture asked for; pixel (0, 0) is at the bottom left, as in Blender."""
+
+    width: int  # width of the full frame [pixels]
+    height: int
+    _: KW_ONLY
+    border: tuple[int, int, int, int] | None = None  # x0, y0, x1, y1: rendered part (end exclusive); None: all
+    transparent: bool = False  # the world does not cover the background of the objects: alpha is below 1 there
+    passes: tuple[str, ...] = ("Combined",)  # names of `PASSES` in `scene/passes.py`
+    # mist: where it begins, how far behind that it is densest [m], and the exponent of the share between: 0.5, 1 or 2
+    mist: tuple[float, float, float] = (0.0, 100.0, 1.0)
+    alpha_threshold: float = 0.5  # passes of data show the first surface whose alpha is not below it
+    occlusion_distance: float = 3e38  # how far the pass Ambient Occlusion looks [m]
+
+    @property
+    def pixel_count(self) -> int:
+        """Pixels that are rendered."""
+        x0, y0, x1, y1 = self.region
+        return (x1 - x0) * (y1 - y0)
+
+    @property
+    def region(self) -> tuple[int, int, int, int]:
+        """x0, y0, x1, y1 of the rendered part [pixels]."""
+        return self.border or (0, 0, self.width, self.height)

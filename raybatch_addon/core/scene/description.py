@@ -12,7 +12,7 @@ from enum import IntEnum, IntFlag
 import numpy as np
 
 # the archive finds all classes here
-from .cameras import Camera, CameraKind, Panorama, Shutter, SphericalStereo  # noqa: F401
+from .cameras import Camera, CameraKind, Frame, Panorama, Shutter, SphericalStereo  # noqa: F401
 from .program import Instruction, Program, ProgramFeatures  # noqa: F401
 
 _STORED_NAME = "stored_name"  # metadata of a field that is called otherwise in files
@@ -353,33 +353,6 @@ class World:
     light_group: int = -1  # index into `Scene.light_groups`; -1: no group
     # RECTANGLE, ELLIPSE: openings by which the light of `program` comes to where they shine; they give none themselves
     portals: tuple[Light, ...] = ()
-
-
-@dataclass(frozen=True)
-class Frame:
-    """The picture asked for; pixel (0, 0) is at the bottom left, as in Blender."""
-
-    width: int  # width of the full frame [pixels]
-    height: int
-    _: KW_ONLY
-    border: tuple[int, int, int, int] | None = None  # x0, y0, x1, y1: rendered part (end exclusive); None: all
-    transparent: bool = False  # the world does not cover the background of the objects: alpha is below 1 there
-    passes: tuple[str, ...] = ("Combined",)  # names of `PASSES` in `scene/passes.py`
-    # mist: where it begins, how far behind that it is densest [m], and the exponent of the share between: 0.5, 1 or 2
-    mist: tuple[float, float, float] = (0.0, 100.0, 1.0)
-    alpha_threshold: float = 0.5  # passes of data show the first surface whose alpha is not below it
-    occlusion_distance: float = 3e38  # how far the pass Ambient Occlusion looks [m]
-
-    @property
-    def pixel_count(self) -> int:
-        """Pixels that are rendered."""
-        x0, y0, x1, y1 = self.region
-        return (x1 - x0) * (y1 - y0)
-
-    @property
-    def region(self) -> tuple[int, int, int, int]:
-        """x0, y0, x1, y1 of the rendered part [pixels]."""
-        return self.border or (0, 0, self.width, self.height)
 
 
 @dataclass(frozen=True)
