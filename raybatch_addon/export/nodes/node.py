@@ -46,8 +46,7 @@ class Graph:
     _open: set[tuple] = field(default_factory=set)  # nodes being evaluated: meeting one again means a cycle
     _sources: dict[tuple, tuple[Source | None, Any]] = field(default_factory=dict)
     _uses: Counter = field(default_factory=Counter)  # for each shader node: links that lead from it to the output
-    # for each shader node: how many times its closures were asked for
-    _shaded: Counter = field(default_factory=Counter)
+    _shaded: Counter = field(default_factory=Counter)  # ... and how many times its closures were asked for
     # shader nodes, weights and links so far
     _waiting: dict[tuple, tuple[Node, Value, int]] = field(default_factory=dict)
 
