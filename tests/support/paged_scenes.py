@@ -74,22 +74,31 @@ def hairy() -> Scene:
     )
 
 
-def living() -> Scene:
-    """`hairy`, where a mesh turns, one that is placed twice moves in one place, and a ball and two tufts deform."""
-    made = hairy()
-    meshes, mesh_of = list(made.meshes), made.instances.mesh.tolist()
-    for mesh in (meshes[mesh_of[0]], meshes[mesh_of[8]], meshes[mesh_of[10]]):
-        sway = 0.15 * np.sin(5 * mesh.positions[:, [1, 2, 0]])
-        steps = np.stack([mesh.positions + share * sway for share in (-1.0, 0.0, 1.5)]).astype(np.float32)
-        meshes[meshes.index(mesh)] = replace(mesh, motion=steps)
+def swaying(mesh: Mesh) -> Mesh:
+    """The mesh, deforming from one step to the next two."""
+    sway = 0.15 * np.sin(5 * mesh.positions[:, [1, 2, 0]])
+    return replace(
+        mesh, motion=np.stack([mesh.positions + share * sway for share in (-1.0, 0.0, 1.5)]).astype(np.float32)
+    )
+
+
+def turning(made: Scene, which: tuple[int, ...]) -> Scene:
+    """The scene, in which the instances `which` turn and rise."""
     maps = np.repeat(made.instances.transform[:, None], 3, 1)
     for step, angle in enumerate((0.0, 0.4, 1.1)):
         turn = np.float32([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-        for i in (1, 2, 9, 11):
+        for i in which:
             maps[i, step, :, :3] = turn @ maps[i, 0, :, :3]
             maps[i, step, 2, 3] += 0.3 * step
-    instances = replace(made.instances, transform=maps[:, 1], motion=instance_maps(maps))
-    return replace(made, meshes=tuple(meshes), instances=instances)
+    return replace(made, instances=replace(made.instances, transform=maps[:, 1], motion=instance_maps(maps)))
+
+
+def living() -> Scene:
+    """`hairy`, where a mesh turns, one that is placed twice moves in one place, and a ball and two tufts deform."""
+    made = hairy()
+    deforming = made.instances.mesh[[0, 8, 10]]
+    meshes = (swaying(mesh) if i in deforming else mesh for i, mesh in enumerate(made.meshes))
+    return turning(replace(made, meshes=tuple(meshes)), (1, 2, 9, 11))
 
 
 def page_bytes(paged: PagedScene) -> list[np.ndarray]:

@@ -99,9 +99,7 @@ def plan_tracing(
         has = "things that move" if moving else "hair, curves or points"
         why = f"the scene has {has}, and Warp's tree holds triangles that stand still alone"
         complaint = f"batching is OFF, not REFERENCE: {why}"
-        plan = TracingPlan(
-            Method.UNBATCHED, choices={"batching": Choice("OFF", why)}, complaints=(complaint,)
-        )
+        plan = TracingPlan(Method.UNBATCHED, choices={"batching": Choice("OFF", why)}, complaints=(complaint,))
     if plan.method is Method.REFERENCE or settings.spatial_splits != "AUTO":
         return replace(plan, splits=settings.spatial_splits == "ON")
     if not splits_triangles("AUTO", layout) or plan.method is Method.PAGED:

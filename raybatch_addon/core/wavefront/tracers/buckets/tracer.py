@@ -87,12 +87,7 @@ def batching_kernels(
 
 
 def batching_bytes_per_path(
-    settings: RenderSettings,
-    shadow_rays: bool,
-    instancing: bool,
-    levels: int,
-    is_cuda: bool,
-    moving: bool = False,
+    settings: RenderSettings, shadow_rays: bool, instancing: bool, levels: int, is_cuda: bool, moving: bool = False
 ) -> int:
     """Device memory of a `BatchingTracer` for each path alive, but for what batches need, which is bounded [bytes]."""
     many, queues = 1 << 22, 512
