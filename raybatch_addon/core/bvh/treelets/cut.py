@@ -165,8 +165,8 @@ def cut_nodes(layout: Layout, nodes: np.ndarray, rule: CutRule, steps: int = 1) 
 
 
 def _over_steps(order: np.ndarray, first: np.ndarray, steps: int) -> np.ndarray:
-    """`order` of the units of one step, whose treelets begin at `first`, for those of all steps: block by block, step by
-    step.
+    """`order` of the units of one step, whose treelets begin at `first`, for those of all steps: block by block, and in
+    each step by step.
     """
     count = np.diff(first, prepend=0)  # of the resident ones and of each treelet
     block = np.repeat(np.arange(len(count)), count)

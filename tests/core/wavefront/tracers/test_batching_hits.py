@@ -33,7 +33,6 @@ from tests.support.paged_scenes import hairy, living
 from tests.support.under_test import DEVICE
 from tests.support.wide_trees import soup, sphere
 
-
 # with hair, and with things that move too
 SCENES = {"hairy": hairy, "living": living}
 
@@ -165,7 +164,7 @@ def test_hits_are_those_of_the_unbatched_tracer(name, layout, selection, storage
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("name", SCENES)
 def test_segments_and_things_that_move(name, layout, storage, shadow_kind):
-    built, cut = cut_case(name, layout)
+    cut = cut_case(name, layout)[1]
     deform = cut.treelets.deform.numpy() if name == "living" else np.zeros(1)
     assert (len(np.unique(deform)) > 2) == (name == "living")
     compare(name, layout, shadow_kind, PARALLEL[-1], ray_storage=storage, debug_checks="ON")

@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
 
 from ....scene.flatten import FlatGeometry
 from ....scene.segments import are_segments, segment_boxes, segment_boxes_over

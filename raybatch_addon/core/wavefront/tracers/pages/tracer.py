@@ -97,8 +97,8 @@ class StreamingTracer:
         curves: bool = False,
         moving: bool = False,
     ):
-        """Traces the rays of `worker`, past segments of curves where there are `curves`, and at their times where things
-        are `moving`; `residency`, of the same scene, is shared by all workers. To be closed.
+        """Traces the rays of `worker`, past segments of curves where there are `curves`, and at their times where
+        things are `moving`; `residency`, of the same scene, is shared by all workers. To be closed.
 
         `stage`: what tracing does. `capacity`: rays of a batch at most. Where these are not given they are chosen.
         """
