@@ -62,10 +62,8 @@ def place_resident(
     deform = np.zeros(0, np.int32)
     if flat.motion:
         chunk_deform, deform = _deform(tables, flat, layout)
-        tree.entry_motion, tree.entry_deform = (
-            upload.add(entries.motion, int),
-            upload.add(chunk_deform[entries.mesh], int),
-        )
+        tree.entry_motion = upload.add(entries.motion, int)
+        tree.entry_deform = upload.add(chunk_deform[entries.mesh], int)
         tree.motion_keys = upload.add(entries.keys.reshape(-1), float)
         tree.motion_steps, tree.deform_steps = entries.keys.shape[1], flat.motion.vertex_steps
     tree.top_node, tree.top_entry = node_count, top.order

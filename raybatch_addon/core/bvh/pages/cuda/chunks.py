@@ -28,7 +28,7 @@ class ChunkTree:
     nodes: wp.array  # wp.vec4
     triangles: wp.array  # wp.vec4, with numbers in the mesh
     vertices: wp.array  # of each triangle, in the order of `triangles`, int32, shape [3 * count]
-    steps: int  # of vertices that move: `triangles` and `vertices` hold those of one behind another's
+    steps: int  # of vertices that move, whose `triangles` and `vertices` lie one behind another
     known: dict[str, Any]  # fields of `Chunk`
 
 
