@@ -1,5 +1,7 @@
 """Scenes in pages for tests, and what must hold for all of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import warp as wp
 
@@ -9,6 +11,7 @@ from raybatch_addon.core.bvh.pages.build import PagedScene
 from raybatch_addon.core.bvh.pages.store import page_buffer
 from raybatch_addon.core.bvh.tree import Tree
 from raybatch_addon.core.scene.description import Mesh, Scene, Visibility
+from raybatch_addon.core.scene.motion import instance_maps
 from tests.support import scenes
 from tests.twins.treelet_walk import CutBlocks
 
@@ -34,6 +37,68 @@ def everything() -> Scene:
             (scenes.sphere("hidden", 24, 12), scenes.translation(-3, 0, 0), scenes.diffuse(), int(Visibility.CAMERA)),
         ]
     )
+
+
+def strands(name: str, count: int, segments: int = 4, ribbons: bool = False, seed: int = 1) -> Mesh:
+    """Strands that become thin, some of them points, all over a ball of radius 1."""
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(count, 3))
+    root /= np.linalg.norm(root, axis=1, keepdims=True)
+    along = np.linspace(0, 0.4, segments + 1)
+    points = root[:, None] * (1 + along[:, None]) + 0.3 * along[:, None] ** 2 * rng.normal(size=(count, 1, 3))
+    i = np.arange(count * (segments + 1), dtype=np.int32).reshape(count, -1)
+    rows = np.stack([i[:, :-1], i[:, 1:], i[:, :-1]], -1).reshape(-1, 3)
+    rows[::50, 1] = rows[::50, 0]
+    radii = np.tile(np.linspace(0.02, 0.004, segments + 1, dtype=np.float32), count)
+    return Mesh(name, points.reshape(-1, 3).astype(np.float32), rows, radii=radii, ribbons=ribbons)
+
+
+def hairy() -> Scene:
+    """`everything` with hair: baked among triangles, ribbons, and a mesh of points and strands that is placed twice."""
+    made = everything()
+    tuft = strands("tuft", 150, seed=2)
+    objects = [
+        (made.meshes[mesh], transform, scenes.diffuse(), int(visibility))
+        for mesh, transform, visibility in zip(
+            made.instances.mesh, made.instances.transform, made.instances.visibility, strict=True
+        )
+    ]
+    return scenes.scene(
+        [
+            *objects,
+            (strands("hair", 500), scenes.IDENTITY, scenes.diffuse()),
+            (strands("flat", 200, ribbons=True, seed=3), scenes.translation(-2.5, 0, 0.5), scenes.diffuse()),
+            (tuft, scenes.translation(0, -3, 0), scenes.diffuse()),
+            (tuft, scenes.translation(1, 3, 1, 0.6), scenes.diffuse()),
+        ]
+    )
+
+
+def swaying(mesh: Mesh) -> Mesh:
+    """The mesh, deforming from one step to the next two."""
+    sway = 0.15 * np.sin(5 * mesh.positions[:, [1, 2, 0]])
+    return replace(
+        mesh, motion=np.stack([mesh.positions + share * sway for share in (-1.0, 0.0, 1.5)]).astype(np.float32)
+    )
+
+
+def turning(made: Scene, which: tuple[int, ...]) -> Scene:
+    """The scene, in which the instances `which` turn and rise."""
+    maps = np.repeat(made.instances.transform[:, None], 3, 1)
+    for step, angle in enumerate((0.0, 0.4, 1.1)):
+        turn = np.float32([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        for i in which:
+            maps[i, step, :, :3] = turn @ maps[i, 0, :, :3]
+            maps[i, step, 2, 3] += 0.3 * step
+    return replace(made, instances=replace(made.instances, transform=maps[:, 1], motion=instance_maps(maps)))
+
+
+def living() -> Scene:
+    """`hairy`, where a mesh turns, one that is placed twice moves in one place, and a ball and two tufts deform."""
+    made = hairy()
+    deforming = made.instances.mesh[[0, 8, 10]]
+    meshes = (swaying(mesh) if i in deforming else mesh for i, mesh in enumerate(made.meshes))
+    return turning(replace(made, meshes=tuple(meshes)), (1, 2, 9, 11))
 
 
 def page_bytes(paged: PagedScene) -> list[np.ndarray]:

@@ -1,7 +1,9 @@
-"""Three small scenes that every schedule renders alike."""
+"""Small scenes that every schedule renders alike."""
 
 import functools
+from dataclasses import replace
 
+import numpy as np
 from checking.films import FilmComparer
 
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Scene
@@ -10,6 +12,7 @@ from raybatch_addon.core.scene.passes import PASSES as PASS_CHANNELS
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
+from tests.support.paged_scenes import strands, swaying, turning
 
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2, clamp_indirect=3.0)
 # Every pass of the general tier but those that show cost, and of mattes those of two levels. Ambient Occlusion has
@@ -65,7 +68,33 @@ def mixed_scene() -> Scene:
     return scenes.mixed(frame())
 
 
-SCENES = {"open": open_scene, "closed": closed_scene, "mixed": mixed_scene}
+def living_scene() -> Scene:
+    """Hair, ribbons and points, which stand still, turn and sway; a ball that deforms, and a camera that moves."""
+    tuft, coat = (
+        strands("tuft", 60, seed=2),
+        scenes.material(Closure(ClosureKind.DIFFUSE, (0.6, 0.4, 0.2)), name="coat"),
+    )
+    made = scenes.scene(
+        [
+            (strands("hair", 150), scenes.IDENTITY, coat),
+            (scenes.sphere("skin", 20, 10), scenes.IDENTITY, scenes.diffuse((0.7, 0.5, 0.4))),
+            (swaying(strands("grass", 120, ribbons=True, seed=3)), scenes.translation(1.8, 0.5, -0.6), coat),
+            (swaying(scenes.sphere("pulse", 16, 8)), scenes.translation(-1.9, 0.6, 0, 0.8), scenes.diffuse(0.6)),
+            (tuft, scenes.translation(-1, -1, 0.3, 0.5), coat),
+            (tuft, scenes.translation(1.1, -1.2, 0.1, 0.4), coat),
+            (scenes.plane("floor", 8), scenes.translation(0, 0, -1), scenes.diffuse(0.5)),
+        ],
+        view=scenes.camera(eye=(0.4, -5, 1.2), aspect=4 / 3),
+        frame=frame(),
+        world=(0.3, 0.4, 0.6),
+        lights=[scenes.sun(2.0, 0.05, scenes.look_at((1, -1, 3), (0, 0, 0)))],
+    )
+    ways = np.repeat(np.asarray(made.camera.transform, np.float32)[None], 2, 0)
+    ways[1, 0, 3] += 0.1
+    return turning(replace(made, camera=replace(made.camera, motion=ways)), (1, 5))
+
+
+SCENES = {"open": open_scene, "closed": closed_scene, "mixed": mixed_scene, "living": living_scene}
 
 
 @functools.cache

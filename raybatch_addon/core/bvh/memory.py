@@ -26,6 +26,7 @@ VERTICES_MAX = 2**31 - 1
 ROW = 12  # a triangle's indices, or a position
 NORMALS = 36  # of the corners of a triangle
 TREE_BYTES = {Layout.BOXES: 45, Layout.QUANTISED: 55}  # nodes and blocks of full groups and leaves, for each triangle
+COPY_BYTES = {Layout.BOXES: 40, Layout.QUANTISED: 48}  # of a triangle in a block
 BUILD_BYTES_HOST = 100  # records, lists and nodes of a binary tree, for each triangle (`cpu/build.py`)
 
 
@@ -38,6 +39,7 @@ class GeometrySize:
     largest: int  # triangles of the largest mesh tree
     smooth: bool  # whether there are normals
     curves: bool = False  # whether some triangles are segments of curves
+    copies: int = 0  # of triangles, at further steps of vertices that move
 
     @staticmethod
     def of(scene: Scene) -> GeometrySize:
@@ -57,7 +59,12 @@ class GeometrySize:
             max([0, *trees, *baked.values()]),
             any(mesh.corner_normals is not None for mesh, _ in filled),
             any(mesh.radii is not None for mesh, _ in filled),
+            sum((len(mesh.motion) - 1) * len(mesh.triangles) for mesh, _ in filled if mesh.motion is not None),
         )
+
+    def step_bytes(self, layout: Layout) -> int:
+        """Of `copies`, in blocks that are full [bytes]."""
+        return COPY_BYTES[layout] * self.copies
 
     def arrays(self) -> int:
         """Geometry alone [bytes]."""
@@ -68,7 +75,7 @@ class GeometrySize:
         build = BYTES_EACH if device.is_cuda else BUILD_BYTES_HOST
         # the CPU holds the geometry of the host and that of the device
         return self.arrays() * (1 if device.is_cuda else 2) + max(
-            TREE_BYTES[layout] * self.triangles, build * self.largest
+            TREE_BYTES[layout] * self.triangles + self.step_bytes(layout), build * self.largest
         )
 
 

@@ -33,7 +33,7 @@ class Tree:
     motion_keys: wp.array(dtype=float)  # `motion_keys` of what moves, shape [rows * steps * KEY_FLOATS]
     motion_steps: int
     # by entry: triangles, or groups of them, of one step of its vertices: those of all steps lie one behind another.
-    # 0: they do not deform
+    # 0: they do not deform. Of trees that are cut, of those above treelets
     entry_deform: wp.array(dtype=int)
     deform_steps: int
     # top level
@@ -64,6 +64,7 @@ class Treelets:
     root: wp.array(dtype=int)  # by treelet: its root among `Tree.nodes`
     nodes: wp.array(dtype=wp.uint64)  # by treelet: address of its block of nodes; 0 where that is absent
     triangles: wp.array(dtype=wp.uint64)  # likewise of its triangles
+    deform: wp.array(dtype=int)  # by treelet, as `Tree.entry_deform`; no entries where nothing moves
 
 
 @wp.struct

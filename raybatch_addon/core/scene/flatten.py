@@ -40,6 +40,11 @@ class FlatMotion:
     # by mesh that deforms: `Mesh.motion` and `Mesh.motion_normals`
     steps: dict[int, tuple[np.ndarray, np.ndarray | None]]
 
+    @property
+    def vertex_steps(self) -> int:
+        """Steps of vertices, the same of all meshes; 2 where none deforms."""
+        return max((len(vertices) for vertices, _ in self.steps.values()), default=2)
+
 
 @dataclass(frozen=True, kw_only=True)
 class FlatGeometry:

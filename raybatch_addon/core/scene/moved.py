@@ -4,7 +4,8 @@ Behind the `instance_count` entries of `instance_mesh` are as many rows of keys 
 then the steps of keys and those of vertices. Behind the maps in `instance_transform` are the keys, `KEY_FLOATS` each,
 row by row. Behind the first triangles of all meshes in `mesh_triangle_first` are four numbers a mesh: what is added to
 the index of a vertex for its place at the first step, and the vertices of a step (0: it does not deform), and the same
-of the normals of corners. The vertices and normals of steps lie behind the others.
+of the normals of corners. The vertices and normals of steps lie behind the others. Where `Geometry.positions` holds the
+corners of triangles, so it does those of steps, and the first two numbers count corners.
 """
 
 from __future__ import annotations
@@ -20,26 +21,33 @@ from .geometry import Geometry, mat34, transform_point
 from .motion import KEY_FLOATS
 
 
-def with_motion(flat: FlatGeometry) -> FlatGeometry:
-    """`flat` with what moves behind its arrays, for kernels alone; itself where nothing moves."""
+def with_motion(flat: FlatGeometry, corners: bool = False) -> FlatGeometry:
+    """`flat` with what moves behind its arrays, for kernels alone; itself where nothing moves. With `corners` for a
+    `Geometry` that is to hold those of triangles: the triangles of steps lie behind the others.
+    """
     motion = flat.motion
     if motion is None:
         return flat
     place = np.zeros((len(flat.mesh_triangle_first) - 1, 4), np.int32)
-    positions, normals = [flat.positions], [flat.corner_normals]
-    steps = 2
-    for mesh, (vertices, corners) in motion.steps.items():
-        steps = len(vertices)
-        place[mesh, :2] = sum(map(len, positions)) - flat.mesh_vertex_first[mesh], vertices.shape[1]
+    positions, normals, triangles = [flat.positions], [flat.corner_normals], [flat.triangles]
+    for mesh, (vertices, own_normals) in motion.steps.items():
+        own = slice(*flat.mesh_triangle_first[mesh : mesh + 2].tolist())
+        first = sum(map(len, positions)) - flat.mesh_vertex_first[mesh]
+        place[mesh, :2] = first, vertices.shape[1]
+        if corners:
+            place[mesh, :2] = 3 * (sum(map(len, triangles)) - own.start), 3 * (own.stop - own.start)
+            shifts = (first + np.arange(len(vertices)) * vertices.shape[1]).astype(np.int32)
+            triangles += [flat.triangles[own] + shift for shift in shifts]
         positions.append(vertices.reshape(-1, 3))
-        if corners is not None and len(flat.corner_normals):
-            place[mesh, 2:] = sum(map(len, normals)) - 3 * flat.mesh_triangle_first[mesh], corners[0].size // 3
-            normals.append(corners.reshape(-1, 3))
+        if own_normals is not None and len(flat.corner_normals):
+            place[mesh, 2:] = sum(map(len, normals)) - 3 * own.start, own_normals[0].size // 3
+            normals.append(own_normals.reshape(-1, 3))
     keys = motion.keys.reshape(-1, 3, 4)
-    counts = np.array([motion.keys.shape[1], steps], np.int32)
+    counts = np.array([motion.keys.shape[1], motion.vertex_steps], np.int32)
     return dataclasses.replace(
         flat,
         positions=np.concatenate(positions).astype(np.float32),
+        triangles=flat.triangles if len(triangles) == 1 else np.concatenate(triangles),
         corner_normals=np.concatenate(normals).astype(np.float32),
         mesh_triangle_first=np.concatenate([flat.mesh_triangle_first, place.ravel()]),
         instance_mesh=np.concatenate([flat.instance_mesh, motion.row, counts]),

@@ -1,5 +1,7 @@
 """Geometry that holds the corners of each triangle, as in host memory, is shaded to the same bits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import warp as wp
@@ -8,24 +10,35 @@ from raybatch_addon.core.device import bulk
 from raybatch_addon.core.scene import geometry as scene_geometry
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import host_array, upload_geometry, uploaded
+from raybatch_addon.core.scene.moved import with_motion
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.scene import scene_cache
 from tests.support import scenes
+from tests.support.schedule_scenes import living_scene
 
 
-def test_corners_instead_of_indices_change_no_film(session, monkeypatch):
+@pytest.mark.parametrize("made", [scenes.mixed, living_scene])
+def test_corners_instead_of_indices_change_no_film(session, monkeypatch, made):
+    """Of triangles, of segments of curves, and of both at several steps."""
     settings = RenderSettings(sample_count=2, bounce_max=4)
     frame = scenes.Frame(24, 18, passes=("Combined", "Normal", "Position", "Depth"))
-    expected = session.render(scenes.mixed(frame), settings).passes
+    scene = replace(made(), frame=frame)
+    expected = session.render(scene, settings).passes
     session.close()
-    upload, seen, corners = scene_cache.upload_geometry, [], []
+    upload, still, seen, corners = scene_cache.upload_geometry, [], [], []
+
+    def remember(flat):
+        still.append(flat)
+        return with_motion(flat)
 
     def upload_corners(flat, scene, device, on_host=False):
-        geometry = upload(flat, scene, device, on_host=True)
-        seen.append((geometry.triangles.size, geometry.positions.size - 3 * len(flat.triangles)))
+        behind = with_motion(still[-1], corners=True)
+        geometry = upload(behind, scene, device, on_host=True)
+        seen.append((geometry.triangles.size, geometry.positions.size - 3 * len(behind.triangles)))
         corners.append(geometry)
         return upload(flat, scene, device)  # trees are built from indices
 
+    monkeypatch.setattr(scene_cache, "with_motion", lambda flat, corners: remember(flat))
     monkeypatch.setattr(scene_cache, "upload_geometry", upload_corners)
     get = scene_cache.SceneCache.get
 
@@ -35,7 +48,7 @@ def test_corners_instead_of_indices_change_no_film(session, monkeypatch):
         return kept
 
     monkeypatch.setattr(scene_cache.SceneCache, "get", get_corners)
-    film = session.render(scenes.mixed(frame), settings)
+    film = session.render(scene, settings)
     assert seen == [(0, 0)]
     for name, values in expected.items():
         assert np.array_equal(film.passes[name].view(np.int32), values.view(np.int32)), name

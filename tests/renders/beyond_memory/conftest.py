@@ -24,7 +24,7 @@ def session(device, pages):
 
 @pytest.fixture(scope="module")
 def plain(device):
-    """Films without queues, of all three scenes."""
+    """Films without queues, of all scenes."""
     opened = Session(device)
     made = {name: FilmComparer(opened, make(), ESTIMATOR, 24) for name, make in schedule_scenes.SCENES.items()}
     yield made

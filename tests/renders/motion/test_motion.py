@@ -145,8 +145,15 @@ def test_any_schedule_gives_the_same_film(session):
         {"ray_count": 512, "ray_sort": "ON", "thread_count": 2},
         {"spatial_splits": "ON", "single_lane": "ON"},
         {"counters": "ON", "sample_order": "PIXEL_FIRST"},
+        {"batching": "ON", "treelet_size": 6},
+        {"batching": "ON", "treelet_size": 6, "ray_storage": "DIRECT"},
+        {"batching": "ON", "geometry_budget": 60_000, "geometry_store": "HOST"},
     ):
-        np.testing.assert_array_equal(session.render(scene, settings.replace(**changes)).passes["Combined"], plain)
+        film = session.render(scene, settings.replace(**changes))
+        np.testing.assert_array_equal(film.passes["Combined"], plain)
+        statistics = film.statistics
+        assert ("batching" in changes) == (statistics["batching"] is not None)
+        assert ("geometry_budget" in changes) == ("pages" in statistics["tree"])
 
 
 def test_a_part_of_the_frame_is_that_part_of_the_picture(session):
@@ -156,9 +163,9 @@ def test_a_part_of_the_frame_is_that_part_of_the_picture(session):
     np.testing.assert_array_equal(part.passes["Combined"], whole[3:11, 4:17])
 
 
-def test_rays_that_ask_for_waiting_are_told_that_they_do_not(session):
-    film = session.render(moving_scene(), SETTINGS.replace(sample_count=1, batching="ON"))
-    assert any("batching is OFF" in text for text in film.statistics["warnings"])
+def test_warps_tree_is_told_not_to_know_of_motion(session):
+    film = session.render(moving_scene(), SETTINGS.replace(sample_count=1, batching="REFERENCE"))
+    assert any("batching is OFF, not REFERENCE" in text for text in film.statistics["warnings"])
 
 
 @pytest.mark.parametrize("way", ["far", "collapsing", "flipped"])

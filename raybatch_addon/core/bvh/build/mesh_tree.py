@@ -14,7 +14,6 @@ import warp as wp
 
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import Geometry
-from ...scene.segments import are_segments
 from ..node import TRIANGLES_MAX_QUANTISED, Layout
 from .binary import BuildOptions
 from .collapse import collapse_mesh
@@ -206,12 +205,7 @@ class MeshTrees:
         positions, triangles = self._geometry.positions, self._geometry.triangles
         if boxed is None:
             return build_mesh(positions, triangles, part.triangle_first, part.triangle_count)
-        made = build_mesh(
-            wp.array(boxed[0], dtype=wp.vec3, device=self._device),
-            wp.array(boxed[1], dtype=wp.vec3i, device=self._device),
-            0,
-            part.triangle_count,
-        )
+        made = build_mesh(*self._uploaded(boxed), 0, part.triangle_count)
         place_primitives(made.triangles, self.layout, positions, triangles[part.span])
         return made
 
@@ -219,19 +213,31 @@ class MeshTrees:
         """Fit `mesh` in place to the frame's positions; False when it has become so bad that it should be built anew.
 
         Parts of triangles that were split for the old positions are lost, so such a tree must cost no more than it did.
-        Trees with segments of curves are built anew.
+        Boxes are joined of what stands in for segments of curves, which come into their places behind. Trees over
+        vertices that move while the shutter is open are built anew.
         """
-        part, positions = mesh.part, self._geometry.positions
-        if self._flat.curves and are_segments(*self._own(part)).any():
+        if mesh.step_units:
             return False
-        triangles = self._geometry.triangles[part.span]
+        own = self._geometry.positions, self._geometry.triangles[mesh.part.span]
+        boxed = self._stand_ins(mesh.part)
+        positions, triangles = self._uploaded(boxed) if boxed else own
         if self.layout is Layout.QUANTISED:
             mesh.levels = mesh.levels or self._levels(mesh)
             result = refit_quantised(mesh.nodes, mesh.triangles, mesh.levels, positions, triangles)
         else:
             result = refit_boxes(mesh.nodes, mesh.triangles, positions, triangles)
+        if boxed:
+            place_primitives(mesh.triangles, self.layout, *own)
         mesh.centre, mesh.box, mesh.sah, mesh.splits = result.centre, result.box, result.sah, False
         return result.sah <= mesh.sah_built * (1.0 if mesh.split else SAH_GROWTH_MAX)
+
+    def _uploaded(self, boxed: tuple[np.ndarray, np.ndarray]) -> tuple[wp.array, wp.array]:
+        """Positions and triangles of stand-ins where the tree is."""
+        positions, triangles = boxed
+        return (
+            wp.array(positions, dtype=wp.vec3, device=self._device),
+            wp.array(triangles, dtype=wp.vec3i, device=self._device),
+        )
 
     def _levels(self, mesh: MeshTree) -> NodeLevels:
         if mesh.level_first is None:

@@ -185,7 +185,7 @@ def _assemble(built: BuiltTree, flat: FlatGeometry, entries: Entries, device: wp
         tree.entry_motion, tree.entry_deform = upload(entries.motion, int), upload(steps, int)
         tree.motion_keys = wp.array(entries.keys.reshape(-1), dtype=float, device=device)
         tree.motion_steps = entries.keys.shape[1]
-        tree.deform_steps = max((len(vertices) for vertices, _ in flat.motion.steps.values()), default=2)
+        tree.deform_steps = flat.motion.vertex_steps
     tree.entry_count = len(entries.mesh)
     tree.top_node = int(node_first[-1]) // vectors_per_node
     tree.top_entry = top.order if top else wp.empty(0, dtype=int, device=device)

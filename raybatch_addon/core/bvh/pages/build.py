@@ -17,14 +17,14 @@ from ...device.devices import free_memory
 from ...errors import OutOfMemoryError, check_cancelled
 from ...scene.flatten import FlatGeometry
 from ..build.mesh_tree import mesh_parts
-from ..memory import TREE_BYTES
 from ..node import Layout
 from ..tree import Tree
 from ..treelets.cut import CutRule
-from .budget import least_budget, page_size
+from .budget import expected_bytes, least_budget, page_size
 from .chunks import ChunkBuilder, chunk_size
 from .cuda.packing import DevicePacker
 from .divide.cells import MeshTriangles, mesh_from, mesh_triangles
+from .divide.primitives import Primitives
 from .encode import expand_page
 from .entries import instances_in
 from .file import PageFileWriter, delete_old_files, open_page_file
@@ -37,8 +37,6 @@ from .tables import PageBuilder, PageTables
 _NODES_SHARE = 0.75
 # Share of the host's free memory that pages may take once more, as the device has them
 _PLAIN_SHARE = 0.5
-# A packed triangle with its share of nodes, mostly
-_ENCODED_BYTES = 25
 
 
 @dataclass(kw_only=True)
@@ -53,6 +51,7 @@ class PagedScene:
     tree: Tree  # on the device: top level, top nodes and roots of treelets, the few triangles right at them
     of_node: wp.array  # as `Treelets`, on the device
     root: wp.array  # likewise
+    deform: wp.array  # likewise
     treelet_count: int
     levels: int  # resident levels on the longest way to a treelet's root: those of the top level and of one mesh's top
     pages: list[Page] = field(repr=False)
@@ -142,6 +141,8 @@ def build_paged_scene(
     start = time.perf_counter()
     page_bytes = page_size(budget)
     staged = device.is_cuda and encoded  # a page that arrives has a buffer beside its slot
+    primitives = Primitives.of(flat)
+    spatial_splits = spatial_splits and not primitives.stand_in
 
     def builder_of(page_bytes: int) -> ChunkBuilder:
         return ChunkBuilder(
@@ -149,9 +150,12 @@ def build_paged_scene(
         )
 
     @functools.cache
-    def source_on(where: str) -> MeshTriangles:
+    def source_on(where: str) -> tuple[MeshTriangles, MeshTriangles | None]:
         device = wp.get_device(where)
-        return mesh_triangles(flat.positions, flat.triangles, device, corners if device.is_cuda else None)
+        if primitives.stand_in:
+            boxed = mesh_triangles(primitives.boxed_positions, primitives.boxed_triangles, device)
+            return boxed, mesh_triangles(primitives.positions, primitives.triangles, device)
+        return mesh_triangles(flat.positions, flat.triangles, device, corners if device.is_cuda else None), None
 
     def build(
         builder: ChunkBuilder,
@@ -162,12 +166,11 @@ def build_paged_scene(
         packer: PagePacker = (
             DevicePacker(device, target, encoded, plain)
             if builder.on_device
-            else HostPacker(layout, target, flat.positions if encoded else None, plain)
+            else HostPacker(layout, target, primitives.positions if encoded else None, plain)
         )
         try:
-            return _build(
-                flat, source_on(builder.where.alias), builder, PageBuilder(layout, page_bytes, packer), packer
-            )
+            pages = PageBuilder(layout, page_bytes, packer)
+            return _build(flat, primitives, source_on(builder.where.alias), builder, pages), packer.plain_byte
         finally:
             packer.close()
 
@@ -181,7 +184,7 @@ def build_paged_scene(
     def needed(page_bytes: int) -> int:
         tables, _ = build(builder_of(page_bytes), page_bytes, NoStore())
         resident = place_resident(tables, flat, visibility, layout, device)
-        return _needed_bytes(tables, resident.bytes, bool(nodes_resident), staged)
+        return tables.needed_bytes(resident.bytes, bool(nodes_resident), staged)
 
     def too_small() -> OutOfMemoryError:
         enough = least_budget(budget, len(flat.triangles), bound, needed)
@@ -196,10 +199,11 @@ def build_paged_scene(
     builder = builder_of(page_bytes)
     known: dict[str, Any] = {"store": store, "page_bytes": page_bytes, "encoded": encoded, "reused": False}
     copy: HostStore | None = None
+    expected = expected_bytes(primitives, flat.curves, layout, encoded)
     if store == "DISK":
-        tables, pages = _from_disk(flat, layout, builder, rule, Path(folder), known, build)
+        tables, pages = _from_disk(flat, layout, builder, rule, Path(folder), expected, known, build)
     else:
-        expected, free = _expected_bytes(flat, layout, encoded), free_memory(wp.get_device("cpu"))
+        free = free_memory(wp.get_device("cpu"))
         if expected > free:
             raise OutOfMemoryError(
                 f"the scene's geometry takes about {expected / 1e9:.2f} GB, and {free / 1e9:.2f} GB of memory are "
@@ -207,7 +211,8 @@ def build_paged_scene(
             )
         pages = HostStore(pinned=device.is_cuda)
         if plain is None:
-            plain = device.is_cuda and expected + _expected_bytes(flat, layout, False) < _PLAIN_SHARE * free
+            expanded = expected_bytes(primitives, flat.curves, layout, False)
+            plain = device.is_cuda and expected + expanded < _PLAIN_SHARE * free
         copy = HostStore(pinned=device.is_cuda) if encoded and plain else None
         tables, copy_byte = build(builder, page_bytes, pages, copy)
     check_cancelled(cancelled)
@@ -228,10 +233,13 @@ def _from_disk(
     builder: ChunkBuilder,
     rule: CutRule,
     folder: Path,
+    expected: int,
     known: dict[str, Any],
     build: Callable,
 ) -> tuple[PageTables, PageStore]:
-    """Tables and pages of the file in `folder`, which is written where there is none that is sound."""
+    """Tables and pages of the file in `folder`, which is written where there is none that is sound; it takes about
+    `expected` bytes.
+    """
     page_bytes, encoded = known["page_bytes"], known["encoded"]
     key = _key(flat, layout, builder, rule, page_bytes, encoded)
     found = open_page_file(folder, layout, key)
@@ -244,7 +252,7 @@ def _from_disk(
             found = f"{found[0].path} does not hold {error}"
     if found is not None:
         known["page_file_warning"] = f"{found}: it was written anew"
-    writer = PageFileWriter(folder, layout, key, _expected_bytes(flat, layout, encoded))
+    writer = PageFileWriter(folder, layout, key, expected)
     try:
         tables, _ = build(builder, page_bytes, writer)
         store = writer.finish(tables.index())
@@ -256,16 +264,24 @@ def _from_disk(
 
 
 def _build(
-    flat: FlatGeometry, source: MeshTriangles, builder: ChunkBuilder, pages: PageBuilder, packer: PagePacker
-) -> tuple[PageTables, list[int]]:
-    """Tables of what goes to the store of `packer`, and where each page begins in its plain one."""
+    flat: FlatGeometry,
+    primitives: Primitives,
+    source: tuple[MeshTriangles, MeshTriangles | None],
+    builder: ChunkBuilder,
+    pages: PageBuilder,
+) -> PageTables:
+    """Tables of what goes to the store of `pages`. `source`: stand-ins, or what needs none, and primitives that have
+    some.
+    """
     none = np.zeros(0, np.int32)
     for i, part in enumerate(mesh_parts(flat)):
-        triangles = flat.triangles[part.triangle_first : part.triangle_first + part.triangle_count]
-        for chunk in builder.build(mesh_from(source, part.triangle_first), flat.positions, triangles):
-            pages.add(chunk, instances_in(flat.merged[i], chunk.faces) if i < len(flat.merged) else none, triangles)
+        mesh, own_mesh = (each and mesh_from(each, part.triangle_first) for each in source)
+        boxed, own = primitives.boxed_triangles[part.span], primitives.own(part)
+        for chunk in builder.build(mesh, primitives.boxed_positions, boxed, own, own_mesh):
+            instances = instances_in(flat.merged[i], chunk.faces) if i < len(flat.merged) else none
+            pages.add(chunk, instances, flat.triangles[part.span])
         pages.end_part()
-    return pages.finish(), packer.plain_byte
+    return pages.finish()
 
 
 def _key(
@@ -275,6 +291,8 @@ def _key(
     baked ones.
     """
     arrays = [flat.positions, flat.triangles, *(group.instance_triangle_first for group in flat.merged)]
+    if flat.motion:
+        arrays += [vertices for vertices, _ in flat.motion.steps.values()]
     parts = [tuple(part) for part in mesh_parts(flat)]
     return digest_of(arrays, repr((layout, builder.choices, rule, page_bytes, encoded, parts)))
 
@@ -302,9 +320,9 @@ def _assembled(
         rest = budget - resident.bytes - node_bytes
         page_most = int(tables.page_device[:, 1].max()) + staged * int(tables.page_bytes[:, 1].max())
         nodes_resident = node_bytes <= _NODES_SHARE * budget and rest >= 2 * page_most
-    if _needed_bytes(tables, resident.bytes, nodes_resident, staged) > budget:
+    if tables.needed_bytes(resident.bytes, nodes_resident, staged) > budget:
         return None
-    sizes, stored = _page_sizes(tables, nodes_resident)
+    sizes, stored = tables.page_sizes(nodes_resident)
     first, ends = tables.page_byte[:, 1 if nodes_resident else 0], tables.page_treelet
     pages = [
         Page(int(ends[i]), int(ends[i + 1] - ends[i]), int(first[i]), int(stored[i]), int(sizes[i]))
@@ -325,6 +343,7 @@ def _assembled(
         tree=resident.tree,
         of_node=resident.of_node,
         root=resident.root,
+        deform=resident.deform,
         treelet_count=len(tables.treelet_root),
         levels=resident.levels,
         pages=pages,
@@ -343,29 +362,9 @@ def _assembled(
     )
 
 
-def _expected_bytes(flat: FlatGeometry, layout: Layout, encoded: bool) -> int:
-    """Bytes of all pages, about."""
-    return int(1.2 * (_ENCODED_BYTES if encoded else TREE_BYTES[layout]) * len(flat.triangles)) + (1 << 16)
-
-
 def _treelets_bytes(page_bytes: int) -> int:
     """Bytes of the treelets in a page, whose two segments are padded."""
     return max(page_bytes - 2 * PAGE_ALIGNMENT, page_bytes // 2)
-
-
-def _page_sizes(tables: PageTables, nodes_resident: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Bytes of each page on the device, and in the store; int64, shape [pages]."""
-    device, stored = (
-        (each[:, 1] if nodes_resident else each.sum(1)) for each in (tables.page_device, tables.page_bytes)
-    )
-    return device, stored
-
-
-def _needed_bytes(tables: PageTables, resident: int, nodes_resident: bool, staged: bool) -> int:
-    """Bytes of what stays, `resident` and perhaps all nodes, and of one page."""
-    sizes, stored = _page_sizes(tables, nodes_resident)
-    nodes = max(int(tables.page_bytes[:, 0].sum()), PAGE_ALIGNMENT) if nodes_resident else 0
-    return resident + nodes + int(sizes.max()) + staged * int(stored.max())
 
 
 def _description(tables: PageTables, layout: Layout, resident: Resident, nodes_resident: bool) -> dict[str, Any]:

@@ -31,8 +31,9 @@ class Chunk:
     node_first: np.ndarray  # where the treelets' nodes begin, int64, shape [T + 1]
     triangles: np.ndarray | wp.array  # likewise of units
     triangle_first: np.ndarray  # likewise
-    # on a device: the vertices of each triangle of treelets, int32, shape [3 * units]
-    vertices: wp.array | None = None
+    # The vertices of each triangle of treelets, int32: on a device, shape [3 * units]; on the host, [units, 3], where
+    # they are not simply those of its faces
+    vertices: np.ndarray | wp.array | None = None
 
     def treelet_bytes(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
         """Bytes of the nodes and of the units of each treelet, int64, shape [T]."""

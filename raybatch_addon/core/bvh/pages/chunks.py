@@ -20,15 +20,17 @@ from ...errors import check_cancelled
 from ..build.binary import BuildOptions
 from ..build.collapse import collapse_mesh, collapse_quantised_kernel, fill_quantised_kernel
 from ..build.cpu.build import build_binary
-from ..build.encode import place_triangles_kernel
+from ..build.encode import place_groups_kernel, place_triangles_kernel
 from ..build.scene_tree import build_kernels
+from ..memory import COPY_BYTES
 from ..node import TRIANGLES_MAX_QUANTISED, Layout, triangle_faces
 from ..treelets.cut import Cut, CutRule, cut_nodes
 from .chunk import Chunk
-from .cuda.chunks import ChunkTree, build_chunk, in_treelets, one_treelet
+from .cuda.chunks import ChunkTree, build_chunk, in_treelets, one_treelet, own_in_place
 from .divide.cells import MeshTriangles
 from .divide.listed import Triangles, triangles_on
 from .divide.partition import partition_triangles
+from .divide.primitives import OwnPrimitives
 
 # Chunks that are built at a time on the CPU, and whose trees are cut while a CUDA device builds the next
 _BUILT_AHEAD, _CUT_AHEAD = 4, 2
@@ -40,9 +42,10 @@ CHUNK_BYTES_EACH = {Layout.BOXES: 54, Layout.QUANTISED: 58}
 _SPLIT_SHARE = 1.25
 
 
-def chunk_size(layout: Layout, page_bytes: int, spatial_splits: bool) -> int:
-    """Most triangles of a chunk whose treelets should take at most `page_bytes`."""
-    return max(int(page_bytes / CHUNK_BYTES_EACH[layout] / (_SPLIT_SHARE if spatial_splits else 1)), 1)
+def chunk_size(layout: Layout, page_bytes: int, spatial_splits: bool, steps: int = 1) -> int:
+    """Most triangles, of so many `steps`, of a chunk whose treelets should take at most `page_bytes`."""
+    bytes_each = CHUNK_BYTES_EACH[layout] + (steps - 1) * COPY_BYTES[layout]
+    return max(int(page_bytes / bytes_each / (_SPLIT_SHARE if spatial_splits else 1)), 1)
 
 
 class ChunkBuilder:
@@ -74,7 +77,8 @@ class ChunkBuilder:
         cpu = wp.get_device("cpu")
         if not self.on_device:
             # before threads launch them
-            kernels = [*build_kernels(cpu), collapse_quantised_kernel, fill_quantised_kernel, place_triangles_kernel]
+            placed = place_groups_kernel, place_triangles_kernel
+            kernels = [*build_kernels(cpu), collapse_quantised_kernel, fill_quantised_kernel, *placed]
             for kernel in kernels:
                 kernel.module.load(cpu, 1)
         self.where = device if self.on_device else cpu  # what divides meshes
@@ -87,22 +91,34 @@ class ChunkBuilder:
         """Everything that the trees of chunks depend on beside their triangles, the rule and the size of a page."""
         return self.on_device, self._options, self.size_max
 
-    def build(self, mesh: MeshTriangles, positions: np.ndarray, triangles: np.ndarray) -> Iterator[Chunk]:
+    def build(
+        self,
+        mesh: MeshTriangles,
+        positions: np.ndarray,
+        triangles: np.ndarray,
+        own: OwnPrimitives | None = None,
+        own_mesh: MeshTriangles | None = None,
+    ) -> Iterator[Chunk]:
         """The chunks of a mesh, one after another.
 
         Args:
             mesh: on `where`.
             positions: float32 [v, 3], finite.
             triangles: int32 [n, 3], those of the mesh, indices into them.
+            own: what comes into the leaves where the others stand in.
+            own_mesh: the same on `where`, at the first step.
 
         Raises as `build_binary` and `build_mesh`, and `BuildCancelledError`.
         """
         listed = triangles_on(self.where, mesh, len(triangles), cancelled=self._cancelled)
-        source = _Source(mesh, listed, positions, triangles)
-        faces = partition_triangles(listed, self.size_max)
+        source = _Source(mesh, listed, positions, triangles, own, own_mesh)
+        faces = partition_triangles(listed, self._size_max(own.steps) if own else self.size_max)
         with ThreadPoolExecutor(min(self._threads, _BUILT_AHEAD)) as pool:
             for chunk in self._built(pool, source, faces):
                 yield from self._fitting(pool, source, chunk)
+
+    def _size_max(self, steps: int) -> int:
+        return chunk_size(self.layout, self._page_bytes, self._options.spatial_splits, steps)
 
     def _fitting(self, pool: ThreadPoolExecutor, source: _Source, chunk: Chunk) -> Iterator[Chunk]:
         """`chunk`, or what it is divided into where it is too large for a page."""
@@ -123,7 +139,9 @@ class ChunkBuilder:
         if self._rule.cuts_nothing:
             yield from map(one_treelet, trees)
             return
-        cut = _in_order(pool, _CUT_AHEAD, lambda tree: (tree, self._cut(tree.nodes.numpy(), len(tree.faces))), trees)
+        cut = _in_order(
+            pool, _CUT_AHEAD, lambda tree: (tree, self._cut(tree.nodes.numpy(), len(tree.faces), tree.steps)), trees
+        )
         yield from (in_treelets(tree, cut) for tree, cut in cut)
 
     def _build_on_device(self, source: _Source, faces: np.ndarray) -> ChunkTree:
@@ -133,7 +151,8 @@ class ChunkBuilder:
             self._numbers = wp.array(
                 np.arange(3 * count, dtype=np.int32).reshape(-1, 3), dtype=wp.vec3i, device=self._device
             )
-        return build_chunk(source.mesh, faces, self._numbers)
+        tree = build_chunk(source.mesh, faces, self._numbers)
+        return own_in_place(tree, source.own_mesh, source.own.shifts) if source.own else tree
 
     def _build_on_host(self, source: _Source, faces: np.ndarray) -> Chunk:
         check_cancelled(self._cancelled)
@@ -142,21 +161,28 @@ class ChunkBuilder:
         check_cancelled(self._cancelled)
         wide = collapse_mesh(binary, source.positions, own, self.layout)
         del binary
-        return self._finished(
-            faces,
-            wide.nodes,
-            wide.triangles,
-            {"centre": wide.centre, "box": wide.box, "sah": wide.sah, "depth": wide.depth},
-        )
+        known = {"centre": wide.centre, "box": wide.box, "sah": wide.sah, "depth": wide.depth}
+        return self._finished(source.own, faces, wide.nodes, wide.triangles, known)
 
-    def _finished(self, faces: np.ndarray, nodes: np.ndarray, triangles: np.ndarray, known: dict[str, Any]) -> Chunk:
-        """The chunk of a tree that calls its triangles 0, 1, ..."""
+    def _finished(
+        self,
+        primitives: OwnPrimitives | None,
+        faces: np.ndarray,
+        nodes: np.ndarray,
+        triangles: np.ndarray,
+        known: dict[str, Any],
+    ) -> Chunk:
+        """The chunk of a tree that calls its triangles 0, 1, ...; `primitives` come in their place."""
         check_cancelled(self._cancelled)
+        vertices, steps = None, primitives.steps if primitives else 1
+        if primitives:
+            triangles, vertices = primitives.placed(self.layout, triangles, faces)
         listed = triangle_faces(self.layout, triangles)
         listed[:] = np.where(listed >= 0, faces[listed], -1)
-        cut = self._cut(nodes, len(faces))
+        cut = self._cut(nodes, len(faces), steps)
         if not np.array_equal(cut.triangle_order, np.arange(len(triangles))):
             triangles = triangles[cut.triangle_order]
+            vertices = None if vertices is None else vertices[cut.triangle_order]
         return Chunk(
             faces=faces,
             **known,
@@ -169,14 +195,16 @@ class ChunkBuilder:
             node_first=cut.node_first,
             triangles=triangles[cut.top_triangle_count :],
             triangle_first=cut.triangle_first - cut.top_triangle_count,
+            vertices=None if vertices is None else vertices[cut.top_triangle_count :],
         )
 
-    def _cut(self, nodes: np.ndarray, triangle_count: int) -> Cut:
+    def _cut(self, nodes: np.ndarray, triangle_count: int, steps: int) -> Cut:
         """The tree over so many triangles of the scene, cut."""
         rule = self._rule
         if rule.top_bytes_max:
             rule = replace(rule, top_bytes_max=max(int(self._top_bytes_each * triangle_count), 1))
-        return cut_nodes(self.layout, nodes.view(self.layout.node_type).reshape(-1, self.layout.node_words), rule)
+        words = nodes.view(self.layout.node_type).reshape(-1, self.layout.node_words)
+        return cut_nodes(self.layout, words, rule, steps)
 
 
 class _Source(NamedTuple):
@@ -186,6 +214,8 @@ class _Source(NamedTuple):
     listed: Triangles
     positions: np.ndarray
     triangles: np.ndarray
+    own: OwnPrimitives | None
+    own_mesh: MeshTriangles | None
 
 
 def _in_order(pool: ThreadPoolExecutor, ahead: int, work: Callable, items: Iterable) -> Iterator:

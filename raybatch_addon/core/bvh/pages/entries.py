@@ -65,4 +65,6 @@ def chunk_entries(
         merged_first=np.concatenate([[0], np.cumsum(held)]),
         merged_instance=np.concatenate([none, *held_instance]),
         merged_triangle_first=np.concatenate([none, *held_first]),
+        motion=whole.motion[source],
+        keys=whole.keys,
     )

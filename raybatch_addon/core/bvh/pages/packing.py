@@ -103,7 +103,10 @@ class HostPacker:
         plain = [chunk.nodes for chunk, _ in chunks], [chunk.triangles for chunk, _ in chunks]
         if self._positions is None:
             return plain, plain
-        vertices = [mesh[triangle_faces(self._layout, chunk.triangles)] for chunk, mesh in chunks]
+        vertices = [
+            mesh[triangle_faces(self._layout, chunk.triangles)] if chunk.vertices is None else chunk.vertices
+            for chunk, mesh in chunks
+        ]
         packed = encode_triangles(np.concatenate(plain[1]), np.concatenate(vertices), self._positions)
         return (plain[0], [packed]), plain
 

@@ -348,7 +348,7 @@ class ResidencyView:
         scene, device = residency.scene, residency.device
         self.counts = PageCounts()
         self.treelets = Treelets()
-        self.treelets.of_node, self.treelets.root = scene.of_node, scene.root
+        self.treelets.of_node, self.treelets.root, self.treelets.deform = scene.of_node, scene.root, scene.deform
         self.treelets.nodes = wp.zeros(scene.treelet_count, dtype=wp.uint64, device=device)
         self.treelets.triangles = wp.zeros(scene.treelet_count, dtype=wp.uint64, device=device)
         self._ring = AddressRing(len(scene.pages), device)

@@ -14,6 +14,7 @@ from ...scene.flatten import FlatGeometry
 from ...scene.geometry import mat34
 from ..build.encode import as_vectors
 from ..build.entries import build_top_level
+from ..build.mesh_tree import mesh_parts
 from ..node import Layout, aligned_empty
 from ..tree import Tree
 from ..treelets.links import tree_levels
@@ -29,6 +30,7 @@ class Resident:
     tree: Tree
     of_node: wp.array  # as `Treelets`
     root: wp.array  # likewise
+    deform: wp.array  # likewise
     levels: int  # of the top level and of the deepest top of a mesh tree
     box: np.ndarray  # two corners that hold all surfaces [m], float64, shape [2, 3]
     bytes: int
@@ -57,13 +59,36 @@ def place_resident(
     tree.merged_instance = upload.add(entries.merged_instance, int)
     tree.merged_triangle_first = upload.add(entries.merged_triangle_first, int)
     tree.entry_count = len(entries.mesh)
+    deform = np.zeros(0, np.int32)
+    if flat.motion:
+        chunk_deform, deform = _deform(tables, flat, layout)
+        tree.entry_motion = upload.add(entries.motion, int)
+        tree.entry_deform = upload.add(chunk_deform[entries.mesh], int)
+        tree.motion_keys = upload.add(entries.keys.reshape(-1), float)
+        tree.motion_steps, tree.deform_steps = entries.keys.shape[1], flat.motion.vertex_steps
     tree.top_node, tree.top_entry = node_count, top.order
     tree.top_centre, tree.top_margin = wp.vec3(*top.centre.tolist()), top.margin
     of_node = upload.add(np.concatenate([tables.top_treelet, np.full(len(top_words), -1)]), int)
-    root = upload.add(tables.treelet_root, int)
+    root, deform = upload.add(tables.treelet_root, int), upload.add(deform, int)
     size = upload.bytes + 16 * (tree.nodes.size + tree.triangles.size) + 4 * top.order.size
     levels = len(tree_levels(layout, top_words)) + int(tables.chunk_levels.max())
-    return Resident(tree, of_node, root, levels, np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)]), size)
+    return Resident(tree, of_node, root, deform, levels, np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)]), size)
+
+
+def _deform(tables: PageTables, flat: FlatGeometry, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """Units of one step: of those at the top nodes of each chunk, and of each treelet; 0 where vertices do not move."""
+    steps = np.array([len(flat.motion.steps.get(part.mesh, ((),))[0]) for part in mesh_parts(flat)])
+    steps = np.repeat(steps, np.diff(tables.chunk_first))  # of each chunk, 0 or more than 1
+    # of each treelet, up to the next one's or the end of its page's
+    page, unit = tables.treelet_page, 4 * layout.triangle_words
+    first = tables.treelet_triangle // unit
+    end = tables.page_units[page]
+    end[:-1] = np.where(page[1:] == page[:-1], first[1:], end[:-1])
+    of_treelet = np.repeat(steps, np.diff(tables.chunk_treelet))
+    return (
+        np.where(steps > 0, np.diff(tables.chunk_triangle) // np.maximum(steps, 1), 0),
+        np.where(of_treelet > 0, (end - first) // np.maximum(of_treelet, 1), 0),
+    )
 
 
 def load_nodes(tables: PageTables, store: PageStore, device: wp.Device) -> wp.array:
@@ -92,7 +117,7 @@ class _Uploads:
         self._device, self.bytes = device, 0
 
     def add(self, values: np.ndarray, dtype: Any) -> wp.array:
-        host = np.ascontiguousarray(values, np.float32 if dtype in (wp.vec3, mat34) else np.int32)
+        host = np.ascontiguousarray(values, np.int32 if dtype is int else np.float32)
         self.bytes += host.nbytes
         return wp.array(host, dtype=dtype, device=self._device)
 

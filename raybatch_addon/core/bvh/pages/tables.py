@@ -12,7 +12,7 @@ from ..node import Layout
 from .chunk import Chunk
 from .entries import ChunkInstances
 from .packing import PagePacker
-from .store import padded
+from .store import PAGE_ALIGNMENT, padded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +55,21 @@ class PageTables:
     def from_index(index: dict[str, np.ndarray]) -> PageTables:
         """The tables of what `index` gave; raises `KeyError` for what is missing."""
         return PageTables(**{each.name: index[each.name] for each in fields(PageTables)})
+
+    def page_sizes(self, nodes_resident: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Bytes of each page on the device, and in the store, int64, shape [P]; without nodes where these stay on the
+        device.
+        """
+        device, stored = (
+            (each[:, 1] if nodes_resident else each.sum(1)) for each in (self.page_device, self.page_bytes)
+        )
+        return device, stored
+
+    def needed_bytes(self, resident: int, nodes_resident: bool, staged: bool) -> int:
+        """Bytes of what stays, `resident` and perhaps all nodes, and of one page, which may have a buffer beside it."""
+        sizes, stored = self.page_sizes(nodes_resident)
+        nodes = max(int(self.page_bytes[:, 0].sum()), PAGE_ALIGNMENT) if nodes_resident else 0
+        return resident + nodes + int(sizes.max()) + staged * int(stored.max())
 
     def index(self) -> dict[str, np.ndarray]:
         """The arrays by name, for a file."""

@@ -26,7 +26,7 @@ from ..margin import DIRECTION_LEAST, SLAB_MARGIN
 from ..node import BOXES_DEFINES
 from ..tree import Tree
 from .counts import TraceCounts
-from .motion import MOTION_HEADERS
+from .motion import motion_headers
 from .options import TraceOptions, TraversalOptions
 
 # Levels of a wide tree are no more than those of the binary tree, 63 at most; each leaves up to seven children waiting.
@@ -55,8 +55,8 @@ _SEGMENT_HEADERS = (
 
 
 def ray_headers(options: TraversalOptions) -> tuple[str, ...]:
-    """`RAY_HEADERS`, with segments of curves where there are some."""
-    return _SEGMENT_HEADERS if options.curves else RAY_HEADERS
+    """`RAY_HEADERS`, with motion and segments of curves where there are some."""
+    return (*motion_headers(options), *(_SEGMENT_HEADERS if options.curves else RAY_HEADERS))
 
 
 def segment_defines(options: TraversalOptions) -> dict[str, int]:
@@ -82,8 +82,7 @@ def boxes_defines(options: TraversalOptions) -> dict[str, bool | int | float]:
 def traversal_source(options: TraceOptions) -> str:
     """The body of the native function for `options`."""
     loop = "traverse/boxes/trace_many.h" if options.interleave > 1 else "traverse/boxes/trace_one.h"
-    moving = MOTION_HEADERS if options.motion else ()
-    headers = (*moving, *ray_headers(options), "traverse/boxes/trace.h", loop)
+    headers = (*ray_headers(options), "traverse/boxes/trace.h", loop)
     return native_source(*headers, device="cpu", TREELETS=False, ANY_HIT=options.any_hit, **boxes_defines(options))
 
 

@@ -23,7 +23,7 @@ from ..node import QUANTISED_DEFINES
 from ..tree import Tree
 from .counts import TraceCounts
 from .cpu import segment_defines
-from .motion import MOTION_HEADERS
+from .motion import motion_headers
 from .options import TraceOptions, TraversalOptions
 
 # Levels of a mesh tree and of the top level: each has at most one group of nodes on the stack, the top level one of
@@ -85,7 +85,7 @@ def quantised_defines(options: TraversalOptions) -> dict[str, bool | int | float
 def trace_source(options: TraceOptions) -> str:
     """The body of the native function for `options`."""
     return native_source(
-        *(MOTION_HEADERS if options.motion else ()),
+        *motion_headers(options),
         *NODE_HEADERS,
         "traverse/quantised/lane.h",
         *lane_headers(options),

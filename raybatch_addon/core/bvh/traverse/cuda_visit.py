@@ -23,6 +23,7 @@ from ...rays import DeviceRayList, Rays
 from ..tree import DONE, TRAIL_LEVELS, TopProgress, Tree, Treelets
 from .counts import TraceCounts
 from .cuda import NODE_HEADERS, STACK_MESH, lane_headers, quantised_defines
+from .motion import motion_headers
 from .options import VisitOptions
 from .task import task_defines
 
@@ -33,6 +34,7 @@ def quantised_visit_source(options: VisitOptions) -> str:
         options = replace(options, refill=32)
     levels = 2 * STACK_MESH if options.instancing else STACK_MESH  # of trees that the stack is made for
     return native_source(
+        *motion_headers(options),
         *NODE_HEADERS,
         "traverse/quantised/visit_lane.h",
         *lane_headers(options),

@@ -1,4 +1,10 @@
 """What traversals are made of where instances and vertices move."""
 
-MOTION_HEADERS = ("math/motion.h", "traverse/motion.h")
-"""Headers that stand before all others."""
+from __future__ import annotations
+
+from .options import TraversalOptions
+
+
+def motion_headers(options: TraversalOptions) -> tuple[str, ...]:
+    """Headers that stand before all others."""
+    return ("math/motion.h", "traverse/motion.h") if options.motion else ()

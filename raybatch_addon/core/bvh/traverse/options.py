@@ -16,7 +16,7 @@ class TraversalOptions:
     """What whole trees and cut ones have in common. None of it changes a hit."""
 
     instancing: bool  # a top level over many entries, instead of one entry in world space that every ray sees
-    motion: bool = False  # instances and vertices move while rays are on their way; with instancing, and in whole trees
+    motion: bool = False  # instances and vertices move while rays are on their way; with instancing
     counters: bool = False  # count steps (`TraceCounts`)
     curves: bool = False  # some primitives are segments of curves (`scene/segments.py`), which other kernels never meet
     interleave: int = INTERLEAVE  # BOXES: rays that a thread carries at a time, 1..64

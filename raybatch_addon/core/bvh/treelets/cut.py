@@ -4,6 +4,9 @@ A *treelet* is a subtree that is visited as a unit. Its root is resident; the no
 two blocks, whose indices, the root's too, are relative to the block's first. What is above the treelets is resident:
 *opened* nodes, with the triangles of their leaves. So every resident node is either opened or the root of a treelet.
 
+Where vertices move, a block has the triangles of all *steps*, those of one step behind another, and so have the
+resident ones; nodes count those of one step.
+
 Words are those of an uncut tree (`node.py`) with other indices: QUANTISED children stay contiguous in the order of
 slots, and a node's triangles stay contiguous and in their order, so that `meta` bytes hold as they are. In BOXES a
 child that is the root of a treelet is marked with `TREELET_CHILD`, in QUANTISED only a table by node
@@ -76,10 +79,11 @@ class Cut:
     treelet_root: np.ndarray  # int32, shape [T]: index in `top_nodes`
     nodes: np.ndarray  # words below the roots, shape [m, words], one treelet after another
     node_first: np.ndarray  # int64, shape [T + 1]: where the treelets' nodes begin in `nodes`
-    # int64, shape [units]: old index of each unit: the resident ones, then treelet by treelet
+    # int64, shape [units of all steps]: old index of each unit: the resident ones, then treelet by treelet
     triangle_order: np.ndarray
     triangle_first: np.ndarray  # int64, shape [T + 1]: where the treelets' units begin in `triangle_order`
     levels: int  # levels of resident nodes, at least 1
+    steps: int = 1  # of vertices that move, which all blocks have; step k of unit i was unit k * units + i
 
     @property
     def treelet_count(self) -> int:
@@ -103,16 +107,23 @@ class Cut:
         """Units that are resident."""
         return int(self.triangle_first[0])
 
+    @property
+    def deform(self) -> tuple[int, np.ndarray]:
+        """Units of one step: of the resident ones, and of each treelet; 0 where vertices do not move."""
+        moves = self.steps > 1
+        return moves * self.top_triangle_count // self.steps, moves * np.diff(self.triangle_first) // self.steps
 
-def cut_nodes(layout: Layout, nodes: np.ndarray, rule: CutRule) -> Cut:
-    """Cut the tree whose words are `nodes`, shape [n, words of a node]; they are left as they are.
+
+def cut_nodes(layout: Layout, nodes: np.ndarray, rule: CutRule, steps: int = 1) -> Cut:
+    """Cut the tree whose words are `nodes`, shape [n, words of a node]; they are left as they are. There are units for
+    each of `steps`.
 
     Raises `ValueError` where they are not one tree, or its leaves do not list every unit once.
     """
     nodes = np.ascontiguousarray(nodes)
     links = links_of(layout, nodes)
     order = breadth_first(links)
-    units = np.bincount(links.run_node, links.run_count, len(nodes)).astype(np.int64)[order.node]
+    units = steps * np.bincount(links.run_node, links.run_count, len(nodes)).astype(np.int64)[order.node]
     size, below = order.totals(np.ones(len(nodes), np.int64)), order.totals(units)
     opened, resident = _opened(layout, nodes, rule, order, size, below, units)
     treelet_at, levels = _treelets(order, opened, resident, size)
@@ -138,6 +149,7 @@ def cut_nodes(layout: Layout, nodes: np.ndarray, rule: CutRule) -> Cut:
     treelet_root = np.empty(treelet_count, np.int32)
     roots = top[by_node[top] >= 0]
     treelet_root[by_node[roots]] = index[roots]
+    triangle_order = ranges(links.run_first[run_order], links.run_count[run_order])
     return Cut(
         layout=layout,
         top_nodes=words(top),
@@ -145,10 +157,24 @@ def cut_nodes(layout: Layout, nodes: np.ndarray, rule: CutRule) -> Cut:
         treelet_root=treelet_root,
         nodes=words(rest),
         node_first=node_first,
-        triangle_order=ranges(links.run_first[run_order], links.run_count[run_order]),
-        triangle_first=triangle_first,
+        triangle_order=triangle_order if steps == 1 else _over_steps(triangle_order, triangle_first, steps),
+        triangle_first=steps * triangle_first,
         levels=levels,
+        steps=steps,
     )
+
+
+def _over_steps(order: np.ndarray, first: np.ndarray, steps: int) -> np.ndarray:
+    """`order` of the units of one step, whose treelets begin at `first`, for those of all steps: block by block, and in
+    each step by step.
+    """
+    count = np.diff(first, prepend=0)  # of the resident ones and of each treelet
+    block = np.repeat(np.arange(len(count)), count)
+    at = np.arange(len(order)) + (steps - 1) * (first - count)[block]
+    out = np.empty(steps * len(order), np.int64)
+    for step in range(steps):
+        out[at + step * count[block]] = order + step * len(order)
+    return out
 
 
 def _opened(

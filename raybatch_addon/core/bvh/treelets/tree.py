@@ -61,7 +61,8 @@ class TreeletTree:
     triangle_bytes: int  # all triangles
     box: np.ndarray | None  # as `BuiltTree.box`
     treelet_sizes: np.ndarray = field(repr=False)  # nodes of each treelet, its root among them, int64, shape [T]
-    treelet_units: np.ndarray = field(repr=False)  # triangles, or groups of them (BOXES), int64, shape [T]
+    # triangles, or groups of them (BOXES), of all steps, int64, shape [T]
+    treelet_units: np.ndarray = field(repr=False)
     mesh_node: np.ndarray = field(
         repr=False
     )  # first resident node of each mesh tree, then the top level's, int64, shape [m + 1]
@@ -111,7 +112,7 @@ def cut_scene_tree(built: BuiltTree, rule: CutRule, device: wp.Device) -> Treele
     mesh_triangle = _ends([part.top_triangle_count for part in parts])
     mesh_treelet = _ends([len(part.root) for part in parts])
 
-    tree = _placed(built, mesh_node, mesh_triangle, device)
+    tree = _placed(built, mesh_node, mesh_triangle, np.array([part.top_deform for part in parts], np.int32), device)
     tree.nodes = _upload_words(np.concatenate([*(part.top_nodes for part in parts), top]), device)
     tree.triangles = _empty_vectors(int(mesh_triangle[-1]) * layout.triangle_words // 4, device)
     for part, first in zip(parts, mesh_triangle.tolist()):
@@ -129,6 +130,10 @@ def cut_scene_tree(built: BuiltTree, rule: CutRule, device: wp.Device) -> Treele
     treelets.triangles = wp.array(
         np.concatenate([part.triangle_address for part in parts]), dtype=wp.uint64, device=device
     )
+    if source.motion_steps:
+        treelets.deform = wp.array(
+            np.concatenate([part.deform for part in parts]).astype(np.int32), dtype=int, device=device
+        )
     wp.synchronize_device(device)
     made = TreeletTree(
         tree=tree,
@@ -159,13 +164,17 @@ def _top_level(built: BuiltTree) -> np.ndarray:
     return words[: sum(len(level) for level in tree_levels(layout, words))]
 
 
-def _placed(built: BuiltTree, mesh_node: np.ndarray, mesh_triangle: np.ndarray, device: wp.Device) -> Tree:
-    """The entries of `built` with their first resident nodes and triangles."""
+def _placed(
+    built: BuiltTree, mesh_node: np.ndarray, mesh_triangle: np.ndarray, mesh_deform: np.ndarray, device: wp.Device
+) -> Tree:
+    """The entries of `built` with their first resident nodes and triangles, and the triangles of a step."""
     source, tree = built.tree, Tree()
     first = _ends([mesh.nodes.size for mesh in built.meshes]) * 4 // built.layout.node_words
     mesh = np.searchsorted(first, source.entry_node.numpy(), side="right") - 1
     tree.entry_node = wp.array(mesh_node[mesh].astype(np.int32), dtype=int, device=device)
     tree.entry_triangle = wp.array(mesh_triangle[mesh].astype(np.int32), dtype=int, device=device)
+    if source.motion_steps:
+        tree.entry_deform = wp.array(mesh_deform[mesh], dtype=int, device=device)
     for name in (
         "entry_centre",
         "entry_from_world",
@@ -174,6 +183,10 @@ def _placed(built: BuiltTree, mesh_node: np.ndarray, mesh_triangle: np.ndarray, 
         "merged_first",
         "merged_instance",
         "merged_triangle_first",
+        "entry_motion",
+        "motion_keys",
+        "motion_steps",
+        "deform_steps",
         "top_entry",
         "top_centre",
         "top_margin",
@@ -198,11 +211,15 @@ class _MeshCut(NamedTuple):
     triangle_address: np.ndarray
     sizes: np.ndarray
     units: np.ndarray
+    top_deform: int
+    deform: np.ndarray
     levels: int
 
 
 def _cut_mesh(layout: Layout, mesh: MeshTree, rule: CutRule, device: wp.Device) -> _MeshCut:
-    cut = cut_nodes(layout, _words(mesh.nodes, layout.node_words, layout.node_type), rule)
+    steps = mesh.triangles.size * 4 // layout.triangle_words // mesh.step_units if mesh.step_units else 1
+    cut = cut_nodes(layout, _words(mesh.nodes, layout.node_words, layout.node_type), rule, steps)
+    top_deform, deform = cut.deform
     nodes = _upload_words(cut.nodes, device)
     order = wp.array(cut.triangle_order.astype(np.int32), dtype=int, device=device)
 
@@ -227,6 +244,8 @@ def _cut_mesh(layout: Layout, mesh: MeshTree, rule: CutRule, device: wp.Device) 
         ).astype(np.uint64),
         sizes=cut.treelet_sizes,
         units=np.diff(cut.triangle_first),
+        top_deform=top_deform,
+        deform=deform,
         levels=cut.levels,
     )
 

@@ -12,13 +12,13 @@ auto from_world_at = [&](int entry, float time) -> wp::mat_t<3, 4, float> {
     return rounded_map(inverse_map(moved_map(keys, tree.motion_steps, time)));
 };
 // Where a ray is between two steps of the vertices: blocks of triangles from those of the first step to those of the
-// step before it, and from there to those of the step behind; and how far it is between them. 0 where nothing deforms.
+// step before it, and from there to those of the step behind; and how far it is between them. `stride`: blocks of one
+// step; 0 where nothing deforms.
 struct BetweenSteps {
     long long first, next;
     float share;
 };
-auto between_steps = [&](int entry, float time) -> BetweenSteps {
-    const long long stride = tree.entry_deform.data[entry];
+auto between_steps = [&](long long stride, float time) -> BetweenSteps {
     BetweenSteps between = {0, 0, 0.0f};
     if (stride == 0) return between;
     const float at = time * (tree.deform_steps - 1);

@@ -95,18 +95,12 @@ def plan_tracing(
     """The plan for a scene of `size`, of which `samples` are taken in all pixels together; `moving`: it has things that
     move.
     """
-    if moving:
-        why = "things move, which rays that wait, and Warp's tree, know nothing of"
-        asked = settings.batching
-        complaints = () if asked in ("AUTO", "OFF") else (f"batching is OFF, not {asked}: {why}",)
-        return TracingPlan(Method.UNBATCHED, choices={"batching": Choice("OFF", why)}, complaints=complaints)
     plan = _plan_of_rays(settings, size, layout, is_cuda, memory)
-    if size.curves and plan.method in (Method.PAGED, Method.REFERENCE):
-        held = "Warp's tree holds" if plan.method is Method.REFERENCE else "pages hold"
-        plan = TracingPlan(
-            Method.UNBATCHED,
-            choices={"batching": Choice("OFF", f"the scene has hair, curves or points, and {held} triangles alone")},
-        )
+    if plan.method is Method.REFERENCE and (size.curves or moving):
+        has = "things that move" if moving else "hair, curves or points"
+        why = f"the scene has {has}, and Warp's tree holds triangles that stand still alone"
+        complaint = f"batching is OFF, not REFERENCE: {why}"
+        plan = TracingPlan(Method.UNBATCHED, choices={"batching": Choice("OFF", why)}, complaints=(complaint,))
     if plan.method is Method.REFERENCE or settings.spatial_splits != "AUTO":
         return replace(plan, splits=settings.spatial_splits == "ON")
     if not splits_triangles("AUTO", layout) or plan.method is Method.PAGED:
@@ -130,7 +124,7 @@ def _plan_of_rays(
     if mode == "OFF":
         return TracingPlan(Method.UNBATCHED)
     needed, free = memory.needed, memory.free
-    tree = TREE_BYTES_MOST[layout] * size.triangles
+    tree = TREE_BYTES_MOST[layout] * size.triangles + size.step_bytes(layout)
     budget, choices = settings.geometry_budget, {}
     device = "the device" if is_cuda else "the machine"
     if budget:

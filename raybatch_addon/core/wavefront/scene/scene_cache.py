@@ -330,7 +330,8 @@ def _build(
     fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, request: GeometryRequest, device: wp.Device
 ) -> Kept:
     plan, settings, layout, visibility = request.plan, request.settings, request.layout, scene.instances.visibility
-    geometry = upload_geometry(with_motion(flat), scene, device, on_host=plan.method is Method.PAGED and device.is_cuda)
+    on_host = plan.method is Method.PAGED and device.is_cuda
+    geometry = upload_geometry(with_motion(flat, corners=on_host), scene, device, on_host)
     if plan.method is Method.PAGED:
         paged = build_paged_scene(
             flat,

@@ -32,10 +32,12 @@ def tracer_kernels(
     """
     if tracing.method is Method.BATCHED:
         cut = TREELET_KERNELS if device.is_cuda else ()
-        return [*batching_kernels(tracing.layout, tracing.instancing, counts, settings, device, tracing.curves), *cut]
+        known = tracing.layout, tracing.instancing, counts, settings, device, tracing.curves, tracing.moving
+        return [*batching_kernels(*known), *cut]
     if tracing.method is Method.PAGED:
         made = (*CHUNK_KERNELS, *ENCODE_KERNELS) if device.is_cuda else ()
-        return [*compiled_ahead(tracing.layout, counts, settings, tracing.curves), *partition_kernels(device), *made]
+        launched = compiled_ahead(tracing.layout, counts, settings, tracing.curves, tracing.moving)
+        return [*launched, *partition_kernels(device), *made]
     launch = Launch.of(settings)
     stages = tracing_stages(tracing.layout, tracing.instancing, counts, launch, tracing.curves, tracing.moving)
     return [
@@ -46,8 +48,9 @@ def tracer_kernels(
 def tracer_bytes_per_path(scene: DeviceScene, settings: RenderSettings, path_count: int) -> int:
     """Device memory that the tracer takes for each of `path_count` paths alive [bytes]."""
     if scene.treelets:
+        tracing = scene.tracing
         return batching_bytes_per_path(
-            settings, scene.shadow_rays, scene.tracing.instancing, scene.treelets.levels, scene.device.is_cuda
+            settings, scene.shadow_rays, tracing.instancing, scene.treelets.levels, scene.device.is_cuda, tracing.moving
         )
     if scene.paged:
         return streaming_bytes_per_path(path_count, scene.shadow_rays, scene.paged.scene.levels)
@@ -71,10 +74,11 @@ def make_tracer(
     worker = WorkerRays(
         rays=rays, path_count=path_count, shadow_kind=shadow_kind, device=scene.device, timer=timer, counts=counts
     )
+    met = {"curves": tracing.curves, "moving": tracing.moving}
     if scene.treelets:
-        return BatchingTracer(scene.treelets, worker, settings, tracing.instancing, curves=tracing.curves)
+        return BatchingTracer(scene.treelets, worker, settings, tracing.instancing, **met)
     if scene.paged:
-        return StreamingTracer(scene.paged.scene, scene.paged.residency, worker, settings, curves=tracing.curves)
+        return StreamingTracer(scene.paged.scene, scene.paged.residency, worker, settings, **met)
     launch, counting = Launch.of(settings), counts is not None
     stages = tracing_stages(tracing.layout, tracing.instancing, counting, launch, tracing.curves, tracing.moving)
     work = counters.work if counters else None

@@ -15,6 +15,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
 from raybatch_addon.core.wavefront.scene.scene_cache import GeometryRequest, SceneCache
 from tests.support import scenes
+from tests.support.paged_scenes import strands
 from tests.support.under_test import DEVICE
 
 SETTINGS = RenderSettings(device=DEVICE, sample_count=2, bounce_max=3, spatial_splits="OFF")
@@ -81,6 +82,23 @@ def several(time: float):
         frame=FRAME,
         lights=[scenes.area_light(3.0)],
         world=0.3,
+    )
+
+
+def hairy(time: float):
+    """Strands among triangles, baked, and a tuft that is placed twice: all of it waves."""
+    tuft = waved(strands("tuft", 40, seed=4), time)
+    return scenes.scene(
+        [
+            (FLOOR, scenes.translation(0, 0, -1), scenes.diffuse(0.6)),
+            (waved(BALL, time), turned(0.3, -1.2, 0, 0), scenes.diffuse((0.8, 0.3, 0.2))),
+            (waved(strands("hair", 120, ribbons=True), time), turned(0, 0.8, 0, 0, scale=0.8), scenes.diffuse(0.7)),
+            (tuft, turned(time, -0.2, 1.5, 0.5, scale=0.5), scenes.diffuse(0.5)),
+            (tuft, turned(0, -1.2, -1.0, 0.3, scale=0.6), scenes.diffuse(0.5)),
+        ],
+        view=scenes.camera(eye=(0.2, -6, 1.5), half_width=0.5),
+        frame=FRAME,
+        world=(0.4, 0.5, 0.7),
     )
 
 

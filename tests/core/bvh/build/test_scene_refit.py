@@ -29,6 +29,7 @@ from tests.core.bvh.build.refit_scenes import (
     assert_same,
     counts,
     followed,
+    hairy,
     layouts,
     opened,
     several,
@@ -42,7 +43,7 @@ from tests.twins.tree_walk import walk_tree
 
 
 @layouts
-@pytest.mark.parametrize(("scene_at", "trees", "moving"), [(several, 4, 3), (single, 1, 1)])
+@pytest.mark.parametrize(("scene_at", "trees", "moving"), [(several, 4, 3), (single, 1, 1), (hairy, 2, 2)])
 def test_films_are_those_of_trees_built_anew(layout, scene_at, trees, moving):
     session = opened(layout)
     for number, time in enumerate((0.0, 0.1, 0.4, 1.3)):

@@ -39,6 +39,7 @@ def made_up(page_count: int = 6, nodes_resident: bool = False) -> PagedScene:
         tree=Tree(),
         of_node=zeros,
         root=zeros,
+        deform=wp.zeros(0, dtype=int, device="cpu"),
         treelet_count=count,
         levels=2,
         pages=pages,

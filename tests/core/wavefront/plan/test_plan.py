@@ -7,7 +7,7 @@ import re
 
 import pytest
 
-from raybatch_addon.core.bvh.memory import GeometrySize
+from raybatch_addon.core.bvh.memory import COPY_BYTES, GeometrySize
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.plan.cost_model import split_seconds
@@ -46,6 +46,26 @@ def test_what_is_asked_for_is_done(layout, is_cuda):
     )
     own = plan_of(layout, is_cuda, batching="ON", treelet_size=800, spatial_splits="OFF")
     assert (own.treelet_size, own.treelet_bytes, own.choices) == (800, 0, {})
+
+
+@pytest.mark.parametrize(("layout", "is_cuda"), LAYOUTS)
+@pytest.mark.parametrize(("curves", "moving"), [(True, False), (False, True), (True, True)])
+def test_curves_and_things_that_move_wait_like_all_others(layout, is_cuda, curves, moving):
+    """But for Warp's own tree, which says that it cannot have them."""
+    size = GeometrySize(TRIANGLES, TRIANGLES // 2, TRIANGLES, smooth=True, curves=curves, copies=moving * TRIANGLES)
+
+    def plan_of(free: int, **settings) -> TracingPlan:
+        return plan_tracing(RenderSettings(**settings), size, layout, is_cuda, Memory(GB, free, free), moving=moving)
+
+    assert plan_of(100 * GB, batching="ON").method is Method.BATCHED
+    assert plan_of(100 * GB, batching="AUTO", geometry_budget=GB // 10).method is Method.PAGED
+    # a copy of each triangle counts
+    needed = (TREE_BYTES_MOST[layout] * TRIANGLES, COPY_BYTES[layout] * TRIANGLES * moving)
+    assert plan_of(100 * GB, batching="ON", geometry_budget=sum(needed)).method is Method.BATCHED
+    assert plan_of(100 * GB, batching="ON", geometry_budget=sum(needed) - 1).method is Method.PAGED
+    reference = plan_of(100 * GB, batching="REFERENCE")
+    assert reference.method is Method.UNBATCHED and "Warp's tree" in reference.choices["batching"].why
+    assert "not REFERENCE" in reference.complaints[0]
 
 
 @pytest.mark.parametrize(("layout", "is_cuda"), LAYOUTS)

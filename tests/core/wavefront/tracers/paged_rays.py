@@ -15,6 +15,7 @@ from raybatch_addon.core.bvh.treelets.cut import CutRule
 from raybatch_addon.core.rays import RayKind, RayList, Rays
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import upload_geometry
+from raybatch_addon.core.scene.moved import with_motion
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.rays import RayNeeds, allocate_rays
 from raybatch_addon.core.wavefront.tracers.pages.tracer import StreamingTracer
@@ -31,10 +32,19 @@ CHECKED = RenderSettings(debug_checks="ON")
 BUDGET = 250_000
 
 
+# with hair, and with things that move too
+LIVELY = {"hairy": paged_scenes.hairy, "living": paged_scenes.living}
+
+
 @functools.cache
-def scene():
-    made = paged_scenes.everything()
+def scene(name: str = "everything"):
+    made = LIVELY[name]() if name in LIVELY else paged_scenes.everything()
     return made, flatten(made)
+
+
+def met(name: str) -> dict[str, bool]:
+    """What tracers are to know of a scene."""
+    return {"curves": name in LIVELY, "moving": name == "living"}
 
 
 def device() -> wp.Device:
@@ -42,19 +52,26 @@ def device() -> wp.Device:
 
 
 @functools.cache
-def paged_of(layout: Layout, budget: int = BUDGET, nodes_resident: bool | None = False, many: bool = False):
+def paged_of(
+    layout: Layout,
+    budget: int = BUDGET,
+    nodes_resident: bool | None = False,
+    many: bool = False,
+    name: str = "everything",
+    **more,
+):
     """In memory; tests do not change it."""
-    made, flat = scene()
+    made, flat = scene(name)
     rule = CutRule(size=4, size_min=1) if many else CutRule()
     return build_paged_scene(
-        flat, made.instances.visibility, layout, device(), budget, nodes_resident=nodes_resident, rule=rule
+        flat, made.instances.visibility, layout, device(), budget, nodes_resident=nodes_resident, rule=rule, **more
     )
 
 
-def new_rays(paths: int = PATHS, seed: int = 3) -> Rays:
-    """Extending rays, then as many shadow rays, which end somewhere."""
+def new_rays(paths: int = PATHS, seed: int = 3, time: bool = False) -> Rays:
+    """Extending rays, then as many shadow rays, which end somewhere; with `time` at times of their own."""
     rng = np.random.default_rng(seed)
-    rays = allocate_rays(paths, device(), RayNeeds(shadow_rays=True))
+    rays = allocate_rays(paths, device(), RayNeeds(shadow_rays=True, time=time))
     count = rays.origin.size
     origin = rng.normal(size=(count, 3)) * 4
     vertices = scene()[1].positions
@@ -68,6 +85,8 @@ def new_rays(paths: int = PATHS, seed: int = 3) -> Rays:
     shadow = np.arange(count) >= paths
     rays.t_max.assign(np.where(shadow, rng.uniform(0.3, 1.5, count), np.inf).astype(np.float32))
     rays.visibility.assign(rng.choice([1, 255], count).astype(np.int32))
+    if time:
+        rays.time.assign(rng.random(paths, np.float32))
     return rays
 
 
@@ -95,15 +114,16 @@ def hits_of(rays: Rays, paths: int, any_hit: bool) -> list[np.ndarray]:
 
 
 @functools.cache
-def expected(layout: Layout, any_hit: bool, seed: int = 3) -> list[np.ndarray]:
+def expected(layout: Layout, any_hit: bool, seed: int = 3, name: str = "everything") -> list[np.ndarray]:
     """By the tree in memory, each ray at once."""
-    made, flat = scene()
-    built = build_scene_tree(
-        flat, upload_geometry(flat, made, device()), made.instances.visibility, True, device(), layout
-    )
-    rays = new_rays(seed=seed)
+    made, flat = scene(name)
+    geometry = upload_geometry(with_motion(flat), made, device())
+    built = build_scene_tree(flat, geometry, made.instances.visibility, True, device(), layout)
+    curves, moving = met(name).values()
+    rays = new_rays(seed=seed, time=moving)
     for kind, slots in ((False, np.arange(PATHS)), (any_hit, np.arange(PATHS, 2 * PATHS))):
-        trace_stage(layout, TraceOptions(any_hit=kind, instancing=True)).launch(built.tree, rays, list_of(slots), None)
+        options = TraceOptions(any_hit=kind, instancing=True, curves=curves, motion=moving)
+        trace_stage(layout, options).launch(built.tree, rays, list_of(slots), None)
     return hits_of(rays, PATHS, any_hit)
 
 
@@ -151,9 +171,11 @@ def run(tracer, shadow: RayKind = RayKind.OCCLUSION, paths: int = PATHS) -> None
     assert finished == dict.fromkeys(wanted, 1)
 
 
-def require_right(rays: Rays, layout: Layout = ONE, any_hit: bool = True, seed: int = 3) -> None:
+def require_right(
+    rays: Rays, layout: Layout = ONE, any_hit: bool = True, seed: int = 3, name: str = "everything"
+) -> None:
     """Hits are those of the tree in memory, bit for bit."""
-    wanted = expected(layout, any_hit, seed)
+    wanted = expected(layout, any_hit, seed, name)
     assert (wanted[0] >= 0).sum() > 500
     for a, b in zip(hits_of(rays, PATHS, any_hit), wanted):
         assert np.array_equal(a, b)

@@ -16,8 +16,9 @@ from raybatch_addon.core.rays import RayKind, Rays
 from raybatch_addon.core.scene.description import Mesh
 from raybatch_addon.core.scene.flatten import flatten
 from raybatch_addon.core.scene.geometry import upload_geometry
+from raybatch_addon.core.scene.moved import with_motion
 from raybatch_addon.core.settings.settings import RenderSettings
-from raybatch_addon.core.wavefront.rays import allocate_rays
+from raybatch_addon.core.wavefront.rays import RayNeeds, allocate_rays
 from raybatch_addon.core.wavefront.tracers.buckets.tracer import (
     BatchingTracer,
     batching_bytes_per_path,
@@ -28,8 +29,17 @@ from raybatch_addon.core.wavefront.tracers.unbatched import tracing_stages
 from raybatch_addon.core.wavefront.tracers.worker_rays import WorkerRays
 from tests.core.wavefront.tracers.wandering import PARALLEL, SELECTIONS, drain, slot_list
 from tests.support import scenes
+from tests.support.paged_scenes import hairy, living
 from tests.support.under_test import DEVICE
 from tests.support.wide_trees import soup, sphere
+
+# with hair, and with things that move too
+SCENES = {"hairy": hairy, "living": living}
+
+
+def met(name: str) -> dict[str, bool]:
+    """What tracers are to know of a scene."""
+    return {"curves": name in SCENES, "moving": name == "living"}
 
 
 @functools.cache
@@ -42,17 +52,24 @@ def cut_case(name: str, layout: Layout):
     else:
         objects = [(Mesh("soup", *soup(900, 3, 0.2)), scenes.IDENTITY, scenes.diffuse())]
     scene = scenes.scene(objects)
+    if name in SCENES:
+        scene = SCENES[name]()
     device, flat = wp.get_device(DEVICE), flatten(scene)
-    geometry = upload_geometry(flat, scene, device)
-    built = build_scene_tree(flat, geometry, scene.instances.visibility, name == "instances", device, layout)
+    geometry = upload_geometry(with_motion(flat), scene, device)
+    built = build_scene_tree(flat, geometry, scene.instances.visibility, name != "soup", device, layout)
     return built, cut_scene_tree(built, CutRule(size=12), device)
 
 
 def rays_at(path_count: int, built) -> Rays:
     rng = np.random.default_rng(8)
-    rays = allocate_rays(2 * path_count, wp.get_device(DEVICE))
+    moves = built.tree.motion_steps > 0
+    # a shadow ray has the time of its path
+    needs = RayNeeds(shadow_rays=True, time=True) if moves else RayNeeds()
+    rays = allocate_rays(path_count if moves else 2 * path_count, wp.get_device(DEVICE), needs)
     count = 2 * path_count
-    low, high = built.box
+    if moves:
+        rays.time.assign(rng.random(path_count, np.float32))
+    low, high = np.clip(built.box, -3.5, 3.5)
     rays.origin.assign(rng.uniform(low, high, (count, 3)).astype(np.float32))
     direction = rng.normal(size=(count, 3))
     rays.direction.assign((direction / np.linalg.norm(direction, axis=1, keepdims=True)).astype(np.float32))
@@ -74,7 +91,7 @@ def hits_of(rays: Rays, path_count: int, shadow_kind: RayKind) -> list[np.ndarra
 def unbatched_hits(name: str, layout: Layout, path_count: int, shadow_kind: RayKind) -> list[np.ndarray]:
     built, _ = cut_case(name, layout)
     rays = rays_at(path_count, built)
-    tracer = UnbatchedTracer(built.tree, rays, tracing_stages(layout, name == "instances", False))
+    tracer = UnbatchedTracer(built.tree, rays, tracing_stages(layout, name != "soup", False, **met(name)))
     tracer.submit(RayKind.CLOSEST, slot_list(np.arange(path_count)))
     tracer.submit(shadow_kind, slot_list(np.arange(path_count, 2 * path_count)))
     tracer.advance()
@@ -101,10 +118,11 @@ def compare(name, layout, shadow_kind, parallel, counters=False, capacity=0, sha
         cut,
         WorkerRays(rays=rays, path_count=paths, shadow_kind=shadow_kind, device=device, timer=timer, counts=counts),
         RenderSettings(**settings),
-        name == "instances",
+        name != "soup",
         parallel=parallel,
         capacity=capacity,
         rays_few=rays_few,
+        **met(name),
     )
     tracer.submit(RayKind.CLOSEST, slot_list(np.arange(paths)[::-1]))
     tracer.advance()
@@ -139,6 +157,20 @@ def test_hits_are_those_of_the_unbatched_tracer(name, layout, selection, storage
     shadow_kind = RayKind.OCCLUSION if selection in ("MOST_FULL", "ALL") else RayKind.TRANSPARENT_SHADOW
     debug = "ON" if name == "soup" else "OFF"
     compare(name, layout, shadow_kind, parallel, bucket_selection=selection, ray_storage=storage, debug_checks=debug)
+
+
+@pytest.mark.parametrize("shadow_kind", [RayKind.OCCLUSION, RayKind.TRANSPARENT_SHADOW])
+@pytest.mark.parametrize("storage", ["INDIRECT", "DIRECT"])
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("name", SCENES)
+def test_segments_and_things_that_move(name, layout, storage, shadow_kind):
+    cut = cut_case(name, layout)[1]
+    deform = cut.treelets.deform.numpy() if name == "living" else np.zeros(1)
+    assert (len(np.unique(deform)) > 2) == (name == "living")
+    compare(name, layout, shadow_kind, PARALLEL[-1], ray_storage=storage, debug_checks="ON")
+    if name == "living":
+        hits = unbatched_hits(name, layout, 400, shadow_kind)
+        assert len(np.unique(hits[1])) > 7
 
 
 @pytest.mark.parametrize("storage", ["INDIRECT", "DIRECT"])

@@ -21,12 +21,14 @@ from tests.core.wavefront.tracers.paged_rays import (
     BUDGET,
     CHECKED,
     LAYOUTS,
+    LIVELY,
     ON_CPU,
     ONE,
     PATHS,
     device,
     drain,
     list_of,
+    met,
     new_rays,
     paged_of,
     require_right,
@@ -90,6 +92,29 @@ def test_from_host_memory_and_from_a_file(open_pool, layout, encoded, store, slo
     tracer = tracer_of(pool, rays)
     run(tracer)
     require_right(rays, layout)
+    tracer.close()
+
+
+@pytest.mark.parametrize("store", ["HOST", "DISK"])
+@pytest.mark.parametrize("shadow", [RayKind.OCCLUSION, RayKind.TRANSPARENT_SHADOW], ids=["any", "closest"])
+@pytest.mark.parametrize("many", [False, True], ids=["one treelet a chunk", "treelets"])
+@pytest.mark.parametrize(
+    "layout, encoded, on_device",
+    [*((layout, False, None) for layout in LAYOUTS), (Layout.QUANTISED, True, False), (Layout.QUANTISED, True, True)],
+)
+@pytest.mark.parametrize("name", LIVELY)
+def test_segments_and_things_that_move(open_pool, name, layout, encoded, on_device, many, shadow, store, tmp_path):
+    more = {"encoded": encoded, "on_device": on_device, "store": store, "folder": tmp_path}
+    paged = paged_of(layout, 500_000, many, many, name, **more)
+    assert len(paged.pages) > 5
+    deform = paged.deform.numpy()
+    assert (len(np.unique(deform)) > 2 and (deform == 0).any()) == (name == "living")
+    pool = open_pool(paged, 3, staging_bytes_of(paged, 3, device()))
+    rays = new_rays(time=name == "living")
+    tracer = tracer_of(pool, rays, shadow, capacity=900, **met(name))
+    run(tracer, shadow)
+    require_right(rays, layout, shadow == RayKind.OCCLUSION, name=name)
+    assert tracer.totals().pages_loaded > 5
     tracer.close()
 
 

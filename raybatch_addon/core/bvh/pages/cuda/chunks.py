@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ class ChunkTree:
     nodes: wp.array  # wp.vec4
     triangles: wp.array  # wp.vec4, with numbers in the mesh
     vertices: wp.array  # of each triangle, in the order of `triangles`, int32, shape [3 * count]
+    steps: int  # of vertices that move, whose `triangles` and `vertices` lie one behind another
     known: dict[str, Any]  # fields of `Chunk`
 
 
@@ -85,7 +86,30 @@ def gather_vertices_kernel(
     out[i] = source[3 * order[first + i // 3] + i % 3]
 
 
-CHUNK_KERNELS = (corners_kernel, name_kernel, one_treelet_kernel, gather_vertices_kernel, gather_kernel)
+@wp.kernel(**KERNEL_OPTIONS)
+def own_kernel(
+    mesh: MeshTriangles,
+    stand_ins: wp.array(dtype=int),
+    shift: int,
+    first: int,
+    words: wp.array(dtype=int),
+    vertices: wp.array(dtype=int),
+):
+    """Primitives of the mesh, whose vertices lie `shift` further on, where triangles stand in for them: from number
+    `first` on of `words` and `vertices` (one thread a primitive).
+    """
+    i = wp.tid()
+    face = stand_ins[12 * i + 3]
+    for k in range(3):
+        vertex = mesh.triangles[mesh.first + face][k] + shift
+        at = 12 * (first + i) + 4 * k
+        for axis in range(3):
+            words[at + axis] = wp.cast(mesh.positions[vertex][axis], wp.int32)
+        words[at + 3] = stand_ins[12 * i + 4 * k + 3]
+        vertices[3 * (first + i) + k] = vertex
+
+
+CHUNK_KERNELS = (corners_kernel, name_kernel, one_treelet_kernel, own_kernel, gather_vertices_kernel, gather_kernel)
 
 
 def retyped(array: wp.array, dtype: type) -> wp.array:
@@ -108,7 +132,21 @@ def build_chunk(mesh: MeshTriangles, faces: np.ndarray, numbers: wp.array) -> Ch
     words = retyped(made.triangles, wp.int32)
     wp.launch(name_kernel, count, [listed, vertices, words, named], device=device)
     known = {"centre": made.centre, "box": made.box, "sah": made.sah, "depth": made.depth}
-    return ChunkTree(faces, made.nodes, made.triangles, named, known)
+    return ChunkTree(faces, made.nodes, made.triangles, named, 1, known)
+
+
+def own_in_place(tree: ChunkTree, mesh: MeshTriangles, shifts: np.ndarray) -> ChunkTree:
+    """`tree` with the primitives of `mesh` in place of their stand-ins: those of as many steps as there are `shifts`
+    (as in `OwnPrimitives`).
+    """
+    device, count, steps = tree.nodes.device, len(tree.faces), len(shifts)
+    triangles = wp.empty(steps * count * _TRIANGLE_VECTORS, dtype=wp.vec4, device=device)
+    vertices = wp.empty(3 * steps * count, dtype=int, device=device)
+    into = retyped(triangles, wp.int32), vertices
+    for step, shift in enumerate(shifts.tolist()):
+        inputs = [mesh, retyped(tree.triangles, wp.int32), shift, step * count, *into]
+        wp.launch(own_kernel, count, inputs, device=device)
+    return replace(tree, triangles=triangles, vertices=vertices, steps=steps)
 
 
 def one_treelet(tree: ChunkTree) -> Chunk:
@@ -128,14 +166,14 @@ def one_treelet(tree: ChunkTree) -> Chunk:
         nodes=moved[_NODE_WORDS:] if node_count > 1 else np.zeros((0, _NODE_WORDS), np.uint32),
         node_first=np.array([0, node_count - 1]),
         triangles=tree.triangles,
-        triangle_first=np.array([0, count]),
+        triangle_first=np.array([0, tree.steps * count]),
         vertices=tree.vertices,
     )
 
 
 def in_treelets(tree: ChunkTree, cut: Cut) -> Chunk:
     """The chunk in the treelets of `cut`, whose nodes lie in host memory."""
-    device, count, top = tree.nodes.device, len(tree.faces), cut.top_triangle_count
+    device, count, top = tree.nodes.device, tree.steps * len(tree.faces), cut.top_triangle_count
     order = wp.array(cut.triangle_order.astype(np.int32), dtype=int, device=device)
 
     def gathered(first: int, end: int) -> wp.array:

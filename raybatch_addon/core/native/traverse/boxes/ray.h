@@ -101,6 +101,12 @@ auto set_shear = [&](Ray& ray, const float* o, const float* d) INLINE {
     ray.y = 32 * y;
     ray.z = 32 * z;
 };
+#if MOTION
+// In blocks of which each step has `stride` groups
+auto set_between = [&](Ray& ray, int stride) INLINE {
+    ray.between = between_steps((long long)stride * GROUP, time_of(ray.slot));
+};
+#endif
 // Into the tree of an entry, with the ray in its space; whether it can be traced
 auto set_entry = [&](Ray& ray, int entry) INLINE -> bool {
     const auto& p = rays.origin.data[ray.slot];
@@ -109,11 +115,8 @@ auto set_entry = [&](Ray& ray, int entry) INLINE -> bool {
     float o[3] = {p[0], p[1], p[2]}, d[3] = {v[0], v[1], v[2]};
     if (TWO_LEVEL) {
 #if MOTION
-        const float time = time_of(ray.slot);
-        const auto from_world = from_world_at(entry, time);
-        ray.between = between_steps(entry, time);
-        ray.between.first *= GROUP;
-        ray.between.next *= GROUP;
+        const auto from_world = from_world_at(entry, time_of(ray.slot));
+        set_between(ray, tree.entry_deform.data[entry]);
 #else
         const auto& from_world = tree.entry_from_world.data[entry];
 #endif

@@ -98,11 +98,17 @@ auto set_mesh = [&](Ray& ray, int entry) INLINE -> bool {
 auto to_mesh = [&](Ray& ray) INLINE {
     ray.nodes = TWO_LEVEL ? NODES + NODE * tree.entry_node.data[ray.entry] : ONLY_NODES;
     ray.triangles = TWO_LEVEL ? TRIANGLES + GROUP * tree.entry_triangle.data[ray.entry] : ONLY_TRIANGLES;
+#if MOTION
+    set_between(ray, tree.entry_deform.data[ray.entry]);
+#endif
 };
 // Into the blocks of a treelet
 auto to_treelet = [&](Ray& ray, int treelet) INLINE {
     ray.nodes = (const char*)treelets.nodes.data[treelet];
     ray.triangles = (const char*)treelets.triangles.data[treelet];
+#if MOTION
+    set_between(ray, treelets.deform.data[treelet]);
+#endif
     ray.treelet = treelet;
     ray.treelet_trail_code = ray.trail_code;
     if (ray.triangles) {

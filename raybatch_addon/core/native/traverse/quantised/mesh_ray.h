@@ -13,7 +13,7 @@ auto make_ray = [&]() {
 #if MOTION
         const float time = time_of(slot);
         const auto from_world = from_world_at(entry, time);
-        between = between_steps(entry, time);
+        between = between_steps(tree.entry_deform.data[entry], time);
 #else
         const auto& from_world = tree.entry_from_world.data[entry];
 #endif

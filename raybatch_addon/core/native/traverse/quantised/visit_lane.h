@@ -48,6 +48,9 @@ treelet = entry = -1;
 bottom = 0;
 visit_count = 0u;
 unsigned char trail[TRAIL_SIZE];  // the bit that was taken, by level
+#if MOTION
+BetweenSteps between = {0, 0, 0.0f};  // in triangles
+#endif
 
 // What the steps that whole and cut trees share ask of a lane
 auto in_top_level = [&]() -> bool { return !(state & IN_MESH); };
@@ -56,6 +59,13 @@ auto to_top_blocks = [&]() { nodes = resident_nodes + NODE * (unsigned)tree.top_
 auto to_entry_blocks = [&]() {
     nodes = resident_nodes + NODE * (unsigned)tree.entry_node.data[entry];
     triangles = resident_triangles + TRIANGLE * (unsigned)tree.entry_triangle.data[entry];
+};
+auto to_treelet_blocks = [&]() {
+    nodes = (const Words*)treelets.nodes.data[treelet];
+    triangles = (const Words*)treelets.triangles.data[treelet];
+#if MOTION
+    between = between_steps(treelets.deform.data[treelet], time_of(slot));
+#endif
 };
 auto end_any = [&]() {
     treelet = -1;

@@ -70,8 +70,7 @@ auto visit = [&]() {
             state |= STOPPED;
             return;
         }
-        nodes = (const Words*)treelets.nodes.data[treelet];
-        triangles = (const Words*)treelets.triangles.data[treelet];
+        to_treelet_blocks();
         state |= TASK == GO_ON && !triangles ? IN_TREELET | NODES_ONLY : IN_TREELET;
         if (!(state & NODES_ONLY)) {
             ++visit_count;
@@ -115,6 +114,9 @@ auto choose = [&]() {
             treelet = -1;
             nodes = resident_nodes + (TWO_LEVEL ? NODE * (unsigned)tree.entry_node.data[entry] : 0ull);
             triangles = resident_triangles + (TWO_LEVEL ? TRIANGLE * (unsigned)tree.entry_triangle.data[entry] : 0ull);
+#if MOTION
+            between = between_steps(tree.entry_deform.data[entry], time_of(slot));
+#endif
         }
         if (depth == bottom) {
             if (leaf.y) return;

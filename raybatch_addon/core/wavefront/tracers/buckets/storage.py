@@ -36,6 +36,9 @@ def copy_ray(source: Rays, i: int, target: Rays, k: int):
     target.t_max[k] = source.t_max[i]
     if target.visibility.shape[0] > 0:
         target.visibility[k] = source.visibility[i]
+    if target.time.shape[0] > 0:
+        count = source.time.shape[0]  # of paths, where these are no copies: a shadow ray has its path's
+        target.time[k] = source.time[wp.where(i < count, i, i - count)]
 
 
 @wp.func
@@ -126,7 +129,7 @@ def add_counts_kernel(counts: TraceCounts, batch: DeviceRayList, total: TraceCou
         total.queued[slot] = total.queued[slot] + counts.queued[position]
 
 
-# Bytes of a ray that are stored, without trail and entry: origin, direction, limit, instance, triangle, weights
+# Bytes of a ray that are stored, without trail, entry and time: origin, direction, limit, instance, triangle, weights
 VALUE_BYTES = 12 + 12 + 4 + 4 + 4 + 8
 # Rays of a batch at most on CUDA: a batch's memory is twice as large as its rays
 CUDA_BATCH_BY_VALUE = 1 << 20
@@ -149,9 +152,9 @@ class Storage(Protocol):
         """Rays of a batch at most."""
 
     @staticmethod
-    def bytes_per_slot(progress_bytes: int, instancing: bool, place_share: float) -> float:
-        """Device memory for each ray slot [bytes]. `progress_bytes`: of a ray's progress; `place_share`: entries
-        of the pool for each slot.
+    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, place_share: float) -> float:
+        """Device memory for each ray slot [bytes]. `progress_bytes`: of a ray's progress; `moving`: rays have times;
+        `place_share`: entries of the pool for each slot.
         """
 
     def begin(self, batch: RayList, rule: QueueRule) -> None:
@@ -173,7 +176,14 @@ class InPlace:
     kernels: ClassVar[tuple[wp.Kernel, ...]] = ()
 
     def __init__(
-        self, queues: BucketQueues, rays: Rays, any_first: int, words: int, instancing: bool, counts: TraceCounts | None
+        self,
+        queues: BucketQueues,
+        rays: Rays,
+        any_first: int,
+        words: int,
+        instancing: bool,
+        moving: bool,
+        counts: TraceCounts | None,
     ):
         """For `rays`, with trails of `words` words; those from slot `any_first` on ask for any hit."""
         self.rays, self.any_first, self.counts = rays, any_first, counts
@@ -186,7 +196,7 @@ class InPlace:
         return batch_capacity(slot_count, queue_size, is_cuda)
 
     @staticmethod
-    def bytes_per_slot(progress_bytes: int, instancing: bool, place_share: float) -> float:
+    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, place_share: float) -> float:
         """Progress alone."""
         return progress_bytes
 
@@ -209,12 +219,13 @@ class InPlace:
         self._queues.put(self._taken, rule)
 
 
-def _allocate_values(count: int, visibility: bool, device: wp.Device) -> Rays:
+def _allocate_values(count: int, home: Rays, moving: bool, device: wp.Device) -> Rays:
     values = Rays()
     with wp.ScopedDevice(device):
         values.origin, values.direction = wp.zeros(count, dtype=wp.vec3), wp.zeros(count, dtype=wp.vec3)
         values.t_max = values.hit_t = wp.zeros(count, dtype=float)
-        values.visibility = wp.zeros(count if visibility else 0, dtype=int)
+        values.visibility = wp.zeros(count if home.visibility.size > 0 else 0, dtype=int)
+        values.time = wp.zeros(count if moving else 0, dtype=float)
         values.hit_instance, values.hit_primitive = wp.zeros(count, dtype=int), wp.zeros(count, dtype=int)
         values.hit_uv = wp.zeros(count, dtype=wp.vec2)
     return values
@@ -232,17 +243,26 @@ class ByValue:
     )
 
     def __init__(
-        self, queues: BucketQueues, home: Rays, any_first: int, words: int, instancing: bool, counts: TraceCounts | None
+        self,
+        queues: BucketQueues,
+        home: Rays,
+        any_first: int,
+        words: int,
+        instancing: bool,
+        moving: bool,
+        counts: TraceCounts | None,
     ):
-        """For rays of `home`, with trails of `words` words; those from slot `any_first` on ask for any hit."""
+        """For rays of `home`, with trails of `words` words; those from slot `any_first` on ask for any hit. `moving`:
+        their times are looked at.
+        """
         device, capacity, place_count = queues.device, queues.capacity, queues.size.place_count
         mixed = any_first < home.origin.size
         self._queues, self._home, self._home_counts, self._taken = queues, home, counts, None
         self._launches = RepeatedLaunches(device)
-        self._values = _allocate_values(place_count, home.visibility.size > 0, device)
+        self._values = _allocate_values(place_count, home, moving, device)
         self._stored = allocate_progress(place_count, words, instancing, device)
         size = capacity * (2 if mixed else 1)
-        self.rays = _allocate_values(size, home.visibility.size > 0, device)
+        self.rays = _allocate_values(size, home, moving, device)
         self.progress = allocate_progress(size, words, instancing, device)
         self.any_first = capacity if mixed else NO_ANY_HIT
         self._positions = wp.zeros(capacity, dtype=int, device=device)  # of a batch's rays in `rays`
@@ -262,9 +282,9 @@ class ByValue:
         return min(batch_capacity(slot_count, queue_size, is_cuda), max(CUDA_BATCH_BY_VALUE, queue_size))
 
     @staticmethod
-    def bytes_per_slot(progress_bytes: int, instancing: bool, place_share: float) -> float:
+    def bytes_per_slot(progress_bytes: int, instancing: bool, moving: bool, place_share: float) -> float:
         """Progress and values in every entry of the pool."""
-        return (progress_bytes + VALUE_BYTES + 4 * instancing) * place_share
+        return (progress_bytes + VALUE_BYTES + 4 * instancing + 4 * moving) * place_share
 
     def begin(self, batch: RayList, rule: QueueRule) -> None:
         """Put the rays into queues, and their values into the pool."""

@@ -53,25 +53,33 @@ def selection_of(settings: RenderSettings, is_cuda: bool) -> Selection:
 
 
 def visit_stages(
-    layout: Layout, instancing: bool, counters: bool, settings: RenderSettings, curves: bool = False
+    layout: Layout,
+    instancing: bool,
+    counters: bool,
+    settings: RenderSettings,
+    curves: bool = False,
+    moving: bool = False,
 ) -> dict[VisitTask, VisitStage]:
     """The stages that rays go through."""
     interlocked = settings.top_level_traversal == "INTERLOCKED"
+    found = {"instancing": instancing, "counters": counters, "curves": curves, "motion": moving}
     return {
-        task: visit_stage(
-            layout,
-            VisitOptions(task=task, instancing=instancing, counters=counters, interlocked=interlocked, curves=curves),
-            Launch.of(settings),
-        )
+        task: visit_stage(layout, VisitOptions(task=task, interlocked=interlocked, **found), Launch.of(settings))
         for task in VisitTask
     }
 
 
 def batching_kernels(
-    layout: Layout, instancing: bool, counters: bool, settings: RenderSettings, device: wp.Device, curves: bool = False
+    layout: Layout,
+    instancing: bool,
+    counters: bool,
+    settings: RenderSettings,
+    device: wp.Device,
+    curves: bool = False,
+    moving: bool = False,
 ) -> list[wp.Kernel]:
     """What a `BatchingTracer` launches, to be compiled ahead."""
-    stages = visit_stages(layout, instancing, counters, settings, curves)
+    stages = visit_stages(layout, instancing, counters, settings, curves, moving)
     kernels = [*queue_kernels(device), *policy_kernels(device), *SPLIT_KERNELS]
     kernels += LOOP_KERNELS if device.is_cuda else [host_step_kernel]
     kernels += STORAGES[settings.ray_storage].kernels
@@ -79,14 +87,14 @@ def batching_kernels(
 
 
 def batching_bytes_per_path(
-    settings: RenderSettings, shadow_rays: bool, instancing: bool, levels: int, is_cuda: bool
+    settings: RenderSettings, shadow_rays: bool, instancing: bool, levels: int, is_cuda: bool, moving: bool = False
 ) -> int:
     """Device memory of a `BatchingTracer` for each path alive, but for what batches need, which is bounded [bytes]."""
     many, queues = 1 << 22, 512
     size = pool_size(queues, settings.queue_size, settings.queue_count, many)
     progress_bytes = 4 * trail_words(levels) + 4 * instancing
     storage = STORAGES[settings.ray_storage]
-    stored = storage.bytes_per_slot(progress_bytes, instancing, size.place_count / many)
+    stored = storage.bytes_per_slot(progress_bytes, instancing, moving, size.place_count / many)
     return math.ceil((1 + shadow_rays) * (stored + pool_bytes(size, queues, is_cuda) / many))
 
 
@@ -111,8 +119,10 @@ class BatchingTracer:
         parallel: bool | None = None,
         capacity: int = 0,
         curves: bool = False,
+        moving: bool = False,
     ):
-        """Traces the rays of `worker` in `treelet_tree`, past segments of curves where there are `curves`.
+        """Traces the rays of `worker` in `treelet_tree`, past segments of curves where there are `curves`, and at their
+        times where things are `moving`.
 
         `stages`: what tracing does. `rays_few`: with fewer in every bucket, rays go on unbatched. `parallel`: the way
         of CUDA devices, on the CPU too. `capacity`: rays of a batch at most. Where these are not given they are chosen.
@@ -131,7 +141,7 @@ class BatchingTracer:
         )
         any_first = worker.path_count if worker.shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
         self._storage = storage(
-            self._queues, worker.rays, any_first, trail_words(treelet_tree.levels), instancing, counts
+            self._queues, worker.rays, any_first, trail_words(treelet_tree.levels), instancing, moving, counts
         )
         self._finished = FinishedLists(self._queues.capacity, worker.path_count, worker.shadow_kind, device)
         policy = DevicePolicy(
@@ -146,7 +156,7 @@ class BatchingTracer:
         )
         is_given = stages is not None  # and so are their kernels, which are loaded already
         if stages is None:
-            stages = visit_stages(treelet_tree.layout, instancing, counts is not None, settings, curves)
+            stages = visit_stages(treelet_tree.layout, instancing, counts is not None, settings, curves, moving)
         for stage in stages.values():
             stage.prepare(device)
         served = treelet_tree, stages, self._queues, self._storage, self._numbers
@@ -156,9 +166,8 @@ class BatchingTracer:
         self._steps: Steps
         if is_stepwise and parallel_queues and counts is None:
             untimed = QueueServer(*served, NoTimer())  # the loop is timed as one
-            kernels = (
-                [] if is_given else batching_kernels(treelet_tree.layout, instancing, False, settings, device, curves)
-            )
+            launched = treelet_tree.layout, instancing, False, settings, device, curves, moving
+            kernels = [] if is_given else batching_kernels(*launched)
             self._steps = LoopSteps(*led, DeviceLoop(policy, parallel_queues.moves, untimed.serve_marked, kernels))
         elif is_stepwise and not parallel_queues and storage is InPlace:
             self._steps = FusedSteps(*led, self._queues, self._rules)

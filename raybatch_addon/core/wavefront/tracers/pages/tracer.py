@@ -57,15 +57,19 @@ def streaming_bytes_per_path(path_count: int, shadow_rays: bool, levels: int) ->
     return math.ceil(slots * (streaming_bytes_per_slot(slots * path_count) + 4 + 4 * trail_words(levels)))
 
 
-def go_on_stage(layout: Layout, counters: bool, settings: RenderSettings, curves: bool = False) -> VisitStage:
+def go_on_stage(
+    layout: Layout, counters: bool, settings: RenderSettings, curves: bool = False, moving: bool = False
+) -> VisitStage:
     """The stage that traces."""
-    options = VisitOptions(task=VisitTask.GO_ON, instancing=True, counters=counters, curves=curves)
+    options = VisitOptions(task=VisitTask.GO_ON, instancing=True, counters=counters, curves=curves, motion=moving)
     return visit_stage(layout, options, Launch.of(settings))
 
 
-def compiled_ahead(layout: Layout, counters: bool, settings: RenderSettings, curves: bool = False) -> list[wp.Kernel]:
+def compiled_ahead(
+    layout: Layout, counters: bool, settings: RenderSettings, curves: bool = False, moving: bool = False
+) -> list[wp.Kernel]:
     """Kernels of a `StreamingTracer`."""
-    stage = go_on_stage(layout, counters, settings, curves)
+    stage = go_on_stage(layout, counters, settings, curves, moving)
     return [*streaming_kernels(), address_kernel, *PAGE_KERNELS, *stage.kernels]
 
 
@@ -91,9 +95,10 @@ class StreamingTracer:
         stage: VisitStage | None = None,
         capacity: int = 0,
         curves: bool = False,
+        moving: bool = False,
     ):
-        """Traces the rays of `worker`, past segments of curves where there are `curves`; `residency`, of the same
-        scene, is shared by all workers. To be closed.
+        """Traces the rays of `worker`, past segments of curves where there are `curves`, and at their times where
+        things are `moving`; `residency`, of the same scene, is shared by all workers. To be closed.
 
         `stage`: what tracing does. `capacity`: rays of a batch at most. Where these are not given they are chosen.
         """
@@ -102,7 +107,7 @@ class StreamingTracer:
         self._shadow_kind, self._timer, self._trace_counts = worker.shadow_kind, worker.timer, worker.counts
         self._any_first = path_count if worker.shadow_kind == RayKind.OCCLUSION else NO_ANY_HIT
         self._debug = settings.debug_checks == "ON"
-        self._stage = stage or go_on_stage(paged.layout, worker.counts is not None, settings, curves)
+        self._stage = stage or go_on_stage(paged.layout, worker.counts is not None, settings, curves, moving)
         self._progress = allocate_progress(slot_count, trail_words(paged.levels), True, device)
         self._waiting = WaitingRays(slot_count, path_count, residency.page_of, len(paged.pages), device, capacity)
         self._view = residency.view()
