@@ -17,7 +17,7 @@ _SIZES = (*range(2 * PAGE_ALIGNMENT, 16 << 20, PAGE_ALIGNMENT), 16 << 20, 32 << 
 _LEAST = [0, *(size * _BUDGET_SHARE for size in _SIZES[1:])]
 _NO_END = 1 << 62
 # A packed triangle with its share of nodes, mostly; what a segment of a curve takes more; a packed copy of a triangle
-_PACKED_BYTES, _SEGMENT_BYTES, _PACKED_COPY = 25, 17, 15
+_PACKED_BYTES, _SEGMENT_BYTES, _PACKED_COPY = 25, 19, 15
 # Triangles that are built, all trials together, to find a smaller budget than one that is known to be enough
 _TRIALS_TRIANGLES = 1 << 23
 
