@@ -9,6 +9,7 @@ import numpy as np
 import warp as wp
 
 from ...device.bulk import digest_of
+from ...native.structs import record_type, upload_records, upload_struct
 from ...scene.description import Light, LightKind, Scene
 from ...scene.geometry import Geometry
 from .choice_table import ChoiceTable
@@ -129,7 +130,7 @@ def upload_lights(
     if len(triangles) and geometry is None:
         raise ValueError("triangles emit: give the scene's geometry too")
     strength = light_strengths(scene.lights)
-    records = np.zeros(len(scene.lights), LightRecord.numpy_dtype())
+    records = np.zeros(len(scene.lights), record_type(LightRecord))
     for i, light in enumerate(scene.lights):
         _fill_record(records[i, ...], light)
 
@@ -144,7 +145,7 @@ def upload_lights(
     table = LightTable()
     table.emitter_count = len(records) + len(triangles) + (world is not None)
     table.light_count = len(records)
-    table.lights = upload(np.concatenate([records, _portals(scene, world)]), LightRecord)
+    table.lights = upload_records(np.concatenate([records, _portals(scene, world)]), LightRecord, device)
     if lamps is not None:
         strength *= lamps(table)
     table.sun_count = len(suns)
@@ -172,14 +173,14 @@ def upload_lights(
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
     choice = _choice_table(table, records, strength, triangles, scene, geometry, world, keep)
     upload_links(scene, choice, triangles.instance, device)
-    table.choice = wp.array([choice], dtype=ChoiceTable, device=device)
+    table.choice = upload_struct(choice, device)
     return UploadedLights(table, choice, tree, len(triangles))
 
 
 def _portals(scene: Scene, world: SampledWorld | None) -> np.ndarray:
     """Records of the portals through which `world` is sampled; none where it is not."""
     portals = scene.world.portals if world is not None else ()
-    records = np.zeros(len(portals), LightRecord.numpy_dtype())
+    records = np.zeros(len(portals), record_type(LightRecord))
     for i, portal in enumerate(portals):
         _fill_record(records[i, ...], portal)
     return records[records["delta"] == 0]
@@ -267,7 +268,7 @@ def _in_range(values: np.ndarray) -> np.ndarray:
 def _lamp_nodes(records: np.ndarray, local: np.ndarray, strength: np.ndarray) -> np.ndarray:
     """Leaves for the lights numbered `local`: where they are, and where they shine."""
     lamps = records[local]
-    nodes = np.zeros(len(local), LightNode.numpy_dtype())
+    nodes = np.zeros(len(local), record_type(LightNode))
     nodes["centre"], nodes["axis"] = lamps["position"], lamps["axis"]
     nodes["radius"] = np.maximum(lamps["radius"], np.hypot(lamps["half_x"], lamps["half_y"]))
     nodes["power"], nodes["emitter"] = strength[local], local
