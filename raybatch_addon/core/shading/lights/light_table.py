@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...device.bulk import digest_of
+from ...device.bulk import digest_of, large_empty
 from ...native.structs import record_type, upload_records, upload_struct
 from ...scene.description import Light, LightKind, Scene
 from ...scene.geometry import Geometry
 from .choice_table import ChoiceTable
 from .emitters import EmissiveTriangles, find_emissive_triangles, light_area, light_strengths, triangle_strengths
-from .light_tree import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel, fill_blocks, launch_parts
+from .light_tree import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel
 from .link_table import upload_links
+from .tree.fill import fill_blocks, launch_parts
 from .tree.topology import Alike, runs_alike
 from .world import SampledWorld, WorldTable
 
@@ -243,8 +244,8 @@ def _tree_alone(
     """
     device, count = table.lights.device, len(lamps) + len(power)
     boxes = EmitterBoxes()
-    boxes.nodes = wp.empty(count, dtype=LightNode, device=device)
-    boxes.low, boxes.high = (wp.empty(count, dtype=wp.vec3, device=device) for _ in range(2))
+    boxes.nodes = large_empty(count, LightNode, device)
+    boxes.low, boxes.high = (large_empty(count, wp.vec3, device) for _ in range(2))
     if len(lamps):
         for target, values in zip((boxes.nodes, boxes.low, boxes.high), (lamps, *boxes_of_lamps), strict=True):
             wp.copy(target, wp.array(values, dtype=target.dtype, device=device), count=len(lamps))
