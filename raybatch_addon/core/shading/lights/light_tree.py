@@ -185,27 +185,38 @@ class LightBlocks:
 
 
 @wp.func
-def _open(tree: LightBlocks, node: int, open: wp.array(dtype=int)) -> int:
+def _extent(tree: LightBlocks, node: int) -> float:
+    """How much is gained where `node` is replaced by its two; -1: an emitter."""
+    if node < tree.leaf_count:
+        return -1.0
+    held = tree.nodes[node].held
+    return held.power * held.radius
+
+
+@wp.func
+def _open(tree: LightBlocks, node: int, open: wp.array(dtype=int), extents: wp.array(dtype=float)) -> int:
     """Write up to `WIDTH` nodes that hold all emitters below `node` to `open`; their number. Of those that are open the
-    one of the most power over the widest sphere is replaced by its two, again and again.
+    one of the most power over the widest sphere is replaced by its two, again and again. `extents` has as many entries.
     """
     open[0] = node
+    extents[0] = _extent(tree, node)
     count = int(1)
     going = bool(True)
     while going and count < wp.static(WIDTH):
         widest = int(-1)
         extent = float(-1.0)
         for k in range(count):
-            held = tree.nodes[open[k]].held
-            if open[k] >= tree.leaf_count and held.power * held.radius > extent:
+            if extents[k] > extent:
                 widest = k
-                extent = held.power * held.radius
+                extent = extents[k]
         if widest < 0:
             going = False
         else:
-            parted = tree.nodes[open[widest]]
-            open[widest] = parted.first
-            open[count] = parted.second
+            parted = open[widest]
+            open[widest] = tree.nodes[parted].first
+            open[count] = tree.nodes[parted].second
+            extents[widest] = _extent(tree, open[widest])
+            extents[count] = _extent(tree, open[count])
             count = count + 1
     return count
 
@@ -216,7 +227,8 @@ def find_blocks_kernel(tree: LightBlocks, first: int):
     of threads; what is chosen does not depend on it.
     """
     open = wp.zeros(wp.static(WIDTH), dtype=int)
-    count = _open(tree, tree.block_node[first + wp.tid()], open)
+    extents = wp.zeros(wp.static(WIDTH), dtype=float)
+    count = _open(tree, tree.block_node[first + wp.tid()], open, extents)
     for k in range(count):
         if open[k] >= tree.leaf_count:
             block = wp.atomic_add(tree.block_count, 0, 1)
@@ -253,7 +265,8 @@ def fill_blocks_kernel(tree: LightBlocks, choice: ChoiceTable, first: int):
     """Nodes of the blocks from `first` on."""
     block = first + wp.tid()
     open = wp.zeros(wp.static(WIDTH), dtype=int)
-    count = _open(tree, tree.block_node[block], open)
+    extents = wp.zeros(wp.static(WIDTH), dtype=float)
+    count = _open(tree, tree.block_node[block], open, extents)
     for k in range(count):
         held = tree.nodes[open[k]].held
         if open[k] < tree.leaf_count:
