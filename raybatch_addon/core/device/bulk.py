@@ -5,16 +5,34 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import warp as wp
 
+from ..native.structs import record_type
 from .devices import worker_count
 
 # Rows that a thread works on together
 _SLICE_ROWS = 1 << 20
 # Bytes that are hashed together
 _SLICE_BYTES = 1 << 26
+
+
+# Types of Warp's arrays as those of NumPy's
+_HOST_TYPES = {int: (np.int32, ()), float: (np.float32, ()), wp.vec3: (np.float32, (3,))}
+
+
+def large_empty(count: int, dtype: Any, device: wp.Device, zeros: bool = False) -> wp.array:
+    """As `wp.empty` (or `wp.zeros`) for int, float, vec3 and structs. On a CPU its memory is NumPy's, who asks the
+    system for large pages: to touch hundreds of megabytes of small ones for the first time takes longer than to fill
+    them.
+    """
+    if not device.is_cpu:
+        return wp.zeros(count, dtype=dtype, device=device) if zeros else wp.empty(count, dtype=dtype, device=device)
+    base, shape = _HOST_TYPES.get(dtype) or (record_type(dtype), ())
+    values = (np.zeros if zeros else np.empty)((count, *shape), base)
+    return wp.array(values, dtype=dtype, device=device, copy=False)
 
 
 def in_slices(count: int, work: Callable[[slice], object], size: int = 0) -> None:

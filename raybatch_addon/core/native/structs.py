@@ -1,8 +1,13 @@
-"""NumPy's tables as C++ has them, so that their fields are listed once."""
+"""NumPy's tables as C++ and Warp have them, so that their fields are listed once."""
 
 from __future__ import annotations
 
+import ctypes
+import functools
+from typing import Any
+
 import numpy as np
+import warp as wp
 
 _TYPES = {"int64": "long long", "int32": "int", "float32": "float", "uint8": "unsigned char"}
 _LANES = 8  # floats of a box
@@ -19,6 +24,33 @@ def struct_defines(**tables: np.dtype) -> dict[str, str | int]:
         defines[f"{name}_FIELDS"] = " ".join(_field(field, table[field]) for field in table.names)
         defines[f"{name}_BYTES"] = table.itemsize
     return defines
+
+
+@functools.cache
+def record_type(struct: Any) -> np.dtype:
+    """NumPy's type of records that are laid out as the Warp `struct`; Warp alone would make it at each use."""
+    return np.dtype(struct.numpy_dtype())
+
+
+def upload_records(records: np.ndarray, struct: Any, device: wp.Device) -> wp.array:
+    """A copy on `device` of `records`, whose type is `record_type(struct)`; shape [n]."""
+    records = np.ascontiguousarray(records)
+    return _copied(records.ctypes.data, len(records), struct, device)
+
+
+def upload_struct(value: Any, device: wp.Device) -> wp.array:
+    """A copy on `device` of one instance of a Warp struct; shape [1]. The arrays in it have to be kept by themselves.
+
+    Warp makes it from a list by way of a NumPy type of all its fields, which takes a millisecond or more.
+    """
+    return _copied(ctypes.addressof(value.__ctype__()), 1, value._cls, device)
+
+
+def _copied(address: int, count: int, struct: Any, device: wp.Device) -> wp.array:
+    made = wp.empty(count, dtype=struct, device=device)
+    if count:
+        wp.copy(made, wp.array(ptr=address, dtype=struct, shape=count, device="cpu"))
+    return made
 
 
 def _field(name: str, dtype: np.dtype) -> str:

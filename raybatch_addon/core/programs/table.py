@@ -8,6 +8,7 @@ import numpy as np
 import warp as wp
 
 from ..errors import SceneError
+from ..native.structs import upload_struct
 from ..scene.description import Scene
 from ..scene.geometry import Geometry
 from ..scene.program import Program, ProgramFeatures
@@ -84,7 +85,7 @@ def store_programs(*tables: NodeData, device: wp.Device) -> list[wp.array]:
     """Write each of `tables` into the device's memory, where ops out of line read it; the arrays have to be kept."""
     kept = []
     for table in tables:
-        kept.append(wp.array([table], dtype=NodeData, device=device))
+        kept.append(upload_struct(table, device))
         table.stored = kept[-1].ptr
     return kept
 

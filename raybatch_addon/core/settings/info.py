@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -144,13 +145,17 @@ def checked(info: SettingInfo, value: Any) -> Any:
     Numbers of bytes may be written with a unit: `1.5G` or `1500MB` are 1,500,000,000 bytes, `512Mi` or `512MiB` are
     536,870,912.
     """
-    complaint = SettingsError(f"{info.name} = {value!r} is not valid: it must be {info.range_text()}{_unit_hint(info)}")
+
+    def complaint() -> SettingsError:
+        return SettingsError(f"{info.name} = {given!r} is not valid: it must be {info.range_text()}{_unit_hint(info)}")
+
+    given = value
     if info.kind is str:
         text = str(value).strip()
         if info.choices:
             text = text.upper()
             if text not in {identifier for identifier, _, _ in info.choices}:
-                raise complaint
+                raise complaint()
         return text
     if info.unit == BYTES and isinstance(value, str):
         value = _bytes(value, complaint)
@@ -159,14 +164,14 @@ def checked(info: SettingInfo, value: Any) -> Any:
         if info.kind is int:
             exact = int(value) if not isinstance(value, float) else int(number)
             if exact != number and abs(number) < 2**53:
-                raise complaint
+                raise complaint()
             number = exact
     except (TypeError, ValueError, OverflowError):
-        raise complaint from None
+        raise complaint() from None
     if not math.isfinite(number) or not info.minimum <= number <= info.maximum:
-        raise complaint
+        raise complaint()
     if info.kind is int and number != info.minimum and (number < info.least or number % info.multiple):
-        raise complaint
+        raise complaint()
     return number
 
 
@@ -174,12 +179,12 @@ def _unit_hint(info: SettingInfo) -> str:
     return " bytes; 1.5G is 1,500,000,000, and 512Mi is 536,870,912" if info.unit == BYTES else ""
 
 
-def _bytes(text: str, complaint: SettingsError) -> int:
-    """The number that `text` means, exactly; raises `complaint`."""
+def _bytes(text: str, complaint: Callable[[], SettingsError]) -> int:
+    """The number that `text` means, exactly; raises what `complaint` returns."""
     found = _BYTE_TEXT.fullmatch(text.strip())
     if not found or found[2].upper() not in _BYTE_UNITS:
-        raise complaint
+        raise complaint()
     number = Fraction(found[1]) * _BYTE_UNITS[found[2].upper()]
     if number.denominator != 1:
-        raise complaint
+        raise complaint()
     return int(number)

@@ -46,7 +46,10 @@ class RenderSettings(
 
     def __post_init__(self):
         for info in SETTINGS.values():
-            object.__setattr__(self, info.name, checked(info, getattr(self, info.name)))
+            value = getattr(self, info.name)
+            if type(value) is info.kind and value == info.default:
+                continue  # as it should be
+            object.__setattr__(self, info.name, checked(info, value))
         for complaint in (self._complaint_of_queues(), self._complaint_of_launches(), self._complaint_of_memory()):
             if complaint:
                 raise SettingsError(complaint)

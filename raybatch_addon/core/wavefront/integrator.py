@@ -17,6 +17,7 @@ from ..film.tile import FIRST_SAMPLE_ARRAYS, FilmTile, FilmTiles, FinishedTile
 from ..measure.batching import BatchingTotals
 from ..measure.counters import Counters, CounterTotals
 from ..measure.timing import NoTimer
+from ..native.structs import upload_struct
 from ..rays import NO_RAYS, RayKind, RayList
 from ..scene.description import Frame
 from ..settings.settings import RenderSettings
@@ -25,7 +26,7 @@ from .catchers.state import allocate_caught
 from .kernels import StageKernels
 from .order.hit_order import HitOrder
 from .order.ray_order import RayOrder
-from .passes.state import PathPasses, make_path_passes
+from .passes.state import make_path_passes
 from .path_lists import Length, PathLists
 from .plan.plan import Method
 from .rays import RayNeeds, allocate_paths, allocate_rays
@@ -65,7 +66,7 @@ class TileIntegrator:
         self._paths = allocate_paths(count, array_features(features, scene.shading), device)
         self._passes = make_path_passes(count, features, self._layout, scene.pass_inputs, scene.camera, device)
         if self._passes:
-            self._paths.passes = wp.array([self._passes], dtype=PathPasses, device=device)
+            self._paths.passes = upload_struct(self._passes, device)
         tracing = scene.tracing
         needs = RayNeeds.of(features, tracing.method is Method.REFERENCE)
         self._rays = allocate_rays(count, device, dataclasses.replace(needs, shadow_rays=scene.shadow_rays))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -59,37 +60,7 @@ class StageKernels:
     @staticmethod
     def choose(features: SceneFeatures, device: wp.Device, shading: SceneFeatures | None = None) -> StageKernels:
         """The kernels for a scene with `features`, those that shade specialised on `shading` (default: the same)."""
-        layout = layout_of(features.passes, features.film_transparent)
-        shading = shading or features
-        # flat meshes walk by what was compiled ahead for smooth ones; so do curves and what moves
-        walked = dataclasses.replace(features, smooth_normals=shading.smooth_normals)
-        if shading.programs.apart and (features.curves or features.moving):
-            walked = dataclasses.replace(walked, curves=True, moving=True)
-        has = {
-            ShadingStage.SURFACE: features.surfaces,
-            ShadingStage.BACKGROUND: True,
-            ShadingStage.LIGHT_HITS: features.light_hits and not features.volumes,  # which have such a stage
-            ShadingStage.CONNECT: features.shadow_rays,
-            ShadingStage.CONNECT_TRANSPARENT: features.shadow_rays and features.transparency,
-            ShadingStage.AIM: features.shadow_rays and device.is_cuda,
-            ShadingStage.REQUEST: features.requests,
-            ShadingStage.OCCLUSION: features.occlusion_pass,
-        }
-        return StageKernels(
-            generate=generate_kernel(_generate_features(features, shading)),
-            generate_active=generate_active_kernel(_generate_features(features, shading))
-            if features.adaptive
-            else None,
-            settle=settle_kernel,
-            walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
-            volumes=VolumeKernels.choose(features, shading),
-            shading=_shading_kernels(
-                features, shading, [stage for stage in ShadingStage if has[stage]], device.is_cuda
-            ),
-            accumulate=accumulate_kernel(layout),
-            resolve=resolve_kernel(layout),
-            catchers=CATCHER_KERNELS if features.catchers else (),
-        )
+        return _chosen(features, shading or features, device.is_cuda)
 
     def that_shade(self) -> list[wp.Kernel]:
         """Kernels of surfaces, lights, the world and volumes."""
@@ -105,6 +76,37 @@ class StageKernels:
         if self.generate_active:
             kernels += [self.generate_active, *ADAPTIVE_KERNELS]
         return list(dict.fromkeys(kernel for kernel in kernels if kernel is not None))
+
+
+@functools.cache
+def _chosen(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool) -> StageKernels:
+    """What `StageKernels.choose` returns: each render asks for it again and again."""
+    layout = layout_of(features.passes, features.film_transparent)
+    # flat meshes walk by what was compiled ahead for smooth ones; so do curves and what moves
+    walked = dataclasses.replace(features, smooth_normals=shading.smooth_normals)
+    if shading.programs.apart and (features.curves or features.moving):
+        walked = dataclasses.replace(walked, curves=True, moving=True)
+    has = {
+        ShadingStage.SURFACE: features.surfaces,
+        ShadingStage.BACKGROUND: True,
+        ShadingStage.LIGHT_HITS: features.light_hits and not features.volumes,  # which have such a stage
+        ShadingStage.CONNECT: features.shadow_rays,
+        ShadingStage.CONNECT_TRANSPARENT: features.shadow_rays and features.transparency,
+        ShadingStage.AIM: features.shadow_rays and is_cuda,
+        ShadingStage.REQUEST: features.requests,
+        ShadingStage.OCCLUSION: features.occlusion_pass,
+    }
+    return StageKernels(
+        generate=generate_kernel(_generate_features(features, shading)),
+        generate_active=generate_active_kernel(_generate_features(features, shading)) if features.adaptive else None,
+        settle=settle_kernel,
+        walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
+        volumes=VolumeKernels.choose(features, shading),
+        shading=_shading_kernels(features, shading, [stage for stage in ShadingStage if has[stage]], is_cuda),
+        accumulate=accumulate_kernel(layout),
+        resolve=resolve_kernel(layout),
+        catchers=CATCHER_KERNELS if features.catchers else (),
+    )
 
 
 def _generate_features(features: SceneFeatures, shading: SceneFeatures) -> GenerateFeatures:

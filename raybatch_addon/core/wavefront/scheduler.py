@@ -19,6 +19,8 @@ RAYS_MOST = {True: 1 << 25, False: 1 << 23}  # on CUDA; of a worker on the CPU
 # Edges of tiles where `tile_size` is 0
 CPU_TILE = 128
 CUDA_TILE = 2048
+# A turn takes a CPU worker about as long for some hundred paths as for one, so its tiles have this many if they can
+CPU_TILE_PATHS_LEAST = 256
 # Tiles of each CPU worker, about, where a render is cut into rounds
 CUT_TILES_A_WORKER = 2
 # Where a tile's last paths come to their end a GPU has little to do, so its tiles have this many paths if they can
@@ -74,7 +76,8 @@ def paths_a_worker(settings: RenderSettings, workers: int, is_cuda: bool, paged:
 def tile_edge(
     settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, paged: bool = False
 ) -> int:
-    """Edge of the tiles [pixels]. Where it is chosen here, at least four tiles cover a frame that can be cut so.
+    """Edge of the tiles [pixels]. Where it is chosen here, at least four tiles cover a frame that can be cut so, unless
+    it has next to no paths.
 
     On CUDA small work is one tile, and tiles shrink with the samples so that they come at some pace. Where geometry is
     brought in by pages (`paged`) each worker has one tile, if it is not too large: no more rays can be alive than a
@@ -89,7 +92,8 @@ def tile_edge(
         1, min(-(-max(width, height) // 2), -(-min(width, height) // 2) if min(width, height) > 1 else 1 << 30)
     )
     if not is_cuda:
-        return min(CPU_TILE, quarter)
+        fewest = math.ceil(math.sqrt(CPU_TILE_PATHS_LEAST / settings.sample_count))
+        return min(CPU_TILE, max(quarter, min(fewest, max(width, height))))
     if width * height * settings.sample_count <= CUDA_TILE_PATHS:
         return min(CUDA_TILE, max(width, height))
     paced = math.ceil(math.sqrt(4 * CUDA_TILE_PATHS / settings.sample_count))

@@ -16,7 +16,7 @@ from ...core.scene.notice import Notice, Weight
 from ..images.color_spaces import linear_colors
 from ..meshes.attributes import ATTRIBUTE_TYPES
 from ..meshes.mesh_arrays import read
-from .strands import CurveShape, CutStrands, Strands, hair_attribute, random_numbers, sound_strands
+from .strands import CurveShape, CutStrands, Strands, hair_attribute, random_numbers, sound_strands, without_radius
 
 # What Cycles takes where curves, and points, have no radius [m]
 _CURVE_RADIUS, _POINT_RADIUS = 0.005, 0.01
@@ -128,9 +128,15 @@ class ParticleHair:
         """`viewport`: the depsgraph of `owner` is that of the viewport."""
         self._owner, self._modifier, self._system = owner, modifier, modifier.particle_system
         self._viewport = viewport
-        points, first = _paths(owner, self._system, viewport)
-        self._count, self._given, self._name = len(first) - 1, len(points), modifier.name
-        self._cut = CutStrands(sound_strands(points, _radii(self._system.settings, points, first), first), shape)
+        self._name, settings = modifier.name, self._system.settings
+        if _has_width(settings):
+            points, first = _paths(owner, self._system, viewport)
+            self._count, self._given = len(first) - 1, len(points)
+            strands = sound_strands(points, _radii(settings, points, first), first)
+        else:  # wherever its points are, which Blender takes long to tell
+            self._count, self._given = len(_strand_numbers(self._system)), 0
+            strands = without_radius(self._count)
+        self._cut = CutStrands(strands, shape)
 
     def vertices_of(self, obj: bpy.types.Object) -> np.ndarray | None:
         """As in `CurvesSource`."""
@@ -305,19 +311,28 @@ def _first_strand(system: Any) -> int:
     return 0 if settings.child_type == "NONE" or settings.use_parent_particles else len(system.particles)
 
 
+def _strand_numbers(system: Any) -> range:
+    """Numbers of all strands that are rendered."""
+    children = 0 if system.settings.child_type == "NONE" else len(system.child_particles)
+    return range(_first_strand(system), len(system.particles) + children)
+
+
+def _has_width(settings: Any) -> bool:
+    """Whether strands have a radius anywhere."""
+    return settings.radius_scale != 0 and (settings.root_radius != 0 or settings.tip_radius != 0)
+
+
 def _paths(owner: bpy.types.Object, system: Any, viewport: bool) -> tuple[np.ndarray, np.ndarray]:
     """Points of all strands in the object's space [m], and the first of each.
 
     Blender tells one point a call, and nothing else: 0.4 microseconds each, a third more without a tuple of it.
     """
-    settings, begin = system.settings, _first_strand(system)
-    end = len(system.particles) + (0 if settings.child_type == "NONE" else len(system.child_particles))
+    settings, numbers = system.settings, _strand_numbers(system)
     steps = (1 << (settings.display_step if viewport else settings.render_step)) + 1
     if settings.kink == "SPIRAL":
         steps += settings.kink_extra_steps
-    count = max(end - begin, 0)
-    told = system.co_hair
-    values = (told(owner, particle_no=i, step=k)[:] for i in range(begin, end) for k in range(steps))
+    count, told = len(numbers), system.co_hair
+    values = (told(owner, particle_no=i, step=k)[:] for i in numbers for k in range(steps))
     points = np.fromiter(chain.from_iterable(values), np.float32, 3 * count * steps).reshape(-1, 3)
     inverse = np.array(owner.matrix_world.inverted_safe(), np.float64)
     points = (points @ inverse[:3, :3].T + inverse[:3, 3]).astype(np.float32)

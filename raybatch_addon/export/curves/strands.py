@@ -85,6 +85,13 @@ def sound_strands(points: np.ndarray, radii: np.ndarray, first: np.ndarray) -> S
     )
 
 
+def without_radius(count: int) -> Strands:
+    """What is left of so many strands that have no radius anywhere."""
+    none = np.zeros(0, np.float32)
+    dropped = f"{count:,} without radius" if count else ""
+    return Strands(none.reshape(0, 3), none, np.zeros(1, np.int32), dropped=dropped)
+
+
 @dataclass(frozen=True)
 class CurveShape:
     """What curves are: round, straight between points, or strips that face each ray."""

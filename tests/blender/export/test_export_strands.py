@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
+from raybatch_addon.export.curves import sources
 from raybatch_addon.export.curves.strands import CurveShape, CutStrands, hair_attribute, sound_strands
 from raybatch_addon.export.scene import export_scene
 from tests.support.blender_builders import add_grid, add_object
@@ -136,6 +137,26 @@ def test_particle_hair_grows_in_the_object_s_space():
     roots = hair.positions[np.setdiff1d(hair.triangles[:, 0], hair.triangles[:, 1])]
     assert len(roots) == 10 and roots[:, 2] == pytest.approx(0, abs=1e-5) and np.abs(roots[:, :2]).max() <= 1
     assert hair.radii.max() == pytest.approx(0.05, rel=1e-5) and hair.radii.min() <= 0.025001
+
+
+def test_particle_hair_without_radius_is_named_and_its_points_are_not_asked_for(monkeypatch):
+    owner = add_grid("Skin", 2)
+    owner.modifiers.new("Hair", "PARTICLE_SYSTEM")
+    settings = owner.particle_systems[0].settings
+    settings.type, settings.count = "HAIR", 7
+    settings.root_radius = settings.tip_radius = 0
+
+    def ask(*_):
+        raise AssertionError("points were asked for")
+
+    monkeypatch.setattr(sources, "_paths", ask)
+    scene = exported()
+    assert len(scene.meshes) == 1  # the skin
+    (line,) = [line for line in scene.warnings if "Skin" in line]
+    assert "7 without radius" in line
+    settings.tip_radius = 1
+    with pytest.raises(AssertionError, match="points were asked for"):
+        exported()
 
 
 def test_empty_curves_and_clouds_are_nothing():

@@ -33,6 +33,14 @@ def test_a_frame_that_can_be_cut_is_shown_in_four_tiles_at_least(is_cuda, size):
     assert tile_edge(RenderSettings(tile_size=77), is_cuda, *size) == 77
 
 
+def test_next_to_no_paths_are_one_tile_on_a_cpu():
+    def count(samples, *size):
+        return len(list(tiles((0, 0, *size), tile_edge(RenderSettings(sample_count=samples), False, *size))))
+
+    assert count(1, 16, 16) == 1 and count(1, 16, 9) == 1
+    assert count(2, 16, 16) == 4 and count(1, 160, 90) > 4
+
+
 def test_little_work_is_one_tile_on_a_gpu_and_long_work_comes_in_many():
     assert len(list(tiles((0, 0, 1280, 1280), tile_edge(RenderSettings(sample_count=2), True, 1280, 1280)))) == 1
     assert len(list(tiles((0, 0, 1280, 1280), tile_edge(RenderSettings(sample_count=4096), True, 1280, 1280)))) == 25

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from ...errors import SceneError
+from ...native.structs import record_type, upload_records
 from ...scene.description import Closure, ClosureKind, Material
 from .albedo import AlbedoTables, upload_tables
 
@@ -223,18 +224,18 @@ def upload_materials(materials: Sequence[Material], features: ClosureFeatures, d
     if features.has(_K.SUBSURFACE):
         closures.append(Closure(_K.DIFFUSE, (1.0, 1.0, 1.0)))
     first = np.cumsum([0] + [len(material.closures) for material in materials], dtype=np.int32)
-    records = np.zeros(len(closures), ClosureRecord.numpy_dtype())
+    records = np.zeros(len(closures), record_type(ClosureRecord))
     for record, closure in zip(records, closures):
         fill_record(record, closure)
 
     table = MaterialTable()
-    rows = np.zeros(len(materials), MaterialRecord.numpy_dtype())
+    rows = np.zeros(len(materials), record_type(MaterialRecord))
     rows["closure_first"], rows["closure_end"] = first[:-1], first[1:]
     rows["transmits"] = [_has_some(material, TRANSMISSIVE_KINDS) for material in materials]
     rows["is_clear"] = [_is_clear(material) for material in materials]
     rows["bin"] = material_bins(materials)
-    table.records = wp.array(rows, dtype=MaterialRecord, device=device)
-    table.closures = wp.array(records, dtype=ClosureRecord, device=device)
+    table.records = upload_records(rows, MaterialRecord, device)
+    table.closures = upload_records(records, ClosureRecord, device)
     table.albedo = upload_tables(
         device,
         reflection=features.coats or features.has(*REFLECTION_KINDS),

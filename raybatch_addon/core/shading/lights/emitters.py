@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...device.bulk import in_slices
 from ...errors import SceneError
 from ...scene.description import ClosureKind, Light, LightKind, Material, Scene, Visibility
 from ...scene.frozen import fact, freeze
@@ -24,8 +25,8 @@ _LIT = int(Visibility.DIFFUSE | Visibility.GLOSSY | Visibility.TRANSMISSION)
 # Rounding of cosines that come from sines: where lights are chosen, a cone counts as so much wider
 COSINE_ERROR = 1e-3
 
-# Entries of a temporary [instances of one mesh, triangles] block while areas are computed: 32 MB of float64
-_BLOCK = 2**22
+# Entries of a temporary [instances of one mesh, triangles] block that a thread computes areas of: 4 MB of float64
+_BLOCK = 2**19
 
 
 @dataclass(frozen=True)
@@ -82,15 +83,7 @@ def find_emissive_triangles(
             corners = mesh.positions.astype(np.float64)[mesh.triangles[primitive]]
             normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
             members = placed[instances.slot_first[placed] == slot_first]
-            step = max(1, _BLOCK // len(primitive))
-            for first in range(0, len(members), step):
-                some = members[first : first + step]
-                area = _instanced_areas(instances.transform[some], normal)
-                which, triangle = np.nonzero(area > 0)
-                chosen = primitive[triangle]
-                chunks.append(
-                    (some[which].astype(np.int32), chosen, radiance[chosen], area[which, triangle], program[chosen])
-                )
+            chunks += _with_area(instances.transform, members, primitive, normal, radiance, program)
     if not chunks:
         none = np.zeros(0, np.int32)
         first = np.zeros(len(instances) + 1, np.int32)
@@ -103,12 +96,49 @@ def find_emissive_triangles(
             each[shines] for each in (instance, primitive, radiance, area, program)
         )
     # triangles of one block stay in order; only blocks of different meshes are out of order
-    order = np.argsort(instance, kind="stable")
-    first = np.searchsorted(instance[order], np.arange(len(instances) + 1)).astype(np.int32)
-    radiance = freeze(radiance[order])
-    return EmissiveTriangles(
-        instance[order], primitive[order], radiance, area[order], program[order].astype(np.int32), first
-    )
+    if (instance[1:] < instance[:-1]).any():
+        order = np.argsort(instance, kind="stable")
+        instance, primitive, radiance, area, program = (
+            each[order] for each in (instance, primitive, radiance, area, program)
+        )
+    first = np.searchsorted(instance, np.arange(len(instances) + 1, dtype=instance.dtype)).astype(np.int32)
+    return EmissiveTriangles(instance, primitive, freeze(radiance), area, program.astype(np.int32), first)
+
+
+def _with_area(
+    transform: np.ndarray,
+    members: np.ndarray,
+    primitive: np.ndarray,
+    normal: np.ndarray,
+    radiance: np.ndarray,
+    program: np.ndarray,
+) -> list[tuple[np.ndarray, ...]]:
+    """The triangles `primitive` of one mesh in each of the instances `members` where they have an area: parts of the
+    first five arrays of `EmissiveTriangles`, one after the other.
+
+    Args:
+        transform: of all instances.
+        normal: area vectors of the triangles.
+        radiance, program: of all triangles of the mesh.
+    """
+    step = max(1, _BLOCK // len(primitive))
+    chunks: list[tuple[np.ndarray, ...]] = [()] * -(-len(members) // step)
+    radiance, program = radiance[primitive], program[primitive]
+
+    def look(part: slice) -> None:
+        some = members[part].astype(np.int32)
+        area = _instanced_areas(transform[some], normal)
+        if (area > 0).all():
+            count = len(some)
+            which, found = np.repeat(some, len(primitive)), (np.tile(primitive, count), np.tile(radiance, (count, 1)))
+            chunks[part.start // step] = (which, *found, area.reshape(-1), np.tile(program, count))
+            return
+        which, triangle = np.nonzero(area > 0)
+        found = primitive[triangle], radiance[triangle], area[which, triangle], program[triangle]
+        chunks[part.start // step] = (some[which], *found)
+
+    in_slices(len(members), look, step)
+    return chunks
 
 
 def light_strengths(lights: Sequence[Light]) -> np.ndarray:
@@ -124,7 +154,14 @@ def light_strengths(lights: Sequence[Light]) -> np.ndarray:
 
 def triangle_strengths(triangles: EmissiveTriangles) -> np.ndarray:
     """How bright each emissive triangle is: intensity along its normal [W/sr], float64, shape [e]."""
-    return triangles.radiance.astype(np.float64).mean(1) * triangles.area
+    strengths = np.empty(len(triangles))
+
+    def compute(part: slice) -> None:
+        red, green, blue = (triangles.radiance[part, channel].astype(np.float64) for channel in range(3))
+        np.multiply((red + green + blue) / 3, triangles.area[part], out=strengths[part])
+
+    in_slices(len(triangles), compute)
+    return strengths
 
 
 def scene_radius(scene: Scene) -> float:

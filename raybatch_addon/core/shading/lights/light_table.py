@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from ...device.bulk import digest_of
+from ...device.bulk import digest_of, large_empty
+from ...native.structs import record_type, upload_records, upload_struct
 from ...scene.description import Light, LightKind, Scene
 from ...scene.geometry import Geometry
 from .choice_table import ChoiceTable
 from .emitters import EmissiveTriangles, find_emissive_triangles, light_area, light_strengths, triangle_strengths
-from .light_tree import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel, fill_blocks, launch_parts
+from .light_tree import EmitterBoxes, EmittingTriangles, LightNode, bound_triangles_kernel
 from .link_table import upload_links
+from .tree.fill import fill_blocks, launch_parts
 from .tree.topology import Alike, runs_alike
 from .world import SampledWorld, WorldTable
 
@@ -129,7 +131,7 @@ def upload_lights(
     if len(triangles) and geometry is None:
         raise ValueError("triangles emit: give the scene's geometry too")
     strength = light_strengths(scene.lights)
-    records = np.zeros(len(scene.lights), LightRecord.numpy_dtype())
+    records = np.zeros(len(scene.lights), record_type(LightRecord))
     for i, light in enumerate(scene.lights):
         _fill_record(records[i, ...], light)
 
@@ -144,7 +146,7 @@ def upload_lights(
     table = LightTable()
     table.emitter_count = len(records) + len(triangles) + (world is not None)
     table.light_count = len(records)
-    table.lights = upload(np.concatenate([records, _portals(scene, world)]), LightRecord)
+    table.lights = upload_records(np.concatenate([records, _portals(scene, world)]), LightRecord, device)
     if lamps is not None:
         strength *= lamps(table)
     table.sun_count = len(suns)
@@ -172,14 +174,14 @@ def upload_lights(
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
     choice = _choice_table(table, records, strength, triangles, scene, geometry, world, keep)
     upload_links(scene, choice, triangles.instance, device)
-    table.choice = wp.array([choice], dtype=ChoiceTable, device=device)
+    table.choice = upload_struct(choice, device)
     return UploadedLights(table, choice, tree, len(triangles))
 
 
 def _portals(scene: Scene, world: SampledWorld | None) -> np.ndarray:
     """Records of the portals through which `world` is sampled; none where it is not."""
     portals = scene.world.portals if world is not None else ()
-    records = np.zeros(len(portals), LightRecord.numpy_dtype())
+    records = np.zeros(len(portals), record_type(LightRecord))
     for i, portal in enumerate(portals):
         _fill_record(records[i, ...], portal)
     return records[records["delta"] == 0]
@@ -242,8 +244,8 @@ def _tree_alone(
     """
     device, count = table.lights.device, len(lamps) + len(power)
     boxes = EmitterBoxes()
-    boxes.nodes = wp.empty(count, dtype=LightNode, device=device)
-    boxes.low, boxes.high = (wp.empty(count, dtype=wp.vec3, device=device) for _ in range(2))
+    boxes.nodes = large_empty(count, LightNode, device)
+    boxes.low, boxes.high = (large_empty(count, wp.vec3, device) for _ in range(2))
     if len(lamps):
         for target, values in zip((boxes.nodes, boxes.low, boxes.high), (lamps, *boxes_of_lamps), strict=True):
             wp.copy(target, wp.array(values, dtype=target.dtype, device=device), count=len(lamps))
@@ -267,7 +269,7 @@ def _in_range(values: np.ndarray) -> np.ndarray:
 def _lamp_nodes(records: np.ndarray, local: np.ndarray, strength: np.ndarray) -> np.ndarray:
     """Leaves for the lights numbered `local`: where they are, and where they shine."""
     lamps = records[local]
-    nodes = np.zeros(len(local), LightNode.numpy_dtype())
+    nodes = np.zeros(len(local), record_type(LightNode))
     nodes["centre"], nodes["axis"] = lamps["position"], lamps["axis"]
     nodes["radius"] = np.maximum(lamps["radius"], np.hypot(lamps["half_x"], lamps["half_y"]))
     nodes["power"], nodes["emitter"] = strength[local], local

@@ -1,4 +1,4 @@
-"""The tree over all emitters with a place, which the choice among them goes down.
+"""Kernels of the tree over all emitters with a place, which the choice among them goes down.
 
 Boxes of emitters are joined by the builders of the scene's trees, on the device; each node then gets the sphere, the
 cone of directions and the power of what lies below it (Conty Estevez and Kulla 2018, section 4.1).
@@ -6,21 +6,15 @@ cone of directions and the power of what lies below it (Conty Estevez and Kulla 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-
 import warp as wp
 
-from ...device.bulk import in_slices
-from ...device.devices import load_module
 from ...device.kernel import KERNEL_OPTIONS
 from ...scene.geometry import Geometry, triangle_vertices
 from .choice_table import FIELDS, WIDTH, ChoiceTable
-from .tree.topology import Alike, Joints, topology_on_cpu, topology_on_cuda
+from .tree.topology import Joints
 
 # Where the numbers of a block of one kind begin
 _ROWS = {name: place * WIDTH for place, name in enumerate(FIELDS)}
-# Items that are worth a thread of the CPU
-_ITEMS_A_THREAD = 1 << 16
 # Rounding of an angle whose cosine is stored [rad]
 _ANGLE_ERROR = wp.constant(5.0e-4)
 
@@ -191,27 +185,38 @@ class LightBlocks:
 
 
 @wp.func
-def _open(tree: LightBlocks, node: int, open: wp.array(dtype=int)) -> int:
+def _extent(tree: LightBlocks, node: int) -> float:
+    """How much is gained where `node` is replaced by its two; -1: an emitter."""
+    if node < tree.leaf_count:
+        return -1.0
+    held = tree.nodes[node].held
+    return held.power * held.radius
+
+
+@wp.func
+def _open(tree: LightBlocks, node: int, open: wp.array(dtype=int), extents: wp.array(dtype=float)) -> int:
     """Write up to `WIDTH` nodes that hold all emitters below `node` to `open`; their number. Of those that are open the
-    one of the most power over the widest sphere is replaced by its two, again and again.
+    one of the most power over the widest sphere is replaced by its two, again and again. `extents` has as many entries.
     """
     open[0] = node
+    extents[0] = _extent(tree, node)
     count = int(1)
     going = bool(True)
     while going and count < wp.static(WIDTH):
         widest = int(-1)
         extent = float(-1.0)
         for k in range(count):
-            held = tree.nodes[open[k]].held
-            if open[k] >= tree.leaf_count and held.power * held.radius > extent:
+            if extents[k] > extent:
                 widest = k
-                extent = held.power * held.radius
+                extent = extents[k]
         if widest < 0:
             going = False
         else:
-            parted = tree.nodes[open[widest]]
-            open[widest] = parted.first
-            open[count] = parted.second
+            parted = open[widest]
+            open[widest] = tree.nodes[parted].first
+            open[count] = tree.nodes[parted].second
+            extents[widest] = _extent(tree, open[widest])
+            extents[count] = _extent(tree, open[count])
             count = count + 1
     return count
 
@@ -222,7 +227,8 @@ def find_blocks_kernel(tree: LightBlocks, first: int):
     of threads; what is chosen does not depend on it.
     """
     open = wp.zeros(wp.static(WIDTH), dtype=int)
-    count = _open(tree, tree.block_node[first + wp.tid()], open)
+    extents = wp.zeros(wp.static(WIDTH), dtype=float)
+    count = _open(tree, tree.block_node[first + wp.tid()], open, extents)
     for k in range(count):
         if open[k] >= tree.leaf_count:
             block = wp.atomic_add(tree.block_count, 0, 1)
@@ -259,7 +265,8 @@ def fill_blocks_kernel(tree: LightBlocks, choice: ChoiceTable, first: int):
     """Nodes of the blocks from `first` on."""
     block = first + wp.tid()
     open = wp.zeros(wp.static(WIDTH), dtype=int)
-    count = _open(tree, tree.block_node[block], open)
+    extents = wp.zeros(wp.static(WIDTH), dtype=float)
+    count = _open(tree, tree.block_node[block], open, extents)
     for k in range(count):
         held = tree.nodes[open[k]].held
         if open[k] < tree.leaf_count:
@@ -286,57 +293,3 @@ LIGHT_TREE_KERNELS = (
     fill_blocks_kernel,
     fill_block_kernel,
 )
-
-
-def fill_blocks(choice: ChoiceTable, boxes: EmitterBoxes, alike: Sequence[Alike] = ()) -> None:
-    """Fill in the blocks of `choice`, whose emitters with a place are `boxes`, and their entries of `leaf`.
-
-    `alike`: runs of emitters that a CPU joins alike.
-    """
-    count, device = boxes.nodes.size, boxes.nodes.device
-    if count <= WIDTH:
-        _allocate(choice, 1, device)
-        if count:
-            wp.launch(fill_block_kernel, count, [boxes, choice], device=device)
-        return
-    if device.is_cuda:
-        topology = topology_on_cuda(boxes.low, boxes.high)
-    else:
-        topology = topology_on_cpu(boxes.low.numpy(), boxes.high.numpy(), alike)
-    joints, order = topology.joints, topology.order
-    tree = LightBlocks()
-    tree.leaf_count = count
-    tree.nodes = wp.empty(joints.low.size, dtype=TreeNode, device=device)
-    launch_parts(place_leaves_kernel, count, lambda at: [boxes, joints, at, tree.nodes], device)
-    for first, end in zip(topology.level_first[:-1], topology.level_first[1:]):
-        launch_parts(join_kernel, end - first, lambda at, level=first: [joints, order, level + at, tree.nodes], device)
-    tree.block_node = wp.full(count - 1, topology.root, dtype=int, device=device)
-    tree.block_of = wp.zeros(count - 1, dtype=int, device=device)
-    tree.block_count = wp.ones(1, dtype=int, device=device)
-    first, end = 0, 1
-    while first < end:
-        wp.launch(find_blocks_kernel, end - first, [tree, first], device=device)
-        first, end = end, int(tree.block_count.numpy()[0])
-    _allocate(choice, end, device)
-    launch_parts(fill_blocks_kernel, end, lambda at: [tree, choice, at], device)
-
-
-def launch_parts(kernel: wp.Kernel, count: int, inputs: Callable[[int], list], device: wp.Device) -> None:
-    """Launch `kernel` for `count` items; its `inputs` name the first one. A launch on the CPU runs on one thread, so
-    many items are parted.
-    """
-    if not device.is_cpu:
-        wp.launch(kernel, count, inputs(0), device=device)
-        return
-    load_module(kernel, device)
-
-    def launch(part: slice) -> None:
-        wp.launch(kernel, part.stop - part.start, inputs(part.start), device=device)
-
-    in_slices(count, launch, _ITEMS_A_THREAD)
-
-
-def _allocate(choice: ChoiceTable, block_count: int, device: wp.Device) -> None:
-    choice.blocks = wp.zeros(block_count * WIDTH * len(FIELDS), dtype=float, device=device)
-    choice.below = wp.full(block_count * WIDTH, -1, dtype=int, device=device)
-    choice.above = wp.full(block_count, -1, dtype=int, device=device)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
+from ...native.structs import upload_struct
 from ...programs.ops.inputs.ray_inputs import ANSWERS
 from ...scene.features import SceneFeatures
 
@@ -63,7 +64,7 @@ def give_requests(paths: Paths, features: SceneFeatures, device: wp.Device) -> R
     requests.first = programs.register_count - ANSWERS - 3 * programs.answer_count
     for name, dtype in _arrays().items():
         setattr(requests, name, wp.zeros(paths.status.size, dtype=dtype, device=device))
-    paths.requests = wp.array([requests], dtype=Requests, device=device)
+    paths.requests = upload_struct(requests, device)
     return requests
 
 

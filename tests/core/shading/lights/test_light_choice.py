@@ -15,7 +15,7 @@ from raybatch_addon.core.shading.lights.emitters import EmissiveTriangles
 from raybatch_addon.core.shading.lights.light_choice import ChoiceFeatures, lit_point, make_light_choice, packed_side
 from raybatch_addon.core.shading.lights.light_table import LightTable, upload_lights
 from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
-from raybatch_addon.core.shading.lights.tree import topology
+from raybatch_addon.core.shading.lights.tree import fill, topology
 from raybatch_addon.core.shading.lights.world import sampled_world
 from tests.core.shading.lights.light_probe import facing, scene_of
 from tests.support.under_test import BLOCK_DIM, DEVICE
@@ -174,8 +174,10 @@ CASES = {
 
 @pytest.fixture(autouse=True)
 def joined_alike(monkeypatch):
-    """Triangles that are placed again are joined alike, however few they are."""
+    """Triangles that are placed again are joined alike, and blocks looked for side by side, however few there are."""
     monkeypatch.setattr(topology, "_MANY", 0)
+    monkeypatch.setattr(fill, "_NODES_APART", 4)
+    monkeypatch.setattr(fill, "_NODES_TOGETHER", 2)
 
 
 POINTS = [((0, 0, 0), (0, 0, 1), False), ((3.1, -2, 0.5), (-1, 1, 0.2), True), ((40, 3, 9), (-1, 0, 0), False)]

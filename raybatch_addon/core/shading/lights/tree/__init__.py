@@ -1,1 +1,1 @@
-"""The binary tree over emitters: which two nodes each of its nodes joins."""
+"""The tree over emitters: which two nodes each of its nodes joins, and how it is filled."""

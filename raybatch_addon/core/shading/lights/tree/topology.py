@@ -17,6 +17,7 @@ from ....bvh.build.binary import BuildOptions
 from ....bvh.build.cpu.build import build_binary_from_boxes
 from ....bvh.build.cuda.clusters import merge_leaves, sort_leaves
 from ....bvh.build.cuda.order import find_parents, order_by_height, refit
+from ....device.bulk import large_empty
 from ..emitters import EmissiveTriangles
 
 # Fewer emissive triangles are sorted one by one: that takes no tenth of a second, and the tree is a little better where
@@ -37,12 +38,23 @@ class Joints:
 
 
 @dataclass(frozen=True)
+class Subtree:
+    """A part of the tree that is joined by itself: what is looked at stays in a core's cache."""
+
+    leaf_first: int  # its leaves have numbers that follow one another
+    leaf_count: int
+    level_first: list[int]  # as `Topology.level_first`, then the end of the last level
+
+
+@dataclass(frozen=True)
 class Topology:
     """The joints, and the order in which nodes are joined."""
 
     joints: Joints
     order: wp.array  # inner nodes, those below others first, int
-    level_first: list[int]  # index in `order` of the first of each level, then their count
+    subtrees: list[Subtree]  # joined first, in any order
+    leaves: list[tuple[int, int]]  # begin and end of the leaves that are in none of them
+    level_first: list[int]  # index in `order` of the first of each level above them, then their count
     root: int
 
 
@@ -52,10 +64,6 @@ class Alike:
 
     first: np.ndarray  # of each run, int64, shape [runs]
     count: int  # emitters of each, at least two
-
-    def rows(self) -> np.ndarray:
-        """The emitters of each run, int64, shape [runs, count]."""
-        return self.first[:, None] + np.arange(self.count)
 
 
 def runs_alike(triangles: EmissiveTriangles, mesh: np.ndarray, first_number: int) -> list[Alike]:
@@ -72,8 +80,8 @@ def runs_alike(triangles: EmissiveTriangles, mesh: np.ndarray, first_number: int
     for number, count in enumerate(keys[:, 1].tolist()):
         first = triangles.instance_first[placed[group.reshape(-1) == number]].astype(np.int64)
         # some triangles of a mesh may be dark or flat in one place alone
-        primitives = triangles.primitive[first[:, None] + np.arange(count)]
-        same = (primitives == primitives[0]).all(1)
+        primitives = [triangles.primitive[begin : begin + count] for begin in first.tolist()]
+        same = np.array([np.array_equal(each, primitives[0]) for each in primitives])
         if same.sum() > 1:
             found.append(Alike(first_number + first[same], count))
     return found
@@ -93,7 +101,8 @@ def topology_on_cuda(low: wp.array, high: wp.array) -> Topology:
     joints.leaf_count = nodes.leaf_count
     joints.low, joints.high = nodes.low, nodes.high
     joints.children, joints.which = nodes.children, nodes.primitive
-    return Topology(joints, heights.node, heights.first, 2 * nodes.leaf_count - 2)
+    leaves = [(0, nodes.leaf_count)]
+    return Topology(joints, heights.node, [], leaves, heights.first, 2 * nodes.leaf_count - 2)
 
 
 def topology_on_cpu(low: np.ndarray, high: np.ndarray, alike: Sequence[Alike] = ()) -> Topology:
@@ -103,40 +112,54 @@ def topology_on_cpu(low: np.ndarray, high: np.ndarray, alike: Sequence[Alike] = 
     count = len(low)
     alone = np.ones(count, bool)
     for runs in alike:
-        alone[runs.rows()] = False
+        for first in runs.first.tolist():
+            alone[first : first + runs.count] = False
     # what the top level is over: emitters alone, then each run of each group
     single = np.flatnonzero(alone)
     roots, lows, highs = [single], [low[single]], [high[single]]
-    children = np.empty((count - 1, 2), np.int32)
-    by_depth: list[list[np.ndarray]] = []  # nodes below the top level, by their depth in a run
-    made = 0  # inner nodes that have a number
+    children, order = np.empty((count - 1, 2), np.int32), np.empty(count - 1, np.int32)
+    subtrees: list[Subtree] = []
+    made = 0  # inner nodes that have a number, and a place in the order
     for runs in alike:
-        rows = runs.rows()
-        part = _Part.over(low[rows[0]], high[rows[0]])
-        base = count + made + np.arange(len(rows))[:, None] * len(part.children)
-        children[made : made + len(rows) * len(part.children)] = part.numbered(rows, base)
-        made += len(rows) * len(part.children)
-        by_depth += [[] for _ in range(len(part.levels) - len(by_depth))]
-        for depth, nodes in enumerate(part.levels):
-            by_depth[depth].append((base + nodes).reshape(-1))
-        roots.append(base[:, 0])
-        lows.append(low[rows].min(1))
-        highs.append(high[rows].max(1))
-    levels = [np.concatenate(each) for each in reversed(by_depth)]
-    items = np.concatenate(roots)
-    root = int(items[0])
+        first = int(runs.first[0])
+        part = _Part.over(low[first : first + runs.count], high[first : first + runs.count])
+        inner, nodes = len(part.children), np.concatenate(part.levels[::-1])
+        level_first = np.cumsum([0, *map(len, part.levels[::-1])])
+        base = count + made + np.arange(len(runs.first)) * inner
+        roots.append(base)
+        lows.append(_least(low, runs))
+        highs.append(-_least(-high, runs))
+        for first, number in zip(runs.first.tolist(), base.tolist()):
+            part.number(first, number, children[made : made + inner])
+            np.add(nodes, number, out=order[made : made + inner], casting="unsafe")
+            subtrees.append(Subtree(first, runs.count, (level_first + made).tolist()))
+            made += inner
+    items, level_first, root = np.concatenate(roots), [made], int(roots[-1][-1])
     if len(items) > 1:
         part = _Part.over(np.concatenate(lows), np.concatenate(highs))
         root = count + made
-        children[made:] = part.numbered(items[None], np.full((1, 1), root))
-        levels += [root + nodes for nodes in reversed(part.levels)]
+        children[made:] = part.numbered(items, root)
+        order[made:] = root + np.concatenate(part.levels[::-1])
+        level_first = (made + np.cumsum([0, *map(len, part.levels[::-1])])).tolist()
     joints = Joints()
     joints.leaf_count = count
-    joints.low, joints.high = (wp.empty(2 * count - 1, dtype=wp.vec3, device="cpu") for _ in range(2))
-    joints.children = wp.array(children, dtype=wp.vec2i, device="cpu")
-    joints.which = wp.array(np.arange(count, dtype=np.int32), dtype=int, device="cpu")
-    order = wp.array(np.concatenate(levels).astype(np.int32), dtype=int, device="cpu")
-    return Topology(joints, order, np.cumsum([0, *map(len, levels)]).tolist(), root)
+    joints.low, joints.high = (large_empty(2 * count - 1, wp.vec3, wp.get_device("cpu")) for _ in range(2))
+    joints.children = wp.array(children, dtype=wp.vec2i, device="cpu", copy=False)
+    joints.which = wp.array(np.arange(count, dtype=np.int32), dtype=int, device="cpu", copy=False)
+    order = wp.array(order, dtype=int, device="cpu", copy=False)
+    return Topology(joints, order, subtrees, _ranges(alone), level_first, root)
+
+
+def _least(corners: np.ndarray, runs: Alike) -> np.ndarray:
+    """The least of `corners`, float32, shape [n, 3], over each run."""
+    # row by row: NumPy goes slowly along axes of three
+    return np.stack([corners[i : i + runs.count].T.copy().min(1) for i in runs.first.tolist()])
+
+
+def _ranges(chosen: np.ndarray) -> list[tuple[int, int]]:
+    """Begin and end of each run of True in `chosen`, bool, shape [n]."""
+    ends = np.flatnonzero(np.diff(chosen, prepend=False, append=False))
+    return list(zip(ends[::2].tolist(), ends[1::2].tolist()))
 
 
 @dataclass(frozen=True)
@@ -161,11 +184,14 @@ class _Part:
             level = np.concatenate([below[level], below[level] + 1]).astype(np.int64)
         return _Part(number[np.stack([below[inner], below[inner] + 1], 1)], levels)
 
-    def numbered(self, items: np.ndarray, base: np.ndarray) -> np.ndarray:
-        """The children of copies of the tree: int32, shape [copies * inner nodes, 2].
-
-        `items` are the numbers of the items of each copy, int, shape [copies, items], `base` that of its first inner
-        node, shape [copies, 1].
+    def numbered(self, items: np.ndarray, base: int) -> np.ndarray:
+        """The children of the tree where its items have the numbers `items`, int, shape [n], and its inner nodes those
+        from `base` on: int32, shape [inner nodes, 2].
         """
-        numbers = np.concatenate([items, base + np.arange(len(self.children))], 1, dtype=np.int32, casting="unsafe")
-        return numbers[:, self.children.reshape(-1)].reshape(-1, 2)
+        numbers = np.concatenate([items, base + np.arange(len(self.children))])
+        return numbers[self.children].astype(np.int32)
+
+    def number(self, first: int, base: int, out: np.ndarray) -> None:
+        """The same where items have the numbers from `first` on, written to `out`."""
+        item_count = len(self.children) + 1
+        np.add(self.children, np.where(self.children < item_count, first, base - item_count), out=out, casting="unsafe")
