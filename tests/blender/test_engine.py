@@ -373,8 +373,10 @@ def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch, watch
     )
     lit.raybatch.sample_count = 64
     bpy.ops.render.render()
-    assert lines[0] == "Reading the scene"
+    assert lines[:2] == ["Reading the scene", "Starting the device"]
     assert any("/64" in line and "Mrays/s" in line and "left" in line for line in lines)
+    tier = reports.last().statistics["ViewLayer"]["kernels"]["tier"].lower()
+    assert lines[-1].endswith(f" | {tier} kernels")
     assert fractions == sorted(fractions) and fractions[-1] == 1
 
 
