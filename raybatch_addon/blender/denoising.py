@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.convergence.halves import filtered_half_error
 from ..core.denoise.library import DenoiseLibrary, DenoiseStoppedError
-from ..core.denoise.picture import COMBINED, NOISY_IMAGE, denoised, denoised_catchers, description, guiding_passes
+from ..core.denoise.picture import COMBINED, denoised, denoised_catchers, description, guiding_passes, noisy_pictures
 from ..core.film import Film
 from ..core.observers import Tile
 from ..core.scene.description import Scene
@@ -27,14 +27,15 @@ def with_guides(scene: Scene, settings: RenderSettings) -> Scene:
 def denoise_film(
     film: Film, settings: RenderSettings, library: DenoiseLibrary, cancelled: Callable[[], bool] | None = None
 ) -> None:
-    """Make the denoised picture of `film`, which is then `film.made["Combined"]` beside "Noisy Image".
+    """Make the denoised picture of `film`, which is then `film.made["Combined"]` beside "Noisy Image", and the same
+    of shadow catchers.
 
     Its sums and passes stay as they are; its statistics say what was done under `denoise`, with the error of the
-    denoised halves where the film has halves. Of a cancelled render only "Noisy Image" is made, and where `cancelled`,
+    denoised halves where the film has halves. Of a cancelled render only noisy ones are made, and where `cancelled`,
     which is asked several times a second, says so meanwhile. Raises `RayBatchError`.
     """
     passes, start = film.passes, time.perf_counter()
-    film.made = {NOISY_IMAGE: passes[COMBINED]}
+    film.made = noisy_pictures(passes)
     if not film.complete:
         return
     with library.given_up_when(cancelled), contextlib.suppress(DenoiseStoppedError):
@@ -44,7 +45,7 @@ def denoise_film(
 def _denoise(
     film: Film, passes: dict[str, np.ndarray], settings: RenderSettings, library: DenoiseLibrary, start: float
 ) -> None:
-    made = {COMBINED: denoised(passes, settings, library), NOISY_IMAGE: passes[COMBINED]}
+    made = film.made | {COMBINED: denoised(passes, settings, library)}
     made |= denoised_catchers(passes, settings, library)
     told = description(settings, library, time.perf_counter() - start)
     if film.halves:

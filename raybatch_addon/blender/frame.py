@@ -17,6 +17,7 @@ from ..core.observers import Progress
 from ..core.scene.description import Scene
 from ..core.settings.settings import RenderSettings
 from ..export.passed_over.look import with_light_looked_for
+from ..export.passes import SAMPLE_SHARE, wants_sample_share
 from ..export.scene import export_scene
 from ..export.settings import exposure_of, settings_from
 from ..export.view import View
@@ -142,10 +143,12 @@ def _render_view(
         parts.enter("denoise")
         status.show(parts.message)
         denoise_film(film, settings, denoiser, engine.test_break)
-        parts.enter("write")
+    parts.enter("write")
+    if wants_sample_share(depsgraph.view_layer):
+        film.made[SAMPLE_SHARE] = film.sample_share
+    if film.made:
         status.show(parts.message)
         writer.write(whole_tile(film))
-    parts.enter("write")
     stamp_mattes(engine, layer_name, scene)
     film.statistics["seconds"] = parts.told()
     report.statistics[f"{layer_name}, {view.name}" if view.name else layer_name] = film.statistics

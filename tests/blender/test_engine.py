@@ -187,9 +187,12 @@ def test_adaptive_sampling_tells_who_got_how_many_samples(lit, films, tmp_path):
     lit.raybatch.adaptive_sampling, lit.raybatch.noise_threshold = "ON", 0.1
     lit.raybatch.sample_count, lit.raybatch.adaptive_samples_min = 12, 4
     lit.view_layers[0].raybatch.use_pass_sample_count = True
+    lit.view_layers[0].cycles.pass_debug_sample_count = True  # the same, as Cycles has it
     render(tmp_path / "adaptive")
     counts, told = films[0][1].passes["Sample Count"], films[0][1].statistics["adaptive"]
     assert told["threshold"] == 0.1 and counts.min() == 4 and counts.mean() == told["samples_mean"]
+    share = films[0][1].made["Debug Sample Count"]
+    assert np.allclose(share, counts / counts.max()) and counts.max() > 4
 
 
 def test_the_compositor_has_a_socket_for_each_pass(lit):

@@ -189,15 +189,14 @@ def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
         "PARTICLE_PT_hair_shape",
         "DATA_PT_volume_render",
         "TEXTURE_PT_image",
+        "RENDER_PT_freestyle",
+        "VIEWLAYER_PT_freestyle",
+        "MATERIAL_PT_freestyle",
     ):
         assert hasattr(bpy.types, name) and name in enabled, name
-    for name in ("RENDER_PT_freestyle", "DATA_PT_light", "VIEWLAYER_PT_eevee_layer_passes_data"):
+    for name in ("DATA_PT_light", "VIEWLAYER_PT_eevee_layer_passes_data"):
         assert name not in enabled
-    assert not {
-        name
-        for name in enabled
-        if name.startswith(("CYCLES_", "RENDER_PT_eevee", "DATA_PT_lightprobe", "VIEWLAYER_PT_freestyle"))
-    }
+    assert not {name for name in enabled if name.startswith(("CYCLES_", "RENDER_PT_eevee", "DATA_PT_lightprobe"))}
 
 
 def test_the_last_render_is_listed_with_errors_first(scene):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import TypeVar
 
 from ..device.compiler import given_up_when
+from ..device.loading import loads_noted
 from ..measure.parts import Parts
 
 T = TypeVar("T")
@@ -38,5 +40,20 @@ def once_free(before: Future | None, work: Callable[[], T], closed: Callable[[],
     if before and not before.done():
         parts.enter("wait")
         wait([before])
-    with given_up_when(closed), parts.kernels_apart():
+    with given_up_when(closed), kernels_apart(parts):
         return work()
+
+
+@contextlib.contextmanager
+def kernels_apart(parts: Parts) -> Iterator[None]:
+    """Inside, the time that this thread waits for kernels that it launches is not that of the part that goes on."""
+    before = parts.part
+
+    def note(begins: bool) -> None:
+        nonlocal before
+        if begins:
+            before = parts.part
+        parts.enter("kernels" if begins else before)
+
+    with loads_noted(note):
+        yield

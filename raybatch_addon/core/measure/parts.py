@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterator
-
-from ..device.loading import loads_noted
+from collections.abc import Callable
 
 # Parts of a render in their order, and what a status line says while they go on
 PARTS = {
@@ -59,20 +56,6 @@ class Parts:
             now = self._now()
             self._seconds[self.part] = self._seconds.get(self.part, 0.0) + now - self._since
             self.part, self._since = part, now
-
-    @contextlib.contextmanager
-    def kernels_apart(self) -> Iterator[None]:
-        """Inside, the time that this thread waits for kernels that it launches is not that of the part that goes on."""
-        before = self.part
-
-        def note(begins: bool) -> None:
-            nonlocal before
-            if begins:
-                before = self.part
-            self.enter("kernels" if begins else before)
-
-        with loads_noted(note):
-            yield
 
     def told(self) -> dict[str, float]:
         """Seconds until now of each part that there was, `build` of those in `BUILD_PARTS` together, `compile` of what

@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
+from raybatch_addon.core.ahead import aside
 from raybatch_addon.core.device.loading import loads_noted
-from raybatch_addon.core.measure import parts as parts_module
 from raybatch_addon.core.measure.parts import BUILD_PARTS, PARTS, Parts
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -62,8 +62,8 @@ def test_waiting_for_kernels_is_no_part_of_what_waits(monkeypatch):
     clock = Ticks()
     parts = Parts("lights", clock)
     noted = []
-    monkeypatch.setattr(parts_module, "loads_noted", lambda note: noted.append(note) or contextlib.nullcontext())
-    with parts.kernels_apart():
+    monkeypatch.setattr(aside, "loads_noted", lambda note: noted.append(note) or contextlib.nullcontext())
+    with aside.kernels_apart(parts):
         clock.now += 1.0
         noted[0](True)
         assert parts.message == "Compiling kernels"
