@@ -21,9 +21,10 @@ long the first and the last picture took, how long each takes to the same error,
 
 Each engine renders each file in a process of its own, small, without clamping, adaptive sampling and denoising (or
 with its own --defaults, but without denoising, since the noise of a denoised picture says nothing of its error). A file
-that cannot be rendered is a row that says why. Results are written to --out as they come: results.json, report.html
-and the folder files/ with pictures. The same command goes on where it was stopped: only what is missing, failed, or was
-rendered by other code is rendered.
+that cannot be rendered is a row that says why. A scene without a camera is given one that sees all of it; where most of
+a file's materials are on nothing, they are put on balls, twelve a sheet, and those that differ are named. Results are
+written to --out as they come: results.json, report.html and the folder files/ with pictures. The same command goes on
+where it was stopped: only what is missing, failed, or was rendered by other code is rendered.
 """
 EPILOG = """\
 exit codes:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
+from collections.abc import Callable
+
+import numpy as np
 
 from ..core.convergence.halves import filtered_half_error
-from ..core.denoise.library import DenoiseLibrary
-from ..core.denoise.picture import COMBINED, NOISY_IMAGE, denoised, denoised_catchers, description, guiding_passes
+from ..core.denoise.library import DenoiseLibrary, DenoiseStoppedError
+from ..core.denoise.picture import COMBINED, denoised, denoised_catchers, description, guiding_passes, noisy_pictures
 from ..core.film import Film
 from ..core.observers import Tile
 from ..core.scene.description import Scene
@@ -20,24 +24,36 @@ def with_guides(scene: Scene, settings: RenderSettings) -> Scene:
     return dataclasses.replace(scene, frame=dataclasses.replace(scene.frame, passes=tuple(passes)))
 
 
-def denoise_film(film: Film, settings: RenderSettings, library: DenoiseLibrary) -> None:
-    """Make the denoised picture of `film`, which is then `film.made["Combined"]` beside "Noisy Image".
+def denoise_film(
+    film: Film, settings: RenderSettings, library: DenoiseLibrary, cancelled: Callable[[], bool] | None = None
+) -> None:
+    """Make the denoised picture of `film`, which is then `film.made["Combined"]` beside "Noisy Image", and the same
+    of shadow catchers.
 
     Its sums and passes stay as they are; its statistics say what was done under `denoise`, with the error of the
-    denoised halves where the film has halves. Of a cancelled render only "Noisy Image" is made. Raises `RayBatchError`.
+    denoised halves where the film has halves. Of a cancelled render only noisy ones are made, and where `cancelled`,
+    which is asked several times a second, says so meanwhile. Raises `RayBatchError`.
     """
     passes, start = film.passes, time.perf_counter()
+    film.made = noisy_pictures(passes)
     if not film.complete:
-        film.made = {NOISY_IMAGE: passes[COMBINED]}
         return
-    film.made = {COMBINED: denoised(passes, settings, library), NOISY_IMAGE: passes[COMBINED]}
-    film.made |= denoised_catchers(passes, settings, library)
+    with library.given_up_when(cancelled), contextlib.suppress(DenoiseStoppedError):
+        _denoise(film, passes, settings, library, start)
+
+
+def _denoise(
+    film: Film, passes: dict[str, np.ndarray], settings: RenderSettings, library: DenoiseLibrary, start: float
+) -> None:
+    made = film.made | {COMBINED: denoised(passes, settings, library)}
+    made |= denoised_catchers(passes, settings, library)
     told = description(settings, library, time.perf_counter() - start)
     if film.halves:
         halves = [half.passes for half in film.halves]
         noisy = [half[COMBINED][..., :3] for half in halves]
         clean = [denoised(half, settings, library)[..., :3] for half in halves]
         told["error_of_halves"] = dataclasses.asdict(filtered_half_error(*noisy, *clean))
+    film.made = made
     film.statistics["denoise"] = told
 
 

@@ -12,10 +12,12 @@ import bpy
 from ..convergence import records
 from ..core.errors import RayBatchError
 from ..core.film import Film
+from ..core.measure.parts import Parts
 from ..core.observers import Progress
 from ..core.scene.description import Scene
 from ..core.settings.settings import RenderSettings
 from ..export.passed_over.look import with_light_looked_for
+from ..export.passes import SAMPLE_SHARE, wants_sample_share
 from ..export.scene import export_scene
 from ..export.settings import exposure_of, settings_from
 from ..export.view import View
@@ -35,7 +37,6 @@ progress_listeners: list[Callable[[Progress], None]] = []
 
 # Blender's status line is written at most this often [s]: it goes to the terminal when Blender has no window
 STATUS_SECONDS = 0.25
-_STAGES = {"build": "Building the scene", "compile": "Compiling kernels", "render": "Rendering"}
 
 
 def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
@@ -93,12 +94,12 @@ def _render_view(
 ) -> None:
     denoiser = library_for(settings)  # an error about it comes before the render
     layer_name = depsgraph.view_layer.name
-    status.show("Reading the scene")
-    started = time.perf_counter()
+    parts = Parts("export")
+    status.show(parts.message)
     scene = export_scene(depsgraph, cancelled=engine.test_break, view=view)
     if scene is None:
         return
-    export_seconds = report.export_seconds = time.perf_counter() - started
+    report.export_seconds = parts.elapsed
     scene = with_guides(with_light_looked_for(scene), settings)
     found = missing.keep_found(depsgraph.scene, layer_name, scene.warnings)
     _report_warnings(engine, report, found)
@@ -122,6 +123,8 @@ def _render_view(
     observers = [recorder] if recorder else []
     film = None
     try:
+        parts.enter("start")
+        status.show(parts.message)
         with session_for(settings) as session:
             film = session.render(
                 scene,
@@ -130,19 +133,24 @@ def _render_view(
                 on_progress=on_progress,
                 cancelled=engine.test_break,
                 observers=observers,
+                parts=parts,
             )
     finally:
         if recorder:
             state = records.FAILED if film is None else records.FINISHED if film.complete else records.CANCELLED
             recorder.end(state, film and film.statistics)
     if denoiser is not None:
-        status.show("Denoising")
-        denoise_film(film, settings, denoiser)
+        parts.enter("denoise")
+        status.show(parts.message)
+        denoise_film(film, settings, denoiser, engine.test_break)
+    parts.enter("write")
+    if wants_sample_share(depsgraph.view_layer):
+        film.made[SAMPLE_SHARE] = film.sample_share
+    if film.made:
+        status.show(parts.message)
         writer.write(whole_tile(film))
     stamp_mattes(engine, layer_name, scene)
-    seconds = film.statistics["seconds"]
-    seconds["export"] = round(export_seconds, 6)
-    seconds["total"] = round(seconds.get("total", 0.0) + export_seconds, 6)
+    film.statistics["seconds"] = parts.told()
     report.statistics[f"{layer_name}, {view.name}" if view.name else layer_name] = film.statistics
     _report_warnings(engine, report, film.statistics["warnings"])
     if view.name:
@@ -198,7 +206,7 @@ class _Status:
 def status_text(progress: Progress) -> str:
     """One line on where a render stands."""
     if progress.stage != "render":
-        return progress.message or _STAGES.get(progress.stage, progress.stage)
+        return progress.message
     parts = [
         f"Sample {progress.samples_done:.0f}/{progress.samples_total}",
         f"{progress.rays_per_second / 1e6:.2f} Mrays/s",
@@ -206,4 +214,6 @@ def status_text(progress: Progress) -> str:
     if progress.seconds_left is not None:
         minutes, seconds = divmod(round(progress.seconds_left), 60)
         parts.append(f"{minutes:d}:{seconds:02d} left")
+    if progress.kernels:
+        parts.append(f"{progress.kernels} kernels")
     return " | ".join(parts)

@@ -12,9 +12,12 @@ from ..core.scene.passes import letters_of
 from ..export.passes import (
     LIGHT_GROUP,
     LIGHT_PASS_PROPERTIES,
+    NOISY_CATCHER,
     NOISY_IMAGE,
+    SAMPLE_SHARE,
     VOLUME_PASS_PROPERTIES,
     blender_name,
+    made_passes,
     wanted_passes,
 )
 
@@ -22,17 +25,19 @@ from ..export.passes import (
 _LIGHT_PASSES = (*LIGHT_PASS_PROPERTIES.values(), *VOLUME_PASS_PROPERTIES.values())
 LIT_PASSES = frozenset(["Combined", NOISY_IMAGE, *(name for name in _LIGHT_PASSES if not name.endswith("Color"))])
 
+# Channels of passes that are made of a film
+_MADE_LETTERS = {NOISY_IMAGE: "RGBA", NOISY_CATCHER: "RGB", SAMPLE_SHARE: "X"}
+
 
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
     """Tell Blender which passes the render of `view_layer` will fill."""
-    noisy = [NOISY_IMAGE] if getattr(scene, "raybatch", None) and scene.raybatch.denoise == "ON" else []
-    for name in (*wanted_passes(view_layer), *noisy):
+    for name in (*wanted_passes(view_layer), *made_passes(scene, view_layer)):
         engine.register_pass(scene, view_layer, blender_name(name), *_about(name))
 
 
 def _about(name: str) -> tuple[int, str, str]:
     """Channels, letters and kind of the film's pass `name`."""
-    letters = "RGBA" if name == NOISY_IMAGE else letters_of(name)
+    letters = _MADE_LETTERS.get(name) or letters_of(name)
     kind = "COLOR" if letters.lower().startswith("rgb") else "VALUE" if len(letters) == 1 else "VECTOR"
     return len(letters), letters, kind
 

@@ -26,6 +26,7 @@ class Progress:
     seconds_left: float | None  # None: not known yet
     memory_bytes: int
     message: str
+    kernels: str = ""  # that render: "general" or "specialised"; empty before the first ray
     seconds_rendering: float = 0.0  # part of `seconds_elapsed` in which rays are traced; `rays_per_second` refers to it
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import time
+import functools
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from dataclasses import replace
@@ -12,17 +12,21 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from .ahead.aside import once_free, run_aside
 from .ahead.change import TierChange, TierChanges
 from .ahead.prepare import Preparation
-from .ahead.request import CompileRequest, GeneralRequest, tree_kernels
+from .ahead.request import CompileRequest, kernels_ahead
 from .bvh.build.scene_tree import layout_for
 from .bvh.memory import GeometrySize
+from .device.compiler import CompileStoppedError
 from .device.devices import find_device, free_memory, load_kernels, start_warp, warp_cache_folder, worker_count
+from .displacement.displaced import is_displaced
 from .film import Film
 from .film.tile import FinishedTile, add_integers_kernel
-from .job import Job
+from .job import Job, progress_of
 from .measure.batching import batching_statistics
 from .measure.hardware import hardware_counters
+from .measure.parts import Parts
 from .measure.statistics import render_statistics
 from .observers import Progress, RenderObserver, Tile, call_all
 from .programs.footprints import image_statistics
@@ -35,7 +39,7 @@ from .settings.settings import RenderSettings
 from .wavefront.adaptive.ranges import check_after, chosen_looks, first_active, pixels_can_end
 from .wavefront.estimates.displacement import mover
 from .wavefront.integrator import TileIntegrator
-from .wavefront.plan.plan import Choice, Memory, Method, TracingPlan, plan_tracing, report_of
+from .wavefront.plan.plan import Choice, Memory, Method, plan_tracing, report_of
 from .wavefront.render.rendering import RenderEvents, Rendering, snapshot_watchers
 from .wavefront.render.resume import ResumeState, check_samples, film_to_fill
 from .wavefront.render.rounds import RoundPolicy
@@ -86,13 +90,7 @@ class Session:
 
         Default: what any scene can begin with: trees, tracing without queues, and on a CPU the general kernels.
         """
-        plan = TracingPlan(Method.UNBATCHED)
-        if features:
-            requests = [CompileRequest(each, self.settings, plan) for each in features]
-            kernels = [kernel for each in requests for kernel in each.kernels(self.device)]
-            kernels += tree_kernels(self.device)
-        else:
-            kernels = GeneralRequest().kernels(self.device)
+        kernels = kernels_ahead(features, self.settings, self.device)
         return load_kernels(kernels, self.device, on_progress or (lambda *_: None))
 
     def render(
@@ -107,6 +105,7 @@ class Session:
         sample_first: int = 0,
         resume: Film | None = None,
         after: Film | None = None,
+        parts: Parts | None = None,
     ) -> Film:
         """Render `scene` and return its film.
 
@@ -123,13 +122,23 @@ class Session:
             resume: the film of a cancelled render of the same scene and settings: goes on from there.
             after: with adaptive sampling and a `sample_first` above 0, the finished film of all samples up to the last
                 look at the noise before it: by that some pixels have ended their sampling.
+            parts: the clock of a render that began before this call, and may go on after it; default: one of this call.
 
         Raises:
             RayBatchError: what the user can mend; the message says how.
         """
         check_after(settings or self.settings, sample_first, resume, after)
         self._tier_changes.open()
-        job = self._job(scene, settings or self.settings, sample_first, on_tile, on_progress, cancelled, observers)
+        job = self._job(
+            scene,
+            settings or self.settings,
+            parts or Parts("check"),
+            sample_first,
+            on_tile=call_all(on_tile, [observer.on_tile for observer in observers]),
+            on_progress=call_all(on_progress, [observer.on_progress for observer in observers]),
+            cancelled=cancelled or (lambda: False),
+            observers=observers,
+        )
         film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume, self.device)
         state = film.resume_state
         if state is None:
@@ -149,6 +158,7 @@ class Session:
             job.warnings += device_scene.volumes.warnings if device_scene.volumes else []
             if device_scene.paged and "page_file_warning" in device_scene.paged.statistics:
                 job.warnings.append(device_scene.paged.statistics["page_file_warning"])
+            job.parts.enter("paths")
             integrators = self._workers(job, device_scene, state)
             counting = device_scene.tracing.counters(job.settings, job.features.passes)
             if counting:
@@ -159,6 +169,7 @@ class Session:
                 job.hardware = counters.report()
             else:
                 self._run(job, integrators, state, film)
+        job.parts.enter("report")
         state.release()
         film.complete = state.policy.stopped_by is not None
         if not film.complete and state.drained:
@@ -172,14 +183,20 @@ class Session:
         self,
         scene: Scene,
         settings: RenderSettings,
+        parts: Parts,
         sample_first: int,
-        on_tile: Callable[[Tile], None] | None,
-        on_progress: Callable[[Progress], None] | None,
-        cancelled: Callable[[], bool] | None,
+        *,
+        on_tile: Callable[[Tile], None],
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
         observers: Sequence[RenderObserver],
     ) -> Job:
-        displaced = self._cache.displaced(checked_scene(scene), self.device, mover(settings.kernel_tier))
-        checked = prepared_scene(displaced, settings)
+        parts.enter("check")
+        whole = checked_scene(scene)
+        displaced = self._displaced(whole, settings, parts, on_progress, cancelled)
+        parts.enter("check")
+        was_cancelled = displaced is None
+        checked = prepared_scene(whole if was_cancelled else displaced, settings)
         check_samples(settings, sample_first)
         size = GeometrySize.of(checked)
         free = self._cache.free_for_geometry(checked.images, self.device)
@@ -198,14 +215,42 @@ class Session:
             tier=tier,
             plan=plan,
             sample_first=sample_first,
-            on_tile=call_all(on_tile, [observer.on_tile for observer in observers]),
-            on_progress=call_all(on_progress, [observer.on_progress for observer in observers]),
-            cancelled=cancelled or (lambda: False),
+            on_tile=on_tile,
+            on_progress=on_progress,
+            cancelled=lambda: was_cancelled or cancelled(),
             watchers=snapshot_watchers(observers, settings.sample_count),
-            started=time.perf_counter(),
+            parts=parts,
             warnings=warnings,
             chosen=chosen_looks(settings),
         )
+
+    def _displaced(
+        self,
+        scene: Scene,
+        settings: RenderSettings,
+        parts: Parts,
+        on_progress: Callable[[Progress], None],
+        cancelled: Callable[[], bool],
+    ) -> Scene | None:
+        """`scene` with its vertices where its materials move them; None when cancelled meanwhile."""
+        move = functools.partial(self._cache.displaced, scene, self.device, mover(settings.kernel_tier))
+        if not is_displaced(scene):
+            return move()
+        before, closed = self._building, self._tier_changes.is_closed
+
+        def displace() -> Scene:
+            parts.enter("displacement")
+            return move()
+
+        def tell() -> None:
+            on_progress(progress_of(parts, settings, self.device, "build"))
+
+        done = run_aside(lambda: once_free(before, displace, closed, parts), cancelled, tell)
+        self._building = done
+        try:
+            return done.result() if done.done() else None
+        except CompileStoppedError:  # the session was closed
+            return None
 
     def _all_tiles(self, job: Job, after: Film | None) -> ResumeState:
         """The state of a render that begins."""
@@ -225,7 +270,7 @@ class Session:
     def _prepare(self, job: Job) -> tuple[DeviceScene | None, list[str]]:
         """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""
         kernels = job.request.kernels(self.device) + [add_integers_kernel] * (job.settings.half_count - 1)
-        preparation = Preparation(kernels, self.device, self._building, self._tier_changes.is_closed)
+        preparation = Preparation(kernels, self.device, self._building, self._tier_changes.is_closed, job.parts)
         request = GeometryRequest(
             settings=job.settings,
             plan=job.plan,
@@ -237,16 +282,16 @@ class Session:
 
         def build() -> DeviceScene:
             return DeviceScene.build(
-                job.scene, job.features, request, self.device, self._cache, job.tier.shading, preparation.note_stage
+                job.scene, job.features, request, self.device, self._cache, job.tier.shading, preparation.enter
             )
 
         def on_progress(stage: str, fraction: float, message: str) -> None:
-            job.on_progress(self._progress(job, stage, fraction, message))
+            told = progress_of(job.parts, job.settings, self.device, stage, fraction=fraction, message=message)
+            job.on_progress(told)
 
         try:
             return preparation.run(build, job.cancelled, on_progress)
         finally:
-            job.seconds.update(preparation.seconds)
             job.warnings += preparation.warnings
             self._building = preparation.build
 
@@ -273,11 +318,13 @@ class Session:
             nonlocal seconds_left
             seconds_left = seconds / fraction - seconds if fraction > 0.001 else None
             rays = sum(i.rays.total for i in integrators)
-            progress = self._progress(
-                job,
+            progress = progress_of(
+                job.parts,
+                job.settings,
+                self.device,
                 "render",
-                fraction,
-                "Rendering",
+                fraction=fraction,
+                kernels=job.kernels_now,
                 samples_done=samples,
                 rays_per_second=rays / seconds if seconds else 0.0,
                 seconds_left=seconds_left,
@@ -286,13 +333,15 @@ class Session:
             job.on_progress(progress)
 
         seconds_left: float | None = None
-        start = time.perf_counter()
+        job.parts.enter("render")
         events = RenderEvents(on_tile=on_tile, on_progress=on_progress, cancelled=job.cancelled, watchers=job.watchers)
-        job.rendering = Rendering(integrators, state, film, events, job.started)
+        job.rendering = Rendering(integrators, state, film, events, job.parts.started)
         change = None
         if job.tier.general and job.tier.asked == "AUTO":
             request = CompileRequest(job.features, job.settings, job.plan)
-            change = TierChange(self._tier_changes, request, integrators, lambda: seconds_left, self.device)
+            change = job.change = TierChange(
+                self._tier_changes, request, integrators, lambda: seconds_left, self.device
+            )
         try:
             job.rendering.run()
         finally:
@@ -303,35 +352,6 @@ class Session:
             job.chosen["kernel_tier"] = Choice("GENERAL", why)
         if change and (complaint := self._tier_changes.complaint(change.request)):
             job.warnings.append(f"specialised kernels could not be compiled, general ones rendered: {complaint}")
-        job.seconds["render"] = time.perf_counter() - start
-
-    def _progress(
-        self,
-        job: Job,
-        stage: str,
-        fraction: float,
-        message: str,
-        *,
-        samples_done: float = 0.0,
-        rays_per_second: float = 0.0,
-        seconds_left: float | None = None,
-        seconds_rendering: float = 0.0,
-    ) -> Progress:
-        memory = 0
-        if self.device.is_cuda and wp.is_mempool_enabled(self.device):
-            memory = int(wp.get_mempool_used_mem_current(self.device))
-        return Progress(
-            stage=stage,
-            fraction=fraction,
-            samples_done=samples_done,
-            samples_total=job.settings.sample_count,
-            rays_per_second=rays_per_second,
-            seconds_elapsed=time.perf_counter() - job.started,
-            seconds_left=seconds_left,
-            memory_bytes=memory,
-            message=message,
-            seconds_rendering=seconds_rendering,
-        )
 
     # --- after
 
@@ -344,7 +364,6 @@ class Session:
         modules: list[str],
         device_scene: DeviceScene | None,
     ) -> dict[str, Any]:
-        job.seconds["total"] = time.perf_counter() - job.started
         job.warnings += job.rendering.warnings if job.rendering else []
         invalid = sum(integrator.invalid_samples for integrator in integrators)
         if invalid:
@@ -356,10 +375,11 @@ class Session:
             settings=job.settings,
             features=job.features,
             frame={"width": film.width, "height": film.height, "region": [*film.region], "passes": [*film.pass_names]},
-            seconds={"build": 0.0, "compile": 0.0, "render": 0.0, **job.seconds},
+            seconds=job.parts.told(),
             rays=ray_totals(integrators),
             samples=film.sample_total,
             counts={
+                "kernels": job.kernels,
                 **workers_summary(integrators, device_scene, job.hardware, job.path_bytes),
                 **batching_statistics(batching_totals(integrators), report_of({**job.plan.choices, **job.chosen})),
                 **rounds_summary(film, state, job.rendering and job.rendering.error_report()),

@@ -46,8 +46,8 @@ COST_PASS_PROPERTIES = {
 OWN_PASS_PROPERTIES = {"use_pass_sample_count": "Sample Count"} | COST_PASS_PROPERTIES
 # Passes that guide a denoiser, by Cycles' own property of a view layer
 DENOISING_PASSES = ("Denoising Albedo", "Denoising Normal", "Denoising Depth")
-# What a denoised picture was made of, which is kept beside it
-NOISY_IMAGE = "Noisy Image"
+# What denoised pictures were made of, which is kept beside them
+NOISY_IMAGE, NOISY_CATCHER = "Noisy Image", "Noisy Shadow Catcher"
 # Names of passes before Blender 5, where they differ
 _EARLIER_NAMES = {
     f"{component} {part}": short_component + short_part
@@ -73,6 +73,8 @@ MATTE_PROPERTIES = {
 }
 # Beginning of the names of passes of light groups
 LIGHT_GROUP = "Combined_"
+# What share of the samples of the pixel that has most each pixel has, by Cycles' own property of a view layer
+SAMPLE_SHARE_PROPERTY, SAMPLE_SHARE = "pass_debug_sample_count", "Debug Sample Count"
 # Beginnings of the names that passes of materials have in the film (`core/scene/passes.py`), by the type of an AOV
 AOV_BEGINNINGS = {"COLOR": "AOV color ", "VALUE": "AOV value "}
 
@@ -94,6 +96,20 @@ def wanted_passes(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
         passes += [f"{kind}{i:02}" for i in range(levels) if getattr(view_layer, prop)]
     passes += [LIGHT_GROUP + group.name for group in view_layer.lightgroups]
     return ("Combined", *passes, *(name for name, _ in wanted_aovs(view_layer)))
+
+
+def wants_sample_share(view_layer: bpy.types.ViewLayer) -> bool:
+    """Whether the pass `SAMPLE_SHARE` is wanted of `view_layer`."""
+    return getattr(getattr(view_layer, "cycles", None), SAMPLE_SHARE_PROPERTY, False)
+
+
+def made_passes(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
+    """Names of the passes that are made of a film of `view_layer` when all of it is there."""
+    own = getattr(scene, "raybatch", None)
+    noisy = []
+    if own is not None and own.denoise == "ON":
+        noisy = [NOISY_IMAGE, NOISY_CATCHER] if CATCHER_PASS in wanted_passes(view_layer) else [NOISY_IMAGE]
+    return (*noisy, SAMPLE_SHARE) if wants_sample_share(view_layer) else tuple(noisy)
 
 
 def wanted_aovs(view_layer: bpy.types.ViewLayer) -> list[tuple[str, str]]:

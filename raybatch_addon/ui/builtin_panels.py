@@ -14,13 +14,7 @@ _LEFT_OUT = {
     "DATA_PT_preview",
     "PHYSICS_PT_fluid_domain_render",
 }
-_LEFT_OUT_FAMILIES = (
-    "DATA_PT_lightprobe",
-    "DATA_PT_context_lightprobe",
-    "RENDER_PT_freestyle",
-    "VIEWLAYER_PT_freestyle",
-    "MATERIAL_PT_freestyle",
-)
+_LEFT_OUT_FAMILIES = ("DATA_PT_lightprobe", "DATA_PT_context_lightprobe")
 
 # Panels that Blender made for EEVEE and that say nothing special to it
 _TAKEN = {

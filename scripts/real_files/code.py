@@ -15,7 +15,13 @@ import raybatch_addon
 _OURS = ("RayBatch", "Warp")  # what Cycles does not depend on
 _SCRIPTS = Path(__file__).resolve().parents[1]
 # What opens a file, prepares it for an engine and renders it
-_PREPARING = ("real_files/opened.py", "real_files/sources.py", "real_files/worker.py", "lib/cycles_peer.py")
+_PREPARING = (
+    "real_files/opened.py",
+    "real_files/sheets.py",
+    "real_files/sources.py",
+    "real_files/worker.py",
+    "lib/cycles_peer.py",
+)
 
 
 @functools.cache

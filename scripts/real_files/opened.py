@@ -13,6 +13,7 @@ from raybatch_addon.blender import reports
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings
 from raybatch_addon.export.settings import assign_setting
+from real_files.sheets import sheets_of
 
 CYCLES, RAYBATCH = "CYCLES", "RAYBATCH"
 BOUNCES, TRANSPARENT_BOUNCES = 8, 64
@@ -39,9 +40,11 @@ class OpenFile:
                 "Blender that made it, and save it anew"
             ) from None
         self.scene, self.engine, self._defaults = bpy.context.scene, engine, defaults
+        self._sheets = None if self.scene.camera else sheets_of(self.scene)
         if self.scene.camera is None:
             raise FileError(
-                f"the scene “{self.scene.name}” has no camera: add one, choose it in the scene's properties, and save"
+                f"the scene “{self.scene.name}” has no camera, and nothing that one could see: open the file in "
+                "Blender, choose a scene that has, and save"
             )
         if engine == CYCLES and not hasattr(self.scene, "cycles"):
             raise FileError(
@@ -98,9 +101,18 @@ class OpenFile:
         return {name: getattr(self._settings, name) for name in SETTINGS}
 
     def render(self, samples: int, seed: int, size: tuple[int, int] | None = None) -> np.ndarray:
-        """Render and write a picture; returns it, linear, float32 [height, width, 4], bottom row first. Raises
-        `FileError` if the engine fails.
+        """Render and write a picture; returns it, linear, float32 [height, width, 4], bottom row first. The sheets of a
+        library are one picture, the first on top. Raises `FileError` if the engine fails.
         """
+        if not self._sheets or not self._sheets.sheets:
+            return self._rendered(samples, seed, size)
+        pictures = []
+        for sheet in self._sheets.sheets:
+            sheet.show(self._sheets)
+            pictures.append(self._rendered(samples, seed, size))
+        return np.concatenate(pictures[::-1])
+
+    def _rendered(self, samples: int, seed: int, size: tuple[int, int] | None) -> np.ndarray:
         scene, render = self.scene, self.scene.render
         render.engine = self.engine
         render.resolution_x, render.resolution_y = size or self.size
@@ -136,6 +148,10 @@ class OpenFile:
             "triangles": statistics.get("triangles", 0),
             "stages": statistics.get("seconds", {}),
         }
+
+    def prepared(self) -> dict:
+        """What was added to a file without a camera: `prepared`, in words, and the `cells` of materials on balls."""
+        return {"prepared": self._sheets.note, "cells": self._sheets.cells(self.size)} if self._sheets else {}
 
     def missing(self) -> list[str]:
         """Images and libraries that the file names and that are not there, by name: engines do without them each in its

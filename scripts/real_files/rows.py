@@ -10,7 +10,7 @@ import numpy as np
 
 from raybatch_addon.core.errors import RayBatchError
 from real_files.judging import judge
-from real_files.measures import SIGMAS, Agreement, Spread, agreement, equal_error, noise_of, short
+from real_files.measures import SIGMAS, Agreement, Pair, Spread, agreement, equal_error, noise_of, short
 from real_files.process import DONE
 from real_files.records import ENGINES, Record
 from real_files.worker import PICTURES, SEEDS, SOURCES, seed_pairs
@@ -41,7 +41,7 @@ def row_of(record: Record) -> dict[str, Any]:
         "missing": ours.get("missing", []),
         "invalid_samples": max((each.get("invalid_samples", 0) for each in steps), default=0),
         "triangles": last.get("triangles", 0),
-        "notes": [],
+        "notes": [ours["prepared"]] if ours.get("prepared") else [],
     }
     row["ratios"] = {
         name: short(row["seconds"]["RAYBATCH"][name] / row["seconds"]["CYCLES"][name])
@@ -78,9 +78,38 @@ def _compare(row: dict[str, Any], record: Record, pairs: dict) -> None:
             f"noise hides differences of less than {SIGMAS * relative:.0%} in the mean and "
             f"{math.sqrt(found.noise):.0%} in a block: render more samples"
         )
+    if cells := record.tasks[f"RAYBATCH/{PICTURES}"].get("cells"):
+        row["cells"] = _cells(pairs, cells)
+        row["notes"].append(_told_cells(row["cells"]))
     alone = {engine: record.sources(engine) for engine in ENGINES}
     if all(alone.values()):
         row["superposition"] = judge(pairs, alone).data()
+
+
+def _cells(pairs: dict, cells: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """How each material of a library agrees, by its name."""
+    found = {}
+    for each in cells:
+        x0, y0, x1, y1 = each["box"]
+        cut = {
+            engine: Pair(*(picture[y0:y1, x0:x1] for picture in (pair.first, pair.second)))
+            for engine, pair in pairs.items()
+        }
+        found[each["material"]] = agreement(cut["RAYBATCH"], cut["CYCLES"]).data()
+    return found
+
+
+def _told_cells(cells: dict[str, dict[str, Any]]) -> str:
+    """Which materials differ, the furthest apart first."""
+    agreements = {name: Agreement.of_data(data) for name, data in cells.items()}
+    differ = sorted(
+        (name for name, each in agreements.items() if not each.same), key=lambda name: -agreements[name].relmse
+    )
+    if not differ:
+        return f"all {len(cells)} materials look the same"
+    told = ", ".join(f"“{name}” ({agreements[name].ratio:.2f} ±{agreements[name].ratio_error:.2f})" for name in differ)
+    same = len(cells) - len(differ)
+    return f"of {len(cells)} materials {same} look the same; of the others RayBatch over Cycles: {told}"
 
 
 def _note_errors(row: dict[str, Any], record: Record, shown: np.ndarray) -> None:

@@ -134,6 +134,7 @@ def seed_pairs(repeats: int) -> list[tuple[int, int]]:
 def _pictures(steps: Steps, request: dict) -> None:
     opened = _opened(steps, request)
     steps.state |= {"size": list(opened.size), "missing": opened.missing(), "scene": opened.scene.name}
+    steps.state |= opened.prepared()
     for name, samples, seed, small in picture_steps(request["samples"], request["repeats"]):
         size = (SMALL, SMALL) if small else None
         steps.picture(name, lambda: opened.render(samples, seed, size), opened.told)

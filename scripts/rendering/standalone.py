@@ -12,6 +12,7 @@ from lib.output import OutputFolders, described, tell_saved, tell_warnings, writ
 from raybatch_addon.blender.denoise_library import library_for
 from raybatch_addon.blender.denoising import denoise_film, with_guides
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
+from raybatch_addon.core.measure.parts import Parts
 from raybatch_addon.core.scene.archive import load_scene, save_scene
 from raybatch_addon.core.scene.description import Camera, Scene
 from raybatch_addon.core.scene.notice import Weight, by_weight
@@ -34,6 +35,7 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
     for path in (out, film_path, *(path for _, path in heat_maps)):
         if path is not None:
             folders.prepare(path)
+    parts = Parts("export")
     scene, settings = _scene_and_settings(request)
     passes = dict.fromkeys((*scene.frame.passes, *request.passes))
     scene = dataclasses.replace(scene, frame=dataclasses.replace(scene.frame, passes=tuple(passes)))
@@ -46,14 +48,17 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
     _refuse(request, scene)
     denoiser = library_for(settings)
     scene = with_guides(scene, settings)
+    parts.enter("start")
     session = Session(settings.device, settings, kernel_cache_folder())
     try:
-        film = session.render(scene, settings, on_progress=bar.show)
+        film = session.render(scene, settings, on_progress=bar.show, parts=parts)
     finally:
         session.close()
         bar.close()
     if denoiser is not None:
+        parts.enter("denoise")
         denoise_film(film, settings, denoiser)
+    film.statistics["seconds"] = parts.told()
     tell_warnings(text for text in film.statistics["warnings"] if text not in scene.warnings)
     if out is not None:
         write_picture(out, film, scene)

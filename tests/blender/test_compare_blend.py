@@ -77,11 +77,51 @@ def test_cycles_takes_no_shortcuts(scene):
     assert scene.cycles.blur_glossy == 0 and scene.cycles.caustics_refractive and scene.cycles.max_bounces == 3
 
 
-def test_a_scene_without_a_camera_is_a_row_that_says_so(blend, tmp_path, scene):
-    scene.camera = None
+def test_a_scene_without_a_camera_is_given_one_that_sees_all(blend, tmp_path, scene):
+    bpy.data.objects.remove(scene.camera)
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
     done = call_script("compare.py", blend, *SMALL, "--out", tmp_path / "out")
-    assert done.returncode == 1 and "has no camera: add one" in done.stderr
+    (row,) = json.loads((tmp_path / "out" / "results.json").read_text())["files"]
+    assert done.returncode == 0 and row["verdict"] == "same", (done.stderr, row)
+    assert "no camera: it was given one that sees all of it" in row["notes"][0]
+    with np.load(next((tmp_path / "out" / "files").glob("*.npz"))) as pictures:
+        floor = pictures["RAYBATCH/all-1"][..., :3].mean(-1)
+    edge = np.concatenate([floor[0], floor[-1], floor[:, 0], floor[:, -1]])
+    assert floor.max() > 2 * edge.max(), "all of the floor, with the world around it"
+
+
+def test_a_scene_without_a_camera_in_which_nothing_is_to_be_seen_is_a_row_that_says_so(scene, tmp_path):
+    bpy.data.objects.remove(scene.camera)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "empty.blend"))
+    done = call_script("compare.py", tmp_path / "empty.blend", *SMALL, "--out", tmp_path / "out")
+    assert done.returncode == 1 and "has no camera, and nothing that one could see" in done.stderr
+
+
+def test_materials_of_a_library_are_put_on_balls(scene, tmp_path):
+    from real_files.opened import RAYBATCH, OpenFile
+
+    bpy.data.objects.remove(scene.camera)
+    reds = [0.1 + 0.05 * number for number in range(13)]
+    for number, red in enumerate(reds):
+        made = bpy.data.materials.new(f"Paint {number:02}")
+        made.use_fake_user = True
+        tree, surface = node_tree(made)
+        diffuse = tree.nodes.new("ShaderNodeBsdfDiffuse")
+        diffuse.inputs["Color"].default_value = (red, 0.3, 0.3, 1)
+        tree.links.new(diffuse.outputs[0], surface)
+    path = tmp_path / "library.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    opened = OpenFile(str(path), RAYBATCH, 48, 1, False)
+    told = opened.prepared()
+    assert "13 materials are on balls" in told["prepared"] and opened.size == (48, 36)
+    picture = opened.render(4, 1)
+    assert picture.shape == (72, 48, 4), "two sheets, one above the other"
+    assert [each["material"] for each in told["cells"]] == [f"Paint {number:02}" for number in range(13)]
+    shown = []
+    for x0, y0, x1, y1 in (each["box"] for each in told["cells"]):
+        middle = picture[(y0 + y1) // 2 - 1 : (y0 + y1) // 2 + 2, (x0 + x1) // 2 - 1 : (x0 + x1) // 2 + 2]
+        shown.append(float((middle[..., 0] / middle[..., 1]).mean()))
+    assert shown == sorted(shown) and shown[0] < 0.6 < 2.0 < shown[-1], shown
 
 
 def test_a_damaged_file_is_a_row_that_says_so(blend, tmp_path):

@@ -184,12 +184,16 @@ def test_cost_is_counted_for_those_who_ask_alone(films, tmp_path):
 
 
 def test_adaptive_sampling_tells_who_got_how_many_samples(lit, films, tmp_path):
-    lit.raybatch.adaptive_sampling, lit.raybatch.noise_threshold = "ON", 0.1
+    lit.raybatch.adaptive_sampling, lit.raybatch.noise_threshold = "ON", 0.001
     lit.raybatch.sample_count, lit.raybatch.adaptive_samples_min = 12, 4
     lit.view_layers[0].raybatch.use_pass_sample_count = True
+    lit.view_layers[0].cycles.pass_debug_sample_count = True  # the same, as Cycles has it
     render(tmp_path / "adaptive")
     counts, told = films[0][1].passes["Sample Count"], films[0][1].statistics["adaptive"]
-    assert told["threshold"] == 0.1 and counts.min() == 4 and counts.mean() == told["samples_mean"]
+    assert told["threshold"] == 0.001 and counts.min() == 4
+    assert counts.mean() == pytest.approx(told["samples_mean"], rel=1e-5)
+    share = films[0][1].made["Debug Sample Count"]
+    assert np.allclose(share, counts / counts.max()) and counts.max() > 4
 
 
 def test_the_compositor_has_a_socket_for_each_pass(lit):
@@ -373,8 +377,10 @@ def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch, watch
     )
     lit.raybatch.sample_count = 64
     bpy.ops.render.render()
-    assert lines[0] == "Reading the scene"
+    assert lines[:2] == ["Reading the scene", "Starting the device"]
     assert any("/64" in line and "Mrays/s" in line and "left" in line for line in lines)
+    tier = reports.last().statistics["ViewLayer"]["kernels"]["tier"].lower()
+    assert lines[-1].endswith(f" | {tier} kernels")
     assert fractions == sorted(fractions) and fractions[-1] == 1
 
 

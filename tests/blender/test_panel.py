@@ -189,15 +189,14 @@ def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
         "PARTICLE_PT_hair_shape",
         "DATA_PT_volume_render",
         "TEXTURE_PT_image",
+        "RENDER_PT_freestyle",
+        "VIEWLAYER_PT_freestyle",
+        "MATERIAL_PT_freestyle",
     ):
         assert hasattr(bpy.types, name) and name in enabled, name
-    for name in ("RENDER_PT_freestyle", "DATA_PT_light", "VIEWLAYER_PT_eevee_layer_passes_data"):
+    for name in ("DATA_PT_light", "VIEWLAYER_PT_eevee_layer_passes_data"):
         assert name not in enabled
-    assert not {
-        name
-        for name in enabled
-        if name.startswith(("CYCLES_", "RENDER_PT_eevee", "DATA_PT_lightprobe", "VIEWLAYER_PT_freestyle"))
-    }
+    assert not {name for name in enabled if name.startswith(("CYCLES_", "RENDER_PT_eevee", "DATA_PT_lightprobe"))}
 
 
 def test_the_last_render_is_listed_with_errors_first(scene):
@@ -205,7 +204,8 @@ def test_the_last_render_is_listed_with_errors_first(scene):
     report.warnings.append("object “Flat” is left out " * 5)
     report.errors.append("no camera")
     report.statistics["ViewLayer"] = {
-        "seconds": {"total": 2.5, "render": 2.0},
+        "seconds": {"total": 2.5, "render": 2.0, "tree": 0.5, "check": 0.001, "build": 0.5},
+        "kernels": {"tier": "GENERAL", "why": "they are ready", "specialised_after": None},
         "rays": {"total": 4_000_000},
         "device": {"alias": "cpu"},
         "invalid_samples": 3,
@@ -214,9 +214,11 @@ def test_the_last_render_is_listed_with_errors_first(scene):
     labels = [(text, icon) for _, text, icon in drawn(panel, context_of(scene))]
     assert labels[0][0] == "Scene, frame 7"
     assert "2.50 s on cpu, 2.00 Mrays/s" in labels[1][0]
-    assert "3 samples" in labels[2][0] and labels[3] == ("as black", "NONE")
-    assert labels[4] == ("no camera", "ERROR")
-    assert labels[5][1] == "INFO" and labels[6][1] == "BLANK1", "long texts are broken into lines"
+    assert labels[2][0] == "Seconds: tree 0.50, render 2.00"
+    assert labels[3][0] == "Kernels: general ones; they are ready"
+    assert "3 samples" in labels[4][0] and labels[5] == ("as black", "NONE")
+    assert labels[6] == ("no camera", "ERROR")
+    assert labels[7][1] == "INFO" and labels[8][1] == "BLANK1", "long texts are broken into lines"
     assert drawn(panel, context_of(scene), "draw_header")[0][2] == "ERROR"
 
 
@@ -227,19 +229,26 @@ def test_the_last_render_shows_the_tree_and_the_counts(scene):
     scene.raybatch.counters = "ON"
     bpy.ops.render.render()
     lines = last_render.report_lines(reports.last())
-    assert len(lines) == 4
-    assert re.fullmatch(r"Tree: 3,200 triangles, \d+ nodes, 0\.\d MB, built in \d+\.\d\d s", lines[1])
-    assert re.fullmatch(r"\d+\.\d node steps, \d+\.\d triangle tests a ray", lines[2])
-    assert re.fullmatch(r"Time: \w+ \d+ %(, \w+ \d+ %)*", lines[3]) and "trace" in lines[3]
+    assert len(lines) == 6
+    assert re.fullmatch(r"Seconds: \w+ \d+\.\d\d(, \w+ \d+\.\d\d)*", lines[1])
+    assert re.fullmatch(r"Kernels: (general|specialised) ones; .+", lines[2])
+    assert re.fullmatch(r"Tree: 3,200 triangles, \d+ nodes, 0\.\d MB, built in \d+\.\d\d s", lines[3])
+    assert re.fullmatch(r"\d+\.\d node steps, \d+\.\d triangle tests a ray", lines[4])
+    assert re.fullmatch(r"Time: \w+ \d+ %(, \w+ \d+ %)*", lines[5]) and "trace" in lines[5]
     labels = [text for _, text, _ in drawn(last_render.RAYBATCH_RENDER_PT_last_render, context_of(scene))]
     assert all(len(text) <= 46 for text in labels[:8]), "lines are broken where the panel ends"
     scene.raybatch.counters = "OFF"
     bpy.ops.render.render()
     lines = last_render.report_lines(reports.last())
-    assert len(lines) == 2 and lines[1].endswith(" MB, kept")
+    assert len(lines) == 4 and lines[3].endswith(" MB, kept")
     scene.raybatch.batching = "REFERENCE"
     bpy.ops.render.render()
-    assert len(last_render.report_lines(reports.last())) == 1
+    assert len(last_render.report_lines(reports.last())) == 3
+
+
+def test_kernels_that_others_took_over_from_are_told():
+    kernels = {"tier": "GENERAL", "why": "they are ready", "specialised_after": 12.34}
+    assert last_render._kernels_line(kernels) == "Kernels: general ones, and after 12.3 s specialised ones"
 
 
 def test_work_on_trees_in_words():

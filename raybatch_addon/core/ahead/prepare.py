@@ -9,26 +9,24 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 import warp as wp
 
-from ..device.compiler import CompileStoppedError, given_up_when
+from ..device.compiler import CompileStoppedError
 from ..device.devices import load_kernels
 from ..device.notes import take_notes
+from ..measure.parts import Parts
 from ..wavefront.scene.device_scene import DeviceScene
-
-_POLL_SECONDS = 0.02
-# Messages by stage of the build (`DeviceScene.build`)
-_MESSAGES = {
-    "images": "Uploading images",
-    "tree": "Building the tree",
-    "materials": "Uploading materials",
-    "lights": "Measuring lights",
-}
+from .aside import POLL_SECONDS, once_free
 
 
 class Preparation:
     """Builds a scene and loads kernels, side by side."""
 
     def __init__(
-        self, kernels: Sequence[wp.Kernel], device: wp.Device, before: Future | None, closed: Callable[[], bool]
+        self,
+        kernels: Sequence[wp.Kernel],
+        device: wp.Device,
+        before: Future | None,
+        closed: Callable[[], bool],
+        parts: Parts,
     ):
         """
         Args:
@@ -36,24 +34,23 @@ class Preparation:
                 one uses.
             closed: whether nobody will want the kernels any more. Those that a cancelled render began to compile are
                 finished, for the next one.
+            parts: the clock of the render.
         """
         self._kernels, self._device, self._before, self._closed = kernels, device, before, closed
+        self._parts = parts
         self.warnings: list[str] = []
-        self.seconds: dict[str, float] = {}  # by stage
-        self.build: Future | None = None
+        self.build: Future | None = before
         self._loaded, self._total = 0, 1
-        self._stage, self._stage_begun = "images", time.perf_counter()
         self._given_up = threading.Event()  # nobody waits for the build any more
 
     def is_given_up(self) -> bool:
         """Whether the build should end."""
         return self._given_up.is_set()
 
-    def note_stage(self, stage: str) -> None:
-        """The next stage of the build begins."""
-        now = time.perf_counter()
-        self.seconds[self._stage] = self.seconds.get(self._stage, 0.0) + now - self._stage_begun
-        self._stage, self._stage_begun = stage, now
+    def enter(self, part: str) -> None:
+        """The next part of the build begins."""
+        if not self.is_given_up():
+            self._parts.enter(part)
 
     def run(
         self,
@@ -65,6 +62,8 @@ class Preparation:
 
         `on_progress` is told a stage, the share of the kernels that are there, and a message.
         """
+        if cancelled():
+            return None, []
         pool = ThreadPoolExecutor(max_workers=2)
         try:
             modules, built = pool.submit(self._load), pool.submit(self._build, build)
@@ -72,12 +71,11 @@ class Preparation:
             while not (modules.done() and built.done()):
                 if cancelled():
                     return None, []
-                compiling = built.done() and not modules.done()
-                message = (
-                    f"Compiling kernels ({self._loaded} of {self._total})" if compiling else _MESSAGES[self._stage]
-                )
-                on_progress("compile" if compiling else "build", self._loaded / self._total, message)
-                wait([each for each in (modules, built) if not each.done()], _POLL_SECONDS)
+                waits, message = self._parts.part == "kernels", self._parts.message
+                if waits:
+                    message += f" ({self._loaded} of {self._total})"
+                on_progress("compile" if waits else "build", self._loaded / self._total, message)
+                wait([each for each in (modules, built) if not each.done()], POLL_SECONDS)
             made = built.result(), modules.result()
             self.warnings = take_notes()  # only of a render that goes on: the next one tells what this one cannot
             return made
@@ -94,16 +92,11 @@ class Preparation:
             self._loaded, self._total = done, max(1, total)
 
         names = load_kernels(self._kernels, self._device, note, self._closed)
-        self.seconds["compile"] = time.perf_counter() - start
+        self._parts.compile_seconds = time.perf_counter() - start
         return names
 
     def _build(self, build: Callable[[], DeviceScene]) -> DeviceScene:
-        if self._before:
-            wait([self._before])
-        start = self._stage_begun = time.perf_counter()
-        with given_up_when(self._closed):  # it launches kernels that build trees
-            built = build()
+        built = once_free(self._before, build, self._closed, self._parts)
         wp.synchronize_device(self._device)
-        self.note_stage(self._stage)
-        self.seconds["build"] = time.perf_counter() - start
+        self.enter("kernels")
         return built

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import pickle
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import warp as wp
@@ -111,6 +112,17 @@ def _wide_scenes(general: SceneFeatures) -> list[SceneFeatures]:
     ]
     scenes += [dataclasses.replace(scene, closures=_OPAQUE) for scene in scenes[1:]]
     return [*scenes, without_programs(scenes[0]), dataclasses.replace(common, volumes=True)]
+
+
+def kernels_ahead(
+    features: Sequence[SceneFeatures] | None, settings: RenderSettings, device: wp.Device
+) -> list[wp.Kernel]:
+    """Kernels of scenes with `features`, rendered with `settings`; without them what any scene can begin with."""
+    if not features:
+        return GeneralRequest().kernels(device)
+    requests = [CompileRequest(each, settings, TracingPlan(Method.UNBATCHED)) for each in features]
+    kernels = [kernel for each in requests for kernel in each.kernels(device)]
+    return [*kernels, *tree_kernels(device)]
 
 
 Request = CompileRequest | GeneralRequest

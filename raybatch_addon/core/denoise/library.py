@@ -5,11 +5,12 @@ The interface is that of `oidn.h` (Intel, Apache License 2.0). Blender brings th
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from ctypes import POINTER, c_bool, c_char_p, c_int, c_size_t, c_void_p, cdll
 from pathlib import Path
 
@@ -29,6 +30,10 @@ _DEVICE_CPU, _FORMAT_FLOAT3 = 1, 3
 QUALITIES = {"FAST": 4, "BALANCED": 5, "HIGH": 6}
 _VERSION_MAJOR = 2
 
+_CANCELLED = 6  # the error of a filter that its monitor ended
+# bool (*OIDNProgressMonitorFunction)(void* userPtr, double n): false ends the filter
+_MONITOR = ctypes.CFUNCTYPE(c_bool, c_void_p, ctypes.c_double)
+
 _DECLARED = {
     "oidnNewDevice": (c_void_p, [c_int]),
     "oidnCommitDevice": (None, [c_void_p]),
@@ -38,10 +43,15 @@ _DECLARED = {
     "oidnSetSharedFilterImage": (None, [c_void_p, c_char_p, c_void_p, c_int, *[c_size_t] * 5]),
     "oidnSetFilterBool": (None, [c_void_p, c_char_p, c_bool]),
     "oidnSetFilterInt": (None, [c_void_p, c_char_p, c_int]),
+    "oidnSetFilterProgressMonitorFunction": (None, [c_void_p, _MONITOR, c_void_p]),
     "oidnCommitFilter": (None, [c_void_p]),
     "oidnExecuteFilter": (None, [c_void_p]),
     "oidnReleaseFilter": (None, [c_void_p]),
 }
+
+
+class DenoiseStoppedError(RayBatchError):
+    """A filter that ended before its picture was done, as `DenoiseLibrary.given_up_when` had it."""
 
 
 class DenoiseLibrary:
@@ -53,6 +63,7 @@ class DenoiseLibrary:
     def __init__(self, path: str):
         """Load `path`; raises `RayBatchError`."""
         self.path = path
+        self._given_up: Callable[[], bool] | None = None
         try:
             self._functions = cdll.LoadLibrary(path)
             for name, (result, arguments) in _DECLARED.items():
@@ -62,7 +73,7 @@ class DenoiseLibrary:
             raise RayBatchError(f"{path} is not Open Image Denoise 2: {error}") from None
         self._device = self._functions.oidnNewDevice(_DEVICE_CPU)
         if not self._device:
-            raise RayBatchError(f"Open Image Denoise at {path} has no device for this CPU{self._complaint(None)}")
+            raise RayBatchError(f"Open Image Denoise at {path} has no device for this CPU: {self._error(None)[1]}")
         self._functions.oidnCommitDevice(self._device)
         self.check()
         numbers = [self._functions.oidnGetDeviceInt(self._device, f"version{part}".encode()) for part in _VERSION_PARTS]
@@ -72,10 +83,24 @@ class DenoiseLibrary:
                 f"Open Image Denoise at {path} has version {self.version}, and {_VERSION_MAJOR} is needed"
             )
 
+    @contextlib.contextmanager
+    def given_up_when(self, given_up: Callable[[], bool] | None) -> Iterator[None]:
+        """Inside, filters end soon with `DenoiseStoppedError` once `given_up` says so. It is asked between the steps of
+        a filter, on this thread or on another one while this one waits.
+        """
+        self._given_up = given_up
+        try:
+            yield
+        finally:
+            self._given_up = None
+
     def check(self) -> None:
         """Raise what went wrong since the last call as `RayBatchError`."""
-        if complaint := self._complaint(self._device):
-            raise RayBatchError(f"denoising failed{complaint}")
+        code, complaint = self._error(self._device)
+        if code == _CANCELLED:
+            raise DenoiseStoppedError("denoising was stopped")
+        if code:
+            raise RayBatchError(f"denoising failed: {complaint}")
 
     def filtered(self, images: dict[str, np.ndarray], flags: dict[str, bool], quality: str) -> np.ndarray:
         """What the filter "RT" makes of `images`, float32, shape [height, width, 3].
@@ -93,6 +118,8 @@ class DenoiseLibrary:
         height, width, _ = next(iter(inputs.values())).shape
         output = np.empty((height, width, 3), np.float32)
         library = self._functions
+        given_up = self._given_up or (lambda: False)
+        monitor = _MONITOR(lambda _user, _share: not given_up())
         found = library.oidnNewFilter(self._device, b"RT")
         try:
             for name, pixels in (inputs | {"output": output}).items():
@@ -101,6 +128,7 @@ class DenoiseLibrary:
             for name, value in flags.items():
                 library.oidnSetFilterBool(found, name.encode(), value)
             library.oidnSetFilterInt(found, b"quality", QUALITIES[quality])
+            library.oidnSetFilterProgressMonitorFunction(found, monitor, None)
             library.oidnCommitFilter(found)
             library.oidnExecuteFilter(found)
             self.check()
@@ -108,10 +136,11 @@ class DenoiseLibrary:
             library.oidnReleaseFilter(found)
         return output
 
-    def _complaint(self, device: int | None) -> str:
+    def _error(self, device: int | None) -> tuple[int, str]:
+        """Number and message of what went wrong since the last call; 0 where nothing did."""
         message = c_char_p()
         code = self._functions.oidnGetDeviceError(device, ctypes.byref(message))
-        return f": {(message.value or b'').decode(errors='replace')}" if code else ""
+        return code, (message.value or b"").decode(errors="replace")
 
 
 _VERSION_PARTS = ("Major", "Minor", "Patch")

@@ -12,6 +12,7 @@ from .library import DenoiseLibrary
 
 COMBINED, NOISY_IMAGE = "Combined", "Noisy Image"
 ALBEDO, NORMAL = "Denoising Albedo", "Denoising Normal"
+NOISY_CATCHER = "Noisy Shadow Catcher"
 CATCHER_PASS, CATCHER_SHADOWS = "Shadow Catcher", "Catcher Shadows"
 _GUIDES = {"NONE": (), "ALBEDO": (ALBEDO,), "ALBEDO_NORMAL": (ALBEDO, NORMAL)}
 _INPUTS = {ALBEDO: "albedo", NORMAL: "normal"}  # as the library calls them
@@ -20,6 +21,12 @@ _INPUTS = {ALBEDO: "albedo", NORMAL: "normal"}  # as the library calls them
 def guiding_passes(settings: RenderSettings) -> tuple[str, ...]:
     """Passes that a render needs so that it can be denoised with `settings`; none where it is not."""
     return _GUIDES[settings.denoise_inputs] if settings.denoise == "ON" else ()
+
+
+def noisy_pictures(passes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What `denoised` and `denoised_catchers` take the place of among `passes`, by the names that it is kept by."""
+    kept = {NOISY_IMAGE: passes[COMBINED]}
+    return kept | {NOISY_CATCHER: passes[CATCHER_PASS]} if CATCHER_PASS in passes else kept
 
 
 def denoised(passes: Mapping[str, np.ndarray], settings: RenderSettings, library: DenoiseLibrary) -> np.ndarray:

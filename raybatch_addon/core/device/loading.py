@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import functools
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import warp as wp
@@ -33,6 +34,7 @@ from .shipped import refuse, shipped_files
 _TRIES = 3  # another process may take away what is damaged, just when it was found
 _lock = threading.Lock()
 _locks: dict[int, threading.Lock] = {}
+_local = threading.local()
 _failed: dict[tuple[str, str], str] = {}  # complaints by module and device: it is not compiled again
 
 
@@ -56,9 +58,26 @@ def load(module: wp.Module, device: wp.Device, block_size: int, given_up: Callab
     """
     with _lock:
         lock = _locks.setdefault(id(module), threading.Lock())  # modules live as long as the process
-    with lock:
-        if not is_loaded(module, device, block_size):
-            _load(module, device, block_size, given_up)
+    if is_loaded(module, device, block_size):
+        return
+    note = getattr(_local, "note", lambda begins: None)
+    note(True)
+    try:
+        with lock:
+            if not is_loaded(module, device, block_size):
+                _load(module, device, block_size, given_up)
+    finally:
+        note(False)
+
+
+@contextlib.contextmanager
+def loads_noted(note: Callable[[bool], None]) -> Iterator[None]:
+    """Inside, `note` is told when this thread begins to wait for a module to be loaded (True), and when it has it."""
+    _local.note = note
+    try:
+        yield
+    finally:
+        del _local.note
 
 
 def load_here_what_is_launched() -> None:

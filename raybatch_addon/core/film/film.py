@@ -91,6 +91,12 @@ class Film:
         return int(self.counts.min(initial=np.iinfo(np.int64).max)) if self.counts.size else 0
 
     @property
+    def sample_share(self) -> np.ndarray:
+        """Samples of each pixel over those of the pixel that has most, float32, shape [height, width, 1]."""
+        counts = self.counts.astype(np.float64)
+        return (counts / max(counts.max(initial=0.0), 1.0)).astype(np.float32).reshape(*self.shape, 1)
+
+    @property
     def sample_total(self) -> int:
         """Samples of all pixels together."""
         if self.halves:

@@ -51,7 +51,7 @@ def render_statistics(
         "device": device_description(device),
         "settings": dataclasses.asdict(settings),
         "frame": frame,
-        "seconds": {stage: round(value, 6) for stage, value in seconds.items()},
+        "seconds": seconds,
         "samples": samples,
         "rays": {**rays, "total": sum(rays.values())},
         "rays_per_second": round(sum(rays.values()) / seconds["render"]) if seconds.get("render") else 0,

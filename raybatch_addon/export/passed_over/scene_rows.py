@@ -39,6 +39,12 @@ def _cycles_passes(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
     )
 
 
+def _denoising_data(_scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
+    """Whether Cycles would write what its denoiser knows of surfaces since Blender 5.2."""
+    own = _cycles_of(layer)
+    return hasattr(own, "denoising_pass_use_albedo_roughness_weighting") and own.denoising_store_passes
+
+
 def _glass(scene: bpy.types.Scene, _layer: bpy.types.ViewLayer) -> bool:
     own = _cycles(scene)
     return bool(own and scene.render.film_transparent and own.film_transparent_glass)
@@ -71,10 +77,10 @@ SCENE_ROWS = (
         "turn them off in the view layer's passes",
     ),
     Row(
-        "Freestyle lines are not supported and left out",
-        lambda scene, layer: scene.render.use_freestyle and layer.use_freestyle,
-        Weight.MISSING,
-        "turn off Freestyle in the render properties",
+        "the passes Denoising Specular Albedo and Denoising Roughness of Cycles are not supported yet and are left out",
+        _denoising_data,
+        Weight.SETTING,
+        "denoise by Denoising Albedo and Denoising Normal, or turn off Denoising Data in the view layer's passes",
     ),
     Row(
         "Denoise is on in Cycles and off in RayBatch: the picture keeps its noise",

@@ -17,6 +17,8 @@ from raybatch_addon.core import session as core_session
 from raybatch_addon.core.ahead import prepare
 from raybatch_addon.core.wavefront import integrator
 from raybatch_addon.core.wavefront.render import workers
+from raybatch_addon.core.wavefront.scene import device_scene
+from raybatch_addon.core.wavefront.scene.scene_cache import SceneCache
 from tests.blender.bad_input.outcomes import BACKGROUND, assert_fails, assert_picture, render
 from tests.support.blender_watch import watch_engines
 
@@ -141,24 +143,53 @@ def test_a_process_whose_render_fails_ends_by_its_own_will(tmp_path):
 # --- cancelling
 
 
-@pytest.mark.parametrize("stage", ["load_kernels", "build"])
-def test_a_cancel_does_not_wait_for_compiling_or_building(lit, monkeypatch, films, stage):
-    """Work that is under way goes on by itself; the render does not wait for it."""
+# What may take long before the first ray
+LONG = {
+    "kernels": (prepare, "load_kernels"),
+    "displacement": (SceneCache, "displaced"),
+    "tree": (SceneCache, "get"),
+    "lights": (device_scene, "upload_lights"),
+    "volumes": (device_scene, "upload_volumes"),
+}
+
+
+def displace_and_fill(ball: bpy.types.Object) -> None:
+    """Give `ball` a displacement and a volume."""
+    material = bpy.data.materials.new("Raised fog")
+    material.use_nodes, material.displacement_method = True, "DISPLACEMENT"
+    tree = material.node_tree
+    output = next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL")
+    for kind, socket in (("ShaderNodeDisplacement", "Displacement"), ("ShaderNodeVolumeAbsorption", "Volume")):
+        tree.links.new(tree.nodes.new(kind).outputs[0], output.inputs[socket])
+    ball.data.materials.clear()
+    ball.data.materials.append(material)
+
+
+@pytest.mark.usefixtures("general_kernels")
+@pytest.mark.parametrize("stage", LONG)
+def test_a_cancel_does_not_wait_for_what_takes_long(lit, monkeypatch, films, stage):
+    """Work that is under way goes on by itself; the render does not wait for it, and the next one begins behind it."""
+    displace_and_fill(next(each for each in lit.objects if each.type == "MESH"))
     entered, release, finished = threading.Event(), threading.Event(), threading.Event()
-    owner = core_session.DeviceScene if stage == "build" else prepare
+    owner, name = LONG[stage]
+    whole = getattr(owner, name)
 
-    def endless(*_args):
+    def endless(*arguments, **options):
         entered.set()
-        release.wait(5)
+        release.wait(30)
         finished.set()
+        return whole(*arguments, **options)
 
-    monkeypatch.setattr(owner, stage, endless)
-    watch_engines(monkeypatch, test_break=lambda _engine: entered.is_set())
-    bpy.ops.render.render()
-    assert entered.is_set() and not finished.is_set()
-    release.set()
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, name, endless)
+        watch_engines(patch, test_break=lambda _engine: entered.is_set())
+        bpy.ops.render.render()
+        assert entered.is_set() and not finished.is_set()
+        release.set()
     assert not films[0].complete and films[0].sample_count == 0
     assert reports.last().errors == []
+    bpy.ops.render.render()
+    assert finished.is_set() and films[1].complete
 
 
 def test_a_cancel_during_export_renders_nothing(lit, monkeypatch, films):

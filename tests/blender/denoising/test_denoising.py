@@ -6,7 +6,9 @@ import pytest
 
 from raybatch_addon.blender import frame
 from raybatch_addon.blender.reports import last
+from raybatch_addon.core.measure.parts import PARTS
 from tests.blender.features.compare import add_world
+from tests.support.blender_watch import watch_engines
 
 OpenEXR = pytest.importorskip("OpenEXR")
 DIFFUSE, MIRROR, LEFT, TINT = (0.5, 0.4, 0.3), 0.5, 0.25, (0.8, 0.4, 0.2)
@@ -118,6 +120,31 @@ def test_a_denoised_render_keeps_the_noisy_picture_and_leaves_the_film_alone(roo
     for name in ("Combined", "Noisy Image"):
         pixels = np.stack([found[f"{name}.{letter}"] for letter in "RGBA"], -1)
         assert np.array_equal(pixels, film.made[name])
+
+
+def test_a_cancel_ends_denoising_and_keeps_the_noisy_picture(room, monkeypatch):
+    plain = rendered_film(room).passes["Combined"]
+    room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
+    lines = []
+    watch_engines(
+        monkeypatch,
+        update_stats=lambda _engine, _layer, line: lines.append(line),
+        test_break=lambda _engine: "Denoising" in lines,
+    )
+    film = rendered_film(room)
+    assert film.complete and "denoise" not in film.statistics
+    assert list(film.made) == ["Noisy Image"] and np.array_equal(film.made["Noisy Image"], plain)
+    monkeypatch.undo()
+    assert "Combined" in rendered_film(room).made, "the next one is denoised"
+
+
+def test_all_parts_of_a_denoised_render_are_told_and_add_up(room):
+    room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
+    told = rendered_film(room).statistics["seconds"]
+    named = [part for part in PARTS if part in told]
+    assert named == [part for part in PARTS if part not in ("displacement", "wait", "volumes")]
+    assert told["total"] == pytest.approx(sum(told[part] for part in named), abs=1e-5)
+    assert min(told["export"], told["render"], told["denoise"]) > 0
 
 
 def test_a_library_that_is_missing_ends_the_render_before_it_begins(room):

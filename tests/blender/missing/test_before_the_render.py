@@ -83,7 +83,7 @@ def test_what_is_missing_is_said_before_the_render(scene, monkeypatch):
     assert statistics["missing"][0] == described(before[0]) and str(before[0]) in statistics["warnings"]
 
 
-@pytest.mark.parametrize("what", ["render time", "guiding", "culling", "samples", "Freestyle"])
+@pytest.mark.parametrize("what", ["render time", "guiding", "culling", "denoising data", "samples"])
 def test_what_was_passed_over_is_named(scene, what):
     obj = add_grid("Host", 1)
     layer = scene.view_layers[0]
@@ -96,12 +96,14 @@ def test_what_was_passed_over_is_named(scene, what):
     elif what == "culling":
         obj.cycles.use_camera_cull = True
         assert the_one(scene, "culling").objects == ("Host",)
-    elif what == "samples":
+    elif what == "denoising data":
+        if not hasattr(layer.cycles, "denoising_pass_use_albedo_roughness_weighting"):
+            pytest.skip("this Cycles writes no such passes")
+        layer.cycles.denoising_store_passes = True
+        assert the_one(scene, "Denoising Specular Albedo and Denoising Roughness").weight == Weight.SETTING
+    else:
         scene.cycles.samples = 77
         assert "Samples: 77 in Cycles" in the_one(scene, "settings of Cycles")
-    else:
-        scene.render.use_freestyle = layer.use_freestyle = True
-        assert the_one(scene, "Freestyle").weight == Weight.MISSING
 
 
 def test_a_new_scene_lacks_nothing_but_light(scene):

@@ -7,6 +7,7 @@ import warp as wp
 
 from raybatch_addon.core.ahead.prepare import Preparation
 from raybatch_addon.core.device.notes import note, take_notes
+from raybatch_addon.core.measure.parts import Parts
 
 SECONDS_MOST = 60.0  # until a thread that has nothing to do has done it
 
@@ -21,7 +22,7 @@ def nothing_noted():
 
 def test_a_render_that_goes_on_tells_the_notes():
     note("the kernel of a test was damaged")
-    preparation = Preparation([], wp.get_device("cpu"), None, lambda: False)
+    preparation = Preparation([], wp.get_device("cpu"), None, lambda: False, Parts("check"))
     preparation.run(lambda: "the scene", lambda: False, lambda *progress: None)
     assert preparation.warnings == ["the kernel of a test was damaged"]
     assert take_notes() == []
@@ -29,10 +30,11 @@ def test_a_render_that_goes_on_tells_the_notes():
 
 def test_a_render_that_is_cancelled_leaves_the_notes_to_the_next_one():
     note("the kernel of another test was damaged")
-    preparation = Preparation([], wp.get_device("cpu"), None, lambda: False)
+    parts = Parts("check")
+    preparation = Preparation([], wp.get_device("cpu"), None, lambda: False, parts)
 
     def kernels_are_loaded():
-        return "compile" in preparation.seconds
+        return parts.compile_seconds > 0
 
     def build():
         until = time.monotonic() + SECONDS_MOST

@@ -76,7 +76,7 @@ class DeviceScene:
         """Upload `scene` and build its tree.
 
         `shading`: what kernels are specialised on (default: `features`). `on_stage` is told what begins: `images`,
-        `tree`, `materials`, `lights`.
+        `tree`, `materials`, `lights`, `volumes`.
         """
         shading = shading or features
         on_stage("images")
@@ -151,6 +151,7 @@ class DeviceScene:
         ) or any(passing)
         volumes = None
         if features.volumes:
+            on_stage("volumes")
             volumes = upload_volumes(scene, features, shading, data.geometry, images.table, device, cache.volumes)
         else:
             cache.volumes.clear()

@@ -1,0 +1,153 @@
+"""Parts of a render's time: named as they are, and nothing outside any of them."""
+
+import contextlib
+import dataclasses
+import threading
+
+import pytest
+
+from raybatch_addon.core.ahead import aside
+from raybatch_addon.core.device.loading import loads_noted
+from raybatch_addon.core.measure.parts import BUILD_PARTS, PARTS, Parts
+from raybatch_addon.core.session import Session
+from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.scene import device_scene
+from raybatch_addon.core.wavefront.scene.scene_cache import SceneCache
+from tests.support import feature_scenes
+
+SETTINGS = RenderSettings(sample_count=1, bounce_max=2)
+
+
+class Ticks:
+    """A clock that moves when it is told to."""
+
+    def __init__(self):
+        self.now = 5.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def full_scene():
+    """Displacement, a volume and a lamp."""
+    fog = feature_scenes.ALL_FEATURES["volume"][0]
+    materials = list(fog.materials)
+    place = next(i for i, each in enumerate(materials) if each.volume is None)
+    materials[place] = dataclasses.replace(materials[place], displacement=feature_scenes.displacing().displacement)
+    return dataclasses.replace(fog, materials=tuple(materials))
+
+
+def test_parts_follow_one_another_and_add_up():
+    clock = Ticks()
+    parts = Parts("export", clock)
+    for seconds, part in ((2.0, "check"), (0.5, "tree"), (1.0, "kernels"), (4.0, "tree"), (0.25, "render")):
+        clock.now += seconds
+        parts.enter(part)
+    clock.now += 8.0
+    parts.compile_seconds = 100.0
+    told = parts.told()
+    assert {name: told[name] for name in PARTS if name in told} == {
+        "export": 2.0,
+        "check": 0.5,
+        "tree": 1.25,
+        "kernels": 4.0,
+        "render": 8.0,
+    }
+    assert (told["build"], told["compile"], told["total"]) == (1.25, 100.0, 15.75)
+    clock.now += 1.0
+    assert parts.told()["total"] == 16.75 == parts.elapsed
+
+
+def test_waiting_for_kernels_is_no_part_of_what_waits(monkeypatch):
+    clock = Ticks()
+    parts = Parts("lights", clock)
+    noted = []
+    monkeypatch.setattr(aside, "loads_noted", lambda note: noted.append(note) or contextlib.nullcontext())
+    with aside.kernels_apart(parts):
+        clock.now += 1.0
+        noted[0](True)
+        assert parts.message == "Compiling kernels"
+        clock.now += 10.0
+        noted[0](False)
+        assert parts.part == "lights"
+    assert parts.told()["lights"] == 1.0 and parts.told()["kernels"] == 10.0
+
+
+def test_loads_are_noted_on_the_thread_that_waits(device):
+    """And none where a module is loaded."""
+    from raybatch_addon.core.device.devices import load_module
+    from raybatch_addon.core.film.tile import add_integers_kernel
+
+    session = Session(device)
+    heard = []
+    with loads_noted(heard.append):
+        other = threading.Thread(target=load_module, args=(add_integers_kernel, session.device))
+        other.start()
+        other.join()
+        load_module(add_integers_kernel, session.device)
+    session.close()
+    assert heard == []
+
+
+@pytest.fixture
+def watched(monkeypatch):
+    """The part that went on when each of these was called."""
+    clocks, found = [], {}
+
+    class Watched(Parts):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            clocks.append(self)
+
+    monkeypatch.setattr("raybatch_addon.core.session.Parts", Watched)
+    for owner, name in (
+        (SceneCache, "displaced"),
+        (SceneCache, "get"),
+        (device_scene, "upload_materials"),
+        (device_scene, "upload_lights"),
+        (device_scene, "upload_volumes"),
+    ):
+        whole = getattr(owner, name)
+
+        def call(*arguments, _whole=whole, _name=name, **options):
+            found[_name] = clocks[-1].part
+            return _whole(*arguments, **options)
+
+        monkeypatch.setattr(owner, name, call)
+    return found
+
+
+@pytest.mark.usefixtures("general_kernels")
+def test_each_part_of_a_render_goes_by_its_own_name_and_they_add_up_to_the_total(device, watched):
+    session, messages = Session(device), []
+    try:
+        film = session.render(full_scene(), SETTINGS, on_progress=lambda progress: messages.append(progress.message))
+    finally:
+        session.close()
+    assert watched == {
+        "displaced": "displacement",
+        "get": "tree",
+        "upload_materials": "materials",
+        "upload_lights": "lights",
+        "upload_volumes": "volumes",
+    }
+    told = film.statistics["seconds"]
+    named = [part for part in PARTS if part in told]
+    assert named == [part for part in PARTS if part not in ("export", "start", "wait", "denoise", "write")]
+    assert set(told) - set(named) == {"build", "compile", "total"}
+    assert told["total"] == pytest.approx(sum(told[part] for part in named), abs=1e-5)
+    assert told["build"] == pytest.approx(sum(told[part] for part in BUILD_PARTS), abs=1e-5)
+    assert "Displacing surfaces" in messages and messages[-1] == "Rendering"
+
+
+def test_the_tier_that_renders_is_told(device):
+    scene, told = feature_scenes.ALL_FEATURES["volume"][0], []
+    session = Session(device)
+    try:
+        film = session.render(
+            scene, SETTINGS.replace(kernel_tier="GENERAL"), on_progress=lambda progress: told.append(progress.kernels)
+        )
+    finally:
+        session.close()
+    assert film.statistics["kernels"] == {"tier": "GENERAL", "why": "as set", "specialised_after": None}
+    assert set(told) == {"", "general"}
