@@ -130,8 +130,12 @@ class Grid:
     """Values on a regular grid, linear between its points, which programs of volumes read by name; 0 outside."""
 
     name: str
-    values: np.ndarray  # float32, shape [x, y, z], or [x, y, z, 3]
-    to_index: np.ndarray  # object space to indices of `values`, float64, shape [3, 4]
+    # float32, shape [x, y, z], or [x, y, z, 3]; or of tiles, shape [n, 8, 8, 8], or [n, 8, 8, 8, 3]
+    values: np.ndarray
+    to_index: np.ndarray  # object space to indices of voxels, float64, shape [3, 4]
+    # indices of the first voxels of tiles, multiples of 8, each once: int32, shape [n, 3]; None: there is one block,
+    # whose first voxel has the indices 0
+    corners: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
