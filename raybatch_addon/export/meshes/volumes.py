@@ -13,8 +13,8 @@ import numpy as np
 
 from ...core.scene.description import Grid, Mesh
 from ...core.scene.frozen import freeze
-from ...core.scene.grids import TILE, cut_into_tiles
 from ...core.scene.notice import Notice, Weight
+from ...core.shading.volumes.grids import TILE, cut_into_tiles
 from .smoke import smoke_grids
 
 # Most values of the tiles of a grid that hold any: more do not fit a computer's memory

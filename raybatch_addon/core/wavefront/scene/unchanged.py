@@ -13,9 +13,9 @@ from ...programs.op import op_named
 from ...scene.description import Image, Material, Scene
 from ...scene.features import scene_volumes
 from ...scene.frozen import Same, is_frozen
-from ...scene.grids import grid_digest
 from ...scene.motion import apart
 from ...scene.program import Program
+from ...shading.volumes.grids import grid_digest
 
 Made = TypeVar("Made")
 

@@ -16,12 +16,12 @@ import warp as wp
 
 from ...scene.description import Grid, Mesh, Scene, Visibility
 from ...scene.geometry import transform_point
-from ...scene.grids import TILE, is_scalar, tiles_of
 from ...scene.motion import moving_instances
 from ...scene.moved import transform_at
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.sequences.keys import mix_bits, sequence_number
+from ...shading.volumes.grids import TILE, is_scalar, tiles_of
 from ...shading.volumes.phase import PhaseLobe
 from .medium import LOBE_FLOATS, LOBES_MOST, WORLD_REACH, make_medium
 from .segment import ray_point

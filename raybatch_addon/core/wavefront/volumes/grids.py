@@ -12,7 +12,7 @@ from ...device.kernel import KERNEL_OPTIONS
 from ...programs.inputs_data import InputData
 from ...programs.ops.inputs.grids import GRID_NUMBERS
 from ...scene.description import Grid, Scene
-from ...scene.grids import TILE, grid_digest, is_scalar, tiles_of
+from ...shading.volumes.grids import TILE, grid_digest, is_scalar, tiles_of
 
 
 class GridCache:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..device.bulk import digest_of
-from .description import Grid
-from .frozen import fact
+from ...device.bulk import digest_of
+from ...scene.description import Grid
+from ...scene.frozen import fact
 
 # Voxels along an edge of a tile
 TILE = 8
