@@ -30,10 +30,36 @@ def in_grid(count: int, parts: tuple[tuple[int, int, float], ...]) -> tuple[Scen
     for first, length, density in parts:
         values[middle - length : middle + length, middle - length : middle + length, first : first + length] = density
         depth += length * step * density
-    to_index = np.column_stack([np.eye(3) / step, np.full(3, 1 / step - 0.5)])
+    return _with_grid(Grid("density", values, _cube_indices(count))), math.exp(-depth)
+
+
+def in_tiles(count: int, parts: tuple[tuple[int, int, float], ...], others: int) -> tuple[Scene, float]:
+    """The same with a grid of tiles, `parts` being multiples of 8 voxels, and `others` beside the ray, at random."""
+    middle, depth = count // 2, 0.0
+    corners, values = [], []
+    for first, length, density in parts:
+        places = [(x, y, z) for x in (-8, 0) for y in (-8, 0) for z in range(first, first + length, 8)]
+        corners += [(middle + x, middle + y, z) for x, y, z in places]
+        values += [np.full((8, 8, 8), density, np.float32)] * len(places)
+        depth += length * 2.0 / count * density
+    random = np.random.default_rng(3)
+    beside = np.unique(random.integers(0, count // 8, (others, 3)), axis=0) * 8
+    beside = beside[np.abs(beside[:, :2] - middle).max(1) > 16]
+    tiles = random.random((len(beside), 8, 8, 8), np.float32)
+    corners = np.concatenate([np.array(corners), beside]).astype(np.int32)
+    grid = Grid("density", np.concatenate([np.array(values), tiles]), _cube_indices(count), corners)
+    return _with_grid(grid), math.exp(-depth)
+
+
+def _cube_indices(count: int) -> np.ndarray:
+    """Object space of a cube of 2 m to indices of `count` voxels along each axis."""
+    return np.column_stack([np.eye(3) * count / 2, np.full(3, count / 2 - 0.5)])
+
+
+def _with_grid(grid: Grid) -> Scene:
+    """A cube of 2 m that absorbs what `grid` says."""
     builder = ProgramBuilder()
     builder.closure("volume_absorption", builder.value("splat", builder.value("volume_attribute", 0, 0.0)[1]))
     scene = boxed(Volume(program=builder.finish()))
-    mesh = replace(scene.meshes[0], grids=(Grid("density", values, to_index),))
-    scene = replace(scene, meshes=(mesh, *scene.meshes[1:]), attributes=(("GRID", "density"),))
-    return scene, math.exp(-depth)
+    mesh = replace(scene.meshes[0], grids=(grid,))
+    return replace(scene, meshes=(mesh, *scene.meshes[1:]), attributes=(("GRID", "density"),))

@@ -41,8 +41,7 @@ class Visibility(IntFlag):
 LIGHT_SETS, SHADOW_SETS = 64, 21
 COPY_SET = LIGHT_SETS - 1  # of paths that see shadow catchers alone
 ALL_LIGHT_SETS, ALL_SHADOW_SETS = (1 << LIGHT_SETS) - 1, (1 << SHADOW_SETS) - 1
-# In visibilities the bits of shadow sets lie from here on
-SHADOW_SET_SHIFT = 5
+SHADOW_SET_SHIFT = 5  # in visibilities the bits of shadow sets lie from here on
 # and behind them those of `Visibility` again, of shadow catchers alone: for rays that see nothing else
 CATCHER_SHIFT = SHADOW_SET_SHIFT + SHADOW_SETS
 
@@ -130,8 +129,9 @@ class Grid:
     """Values on a regular grid, linear between its points, which programs of volumes read by name; 0 outside."""
 
     name: str
-    values: np.ndarray  # float32, shape [x, y, z], or [x, y, z, 3]
-    to_index: np.ndarray  # object space to indices of `values`, float64, shape [3, 4]
+    values: np.ndarray  # float32, shape [x, y, z], or [x, y, z, 3]; of tiles [n, 8, 8, 8], or [n, 8, 8, 8, 3]
+    to_index: np.ndarray  # object space to indices of voxels, float64, shape [3, 4]
+    corners: np.ndarray | None = None  # indices of the first voxels of tiles, multiples of 8, int32, shape [n, 3]
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Grid
+from ...core.scene.frozen import freeze
 from ...core.scene.notice import Notice, Weight
 
 # By name of an attribute: the domain's property, its numbers a voxel, and whether noise makes it finer
@@ -89,7 +90,7 @@ def smoke_grids(obj: bpy.types.Object, names: list[str], frame: int, label: str,
             return []
         scale = shape / (2 * half)
         to_index = np.column_stack([np.diag(scale), -scale * (center - half) - 0.5])
-        found.append(Grid(name, values[..., 0] if width == 1 else values, to_index))
+        found.append(Grid(name, freeze(values[..., 0] if width == 1 else values), to_index))
     if not found and not (_is_clear(domain, frame) and set(names) & set(_GRIDS)):
         cache = bpy.path.abspath(domain.cache_directory)
         warnings.append(

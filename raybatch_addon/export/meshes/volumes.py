@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import os
 import tempfile
 from collections.abc import Iterable
@@ -10,11 +12,17 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Grid, Mesh
+from ...core.scene.frozen import freeze
 from ...core.scene.notice import Notice, Weight
+from ...core.shading.volumes.grids import TILE, cut_into_tiles
 from .smoke import smoke_grids
 
-# Most values of a grid: larger ones do not fit a computer's memory when they are read
+# Most values of the tiles of a grid that hold any: more do not fit a computer's memory
 _VALUES_MOST = 1 << 29
+# Voxels along an edge of what is read of a grid at once, a multiple of a tile's
+_BLOCK = 64
+# To meet an active voxel takes as long as to read so many
+_VOXELS_PER_STEP = 256
 # Corners of a unit box, and its faces, seen from outside
 _CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
 _QUADS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
@@ -39,11 +47,11 @@ def _exported(obj: bpy.types.Object, names: list[str], frame: int, warnings: lis
     label = f"{'smoke' if is_smoke else 'volume object'} “{obj.name}”"
     if is_smoke:
         found = smoke_grids(obj, names, frame, label, warnings)
+        boxes = [_box(grid, np.zeros(3), np.array(grid.values.shape[:3]) - 1) for grid in found]
     else:
         reads = _read(obj, sorted(set(names)), label, warnings)
-        grids = [_grid(name, read, label, warnings) for name, read in reads]
-        found = [grid for grid in grids if grid is not None]
-    boxes = [_box(grid) for grid in found]
+        grids = [made for name, read in reads if (made := _grid(name, read, label, warnings)) is not None]
+        found, boxes = [grid for grid, _ in grids], [box for _, box in grids]
     if not boxes:
         if not warnings and not is_smoke:
             named = ", ".join(f"“{name}”" for name in names) or "that its material reads"
@@ -109,8 +117,8 @@ def _openvdb():
     return openvdb
 
 
-def _grid(name: str, read, label: str, warnings: list[str]) -> Grid | None:
-    """An OpenVDB grid as a dense block of its active values."""
+def _grid(name: str, read, label: str, warnings: list[str]) -> tuple[Grid, np.ndarray] | None:
+    """The tiles of an OpenVDB grid in which it is not 0, and the box of its active values."""
     if read.valueTypeName not in ("float", "double", "half", "vec3s", "vec3d"):
         warnings.append(
             f"{label}: its grid “{name}” holds values of type {read.valueTypeName}, which are not supported; it counts "
@@ -120,20 +128,18 @@ def _grid(name: str, read, label: str, warnings: list[str]) -> Grid | None:
     if read.activeVoxelCount() == 0:
         return None
     first, last = (np.array(corner) for corner in read.evalActiveVoxelBoundingBox())
-    shape = tuple((last - first + 1).tolist())
-    if np.prod(shape, dtype=float) > _VALUES_MOST:
+    begin = first - first % TILE  # of indices here: those of the file may be too large for float32
+    found = _tiles(read, first, last, begin)
+    if found is None:
         warnings.append(
-            f"{label}: its grid “{name}” spans {' x '.join(map(str, shape))} voxels, and at most {_VALUES_MOST:,} can "
-            "be rendered; it counts as missing"
+            f"{label}: its grid “{name}” spans {' x '.join(map(str, (last - first + 1).tolist()))} voxels, and more "
+            f"than {_VALUES_MOST:,} values are in tiles of {TILE} x {TILE} x {TILE} that are not empty, which is too "
+            "many to render; it counts as missing"
         )
         return None
-    width = (3,) if read.valueTypeName.startswith("vec3") else ()
-    values = np.zeros(shape + width, np.float64 if read.valueTypeName in ("double", "vec3d") else np.float32)
-    read.copyToArray(values, ijk=tuple(first.tolist()))
-    values = np.nan_to_num(values.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    origin = np.array(read.transform.indexToWorld(tuple(first.tolist())))
+    origin = np.array(read.transform.indexToWorld(tuple(begin.tolist())))
     axes = [
-        np.array(read.transform.indexToWorld(tuple((first + step).tolist()))) - origin for step in np.eye(3, dtype=int)
+        np.array(read.transform.indexToWorld(tuple((begin + step).tolist()))) - origin for step in np.eye(3, dtype=int)
     ]
     to_object = np.column_stack([*axes, origin])
     if abs(np.linalg.det(to_object[:, :3])) == 0 or not np.isfinite(to_object).all():
@@ -141,12 +147,63 @@ def _grid(name: str, read, label: str, warnings: list[str]) -> Grid | None:
         warnings.append(Notice(text, Weight.REPAIRED))
         return None
     inverse = np.linalg.inv(to_object[:, :3])
-    return Grid(name, values, np.column_stack([inverse, -inverse @ origin]))
+    corners, values = found
+    grid = Grid(name, freeze(values), np.column_stack([inverse, -inverse @ origin]), freeze(corners))
+    return grid, _box(grid, first - begin, last - begin)
 
 
-def _box(grid: Grid) -> np.ndarray:
-    """Two corners of a box in object space in which a grid's values, between voxels too, are not 0 [m]."""
+def _tiles(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Where tiles of the OpenVDB grid `read` begin, from `begin` on, and their values, as in `Grid`; None where there
+    are too many. `first`, `last`: of its active voxels.
+    """
+    width = (3,) if read.valueTypeName.startswith("vec3") else ()
+    if read.activeVoxelCount() * max(3 * len(width), 1) > _VALUES_MOST:
+        return None
+    stored = np.float64 if read.valueTypeName in ("double", "vec3d") else np.float32
+    corners, tiles, count = [np.zeros((0, 3), np.int32)], [np.zeros((0, TILE, TILE, TILE, *width), np.float32)], 0
+    for block in _blocks(read, first, last, begin):
+        low = begin + np.array(block) * _BLOCK
+        # what lies beyond the active voxels is empty, whatever the grid says of it
+        start, end = np.maximum(low, first), np.minimum(low + _BLOCK - 1, last)
+        values = np.zeros((*(end - start + 1).tolist(), *width), stored)
+        read.copyToArray(values, ijk=tuple(start.tolist()))
+        if not values.any():
+            continue
+        whole = np.zeros((_BLOCK,) * 3 + width, np.float32)
+        part = tuple(slice(a, b) for a, b in zip((start - low).tolist(), (end - low + 1).tolist()))
+        whole[part] = np.nan_to_num(values, nan=0.0, posinf=0.0, neginf=0.0)
+        corner, cut = cut_into_tiles(whole)
+        corners.append((corner + low - begin).astype(np.int32))
+        tiles.append(cut)
+        count += cut.size
+        if count > _VALUES_MOST:
+            return None
+    return np.concatenate(corners), np.concatenate(tiles)
+
+
+def _blocks(read, first: np.ndarray, last: np.ndarray, begin: np.ndarray) -> Iterable[tuple[int, int, int]]:
+    """Numbers of the blocks from `begin` on that have active voxels, ascending; of all, where that takes less time."""
+    counts = ((last - begin) // _BLOCK + 1).tolist()
+    background = np.any(np.asarray(read.background) != 0)
+    if background or math.prod(counts) * _BLOCK**3 <= _VOXELS_PER_STEP * read.activeVoxelCount():
+        return np.ndindex(*counts)
+    found = set()
+    x, y, z = begin.tolist()
+    for value in read.citerOnValues():
+        low, high = value.min, value.max
+        key = (low[0] - x) // _BLOCK, (low[1] - y) // _BLOCK, (low[2] - z) // _BLOCK
+        if value.count == 1:
+            found.add(key)
+        else:
+            ends = ((high[0] - x) // _BLOCK, (high[1] - y) // _BLOCK, (high[2] - z) // _BLOCK)
+            found.update(itertools.product(*(range(a, b + 1) for a, b in zip(key, ends))))
+    return sorted(found)
+
+
+def _box(grid: Grid, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+    """Two corners of a box in object space in which a grid's values, between voxels too, are not 0 [m]; `first`,
+    `last`: indices of voxels.
+    """
     matrix = np.linalg.inv(grid.to_index[:, :3])
-    size = np.array(grid.values.shape[:3])
-    corners = (-1 + _CORNERS * (size + 1) - grid.to_index[:, 3]) @ matrix.T
+    corners = (first - 1 + _CORNERS * (last - first + 2) - grid.to_index[:, 3]) @ matrix.T
     return np.stack([corners.min(0), corners.max(0)])

@@ -8,6 +8,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.core.scene.notice import Weight
+from raybatch_addon.export.meshes import volumes
 from raybatch_addon.export.meshes.smoke import any_grids
 from raybatch_addon.export.meshes.volumes import export_volume
 from tests.support.blender_builders import add_object
@@ -39,14 +40,25 @@ def grid_file(tmp_path):
     return path, values
 
 
+def _values(grid, first, shape) -> np.ndarray:
+    """The block of voxels of `shape` from the indices `first` on."""
+    size = 8 * np.ceil((grid.corners.max(0) + 8) / 8).astype(int)
+    block = np.zeros(size, np.float32)
+    for corner, tile in zip(grid.corners.tolist(), grid.values):
+        block[tuple(slice(k, k + 8) for k in corner)] = tile
+    return block[tuple(slice(k, k + n) for k, n in zip(first, shape))]
+
+
 def test_a_grid_has_the_values_and_the_place_of_its_file(scene, grid_file):
     path, values = grid_file
     warnings = []
     mesh = export_volume(_volume(path), ["density"], 1, warnings)
     (grid,) = mesh.grids
-    assert not warnings and np.array_equal(grid.values, values)
     place = np.array([-2 * 0.5 + 1, 3 * 0.25 + 2, 1 * 1 + 3])  # of the first value
-    assert np.allclose(grid.to_index[:, :3] @ place + grid.to_index[:, 3], 0, atol=1e-6)
+    first = np.round(grid.to_index[:, :3] @ place + grid.to_index[:, 3], 6)
+    assert np.array_equal(first, np.array([-2, 3, 1]) % 8)  # tiles are those of the file
+    assert not warnings and np.array_equal(_values(grid, first.astype(int), values.shape), values)
+    assert np.count_nonzero(grid.values) == values.size
     step = np.array([0.5, 0.25, 1.0])
     assert np.allclose(mesh.positions.min(0), place - step) and np.allclose(
         mesh.positions.max(0), place + step * (5, 6, 7)
@@ -68,6 +80,38 @@ def test_what_cannot_be_read_is_said_by_name(scene, grid_file, tmp_path):
         assert export_volume(obj, names, 1, warnings) is None
         assert warnings[0].weight == Weight.MISSING and warnings[0].objects == (obj.name,)
         assert len(warnings) == 1 and "Smoke" in warnings[0] and word in warnings[0], (source, warnings)
+
+
+def test_grids_that_are_nearly_empty_are_read_where_there_is_something(scene, tmp_path):
+    """Two blocks of values and a tile of one value, 40,000 voxels apart: a block of all would be of 10^14 voxels."""
+    openvdb = _openvdb()
+    random = np.random.default_rng(2)
+    grid = openvdb.FloatGrid()
+    grid.name = "density"
+    blocks = {place: random.random((20, 9, 30), np.float32) + 0.1 for place in ((-20000, 3, 5), (20001, 40000, 77))}
+    for place, values in blocks.items():
+        grid.copyFromArray(values, ijk=place)
+    grid.fill((0, 0, 0), (127, 127, 127), 2.0)
+    openvdb.write(str(tmp_path / "sparse.vdb"), [grid])
+    warnings = []
+    (found,) = export_volume(_volume(tmp_path / "sparse.vdb"), ["density"], 1, warnings).grids
+    assert not warnings
+    begin = np.round(-found.to_index[:, 3]).astype(int)  # indices in the file of the first voxel here
+    at = {tuple(corner): tile for corner, tile in zip((found.corners + begin).tolist(), found.values)}
+    count = 128**3 + sum(values.size for values in blocks.values())
+    assert np.count_nonzero(found.values) == count == sum(np.count_nonzero(tile) for tile in at.values())
+    for place, values in blocks.items():
+        for voxel in random.integers(0, values.shape, (100, 3)):
+            index = np.array(place) + voxel
+            assert at[tuple((index - index % 8).tolist())][tuple(index % 8)] == values[tuple(voxel)]
+    assert at[64, 120, 0].min() == at[64, 120, 0].max() == 2.0
+
+
+def test_grids_of_too_many_values_are_named(scene, grid_file, monkeypatch):
+    monkeypatch.setattr(volumes, "_VALUES_MOST", 4 * 512 - 1)
+    warnings = []
+    assert export_volume(_volume(grid_file[0]), ["density"], 1, warnings) is None
+    assert len(warnings) == 1 and "density" in warnings[0] and "5 x 6 x 7" in warnings[0]
 
 
 def _made(kind: str, **values) -> bpy.types.NodeTree:
@@ -105,8 +149,10 @@ def test_volumes_that_geometry_nodes_make_have_their_grids(scene, kind, values):
     assert len(found) == 1 and not warnings
     (grid,) = found[0].grids
     assert grid.name == "density" and 1.9 < grid.values.max() < 2.1
+    tile, *voxel = np.nonzero(grid.values)
+    place = grid.corners[tile] + np.stack(voxel, 1)
     middle = grid.to_index[:, 3]  # where the object's origin is among the values
-    assert np.allclose(middle, (np.array(grid.values.shape) - 1) / 2, atol=1.0)
+    assert np.allclose(middle, 0.5 * (place.min(0) + place.max(0)), atol=1.0)
     around = found[0].positions - found[0].positions.mean(0)  # Blender 4.5 puts the cube half a voxel off
     assert np.abs(around).max() == pytest.approx(1.0, abs=0.4)
 

@@ -36,7 +36,7 @@ def smoky(values=_VALUES, strength=1.0):
 def made(monkeypatch):
     """What was made, by name, in order."""
     calls = []
-    find, load = upload.find_bounds, wp.Volume.load_from_numpy
+    find, load = upload.find_bounds, wp.Volume.allocate_by_tiles
 
     def counted_find(*args):
         calls.append("bounds")
@@ -47,7 +47,7 @@ def made(monkeypatch):
         return load(*args, **kwargs)
 
     monkeypatch.setattr(upload, "find_bounds", counted_find)
-    monkeypatch.setattr(wp.Volume, "load_from_numpy", counted_load)
+    monkeypatch.setattr(wp.Volume, "allocate_by_tiles", counted_load)
     return calls
 
 

@@ -12,7 +12,7 @@ from tests.renders.volumes.test_volumes import filled, medium
 from tests.stability.bench import Bench
 from tests.stability.case import Outcome, Sweep, case
 from tests.stability.exact import U
-from tests.stability.volume_scenes import boxed, in_grid
+from tests.stability.volume_scenes import boxed, in_grid, in_tiles
 from tests.support import scenes
 
 FAMILY = "transport"
@@ -158,4 +158,19 @@ def sparse(bench: Bench) -> Outcome:
     for count, parts in ((160, ((20, 12, 4.0), (120, 12, 8.0))), (320, ((100, 2, 100.0),))):
         scene, expected = in_grid(count, parts)
         add_mean(sweep, bench, scene, expected, 64 * U, f"{count}^3 voxels", sample_count=256)
+    return sweep.outcome()
+
+
+@case(
+    "a sparse grid of 7e10 voxels",
+    FAMILY,
+    "A grid of 4,096 voxels along each axis, of which 60,000 tiles of 8 x 8 x 8 hold anything, some of them in the way "
+    "of a ray: the integral of linear interpolation along it is known. A block of all would take 256 GiB.",
+    "Ten standard errors of eight pictures, and 64 roundings.",
+    traces=False,
+)
+def very_sparse(bench: Bench) -> Outcome:
+    sweep = Sweep()
+    scene, expected = in_tiles(4096, ((256, 64, 10.0), (3072, 8, 40.0)), 60_000)
+    add_mean(sweep, bench, scene, expected, 64 * U, "4,096^3 voxels", sample_count=256)
     return sweep.outcome()

@@ -7,6 +7,7 @@ meet the faces of other volumes that coincide with that surface, and they are lo
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -205,7 +206,7 @@ class _Bounded:
     instance: int
     volume: int
     moves: bool  # the instance or its vertices do
-    box: np.ndarray  # in the world, two corners [m], float64, shape [2, 3]
+    box: np.ndarray  # in the world, around that of the mesh: two corners [m], float64, shape [2, 3]
 
 
 def upload_enclosures(
@@ -224,10 +225,12 @@ def upload_enclosures(
     boxes = np.array([each.box for each in bounded])
     moves = np.array([each.moves for each in bounded])
     boxes[moves] = np.array([[-_EVERYWHERE], [_EVERYWHERE]])
-    touches = _overlaps(boxes) | np.array([slots.meets_itself(each) for each in bounded])
     middle, reach = _camera_points(scene.camera)
-    near = ((boxes[:, 0] <= middle + reach) & (boxes[:, 1] >= middle - reach)).all(1)
-    needed = np.flatnonzero(touches | near)
+    # boxes of boxes tell of most that they are alone
+    for k in np.flatnonzero((_overlaps(boxes) | _around(boxes, middle, reach)) & ~moves):
+        boxes[k] = slots.exact_box(bounded[k])
+    touches = _overlaps(boxes) | np.array([slots.meets_itself(each) for each in bounded])
+    needed = np.flatnonzero(touches | _around(boxes, middle, reach))
     if not len(needed):
         return UploadedEnclosures(data, [])
     # what is in world space already is placed by the identity
@@ -268,6 +271,7 @@ class _VolumeSlots:
         self._moves = apart(scene) if len(scene.instances) else np.zeros(0, bool)
         self._slot_counts: dict[int, int] = {}  # by mesh
         self._meets: dict[int, bool] = {}  # by mesh
+        self._boxes: dict[int, np.ndarray] = {}  # by instance
 
     def _mesh(self, instance: int) -> Mesh:
         return self._scene.meshes[int(self._scene.instances.mesh[instance])]
@@ -289,10 +293,20 @@ class _VolumeSlots:
         if (volumes < 0).all():
             return []
         used = volumes if mesh.triangle_slot is None else volumes[np.unique(mesh.triangle_slot)]
-        transform = np.asarray(self._scene.instances.transform[instance], np.float64)
-        positions = mesh.positions @ transform[:, :3].T + transform[:, 3]
-        box = np.stack([positions.min(0), positions.max(0)])
+        box = self._placed(instance, fact(mesh.positions, _box_corners))
         return [_Bounded(instance, v, bool(self._moves[instance]), box) for v in sorted(set(used.tolist()) - {-1})]
+
+    def exact_box(self, each: _Bounded) -> np.ndarray:
+        """The smallest box of an instance, as in `_Bounded`."""
+        if each.instance not in self._boxes:
+            self._boxes[each.instance] = self._placed(each.instance, self._mesh(each.instance).positions)
+        return self._boxes[each.instance]
+
+    def _placed(self, instance: int, positions: np.ndarray) -> np.ndarray:
+        """The box of `positions` of object space in the world."""
+        transform = np.asarray(self._scene.instances.transform[instance], np.float64)
+        placed = positions @ transform[:, :3].T + transform[:, 3]
+        return np.stack([placed.min(0), placed.max(0)])
 
     def key(self, each: _Bounded) -> tuple:
         """Equal for parts of instances that are the same triangles of one mesh."""
@@ -322,6 +336,17 @@ class _VolumeSlots:
         if index not in self._meets:
             self._meets[index] = fact(self._scene.meshes[index].positions, _share_places)
         return self._meets[index]
+
+
+def _box_corners(positions: np.ndarray) -> np.ndarray:
+    """Corners of the box of `positions`, float64, shape [8, 3]."""
+    low, high = positions.min(0).astype(np.float64), positions.max(0).astype(np.float64)
+    return np.array(list(itertools.product(*zip(low, high))))
+
+
+def _around(boxes: np.ndarray, middle: np.ndarray, reach: float) -> np.ndarray:
+    """Whether each of `boxes` [n, 2, 3] may hold a point of a sphere: bool, shape [n]."""
+    return ((boxes[:, 0] <= middle + reach) & (boxes[:, 1] >= middle - reach)).all(1)
 
 
 def _share_places(positions: np.ndarray) -> bool:

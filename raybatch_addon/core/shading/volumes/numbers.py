@@ -8,10 +8,12 @@ from ..sequences.keys import DIMENSIONS_PER_BOUNCE, mix_bits, sequence_number
 
 # Dimension sets of pieces: above those of walks below surfaces
 _FIRST_DIMENSION = 3 << 30
-CHANNEL, LENGTH, LIGHTS = range(3)  # behind LIGHTS those of a vertex
+CHANNEL, LENGTH, LIT_CHANNEL, LIT_LENGTH, LIGHTS = range(5)  # behind LIGHTS those of a vertex
 _PIECE_DIMENSIONS = LIGHTS + DIMENSIONS_PER_BOUNCE
 # Streams of shadow rays are others than those of paths
 SHADOW_STREAM = 1 << 31
+# The choice of points from which light is looked for has a stream of its own
+LIT_STREAM = 0x2545F491
 
 
 @wp.func

@@ -15,6 +15,7 @@ from ...scene.features import scene_volumes
 from ...scene.frozen import Same, is_frozen
 from ...scene.motion import apart
 from ...scene.program import Program
+from ...shading.volumes.grids import grid_digest
 
 Made = TypeVar("Made")
 
@@ -108,8 +109,10 @@ def bounds_key(
     arrays += [pixels for image in images for pixels in pictures_of(image)]
     kinds = tuple((int(image.encoding), tuple(number for number, _ in image.tiles or ())) for image in images)
     made = tuple(program and (program.instructions, program.constants.tobytes()) for program in programs)
-    grids = [(mesh.object_density, tuple(grid.name for grid in mesh.grids)) for mesh in scene.meshes]
-    numbers = [array for mesh in scene.meshes for grid in mesh.grids for array in (grid.values, grid.to_index)]
+    grids = [
+        (mesh.object_density, tuple((grid.name, grid_digest(grid)) for grid in mesh.grids)) for mesh in scene.meshes
+    ]
+    numbers = [grid.to_index for mesh in scene.meshes for grid in mesh.grids]
     numbers += [array for array in arrays if array is not None and not is_frozen(array)]
     if scene.world.volume is not None and scene.world.volume.program is not None:
         numbers.append(world_box)

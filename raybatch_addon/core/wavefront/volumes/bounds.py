@@ -21,6 +21,7 @@ from ...scene.moved import transform_at
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.sequences.keys import mix_bits, sequence_number
+from ...shading.volumes.grids import TILE, is_scalar, tiles_of
 from ...shading.volumes.phase import PhaseLobe
 from .medium import LOBE_FLOATS, LOBES_MOST, WORLD_REACH, make_medium
 from .segment import ray_point
@@ -37,6 +38,9 @@ _FLIGHTS_MOST = 4096.0
 # nothing, and that of a line from which on no light comes in
 _LINE_CELLS = 8
 _DIMS_LEAST, _DIMS_MOST = 1e-3, 7.0
+# Tiles of a grid whose voxels are looked at together, and corners of a unit cube
+_TILES_TOGETHER = 2048
+_CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)])
 # Kinds of rays, of which each has a bit, and that of rays that volumes scatter; each with bounce 0 and 1
 _KINDS = 5
 RAYS = 2 * (_KINDS + 1)
@@ -190,17 +194,34 @@ def _peaks(grid: Grid, low: np.ndarray, size: np.ndarray, cells: int) -> np.ndar
     to_object = np.linalg.inv(whole)[:3]
     middles = np.stack(np.meshgrid(*[np.arange(cells) + 0.5] * 3, indexing="ij"), -1).reshape(-1, 3)
     places, best = low + middles / cells * size, np.zeros(cells**3, np.float32)
-    for x, slab in enumerate(grid.values):
-        values = slab if slab.ndim == 2 else np.abs(slab).max(-1)
-        y, z = np.nonzero(values > 0)
-        if len(y):
-            found = values[y, z]
-            at = np.stack([np.full(len(y), x), y, z], 1) @ to_object[:, :3].T + to_object[:, 3]
-            cell = np.clip((at - low) / size * cells, 0, cells - 1).astype(int)
-            number = (cell[:, 0] * cells + cell[:, 1]) * cells + cell[:, 2]
-            np.maximum.at(best, number, found)
-            won = found >= best[number]
-            places[number[won]] = at[won]
+
+    def cell_of(at: np.ndarray) -> np.ndarray:
+        return np.clip((at - low) / size * cells, 0, cells - 1).astype(int)
+
+    def add(voxels: np.ndarray, found: np.ndarray) -> None:
+        at = voxels @ to_object[:, :3].T + to_object[:, 3]
+        number = cell_of(at) @ (cells * cells, cells, 1)
+        np.maximum.at(best, number, found)
+        won = found >= best[number]
+        places[number[won]] = at[won]
+
+    corners, tiles = tiles_of(grid)
+    for first in range(0, len(corners), _TILES_TOGETHER):
+        corner = corners[first : first + _TILES_TOGETHER]
+        values = tiles[first : first + _TILES_TOGETHER]
+        if not is_scalar(grid):
+            values = np.abs(values).max(-1)
+        # of a tile in one cell the largest value alone
+        ends = (corner[:, None] + (TILE - 1) * _CORNERS) @ to_object[:, :3].T + to_object[:, 3]
+        in_cells = cell_of(ends)
+        alone = (in_cells.min(1) == in_cells.max(1)).all(1)
+        flat = values[alone].reshape(-1, TILE**3)
+        largest = flat.argmax(1) if len(flat) else np.zeros(0, int)
+        found = flat[np.arange(len(flat)), largest]
+        voxels = corner[alone] + np.stack(np.unravel_index(largest, (TILE,) * 3), 1)
+        add(voxels[found > 0], found[found > 0])
+        tile, *voxel = np.nonzero(values[~alone] > 0)
+        add(corner[~alone][tile] + np.stack(voxel, 1), values[~alone][(tile, *voxel)])
     return places
 
 

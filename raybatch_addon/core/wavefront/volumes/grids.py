@@ -7,11 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 import warp as wp
 
-from ...device.bulk import digest_of
+from ...device.devices import load_module
+from ...device.kernel import KERNEL_OPTIONS
 from ...programs.inputs_data import InputData
 from ...programs.ops.inputs.grids import GRID_NUMBERS
-from ...scene.description import Scene
-from ...scene.frozen import fact
+from ...scene.description import Grid, Scene
+from ...shading.volumes.grids import TILE, grid_digest, is_scalar, tiles_of
 
 
 class GridCache:
@@ -33,21 +34,56 @@ class GridCache:
         """Forget those whose keys are not `used`, before there are more of them."""
         self._kept = {key: self._kept[key] for key in set(used) if key in self._kept}
 
-    def get(self, key: tuple[str, bytes], values: np.ndarray, device: wp.Device) -> wp.Volume:
-        """The grid of `values`, float32, shape [x, y, z] or [x, y, z, 3], with their `grid_key` on `device`."""
+    def get(self, key: tuple[str, bytes], grid: Grid, device: wp.Device) -> wp.Volume:
+        """`grid`, with its `grid_key`, on `device`."""
         if key not in self._kept:
-            background = 0.0 if values.ndim == 3 else (0.0, 0.0, 0.0)
-            self._kept[key] = wp.Volume.load_from_numpy(values, bg_value=background, device=device)
+            self._kept[key] = load_grid(grid, device)
         return self._kept[key]
 
 
-def grid_key(values: np.ndarray, device: wp.Device) -> tuple[str, bytes]:
+def grid_key(grid: Grid, device: wp.Device) -> tuple[str, bytes]:
     """What tells a grid from others."""
-    return device.alias, fact(values, _digest)
+    return device.alias, grid_digest(grid)
 
 
-def _digest(values: np.ndarray) -> bytes:
-    return digest_of([values])
+def load_grid(grid: Grid, device: wp.Device) -> wp.Volume:
+    """The tiles of `grid` on `device`."""
+    corners, values = tiles_of(grid)
+    if not len(corners):  # a volume has a tile at least
+        corners, values = np.zeros((1, 3), np.int32), np.zeros((1, *values.shape[1:]), np.float32)
+    scalar = is_scalar(grid)
+    first = wp.array(corners, dtype=wp.vec3i, device=device)
+    volume = wp.Volume.allocate_by_tiles(first, 1.0, 0.0 if scalar else wp.vec3(), device=device)
+    numbers = np.ascontiguousarray(values, np.float32).reshape(-1, *values.shape[4:])
+    stored = wp.array(numbers, dtype=float if scalar else wp.vec3, device=device)
+    kernel = store_numbers if scalar else store_vectors
+    load_module(kernel, device)
+    wp.launch(kernel, len(numbers), [volume.id, first, stored], device=device)
+    return volume
+
+
+@wp.func
+def _voxel(corners: wp.array(dtype=wp.vec3i), i: int) -> wp.vec3i:
+    """Indices of value `i` of all tiles."""
+    corner = corners[i / wp.static(TILE**3)]
+    at = i % wp.static(TILE**3)
+    return corner + wp.vec3i(at / wp.static(TILE**2), (at / wp.static(TILE)) % wp.static(TILE), at % wp.static(TILE))
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def store_numbers(volume: wp.uint64, corners: wp.array(dtype=wp.vec3i), values: wp.array(dtype=float)):
+    """Write values of tiles to a volume that has them."""
+    i = wp.tid()
+    at = _voxel(corners, i)
+    wp.volume_store(volume, at[0], at[1], at[2], values[i])
+
+
+@wp.kernel(**KERNEL_OPTIONS)
+def store_vectors(volume: wp.uint64, corners: wp.array(dtype=wp.vec3i), values: wp.array(dtype=wp.vec3)):
+    """The same for vectors."""
+    i = wp.tid()
+    at = _voxel(corners, i)
+    wp.volume_store(volume, at[0], at[1], at[2], values[i])
 
 
 def upload_grids(scene: Scene, inputs: InputData, device: wp.Device, cache: GridCache) -> list[wp.Volume]:
@@ -57,7 +93,7 @@ def upload_grids(scene: Scene, inputs: InputData, device: wp.Device, cache: Grid
         return []
     keys: dict[int, tuple[str, bytes]] = {}  # by identity of the values
     for mesh in scene.meshes:
-        keys |= {id(grid.values): grid_key(grid.values, device) for grid in mesh.grids if id(grid.values) not in keys}
+        keys |= {id(grid.values): grid_key(grid, device) for grid in mesh.grids if id(grid.values) not in keys}
     cache.keep_only(keys.values())
     uploaded: dict[int, wp.Volume] = {}
     shape = (len(scene.meshes), max(len(scene.attributes), 1))
@@ -69,10 +105,9 @@ def upload_grids(scene: Scene, inputs: InputData, device: wp.Device, cache: Grid
             if not columns:
                 continue
             if id(grid.values) not in uploaded:
-                values = np.ascontiguousarray(grid.values, np.float32)
-                uploaded[id(grid.values)] = cache.get(keys[id(grid.values)], values, device)
+                uploaded[id(grid.values)] = cache.get(keys[id(grid.values)], grid, device)
             first[row, columns] = GRID_NUMBERS * len(numbers)
-            layout[row, columns] = 1 if grid.values.ndim == 3 else 3
+            layout[row, columns] = 1 if is_scalar(grid) else 3
             address = np.array([uploaded[id(grid.values)].id], np.uint64).view(np.float32)
             numbers.append(np.concatenate([address, np.asarray(grid.to_index, np.float32).ravel()]))
     inputs.attribute_row = wp.array(np.asarray(scene.instances.mesh, np.int32), dtype=int, device=device)

@@ -2,9 +2,9 @@
 
 It stands before the stages at surfaces and of the background, and takes the place of that of lights on the way.
 
-Where a medium is the same everywhere, light is looked for along each piece of a ray, from one point of it, before it is
-decided whether the path scatters there: the shadow ray takes a turn of its own. In thin media light would else be
-looked for by the few paths alone that scatter.
+Light is looked for along each piece of a ray, from one point of it, whether the path scatters there or not: in thin
+media light would else be looked for by the few paths alone that scatter. Where the path passes, the shadow ray takes a
+turn of its own.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ...shading.segments import make_surface_point
 from ...shading.sequences.keys import DIMENSIONS_PER_BOUNCE
 from ...shading.sequences.sampler import make_sampler
 from ...shading.surface import material_at
-from ...shading.volumes.numbers import CHANNEL, LENGTH, LIGHTS, piece_dimension, stream_of
+from ...shading.volumes.numbers import CHANNEL, LENGTH, LIGHTS, LIT_CHANNEL, LIT_LENGTH, piece_dimension, stream_of
 from ...shading.volumes.phase import PhaseLobe
 from ..catchers.copies import is_in_vacuum
 from ..passes.light import add_to_group, make_add_light
@@ -36,27 +36,19 @@ from ..stages.limits import PathLimits, clamped, has_light
 from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light
 from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork
-from .along import lit_length
+from .along import Sought, sought_in_bounds, sought_in_constant, towards_light
 from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
-from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, has_program, make_medium, passes
-from .segment import make_segment, ray_point, scattering_shares
+from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, has_program, make_medium
+from .segment import constant_way, ray_point, scattering_shares
 from .table import AIMED, BACK, FARTHEST, FRONT, GOES_ON, IN_VACUUM, VolumeData, innermost_instance, is_empty
-from .track import STOPPED
-from .vertex import AIM, SCATTER, make_scattered
+from .track import SCATTERED, STOPPED, Track, make_track
+from .vertex import make_aim_in_volume, make_scattered
 
 RAY_NEW, ENDED, HIT, INSIDE = int(Status.RAY_NEW), int(Status.ENDED), int(Status.HIT), int(Status.INSIDE)
 STRAIGHT, SHADOW_NEW = int(Status.STRAIGHT), int(Status.SHADOW_NEW)
 # Pieces of a path's way: more of them are rays that go round in a circle between two surfaces
 SEGMENTS_MOST = 1 << 16
-
-# How near to a ray a light is taken to be at least, in shares of its distance
-_ASIDE_LEAST = 1e-5
-
-
-@wp.func
-def _never(volumes: VolumeData, inside: wp.vec4i) -> bool:
-    return False
 
 
 @functools.cache
@@ -68,10 +60,10 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
     pixel_key = sampler.pixel_key
     sample_1d = sampler.sample_1d
     surface_point = make_surface_point(features.instancing, features.smooth_normals, features.curves, features.moving)
-    segment = make_segment(features.volume_program)
-    changes = has_program if features.volume_program else _never
+    track = make_track(features.volume_program)
     lights_ahead = make_lights_ahead(features)
     miss = make_light_hits(narrow(features, LightHitFeatures)).miss
+    aim = make_aim_in_volume(features)
     scattered = make_scattered(features)
     choose_light = make_choose_light(narrow(features, AimFeatures))
     add_light = make_add_light(features.splits_light, features.light_groups)
@@ -89,62 +81,6 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             add_to_group(paths, path, added, group)
 
     @wp.func
-    def lit_along(
-        data: SceneData,
-        volumes: VolumeData,
-        limits: PathLimits,
-        paths: Paths,
-        rays: Rays,
-        path: int,
-        v: Vertex,
-        inside: wp.vec4i,
-        length: float,
-        lobes: wp.array(dtype=PhaseLobe),
-    ) -> bool:
-        """Look for light from a point of the piece of `length` [m] ahead; False where there is nothing to be lit. The
-        path waits for a shadow ray then, and is as it was.
-        """
-        origin = rays.origin[path]
-        direction = -v.wo
-        m = constant_medium(volumes, inside, ray_point(origin, direction, 0, 0, 0.0), lobes)
-        throughput = paths.throughput[path]
-        reach = wp.min(length, wp.static(FARTHEST))
-        if not (wp.dot(throughput, m.scattering) > 0.0 and reach > 0.0):
-            return False
-        shares = scattering_shares(throughput, m.scattering, m.extinction)
-        nearest = float(0.0)
-        aside = float(0.0)
-        if wp.static(has_places):
-            # a light that is chosen halfway, or one free path ahead
-            ahead = wp.min(0.5 * reach, 1.0 / wp.max(wp.dot(shares, m.extinction), 1.0e-30))
-            v.surface.position = origin + ahead * direction
-            light = choose_light(data, paths, path, v)
-            if light.pdf > 0.0 and light.distance < wp.inf:
-                way = light.distance * light.direction
-                nearest = ahead + wp.dot(way, direction)
-                far = wp.length(wp.cross(way, direction))
-                aside = wp.max(far, wp.static(_ASIDE_LEAST) * (ahead + light.distance))
-        piece = v.dimension - wp.uint32(wp.static(LIGHTS))
-        u = wp.vec2(
-            sample_1d(v.key, v.where.sample, piece + wp.uint32(wp.static(CHANNEL))),
-            sample_1d(v.key, v.where.sample, piece + wp.uint32(wp.static(LENGTH))),
-        )
-        found = lit_length(m.extinction, shares, reach, nearest, aside, u)
-        if not found[1] > 0.0:
-            return False
-        v.surface.position = origin + found[0] * direction
-        carried = wp.cw_mul(throughput, wp.cw_mul(m.scattering, passes(m.extinction, found[0]))) / found[1]
-        sent = scattered(data, volumes, limits, paths, rays, path, v, inside, carried, wp.static(AIM), m, lobes)
-        paths.throughput[path] = throughput
-        if (sent & wp.static(SHADOW_NEW)) == 0:
-            return False
-        # the shadow ray comes from behind one scattering more
-        paths.passed[path] = paths.passed[path] + 1
-        paths.status[path] = paths.status[path] | wp.static(SHADOW_NEW | STRAIGHT)
-        volumes.state.lit[path] = volumes.state.lit[path] | wp.static(AIMED)
-        return True
-
-    @wp.func
     def side_of(data: SceneData, volumes: VolumeData, paths: Paths, rays: Rays, path: int) -> int:
         """The side of the surface that the path came to; FRONT where the other side is the same to it."""
         instance = rays.hit_instance[path]
@@ -154,6 +90,27 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             return wp.static(FRONT)
         surface = surface_point(data.geometry, instance, primitive, rays.hit_uv[path], time_of(rays, path))
         return wp.where(wp.dot(surface.geometric_normal, rays.direction[path]) > 0.0, wp.static(BACK), wp.static(FRONT))
+
+    @wp.func
+    def seek(data: SceneData, paths: Paths, path: int, v: Vertex, origin: wp.vec3, sought: Sought) -> Sought:
+        """`sought` by the light that is chosen from its middle."""
+        result = sought
+        if wp.static(has_places):
+            v.surface.position = origin - sought.middle * v.wo
+            light = choose_light(data, paths, path, v)
+            if light.pdf > 0.0 and light.distance < wp.inf:
+                result = towards_light(sought, light.distance * light.direction, -v.wo)
+        return result
+
+    @wp.func
+    def reach_end(data: SceneData, volumes: VolumeData, paths: Paths, rays: Rays, path: int, status: int):
+        """What the path's ray met is next; `status`: the path's."""
+        if rays.hit_instance[path] >= 0:
+            volumes.state.side[path] = side_of(data, volumes, paths, rays, path)
+        over = volumes.state.segment[path] >= wp.static(SEGMENTS_MOST)
+        if (bounce_of(status) > 0 and not has_light(paths.throughput[path])) or over:
+            status = status | wp.static(ENDED)
+        paths.status[path] = status
 
     @wp.func
     def scatter(
@@ -174,15 +131,21 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
             length = rays.hit_t[path]
         floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
+        lit_floats = wp.zeros(wp.static(LOBES_MOST * LOBE_FLOATS), dtype=float)
+        lit_lobes = wp.array(ptr=address_of(lit_floats), shape=(wp.static(LOBES_MOST),), dtype=PhaseLobe)
         bounce = bounce_of(status)
-        is_lit = bool(False)
         goes_on = (volumes.state.lit[path] & wp.static(GOES_ON)) != 0
         if (volumes.state.lit[path] & wp.static(AIMED)) != 0:
-            # light has been looked for along this piece
-            is_lit = True
+            # a shadow ray is back
             paths.passed[path] = paths.passed[path] - 1
             status = status & wp.static(~STRAIGHT)
             paths.status[path] = status
+            # those from behind this piece have other random numbers
+            volumes.state.segment[path] = volumes.state.segment[path] + 1
+            volumes.state.lit[path] = volumes.state.lit[path] & wp.static(GOES_ON)
+            if not goes_on:
+                reach_end(data, volumes, paths, rays, path, status)
+                return
         passed = paths.passed[path] & wp.static(SHADOW_PASS - 1)
         before = paths.passed_t[path]
         throughput = paths.throughput[path]
@@ -209,30 +172,50 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         v.side = wp.uint32(VOLUME_SIDE)
         if wp.static(features.light_links):
             v.receiver = receiver_of(data.lights, innermost_instance(inside, volumes.volume_count))
-        tasks = int(wp.static(AIM | SCATTER))
-        if wp.static(features.shadow_rays):
-            if not empty and not changes(volumes, inside):
-                tasks = int(wp.static(SCATTER))
-                if not is_lit and scatters and is_aimed(data.lights, limits, v):
-                    v.dimension = piece_dimension(number) + wp.uint32(wp.static(LIGHTS))
-                    if lit_along(data, volumes, limits, paths, rays, path, v, inside, length, lobes):
-                        return
-                    # where the path scatters must not depend on why no shadow ray was sent
-                    number += 1
-                    volumes.state.segment[path] = number + 1
-
         volumes.state.lit[path] = 0
         event = int(0)
         reach = length
         left = throughput
         medium = Coefficients()
+        sent = int(0)
         if not empty:
             dimension = piece_dimension(number)
-            u = wp.vec2(
-                sample_1d(key, where.sample, dimension + wp.uint32(wp.static(CHANNEL))),
-                sample_1d(key, where.sample, dimension + wp.uint32(wp.static(LENGTH))),
-            )
-            way = segment(volumes, inside, begin, length, throughput, scatters, u, stream, lobes)
+            v.dimension = dimension + wp.uint32(wp.static(LIGHTS))
+            seeks = bool(False)
+            if wp.static(features.shadow_rays):
+                seeks = scatters and is_aimed(data.lights, limits, v)
+            way = Track()
+            far = wp.min(length, wp.static(FARTHEST))
+            sought = Sought()
+            changes = bool(False)
+            if wp.static(bool(features.volume_program)):
+                changes = has_program(volumes, inside)
+            if changes:
+                if wp.static(bool(features.volume_program)):
+                    if seeks:
+                        sought = sought_in_bounds(volumes, inside, origin, direction, begin.time, far)
+                        sought = seek(data, paths, path, v, origin, sought)
+                    way = track(
+                        volumes, inside, begin, far, throughput, scatters, seeks, sought, stream, lobes, lit_lobes
+                    )
+            else:
+                m = constant_medium(volumes, inside, begin, lobes)
+                u = wp.vec2(
+                    sample_1d(key, where.sample, dimension + wp.uint32(wp.static(CHANNEL))),
+                    sample_1d(key, where.sample, dimension + wp.uint32(wp.static(LENGTH))),
+                )
+                u_lit = wp.vec2(0.0, 0.0)
+                seeks = seeks and wp.dot(throughput, m.scattering) > 0.0
+                if seeks:
+                    u_lit = wp.vec2(
+                        sample_1d(key, where.sample, dimension + wp.uint32(wp.static(LIT_CHANNEL))),
+                        sample_1d(key, where.sample, dimension + wp.uint32(wp.static(LIT_LENGTH))),
+                    )
+                    mean = wp.dot(scattering_shares(throughput, m.scattering, m.extinction), m.extinction)
+                    sought = seek(data, paths, path, v, origin, sought_in_constant(mean, far))
+                    for k in range(m.lobes):
+                        lit_lobes[k] = lobes[k]
+                way = constant_way(m, far, throughput, scatters, seeks, sought, u_lit, u)
             medium = way.medium
             event = way.event
             if event != 0:
@@ -251,6 +234,16 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                     group = group_of(data.lights, owner)
             if emits:
                 gather(limits, paths, path, wp.cw_mul(throughput, way.emitted), bounce, group)
+            if wp.static(features.shadow_rays):
+                carried = wp.cw_mul(throughput, way.lit.weight)
+                if has_light(carried):
+                    v.surface.position = origin + way.lit.length * direction
+                    sent = aim(data, volumes, limits, paths, rays, path, v, inside, carried, way.lit.medium, lit_lobes)
+                    if event != wp.static(SCATTERED) and sent != 0:
+                        # it comes from behind one scattering more
+                        sent = wp.static(SHADOW_NEW | STRAIGHT)
+                        paths.passed[path] = paths.passed[path] + 1
+                        volumes.state.lit[path] = wp.static(AIMED)
 
         if wp.static(features.light_hits):
             ahead = Way()
@@ -289,15 +282,16 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
                         of_group = clamped(limits, of_group, bounce)
                     add_to_group(paths, path, of_group, of)
 
+        status = status | sent
         if event == 0:
-            if hit:
-                volumes.state.side[path] = side_of(data, volumes, paths, rays, path)
             paths.throughput[path] = left
-            if (bounce > 0 and not has_light(left)) or number >= wp.static(SEGMENTS_MOST):
-                paths.status[path] = status | wp.static(ENDED)
+            if sent != 0:
+                paths.status[path] = status
+            else:
+                reach_end(data, volumes, paths, rays, path, status)
             return
         if event == wp.static(STOPPED):
-            volumes.state.lit[path] = wp.static(GOES_ON)
+            volumes.state.lit[path] = volumes.state.lit[path] | wp.static(GOES_ON)
             paths.throughput[path] = left
             paths.passed_t[path] = before + reach
             rays.origin[path] = origin + reach * direction
@@ -311,6 +305,6 @@ def make_scatter(features: VolumeFeatures) -> wp.Function:
         volumes.state.scattered[path] = volumes.state.scattered[path] + 1
         v.dimension = wp.uint32(bounce + passed) * wp.uint32(DIMENSIONS_PER_BOUNCE)
         v.surface.position = origin + reach * direction
-        paths.status[path] = scattered(data, volumes, limits, paths, rays, path, v, inside, left, tasks, medium, lobes)
+        paths.status[path] = sent | scattered(volumes, limits, paths, rays, path, v, left, medium, lobes)
 
     return scatter

@@ -12,9 +12,10 @@ from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.bsdf.subsurface import channel_shares
 from ...shading.volumes.phase import PhaseLobe
-from .medium import LOBE_FLOATS, LOBES_MOST, has_program, make_medium, passes
+from .along import Sought, lit_length
+from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, has_program, make_medium, passes
 from .table import FARTHEST, VolumeData
-from .track import PASSED, SCATTERED, Track, make_track, make_transmitted
+from .track import SCATTERED, Track, make_transmitted
 
 # Depths below which 1 - exp(-x) is x, to rounding
 _SHALLOW = 1e-4
@@ -77,70 +78,53 @@ def scattering_shares(throughput: wp.vec3, scattering: wp.vec3, extinction: wp.v
     return channel_shares(throughput, albedo)
 
 
-@functools.cache
-def make_segment(programs: ProgramFeatures) -> wp.Function:
-    """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, throughput: vec3, scatters: bool, u: vec2,
-    stream: uint32, lobes: array of PhaseLobe) -> Track: the way of light of `throughput` from `point` on, which ends at
-    the latest after `length` [m]. `u` decides the channel and the length where coefficients are constant. Where it
-    scatters, `lobes` are those that are there.
+@wp.func
+def constant_way(
+    m: Coefficients,
+    length: float,
+    throughput: wp.vec3,
+    scatters: bool,
+    seeks: bool,
+    sought: Sought,
+    u_lit: wp.vec2,
+    u: wp.vec2,
+) -> Track:
+    """The way of light of `throughput` through a medium that is the same everywhere, `length` [m] at most: sampled by
+    one channel, weighed by all of them. `u` decides the channel and the length, `u_lit` the same of the point from
+    which light is looked for, if it `seeks` one; the lobes are the same everywhere.
     """
-    medium = make_medium(ProgramFeatures())
-    track = make_track(programs)
-
-    @wp.func
-    def constant(m_scattering: wp.vec3, extinction: wp.vec3, length: float, throughput: wp.vec3, u: wp.vec2) -> Track:
-        """The way through a medium that is the same everywhere: sampled by one channel, weighed by all of them."""
-        way = Track()
-        shares = scattering_shares(throughput, m_scattering, extinction)
-        chosen = extinction[2]
+    way = Track()
+    way.length = length
+    shares = scattering_shares(throughput, m.scattering, m.extinction)
+    if seeks and length > 0.0 and wp.dot(throughput, m.scattering) > 0.0:
+        found = lit_length(m.extinction, shares, length, sought, u_lit)
+        if found[1] > 0.0:
+            way.lit.length = found[0]
+            way.lit.weight = wp.cw_mul(m.scattering, passes(m.extinction, found[0])) / found[1]
+            way.lit.medium = m
+    if scatters and m.lobes > 0:
+        chosen = m.extinction[2]
         if u[0] < shares[0]:
-            chosen = extinction[0]
+            chosen = m.extinction[0]
         elif u[0] < shares[0] + shares[1]:
-            chosen = extinction[1]
+            chosen = m.extinction[1]
         # the middle of the numbers that u stands for, so that no flight has length 0
         flight = float(wp.static(FARTHEST))
         if chosen > 0.0:
             flight = -wp.log(1.0 - u[1] - wp.static(0.5 * UNIT_ROUNDOFF)) / chosen
         if flight < length:
-            left = passes(extinction, flight)
-            density = wp.dot(shares, wp.cw_mul(extinction, left))
-            way.weight = wp.cw_mul(m_scattering, left) / wp.max(density, 1.0e-30)
+            left = passes(m.extinction, flight)
+            density = wp.dot(shares, wp.cw_mul(m.extinction, left))
+            way.weight = wp.cw_mul(m.scattering, left) / wp.max(density, 1.0e-30)
             way.length = flight
             way.event = wp.static(SCATTERED)
-        else:
-            left = passes(extinction, length)
-            way.weight = left / wp.max(wp.dot(shares, left), 1.0e-30)
-            way.length = length
-            way.event = wp.static(PASSED)
-        return way
-
-    @wp.func
-    def segment(
-        volumes: VolumeData,
-        inside: wp.vec4i,
-        point: ShadingPoint,
-        length: float,
-        throughput: wp.vec3,
-        scatters: bool,
-        u: wp.vec2,
-        stream: wp.uint32,
-        lobes: wp.array(dtype=PhaseLobe),
-    ) -> Track:
-        reach = wp.min(length, wp.static(FARTHEST))
-        if wp.static(bool(programs)):
-            if has_program(volumes, inside):
-                return track(volumes, inside, point, reach, throughput, scatters, stream, lobes)
-        m = medium(volumes, inside, point, lobes)
-        way = Track()
-        if scatters and m.lobes > 0:
-            way = constant(m.scattering, m.extinction, reach, throughput, u)
             way.medium = m
         else:
-            way.weight = passes(m.extinction, reach)
-            way.length = reach
-        for axis in range(3):
-            if m.emission[axis] > 0.0:
-                way.emitted[axis] = m.emission[axis] * _light_along(m.extinction[axis], reach)
-        return way
-
-    return segment
+            left = passes(m.extinction, length)
+            way.weight = left / wp.max(wp.dot(shares, left), 1.0e-30)
+    else:
+        way.weight = passes(m.extinction, length)
+    for axis in range(3):
+        if m.emission[axis] > 0.0:
+            way.emitted[axis] = m.emission[axis] * _light_along(m.extinction[axis], length)
+    return way

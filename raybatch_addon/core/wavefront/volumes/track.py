@@ -5,6 +5,10 @@ Transmittance is estimated by the ratio of the null part to the bound at each of
 Selle and Jarosz, "Residual Ratio Tracking for Estimating Attenuation in Participating Media", 2014), distances to a
 scattering by a choice that the light carried so far decides (Kutz, Habel, Li and Novák, "Spectral and Decomposition
 Tracking for Rendering Heterogeneous Volumes", 2017).
+
+Light is looked for from one of the points where flights of a path ended before it scattered, or from one more that was
+sought by a light: each counts by the density of both together (flights end with that of the bound), and one is drawn by
+what it is expected to bring.
 """
 
 from __future__ import annotations
@@ -16,8 +20,10 @@ import warp as wp
 from ...programs.point import ShadingPoint
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
-from ...shading.volumes.numbers import stream_number
+from ...shading.sequences.keys import mix_bits
+from ...shading.volumes.numbers import LIT_STREAM, stream_number
 from ...shading.volumes.phase import PhaseLobe
+from .along import Sought, density_by_light, length_by_light
 from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, bound_ahead, make_medium
 from .table import VolumeData
 
@@ -31,6 +37,15 @@ _LENGTH_LEAST = 1e-30
 
 
 @wp.struct
+class Lit:
+    """A point of a way from which light is looked for."""
+
+    length: float  # from the begin of the way [m]
+    weight: wp.vec3  # what light that is scattered there counts, the scattering coefficient in it; 0: there is no point
+    medium: Coefficients  # at the point
+
+
+@wp.struct
 class Track:
     """Where a way through volumes ends."""
 
@@ -39,6 +54,7 @@ class Track:
     emitted: wp.vec3  # by the volumes on the way, as seen from its begin [W/(m² sr)]
     event: int  # SCATTERED, PASSED, or STOPPED: the way goes on from here
     medium: Coefficients  # where it scattered
+    lit: Lit
 
 
 PASSED, SCATTERED, STOPPED = 0, 1, 2
@@ -103,11 +119,30 @@ def make_transmitted(programs: ProgramFeatures) -> wp.Function:
     return transmitted
 
 
+@wp.func
+def _sought_length(sought: Sought, u: float) -> float:
+    """A point by the distance of a light; anywhere where no light has a place, or it is far off [m]."""
+    if sought.angle > 0.0:
+        return length_by_light(sought, u)
+    return sought.first + u * (sought.last - sought.first)
+
+
+@wp.func
+def _sought_density(sought: Sought, t: float) -> float:
+    """Density of `_sought_length` at `t` [1/m]."""
+    if sought.angle > 0.0:
+        return density_by_light(sought, t)
+    if t < sought.first or t > sought.last:
+        return 0.0
+    return 1.0 / (sought.last - sought.first)
+
+
 @functools.cache
 def make_track(programs: ProgramFeatures) -> wp.Function:
-    """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, throughput: vec3, scatters: bool, stream:
-    uint32, lobes: array of PhaseLobe) -> Track: the way of light of `throughput` from `point` on, which ends at the
-    latest after `length` [m]. Where it scatters, `lobes` are those that are there.
+    """Function (volumes, inside: vec4i, point: ShadingPoint, length: float, throughput: vec3, scatters: bool, seeks:
+    bool, sought: Sought, stream: uint32, lobes: array of PhaseLobe, lit_lobes: array of PhaseLobe) -> Track: the way of
+    light of `throughput` from `point` on, which ends at the latest after `length` [m]. Where it scatters, `lobes` are
+    those that are there; `lit_lobes` are those of the point from which light is looked for, if it `seeks` one.
     """
     medium = make_medium(programs)
 
@@ -119,13 +154,23 @@ def make_track(programs: ProgramFeatures) -> wp.Function:
         length: float,
         throughput: wp.vec3,
         scatters: bool,
+        seeks: bool,
+        sought: Sought,
         stream: wp.uint32,
         lobes: wp.array(dtype=PhaseLobe),
+        lit_lobes: wp.array(dtype=PhaseLobe),
     ) -> Track:
         direction = -point.incoming
         begin = point.position
         way = Track()
         way.weight = wp.vec3(1.0)
+        way.length = length
+        lit_stream = mix_bits(stream + wp.uint32(wp.static(LIT_STREAM)))
+        searches = seeks and sought.last > sought.first
+        ahead = float(wp.inf)  # the point that is sought, until it has been passed [m]
+        if searches:
+            ahead = _sought_length(sought, stream_number(lit_stream, wp.uint32(0)))
+        expected = float(0.0)  # of all points so far
         t = float(0.0)
         number = wp.uint32(0)
         flights = int(0)
@@ -133,54 +178,78 @@ def make_track(programs: ProgramFeatures) -> wp.Function:
             if flights >= wp.static(FLIGHTS_MOST):
                 way.event = wp.static(STOPPED)
                 way.length = t
-                return way
+                break
             flights += 1
             here = begin + t * direction
             reach = bound_ahead(volumes, inside, here, direction, point.time)
             end = wp.min(t + reach.length, length)
+            # a flight that comes to the point that is sought goes on from there as if it had begun there
+            is_ahead = ahead >= t and ahead < end
+            if is_ahead:
+                end = ahead
             flight = float(wp.inf)
             if reach.bound > 0.0:
                 flight = -wp.log(1.0 - stream_number(stream, number)) / reach.bound
             number += wp.uint32(1)
-            if not t + flight < end:
-                if not end > t:
+            collides = t + flight < end
+            if not collides:
+                if not (end > t or is_ahead):
                     break
                 t = end
+                if is_ahead:
+                    ahead = wp.inf
             else:
                 t += wp.max(flight, wp.static(_LENGTH_LEAST))
+            if collides or (is_ahead and reach.bound > 0.0):
                 point.position = begin + t * direction
                 m = medium(volumes, inside, point, lobes)
                 carried = wp.cw_mul(throughput, way.weight)
                 most = _most(m, reach.bound)
-                way.emitted += wp.cw_mul(way.weight, m.emission) / most
                 scattered = m.scattering / most
-                null = wp.vec3(0.0)
-                for axis in range(3):
-                    null[axis] = wp.max(1.0 - m.extinction[axis] / most, 0.0)
-                likely = wp.dot(carried, scattered)
-                total = likely + wp.dot(carried, null)
-                chance = float(0.0)
-                if scatters and total > 0.0:
-                    chance = likely / total
-                if stream_number(stream, number) < chance:
-                    way.weight = wp.cw_mul(way.weight, scattered) / chance
-                    way.event = wp.static(SCATTERED)
-                    way.length = t
-                    way.medium = m
-                    return way
-                way.weight = wp.cw_mul(way.weight, null) / (1.0 - chance)
-                number += wp.uint32(1)
-                largest = wp.max(way.weight[0], wp.max(way.weight[1], way.weight[2]))
-                if not largest > 0.0:
-                    break
-                if largest < wp.static(_ROULETTE_BELOW):
-                    survival = largest / wp.static(_ROULETTE_BELOW)
-                    if stream_number(stream, number) >= survival:
-                        way.weight = wp.vec3(0.0)
+                if seeks and m.lobes > 0:
+                    share = float(1.0)
+                    worth = float(1.0)
+                    if searches:
+                        density = _sought_density(sought, t)
+                        share = reach.bound / (reach.bound + density)
+                        worth = 1.0 + density * (sought.last - sought.first)
+                    value = share * worth * wp.dot(carried, scattered)
+                    expected += value
+                    if stream_number(lit_stream, number) * expected < value:
+                        way.lit.length = t
+                        way.lit.weight = share * wp.cw_mul(way.weight, scattered) / value
+                        way.lit.medium = m
+                        for k in range(m.lobes):
+                            lit_lobes[k] = lobes[k]
+                if collides:
+                    way.emitted += wp.cw_mul(way.weight, m.emission) / most
+                    null = wp.vec3(0.0)
+                    for axis in range(3):
+                        null[axis] = wp.max(1.0 - m.extinction[axis] / most, 0.0)
+                    likely = wp.dot(carried, scattered)
+                    total = likely + wp.dot(carried, null)
+                    chance = float(0.0)
+                    if scatters and total > 0.0:
+                        chance = likely / total
+                    if stream_number(stream, number) < chance:
+                        way.weight = wp.cw_mul(way.weight, scattered) / chance
+                        way.event = wp.static(SCATTERED)
+                        way.length = t
+                        way.medium = m
                         break
-                    way.weight = way.weight / survival
+                    way.weight = wp.cw_mul(way.weight, null) / (1.0 - chance)
                     number += wp.uint32(1)
-        way.length = length
+                    largest = wp.max(way.weight[0], wp.max(way.weight[1], way.weight[2]))
+                    if not largest > 0.0:
+                        break
+                    if largest < wp.static(_ROULETTE_BELOW):
+                        survival = largest / wp.static(_ROULETTE_BELOW)
+                        if stream_number(stream, number) >= survival:
+                            way.weight = wp.vec3(0.0)
+                            break
+                        way.weight = way.weight / survival
+                        number += wp.uint32(1)
+        way.lit.weight = expected * way.lit.weight
         return way
 
     return track

@@ -18,7 +18,7 @@ from ..passes.light import divide_volume_ray
 from ..rays import BOUNCE_SHIFT, SHADOW_PASS, VISIBILITY_SHIFT, Paths, Status, note_density, note_receiver
 from ..scene.scene_data import SceneData
 from ..stages.limits import PathLimits, has_light, survival_of
-from ..stages.surface.aim import AimFeatures, is_aimed, make_choose_light
+from ..stages.surface.aim import AimFeatures, make_choose_light
 from ..stages.surface.connect_light import make_connect_light
 from ..stages.surface.history import DEPTHS
 from ..stages.surface.vertex import Vertex
@@ -29,24 +29,19 @@ from .table import VolumeData
 RAY_NEW, ENDED = int(Status.RAY_NEW), int(Status.ENDED)
 # The kind of ray that scattering in a volume makes, as objects and programs see it
 _SEEN_BY = int(Visibility.VOLUME_SCATTER)
-# What is done at a vertex
-AIM, SCATTER = 1, 2
 
 
 @functools.cache
-def make_scattered(features: VolumeFeatures) -> wp.Function:
-    """Function (data, volumes, limits, paths, rays, path: int, v: Vertex, inside: vec4i, throughput: vec3, tasks: int,
-    m: Coefficients, lobes: array of PhaseLobe) -> int: looks for light at `v` (AIM), scatters the path there (SCATTER),
-    and returns its status. `m` and `lobes` are what is there.
+def make_aim_in_volume(features: VolumeFeatures) -> wp.Function:
+    """Function (data, volumes, limits, paths, rays, path: int, v: Vertex, inside: vec4i, throughput: vec3, m:
+    Coefficients, lobes: array of PhaseLobe) -> int: looks for light at `v`, for a path of `throughput`; the status bit
+    that submits a shadow ray, or 0. `m` and `lobes` are what is there. The throughput of the path is another then.
     """
-    sampler = make_sampler(features.sample_sequence)
-    sample_1d = sampler.sample_1d
-    sample_3d = sampler.sample_3d
     choose_light = make_choose_light(narrow(features, AimFeatures))
     connect_light = make_connect_light(narrow(features, type(features).__base__), in_volume=True)
 
     @wp.func
-    def scattered(
+    def aim_in_volume(
         data: SceneData,
         volumes: VolumeData,
         limits: PathLimits,
@@ -56,29 +51,51 @@ def make_scattered(features: VolumeFeatures) -> wp.Function:
         v: Vertex,
         inside: wp.vec4i,
         throughput: wp.vec3,
-        tasks: int,
         m: Coefficients,
         lobes: wp.array(dtype=PhaseLobe),
     ) -> int:
-        direction = -v.wo
+        light = choose_light(data, paths, path, v)
+        if not light.pdf > 0.0:
+            return 0
+        seen = phase_sum(lobes, m, throughput, wp.dot(-v.wo, light.direction))
+        value = BsdfValue()
+        value.value = seen.value
+        value.pdf = seen.pdf
         paths.throughput[path] = throughput
         paths.passed[path] = v.passed + v.passed * wp.static(SHADOW_PASS)
         if paths.shadow_history.shape[0] > 0:
             paths.shadow_history[path] = paths.history[path]
+        volumes.state.shadow_inside[path] = inside
+        volumes.state.shadow_segment[path] = 0
+        return connect_light(limits, paths, rays, path, v, light, value)
+
+    return aim_in_volume
+
+
+@functools.cache
+def make_scattered(features: VolumeFeatures) -> wp.Function:
+    """Function (volumes, limits, paths, rays, path: int, v: Vertex, throughput: vec3, m: Coefficients, lobes: array of
+    PhaseLobe) -> int: scatters a path of `throughput` at `v`, and returns its status. `m` and `lobes` are what is
+    there.
+    """
+    sampler = make_sampler(features.sample_sequence)
+    sample_1d = sampler.sample_1d
+    sample_3d = sampler.sample_3d
+
+    @wp.func
+    def scattered(
+        volumes: VolumeData,
+        limits: PathLimits,
+        paths: Paths,
+        rays: Rays,
+        path: int,
+        v: Vertex,
+        throughput: wp.vec3,
+        m: Coefficients,
+        lobes: wp.array(dtype=PhaseLobe),
+    ) -> int:
+        direction = -v.wo
         status = v.status
-        if wp.static(features.shadow_rays):
-            if (tasks & wp.static(AIM)) != 0 and is_aimed(data.lights, limits, v):
-                light = choose_light(data, paths, path, v)
-                if light.pdf > 0.0:
-                    seen = phase_sum(lobes, m, throughput, wp.dot(direction, light.direction))
-                    value = BsdfValue()
-                    value.value = seen.value
-                    value.pdf = seen.pdf
-                    status = status | connect_light(limits, paths, rays, path, v, light, value)
-                    volumes.state.shadow_inside[path] = inside
-                    volumes.state.shadow_segment[path] = 0
-        if (tasks & wp.static(SCATTER)) == 0:
-            return status
         u = sample_3d(v.key, v.where.sample, v.dimension + wp.uint32(BSDF))
         cosine = phase_sample(lobes, m, throughput, u[2], u[0])
         new = to_world(

@@ -10,6 +10,7 @@ import warp as wp
 from ...scene.features import SceneFeatures, narrow
 from .cross import cross_kernel, enter_kernel
 from .features import VolumeFeatures
+from .grids import store_numbers, store_vectors
 from .kernels import bound_kernel, transmit_kernel, volume_kernel
 from .table import MediaState, VolumeData
 
@@ -23,6 +24,8 @@ class VolumeKernels:
     cross: wp.Kernel
     transmit: wp.Kernel
     bound: wp.Kernel | None  # None: no program gives coefficients
+    store_numbers: wp.Kernel | None  # None: no program reads grids
+    store_vectors: wp.Kernel | None
 
     @staticmethod
     def choose(features: SceneFeatures, shading: SceneFeatures) -> VolumeKernels | None:
@@ -30,12 +33,15 @@ class VolumeKernels:
         if not features.volumes:
             return None
         needs = narrow(shading, VolumeFeatures)
+        reads = "volume_attribute" in features.volume_program.ops
         return VolumeKernels(
             enter_kernel,
             volume_kernel(needs),
             cross_kernel(needs.instancing, needs.smooth_normals, needs.curves, needs.moving),
             transmit_kernel(needs),
             bound_kernel(needs) if features.volume_program else None,
+            store_numbers if reads else None,
+            store_vectors if reads else None,
         )
 
     def all(self) -> list[wp.Kernel]:
