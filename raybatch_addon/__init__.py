@@ -35,7 +35,7 @@ def unregister() -> None:
     ui.unregister()
     viewports = sys.modules.get(f"{__name__}.blender.viewport.viewport")
     if viewports is not None:
-        viewports.close_all()
+        viewports.close_viewports()
     sessions = sys.modules.get(f"{__name__}.blender.sessions")  # there if something was rendered
     if sessions is not None:
         sessions.close_all()

@@ -60,8 +60,8 @@ def _make_all() -> None:
         from ..core.wavefront.tier import general_kernels
         from ..export import scene  # noqa: F401 - renders begin with it
         from . import sessions  # noqa: F401
-        from .viewport import viewport  # noqa: F401
         from .kernel_cache import kernel_cache_folder
+        from .viewport import viewport  # noqa: F401
 
         start_warp(kernel_cache_folder())
         device = find_device("cpu")

@@ -61,6 +61,7 @@ def export_camera(
 
 
 def kind_of(camera: bpy.types.Camera, name: str, warnings: list[str]) -> CameraKind:
+    """The projection of `camera`, which messages call `name`."""
     if camera.type == "PANO":
         return panorama_kind(camera, name, warnings)
     if camera.type not in ("PERSP", "ORTHO"):
@@ -113,6 +114,7 @@ def frame_window(
 
 
 def depth_of_field(obj, kind: CameraKind, transform: np.ndarray, depsgraph, name: str, warnings: list[str]) -> dict:
+    """The fields of `Camera` that say what the camera object is sharp for; none where all is sharp."""
     camera = obj.data
     if not camera.dof.use_dof:
         return {}

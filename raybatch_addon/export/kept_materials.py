@@ -62,7 +62,7 @@ class UntouchedMaterials:
             return None
         for kind, what, index in known.asked:
             if kind == "image":
-                if what not in self._images or collections.image(what, lambda: self._images[what]) != index:
+                if what not in self._images or collections.image(what, lambda what=what: self._images[what]) != index:
                     return None
             elif getattr(collections, kind)(*what) != index:
                 return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -29,6 +30,8 @@ from .passes import (
 from .view import View
 from .world import export_world, with_portals
 
+# What earlier exports left is there once, and a viewport may be read while a final render begins on another thread
+reading = threading.RLock()
 # Exponent of the share of mist, by Blender's name
 _MIST_FALLOFFS = {"QUADRATIC": 2.0, "LINEAR": 1.0, "INVERSE_QUADRATIC": 0.5}
 
@@ -41,18 +44,24 @@ def export_scene(
     Returns None if `cancelled()`, which is called at least once for each mesh, returned True. Raises `SceneError` for a
     scene that cannot be rendered: without a camera, or with one that cannot be used.
     """
-    scene, view = depsgraph.scene, view.holding(depsgraph.scene)
+    with reading:
+        return _exported_in_time(depsgraph, cancelled or (lambda: False), view.holding(depsgraph.scene))
+
+
+def _exported_in_time(depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool], view: View) -> Scene | None:
+    """The scene, with the times that it is read at."""
+    scene = depsgraph.scene
     frame = export_frame(scene, depsgraph.view_layer, depsgraph.scene_eval.world)
     warnings: list[str] = []
     exposure = open_time(scene, depsgraph.view_layer, view, warnings)
     beside = neighbours(scene, depsgraph.view_layer, view, warnings)
     exposure = exposure or beside
     if exposure is None:
-        return _exported(depsgraph, frame, view, cancelled or (lambda: False), warnings)
+        return _exported(depsgraph, frame, view, cancelled, warnings)
     if exposure.middle != exposure.frame:
         exposure.go_to(0.0)
     try:
-        return _exported(depsgraph, frame, view, cancelled or (lambda: False), warnings, exposure, beside is not None)
+        return _exported(depsgraph, frame, view, cancelled, warnings, exposure, beside is not None)
     finally:
         exposure.go_back()
 

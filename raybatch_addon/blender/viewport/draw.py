@@ -30,9 +30,7 @@ class PictureTexture:
         engine.bind_display_space_shader(scene)
         shader = gpu.shader.from_builtin("IMAGE")
         corners = ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
-        batch = batch_for_shader(
-            shader, "TRI_FAN", {"pos": corners, "texCoord": ((0, 0), (1, 0), (1, 1), (0, 1))}
-        )
+        batch = batch_for_shader(shader, "TRI_FAN", {"pos": corners, "texCoord": ((0, 0), (1, 0), (1, 1), (0, 1))})
         shader.bind()
         shader.uniform_sampler("image", self._texture)
         batch.draw(shader)

@@ -21,7 +21,7 @@ from ...core.settings.settings import RenderSettings
 from ...export.live.edits import updates_of
 from ...export.live.live_scene import LiveScene
 from ...export.live.settings import live_settings, pixel_side
-from ...export.live.view3d import RegionView, camera_of, live_camera, region_view
+from ...export.live.view3d import camera_of, live_camera, region_view
 from ...export.settings import exposure_of
 from ..denoise_library import library_for
 from ..sessions import ViewSessions
@@ -76,7 +76,7 @@ class Viewport:
             return "RayBatch", self._error or state.error
         if not self.live.is_current:
             return "RayBatch", "Reading the scene"
-        return "RayBatch", status_text(state)
+        return "RayBatch", live_status(state)
 
     def close(self) -> None:
         """End soon, without waiting."""
@@ -114,9 +114,7 @@ class Viewport:
         self._exposure = exposure_of(scene)
         self._show(self.live.scene, camera, frame, settings, pixel_side(scene, context.preferences.system.pixel_size))
 
-    def _show(
-        self, scene: Scene, camera: Camera, frame: Frame | None, settings: RenderSettings, side: int
-    ) -> None:
+    def _show(self, scene: Scene, camera: Camera, frame: Frame | None, settings: RenderSettings, side: int) -> None:
         """Have this rendered, unless it is what was asked for last."""
         if frame is None or min(frame.width, frame.height) < 1:
             return
@@ -131,7 +129,7 @@ class Viewport:
         self.render.show(LiveRequest(self._number, whole, settings, side, library_for(settings)))
 
 
-def status_text(state: LiveState) -> str:
+def live_status(state: LiveState) -> str:
     """One line on where a live render stands."""
     samples = f"Sample {int(state.samples)}/{state.samples_total}"
     if not state.stage:
@@ -142,7 +140,7 @@ def status_text(state: LiveState) -> str:
     return samples + memory
 
 
-def close_all(seconds: float = 10.0) -> None:
+def close_viewports(seconds: float = 10.0) -> None:
     """End all viewports, and wait for their threads."""
     viewports = list(_open)
     for viewport in viewports:
@@ -159,8 +157,4 @@ def _values_of(camera: Camera) -> tuple[Any, ...]:
 def _state_of(space: Any) -> tuple[Any, ...]:
     """What of a 3D view decides which objects it shows, and of which Blender tells nobody."""
     kinds = [name for name in space.bl_rna.properties.keys() if name.startswith("show_object_viewport_")]
-    return (
-        space.local_view is not None,
-        space.use_local_collections,
-        tuple(getattr(space, name) for name in kinds),
-    )
+    return (space.local_view is not None, space.use_local_collections, tuple(getattr(space, name) for name in kinds))

@@ -41,7 +41,7 @@ class LivePicture:
         return x * self.side, y * self.side, (x + width) * self.side, (y + height) * self.side
 
 
-class Canvas:
+class TileCanvas:
     """The tiles of a render, put together: all passes of its region."""
 
     def __init__(self, frame: Frame) -> None:

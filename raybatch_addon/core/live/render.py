@@ -17,7 +17,7 @@ from ..film import Film
 from ..measure.snapshot import Snapshot
 from ..observers import Progress, RenderObserver, Tile
 from ..session import Session
-from .picture import Canvas, LivePicture, LiveRequest
+from .picture import LivePicture, LiveRequest, TileCanvas
 from .steps import Pace, coarse
 
 _STAGES = {"build": "Building the scene", "compile": "Compiling kernels", "render": "Rendering"}
@@ -26,9 +26,7 @@ _STAGES = {"build": "Building the scene", "compile": "Compiling kernels", "rende
 class SessionSource(Protocol):
     """Who lends a session to live renders."""
 
-    def session(
-        self, request: LiveRequest, given_up: Callable[[], bool]
-    ) -> AbstractContextManager[Session | None]:
+    def session(self, request: LiveRequest, given_up: Callable[[], bool]) -> AbstractContextManager[Session | None]:
         """The session for `request`, to oneself, as soon as it is free; None once `given_up()`. Raises
         `RayBatchError`.
         """
@@ -166,7 +164,7 @@ class LiveRender:
 
     def _render_coarse(self, session: Session, request: LiveRequest, side: int) -> bool:
         scene, stops = coarse(request.scene, side), lambda: self._stops(request)
-        canvas = Canvas(scene.frame)
+        canvas = TileCanvas(scene.frame)
         film = self._timed(session, request, scene, request.settings.replace(sample_count=1), side, canvas, stops)
         if not film.complete:
             return False
@@ -176,7 +174,7 @@ class LiveRender:
     def _render_fine(self, session: Session, request: LiveRequest) -> bool:
         side = request.pixel_side
         scene = coarse(request.scene, side)
-        canvas = Canvas(scene.frame)
+        canvas = TileCanvas(scene.frame)
         marks = self._pace.marks(request.settings.sample_count, scene.frame.pixel_count, request.denoiser is not None)
         shown = _Shown(marks, lambda snapshot: self._show_fine(request, canvas, side, snapshot.samples))
 
@@ -184,7 +182,9 @@ class LiveRender:
         if resumed is not None:
             canvas.passes = {name: np.array(pixels, np.float32) for name, pixels in resumed.passes.items()}
         self._kept = None
-        film = self._timed(session, request, scene, request.settings, side, canvas, lambda: self._stops(request), shown, resumed)
+        film = self._timed(
+            session, request, scene, request.settings, side, canvas, lambda: self._stops(request), shown, resumed
+        )
         if film.complete:
             self.warnings = tuple(film.statistics["warnings"])
             self.state = LiveState(
@@ -202,7 +202,7 @@ class LiveRender:
         scene,
         settings,
         side: int,
-        canvas: Canvas,
+        canvas: TileCanvas,
         stops: Callable[[], bool],
         shown: _Shown | None = None,
         resumed: Film | None = None,
@@ -241,7 +241,7 @@ class LiveRender:
             self._pace.note(film.sample_total - already, seconds)
         return film
 
-    def _show_fine(self, request: LiveRequest, canvas: Canvas, side: int, samples: int) -> None:
+    def _show_fine(self, request: LiveRequest, canvas: TileCanvas, side: int, samples: int) -> None:
         if self._closed or not canvas.passes:
             return
         pixels = canvas.picture()

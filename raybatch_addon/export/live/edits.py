@@ -6,7 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-
 # Kinds of data that no material is compiled from
 _WITHOUT_GRAPH = {
     "Object",
@@ -61,7 +60,9 @@ class Edits:
         updates = list(updates)
         kinds = {each.kind for each in updates}
         # a tree comes with what it belongs to, unless it is a group of its own
-        known = _WITHOUT_GRAPH | (_WITH_GRAPH if kinds & _OWNERS or any(kind.endswith("Light") for kind in kinds) else set())
+        known = _WITHOUT_GRAPH | (
+            _WITH_GRAPH if kinds & _OWNERS or any(kind.endswith("Light") for kind in kinds) else set()
+        )
         for each in updates:
             if each.kind == "Material":
                 self.materials.add(each.uid)

@@ -15,7 +15,7 @@ from ..meshes.instances import Cancelled, collect_placements
 from ..meshes.live_meshes import LiveMeshes
 from ..meshes.placements import is_singular
 from ..nodes.signature import NoSignature, Signatures
-from ..scene import assembled, export_frame, world_of
+from ..scene import assembled, export_frame, reading, world_of
 from ..world import has_nodes
 from .edits import Edits, Update
 
@@ -51,8 +51,14 @@ class LiveScene:
         """Read what was edited, and stop after the mesh during which `seconds` have passed. True: `scene` is another
         than before; otherwise it is the same, or there is more to read. Raises `RayBatchError`.
         """
-        if not self._edits:
+        if not self._edits or not reading.acquire(blocking=False):  # a final render reads: the next callback may
             return False
+        try:
+            return self._read(depsgraph, space, seconds)
+        finally:
+            reading.release()
+
+    def _read(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, seconds: float) -> bool:
         if not self._edits.is_whole and self._move(depsgraph):
             self._edits.clear()
             return True

@@ -126,7 +126,10 @@ def _through(
     data, ignored = camera.data, []
     kind = kind_of(data, camera.name, ignored)
     render = scene.render
-    size = render.resolution_x * render.resolution_percentage / 100, render.resolution_y * render.resolution_percentage / 100
+    size = (
+        render.resolution_x * render.resolution_percentage / 100,
+        render.resolution_y * render.resolution_percentage / 100,
+    )
     size = max(1, int(size[0])), max(1, int(size[1]))
     shift = (data.shift_x, data.shift_y)
     flat = CameraKind.PERSPECTIVE if kind.is_panorama else kind
@@ -135,13 +138,9 @@ def _through(
     if kind.is_panorama:
         span = np.array([size[0] * render.pixel_aspect_x, size[1] * render.pixel_aspect_y])
         panorama = export_panorama(data, span)
-        (left, right, bottom, top), (l, r, b, t) = window, edges
-        window = (
-            shift[0] + (left - l) / (r - l),
-            shift[0] + (right - l) / (r - l),
-            shift[1] + (bottom - b) / (t - b),
-            shift[1] + (top - b) / (t - b),
-        )
+        left, bottom = _share(window[0], edges[:2]), _share(window[2], edges[2:])
+        right, top = _share(window[1], edges[:2]), _share(window[3], edges[2:])
+        window = shift[0] + left, shift[0] + right, shift[1] + bottom, shift[1] + top
     near, far = float(data.clip_start), float(data.clip_end)
     made = Camera(
         kind,
@@ -157,16 +156,19 @@ def _through(
 
 def _box_in(view: RegionView, edges: tuple[float, float, float, float]) -> Box:
     """The border of `view`, in shares of what has these `edges`, in pixels of the region and cut by it."""
-    (left, right, bottom, top), (l, r, b, t) = view.window, edges
-    x0, y0, x1, y1 = view.border
+    window, (x0, y0, x1, y1) = view.window, view.border
 
-    def along(share: float, low: float, high: float, start: float, end: float, pixels: int) -> int:
-        at = (low + share * (high - low) - start) / (end - start) * pixels
-        return min(max(round(at), 0), pixels)
+    def pixel(share: float, low: float, high: float, along: tuple[float, float], pixels: int) -> int:
+        return min(max(round(_share(low + share * (high - low), along) * pixels), 0), pixels)
 
     return (
-        along(x0, l, r, left, right, view.width),
-        along(y0, b, t, bottom, top, view.height),
-        along(x1, l, r, left, right, view.width),
-        along(y1, b, t, bottom, top, view.height),
+        pixel(x0, *edges[:2], window[:2], view.width),
+        pixel(y0, *edges[2:], window[2:], view.height),
+        pixel(x1, *edges[:2], window[:2], view.width),
+        pixel(y1, *edges[2:], window[2:], view.height),
     )
+
+
+def _share(at: float, edges: tuple[float, ...]) -> float:
+    """Where `at` is between two edges: 0 at the first, 1 at the second."""
+    return (at - edges[0]) / (edges[1] - edges[0])

@@ -64,10 +64,7 @@ def _position_on_surface(placed: bpy.types.DepsgraphObjectInstance, name: str) -
 
 
 def collect_placements(
-    depsgraph: bpy.types.Depsgraph,
-    cancelled: Callable[[], bool],
-    moving: bool = False,
-    live: LiveMeshes | None = None,
+    depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool], moving: bool = False, live: LiveMeshes | None = None
 ) -> Placements:
     """One pass over `depsgraph`; `moving`: with what finds things again at other times; `live`: as a viewport shows it,
     with the meshes that are known from passes before. Raises `Cancelled`.

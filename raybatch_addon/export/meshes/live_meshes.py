@@ -51,7 +51,9 @@ class LiveMeshes:
         self._pass_count += 1
         self.read_in_pass = 0
         self.owners, self.instancers = [], set()
-        for key in [key for key, each in self._known.items() if each.data in changed or not each.owners.isdisjoint(changed)]:
+        for key in [
+            key for key, each in self._known.items() if each.data in changed or not each.owners.isdisjoint(changed)
+        ]:
             del self._known[key]
 
     def end(self, is_whole: bool) -> None:
