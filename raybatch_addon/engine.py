@@ -23,13 +23,6 @@ class RayBatchRenderEngine(bpy.types.RenderEngine):
         # Blender makes an engine for each frame and each region of the 3D view: nothing else is kept here
         self.report_of_frame = self.viewport = None
 
-    def __del__(self):
-        if getattr(self, "viewport", None) is not None:
-            self.viewport.close()
-        parent = getattr(super(), "__del__", None)
-        if parent is not None:
-            parent()
-
     def update_render_passes(self, scene=None, renderlayer=None):
         register_passes(self, scene, renderlayer)
 

@@ -37,6 +37,8 @@ def _is_ready(engine: bpy.types.RenderEngine) -> bool:
     from .viewport import Viewport
 
     engine.viewport = Viewport(redraw)
+    # Blender forgets what an engine is before Python forgets the engine: by then its attributes cannot be asked for
+    weakref.finalize(engine, engine.viewport.close).atexit = False
     return True
 
 
