@@ -90,6 +90,10 @@ class KeptMaterials:
         self.untouched: UntouchedMaterials | None = None  # in the passes of a viewport
         self.reads_elsewhere = False  # some graph has no signature: it may read places of objects
 
+    def forget_graphs(self) -> None:
+        """Keep nothing of Blender's: graphs that are asked for again are read again."""
+        self._signatures = Signatures()
+
     def signature(self, material: bpy.types.Material | None) -> tuple | None:
         """All that `material`, evaluated, is compiled from; None where that is not known."""
         if material is None or not has_nodes(material):

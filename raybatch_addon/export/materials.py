@@ -71,6 +71,10 @@ class ExportedMaterials:
         """Whether a graph may read more than its nodes: places of objects, or animated values."""
         return self._kept.reads_elsewhere
 
+    def forget_graphs(self) -> None:
+        """Keep nothing of Blender's."""
+        self._kept.forget_graphs()
+
     def end_live(self) -> None:
         """The pass is over."""
         self._kept.untouched.end(self.collections, self._uids)

@@ -11,8 +11,8 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Camera, CameraKind, Scene
-from ..meshes.instances import Cancelled, collect_placements
 from ..meshes.live_meshes import LiveMeshes
+from ..meshes.live_pass import LivePass
 from ..meshes.placements import is_singular
 from ..nodes.signature import NoSignature, Signatures
 from ..scene import assembled, export_frame, reading, world_of
@@ -30,6 +30,7 @@ class LiveScene:
         self.scene: Scene | None = None  # as it was read last, with a camera that means nothing
         self.counts: Counter[str] = Counter()  # what was done so far: passes, meshes, places, scenes
         self._meshes = LiveMeshes()
+        self._pass = LivePass(self._meshes)
         self._edits = Edits(is_whole=True)
         self._place: dict[int, int] = {}  # of objects that are placed once, by themselves: index of their instance
         self._moves_others = True  # what places of objects do not show depends on them
@@ -41,14 +42,16 @@ class LiveScene:
 
     def note(self, updates: list[Update]) -> None:
         """Blender evaluated anew what `updates` say."""
+        self._pass.drop()  # its list may be another now
         self._edits.add(updates)
 
     def look_again(self) -> None:
         """Something changed that Blender does not list: go through the scene once more."""
+        self._pass.drop()
         self._edits.is_whole = True
 
     def read(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, seconds: float) -> bool:
-        """Read what was edited, and stop after the mesh during which `seconds` have passed. True: `scene` is another
+        """Read what was edited, and stop after the object during which `seconds` have passed. True: `scene` is another
         than before; otherwise it is the same, or there is more to read. Raises `RayBatchError`.
         """
         if not self._edits or not reading.acquire(blocking=False):  # a final render reads: the next callback may
@@ -92,25 +95,15 @@ class LiveScene:
 
     def _read_all(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, seconds: float) -> bool:
         end, meshes, before = time.perf_counter() + seconds, self._meshes, self._meshes.read_count
-        meshes.begin(space, self._edits.reshaped)
-        if self._edits.any_material:
-            meshes.materials.forget()
-        else:
-            meshes.materials.forget(self._edits.materials)
-        self._edits.forgotten()  # what is touched is read when the pass comes by
-        is_whole = False
-        try:
-            placements = collect_placements(
-                depsgraph, lambda: meshes.read_in_pass > 0 and time.perf_counter() > end, live=meshes
-            )
-            is_whole = True
-        except Cancelled:
+        if not self._pass.is_under_way:
+            meshes.begin(self._edits.reshaped)
+            meshes.materials.forget(None if self._edits.any_material else self._edits.materials)
+            self._edits.forgotten()  # what is touched is read when the pass comes by
+        placements = self._pass.go_on(depsgraph, space, end)
+        self.counts["meshes"] += meshes.read_count - before
+        if placements is None:
             self.counts["slices"] += 1
             return False
-        finally:
-            meshes.end(is_whole)
-            self.counts["meshes"] += meshes.read_count - before
-        placements.materials.end_live()
         self.counts["passes"] += 1
         self.counts["materials"] += placements.materials.compiled_count
         scene = depsgraph.scene

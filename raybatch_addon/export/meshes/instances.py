@@ -64,12 +64,10 @@ def _position_on_surface(placed: bpy.types.DepsgraphObjectInstance, name: str) -
 
 
 def collect_placements(
-    depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool], moving: bool = False, live: LiveMeshes | None = None
+    depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool], moving: bool = False
 ) -> Placements:
-    """One pass over `depsgraph`; `moving`: with what finds things again at other times; `live`: as a viewport shows it,
-    with the meshes that are known from passes before. Raises `Cancelled`.
-    """
-    collector = _Collector(depsgraph, moving, live)
+    """One pass over `depsgraph`; `moving`: with what finds things again at other times. Raises `Cancelled`."""
+    collector = PlacementCollector(depsgraph, moving)
     try:
         for count, placed in enumerate(depsgraph.object_instances):
             if count % _CANCEL_INTERVAL == 0 and cancelled():
@@ -80,21 +78,19 @@ def collect_placements(
         end_export()
 
 
-class _Collector:
+class PlacementCollector:
     """Pass over a depsgraph. The iterator's objects are temporary: only copies and keys of them are kept."""
 
-    def __init__(self, depsgraph: bpy.types.Depsgraph, moving: bool, live: LiveMeshes | None) -> None:
+    def __init__(self, depsgraph: bpy.types.Depsgraph, moving: bool = False, live: LiveMeshes | None = None) -> None:
+        """`live`: as a viewport shows it, with the meshes that are known from passes before."""
         self._live = live
         self._motions = PlacedMotions() if moving else None
-        self.view_layer = depsgraph.view_layer
-        # evaluated: with the nodes as drivers and keyframes have them now
-        self.material_override = depsgraph.view_layer_eval.material_override
         self.viewport = depsgraph.mode != "RENDER"
         self.placements = Placements()
+        self.look_at(depsgraph)
         collections = self.placements.materials.collections
         collections.frame = depsgraph.scene.frame_current
         collections.has_grids = any_grids(depsgraph.objects)
-        collections.scene, collections.view_layer = depsgraph.scene_eval, depsgraph.view_layer_eval
         collections.engine = output_engine(depsgraph.scene)
         if live is not None:
             self.placements.materials.begin_live(live.materials)
@@ -118,6 +114,23 @@ class _Collector:
         self._looked_at: set[int] = set()  # pointers of `Placements.originals`
         self._item = -1  # of the depsgraph's list
         self._light_values: list[tuple[tuple[int, tuple[float, ...]], ...]] = []  # by light: as `Template.attributes`
+
+    def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """The pass is over `depsgraph`, which is as it was before where the pass goes on."""
+        self.view_layer = depsgraph.view_layer
+        # evaluated: with the nodes as drivers and keyframes have them now
+        self.material_override = depsgraph.view_layer_eval.material_override
+        collections = self.placements.materials.collections
+        collections.scene, collections.view_layer = depsgraph.scene_eval, depsgraph.view_layer_eval
+
+    def look_away(self) -> None:
+        """Keep nothing of Blender's until the pass goes on."""
+        self.view_layer = self.material_override = None
+        collections = self.placements.materials.collections
+        collections.scene = collections.view_layer = None
+        self.placements.originals.clear()
+        self.placements.materials.forget_graphs()
+        self._strands.forget_sources()
 
     def add(self, placed: bpy.types.DepsgraphObjectInstance, cancelled: Callable[[], bool]) -> None:
         """Take one item of the depsgraph's list."""

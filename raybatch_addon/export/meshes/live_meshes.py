@@ -37,28 +37,23 @@ class LiveMeshes:
     def __init__(self) -> None:
         self._known: dict[tuple[int, int], _Known] = {}  # by address and `session_uid` of evaluated data
         self._pass_count = 0
-        self._space: bpy.types.SpaceView3D | None = None  # during a pass
+        self.space: bpy.types.SpaceView3D | None = None  # during a slice of a pass
         self.materials = UntouchedMaterials()
         self.read_count = 0  # meshes that were read, in all passes
-        self.read_in_pass = 0
         # of each placement of the pass: `session_uid` of its object, 0 where another object places it
         self.owners: list[int] = []
         self.instancers: set[int] = set()  # objects that place others
 
-    def begin(self, space: bpy.types.SpaceView3D | None, changed: Collection[int]) -> None:
-        """A pass begins, as `space` shows the scene; objects and data of `changed` have another shape than before."""
-        self._space = space
+    def begin(self, changed: Collection[int]) -> None:
+        """A pass begins; objects and data of `changed` have another shape than before."""
         self._pass_count += 1
-        self.read_in_pass = 0
         self.owners, self.instancers = [], set()
-        for key in [
-            key for key, each in self._known.items() if each.data in changed or not each.owners.isdisjoint(changed)
-        ]:
-            del self._known[key]
+        for key, each in list(self._known.items()):
+            if each.data in changed or not each.owners.isdisjoint(changed):
+                del self._known[key]
 
     def end(self, is_whole: bool) -> None:
         """The pass is over. After a whole one nothing is kept that it did not come by."""
-        self._space = None
         if is_whole:
             for key in [key for key, each in self._known.items() if each.pass_count != self._pass_count]:
                 del self._known[key]
@@ -69,10 +64,10 @@ class LiveMeshes:
 
     def shows(self, placed: bpy.types.DepsgraphObjectInstance) -> bool:
         """Whether the viewport shows what is placed: it may look at some objects alone."""
-        if self._space is None:
+        if self.space is None:
             return True
         owner = placed.parent if placed.is_instance and placed.parent is not None else placed.object
-        return owner.original.visible_in_viewport_get(self._space)
+        return owner.original.visible_in_viewport_get(self.space)
 
     def note_placed(self, placed: bpy.types.DepsgraphObjectInstance) -> None:
         """Remember whose the next placement is."""
@@ -92,7 +87,6 @@ class LiveMeshes:
             known = None
         if known is None:
             self.read_count += 1
-            self.read_in_pass += 1
             before = len(warnings)
             source = read()
             mesh = source.exported()

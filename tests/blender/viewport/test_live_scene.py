@@ -10,8 +10,8 @@ bpy = pytest.importorskip("bpy")
 from raybatch_addon.export.live.edits import Edits, Update, updates_of
 from raybatch_addon.export.live.live_scene import LiveScene, is_same
 from raybatch_addon.export.scene import export_scene
+from tests.blender.viewport.regions import updates_to, view_space
 from tests.support.blender_builders import add_grid, add_object, material_of, node_tree
-from tests.support.viewport_watch import updates_to, view_space
 
 
 @pytest.fixture
@@ -203,13 +203,36 @@ def test_places_that_a_graph_reads_are_no_places_alone(reader, objects):
 
 def test_many_meshes_are_read_in_slices(objects):
     """One mesh a slice where time is short; what the slices read together is the scene."""
-    reader = Reader(seconds=0.0)
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    assert not reader.live.read(depsgraph, None, 0.0) and reader.live.scene is None
-    assert reader.live.counts["meshes"] == 1
-    reader.read(depsgraph)
-    assert reader.live.counts["meshes"] == 3 and reader.live.counts["slices"] == 2
-    assert as_exported(reader.live)
+    live, depsgraph, slices = LiveScene(), bpy.context.evaluated_depsgraph_get(), 0
+    while not live.is_current:
+        before = live.counts["meshes"]
+        is_new = live.read(depsgraph, None, 0.0)
+        assert live.counts["meshes"] - before <= 1
+        assert is_new == live.is_current
+        slices += 1
+    assert slices >= 3 and live.counts == Counter(passes=1, meshes=3, materials=3, scenes=1, slices=slices - 1)
+    assert as_exported(live)
+
+
+def test_nothing_of_blenders_is_kept_between_slices(objects):
+    live, depsgraph = LiveScene(), bpy.context.evaluated_depsgraph_get()
+    while live.counts["meshes"] < 2:
+        live.read(depsgraph, None, 0.0)
+    assert not live.is_current
+    seen, left = set(), [live]
+    while left:
+        each = left.pop()
+        if id(each) in seen or isinstance(each, (type, type(bpy), str, bytes, int, float, np.ndarray)):
+            continue
+        seen.add(id(each))
+        assert not isinstance(each, bpy.types.bpy_struct), each
+        if isinstance(each, dict):
+            left += [*each.keys(), *each.values()]
+        elif isinstance(each, (list, tuple, set, frozenset)):
+            left += list(each)
+        elif type(each).__module__.startswith("raybatch_addon"):
+            left += [vars(each)] if hasattr(each, "__dict__") else []
+    assert len(seen) > 50
 
 
 def test_an_edit_between_slices_is_seen(objects):

@@ -11,7 +11,7 @@ from raybatch_addon.core.scene.cameras import CameraKind
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.export.camera import export_camera
 from raybatch_addon.export.live.view3d import camera_of, live_camera, region_view
-from tests.support.viewport_watch import region_context
+from tests.blender.viewport.regions import region_context
 
 FRAME = Frame(1, 1)
 
@@ -66,7 +66,9 @@ def test_a_border_is_a_part_of_the_cameras_frame_or_of_the_region(scene):
     view, _, frame = seen(context, scene)
     assert frame.border == (12, 8, 24, 24)
     # zoomed out to half the size the frame is the middle of the region
-    zoomed = replace(view, projection=tuple(each * (0.5 if i in (0, 5) else 1) for i, each in enumerate(view.projection)))
+    zoomed = replace(
+        view, projection=tuple(each * (0.5 if i in (0, 5) else 1) for i, each in enumerate(view.projection))
+    )
     frame = live_camera(zoomed, scene.camera, bpy.context.evaluated_depsgraph_get(), FRAME)[1]
     assert frame.border == (18, 12, 24, 20)
     away = replace(view, border=(-2.0, 0.0, -1.0, 1.0))

@@ -11,8 +11,8 @@ from raybatch_addon.blender.viewport import viewport as viewports
 from raybatch_addon.blender.viewport.draw import PictureTexture
 from raybatch_addon.core.live.render import LiveState
 from raybatch_addon.export.live.settings import left_out, live_settings, pixel_side
+from tests.blender.viewport.regions import region_context, updates_to, wait_for
 from tests.support.blender_builders import add_grid, material_of, node_tree
-from tests.support.viewport_watch import region_context, updates_to, wait_for
 
 
 @pytest.fixture
@@ -67,7 +67,9 @@ class Shown:
 def shown(lit, monkeypatch):
     """The scene in a viewport."""
     made = Shown(region_context())
-    monkeypatch.setattr(PictureTexture, "draw", lambda _self, _engine, _scene, picture, _exposure: made.drawn.append(picture))
+    monkeypatch.setattr(
+        PictureTexture, "draw", lambda _self, _engine, _scene, picture, _exposure: made.drawn.append(picture)
+    )
     with updates_to(made.update):
         made.update(bpy.context.evaluated_depsgraph_get())
         yield made
@@ -132,7 +134,7 @@ def test_two_viewports_take_turns(shown, lit):
     second.drawn = shown.drawn  # drawn by one function
     second.update(bpy.context.evaluated_depsgraph_get())
     try:
-        shown.until(lambda: (second.draw() or (shown.is_finished() and second.is_finished())))
+        shown.until(lambda: second.draw() or (shown.is_finished() and second.is_finished()))
     finally:
         second.viewport.close()
     assert {each.samples for each in (shown.viewport.render.picture, second.viewport.render.picture)} == {300}

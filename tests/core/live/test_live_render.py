@@ -89,7 +89,7 @@ def test_it_rests_when_all_samples_are_there(live):
 
 
 def test_the_newest_request_is_the_one_that_is_finished(live):
-    render, source, shown = live
+    render, _, shown = live
     render.show(request(1, samples=1_000_000))
     wait_for(lambda: shown)
     for number in range(2, 6):
@@ -103,7 +103,7 @@ def test_the_newest_request_is_the_one_that_is_finished(live):
 
 def test_the_first_picture_comes_whatever_follows(live):
     """Who moves a slider all the time sees pictures all the time."""
-    render, source, shown = live
+    render, _, shown = live
     for number in range(1, 40):
         render.show(request(number, samples=1_000_000))
         if number == 1:

@@ -1,5 +1,7 @@
 """How a live picture grows: sides of pixels, counts of samples, and frames of coarse pixels."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ def test_sides_halve_from_the_finest_that_comes_in_time():
     assert pace.divisors(500_000) == [UNKNOWN, 2, 1]
     pace.note(500_000, 1.0)  # a slow machine
     found = pace.divisors(500_000)
-    assert found[-1] == 1 and all(a == 2 * b for a, b in zip(found, found[1:]))
+    assert found[-1] == 1 and all(a == 2 * b for a, b in pairwise(found))
     assert pace.seconds(500_000 / found[0] ** 2) <= FIRST_SECONDS
     assert pace.seconds(500_000 / (found[0] / 2) ** 2) > FIRST_SECONDS
     pace.note(500_000, 1000.0)
@@ -37,7 +39,7 @@ def test_marks_hold_all_powers_of_two_and_the_end():
 def test_coarse_pixels_lie_where_the_fine_ones_do(side):
     whole = Scene(camera(half_width=0.5, aspect=2.0), Frame(97, 41, (10, 5, 50, 41)))
     small = coarse(whole, side)
-    left, right, bottom, top = whole.camera.window
+    left, right, bottom, _ = whole.camera.window
     step = (right - left) / 97
     assert np.isclose((small.camera.window[1] - small.camera.window[0]) / small.frame.width, step * side)
     assert small.camera.window[0] == left and small.camera.window[2] == bottom

@@ -14,9 +14,7 @@ SECONDS = 120.0  # a test waits for this at most: kernels may have to be compile
 
 def view_space() -> bpy.types.SpaceView3D:
     """A 3D view of the file's screens."""
-    return next(
-        area.spaces.active for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"
-    )
+    return next(area.spaces.active for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D")
 
 
 def region_context(width=48, height=32, through_camera=True) -> SimpleNamespace:
