@@ -121,12 +121,13 @@ class Viewport:
         made_of = (id(scene), _values_of(camera), frame, settings, side)
         if made_of == self._shown:
             return
+        denoiser = library_for(settings)  # an error of it is told as long as it is there
         self._shown = made_of
         self._number += 1
         passes = tuple(dict.fromkeys((*frame.passes, *guiding_passes(settings))))
         whole = replace(scene, camera=camera, frame=replace(frame, passes=passes))
         self._kept = scene  # the identity above stays its own
-        self.render.show(LiveRequest(self._number, whole, settings, side, library_for(settings)))
+        self.render.show(LiveRequest(self._number, whole, settings, side, denoiser))
 
 
 def live_status(state: LiveState) -> str:

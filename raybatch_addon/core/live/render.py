@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -114,7 +114,9 @@ class LiveRender:
             if finished:
                 with self._changed:
                     self._rendered = request.number
-                self._on_change()
+            elif not self._is_superseded(request):
+                self.state = replace(self.state, stage="Waiting for another render")
+            self._on_change()
         self._kept = None
 
     def _next(self) -> LiveRequest | None:
@@ -245,8 +247,11 @@ class LiveRender:
         if self._closed or not canvas.passes:
             return
         pixels = canvas.picture()
-        if request.denoiser is not None and not self._is_superseded(request):
-            self._show(LivePicture(request, pixels, side, canvas.origin, samples))
+        if request.denoiser is not None:
+            if samples == 1:  # it takes a while until the first one without noise is there
+                self._show(LivePicture(request, pixels, side, canvas.origin, samples))
+            if self._is_superseded(request):
+                return
             pixels = denoised(canvas.passes, request.settings, request.denoiser)
         self._show(LivePicture(request, pixels, side, canvas.origin, samples))
 
