@@ -11,6 +11,8 @@ import bpy
 
 from .. import warm_up
 
+_trouble = ""  # why there are no viewports
+
 
 def view_update(engine: bpy.types.RenderEngine, context: Any, depsgraph: bpy.types.Depsgraph) -> None:
     """The scene was edited, or `engine` is new."""
@@ -21,7 +23,7 @@ def view_update(engine: bpy.types.RenderEngine, context: Any, depsgraph: bpy.typ
 def view_draw(engine: bpy.types.RenderEngine, context: Any, depsgraph: bpy.types.Depsgraph) -> None:
     """The region is to be drawn."""
     if not _is_ready(engine):
-        engine.update_stats("RayBatch", "Starting")
+        engine.update_stats("RayBatch", _trouble or "Starting")
         return
     engine.viewport.draw(engine, context, depsgraph)
     engine.update_stats(*engine.viewport.status())
@@ -29,12 +31,17 @@ def view_draw(engine: bpy.types.RenderEngine, context: Any, depsgraph: bpy.types
 
 def _is_ready(engine: bpy.types.RenderEngine) -> bool:
     """Whether `engine` has its viewport; where the core is not there yet, it draws again once it is."""
+    global _trouble
     if engine.viewport is not None:
         return True
     redraw = _redraw_of(engine)
     if not warm_up.is_over(redraw):
         return False
-    from .viewport import Viewport
+    try:
+        from .viewport import Viewport
+    except Exception as error:  # Warp is missing, or does not fit
+        _trouble = f"RayBatch cannot start: {type(error).__name__}: {error}"
+        return False
 
     engine.viewport = Viewport(redraw)
     # Blender forgets what an engine is before Python forgets the engine: by then its attributes cannot be asked for

@@ -27,7 +27,7 @@ from ..denoise_library import library_for
 from ..sessions import ViewSessions
 from .draw import PictureTexture
 
-# Reading the scene pauses after the mesh during which so much time has passed in one callback [s]
+# Reading the scene pauses after the object during which so much time has passed in one callback [s]
 SLICE_SECONDS = 0.02
 
 # All that are there: they end before sessions are closed
@@ -44,6 +44,7 @@ class Viewport:
         self.render = LiveRender(source or ViewSessions(), redraw)
         self._shown: tuple[Any, ...] | None = None  # what the last request was made of
         self._space_state: tuple[Any, ...] | None = None
+        self._scene: Scene | None = None  # of the last request: while it is held, no other has its identity
         self._number = 0
         self._error = ""  # why the scene could not be read
         self._exposure = 1.0
@@ -66,7 +67,10 @@ class Viewport:
         self._read(context, depsgraph)
         picture = self.render.picture
         if picture is not None:
-            self._texture.draw(engine, depsgraph.scene, picture, self._exposure)
+            try:
+                self._texture.draw(engine, depsgraph.scene, picture, self._exposure)
+            except Exception as error:  # of the driver: a traceback at each draw would help nobody
+                self._error = f"the picture could not be drawn: {type(error).__name__}: {error}"
         self.seconds.append(time.perf_counter() - start)
 
     def status(self) -> tuple[str, str]:
@@ -126,7 +130,7 @@ class Viewport:
         self._number += 1
         passes = tuple(dict.fromkeys((*frame.passes, *guiding_passes(settings))))
         whole = replace(scene, camera=camera, frame=replace(frame, passes=passes))
-        self._kept = scene  # the identity above stays its own
+        self._scene = scene
         self.render.show(LiveRequest(self._number, whole, settings, side, denoiser))
 
 

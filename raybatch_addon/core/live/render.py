@@ -16,7 +16,9 @@ from ..errors import RayBatchError
 from ..film import Film
 from ..measure.snapshot import Snapshot
 from ..observers import Progress, RenderObserver, Tile
+from ..scene.description import Scene
 from ..session import Session
+from ..settings.settings import RenderSettings
 from .picture import LivePicture, LiveRequest, TileCanvas
 from .steps import Pace, coarse
 
@@ -108,9 +110,9 @@ class LiveRender:
             try:
                 finished = self._render(request)
             except RayBatchError as error:
-                finished = self._fail(request, str(error))
+                finished = self._fail(str(error))
             except Exception as error:  # nobody above could show it
-                finished = self._fail(request, f"the render failed: {type(error).__name__}: {error}")
+                finished = self._fail(f"the render failed: {type(error).__name__}: {error}")
             if finished:
                 with self._changed:
                     self._rendered = request.number
@@ -126,7 +128,8 @@ class LiveRender:
                 self._changed.wait()
             return None if self._closed else self._request
 
-    def _fail(self, request: LiveRequest, message: str) -> bool:
+    def _fail(self, message: str) -> bool:
+        """The request is done with, for this reason."""
         self._kept = None
         self.state = LiveState(error=" ".join(message.split()))
         return True
@@ -179,7 +182,6 @@ class LiveRender:
         canvas = TileCanvas(scene.frame)
         marks = self._pace.marks(request.settings.sample_count, scene.frame.pixel_count, request.denoiser is not None)
         shown = _Shown(marks, lambda snapshot: self._show_fine(request, canvas, side, snapshot.samples))
-
         resumed = self._kept[1] if self._kept else None
         if resumed is not None:
             canvas.passes = {name: np.array(pixels, np.float32) for name, pixels in resumed.passes.items()}
@@ -201,8 +203,8 @@ class LiveRender:
         self,
         session: Session,
         request: LiveRequest,
-        scene,
-        settings,
+        scene: Scene,
+        settings: RenderSettings,
         side: int,
         canvas: TileCanvas,
         stops: Callable[[], bool],

@@ -19,6 +19,9 @@ from ..scene import assembled, export_frame, reading, world_of
 from ..world import has_nodes
 from .edits import Edits, Update
 
+# Each restart of a pass doubles the time of its slices, so often at most: edits that come faster than a pass goes
+# through, as while an animation plays, do not put it off for ever
+_RESTARTS_MOST = 5
 # Where no view is known yet: every view replaces it
 _NO_CAMERA = Camera(CameraKind.PERSPECTIVE, np.eye(3, 4, dtype=np.float32), (-1.0, 1.0, -1.0, 1.0))
 
@@ -31,6 +34,7 @@ class LiveScene:
         self.counts: Counter[str] = Counter()  # what was done so far: passes, meshes, places, scenes
         self._meshes = LiveMeshes()
         self._pass = LivePass(self._meshes)
+        self._restarts = 0  # of passes, since one came to its end
         self._edits = Edits(is_whole=True)
         self._place: dict[int, int] = {}  # of objects that are placed once, by themselves: index of their instance
         self._moves_others = True  # what places of objects do not show depends on them
@@ -42,12 +46,12 @@ class LiveScene:
 
     def note(self, updates: list[Update]) -> None:
         """Blender evaluated anew what `updates` say."""
-        self._pass.drop()  # its list may be another now
+        self._restart()  # the list that it goes through may be another now
         self._edits.add(updates)
 
     def look_again(self) -> None:
         """Something changed that Blender does not list: go through the scene once more."""
-        self._pass.drop()
+        self._restart()
         self._edits.is_whole = True
 
     def read(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, seconds: float) -> bool:
@@ -62,25 +66,36 @@ class LiveScene:
             reading.release()
 
     def _read(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, seconds: float) -> bool:
+        before = self.scene
         if not self._edits.is_whole and self._move(depsgraph):
             self._edits.clear()
-            return True
-        return self._read_all(depsgraph, space, seconds)
+            return self.scene is not before
+        return self._read_all(depsgraph, space, seconds * 2 ** min(self._restarts, _RESTARTS_MOST))
+
+    def _restart(self) -> None:
+        self._restarts += self._pass.is_under_way
+        self._pass.drop()
 
     # --- places alone
 
     def _move(self, depsgraph: bpy.types.Depsgraph) -> bool:
         """Put what was moved where it is now; False where that is not enough."""
         moved = self._edits.moved
-        if self.scene is None or self._moves_others or not moved <= self._place.keys():
+        if self.scene is None or self._moves_others:
             return False
         where: dict[int, np.ndarray] = {}
+        cameras = 0  # each view looks where they are by itself
         for update in depsgraph.updates:
             uid = update.id.original.session_uid
             if uid in moved and isinstance(update.id, bpy.types.Object):
-                where[self._place[uid]] = np.array(update.id.matrix_world, np.float32)[:3]
-        if len(where) != len(moved):  # from another callback
+                if update.id.type == "CAMERA":
+                    cameras += 1
+                elif uid in self._place:
+                    where[self._place[uid]] = np.array(update.id.matrix_world, np.float32)[:3]
+        if len(where) + cameras != len(moved):  # one of them is no instance, or was moved before another callback
             return False
+        if not where:
+            return True
         matrices = np.stack(list(where.values()))
         if not np.isfinite(matrices).all() or is_singular(matrices).any():
             return False
@@ -104,6 +119,7 @@ class LiveScene:
         if placements is None:
             self.counts["slices"] += 1
             return False
+        self._restarts = 0
         self.counts["passes"] += 1
         self.counts["materials"] += placements.materials.compiled_count
         scene = depsgraph.scene

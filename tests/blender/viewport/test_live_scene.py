@@ -167,12 +167,50 @@ def test_what_changes_nothing_makes_no_new_scene(reader, objects):
     assert found["meshes"] == found["materials"] == found["scenes"] == 0
 
 
-def test_a_camera_reads_nothing_but_the_list(reader, scene):
+def test_a_camera_reads_nothing(reader, scene):
     def move():
         scene.camera.location.x = 1
 
-    found = reader.edit(move)
+    assert reader.edit(move) == Counter()
+
+
+def test_a_camera_that_looks_otherwise_reads_nothing_but_the_list(reader, scene):
+    found = reader.edit(lambda: setattr(scene.camera.data, "lens", 20))
     assert not {"meshes", "materials", "scenes"} & found.keys()
+
+
+def test_a_group_that_materials_share_reads_these_materials(reader, objects):
+    group = bpy.data.node_groups.new("Group", "ShaderNodeTree")
+    group.interface.new_socket("Color", in_out="OUTPUT", socket_type="NodeSocketColor")
+    color, output = group.nodes.new("ShaderNodeRGB"), group.nodes.new("NodeGroupOutput")
+    group.links.new(color.outputs[0], output.inputs[0])
+
+    def use():
+        for obj in objects[:2]:
+            tree = obj.data.materials[0].node_tree
+            node = tree.nodes.new("ShaderNodeGroup")
+            node.node_tree = group
+            tree.links.new(node.outputs[0], tree.nodes["Diffuse"].inputs["Color"])
+
+    def change():
+        color.outputs[0].default_value = (0.9, 0.1, 0.2, 1)
+
+    reader.edit(use)
+    assert as_exported(reader.live)
+    found = reader.edit(change)
+    assert found["meshes"] == 0 and found["materials"] >= 2 and found["scenes"] == 1
+    assert as_exported(reader.live)
+
+
+def test_edits_that_come_faster_than_slices_do_not_put_it_off(objects):
+    """As while an animation plays."""
+    reader, depsgraph = LiveScene(), bpy.context.evaluated_depsgraph_get()
+    for _ in range(20):
+        reader.note([Update("Scene", 1)])
+        reader.read(depsgraph, None, 1e-3)
+        if reader.scene is not None:
+            return
+    raise AssertionError("no pass came to its end")
 
 
 def test_an_object_that_goes_and_one_that_comes(reader, objects):
