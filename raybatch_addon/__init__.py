@@ -33,6 +33,9 @@ def unregister() -> None:
     atexit.unregister(_unregister_at_exit)
     bpy.utils.unregister_class(engine.RayBatchRenderEngine)
     ui.unregister()
+    viewports = sys.modules.get(f"{__name__}.blender.viewport.viewport")
+    if viewports is not None:
+        viewports.close_viewports()
     sessions = sys.modules.get(f"{__name__}.blender.sessions")  # there if something was rendered
     if sessions is not None:
         sessions.close_all()

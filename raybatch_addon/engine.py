@@ -6,10 +6,11 @@ import bpy
 
 from .blender import warm_up
 from .blender.result import register_passes
+from .blender.viewport import callbacks
 
 
 class RayBatchRenderEngine(bpy.types.RenderEngine):
-    """Final renders. The viewport's Rendered mode is not offered: without `view_draw` Blender hides it."""
+    """Final renders, and the Rendered mode of the 3D view."""
 
     bl_idname = "RAYBATCH"
     bl_label = "RayBatch"
@@ -19,7 +20,8 @@ class RayBatchRenderEngine(bpy.types.RenderEngine):
 
     def __init__(self, *args, **kwargs):
         super().__init__(*args, **kwargs)
-        self.report_of_frame = None  # Blender makes an engine for each frame: nothing else is kept here
+        # Blender makes an engine for each frame and each region of the 3D view: nothing else is kept here
+        self.report_of_frame = self.viewport = None
 
     def update_render_passes(self, scene=None, renderlayer=None):
         register_passes(self, scene, renderlayer)
@@ -29,3 +31,9 @@ class RayBatchRenderEngine(bpy.types.RenderEngine):
         from .blender.frame import render_view_layer  # brings in Warp, which opening Blender should not wait for
 
         render_view_layer(self, depsgraph)
+
+    def view_update(self, context, depsgraph):
+        callbacks.view_update(self, context, depsgraph)
+
+    def view_draw(self, context, depsgraph):
+        callbacks.view_draw(self, context, depsgraph)

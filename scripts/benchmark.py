@@ -9,6 +9,7 @@ import argparse
 import functools
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -59,6 +60,13 @@ rounds); and with error_estimate ON, in one round and recorded. Renders take tur
 threads together (on CUDA: of rendering). The cost is the median over turns of what comes on top of the plain render's,
 beside the two values between which half of the turns lie. Films are compared: where recording changes one the exit code
 is 1.
+"""
+VIEWPORT = """\
+Measure how soon a viewport shows an edit of SCENE, a .blend (needs bpy), a .scene.npz or the geometry of an .npz.
+
+Edits of each kind are replayed through what renders viewports, without a window, while the picture before is still
+being refined. Told is the time from an edit to the first picture that shows it, which has coarse pixels if need be; of
+a .blend without Blender's own part. The first edit of a kind, which may load kernels, is told apart.
 """
 TRAVERSAL = """\
 Measure how fast tracers find hits, all on the same rays of real paths.
@@ -187,6 +195,7 @@ def argument_parser() -> argparse.ArgumentParser:
     render.add_argument("--picture", type=Path, metavar="FILE", help="save the picture as .png or .exr")
 
     whole_renders("recording", RECORDING, samples=64, runs=9)
+    whole_renders("viewport", VIEWPORT, samples=64, runs=50)
 
     traversal = command("traversal", TRAVERSAL)
     traversal.add_argument("--scene", type=Path, required=True, metavar="FILE")
@@ -228,7 +237,7 @@ def argument_parser() -> argparse.ArgumentParser:
 def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
     """The report that was asked for, and the same in words; raises `RayBatchError`."""
     from benchmarking.scenes import SceneRequest
-    from benchmarking.tables import memory_text, recording_text, render_text, slopes_text, traversal_text
+    from benchmarking.tables import memory_text, recording_text, render_text, slopes_text, traversal_text, viewport_text
 
     counts = options.samples if options.command == "render" else (getattr(options, "samples", None), 0)
     for name in ("runs", "ray_count", "samples"):
@@ -237,32 +246,14 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
             raise UsageError(f"--{name.replace('_', '-')} {value} is not valid: it must be 1 or more")
     changes, resolution = parse_settings(options.set, options.preset)
     scene = SceneRequest(options.scene, options.grid, options.camera, options.up)
-    if options.command in ("render", "recording"):
+    if options.command in ("render", "recording", "viewport"):
         from benchmarking.recording import measure_recording
         from benchmarking.render import measure_render
         from benchmarking.whole_render import RenderRequest
 
         if options.size:
             resolution = parse_settings([f"resolution={options.size}"])[1]
-        if options.command == "recording":
-            if not options.samples > 1:
-                raise UsageError(
-                    f"--samples {options.samples} is not valid: it must be 2 or more, for a sample in either half"
-                )
-            report = measure_recording(
-                RenderRequest(
-                    scene,
-                    device=options.device,
-                    samples=options.samples,
-                    bounces=options.bounces,
-                    threads=options.threads,
-                    runs=options.runs,
-                    size=resolution,
-                    settings=changes,
-                )
-            )
-            return report, recording_text(report)
-        request = RenderRequest(
+        watched = RenderRequest(
             scene,
             device=options.device,
             samples=counts[0],
@@ -270,12 +261,27 @@ def measured(options: argparse.Namespace) -> tuple[dict[str, Any], str]:
             threads=options.threads,
             runs=options.runs,
             size=resolution,
+            settings=changes,
+        )
+        if options.command == "viewport":
+            from benchmarking.viewport import measure_viewport
+
+            report = measure_viewport(watched)
+            return report, viewport_text(report)
+        if options.command == "recording":
+            if not options.samples > 1:
+                raise UsageError(
+                    f"--samples {options.samples} is not valid: it must be 2 or more, for a sample in either half"
+                )
+            report = measure_recording(watched)
+            return report, recording_text(report)
+        request = replace(
+            watched,
             against=options.against,
             budgets=options.budgets,
             counters=not options.no_counters,
             equal_error=options.equal_error,
             picture=options.picture,
-            settings=changes,
             samples_longer=counts[1],
         )
         report = measure_render(request)

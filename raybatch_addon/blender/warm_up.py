@@ -9,9 +9,12 @@ from __future__ import annotations
 import contextlib
 import gc
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 _thread: threading.Thread | None = None
+_is_done = False
+_waiting: list[Callable[[], None]] = []  # to call when it is
+_waiting_lock = threading.Lock()
 
 
 def warm_up() -> None:
@@ -28,13 +31,37 @@ def finish_warm_up() -> None:
         _thread.join()
 
 
+def is_over(then: Callable[[], None]) -> bool:
+    """Whether it is done. Where it is not it is under way from now on, and `then` is called once it is."""
+    with _waiting_lock:
+        if _is_done:
+            return True
+        _waiting.append(then)
+    warm_up()
+    return False
+
+
 def _make() -> None:
+    global _is_done
+    try:
+        _make_all()
+    finally:
+        with _waiting_lock:
+            _is_done = True
+            waiting = [*_waiting]
+            _waiting.clear()
+        for each in waiting:
+            each()
+
+
+def _make_all() -> None:
     with without_collections(), contextlib.suppress(Exception):  # the render meets what goes wrong again, and says it
         from ..core.device.devices import find_device, is_compiled, start_warp
         from ..core.wavefront.tier import general_kernels
         from ..export import scene  # noqa: F401 - renders begin with it
         from . import sessions  # noqa: F401
         from .kernel_cache import kernel_cache_folder
+        from .viewport import viewport  # noqa: F401
 
         start_warp(kernel_cache_folder())
         device = find_device("cpu")

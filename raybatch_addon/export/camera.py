@@ -41,7 +41,7 @@ def export_camera(
         )
     camera = obj.data
     name = f"camera “{obj.name}”"
-    kind = _kind(camera, name, warnings)
+    kind = kind_of(camera, name, warnings)
     spherical = kind != CameraKind.ORTHOGRAPHIC and view.is_spherical(obj)
     transform = _transform(view.matrix(obj, spherical), name)
     if camera.clip_end <= camera.clip_start:
@@ -51,16 +51,17 @@ def export_camera(
     return Camera(
         kind=kind,
         transform=transform,
-        window=_window(camera, kind, view.shift(obj, spherical), scene.render, width, height),
+        window=frame_window(camera, kind, view.shift(obj, spherical), scene.render, width, height),
         clip_start=float(camera.clip_start),
         clip_end=float(camera.clip_end),
-        **_depth_of_field(obj, kind, transform, depsgraph, name, warnings),
+        **depth_of_field(obj, kind, transform, depsgraph, name, warnings),
         panorama=export_panorama(camera, _span(scene.render, width, height)) if kind.is_panorama else None,
         stereo=export_stereo(camera, view.name) if spherical else None,
     )
 
 
-def _kind(camera: bpy.types.Camera, name: str, warnings: list[str]) -> CameraKind:
+def kind_of(camera: bpy.types.Camera, name: str, warnings: list[str]) -> CameraKind:
+    """The projection of `camera`, which messages call `name`."""
     if camera.type == "PANO":
         return panorama_kind(camera, name, warnings)
     if camera.type not in ("PERSP", "ORTHO"):
@@ -86,7 +87,7 @@ def _span(render: bpy.types.RenderSettings, width: int, height: int) -> np.ndarr
     return np.array([width * render.pixel_aspect_x, height * render.pixel_aspect_y])
 
 
-def _window(
+def frame_window(
     camera: bpy.types.Camera,
     kind: CameraKind,
     shift: tuple[float, float],
@@ -112,7 +113,8 @@ def _window(
     return left, right, bottom, top
 
 
-def _depth_of_field(obj, kind: CameraKind, transform: np.ndarray, depsgraph, name: str, warnings: list[str]) -> dict:
+def depth_of_field(obj, kind: CameraKind, transform: np.ndarray, depsgraph, name: str, warnings: list[str]) -> dict:
+    """The fields of `Camera` that say what the camera object is sharp for; none where all is sharp."""
     camera = obj.data
     if not camera.dof.use_dof:
         return {}

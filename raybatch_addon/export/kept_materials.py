@@ -6,11 +6,13 @@ it was compiled is asked for again, and the material serves where the answers ar
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 
-from ..core.scene.description import Material
+from ..core.scene.description import Image, Material
 from .images.images import image_key
 from .nodes.collections import Collections
 from .nodes.signature import NoSignature, Signatures
@@ -29,6 +31,51 @@ class _Kept:
 _kept: dict[int, _Kept] = {}  # by `session_uid` of the original
 
 
+class UntouchedMaterials:
+    """Materials of a viewport's last pass: those that no edit touched since are not even looked at."""
+
+    def __init__(self) -> None:
+        self._known: dict[int, _Kept] = {}  # by `session_uid` of the original
+        self._images: dict[Any, Image] = {}  # by what `Collections.image` knows them as
+        self._told: tuple[str, int] | None = None  # what all of them follow from
+
+    def forget(self, touched: Iterable[int] | None = None) -> None:
+        """Materials of these `session_uid`s are others now; None: any may be."""
+        if touched is None:
+            self._known.clear()
+            self._images.clear()
+            return
+        for uid in touched:
+            self._known.pop(uid, None)
+
+    def begin(self, collections: Collections) -> None:
+        """A pass begins, which asks `collections`."""
+        told = (collections.engine, collections.frame)
+        if told != self._told:
+            self.forget()
+            self._told = told
+
+    def find(self, material: bpy.types.Material, collections: Collections) -> _Kept | None:
+        """`material` as it was, if nothing touched it and the scene gives the same indices."""
+        known = self._known.get(material.original.session_uid)
+        if known is None:
+            return None
+        for kind, what, index in known.asked:
+            if kind == "image":
+                if what not in self._images or collections.image(what, lambda what=what: self._images[what]) != index:
+                    return None
+            elif getattr(collections, kind)(*what) != index:
+                return None
+        return known
+
+    def end(self, collections: Collections, uids: Iterable[int]) -> None:
+        """The pass is over, and these materials were exported."""
+        for uid in uids:
+            if uid in _kept:
+                self._known[uid] = _kept[uid]
+        self._images = collections.images_by_key()
+
+
 def forget_materials() -> None:
     """Drop all materials that are kept."""
     _kept.clear()
@@ -40,6 +87,12 @@ class KeptMaterials:
     def __init__(self, collections: Collections) -> None:
         self._collections = collections
         self._signatures = Signatures()
+        self.untouched: UntouchedMaterials | None = None  # in the passes of a viewport
+        self.reads_elsewhere = False  # some graph has no signature: it may read places of objects
+
+    def forget_graphs(self) -> None:
+        """Keep nothing of Blender's: graphs that are asked for again are read again."""
+        self._signatures = Signatures()
 
     def signature(self, material: bpy.types.Material | None) -> tuple | None:
         """All that `material`, evaluated, is compiled from; None where that is not known."""
@@ -48,9 +101,17 @@ class KeptMaterials:
         try:
             graph = self._signatures.of(material.node_tree)
         except NoSignature:
+            self.reads_elsewhere = True
             return None
         own = (material.name, material.pass_index, material.displacement_method, tuple(material.diffuse_color))
         return (*own, self._collections.engine, graph)
+
+    def find_untouched(self, material: bpy.types.Material | None) -> tuple[Material, list[str]] | None:
+        """As `find`, for a material that no edit touched, without its signature."""
+        if self.untouched is None or material is None:
+            return None
+        kept = self.untouched.find(material, self._collections)
+        return kept and (kept.material, list(kept.notes))
 
     def find(self, material: bpy.types.Material, signature: tuple) -> tuple[Material, list[str]] | None:
         """The material of that `signature` and the messages about it; None where it must be compiled."""

@@ -11,7 +11,7 @@ from ..core.programs.builder import Value
 from ..core.programs.op import VOLUME_PREFIX
 from ..core.scene.description import Closure, ClosureKind, Material
 from ..core.scene.notice import Notice, as_notice
-from .kept_materials import KeptMaterials
+from .kept_materials import KeptMaterials, UntouchedMaterials
 from .nodes.collections import Collections
 from .nodes.compile import compile_displacement, compile_graph, compile_volume, default_volume
 from .nodes.graph import find_source
@@ -36,6 +36,8 @@ class ExportedMaterials:
         self.materials: list[Material] = []
         # for each material: kind and name of the attributes that it reads
         self.asked: list[frozenset[tuple[str, str]]] = []
+        self.compiled_count = 0  # materials that were looked at, and not known to be as before
+        self._uids: list[int] = []  # `session_uid` of each material's original
         self._index: dict[Any, int] = {}
         self._notes: dict[int, list[str]] = {}  # for each material: messages about parts that were left out
         self._users: dict[int, list[str]] = {}
@@ -46,6 +48,8 @@ class ExportedMaterials:
         if key not in self._index:
             self._index[key] = len(self.materials)
             exported, notes = self._export(material)
+            if material is not None:
+                self._uids.append(material.original.session_uid)
             self.materials.append(exported)
             self.asked.append(frozenset(self.collections.asked))
             if notes:
@@ -56,6 +60,24 @@ class ExportedMaterials:
             if user not in users:
                 users.append(user)
         return index
+
+    def begin_live(self, untouched: UntouchedMaterials) -> None:
+        """A pass of a viewport begins, of whose last pass `untouched` tells."""
+        self._kept.untouched = untouched
+        untouched.begin(self.collections)
+
+    @property
+    def reads_elsewhere(self) -> bool:
+        """Whether a graph may read more than its nodes: places of objects, or animated values."""
+        return self._kept.reads_elsewhere
+
+    def forget_graphs(self) -> None:
+        """Keep nothing of Blender's."""
+        self._kept.forget_graphs()
+
+    def end_live(self) -> None:
+        """The pass is over."""
+        self._kept.untouched.end(self.collections, self._uids)
 
     def holdout(self) -> int:
         """The index of a material that is a hole in the picture."""
@@ -77,6 +99,11 @@ class ExportedMaterials:
 
     def _export(self, material: bpy.types.Material | None) -> tuple[Material, list[str]]:
         self.collections.begin()
+        found = self._kept.find_untouched(material)
+        if found is not None:
+            return found
+        self.collections.begin()
+        self.compiled_count += 1
         signature = self._kept.signature(material)
         found = self._kept.find(material, signature) if signature is not None else None
         if found is None:

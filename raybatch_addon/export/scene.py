@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 
 import bpy
 import numpy as np
 
-from ..core.scene.description import Frame, Scene
+from ..core.scene.description import Camera, Frame, Scene
 from ..core.scene.notice import Notice, Weight, by_weight
 from .camera import export_camera
 from .drivers import failed_drivers
 from .meshes.instances import Cancelled, collect_placements
+from .meshes.placements import Placements
 from .motion.shutter import Exposure, export_shutter, neighbours, open_time
 from .motion.steps import MotionSteps, camera_steps, with_frames
 from .nodes.collections import occlusion_distance
@@ -28,6 +30,8 @@ from .passes import (
 from .view import View
 from .world import export_world, with_portals
 
+# What earlier exports left is there once, and a viewport may be read while a final render begins on another thread
+reading = threading.RLock()
 # Exponent of the share of mist, by Blender's name
 _MIST_FALLOFFS = {"QUADRATIC": 2.0, "LINEAR": 1.0, "INVERSE_QUADRATIC": 0.5}
 
@@ -40,18 +44,24 @@ def export_scene(
     Returns None if `cancelled()`, which is called at least once for each mesh, returned True. Raises `SceneError` for a
     scene that cannot be rendered: without a camera, or with one that cannot be used.
     """
-    scene, view = depsgraph.scene, view.holding(depsgraph.scene)
+    with reading:
+        return _exported_in_time(depsgraph, cancelled or (lambda: False), view.holding(depsgraph.scene))
+
+
+def _exported_in_time(depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool], view: View) -> Scene | None:
+    """The scene, with the times that it is read at."""
+    scene = depsgraph.scene
     frame = export_frame(scene, depsgraph.view_layer, depsgraph.scene_eval.world)
     warnings: list[str] = []
     exposure = open_time(scene, depsgraph.view_layer, view, warnings)
     beside = neighbours(scene, depsgraph.view_layer, view, warnings)
     exposure = exposure or beside
     if exposure is None:
-        return _exported(depsgraph, frame, view, cancelled or (lambda: False), warnings)
+        return _exported(depsgraph, frame, view, cancelled, warnings)
     if exposure.middle != exposure.frame:
         exposure.go_to(0.0)
     try:
-        return _exported(depsgraph, frame, view, cancelled or (lambda: False), warnings, exposure, beside is not None)
+        return _exported(depsgraph, frame, view, cancelled, warnings, exposure, beside is not None)
     finally:
         exposure.go_back()
 
@@ -72,24 +82,12 @@ def _exported(
         placements = collect_placements(depsgraph, cancelled, exposure is not None)
     except Cancelled:
         return None
-    if placements.catches and CATCHER_PASS not in frame.passes:
-        frame = replace(frame, passes=(*frame.passes, CATCHER_SHADOWS))
-    collections = placements.materials.collections
-    # evaluated: with the current values of drivers and keyframes
-    shown = _world(depsgraph.scene_eval, depsgraph.view_layer_eval)
-    world = with_portals(export_world(shown, warnings, collections), placements.portals)
-    groups = [each.name for each in depsgraph.view_layer.lightgroups]
-    if shown is not None and shown.lightgroup in groups:
-        world = replace(world, light_group=groups.index(shown.lightgroup))
-    instances = placements.instances("Object Index" in frame.passes)
+    exported = assembled(depsgraph, camera, frame, placements, warnings)
     warnings += (
-        placements.warnings
-        + collections.warnings
-        + failed_drivers(depsgraph)
+        failed_drivers(depsgraph)
         + [Notice(line, Weight.MISSING) for line in _unsupported(scene, depsgraph.view_layer)]
         + passed_over(depsgraph, placements.originals)
     )
-    meshes = placements.meshes
     if exposure is not None:
         steps = MotionSteps(exposure, placements, camera_steps(scene, view))
 
@@ -99,15 +97,34 @@ def _exported(
 
         if not steps.collect(depsgraph, camera_now, cancelled):
             return None
-        moved = steps.camera(camera), steps.instances(instances), steps.meshes()
+        moved = steps.camera(camera), steps.instances(exported.instances), steps.meshes()
         if sharp:
-            camera, instances, meshes = with_frames((camera, instances, meshes), moved)
+            moved = with_frames((camera, exported.instances, placements.meshes), moved)
         else:
-            camera, instances, meshes = replace(moved[0], shutter=export_shutter(scene)), *moved[1:]
+            moved = replace(moved[0], shutter=export_shutter(scene)), *moved[1:]
+        exported = replace(exported, camera=moved[0], instances=moved[1], meshes=tuple(moved[2]))
+    return replace(exported, warnings=tuple(by_weight(dict.fromkeys(warnings))))
+
+
+def assembled(
+    depsgraph: bpy.types.Depsgraph, camera: Camera, frame: Frame, placements: Placements, warnings: list[str]
+) -> Scene:
+    """The scene of `placements` as it is now; `warnings` gets those about its parts."""
+    if placements.catches and CATCHER_PASS not in frame.passes:
+        frame = replace(frame, passes=(*frame.passes, CATCHER_SHADOWS))
+    collections = placements.materials.collections
+    # evaluated: with the current values of drivers and keyframes
+    shown = world_of(depsgraph.scene_eval, depsgraph.view_layer_eval)
+    world = with_portals(export_world(shown, warnings, collections), placements.portals)
+    groups = [each.name for each in depsgraph.view_layer.lightgroups]
+    if shown is not None and shown.lightgroup in groups:
+        world = replace(world, light_group=groups.index(shown.lightgroup))
+    instances = placements.instances("Object Index" in frame.passes)
+    warnings += placements.warnings + collections.warnings
     return Scene(
         camera=camera,
         frame=frame,
-        meshes=tuple(meshes),
+        meshes=tuple(placements.meshes),
         instances=instances,
         slot_materials=np.array(placements.slot_materials, np.int32),
         materials=tuple(placements.materials.materials),
@@ -116,9 +133,8 @@ def _exported(
         images=tuple(collections.images),
         attributes=tuple(collections.attributes),
         object_names=tuple(placements.object_names),
-        light_groups=tuple(each.name for each in depsgraph.view_layer.lightgroups),
+        light_groups=tuple(groups),
         asset_names=tuple(placements.asset_names),
-        warnings=tuple(by_weight(dict.fromkeys(warnings))),
     )
 
 
@@ -162,7 +178,7 @@ def _mist(world: bpy.types.World | None) -> tuple[float, float, float]:
     return float(mist.start), float(mist.depth), _MIST_FALLOFFS[mist.falloff]
 
 
-def _world(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bpy.types.World | None:
+def world_of(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bpy.types.World | None:
     """The world that lights the view layer, unless it is hidden."""
     return (getattr(view_layer, "world_override", None) or scene.world) if view_layer.use_sky else None
 

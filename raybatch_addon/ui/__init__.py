@@ -15,6 +15,7 @@ from . import (
     presets,
     properties,
     render_panels,
+    viewport,
 )
 
 _parts = (
@@ -22,6 +23,7 @@ _parts = (
     choices,
     presets,
     render_panels,
+    viewport,
     data_panels,
     light_groups,
     camera_panels,

@@ -150,6 +150,24 @@ def recording_text(report: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
+def viewport_text(report: dict[str, Any]) -> str:
+    """The report of `benchmark.py viewport`."""
+    frame = report["frame"]
+    rows = [
+        [each["edit"], *(f"{1000 * each[name]:.0f} ms" for name in ("median", "p95", "most", "first"))]
+        + [f"{each['pixel_side']:g}"]
+        for each in report["edits"]
+    ]
+    lines = [
+        f"{report['scene']}, {report['triangles']:,} triangles, on {report['device']['name']}",
+        f"{frame['width']} x {frame['height']} pixels, {report['edits_of_each_kind']} edits of each kind; "
+        f"the first picture of all took {report['first_picture_seconds']:.2f} s",
+        "",
+        table(["edit", "median", "95 %", "most", "first of its kind", "pixels' side"], rows),
+    ]
+    return "\n".join(lines)
+
+
 def memory_text(report: dict[str, Any]) -> str:
     """The report of `benchmark.py render --against memory`."""
     frame, memory = report["frame"], report["memory"]

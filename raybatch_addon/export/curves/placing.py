@@ -28,6 +28,12 @@ class StrandMeshes:
         self.sources: dict[int, Source] = {}  # by mesh
         self._seen: dict[Any, set[tuple[str, str]]] = {}
 
+    def forget_sources(self) -> None:
+        """Keep nothing of Blender's: what is asked for again is made again."""
+        self.sources.clear()
+        self._made.clear()
+        self._seen.clear()
+
     def of(self, obj: bpy.types.Object, data: Any, collector: Any) -> tuple[list[int], Callable[[_Asked], int | None]]:
         """Materials of the slots of `data` (curves, points, or the modifier of a particle system) of `obj`, and the
         function that makes its mesh, with attributes.

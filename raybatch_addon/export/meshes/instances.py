@@ -24,6 +24,7 @@ from ..settings import output_engine
 from .attributes import object_value
 from .holdouts import is_holdout, with_hole
 from .kept_meshes import MeshSource, end_export
+from .live_meshes import LiveMeshes, LiveSource
 from .meshes import slot_count
 from .placements import Placements, Template
 from .random_numbers import random_of
@@ -66,7 +67,7 @@ def collect_placements(
     depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool], moving: bool = False
 ) -> Placements:
     """One pass over `depsgraph`; `moving`: with what finds things again at other times. Raises `Cancelled`."""
-    collector = _Collector(depsgraph, moving)
+    collector = PlacementCollector(depsgraph, moving)
     try:
         for count, placed in enumerate(depsgraph.object_instances):
             if count % _CANCEL_INTERVAL == 0 and cancelled():
@@ -77,21 +78,22 @@ def collect_placements(
         end_export()
 
 
-class _Collector:
+class PlacementCollector:
     """Pass over a depsgraph. The iterator's objects are temporary: only copies and keys of them are kept."""
 
-    def __init__(self, depsgraph: bpy.types.Depsgraph, moving: bool) -> None:
+    def __init__(self, depsgraph: bpy.types.Depsgraph, moving: bool = False, live: LiveMeshes | None = None) -> None:
+        """`live`: as a viewport shows it, with the meshes that are known from passes before."""
+        self._live = live
         self._motions = PlacedMotions() if moving else None
-        self.view_layer = depsgraph.view_layer
-        # evaluated: with the nodes as drivers and keyframes have them now
-        self.material_override = depsgraph.view_layer_eval.material_override
         self.viewport = depsgraph.mode != "RENDER"
         self.placements = Placements()
+        self.look_at(depsgraph)
         collections = self.placements.materials.collections
         collections.frame = depsgraph.scene.frame_current
         collections.has_grids = any_grids(depsgraph.objects)
-        collections.scene, collections.view_layer = depsgraph.scene_eval, depsgraph.view_layer_eval
         collections.engine = output_engine(depsgraph.scene)
+        if live is not None:
+            self.placements.materials.begin_live(live.materials)
         self._lamp_graphs = LampGraphs(collections)
         self._templates: dict[Any, Template | None] = {}
         self._holes: dict[Any, Template | None] = {}  # what the camera sees of holdout objects
@@ -113,13 +115,33 @@ class _Collector:
         self._item = -1  # of the depsgraph's list
         self._light_values: list[tuple[tuple[int, tuple[float, ...]], ...]] = []  # by light: as `Template.attributes`
 
+    def look_at(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """The pass is over `depsgraph`, which is as it was before where the pass goes on."""
+        self.view_layer = depsgraph.view_layer
+        # evaluated: with the nodes as drivers and keyframes have them now
+        self.material_override = depsgraph.view_layer_eval.material_override
+        collections = self.placements.materials.collections
+        collections.scene, collections.view_layer = depsgraph.scene_eval, depsgraph.view_layer_eval
+
+    def look_away(self) -> None:
+        """Keep nothing of Blender's until the pass goes on."""
+        self.view_layer = self.material_override = None
+        collections = self.placements.materials.collections
+        collections.scene = collections.view_layer = None
+        self.placements.originals.clear()
+        self.placements.materials.forget_graphs()
+        self._strands.forget_sources()
+
     def add(self, placed: bpy.types.DepsgraphObjectInstance, cancelled: Callable[[], bool]) -> None:
         """Take one item of the depsgraph's list."""
         self._item += 1
         obj = placed.object
         kind = obj.type
         of_itself = not placed.is_instance or (placed.parent is not None and placed.parent.original == obj.original)
-        if of_itself and self.viewport and obj.original.hide_render:
+        if self._live is not None:
+            if not self._live.shows(placed):
+                return
+        elif of_itself and self.viewport and obj.original.hide_render:
             return  # a render's own depsgraph leaves these out by itself
         if obj.original.as_pointer() not in self._looked_at:
             self._looked_at.add(obj.original.as_pointer())
@@ -174,6 +196,8 @@ class _Collector:
         for template in (self._templates[key], self._holes[key]):
             if template is None:
                 continue
+            if self._live is not None:
+                self._live.note_placed(placed)
             if placed.is_instance:
                 instance = len(self.placements.templates)
                 for index, name in template.of_instancer:
@@ -280,7 +304,7 @@ class _Collector:
         # A mesh that is being edited has its triangles elsewhere, until it is asked for as a mesh
         edited = data.is_editmode
         meshes = self.placements.meshes
-        source = MeshSource(obj.to_mesh() if edited else data, obj.name, self.placements.warnings)
+        source = self._source(obj, data, edited)
         if not known:
             exported = source.exported()
             index = self._meshes[key] = None if exported is None else len(meshes)
@@ -295,6 +319,14 @@ class _Collector:
         if edited:
             obj.to_mesh_clear()
         return index
+
+    def _source(self, obj, data, edited: bool) -> MeshSource | LiveSource:
+        warnings = self.placements.warnings
+
+        def read() -> MeshSource:
+            return MeshSource(obj.to_mesh() if edited else data, obj.name, warnings)
+
+        return read() if self._live is None else self._live.source(obj, data, read, warnings)
 
     def _volume(self, obj, key: tuple, asked: list[tuple[str, str]]) -> int | None:
         """Index of the box around a volume object, with the grids `asked`; None if there is nothing in it."""

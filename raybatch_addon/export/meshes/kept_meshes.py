@@ -68,6 +68,10 @@ class _Kept:
         if self.used != _export_count:
             self.used, self._before, self._now = _export_count, self._now, {}
 
+    def use_all(self) -> None:
+        """The present export uses it, and what more the last one used of it."""
+        self.used = _export_count
+
     def part(self, key: tuple) -> Attribute | None:
         """What was kept by `key`."""
         found = self._now.get(key) or self._before.get(key)
@@ -125,6 +129,12 @@ def _make_room(place: tuple, digest: bytes) -> None:
     _last[place] = digest
 
 
+def use_again(shape: bytes) -> None:
+    """The present export uses the mesh of that digest as the last one did, if it is kept."""
+    if (kept := _kept.get(shape)) is not None:
+        kept.use_all()
+
+
 class MeshSource:
     """A mesh of Blender's, evaluated, as often as the export asks for it or for more of its attributes."""
 
@@ -136,6 +146,11 @@ class MeshSource:
         self._shape = _digest(mesh, self._layer, lambda attribute: attribute.name in _OF_SHAPE)
         self._counts = len(mesh.vertices), len(mesh.polygons)
         self._all: bytes | None = None
+
+    @property
+    def shape(self) -> bytes:
+        """The digest that it is kept by."""
+        return self._shape
 
     def exported(self) -> Mesh | None:
         """The mesh without attributes; None if it has no triangles."""

@@ -56,6 +56,10 @@ class Collections:
             self.images.append(make())
         return self._noted("image", key, self._image_places[key])
 
+    def images_by_key(self) -> dict[Any, Any]:
+        """All images, by what they are known as."""
+        return {key: self.images[place] for key, place in self._image_places.items()}
+
     def attribute(self, kind: str, name: str) -> int:
         """Index of an attribute of meshes; for `kind` see `export/meshes/attributes.py`."""
         self.asked.add((kind, name))

@@ -1,0 +1,75 @@
+"""Settings of viewports, at `scene.raybatch_viewport`, and their panel."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..blender.denoise_library import why_not
+from ..core.errors import SettingsError
+from ..export.live.settings import SAMPLES_DEFAULT, left_out
+from .panel import EnginePanel, draw_lines
+
+
+class RayBatchViewport(bpy.types.PropertyGroup):
+    """RayBatch's settings of the Rendered mode of the 3D view."""
+
+    samples: bpy.props.IntProperty(
+        name="Samples",
+        description="Paths traced through every pixel of the 3D view, which rests when it has them",
+        default=SAMPLES_DEFAULT,
+        min=1,
+        soft_max=4096,
+        options=set(),
+    )
+    denoise: bpy.props.BoolProperty(
+        name="Denoise",
+        description="Show pictures without their noise, at 1, 2, 4, 8 and so on samples. How is set under Denoising",
+        default=False,
+        options=set(),
+    )
+
+
+class RAYBATCH_RENDER_PT_viewport(EnginePanel, bpy.types.Panel):
+    """Settings of the Rendered mode of the 3D view."""
+
+    bl_label = "Viewport"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        layout, scene = self.layout, context.scene
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        own = scene.raybatch_viewport
+        layout.prop(own, "samples")
+        missing = why_not(scene.raybatch.denoise_library)
+        row = layout.row()
+        row.enabled = not missing
+        row.prop(own, "denoise")
+        if missing and own.denoise:
+            draw_lines(layout.box(), context, [missing], "INFO")
+        layout.prop(scene.render, "preview_pixel_size", text="Pixel Size")
+        try:
+            names = left_out(scene)
+        except SettingsError:  # the panel of what is wrong tells it
+            return
+        if names:
+            draw_lines(layout.box(), context, [f"Final renders alone have: {', '.join(names)}"], "INFO")
+
+
+_classes = (RayBatchViewport, RAYBATCH_RENDER_PT_viewport)
+
+
+def register() -> None:
+    """Add `scene.raybatch_viewport` and the panel."""
+    for cls in _classes:
+        bpy.utils.register_class(cls)
+    bpy.types.Scene.raybatch_viewport = bpy.props.PointerProperty(
+        type=RayBatchViewport, name="RayBatch Viewport", description="RayBatch's settings of the 3D view"
+    )
+
+
+def unregister() -> None:
+    """Remove both."""
+    del bpy.types.Scene.raybatch_viewport
+    for cls in reversed(_classes):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,215 @@
+"""A live render: the newest scene is the one that is shown, and it rests when all samples are there."""
+
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from raybatch_addon.core.errors import DeviceError
+from raybatch_addon.core.live.picture import LiveRequest
+from raybatch_addon.core.live.render import LiveRender
+from raybatch_addon.core.scene.description import Frame
+from raybatch_addon.core.settings.settings import RenderSettings
+from tests.support.scenes import camera, mixed
+
+SECONDS = 120.0  # a test waits for this at most: kernels may have to be compiled
+
+
+class Source:
+    """Lends one session, and can want it back."""
+
+    def __init__(self, session):
+        self.opened, self.wanted, self.lent = session, False, 0
+        self.free = threading.Event()
+        self.free.set()
+
+    @contextmanager
+    def session(self, request, given_up):
+        while not self.free.is_set() and not given_up():
+            time.sleep(0.005)
+        self.lent += 1
+        yield self.opened if self.free.is_set() else None
+
+    def is_wanted(self, has_shown):
+        return self.wanted
+
+
+@pytest.fixture
+def live(session):
+    """(live render, its source, pictures in the order in which they were shown)."""
+    source, shown = Source(session), []
+
+    def note():
+        if render.picture is not None and (not shown or shown[-1] is not render.picture):
+            shown.append(render.picture)
+
+    render = LiveRender(source, note)
+    yield render, source, shown
+    source.free.set()
+    render.close()
+    assert render.join(SECONDS)
+
+
+def request(number, samples=8, side=1, size=(48, 40), **changes):
+    scene = replace(mixed(Frame(*size)), **changes)
+    return LiveRequest(number, scene, RenderSettings(sample_count=samples), side)
+
+
+def wait_for(condition):
+    end = time.monotonic() + SECONDS
+    while not condition():
+        assert time.monotonic() < end, "nothing came"
+        time.sleep(0.002)
+
+
+def test_a_picture_grows_and_ends_as_the_session_renders_it(live, session):
+    render, _, shown = live
+    asked = request(1)
+    render.show(asked)
+    wait_for(lambda: render.is_idle)
+    sides = [each.side for each in shown]
+    assert sides[0] > 1 and sides[-1] == 1 and sides == sorted(sides, reverse=True)
+    fine = [each.samples for each in shown if each.side == 1]
+    assert fine == sorted(set(fine)) and fine[0] == 1 and fine[-1] == 8
+    film = session.render(asked.scene, asked.settings)
+    assert shown[-1].pixels.tobytes() == film.passes["Combined"].tobytes()
+    assert render.state.samples == 8 and not render.state.stage and not render.state.error
+
+
+def test_it_rests_when_all_samples_are_there(live):
+    render, source, _ = live
+    render.show(request(1, samples=2))
+    wait_for(lambda: render.is_idle)
+    lent, before = source.lent, time.process_time()
+    time.sleep(0.3)
+    assert source.lent == lent and time.process_time() - before < 0.15
+
+
+def test_the_newest_request_is_the_one_that_is_finished(live):
+    render, _, shown = live
+    render.show(request(1, samples=1_000_000))
+    wait_for(lambda: shown)
+    for number in range(2, 6):
+        render.show(request(number, samples=1_000_000, camera=camera((0, -4 - number, 0))))
+    render.show(request(6, samples=4, camera=camera((0, -9, 1))))
+    wait_for(lambda: render.is_idle)
+    assert shown[-1].request.number == 6 and shown[-1].samples == 4
+    numbers = [each.request.number for each in shown]
+    assert numbers == sorted(numbers)
+
+
+def test_the_first_picture_comes_whatever_follows(live):
+    """Who moves a slider all the time sees pictures all the time."""
+    render, _, shown = live
+    end, number = time.monotonic() + SECONDS, 0
+    while len({each.request.number for each in shown}) < 5:
+        assert time.monotonic() < end, "pictures wait for the edits to end"
+        number += 1
+        render.show(request(number, samples=1_000_000))
+        time.sleep(0.01)
+
+
+def test_who_goes_first_gets_the_session_and_the_picture_goes_on(live, session):
+    render, source, shown = live
+    asked = request(1, samples=300)
+    render.show(asked)
+    wait_for(lambda: shown and shown[-1].side == 1 and shown[-1].samples >= 4)
+    source.free.clear()
+    source.wanted = True
+    wait_for(lambda: render._kept is not None)
+    at = len(shown)
+    wait_for(lambda: "Waiting" in render.state.stage)
+    time.sleep(0.2)
+    assert len(shown) == at, "it renders on"
+    source.wanted = False
+    source.free.set()
+    wait_for(lambda: render.is_idle)
+    assert all(each.side == 1 for each in shown[at:]), "it began anew"
+    film = session.render(asked.scene, asked.settings)
+    assert shown[-1].pixels.tobytes() == film.passes["Combined"].tobytes()
+
+
+def test_pixels_may_be_larger_than_those_of_the_screen(live, session):
+    render, _, shown = live
+    render.show(request(1, samples=2, side=2, size=(47, 41)))
+    wait_for(lambda: render.is_idle)
+    assert shown[-1].side == 2 and shown[-1].pixels.shape == (21, 24, 4) and shown[-1].box == (0, 0, 48, 42)
+
+
+def test_an_error_is_told_and_the_next_scene_is_rendered(live):
+    render, source, shown = live
+    opened, source.opened = source.opened, None
+
+    class Broken:
+        def render(self, *_, **__):
+            raise DeviceError("the device\nis gone")
+
+    source.opened = Broken()
+    render.show(request(1))
+    wait_for(lambda: render.is_idle)
+    assert render.state.error == "the device is gone" and not shown
+    source.opened = opened
+    render.show(request(2, samples=1))
+    wait_for(lambda: render.is_idle)
+    assert not render.state.error and shown[-1].request.number == 2
+
+
+def test_a_fault_is_told_and_ends_nothing(live):
+    render, source, _ = live
+
+    class Broken:
+        def render(self, *_, **__):
+            raise ZeroDivisionError("division by zero")
+
+    source.opened = Broken()
+    render.show(request(1))
+    wait_for(lambda: render.is_idle)
+    assert "ZeroDivisionError" in render.state.error
+
+
+def test_closing_ends_it_while_it_waits_and_while_it_renders(session):
+    for is_free in (True, False):
+        source = Source(session)
+        if not is_free:
+            source.free.clear()
+        render = LiveRender(source)
+        render.show(request(1, samples=1_000_000))
+        time.sleep(0.1)
+        render.close()
+        assert render.join(SECONDS)
+        render.show(request(2))  # does nothing any more
+        assert render.join(0.0)
+
+
+class Halves:
+    """In place of the denoiser's library: pictures are half as bright."""
+
+    def filtered(self, images, _flags, _quality):
+        return images["color"] * np.float32(0.5)
+
+
+def test_pictures_at_powers_of_two_are_denoised(live, session):
+    render, _, shown = live
+    asked = request(1, samples=6)
+    settings = asked.settings.replace(denoise="ON", denoise_inputs="NONE")
+    render.show(replace(asked, settings=settings, denoiser=Halves()))
+    wait_for(lambda: render.is_idle)
+    fine = [each for each in shown if each.side == 1]
+    assert [each.samples for each in fine] == [1, 1, 2, 4, 6]
+    film = session.render(asked.scene, asked.settings)
+    combined = film.passes["Combined"]
+    assert np.array_equal(fine[-1].pixels[..., :3], combined[..., :3] * np.float32(0.5))
+    assert np.array_equal(fine[-1].pixels[..., 3], combined[..., 3])
+
+
+def test_frames_with_a_border_are_shown_where_they_are(live):
+    render, _, shown = live
+    asked = request(1, samples=1)
+    scene = replace(asked.scene, frame=Frame(48, 40, (8, 4, 24, 20)))
+    render.show(replace(asked, scene=scene))
+    wait_for(lambda: render.is_idle)
+    assert shown[-1].box == (8, 4, 24, 20) and shown[-1].pixels.shape == (16, 16, 4)
+    assert np.isfinite(shown[-1].pixels).all()
