@@ -191,7 +191,7 @@ def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
         "TEXTURE_PT_image",
         "RENDER_PT_freestyle",
         "VIEWLAYER_PT_freestyle",
-        "MATERIAL_PT_freestyle",
+        "MATERIAL_PT_freestyle_line",
     ):
         assert hasattr(bpy.types, name) and name in enabled, name
     for name in ("DATA_PT_light", "VIEWLAYER_PT_eevee_layer_passes_data"):
