@@ -18,7 +18,7 @@ from ..scene.features import SCATTERING, SceneFeatures
 from ..settings.settings import RenderSettings
 from ..shading.lights.light_tree import LIGHT_TREE_KERNELS
 from ..sky.scattering_kernels import SKY_KERNELS
-from ..wavefront.kernels import StageKernels, plain_features, tracing_kernels, without_programs
+from ..wavefront.kernels import StageKernels, common_features, plain_features, tracing_kernels, without_programs
 from ..wavefront.plan.plan import Method, TracingPlan
 from ..wavefront.plan.tracing import Tracing
 from ..wavefront.tier import general_features, general_kernels
@@ -94,7 +94,7 @@ def _plain_scenes(plain: SceneFeatures) -> list[SceneFeatures]:
         dataclasses.replace(scene, passes=("Combined", name)) for scene in scenes[:2] for name in ("Normal", "Mist")
     ]
     scenes += [dataclasses.replace(scene, closures=_OPAQUE) for scene in scenes[:4]]
-    return [*scenes, without_programs(scenes[0])]
+    return [*scenes, common_features(scenes[0]), without_programs(scenes[0])]
 
 
 def _wide_scenes(general: SceneFeatures) -> list[SceneFeatures]:

@@ -23,8 +23,7 @@ def make_run(features: ProgramFeatures) -> wp.Function:
     It returns how many closures the program made. `stack` is a local array of `register_count` floats, `closures` one
     of `closure_count` records. Where `features.apart`, `data` has to be stored (`store_programs`).
     """
-    types = _STORED if features.apart else _BY_VALUE
-    interpret = _make_interpreter(features, types)
+    interpret = _make_interpreter(features.ops, features.apart)
 
     def run(
         data: NodeData,
@@ -58,18 +57,21 @@ _BY_VALUE = SimpleNamespace(data=NodeData, point=ShadingPoint)
 _STORED = SimpleNamespace(data=wp.array(dtype=NodeData), point=wp.array(dtype=ShadingPoint))
 
 
-def _make_interpreter(features: ProgramFeatures, types: SimpleNamespace) -> wp.Function:
-    """Function (code, data, stack, first: int, point, closures) -> int."""
-    numbers = op_numbers()
-    ops = [(numbers[name], op_named(name)) for name in sorted(features.ops, key=numbers.__getitem__)]
+@functools.cache
+def _make_interpreter(names: tuple[str, ...], apart: bool) -> wp.Function:
+    """Function (code, data, stack, first: int, point, closures) -> int, with the ops called `names`: the same one for
+    all that run these, so that a kernel of several stages has its code once.
+    """
+    numbers, types = op_numbers(), _STORED if apart else _BY_VALUE
+    ops = [(numbers[name], op_named(name)) for name in sorted(names, key=numbers.__getitem__)]
     values = [(number, op.function) for number, op in ops if not op.makes_closures]
     makers = [(number, op.function) for number, op in ops if op.makes_closures]
-    if types is _STORED:
+    if apart:
         values = [(number, _value_apart(number, function)) for number, function in values]
         makers = [(number, _closure_apart(number, function)) for number, function in makers]
     compute, make = _value_tree(values, types), _closure_tree(makers, types)
 
-    @wp.func(inline=False if types is _STORED else None)
+    @wp.func(inline=False if apart else None)
     def interpret(
         code: wp.array(dtype=int),
         data: types.data,

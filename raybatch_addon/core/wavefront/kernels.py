@@ -12,6 +12,7 @@ import warp as wp
 from ..film import layout_of
 from ..film.tile import add_spill_kernel, resolve_kernel
 from ..measure.counters import count_kernel
+from ..programs.requests import REQUEST_OPS
 from ..scene.description import ClosureKind
 from ..scene.features import SceneFeatures, narrow
 from ..scene.passes import GUIDE_PASSES, light_group_passes
@@ -153,6 +154,11 @@ def _shading_kernels(
     simple[ShadingStage.AIM] = _stage_functions(needed, None)[ShadingStage.AIM]
     has_simple = aims_apart or not wide
     found = {stage: stage_kernel(simple[stage](), stage) for stage in stages if has_simple and not runs_program[stage]}
+    if ShadingStage.SURFACE in stages and runs_program[ShadingStage.SURFACE] and not aims_apart and is_common(features):
+        # most of the time of a render is here, so what such a scene lacks is left out of this stage
+        common = common_features(shading)
+        function = _stage_functions(common, narrow(common, AimFeatures))[ShadingStage.SURFACE]()
+        found[ShadingStage.SURFACE] = stage_kernel(function, ShadingStage.SURFACE)
     if ShadingStage.OCCLUSION in stages and not shading.occlusion_pass:
         occlusion = _stage_functions(features, None)[ShadingStage.OCCLUSION]()
         found[ShadingStage.OCCLUSION] = stage_kernel(occlusion, ShadingStage.OCCLUSION)
@@ -195,6 +201,29 @@ def plain_features(features: SceneFeatures) -> SceneFeatures:
         closures=tuple(kind for kind in features.closures if kind not in _RARE_KINDS),
         passes=tuple(name for name in features.passes if name not in rare_passes),
         **_RARE_FEATURES,
+    )
+
+
+# What scenes have whose surfaces a CPU shades by a general kernel of their own: these passes, and none of these ops
+_COMMON_PASSES = ("Combined",)
+_RARE_OPS = REQUEST_OPS | {kind.name.lower() for kind in _RARE_KINDS}
+
+
+def is_common(features: SceneFeatures) -> bool:
+    """Whether a scene with `features` has but what many have: less code shades its surfaces (`common_features`)."""
+    usual = set(features.passes) <= set(_COMMON_PASSES) and _RARE_OPS.isdisjoint(features.programs.ops)
+    return usual and not is_wide(features)
+
+
+def common_features(features: SceneFeatures) -> SceneFeatures:
+    """What `features` have of such scenes. Arrays of paths are the same: other kernels read them."""
+    plain = plain_features(features)
+    ops = tuple(name for name in plain.programs.ops if name not in _RARE_OPS)
+    return dataclasses.replace(
+        plain,
+        passes=_COMMON_PASSES,
+        programs=dataclasses.replace(plain.programs, ops=ops, answer_count=0),
+        request_program=ProgramFeatures(),
     )
 
 

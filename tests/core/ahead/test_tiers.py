@@ -30,7 +30,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront import kernels
 from raybatch_addon.core.wavefront.integrator import TileIntegrator
-from raybatch_addon.core.wavefront.kernels import StageKernels, is_wide
+from raybatch_addon.core.wavefront.kernels import StageKernels, is_common, is_wide
 from raybatch_addon.core.wavefront.plan.plan import Method, TracingPlan
 from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from raybatch_addon.core.wavefront.tier import (
@@ -152,6 +152,22 @@ def test_kernels_for_each_stage_are_chosen_where_they_have_all_that_a_scene_has(
         for name, (scene, changes) in features.items():
             found = derive_features(scene, FEATURE_SETTINGS.replace(**changes))
             assert is_wide(found) == wide or (found.volumes and wide), name
+
+
+@ON_CPU
+def test_surfaces_of_common_scenes_are_shaded_by_less_code():
+    """By a kernel that is compiled ahead, and has not what the scene lacks; passes and rare features ask for the large
+    one.
+    """
+    device, programs = wp.get_device(DEVICE), ProgramFeatures(("diffuse", "noise_3d"), 16, 4)
+    features = replace(derive_features(scenes.mixed(Frame(24, 20)), SETTINGS), programs=programs)
+    assert is_common(features)
+    kernel = StageKernels.choose(features, device, general_features(device)).shading[ShadingStage.SURFACE]
+    assert kernel in GeneralRequest().kernels(device) and kernel not in general_kernels(device)
+    asking = replace(programs, ops=("bevel", "diffuse"))
+    for changes in (dict(passes=("Combined", "Normal")), dict(curves=True), dict(programs=asking)):
+        other = StageKernels.choose(replace(features, **changes), device, general_features(device))
+        assert other.shading[ShadingStage.SURFACE] is general_kernels(device)[0], changes
 
 
 @ON_CPU

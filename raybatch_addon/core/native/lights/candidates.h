@@ -15,24 +15,26 @@ auto is_distant_linked = [&](int number) {
 #endif
 
 #if LOCAL
-// Nodes of a block at once: a vector on the CPU, one after another on a GPU.
+// Nodes of a block at once: a vector on the CPU, of all or of the first few where there are no others; one after another
+// on a GPU.
 #if defined(__CUDA_ARCH__)
-typedef float Lanes;
 auto root = [](float x) { return wp::sqrt(x); };
 auto absolute = [](float x) { return wp::abs(x); };
 auto most = [](float x, float y) { return wp::max(x, y); };
 auto least = [](float x, float y) { return wp::min(x, y); };
 #else
-typedef float Lanes __attribute__((ext_vector_type(WIDTH)));
-auto root = [](Lanes x) { return __builtin_elementwise_sqrt(x); };
-auto absolute = [](Lanes x) { return __builtin_elementwise_abs(x); };
-auto most = [](Lanes x, Lanes y) { return __builtin_elementwise_max(x, y); };
-auto least = [](Lanes x, Lanes y) { return __builtin_elementwise_min(x, y); };
+typedef float Wide __attribute__((ext_vector_type(WIDTH)));
+typedef float Few __attribute__((ext_vector_type(4)));
+auto root = [](auto x) { return __builtin_elementwise_sqrt(x); };
+auto absolute = [](auto x) { return __builtin_elementwise_abs(x); };
+auto most = [](auto x, auto y) { return __builtin_elementwise_max(x, y); };
+auto least = [](auto x, auto y) { return __builtin_elementwise_min(x, y); };
 #endif
 // The mean of max(cos, 0) over a sphere seen under a half angle whose sine has the square `spread`, about: `cosine` is
 // that of its middle. At the horizon half the sphere is left, and its mean 2 / (3 pi) of the sine.
-auto mean_cosine = [&](Lanes cosine, Lanes spread) { return 0.5f * (cosine + root(cosine * cosine + 0.18f * spread)); };
-auto node_light = [&](const Lanes* node) -> Lanes {
+auto mean_cosine = [&](auto cosine, auto spread) { return 0.5f * (cosine + root(cosine * cosine + 0.18f * spread)); };
+auto node_light = [&](const auto* node) {
+    typedef decltype(node[0] + node[0]) Lanes;
     const Lanes zero = (Lanes)(0.0f), one = (Lanes)(1.0f), cosine_min = (Lanes)(COSINE_MIN);
     const Lanes x = node[FIELD_X] - point.position[0], y = node[FIELD_Y] - point.position[1],
                 z = node[FIELD_Z] - point.position[2];
@@ -56,7 +58,8 @@ auto node_light = [&](const Lanes* node) -> Lanes {
     const Lanes turned = left * most(mean_cosine(arriving, spread), cosine_min);
     const Lanes light = power * (is_apart ? turned : one) / most(square, reach);
     const Lanes bounded = least(most(light, (Lanes)(LEAST)), (Lanes)(MOST));
-    return (power > 0.0f) & !is_dark ? bounded : zero;
+    const Lanes counted = (power > 0.0f) & !is_dark ? bounded : zero;
+    return counted;
 };
 #endif
 
@@ -113,31 +116,56 @@ auto shares_in = [&](int block) {
     float total = distant;
     int left = DRAWS;
 #if LOCAL && !defined(__CUDA_ARCH__)
-    // sums by halves: the same whatever vectors the processor has
-    static_assert(WIDTH == 16, "halved three times");
-    auto sum = [](auto of) {
-        const auto eight = of.lo + of.hi;
-        const auto four = eight.lo + eight.hi;
-        const auto two = four.lo + four.hi;
+    // sums by halves: the same whatever vectors the processor has, and whether nodes that are not there count as 0
+    static_assert(WIDTH == 16, "halved twice to four");
+    auto sum_of_four = [](auto of) {
+        const auto two = of.lo + of.hi;
         return two.x + two.y;
     };
-    typedef int Counts __attribute__((ext_vector_type(WIDTH)));
-    Lanes node[FIELDS];
-    __builtin_memcpy(node, choice_table.blocks.data + block * (FIELDS * WIDTH), sizeof(node));
+    auto sum = [&](auto of) {
+        const auto eight = of.lo + of.hi;
+        return sum_of_four(eight.lo + eight.hi);
+    };
+    auto share = [&](auto light, auto counts, auto sum_of) {
+        typedef decltype(light + light) Lanes;
+        total += sum_of(light);
+        const auto draws =
+            light > 0.0f
+                ? __builtin_convertvector(most(light * scale_of(total, WIDTH + 1), (Lanes)(1.0f)), decltype(counts))
+                : counts;
+        left -= sum_of(draws);
+        __builtin_memcpy(shares.draws, &draws, sizeof(draws));
+    };
+    typedef int WideCounts __attribute__((ext_vector_type(WIDTH)));
+    typedef int FewCounts __attribute__((ext_vector_type(4)));
+    const float* fields = choice_table.blocks.data + block * (FIELDS * WIDTH);
+    Wide powers;
+    __builtin_memcpy(&powers, fields + FIELD_POWER * WIDTH, sizeof(powers));
+    powers.lo.lo = (Few)(0.0f);
+    if (__builtin_reduce_max(powers) > 0.0f) {
+        Wide node[FIELDS];
+        __builtin_memcpy(node, fields, sizeof(node));
+        Wide light = node_light(node);
 #if LINKS
-    Lanes light = node_light(node);
-    for (int k = 0; links && k < WIDTH; ++k) {
-        if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
-    }
-#else
-    const Lanes light = node_light(node);
+        for (int k = 0; links && k < WIDTH; ++k) {
+            if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
+        }
 #endif
-    total += sum(light);
+        share(light, (WideCounts)(0), sum);
+    } else {
+        Few node[FIELDS];
+        for (int field = 0; field < FIELDS; ++field)
+            __builtin_memcpy(node + field, fields + field * WIDTH, sizeof(Few));
+        Few light = node_light(node);
+#if LINKS
+        for (int k = 0; links && k < 4; ++k) {
+            if (!is_linked(choice_table.links.nodes.data[block * WIDTH + k])) light[k] = 0.0f;
+        }
+#endif
+        for (int k = 4; k < WIDTH; ++k) shares.draws[k] = 0;
+        share(light, (FewCounts)(0), sum_of_four);
+    }
     const float scale = scale_of(total, WIDTH + 1);
-    const Counts draws =
-        light > 0.0f ? __builtin_convertvector(most(light * scale, (Lanes)(1.0f)), Counts) : (Counts)(0);
-    left -= sum(draws);
-    __builtin_memcpy(shares.draws, &draws, sizeof(draws));
 #else
     float light[WIDTH];
 #if LOCAL

@@ -1,3 +1,5 @@
+// An emitter that is alone is always chosen: 1.0f as a word.
+if (table.emitter_count == 1) return wp::vec2i(0, 0x3f800000);
 // What is left of the random number: a whole number below DRAWS.
 int draw = static_cast<int>(bits >> 8u);
 wp::uint32 state = seed;

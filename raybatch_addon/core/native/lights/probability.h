@@ -1,4 +1,5 @@
 // The probability with which `choose.h` finds `emitter`.
+if (table.emitter_count == 1) return 1.0f;
 const int leaf = choice_table.leaf.data[emitter];
 int block = leaf < 0 ? 0 : leaf / WIDTH, place = leaf < 0 ? WIDTH : leaf % WIDTH;
 float probability = 1.0f;

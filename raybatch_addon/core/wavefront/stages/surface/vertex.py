@@ -104,7 +104,8 @@ def make_vertex(features: VertexFeatures) -> wp.Function:
         )
         v.frame = shading_frame(v.surface, v.wo)
         if wp.static(features.shadow_rays and features.light_choice):
-            v.side = packed_side(v.frame.normal, data.materials.records[v.surface.material].transmits != 0)
+            if data.lights.emitter_count > 1:  # else nobody asks
+                v.side = packed_side(v.frame.normal, data.materials.records[v.surface.material].transmits != 0)
         if wp.static(features.light_links):
             v.receiver = receiver_of(data.lights, rays.hit_instance[path])
             if wp.static(features.catchers):
