@@ -21,7 +21,7 @@ from ..panorama import export_panorama
 Box = tuple[int, int, int, int]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RegionView:
     """A region and where it looks from."""
 
