@@ -103,9 +103,8 @@ auto set_shear = [&](Ray& ray, const float* o, const float* d) INLINE {
 };
 #if MOTION
 // In blocks of which each step has `stride` groups
-auto set_between = [&](Ray& ray, int stride) INLINE {
-    ray.between = between_steps((long long)stride * GROUP, time_of(ray.slot));
-};
+auto set_between = [&](Ray& ray, int stride)
+                       INLINE { ray.between = between_steps((long long)stride * GROUP, time_of(ray.slot)); };
 #endif
 // Into the tree of an entry, with the ray in its space; whether it can be traced
 auto set_entry = [&](Ray& ray, int entry) INLINE -> bool {
