@@ -208,7 +208,7 @@ def test_pictures_at_powers_of_two_are_denoised(live, session):
 def test_frames_with_a_border_are_shown_where_they_are(live):
     render, _, shown = live
     asked = request(1, samples=1)
-    scene = replace(asked.scene, frame=Frame(48, 40, (8, 4, 24, 20)))
+    scene = replace(asked.scene, frame=Frame(48, 40, border=(8, 4, 24, 20)))
     render.show(replace(asked, scene=scene))
     wait_for(lambda: render.is_idle)
     assert shown[-1].box == (8, 4, 24, 20) and shown[-1].pixels.shape == (16, 16, 4)

@@ -37,7 +37,7 @@ def test_marks_hold_all_powers_of_two_and_the_end():
 
 @pytest.mark.parametrize("side", [1, 2, 3, 8])
 def test_coarse_pixels_lie_where_the_fine_ones_do(side):
-    whole = Scene(camera(half_width=0.5, aspect=2.0), Frame(97, 41, (10, 5, 50, 41)))
+    whole = Scene(camera(half_width=0.5, aspect=2.0), Frame(97, 41, border=(10, 5, 50, 41)))
     small = coarse(whole, side)
     left, right, bottom, _ = whole.camera.window
     step = (right - left) / 97
