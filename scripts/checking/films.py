@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from checking.schedules import DrawnSizes, Draws, drawn_schedule, part_to_render
+from raybatch_addon.core.bvh.memory import GeometrySize
 from raybatch_addon.core.errors import OutOfMemoryError, SettingsError
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.film.sums import WIDE_DIGITS, normalised
@@ -58,8 +59,11 @@ class FilmComparer:
         x0, y0, x1, y1 = frame.region
         triangles = sum(len(scene.meshes[i].triangles) for i in scene.instances.mesh)
         placed = sum(len(mesh.triangles) for mesh in scene.meshes)
+        steps = GeometrySize.of(scene).step_bytes(session.layout)
         self.sizes = DrawnSizes(
-            triangles, TREE_BYTES_MOST[session.layout] * max(placed, 1), (x1 - x0) * (y1 - y0) * estimator.sample_count
+            triangles,
+            TREE_BYTES_MOST[session.layout] * max(placed, 1) + steps,
+            (x1 - x0) * (y1 - y0) * estimator.sample_count,
         )
 
     def compare_drawn(

@@ -72,7 +72,16 @@ def test_refitted_trees_hold_what_moved(layout):
             assert layout is Layout.QUANTISED or (mesh.nodes.ptr | mesh.triangles.ptr) % 64 == 0
             nodes, blocks = (aligned(array) for array in (nodes, blocks))  # as those that were built alone
             wide = WideMesh(
-                layout, nodes, mesh.centre, mesh.box, mesh.depth, len(leaves), references, mesh.sah, blocks, count
+                layout=layout,
+                nodes=nodes,
+                centre=mesh.centre,
+                box=mesh.box,
+                depth=mesh.depth,
+                leaf_count=len(leaves),
+                reference_count=references,
+                sah=mesh.sah,
+                triangles=blocks,
+                triangle_count=count,
             )
             wide_trees.check_whole(wide, flat.positions, flat.triangles[first : first + count])
 
@@ -99,16 +108,16 @@ def test_a_tree_that_a_device_built_follows():
     nodes = aligned(made.nodes.numpy().view(np.uint32).reshape(-1, 20))
     blocks = aligned(made.triangles.numpy().reshape(-1, 12))
     wide = WideMesh(
-        Layout.QUANTISED,
-        nodes,
-        result.centre,
-        result.box,
-        made.depth,
-        made.leaf_count,
-        len(triangles),
-        result.sah,
-        blocks,
-        len(triangles),
+        layout=Layout.QUANTISED,
+        nodes=nodes,
+        centre=result.centre,
+        box=result.box,
+        depth=made.depth,
+        leaf_count=made.leaf_count,
+        reference_count=len(triangles),
+        sah=result.sah,
+        triangles=blocks,
+        triangle_count=len(triangles),
     )
     wide_trees.check_whole(wide, moved, triangles)
 
