@@ -244,13 +244,11 @@ class Session:
             waited.enter("displacement")
             return move()
 
-        def tell() -> None:
-            on_progress(progress_of(parts, settings, self.device, "build"))
-
         done = begin_aside(lambda: once_free(before, displace, closed, waited))
         self._building = end_of(done)
         try:
-            return done.result() if is_awaited(done, cancelled, tell) else None
+            ended = is_awaited(done, cancelled, lambda: on_progress(progress_of(parts, settings, self.device, "build")))
+            return done.result() if ended else None
         except CompileStoppedError:  # the session was closed
             return None
         finally:
