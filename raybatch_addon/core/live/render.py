@@ -230,7 +230,6 @@ class LiveRender:
             if is_new and progress.stage != "render":
                 self._on_change()
 
-        before = time.perf_counter()
         already = resumed.sample_total if resumed else 0
         film = session.render(
             scene,
@@ -243,9 +242,7 @@ class LiveRender:
         )
         if film.complete and film.sample_total > already:
             told = film.statistics["seconds"]
-            seconds = time.perf_counter() - before - max(told["build"], told["compile"])
-            if shown:
-                seconds -= shown.seconds
+            seconds = told["paths"] + told["render"] - (shown.seconds if shown else 0.0)
             self._pace.note(film.sample_total - already, seconds)
         return film
 
