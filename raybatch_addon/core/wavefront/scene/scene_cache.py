@@ -236,8 +236,8 @@ class SceneCache:
         if kept is not None:
             return kept
         size = GeometrySize.of(scene)
-        check_counts(size)
         whole = request.plan.method is not Method.PAGED
+        check_counts(size, corners=device.is_cuda and not whole)
         if whole:
             check_memory(size, request.layout, device, all_of_it=True)
         with explained_memory_errors(size, request.layout, device):
