@@ -240,6 +240,26 @@ def test_a_denoiser_ends_for_who_goes_first_and_its_picture_comes_without_anothe
     assert np.array_equal(shown[-1].pixels[..., :3], combined[..., :3] * np.float32(0.5))
 
 
+def test_the_pace_is_that_of_pixels_alone(live, session):
+    """Whatever a scene's displacement, tree and kernels took."""
+    render, source, _ = live
+    noted, told = (
+        [],
+        {"displacement": 64.0, "build": 32.0, "compile": 16.0, "kernels": 8.0, "paths": 1.0, "render": 2.0},
+    )
+
+    class Clocked:
+        def render(self, *arguments, **options):
+            film = session.render(*arguments, **options)
+            film.statistics["seconds"] = told
+            return film
+
+    source.opened, render._pace.note = Clocked(), lambda samples, seconds: noted.append(seconds)
+    render.show(request(1, samples=1))
+    wait_for(lambda: render.is_idle)
+    assert noted[0] == 3.0 and 0 < noted[-1] <= 3.0
+
+
 def test_frames_with_a_border_are_shown_where_they_are(live):
     render, _, shown = live
     asked = request(1, samples=1)
