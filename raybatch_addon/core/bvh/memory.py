@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 import warp as wp
@@ -38,6 +38,7 @@ class GeometrySize:
     vertices: int
     largest: int  # triangles of the largest mesh tree
     smooth: bool  # whether there are normals
+    _: KW_ONLY
     curves: bool = False  # whether some triangles are segments of curves
     copies: int = 0  # of triangles, at further steps of vertices that move
     step_vertices: int = 0  # vertices of all these steps, which lie behind the others
@@ -62,7 +63,7 @@ class GeometrySize:
             sum(_vertices_of(mesh) for mesh, _ in filled),
             max([0, *trees, *baked.values()]),
             any(mesh.corner_normals is not None for mesh, _ in filled),
-            any(mesh.radii is not None for mesh, _ in filled),
+            curves=any(mesh.radii is not None for mesh, _ in filled),
             copies=sum((steps - 1) * len(mesh.triangles) for mesh, steps in moving),
             step_vertices=sum(steps * _vertices_of(mesh) for mesh, steps in moving),
             step_triangles=sum(steps * len(mesh.triangles) for mesh, steps in moving),
