@@ -34,24 +34,29 @@ def denoise_film(
     denoised halves where the film has halves. Of a cancelled render only noisy ones are made, and where `cancelled`,
     which is asked several times a second, says so meanwhile. Raises `RayBatchError`.
     """
-    passes, start = film.passes, time.perf_counter()
+    passes = film.passes
     film.made = noisy_pictures(passes)
     if not film.complete:
         return
-    with library.given_up_when(cancelled), contextlib.suppress(DenoiseStoppedError):
-        _denoise(film, passes, settings, library, start)
+    with contextlib.suppress(DenoiseStoppedError):
+        _denoise(film, passes, settings, library, cancelled)
 
 
 def _denoise(
-    film: Film, passes: dict[str, np.ndarray], settings: RenderSettings, library: DenoiseLibrary, start: float
+    film: Film,
+    passes: dict[str, np.ndarray],
+    settings: RenderSettings,
+    library: DenoiseLibrary,
+    cancelled: Callable[[], bool] | None,
 ) -> None:
-    made = film.made | {COMBINED: denoised(passes, settings, library)}
-    made |= denoised_catchers(passes, settings, library)
+    start = time.perf_counter()
+    made = film.made | {COMBINED: denoised(passes, settings, library, cancelled)}
+    made |= denoised_catchers(passes, settings, library, cancelled)
     told = description(settings, library, time.perf_counter() - start)
     if film.halves:
         halves = [half.passes for half in film.halves]
         noisy = [half[COMBINED][..., :3] for half in halves]
-        clean = [denoised(half, settings, library)[..., :3] for half in halves]
+        clean = [denoised(half, settings, library, cancelled)[..., :3] for half in halves]
         told["error_of_halves"] = dataclasses.asdict(filtered_half_error(*noisy, *clean))
     film.made = made
     film.statistics["denoise"] = told

@@ -135,14 +135,14 @@ def _render_view(
                 observers=observers,
                 parts=parts,
             )
+            if denoiser is not None:  # viewports, which would take its processors, wait for it too
+                parts.enter("denoise")
+                status.show(parts.message)
+                denoise_film(film, settings, denoiser, engine.test_break)
     finally:
         if recorder:
             state = records.FAILED if film is None else records.FINISHED if film.complete else records.CANCELLED
             recorder.end(state, film and film.statistics)
-    if denoiser is not None:
-        parts.enter("denoise")
-        status.show(parts.message)
-        denoise_film(film, settings, denoiser, engine.test_break)
     parts.enter("write")
     if wants_sample_share(depsgraph.view_layer):
         film.made[SAMPLE_SHARE] = film.sample_share

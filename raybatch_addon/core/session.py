@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from .ahead.aside import once_free, run_aside
+from .ahead.aside import WaitedParts, begin_aside, end_of, is_awaited, once_free
 from .ahead.change import TierChange, TierChanges
 from .ahead.prepare import Preparation
 from .ahead.request import CompileRequest, kernels_ahead
@@ -76,11 +76,13 @@ class Session:
         self.layout = layout_for(self.device)  # of trees
         self._cache = SceneCache()
         self._tier_changes = TierChanges(self.device, compile_between_renders)
-        self._building: Future | None = None  # the last build
+        self._building: Future | None = None  # the end of the last build
 
     def close(self) -> None:
         """Give back what is cached, and end what still compiles; a session that renders again begins anew."""
         self._tier_changes.close()
+        if self._building:
+            wait([self._building])  # what a cancelled render left behind reads and fills the caches
         self._cache.clear()
 
     def prewarm(
@@ -236,21 +238,23 @@ class Session:
         move = functools.partial(self._cache.displaced, scene, self.device, mover(settings.kernel_tier))
         if not is_displaced(scene):
             return move()
-        before, closed = self._building, self._tier_changes.is_closed
+        before, closed, waited = self._building, self._tier_changes.is_closed, WaitedParts(parts)
 
         def displace() -> Scene:
-            parts.enter("displacement")
+            waited.enter("displacement")
             return move()
 
-        def tell() -> None:
-            on_progress(progress_of(parts, settings, self.device, "build"))
-
-        done = run_aside(lambda: once_free(before, displace, closed, parts), cancelled, tell)
-        self._building = done
+        done = begin_aside(lambda: once_free(before, displace, closed, waited))
+        self._building = end_of(done)
         try:
-            return done.result() if done.done() else None
+            ended = is_awaited(done, cancelled, lambda: on_progress(progress_of(parts, settings, self.device, "build")))
+            return done.result() if ended else None
         except CompileStoppedError:  # the session was closed
             return None
+        finally:
+            waited.give_up()
+            if done.done():
+                self._building = None
 
     def _all_tiles(self, job: Job, after: Film | None) -> ResumeState:
         """The state of a render that begins."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -14,7 +13,7 @@ from ..device.devices import load_kernels
 from ..device.notes import take_notes
 from ..measure.parts import Parts
 from ..wavefront.scene.device_scene import DeviceScene
-from .aside import POLL_SECONDS, once_free
+from .aside import POLL_SECONDS, WaitedParts, end_of, once_free
 
 
 class Preparation:
@@ -30,27 +29,25 @@ class Preparation:
     ):
         """
         Args:
-            before: an earlier build that may still run, of a render that was cancelled. It must not touch what this
-                one uses.
+            before: the end of an earlier build that may still run, of a render that was cancelled. It must not touch
+                what this one uses.
             closed: whether nobody will want the kernels any more. Those that a cancelled render began to compile are
                 finished, for the next one.
             parts: the clock of the render.
         """
         self._kernels, self._device, self._before, self._closed = kernels, device, before, closed
-        self._parts = parts
+        self._parts, self._waited = parts, WaitedParts(parts)
         self.warnings: list[str] = []
-        self.build: Future | None = before
+        self.build: Future | None = before  # the end of the last one that was begun, until it is done
         self._loaded, self._total = 0, 1
-        self._given_up = threading.Event()  # nobody waits for the build any more
 
     def is_given_up(self) -> bool:
         """Whether the build should end."""
-        return self._given_up.is_set()
+        return self._waited.is_given_up()
 
     def enter(self, part: str) -> None:
         """The next part of the build begins."""
-        if not self.is_given_up():
-            self._parts.enter(part)
+        self._waited.enter(part)
 
     def run(
         self,
@@ -67,7 +64,7 @@ class Preparation:
         pool = ThreadPoolExecutor(max_workers=2)
         try:
             modules, built = pool.submit(self._load), pool.submit(self._build, build)
-            self.build = built
+            self.build = end_of(built)
             while not (modules.done() and built.done()):
                 if cancelled():
                     return None, []
@@ -77,12 +74,13 @@ class Preparation:
                 on_progress("compile" if waits else "build", self._loaded / self._total, message)
                 wait([each for each in (modules, built) if not each.done()], POLL_SECONDS)
             made = built.result(), modules.result()
+            self.build = None
             self.warnings = take_notes()  # only of a render that goes on: the next one tells what this one cannot
             return made
         except CompileStoppedError:  # the session was closed
             return None, []
         finally:
-            self._given_up.set()
+            self._waited.give_up()
             pool.shutdown(wait=False)  # a cancelled render does not wait for the compiler
 
     def _load(self) -> list[str]:
@@ -96,7 +94,7 @@ class Preparation:
         return names
 
     def _build(self, build: Callable[[], DeviceScene]) -> DeviceScene:
-        built = once_free(self._before, build, self._closed, self._parts)
+        built = once_free(self._before, build, self._closed, self._waited)
         wp.synchronize_device(self._device)
         self.enter("kernels")
         return built

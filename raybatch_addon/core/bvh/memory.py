@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 
 import numpy as np
 import warp as wp
 
 from ..device.devices import free_memory, total_memory
 from ..errors import OutOfMemoryError, SceneError
-from ..scene.description import Scene
+from ..scene.description import Mesh, Scene
 from ..scene.linking import RAY_BITS
 from .build.cuda.build import BYTES_EACH
 from .node import Layout
@@ -38,8 +38,12 @@ class GeometrySize:
     vertices: int
     largest: int  # triangles of the largest mesh tree
     smooth: bool  # whether there are normals
+    _: KW_ONLY
     curves: bool = False  # whether some triangles are segments of curves
     copies: int = 0  # of triangles, at further steps of vertices that move
+    step_vertices: int = 0  # vertices of all these steps, which lie behind the others
+    step_triangles: int = 0  # triangles likewise
+    step_normals: int = 0  # triangles likewise, of those that have normals at each step
 
     @staticmethod
     def of(scene: Scene) -> GeometrySize:
@@ -53,13 +57,17 @@ class GeometrySize:
         for i, mesh, count in zip(used.tolist(), meshes, uses.tolist(), strict=True):
             if count == 1:
                 baked[seen[i]] = baked.get(seen[i], 0) + len(mesh.triangles)
+        moving = [(mesh, len(mesh.motion)) for mesh, _ in filled if mesh.motion is not None]
         return GeometrySize(
             sum(len(mesh.triangles) for mesh, _ in filled),
-            sum(len(mesh.positions) + len(mesh.triangles) * (mesh.radii is not None) for mesh, _ in filled),
+            sum(_vertices_of(mesh) for mesh, _ in filled),
             max([0, *trees, *baked.values()]),
             any(mesh.corner_normals is not None for mesh, _ in filled),
-            any(mesh.radii is not None for mesh, _ in filled),
-            sum((len(mesh.motion) - 1) * len(mesh.triangles) for mesh, _ in filled if mesh.motion is not None),
+            curves=any(mesh.radii is not None for mesh, _ in filled),
+            copies=sum((steps - 1) * len(mesh.triangles) for mesh, steps in moving),
+            step_vertices=sum(steps * _vertices_of(mesh) for mesh, steps in moving),
+            step_triangles=sum(steps * len(mesh.triangles) for mesh, steps in moving),
+            step_normals=sum(steps * len(mesh.triangles) for mesh, steps in moving if mesh.motion_normals is not None),
         )
 
     def step_bytes(self, layout: Layout) -> int:
@@ -79,13 +87,24 @@ class GeometrySize:
         )
 
 
-def check_counts(size: GeometrySize) -> None:
-    """Raise `SceneError` for more than indices can name."""
-    for count, most, what in ((size.triangles, TRIANGLES_MAX, "triangles"), (size.vertices, VERTICES_MAX, "vertices")):
+def _vertices_of(mesh: Mesh) -> int:
+    """Vertices of `mesh`, with those that segments of curves are packed into."""
+    return len(mesh.positions) + len(mesh.triangles) * (mesh.radii is not None)
+
+
+def check_counts(size: GeometrySize, corners: bool = False) -> None:
+    """Raise `SceneError` for more than indices can name. `corners`: as for `with_motion`."""
+    cure, steps = "instances of one mesh in place of copies", " at all steps of motion blur"
+    at_steps = max(size.step_normals, corners * size.step_triangles)
+    for count, most, what, other in (
+        (size.triangles, TRIANGLES_MAX, "triangles", cure),
+        (size.vertices, VERTICES_MAX, "vertices", cure),
+        (size.triangles + at_steps, TRIANGLES_MAX, f"triangles{steps}", "fewer steps"),
+        (size.vertices + size.step_vertices, VERTICES_MAX, f"vertices{steps}", "fewer steps"),
+    ):
         if count > most:
             raise SceneError(
-                f"the scene's meshes have {count:,} {what}, and a scene holds {most:,}; use fewer, or instances of one "
-                "mesh in place of copies"
+                f"the scene's meshes have {count:,} {what}, and a scene holds {most:,}; use fewer, or {other}"
             )
 
 

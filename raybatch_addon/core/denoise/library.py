@@ -5,12 +5,11 @@ The interface is that of `oidn.h` (Intel, Apache License 2.0). Blender brings th
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from ctypes import POINTER, c_bool, c_char_p, c_int, c_size_t, c_void_p, cdll
 from pathlib import Path
 
@@ -51,7 +50,7 @@ _DECLARED = {
 
 
 class DenoiseStoppedError(RayBatchError):
-    """A filter that ended before its picture was done, as `DenoiseLibrary.given_up_when` had it."""
+    """A filter that ended before its picture was done, because who asked for it gave it up."""
 
 
 class DenoiseLibrary:
@@ -63,7 +62,6 @@ class DenoiseLibrary:
     def __init__(self, path: str):
         """Load `path`; raises `RayBatchError`."""
         self.path = path
-        self._given_up: Callable[[], bool] | None = None
         try:
             self._functions = cdll.LoadLibrary(path)
             for name, (result, arguments) in _DECLARED.items():
@@ -83,17 +81,6 @@ class DenoiseLibrary:
                 f"Open Image Denoise at {path} has version {self.version}, and {_VERSION_MAJOR} is needed"
             )
 
-    @contextlib.contextmanager
-    def given_up_when(self, given_up: Callable[[], bool] | None) -> Iterator[None]:
-        """Inside, filters end soon with `DenoiseStoppedError` once `given_up` says so. It is asked between the steps of
-        a filter, on this thread or on another one while this one waits.
-        """
-        self._given_up = given_up
-        try:
-            yield
-        finally:
-            self._given_up = None
-
     def check(self) -> None:
         """Raise what went wrong since the last call as `RayBatchError`."""
         code, complaint = self._error(self._device)
@@ -102,7 +89,13 @@ class DenoiseLibrary:
         if code:
             raise RayBatchError(f"denoising failed: {complaint}")
 
-    def filtered(self, images: dict[str, np.ndarray], flags: dict[str, bool], quality: str) -> np.ndarray:
+    def filtered(
+        self,
+        images: dict[str, np.ndarray],
+        flags: dict[str, bool],
+        quality: str,
+        given_up: Callable[[], bool] | None = None,
+    ) -> np.ndarray:
         """What the filter "RT" makes of `images`, float32, shape [height, width, 3].
 
         Args:
@@ -110,16 +103,18 @@ class DenoiseLibrary:
                 3].
             flags: the filter's parameters by name: `hdr`, `cleanAux`.
             quality: one of `QUALITIES`.
+            given_up: asked between the steps of the filter, on this thread or on another one while this one waits;
+                True ends it soon.
 
         Raises:
+            DenoiseStoppedError: `given_up` said so.
             RayBatchError: the library's own message, such as that there is no memory.
         """
         inputs = {name: np.ascontiguousarray(pixels, np.float32) for name, pixels in images.items()}
         height, width, _ = next(iter(inputs.values())).shape
         output = np.empty((height, width, 3), np.float32)
         library = self._functions
-        given_up = self._given_up or (lambda: False)
-        monitor = _MONITOR(lambda _user, _share: not given_up())
+        monitor = _MONITOR(lambda _user, _share: given_up is None or not given_up())
         found = library.oidnNewFilter(self._device, b"RT")
         try:
             for name, pixels in (inputs | {"output": output}).items():

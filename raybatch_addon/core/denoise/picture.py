@@ -29,7 +29,12 @@ def noisy_pictures(passes: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return kept | {NOISY_CATCHER: passes[CATCHER_PASS]} if CATCHER_PASS in passes else kept
 
 
-def denoised(passes: Mapping[str, np.ndarray], settings: RenderSettings, library: DenoiseLibrary) -> np.ndarray:
+def denoised(
+    passes: Mapping[str, np.ndarray],
+    settings: RenderSettings,
+    library: DenoiseLibrary,
+    given_up: Callable[[], bool] | None = None,
+) -> np.ndarray:
     """The pass "Combined" without its noise, float32, of its shape; alpha stays as it is, unless the shadows of shadow
     catchers are in it.
 
@@ -38,11 +43,13 @@ def denoised(passes: Mapping[str, np.ndarray], settings: RenderSettings, library
 
     Args:
         passes: linear float32 by name, shape [height, width, channels]; with "Combined" and `guiding_passes(settings)`.
+        given_up: as for `DenoiseLibrary.filtered`.
 
     Raises:
+        DenoiseStoppedError: `given_up` said so.
         RayBatchError: the library's own message.
     """
-    picture, filtered = passes[COMBINED], _filter(passes, settings, library)
+    picture, filtered = passes[COMBINED], _filter(passes, settings, library, given_up)
     result = np.array(picture, np.float32)
     result[..., :3] = filtered(picture[..., :3], True)
     if CATCHER_SHADOWS in passes and (picture[..., 3] != 1).any():
@@ -51,26 +58,32 @@ def denoised(passes: Mapping[str, np.ndarray], settings: RenderSettings, library
 
 
 def denoised_catchers(
-    passes: Mapping[str, np.ndarray], settings: RenderSettings, library: DenoiseLibrary
+    passes: Mapping[str, np.ndarray],
+    settings: RenderSettings,
+    library: DenoiseLibrary,
+    given_up: Callable[[], bool] | None = None,
 ) -> dict[str, np.ndarray]:
     """The pass of shadow catchers by its name, without its noise, if it is among `passes`; as `denoised` otherwise."""
     if CATCHER_PASS not in passes:
         return {}
-    return {CATCHER_PASS: _filter(passes, settings, library)(passes[CATCHER_PASS], True)}
+    return {CATCHER_PASS: _filter(passes, settings, library, given_up)(passes[CATCHER_PASS], True)}
 
 
 def _filter(
-    passes: Mapping[str, np.ndarray], settings: RenderSettings, library: DenoiseLibrary
+    passes: Mapping[str, np.ndarray],
+    settings: RenderSettings,
+    library: DenoiseLibrary,
+    given_up: Callable[[], bool] | None,
 ) -> Callable[[np.ndarray, bool], np.ndarray]:
     """Function (picture, hdr) that filters a picture of three channels with the guiding passes among `passes`."""
     quality = settings.denoise_quality
     guides = {_INPUTS[name]: passes[name] for name in guiding_passes(settings)}
     if settings.denoise_prefilter == "ACCURATE":
-        guides = {name: library.filtered({name: pixels}, {}, quality) for name, pixels in guides.items()}
+        guides = {name: library.filtered({name: pixels}, {}, quality, given_up) for name, pixels in guides.items()}
     flags = {"cleanAux": bool(guides) and settings.denoise_prefilter != "FAST"}
 
     def filtered(picture: np.ndarray, hdr: bool) -> np.ndarray:
-        return library.filtered({"color": picture} | guides, {"hdr": hdr, **flags}, quality)
+        return library.filtered({"color": picture} | guides, {"hdr": hdr, **flags}, quality, given_up)
 
     return filtered
 

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from ..denoise.library import DenoiseStoppedError
 from ..denoise.picture import denoised
 from ..errors import RayBatchError
 from ..film import Film
@@ -63,7 +64,8 @@ class LiveRender:
         self._changed = threading.Condition()
         self._request: LiveRequest | None = None  # the newest
         self._rendered = 0  # number of the request that needs no more work
-        self._kept: tuple[LiveRequest, Film] | None = None  # a finest picture that was stopped on its way
+        # a finest picture that was stopped; one with all its samples while it was denoised
+        self._kept: tuple[LiveRequest, Film] | None = None
         self._shown_since_lent = False
         self._closed = False
         self._thread: threading.Thread | None = None
@@ -177,7 +179,7 @@ class LiveRender:
         return not self._is_superseded(request)
 
     def _render_fine(self, session: Session, request: LiveRequest) -> bool:
-        side = request.pixel_side
+        side, stops = request.pixel_side, lambda: self._stops(request)
         scene = coarse(request.scene, side)
         canvas = TileCanvas(scene.frame)
         marks = self._pace.marks(request.settings.sample_count, scene.frame.pixel_count, request.denoiser is not None)
@@ -186,16 +188,18 @@ class LiveRender:
         if resumed is not None:
             canvas.passes = {name: np.array(pixels, np.float32) for name, pixels in resumed.passes.items()}
         self._kept = None
-        film = self._timed(
-            session, request, scene, request.settings, side, canvas, lambda: self._stops(request), shown, resumed
-        )
-        if film.complete:
+        if resumed is not None and resumed.complete:  # all but the denoising of its last picture is done
+            film = resumed
+            shown.ended = self._show_fine(request, canvas, side, request.settings.sample_count)
+        else:
+            film = self._timed(session, request, scene, request.settings, side, canvas, stops, shown, resumed)
+        if film.complete and shown.ended:
             self.warnings = tuple(film.statistics["warnings"])
             self.state = LiveState(
                 samples=request.settings.sample_count, samples_total=request.settings.sample_count, side=side
             )
             return True
-        if film.resume_state is not None and not self._is_superseded(request):
+        if (film.complete or film.resume_state is not None) and not self._is_superseded(request):
             self._kept = request, film
         return False
 
@@ -226,7 +230,6 @@ class LiveRender:
             if is_new and progress.stage != "render":
                 self._on_change()
 
-        before = time.perf_counter()
         already = resumed.sample_total if resumed else 0
         film = session.render(
             scene,
@@ -239,23 +242,26 @@ class LiveRender:
         )
         if film.complete and film.sample_total > already:
             told = film.statistics["seconds"]
-            seconds = time.perf_counter() - before - max(told["build"], told["compile"])
-            if shown:
-                seconds -= shown.seconds
+            seconds = told["paths"] + told["render"] - (shown.seconds if shown else 0.0)
             self._pace.note(film.sample_total - already, seconds)
         return film
 
-    def _show_fine(self, request: LiveRequest, canvas: TileCanvas, side: int, samples: int) -> None:
+    def _show_fine(self, request: LiveRequest, canvas: TileCanvas, side: int, samples: int) -> bool:
+        """False where the denoiser was stopped, as a render would be, and what it works on is still to be shown."""
         if self._closed or not canvas.passes:
-            return
+            return True
         pixels = canvas.picture()
         if request.denoiser is not None:
             if samples == 1:  # it takes a while until the first one without noise is there
                 self._show(LivePicture(request, pixels, side, canvas.origin, samples))
             if self._is_superseded(request):
-                return
-            pixels = denoised(canvas.passes, request.settings, request.denoiser)
+                return True
+            try:
+                pixels = denoised(canvas.passes, request.settings, request.denoiser, lambda: self._stops(request))
+            except DenoiseStoppedError:
+                return False
         self._show(LivePicture(request, pixels, side, canvas.origin, samples))
+        return True
 
     def _show(self, picture: LivePicture) -> None:
         self.picture = picture
@@ -266,8 +272,10 @@ class LiveRender:
 class _Shown(RenderObserver):
     """Shows a picture at given sample counts."""
 
-    def __init__(self, marks: Sequence[int], show: Callable[[Snapshot], None]) -> None:
+    def __init__(self, marks: Sequence[int], show: Callable[[Snapshot], bool]) -> None:
+        """`show` returns False where it was stopped."""
         self._marks, self._show = marks, show
+        self.ended = True  # what it showed last was not stopped
         self.seconds = 0.0  # that it took
 
     def snapshot_samples(self, sample_count: int) -> Sequence[int]:
@@ -275,7 +283,7 @@ class _Shown(RenderObserver):
 
     def on_snapshot(self, snapshot: Snapshot) -> None:
         start = time.perf_counter()
-        self._show(snapshot)
+        self.ended = self._show(snapshot)
         self.seconds += time.perf_counter() - start
 
     def on_tile(self, tile: Tile) -> None:

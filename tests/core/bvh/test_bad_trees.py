@@ -226,6 +226,23 @@ def test_more_than_indices_name():
         check_counts(GeometrySize(1, 2**31, 1, False))
 
 
+def test_more_than_indices_name_at_the_steps_of_what_moves():
+    plane = scenes.plane()
+    motion = np.broadcast_to(np.float32(0), (2**29, *plane.positions.shape))
+    normals = np.broadcast_to(np.float32(0), (2**29, 3 * len(plane.triangles), 3))
+    size = GeometrySize.of(lit(dataclasses.replace(plane, motion=motion)))
+    assert (size.step_vertices, size.step_triangles, size.step_normals) == (2**31, 2**30, 0)
+    with pytest.raises(SceneError, match="2,147,483,652 vertices at all steps .*; use fewer, or fewer steps"):
+        check_counts(size)
+    fewer = dataclasses.replace(size, step_vertices=0)
+    check_counts(fewer)
+    with pytest.raises(SceneError, match="1,073,741,826 triangles at all steps"):
+        check_counts(fewer, corners=True)
+    size = GeometrySize.of(lit(dataclasses.replace(plane, motion=motion, motion_normals=normals)))
+    with pytest.raises(SceneError, match="triangles at all steps"):
+        check_counts(size)
+
+
 def test_sizes_count_shared_meshes_once():
     shared, single, hidden = scenes.sphere(), scenes.box(), scenes.plane()
     scene = scenes.scene([(mesh, scenes.IDENTITY, scenes.diffuse()) for mesh in (shared, shared, single, hidden)])

@@ -5,7 +5,7 @@ import pytest
 
 from raybatch_addon.blender.denoise_library import library_places
 from raybatch_addon.core.convergence.halves import filtered_half_error
-from raybatch_addon.core.denoise.library import FILE_NAMES, VARIABLE, open_library
+from raybatch_addon.core.denoise.library import FILE_NAMES, VARIABLE, DenoiseStoppedError, open_library
 from raybatch_addon.core.denoise.picture import denoised, denoised_catchers, guiding_passes
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -100,6 +100,14 @@ def test_shadows_on_catchers_are_denoised_in_alpha_and_in_their_pass(library):
     ):
         assert np.mean((found - truth) ** 2) < 0.2 * np.mean((noisy - truth) ** 2)
     assert not denoised_catchers(noisy_passes(3), off, library)
+
+
+@needs_library
+def test_only_who_gives_up_is_stopped(library):
+    passes = noisy_passes(4)
+    with pytest.raises(DenoiseStoppedError):
+        denoised(passes, ON, library, lambda: True)
+    assert np.array_equal(denoised(passes, ON, library, lambda: False), denoised(passes, ON, library))
 
 
 def test_guiding_passes_are_rendered_only_for_a_denoiser():

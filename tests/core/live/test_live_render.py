@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from raybatch_addon.core.denoise.library import DenoiseStoppedError
 from raybatch_addon.core.errors import DeviceError
 from raybatch_addon.core.live.picture import LiveRequest
 from raybatch_addon.core.live.render import LiveRender
@@ -187,8 +188,23 @@ def test_closing_ends_it_while_it_waits_and_while_it_renders(session):
 class Halves:
     """In place of the denoiser's library: pictures are half as bright."""
 
-    def filtered(self, images, _flags, _quality):
+    def filtered(self, images, _flags, _quality, _given_up):
         return images["color"] * np.float32(0.5)
+
+
+class Slow(Halves):
+    """It takes until it is given up, as long as it is held up."""
+
+    def __init__(self):
+        self.is_free, self.begun = threading.Event(), 0
+
+    def filtered(self, images, flags, quality, given_up):
+        self.begun += 1
+        while not self.is_free.is_set():
+            if given_up():
+                raise DenoiseStoppedError("denoising was stopped")
+            time.sleep(0.002)
+        return super().filtered(images, flags, quality, given_up)
 
 
 def test_pictures_at_powers_of_two_are_denoised(live, session):
@@ -203,6 +219,45 @@ def test_pictures_at_powers_of_two_are_denoised(live, session):
     combined = film.passes["Combined"]
     assert np.array_equal(fine[-1].pixels[..., :3], combined[..., :3] * np.float32(0.5))
     assert np.array_equal(fine[-1].pixels[..., 3], combined[..., 3])
+
+
+def test_a_denoiser_ends_for_who_goes_first_and_its_picture_comes_without_another_render(live, session):
+    render, source, shown = live
+    asked = request(1, samples=1)
+    slow, settings = Slow(), asked.settings.replace(denoise="ON", denoise_inputs="NONE")
+    render.show(replace(asked, settings=settings, denoiser=slow))
+    wait_for(lambda: slow.begun)
+    source.free.clear()
+    source.wanted = True
+    wait_for(lambda: "Waiting" in render.state.stage)
+    assert not render.is_idle
+    source.opened, slow.is_free = object(), source.free  # nothing can be rendered
+    source.wanted = False
+    source.free.set()
+    wait_for(lambda: render.is_idle)
+    assert not render.state.error and render.state.samples == 1
+    combined = session.render(asked.scene, asked.settings).passes["Combined"]
+    assert np.array_equal(shown[-1].pixels[..., :3], combined[..., :3] * np.float32(0.5))
+
+
+def test_the_pace_is_that_of_pixels_alone(live, session):
+    """Whatever a scene's displacement, tree and kernels took."""
+    render, source, _ = live
+    noted, told = (
+        [],
+        {"displacement": 64.0, "build": 32.0, "compile": 16.0, "kernels": 8.0, "paths": 1.0, "render": 2.0},
+    )
+
+    class Clocked:
+        def render(self, *arguments, **options):
+            film = session.render(*arguments, **options)
+            film.statistics["seconds"] = told
+            return film
+
+    source.opened, render._pace.note = Clocked(), lambda samples, seconds: noted.append(seconds)
+    render.show(request(1, samples=1))
+    wait_for(lambda: render.is_idle)
+    assert noted[0] == 3.0 and 0 < noted[-1] <= 3.0
 
 
 def test_frames_with_a_border_are_shown_where_they_are(live):

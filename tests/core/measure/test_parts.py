@@ -63,7 +63,7 @@ def test_waiting_for_kernels_is_no_part_of_what_waits(monkeypatch):
     parts = Parts("lights", clock)
     noted = []
     monkeypatch.setattr(aside, "loads_noted", lambda note: noted.append(note) or contextlib.nullcontext())
-    with aside.kernels_apart(parts):
+    with aside.kernels_apart(aside.WaitedParts(parts)):
         clock.now += 1.0
         noted[0](True)
         assert parts.message == "Compiling kernels"

@@ -106,7 +106,8 @@ class ImageCache:
     @property
     def device_bytes(self) -> int:
         """Memory that the pictures take on the device [bytes]."""
-        return sum(picture.bytes for picture in self._pictures.values())
+        # what a cancelled render left behind may add some meanwhile
+        return sum(picture.bytes for picture in list(self._pictures.values()))
 
     def clear(self) -> None:
         """Drop the pictures, and their memory."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -33,7 +34,7 @@ from ...scene.frozen import Same
 from ...scene.geometry import Geometry, update_geometry, upload_geometry
 from ...scene.moved import with_motion
 from ...settings.settings import RenderSettings
-from ...shading.images.image_upload import ImageCache, device_bytes_of
+from ...shading.images.image_upload import ImageCache, UploadedImages, device_bytes_of
 from ...shading.lights.choice_table import ChoiceTable, choice_tree_bytes
 from ...shading.lights.emitters import EmissiveTriangles
 from ..plan.plan import Method, TracingPlan, cut_rule
@@ -218,9 +219,12 @@ class SceneCache:
 
     def displaced(self, scene: Scene, device: wp.Device, move: Move) -> Scene:
         """`scene` with the vertices where its materials move them, whose programs `move` runs."""
-        return self._displaced.displaced(
-            scene, lambda: self.images.upload(scene.images, device, self.image_budget(device)).table, device, move
-        )
+
+        @functools.cache
+        def images() -> UploadedImages:  # held until all is displaced: the table has addresses alone
+            return self.images.upload(scene.images, device, self.image_budget(device))
+
+        return self._displaced.displaced(scene, lambda: images().table, device, move)
 
     def get(self, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept:
         """Geometry and tree of `scene`; those of the last call cannot be used any more.
@@ -232,8 +236,8 @@ class SceneCache:
         if kept is not None:
             return kept
         size = GeometrySize.of(scene)
-        check_counts(size)
         whole = request.plan.method is not Method.PAGED
+        check_counts(size, corners=device.is_cuda and not whole)
         if whole:
             check_memory(size, request.layout, device, all_of_it=True)
         with explained_memory_errors(size, request.layout, device):

@@ -109,11 +109,17 @@ def _go_down(tree: LightBlocks, begin: np.ndarray, enough: int) -> tuple[LightBl
     """
     device, found = tree.nodes.device, LightBlocks()
     found.nodes, found.leaf_count, found.block_of = tree.nodes, tree.leaf_count, tree.block_of
-    found.block_node = large_empty(tree.leaf_count - 1, int, device)
-    wp.copy(found.block_node, wp.array(begin, dtype=int, device=device), count=len(begin))
+    most = tree.leaf_count - 1
+    found.block_node = wp.array(begin, dtype=int, device=device)
     found.block_count = wp.array([len(begin)], dtype=int, device=device)
     first, end = 0, len(begin)
     while 0 < end - first < enough:
+        needed = min(end + WIDTH * (end - first), most)
+        if found.block_node.size < needed:
+            # threads of a CPU go down side by side, each with room for little more than its part
+            room = large_empty(min(2 * needed, most) if device.is_cpu else most, int, device)
+            wp.copy(room, found.block_node, count=end)
+            found.block_node = room
         wp.launch(find_blocks_kernel, end - first, [found, first], device=device)
         first, end = end, int(found.block_count.numpy()[0])
     return found, first, end

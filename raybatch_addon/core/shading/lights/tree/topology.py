@@ -7,7 +7,7 @@ a top level over boxes of instances, as in Cycles' light trees.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,8 +127,8 @@ def topology_on_cpu(low: np.ndarray, high: np.ndarray, alike: Sequence[Alike] = 
         level_first = np.cumsum([0, *map(len, part.levels[::-1])])
         base = count + made + np.arange(len(runs.first)) * inner
         roots.append(base)
-        lows.append(_least(low, runs))
-        highs.append(-_least(-high, runs))
+        lows.append(_over_runs(np.min, low, runs))
+        highs.append(_over_runs(np.max, high, runs))
         for first, number in zip(runs.first.tolist(), base.tolist()):
             part.number(first, number, children[made : made + inner])
             np.add(nodes, number, out=order[made : made + inner], casting="unsafe")
@@ -150,10 +150,10 @@ def topology_on_cpu(low: np.ndarray, high: np.ndarray, alike: Sequence[Alike] = 
     return Topology(joints, order, subtrees, _ranges(alone), level_first, root)
 
 
-def _least(corners: np.ndarray, runs: Alike) -> np.ndarray:
-    """The least of `corners`, float32, shape [n, 3], over each run."""
+def _over_runs(choose: Callable[..., np.ndarray], corners: np.ndarray, runs: Alike) -> np.ndarray:
+    """What `choose`, `np.min` or `np.max`, finds of `corners`, float32, shape [n, 3], over each run."""
     # row by row: NumPy goes slowly along axes of three
-    return np.stack([corners[i : i + runs.count].T.copy().min(1) for i in runs.first.tolist()])
+    return np.stack([choose(corners[i : i + runs.count].T.copy(), 1) for i in runs.first.tolist()])
 
 
 def _ranges(chosen: np.ndarray) -> list[tuple[int, int]]:
