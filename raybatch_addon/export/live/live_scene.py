@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
@@ -37,6 +36,7 @@ class LiveScene:
         self._restarts = 0  # of passes, since one came to its end
         self._edits = Edits(is_whole=True)
         self._place: dict[int, int] = {}  # of objects that are placed once, by themselves: index of their instance
+        self._frame: float | None = None  # of the last pass
         self._moves_others = True  # what places of objects do not show depends on them
 
     @property
@@ -81,7 +81,7 @@ class LiveScene:
     def _move(self, depsgraph: bpy.types.Depsgraph) -> bool:
         """Put what was moved where it is now; False where that is not enough."""
         moved = self._edits.moved
-        if self.scene is None or self._moves_others:
+        if self.scene is None or self._moves_others or depsgraph.scene.frame_current_final != self._frame:
             return False
         where: dict[int, np.ndarray] = {}
         cameras = 0  # each view looks where they are by itself
@@ -90,6 +90,8 @@ class LiveScene:
             if uid in moved and isinstance(update.id, bpy.types.Object):
                 if update.id.type == "CAMERA":
                     cameras += 1
+                elif update.id.animation_data is not None:  # what a driver sets besides the place, nobody lists
+                    return False
                 elif uid in self._place:
                     where[self._place[uid]] = np.array(update.id.matrix_world, np.float32)[:3]
         if len(where) + cameras != len(moved):  # one of them is no instance, or was moved before another callback
@@ -109,17 +111,17 @@ class LiveScene:
     # --- all of it
 
     def _read_all(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, seconds: float) -> bool:
-        end, meshes, before = time.perf_counter() + seconds, self._meshes, self._meshes.read_count
+        meshes, before = self._meshes, self._meshes.read_count
         if not self._pass.is_under_way:
             meshes.begin(self._edits.reshaped)
             meshes.materials.forget(None if self._edits.any_material else self._edits.materials)
             self._edits.forgotten()  # what is touched is read when the pass comes by
-        placements = self._pass.go_on(depsgraph, space, end)
+        placements = self._pass.go_on(depsgraph, space, seconds)
         self.counts["meshes"] += meshes.read_count - before
         if placements is None:
             self.counts["slices"] += 1
             return False
-        self._restarts = 0
+        self._restarts, self._frame = 0, depsgraph.scene.frame_current_final
         self.counts["passes"] += 1
         self.counts["materials"] += placements.materials.compiled_count
         scene = depsgraph.scene

@@ -1,0 +1,33 @@
+"""Scenes that tests of viewports edit."""
+
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from tests.blender.viewport.reader import Reader
+from tests.support.blender_builders import add_grid, add_object, material_of, node_tree
+
+
+@pytest.fixture
+def objects(scene):
+    """Three grids with a material each, a light and a world."""
+    made = []
+    for number in range(3):
+        obj = add_grid(f"Grid {number}", 4 + number)
+        obj.location = (3 * number, 0, 0)
+        tree, surface = node_tree(material_of(obj, f"Material {number}"))
+        shader = tree.nodes.new("ShaderNodeBsdfDiffuse")
+        shader.name = "Diffuse"
+        tree.links.new(shader.outputs[0], surface)
+        made.append(obj)
+    add_object("Light", bpy.data.lights.new("Light", "POINT"))
+    scene.world = bpy.data.worlds.new("World")
+    bpy.context.view_layer.update()
+    return made
+
+
+@pytest.fixture
+def reader(objects):
+    made = Reader()
+    made.read(bpy.context.evaluated_depsgraph_get())
+    return made
