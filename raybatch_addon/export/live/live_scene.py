@@ -30,6 +30,7 @@ class LiveScene:
 
     def __init__(self) -> None:
         self.scene: Scene | None = None  # as it was read last, with a camera that means nothing
+        self.is_locked = False  # the last `read` did nothing, because a final render reads
         self.counts: Counter[str] = Counter()  # what was done so far: passes, meshes, places, scenes
         self._meshes = LiveMeshes()
         self._pass = LivePass(self._meshes)
@@ -54,11 +55,21 @@ class LiveScene:
         self._restart()
         self._edits.is_whole = True
 
+    def forget(self) -> None:
+        """Anything may have changed: read all of the scene once more."""
+        self.look_again()
+        self._meshes.clear()
+        self._edits.any_material = True
+
     def read(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, seconds: float) -> bool:
         """Read what was edited, and stop after the object during which `seconds` have passed. True: `scene` is another
         than before; otherwise it is the same, or there is more to read. Raises `RayBatchError`.
         """
-        if not self._edits or not reading.acquire(blocking=False):  # a final render reads: the next callback may
+        self.is_locked = False
+        if not self._edits:
+            return False
+        if not reading.acquire(blocking=False):
+            self.is_locked = True
             return False
         try:
             return self._read(depsgraph, space, seconds)

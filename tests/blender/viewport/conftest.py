@@ -4,7 +4,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
+from raybatch_addon.blender.viewport.draw import PictureTexture
 from tests.blender.viewport.reader import Reader
+from tests.blender.viewport.regions import region_context, updates_to
+from tests.blender.viewport.shown import Shown
 from tests.support.blender_builders import add_grid, add_object, material_of, node_tree
 
 
@@ -31,3 +34,31 @@ def reader(objects):
     made = Reader()
     made.read(bpy.context.evaluated_depsgraph_get())
     return made
+
+
+@pytest.fixture
+def lit(scene):
+    """The scene with a shining grid."""
+    obj = add_grid("Grid", 6)
+    obj.location = (-2, -2, 0)
+    tree, surface = node_tree(material_of(obj))
+    shader = tree.nodes.new("ShaderNodeEmission")
+    shader.name = "Emission"
+    tree.links.new(shader.outputs[0], surface)
+    scene.raybatch_viewport.samples = 4
+    bpy.context.view_layer.update()
+    return scene
+
+
+@pytest.fixture
+def shown(lit, monkeypatch):
+    """The scene in a viewport."""
+    made = Shown(region_context())
+    monkeypatch.setattr(
+        PictureTexture, "draw", lambda _self, _engine, _scene, picture, _exposure: made.drawn.append(picture)
+    )
+    with updates_to(made.update):
+        made.update(bpy.context.evaluated_depsgraph_get())
+        yield made
+    made.viewport.close()
+    assert made.viewport.render.join(60)
