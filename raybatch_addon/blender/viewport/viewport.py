@@ -24,6 +24,7 @@ from ...export.live.live_scene import LiveScene
 from ...export.live.settings import live_settings, pixel_side
 from ...export.live.view3d import camera_of, live_camera, region_view
 from ...export.settings import exposure_of
+from .. import finals
 from ..denoise_library import library_for
 from ..sessions import ViewSessions
 from .draw import PictureTexture
@@ -72,6 +73,7 @@ class Viewport:
     def draw(self, engine: bpy.types.RenderEngine, context: Any, depsgraph: bpy.types.Depsgraph) -> None:
         """The region is to be drawn: read on, and draw the newest picture there is."""
         start = time.perf_counter()
+        finals.look()
         self._read(context, depsgraph)
         picture = self.render.picture
         if picture is not None:

@@ -63,7 +63,10 @@ def test_two_viewports_take_turns(shown, lit):
     second = Shown(region_context(40, 30))
     second.drawn = shown.drawn  # drawn by one function
     second.update(bpy.context.evaluated_depsgraph_get())
+    both = [shown.viewport.render, second.viewport.render]
     try:
+        shown.until(lambda: second.draw() or all(each.picture for each in both))
+        assert not any(each.picture.samples == 300 for each in both)
         shown.until(lambda: second.draw() or (shown.is_finished() and second.is_finished()))
     finally:
         second.viewport.close()
