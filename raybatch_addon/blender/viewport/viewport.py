@@ -6,7 +6,7 @@ import threading
 import time
 import weakref
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -90,7 +90,7 @@ class Viewport:
             return "RayBatch", self._error or state.error
         if not self.live.is_current:
             return "RayBatch", "Reading the scene"
-        return "RayBatch", live_status(state)
+        return "RayBatch", with_warnings(live_status(state), [*self.live.warnings, *self.render.warnings])
 
     def close(self) -> None:
         """End soon, without waiting."""
@@ -166,6 +166,15 @@ def live_status(state: LiveState) -> str:
     if state.stage != "Rendering":
         return state.stage + memory
     return samples + memory
+
+
+def with_warnings(text: str, warnings: Sequence[str]) -> str:
+    """`text` with the first of `warnings`, and how many more there are."""
+    told = list(dict.fromkeys(warnings))
+    if not told:
+        return text
+    more = f" (and {len(told) - 1} more)" if len(told) > 1 else ""
+    return " | ".join(filter(None, (text, f"{told[0]}{more}")))
 
 
 def close_viewports(seconds: float = 10.0) -> None:

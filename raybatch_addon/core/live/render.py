@@ -78,7 +78,7 @@ class LiveRender:
         with self._changed:
             if self._closed:
                 return
-            self._request = request
+            self._request, self.warnings = request, ()
             if self._thread is None:
                 self._thread = threading.Thread(target=self._work, name="RayBatch live render", daemon=True)
                 self._thread.start()
@@ -88,7 +88,7 @@ class LiveRender:
         """Nothing is to be shown: end what is rendered, and forget the picture."""
         with self._changed:
             self._request = self.picture = None
-            self.state = LiveState()
+            self.state, self.warnings = LiveState(), ()
 
     @property
     def is_idle(self) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
@@ -10,6 +11,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Camera, CameraKind, Scene
+from ...core.scene.notice import by_weight
 from ..meshes.live_meshes import LiveMeshes
 from ..meshes.live_pass import LivePass
 from ..meshes.placements import is_singular
@@ -30,6 +32,7 @@ class LiveScene:
 
     def __init__(self) -> None:
         self.scene: Scene | None = None  # as it was read last, with a camera that means nothing
+        self.warnings: Sequence[str] = ()  # about parts of `scene` that are not rendered as they are
         self.is_locked = False  # the last `read` did nothing, because a final render reads
         self.counts: Counter[str] = Counter()  # what was done so far: passes, meshes, places, scenes
         self._meshes = LiveMeshes()
@@ -138,7 +141,9 @@ class LiveScene:
         scene = depsgraph.scene
         frame = export_frame(scene, depsgraph.view_layer, depsgraph.scene_eval.world)
         frame = replace(frame, border=None, passes=("Combined",))
-        read = assembled(depsgraph, _NO_CAMERA, frame, placements, [])
+        warnings: list[str] = []
+        read = assembled(depsgraph, _NO_CAMERA, frame, placements, warnings)
+        self.warnings = by_weight(dict.fromkeys(warnings))
         self._note_places(placements.usable)
         self._moves_others = placements.materials.reads_elsewhere or _reads_elsewhere(depsgraph)
         self._edits.clear()
