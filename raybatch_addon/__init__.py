@@ -12,9 +12,11 @@ def register() -> None:
     import bpy
 
     from . import engine, ui
+    from .blender import finals
 
     ui.register()
     bpy.utils.register_class(engine.RayBatchRenderEngine)
+    finals.register()
     if bpy.app.module:
         # Python ends before Blender here, and Blender 4.5 waits for ever on classes that are still registered
         atexit.register(_unregister_at_exit)
@@ -28,11 +30,12 @@ def unregister() -> None:
     import bpy
 
     from . import engine, ui
-    from .blender import missing, reports
+    from .blender import finals, missing, reports
 
     atexit.unregister(_unregister_at_exit)
     bpy.utils.unregister_class(engine.RayBatchRenderEngine)
     ui.unregister()
+    finals.unregister()
     viewports = sys.modules.get(f"{__name__}.blender.viewport.viewport")
     if viewports is not None:
         viewports.close_viewports()

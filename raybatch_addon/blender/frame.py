@@ -21,7 +21,7 @@ from ..export.passes import SAMPLE_SHARE, wants_sample_share
 from ..export.scene import export_scene
 from ..export.settings import exposure_of, settings_from
 from ..export.view import View
-from . import missing, reports
+from . import finals, missing, reports
 from .denoise_library import library_for
 from .denoising import denoise_film, whole_tile, with_guides
 from .result import ResultWriter, stamp_mattes, view_names
@@ -52,7 +52,8 @@ def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsg
     if report.errors:
         return
     try:
-        _render(engine, depsgraph, report)
+        with finals.under_way():
+            _render(engine, depsgraph, report)
     except missing.Refused as error:
         report.refused = True
         _fail(engine, report, str(error))
@@ -121,11 +122,14 @@ def _render_view(
             records.store, depsgraph.scene.name, layer_name, depsgraph.scene.frame_current, settings, view.name
         )
     observers = [recorder] if recorder else []
-    film = None
+    film, state = None, records.FAILED
     try:
         parts.enter("start")
         status.show(parts.message)
-        with session_for(settings) as session:
+        with session_for(settings, engine.test_break) as session:
+            if session is None:
+                state = records.CANCELLED
+                return
             film = session.render(
                 scene,
                 settings,
@@ -141,7 +145,8 @@ def _render_view(
                 denoise_film(film, settings, denoiser, engine.test_break)
     finally:
         if recorder:
-            state = records.FAILED if film is None else records.FINISHED if film.complete else records.CANCELLED
+            if film is not None:
+                state = records.FINISHED if film.complete else records.CANCELLED
             recorder.end(state, film and film.statistics)
     parts.enter("write")
     if wants_sample_share(depsgraph.view_layer):

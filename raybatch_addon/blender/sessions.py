@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -12,54 +13,56 @@ from ..core.device.devices import find_device, start_warp
 from ..core.live.picture import LiveRequest
 from ..core.session import Session
 from ..core.settings.settings import RenderSettings
+from . import finals
 from .kernel_cache import kernel_cache_folder
 
-# How often who waits for a session in the background asks whether it is still wanted [s]
+# How often who waits for a session asks whether it is still wanted [s]
 _LOOK_SECONDS = 0.1
+# Blender ends, or the add-on is switched off: a render that does not end by then keeps what it has [s]
+_CLOSE_SECONDS = 60.0
 
 _sessions: dict[str, Session] = {}
 _changed = threading.Condition()
 _is_lent = False  # a session renders one picture at a time, and so do all of them together
-_finals_waiting = 0
-_views_waiting = 0
+_views: deque[object] = deque()  # viewports that wait for their turn, the first one first
 
 
 @contextmanager
-def session_for(settings: RenderSettings) -> Iterator[Session]:
-    """The session of the settings' device, to oneself, for a final render: viewports stop for it. Raises `DeviceError`
-    for a device that is not there.
+def session_for(settings: RenderSettings, cancelled: Callable[[], bool] = lambda: False) -> Iterator[Session | None]:
+    """The session of the settings' device, to oneself, for a final render: viewports stop for it. None once
+    `cancelled()`, which is asked while it is not free. Raises `DeviceError` for a device that is not there.
     """
-    global _finals_waiting
-    with _changed:
-        _finals_waiting += 1
+    with finals.under_way():
+        with _changed:
+            while _is_lent and not cancelled():
+                _changed.wait(_LOOK_SECONDS)
+            is_ours = not _is_lent
+            if is_ours:
+                _lend()
         try:
-            _changed.wait_for(lambda: not _is_lent)
-            _lend()
+            yield _session_of(settings) if is_ours else None
         finally:
-            _finals_waiting -= 1
-    try:
-        yield _session_of(settings)
-    finally:
-        _give_back()
+            if is_ours:
+                _give_back()
 
 
 class ViewSessions:
-    """Lends sessions to viewports: final renders go first, and viewports take turns."""
+    """Lends sessions to viewports: final renders go first, and viewports take turns in the order in which they came."""
 
     @contextmanager
     def session(self, request: LiveRequest, given_up: Callable[[], bool]) -> Iterator[Session | None]:
         """As `SessionSource.session`."""
-        global _views_waiting
-        is_ours = False
+        is_ours, turn = False, object()
         with _changed:
-            _views_waiting += 1
+            _views.append(turn)
             try:
-                while not (is_ours := not _is_lent and not _finals_waiting) and not given_up():
+                while not (is_ours := _is_turn_of(turn)) and not given_up():
                     _changed.wait(_LOOK_SECONDS)
                 if is_ours:
                     _lend()
             finally:
-                _views_waiting -= 1
+                _views.remove(turn)
+                _changed.notify_all()
         try:
             yield _session_of(request.settings) if is_ours else None
         finally:
@@ -68,21 +71,22 @@ class ViewSessions:
 
     def is_wanted(self, has_shown: bool) -> bool:
         """As `SessionSource.is_wanted`: by a final render at once, by another viewport once a picture came."""
-        return _finals_waiting > 0 or (has_shown and _views_waiting > 0)
+        return finals.are_under_way() or (has_shown and len(_views) > 0)
 
 
-def close_all() -> None:
-    """Give back what all sessions hold."""
-    global _finals_waiting
-    with _changed:
-        _finals_waiting += 1
-        try:
-            _changed.wait_for(lambda: not _is_lent)
-            for session in _sessions.values():
-                session.close()
-            _sessions.clear()
-        finally:
-            _finals_waiting -= 1
+def close_all(seconds: float = _CLOSE_SECONDS) -> bool:
+    """Give back what all sessions hold; False where a render goes on for more than `seconds`, which keeps it."""
+    with finals.under_way(), _changed:
+        if not _changed.wait_for(lambda: not _is_lent, seconds):
+            return False
+        for session in _sessions.values():
+            session.close()
+        _sessions.clear()
+    return True
+
+
+def _is_turn_of(turn: object) -> bool:
+    return not _is_lent and not finals.are_under_way() and _views[0] is turn
 
 
 def _lend() -> None:

@@ -68,11 +68,9 @@ class UntouchedMaterials:
                 return None
         return known
 
-    def end(self, collections: Collections, uids: Iterable[int]) -> None:
-        """The pass is over, and these materials were exported."""
-        for uid in uids:
-            if uid in _kept:
-                self._known[uid] = _kept[uid]
+    def end(self, collections: Collections, used: dict[int, _Kept]) -> None:
+        """The pass is over, and `used` is what can be kept of it, by `session_uid`: of other materials nothing is."""
+        self._known = dict(used)
         self._images = collections.images_by_key()
 
 
@@ -88,6 +86,7 @@ class KeptMaterials:
         self._collections = collections
         self._signatures = Signatures()
         self.untouched: UntouchedMaterials | None = None  # in the passes of a viewport
+        self.used: dict[int, _Kept] = {}  # in this export, by `session_uid` of the original
         self.reads_elsewhere = False  # some graph has no signature: it may read places of objects
 
     def forget_graphs(self) -> None:
@@ -111,20 +110,32 @@ class KeptMaterials:
         if self.untouched is None or material is None:
             return None
         kept = self.untouched.find(material, self._collections)
-        return kept and (kept.material, list(kept.notes))
+        return None if kept is None else self._use(material, kept)
 
     def find(self, material: bpy.types.Material, signature: tuple) -> tuple[Material, list[str]] | None:
         """The material of that `signature` and the messages about it; None where it must be compiled."""
         kept = _kept.get(material.original.session_uid)
         if kept is None or kept.signature != signature or not self._ask_again(kept.asked):
             return None
+        return self._use(material, kept)
+
+    def _use(self, material: bpy.types.Material, kept: _Kept) -> tuple[Material, list[str]]:
+        self.used[material.original.session_uid] = kept
         return kept.material, list(kept.notes)
 
-    def keep(self, material: bpy.types.Material, signature: tuple, compiled: Material, notes: list[str]) -> None:
-        """Remember what `material` was compiled to, of which `Collections.record` still holds what it asked for."""
-        asked = self._collections.record
-        if asked is not None:
-            _kept[material.original.session_uid] = _Kept(signature, compiled, tuple(notes), tuple(asked))
+    def keep(
+        self, material: bpy.types.Material | None, signature: tuple | None, compiled: Material, notes: list[str]
+    ) -> None:
+        """Remember what `material` was compiled to, of which `Collections.record` still holds what it asked for; where
+        that cannot be told, or there is no signature, forget what it was before.
+        """
+        if material is None:
+            return
+        uid, asked = material.original.session_uid, self._collections.record
+        if signature is None or asked is None:
+            _kept.pop(uid, None)
+        else:
+            self.used[uid] = _kept[uid] = _Kept(signature, compiled, tuple(notes), tuple(asked))
         if len(_kept) > len(bpy.data.materials):
             there = {each.session_uid for each in bpy.data.materials}
             for gone in _kept.keys() - there:

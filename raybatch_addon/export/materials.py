@@ -37,7 +37,6 @@ class ExportedMaterials:
         # for each material: kind and name of the attributes that it reads
         self.asked: list[frozenset[tuple[str, str]]] = []
         self.compiled_count = 0  # materials that were looked at, and not known to be as before
-        self._uids: list[int] = []  # `session_uid` of each material's original
         self._index: dict[Any, int] = {}
         self._notes: dict[int, list[str]] = {}  # for each material: messages about parts that were left out
         self._users: dict[int, list[str]] = {}
@@ -48,8 +47,6 @@ class ExportedMaterials:
         if key not in self._index:
             self._index[key] = len(self.materials)
             exported, notes = self._export(material)
-            if material is not None:
-                self._uids.append(material.original.session_uid)
             self.materials.append(exported)
             self.asked.append(frozenset(self.collections.asked))
             if notes:
@@ -77,7 +74,7 @@ class ExportedMaterials:
 
     def end_live(self) -> None:
         """The pass is over."""
-        self._kept.untouched.end(self.collections, self._uids)
+        self._kept.untouched.end(self.collections, self._kept.used)
 
     def holdout(self) -> int:
         """The index of a material that is a hole in the picture."""
@@ -110,8 +107,7 @@ class ExportedMaterials:
             self.collections.begin()
             exported, notes = export_material(material, self.collections)
             found = replace(exported, index=material.pass_index if material else 0), notes
-            if signature is not None:
-                self._kept.keep(material, signature, *found)
+            self._kept.keep(material, signature, *found)
         return found
 
     def warnings(self) -> list[str]:

@@ -69,7 +69,8 @@ def sheets_of(scene: bpy.types.Scene) -> Sheets | None:
         return _library(scene, sorted(materials, key=lambda material: material.name_full.lower()))
     if not shown:
         return None
-    _see_all(scene)
+    if not _see_all(scene):
+        return None
     return Sheets("the scene has no camera: it was given one that sees all of it")
 
 
@@ -79,10 +80,10 @@ def _shown(scene: bpy.types.Scene) -> Iterator[bpy.types.Object]:
             yield each
 
 
-def _see_all(scene: bpy.types.Scene) -> None:
-    """A camera as Blender's new scene has it: from the front, from the right and from above."""
-    camera = _camera(scene)
-    camera.rotation_euler = (math.radians(63.6), 0, math.radians(46.7))
+def _see_all(scene: bpy.types.Scene) -> bool:
+    """A camera as Blender's new scene has it: from the front, from the right and from above; False, and none, where
+    all that renders would show is hidden in viewports.
+    """
     graph = bpy.context.evaluated_depsgraph_get()
     corners = [
         instance.matrix_world @ Vector(corner)
@@ -90,12 +91,18 @@ def _see_all(scene: bpy.types.Scene) -> None:
         if instance.object.type in WITH_MATERIALS and not instance.object.original.hide_render
         for corner in instance.object.bound_box
     ]
+    if not corners:
+        return False
+    camera = _camera(scene)
+    camera.rotation_euler = (math.radians(63.6), 0, math.radians(46.7))
+    graph = bpy.context.evaluated_depsgraph_get()
     place, _ = camera.camera_fit_coords(graph, [value for corner in corners for value in corner])
     camera.location = place
     middle = sum(corners, Vector((0, 0, 0))) / len(corners)
     reach = max((corner - middle).length for corner in corners)
     distance = (place - middle).length
     camera.data.clip_start, camera.data.clip_end = max(distance - 2 * reach, 1e-3 * distance), distance + 2 * reach
+    return True
 
 
 def _library(scene: bpy.types.Scene, materials: list[bpy.types.Material]) -> Sheets:

@@ -26,16 +26,20 @@ class PictureTexture:
             self._texture = _texture_of(picture.pixels, exposure)
             self._picture, self._exposure = picture, exposure
         x0, y0, x1, y1 = picture.box
+        corners = {"pos": ((x0, y0), (x1, y0), (x1, y1), (x0, y1)), "texCoord": ((0, 0), (1, 0), (1, 1), (0, 1))}
         gpu.state.blend_set("ALPHA_PREMULT")
-        engine.bind_display_space_shader(scene)
-        shader = gpu.shader.from_builtin("IMAGE")
-        corners = ((x0, y0), (x1, y0), (x1, y1), (x0, y1))
-        batch = batch_for_shader(shader, "TRI_FAN", {"pos": corners, "texCoord": ((0, 0), (1, 0), (1, 1), (0, 1))})
-        shader.bind()
-        shader.uniform_sampler("image", self._texture)
-        batch.draw(shader)
-        engine.unbind_display_space_shader()
-        gpu.state.blend_set("NONE")
+        try:
+            engine.bind_display_space_shader(scene)
+            try:
+                shader = gpu.shader.from_builtin("IMAGE")
+                batch = batch_for_shader(shader, "TRI_FAN", corners)
+                shader.bind()
+                shader.uniform_sampler("image", self._texture)
+                batch.draw(shader)
+            finally:
+                engine.unbind_display_space_shader()
+        finally:
+            gpu.state.blend_set("NONE")
 
 
 def _texture_of(pixels: np.ndarray, exposure: float) -> Any:

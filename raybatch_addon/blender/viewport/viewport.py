@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import threading
 import time
 import weakref
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,12 +24,15 @@ from ...export.live.live_scene import LiveScene
 from ...export.live.settings import live_settings, pixel_side
 from ...export.live.view3d import camera_of, live_camera, region_view
 from ...export.settings import exposure_of
+from .. import finals
 from ..denoise_library import library_for
 from ..sessions import ViewSessions
 from .draw import PictureTexture
 
 # Reading the scene pauses after the object during which so much time has passed in one callback [s]
 SLICE_SECONDS = 0.02
+# Time between two looks whether a final render has read its scene [s]
+LOCKED_SECONDS = 0.2
 
 # All that are there: they end before sessions are closed
 _open: weakref.WeakSet[Viewport] = weakref.WeakSet()
@@ -46,6 +50,8 @@ class Viewport:
         self._space_state: tuple[Any, ...] | None = None
         self._scene: Scene | None = None  # of the last request: while it is held, no other has its identity
         self._number = 0
+        self._was_deleted = False  # something of Blender's, while the scene was read last
+        self._timer: threading.Timer | None = None  # until it is drawn again, where that need not be at once
         self._error = ""  # why the scene could not be read
         self._exposure = 1.0
         self._texture = PictureTexture()
@@ -57,13 +63,17 @@ class Viewport:
     def update(self, context: Any, depsgraph: bpy.types.Depsgraph) -> None:
         """The scene was edited."""
         start = time.perf_counter()
-        self.live.note(updates_of(depsgraph))
+        try:
+            self.live.note(updates_of(depsgraph))
+        except Exception:  # what was edited is not known, but it was
+            self.live.forget()
         self._read(context, depsgraph)
         self.seconds.append(time.perf_counter() - start)
 
     def draw(self, engine: bpy.types.RenderEngine, context: Any, depsgraph: bpy.types.Depsgraph) -> None:
         """The region is to be drawn: read on, and draw the newest picture there is."""
         start = time.perf_counter()
+        finals.look()
         self._read(context, depsgraph)
         picture = self.render.picture
         if picture is not None:
@@ -80,7 +90,7 @@ class Viewport:
             return "RayBatch", self._error or state.error
         if not self.live.is_current:
             return "RayBatch", "Reading the scene"
-        return "RayBatch", live_status(state)
+        return "RayBatch", with_warnings(live_status(state), [*self.live.warnings, *self.render.warnings])
 
     def close(self) -> None:
         """End soon, without waiting."""
@@ -92,11 +102,13 @@ class Viewport:
         """Read a slice of what was edited, and have it rendered once all is read."""
         try:
             self._read_slice(context, depsgraph)
-            self._error = ""
+            self._error, self._was_deleted = "", False
         except RayBatchError as error:
             self._error = " ".join(str(error).split())
         except ReferenceError:
-            pass  # something was deleted meanwhile: an update follows
+            if not self._was_deleted:  # something was deleted meanwhile: look once more, unless an update follows
+                self._was_deleted = True
+                self._redraw()
         except Exception as error:  # a traceback at each draw would help nobody
             self._error = f"the scene could not be read: {type(error).__name__}: {error}"
 
@@ -108,7 +120,10 @@ class Viewport:
             self.live.look_again()
         self.live.read(depsgraph, space, SLICE_SECONDS)
         if not self.live.is_current:
-            self._redraw()  # go on in the next callback
+            if self.live.is_locked:
+                self._redraw_later()
+            else:
+                self._redraw()  # go on in the next callback
             return
         if self.live.scene is None:
             return
@@ -118,9 +133,17 @@ class Viewport:
         self._exposure = exposure_of(scene)
         self._show(self.live.scene, camera, frame, settings, pixel_side(scene, context.preferences.system.pixel_size))
 
+    def _redraw_later(self) -> None:
+        if self._timer is None or not self._timer.is_alive():
+            self._timer = threading.Timer(LOCKED_SECONDS, self._redraw)
+            self._timer.daemon = True
+            self._timer.start()
+
     def _show(self, scene: Scene, camera: Camera, frame: Frame | None, settings: RenderSettings, side: int) -> None:
         """Have this rendered, unless it is what was asked for last."""
-        if frame is None or min(frame.width, frame.height) < 1:
+        if frame is None or min(frame.width, frame.height) < 1:  # the render region is outside of the view
+            self._shown = self._scene = None
+            self.render.drop()
             return
         made_of = (id(scene), _values_of(camera), frame, settings, side)
         if made_of == self._shown:
@@ -143,6 +166,15 @@ def live_status(state: LiveState) -> str:
     if state.stage != "Rendering":
         return state.stage + memory
     return samples + memory
+
+
+def with_warnings(text: str, warnings: Sequence[str]) -> str:
+    """`text` with the first of `warnings`, and how many more there are."""
+    told = list(dict.fromkeys(warnings))
+    if not told:
+        return text
+    more = f" (and {len(told) - 1} more)" if len(told) > 1 else ""
+    return " | ".join(filter(None, (text, f"{told[0]}{more}")))
 
 
 def close_viewports(seconds: float = 10.0) -> None:

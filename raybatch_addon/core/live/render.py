@@ -80,11 +80,17 @@ class LiveRender:
         with self._changed:
             if self._closed:
                 return
-            self._request = request
+            self._request, self.warnings = request, ()
             if self._thread is None:
                 self._thread = threading.Thread(target=self._work, name="RayBatch live render", daemon=True)
                 self._thread.start()
             self._changed.notify_all()
+
+    def drop(self) -> None:
+        """Nothing is to be shown: end what is rendered, and forget the picture."""
+        with self._changed:
+            self._request = self.picture = None
+            self.state, self.warnings = LiveState(), ()
 
     @property
     def is_idle(self) -> bool:
@@ -120,6 +126,8 @@ class LiveRender:
                     self._rendered = request.number
             elif not self._is_superseded(request):
                 self.state = replace(self.state, stage="Waiting for another render")
+            if self._request is None:  # it was dropped meanwhile
+                self._kept, self.state = None, LiveState()
             self._on_change()
         self._kept = None
 
@@ -140,7 +148,7 @@ class LiveRender:
         return self._closed or self._request is not request
 
     def _must_stop(self) -> bool:
-        return self._closed or self._source.is_wanted(self._shown_since_lent)
+        return self._closed or self._request is None or self._source.is_wanted(self._shown_since_lent)
 
     def _render(self, request: LiveRequest) -> bool:
         """Render `request`; False where it was stopped before it had all samples."""
@@ -264,7 +272,10 @@ class LiveRender:
         return True
 
     def _show(self, picture: LivePicture) -> None:
-        self.picture = picture
+        with self._changed:
+            if self._request is None:
+                return
+            self.picture = picture
         self._shown_since_lent = True
         self._on_change()
 

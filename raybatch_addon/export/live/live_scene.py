@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 
 from ...core.scene.description import Camera, CameraKind, Scene
+from ...core.scene.notice import by_weight
 from ..meshes.live_meshes import LiveMeshes
 from ..meshes.live_pass import LivePass
 from ..meshes.placements import is_singular
@@ -31,12 +32,15 @@ class LiveScene:
 
     def __init__(self) -> None:
         self.scene: Scene | None = None  # as it was read last, with a camera that means nothing
+        self.warnings: Sequence[str] = ()  # about parts of `scene` that are not rendered as they are
+        self.is_locked = False  # the last `read` did nothing, because a final render reads
         self.counts: Counter[str] = Counter()  # what was done so far: passes, meshes, places, scenes
         self._meshes = LiveMeshes()
         self._pass = LivePass(self._meshes)
         self._restarts = 0  # of passes, since one came to its end
         self._edits = Edits(is_whole=True)
         self._place: dict[int, int] = {}  # of objects that are placed once, by themselves: index of their instance
+        self._frame: float | None = None  # of the last pass
         self._moves_others = True  # what places of objects do not show depends on them
 
     @property
@@ -54,11 +58,21 @@ class LiveScene:
         self._restart()
         self._edits.is_whole = True
 
+    def forget(self) -> None:
+        """Anything may have changed: read all of the scene once more."""
+        self.look_again()
+        self._meshes.clear()
+        self._edits.any_material = True
+
     def read(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, seconds: float) -> bool:
         """Read what was edited, and stop after the object during which `seconds` have passed. True: `scene` is another
         than before; otherwise it is the same, or there is more to read. Raises `RayBatchError`.
         """
-        if not self._edits or not reading.acquire(blocking=False):  # a final render reads: the next callback may
+        self.is_locked = False
+        if not self._edits:
+            return False
+        if not reading.acquire(blocking=False):
+            self.is_locked = True
             return False
         try:
             return self._read(depsgraph, space, seconds)
@@ -81,7 +95,7 @@ class LiveScene:
     def _move(self, depsgraph: bpy.types.Depsgraph) -> bool:
         """Put what was moved where it is now; False where that is not enough."""
         moved = self._edits.moved
-        if self.scene is None or self._moves_others:
+        if self.scene is None or self._moves_others or depsgraph.scene.frame_current_final != self._frame:
             return False
         where: dict[int, np.ndarray] = {}
         cameras = 0  # each view looks where they are by itself
@@ -90,6 +104,8 @@ class LiveScene:
             if uid in moved and isinstance(update.id, bpy.types.Object):
                 if update.id.type == "CAMERA":
                     cameras += 1
+                elif update.id.animation_data is not None:  # what a driver sets besides the place, nobody lists
+                    return False
                 elif uid in self._place:
                     where[self._place[uid]] = np.array(update.id.matrix_world, np.float32)[:3]
         if len(where) + cameras != len(moved):  # one of them is no instance, or was moved before another callback
@@ -109,23 +125,25 @@ class LiveScene:
     # --- all of it
 
     def _read_all(self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, seconds: float) -> bool:
-        end, meshes, before = time.perf_counter() + seconds, self._meshes, self._meshes.read_count
+        meshes, before = self._meshes, self._meshes.read_count
         if not self._pass.is_under_way:
             meshes.begin(self._edits.reshaped)
             meshes.materials.forget(None if self._edits.any_material else self._edits.materials)
             self._edits.forgotten()  # what is touched is read when the pass comes by
-        placements = self._pass.go_on(depsgraph, space, end)
+        placements = self._pass.go_on(depsgraph, space, seconds)
         self.counts["meshes"] += meshes.read_count - before
         if placements is None:
             self.counts["slices"] += 1
             return False
-        self._restarts = 0
+        self._restarts, self._frame = 0, depsgraph.scene.frame_current_final
         self.counts["passes"] += 1
         self.counts["materials"] += placements.materials.compiled_count
         scene = depsgraph.scene
         frame = export_frame(scene, depsgraph.view_layer, depsgraph.scene_eval.world)
         frame = replace(frame, border=None, passes=("Combined",))
-        read = assembled(depsgraph, _NO_CAMERA, frame, placements, [])
+        warnings: list[str] = []
+        read = assembled(depsgraph, _NO_CAMERA, frame, placements, warnings)
+        self.warnings = by_weight(dict.fromkeys(warnings))
         self._note_places(placements.usable)
         self._moves_others = placements.materials.reads_elsewhere or _reads_elsewhere(depsgraph)
         self._edits.clear()

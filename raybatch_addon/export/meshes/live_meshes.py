@@ -67,7 +67,7 @@ class LiveMeshes:
         if self.space is None:
             return True
         owner = placed.parent if placed.is_instance and placed.parent is not None else placed.object
-        return owner.original.visible_in_viewport_get(self.space)
+        return owner.visible_in_viewport_get(self.space)  # evaluated: an original knows of no local collections
 
     def note_placed(self, placed: bpy.types.DepsgraphObjectInstance) -> None:
         """Remember whose the next placement is."""

@@ -36,14 +36,14 @@ class LivePass:
             self._meshes.end(is_whole=False)
 
     def go_on(
-        self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, end: float
+        self, depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D | None, seconds: float
     ) -> Placements | None:
-        """Take items of `depsgraph`, as `space` shows it, at least one and until the time `end` (`time.perf_counter`);
-        all placements once there are no more.
+        """Take items of `depsgraph`, as `space` shows it, at least one and for `seconds`; all placements once there are
+        no more. A slice also lasts as long as it took to find its first item, so that many items are no endless pass.
         """
         self._meshes.space = space
         try:
-            return self._go_on(depsgraph, end)
+            return self._go_on(depsgraph, seconds)
         except BaseException:
             self.drop()
             raise
@@ -52,16 +52,19 @@ class LivePass:
             if self._collector is not None:
                 self._collector.look_away()
 
-    def _go_on(self, depsgraph: bpy.types.Depsgraph, end: float) -> Placements | None:
+    def _go_on(self, depsgraph: bpy.types.Depsgraph, seconds: float) -> Placements | None:
         if self._collector is None:
             self._collector, self._taken = PlacementCollector(depsgraph, live=self._meshes), 0
         else:
             self._collector.look_at(depsgraph)
-        first = self._taken
+        first, start, end = self._taken, time.perf_counter(), 0.0
         for number, placed in enumerate(depsgraph.object_instances):
             if number < first:
                 continue
-            if number > first and time.perf_counter() > end:
+            now = time.perf_counter()
+            if number == first:
+                end = now + max(seconds, now - start)
+            elif now > end:
                 return None
             self._collector.add(placed, _never)
             self._taken = number + 1

@@ -7,69 +7,11 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.export.live.edits import Edits, Update, updates_of
+from raybatch_addon.export.live.edits import Edits, Update
 from raybatch_addon.export.live.live_scene import LiveScene, is_same
-from raybatch_addon.export.scene import export_scene
-from tests.blender.viewport.regions import updates_to, view_space
-from tests.support.blender_builders import add_grid, add_object, material_of, node_tree
-
-
-@pytest.fixture
-def objects(scene):
-    """Three grids with a material each, a light and a world."""
-    made = []
-    for number in range(3):
-        obj = add_grid(f"Grid {number}", 4 + number)
-        obj.location = (3 * number, 0, 0)
-        tree, surface = node_tree(material_of(obj, f"Material {number}"))
-        shader = tree.nodes.new("ShaderNodeBsdfDiffuse")
-        shader.name = "Diffuse"
-        tree.links.new(shader.outputs[0], surface)
-        made.append(obj)
-    add_object("Light", bpy.data.lights.new("Light", "POINT"))
-    scene.world = bpy.data.worlds.new("World")
-    bpy.context.view_layer.update()
-    return made
-
-
-class Reader:
-    """A live scene that is told of edits as Blender tells a viewport."""
-
-    def __init__(self, seconds=10.0):
-        self.live, self.seconds, self.changes = LiveScene(), seconds, 0
-
-    def read(self, depsgraph):
-        while not self.live.is_current:
-            self.changes += self.live.read(depsgraph, None, self.seconds)
-
-    def receive(self, depsgraph):
-        self.live.note(updates_of(depsgraph))
-        self.read(depsgraph)
-
-    def edit(self, change) -> Counter:
-        """What `change()` made necessary."""
-        before, self.changes = Counter(self.live.counts), 0
-        with updates_to(self.receive):
-            change()
-            bpy.context.view_layer.update()
-        after = Counter(self.live.counts)
-        after.subtract(before)
-        return Counter({name: count for name, count in after.items() if count})
-
-
-@pytest.fixture
-def reader(objects):
-    made = Reader()
-    made.read(bpy.context.evaluated_depsgraph_get())
-    return made
-
-
-def as_exported(live) -> bool:
-    """Whether what is read is what an export of the same depsgraph reads, but for camera and frame."""
-    exported = export_scene(bpy.context.evaluated_depsgraph_get())
-    own = live.scene
-    names = ("meshes", "instances", "slot_materials", "materials", "lights", "world", "images", "object_names")
-    return all(is_same(getattr(exported, name), getattr(own, name)) for name in names)
+from tests.blender.viewport.reader import Reader, as_exported
+from tests.blender.viewport.regions import view_space
+from tests.support.blender_builders import add_grid, add_object
 
 
 def test_the_first_reading_reads_all(reader):

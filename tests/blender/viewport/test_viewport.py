@@ -1,85 +1,15 @@
 """A viewport from Blender's callbacks to the picture that is drawn."""
 
-from types import SimpleNamespace
-
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import sessions
 from raybatch_addon.blender.viewport import viewport as viewports
-from raybatch_addon.blender.viewport.draw import PictureTexture
 from raybatch_addon.core.live.render import LiveState
 from raybatch_addon.export.live.settings import left_out, live_settings, pixel_side
-from tests.blender.viewport.regions import region_context, updates_to, wait_for
-from tests.support.blender_builders import add_grid, material_of, node_tree
-
-
-@pytest.fixture
-def lit(scene):
-    """The scene with a shining grid."""
-    obj = add_grid("Grid", 6)
-    obj.location = (-2, -2, 0)
-    tree, surface = node_tree(material_of(obj))
-    shader = tree.nodes.new("ShaderNodeEmission")
-    shader.name = "Emission"
-    tree.links.new(shader.outputs[0], surface)
-    scene.raybatch_viewport.samples = 4
-    bpy.context.view_layer.update()
-    return scene
-
-
-class Shown:
-    """A viewport in a region, which is drawn as often as it asks for."""
-
-    def __init__(self, context):
-        self.context, self.asked, self.drawn = context, 0, []
-        self.viewport = viewports.Viewport(self._ask)
-        self.engine = SimpleNamespace()
-
-    def _ask(self):
-        self.asked += 1
-
-    def update(self, depsgraph):
-        self.viewport.update(self.context, depsgraph)
-
-    def draw(self):
-        self.viewport.draw(self.engine, self.context, bpy.context.evaluated_depsgraph_get())
-
-    def until(self, condition):
-        """Draw as Blender would until `condition()`."""
-
-        def look():
-            self.draw()
-            return condition()
-
-        wait_for(look)
-
-    def is_finished(self):
-        return self.viewport.live.is_current and self.viewport.render.is_idle
-
-    @property
-    def request(self):
-        return self.drawn[-1].request
-
-
-@pytest.fixture
-def shown(lit, monkeypatch):
-    """The scene in a viewport."""
-    made = Shown(region_context())
-    monkeypatch.setattr(
-        PictureTexture, "draw", lambda _self, _engine, _scene, picture, _exposure: made.drawn.append(picture)
-    )
-    with updates_to(made.update):
-        made.update(bpy.context.evaluated_depsgraph_get())
-        yield made
-    made.viewport.close()
-    assert made.viewport.render.join(60)
-
-
-def edit(change):
-    change()
-    bpy.context.view_layer.update()
+from tests.blender.viewport.regions import region_context
+from tests.blender.viewport.shown import Shown, edit
 
 
 def test_what_is_drawn_last_is_the_render_of_the_scene(shown):
@@ -133,7 +63,10 @@ def test_two_viewports_take_turns(shown, lit):
     second = Shown(region_context(40, 30))
     second.drawn = shown.drawn  # drawn by one function
     second.update(bpy.context.evaluated_depsgraph_get())
+    both = [shown.viewport.render, second.viewport.render]
     try:
+        shown.until(lambda: second.draw() or all(each.picture for each in both))
+        assert not any(each.picture.samples == 300 for each in both)
         shown.until(lambda: second.draw() or (shown.is_finished() and second.is_finished()))
     finally:
         second.viewport.close()

@@ -80,6 +80,22 @@ def test_a_picture_grows_and_ends_as_the_session_renders_it(live, session):
     assert render.state.samples == 8 and not render.state.stage and not render.state.error
 
 
+def test_what_is_dropped_is_shown_no_more(live):
+    render, _, shown = live
+    for number in (1, 2):
+        render.show(request(number, samples=1_000_000))
+        wait_for(lambda: shown and shown[-1].request.number == number)
+        render.drop()
+        assert render.picture is None and render.is_idle
+        wait_for(lambda: render._kept is None and not render.state.stage)
+        at = len(shown)
+        time.sleep(0.1)
+        assert render.picture is None and len(shown) == at
+    render.show(request(3, samples=2))
+    wait_for(lambda: render.is_idle)
+    assert shown[-1].request.number == 3 and shown[-1].samples == 2
+
+
 def test_it_rests_when_all_samples_are_there(live):
     render, source, _ = live
     render.show(request(1, samples=2))
