@@ -5,6 +5,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from real_files.sheets import sheets_of
+
 from tests.support.blender_builders import add_grid, material_of
 
 
