@@ -51,6 +51,7 @@ ROOMS = (
     "blender/missing.py",
     "blender/kernel_cache.py",
     "blender/general_kernels.py",
+    "blender/finals.py",
     "blender/sessions.py",
     "blender/denoise_library.py",
     "blender/viewport",
