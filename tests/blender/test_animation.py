@@ -129,7 +129,7 @@ def assert_covered_once(rectangles, width, height):
 @pytest.mark.parametrize("size", [(33, 17, 100), (50, 70, 77), (4, 5, 100)])
 def test_finished_tiles_cover_the_frame_once(lit, rectangles, tile_size, size):
     lit.render.resolution_x, lit.render.resolution_y, lit.render.resolution_percentage = size
-    lit.raybatch.tile_size = tile_size if min(size) > tile_size else 1
+    lit.raybatch.tile_size = tile_size if min(size) > 7 else 1  # few pixels are one tile where nothing is asked for
     bpy.ops.render.render()
     assert_covered_once(rectangles, size[0] * size[2] // 100, size[1] * size[2] // 100)
 
