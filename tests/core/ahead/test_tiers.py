@@ -141,6 +141,7 @@ def test_one_kernel_gives_the_film_of_those_for_each_stage(monkeypatch):
     scene, settings = scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL")
     expected = Session(DEVICE).render(scene, settings)
     monkeypatch.setattr(kernels, "is_wide", lambda _: True)
+    monkeypatch.setattr(kernels, "_chosen", kernels._chosen.__wrapped__)  # what was chosen before is not remembered
     device = wp.get_device(DEVICE)
     shading = StageKernels.choose(derive_features(scene, settings), device, general_features(device)).shading
     assert set(shading.values()) == {general_kernels(device)[0]}
