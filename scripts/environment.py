@@ -57,7 +57,10 @@ def main() -> int:
 
 def compile_kernels(python: Path) -> None:
     """Compile what any scene can begin with, so that the first render need not wait for it."""
-    print("RayBatch: compiling the kernels that any scene can begin with; this takes about a minute", file=sys.stderr)
+    print(
+        "RayBatch: compiling the kernels that any scene can begin with; this takes two or three minutes",
+        file=sys.stderr,
+    )
     script = Path(__file__).resolve().parent / "render.py"
     command = [str(python), str(script), "--prewarm", "--device", "cpu"]
     done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True)
