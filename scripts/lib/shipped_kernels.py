@@ -34,9 +34,8 @@ def can_be_made(platform_name: str) -> bool:
     return platform_name == _PLATFORM and sys.platform == "linux" and platform.machine() == "x86_64"
 
 
-def flags_of(level: str) -> str:
-    """The compiler's flags for processors of `level`; of the processor of this machine where it is "native"."""
-    flags = MODULE_OPTIONS["cpu_compiler_flags"]
+def flags_of(level: str, flags: str) -> str:
+    """`flags` of a module for processors of `level`; for the processor of this machine where it is "native"."""
     assert _NATIVE in flags
     return flags if level == "native" else flags.replace(_NATIVE, f"-target-cpu {level}")
 
@@ -52,10 +51,17 @@ def source_of(module: wp.Module, block_size: int = 1, architecture: int | None =
     return source, json.dumps(meta, sort_keys=True).encode()
 
 
-def compile_source(source: str, target: str, file: Path, block_size: int = 1, optimization_level: int = 2) -> None:
+def compile_source(
+    source: str,
+    target: str,
+    file: Path,
+    block_size: int = 1,
+    optimization_level: int = 2,
+    flags: str = MODULE_OPTIONS["cpu_compiler_flags"],
+) -> None:
     """Compile code for `target` into `file`, as Warp does but for its choice of the target.
 
-    `target`: of `TARGETS`, or "native". `optimization_level`: of code for a CPU.
+    `target`: of `TARGETS`, or "native". `optimization_level`, `flags`: of code for a CPU; its module's.
     """
     build, architecture = wp._src.build, ARCHITECTURES.get(target)
     with tempfile.TemporaryDirectory() as folder, whole_file(file) as half:
@@ -63,8 +69,8 @@ def compile_source(source: str, target: str, file: Path, block_size: int = 1, op
         path.write_text(source, encoding="utf-8")
         common = {"fuse_fp": MODULE_OPTIONS["fuse_fp"], "use_precompiled_headers": False}
         if not architecture:
-            flags = {"extra_flags": flags_of(target), "optimization_level": optimization_level}
-            build.build_cpu(str(half), str(path), block_dim=block_size, **common, **flags)
+            level = {"extra_flags": flags_of(target, flags), "optimization_level": optimization_level}
+            build.build_cpu(str(half), str(path), block_dim=block_size, **common, **level)
             return
         binary = Path(folder) / "module.cubin"  # its name says what is made
         fast_math = MODULE_OPTIONS["fast_math"]
@@ -114,7 +120,8 @@ def make_kernels(
             source, meta = source_of(module, block_size, architecture)
             with whole_file(known_meta) as half:
                 half.write_bytes(meta)
-            compile_source(source, target, known, block_size)
+            flags = module.options["cpu_compiler_flags"]
+            compile_source(source, target, known, block_size, flags=flags)
         meta_name = f"{identifier}.meta"
         shutil.copy(known_meta, out / target / meta_name)
         shutil.copy(known, out / target / name)

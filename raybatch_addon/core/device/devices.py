@@ -14,6 +14,7 @@ from pathlib import Path
 import warp as wp
 
 from ..errors import DeviceError
+from .by_reference import pass_structs_by_reference
 from .compiler import compile_apart
 from .declared import is_known
 from .kept_kernels import folders, spare_folder
@@ -53,6 +54,7 @@ def _initialize_warp() -> None:
     with _without_line(_DRIVER_MISSING):
         wp.init()
     compile_apart()
+    pass_structs_by_reference()
     share_precompiled_header()
     load_here_what_is_launched()
 

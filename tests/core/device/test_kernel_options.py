@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from raybatch_addon.core.device.kernel import MODULE_OPTIONS
+from raybatch_addon.core.device.kernel import MODULE_OPTIONS, OUT_OF_LINE_OPTIONS, is_general
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
@@ -14,6 +14,7 @@ def test_every_loaded_module_has_the_options(session):
         kernels = [k for k in module.kernels.values() if k.func.__module__.startswith("raybatch_addon.core")]
         for kernel in kernels:
             seen += 1
-            assert {key: module.options[key] for key in MODULE_OPTIONS} == MODULE_OPTIONS, name
+            wanted = OUT_OF_LINE_OPTIONS if is_general(module) else MODULE_OPTIONS
+            assert {key: module.options[key] for key in MODULE_OPTIONS} == wanted, name
             assert kernel.options.get("enable_backward") is False, name
     assert seen >= 10
