@@ -2,7 +2,7 @@
 
 Warp passes structs by value. The scene's are some thousand bytes of arrays, so that each call which is left copies as
 many. In modules of `OUT_OF_LINE_OPTIONS` a function takes its structs by reference instead, but for those that it
-writes to, which are its own copies as Python's readers of Warp expect.
+writes to, which stay its own copies. Nothing else writes to them while it runs, and the compiler is told so.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ _codegen = wp._src.codegen
 # A pointer into what a name stands for, as in `var_3 = &(var_point.frame);` and `var_4 = wp::indexref(var_3, var_2);`
 _POINTER = re.compile(r"(var_\w+) = (?:&\(*|wp::indexref\()(var_\w+)\b")
 # What a line writes to, as in `var_point.normal = var_5;` and `wp::store(var_4, var_6);`
-_WRITTEN = re.compile(r"(?:^|[{}\s])\(*(var_\w+)\)?(?:(?:\.|->)\w+)+ = |wp::\w*(?:assign|store|inplace|atomic)\w*\((var_\w+)")
+_WRITTEN = re.compile(
+    r"(?:^|[{}\s])\(*(var_\w+)\)?(?:(?:\.|->)\w+)+ = |wp::\w*(?:assign|store|inplace|atomic)\w*\((var_\w+)"
+)
 
 
 def pass_structs_by_reference() -> None:
@@ -48,7 +50,7 @@ def by_reference(source: str, taken: dict[str, str]) -> str:
     for name, ctype in taken.items():
         if name not in written:
             header = re.compile(rf"^(\s*{re.escape(ctype)}) ({re.escape(name)}[,)])", re.MULTILINE)
-            source = header.sub(r"\1 & \2", source)
+            source = header.sub(r"\1 & __restrict \2", source)
     return source
 
 
