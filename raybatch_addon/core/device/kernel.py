@@ -22,8 +22,8 @@ MODULE_OPTIONS: dict[str, Any] = {
 KERNEL_OPTIONS: dict[str, Any] = unique_options(MODULE_OPTIONS)
 
 # Modules that hold much of which a scene needs little: the compiler inlines what it finds worth it, and functions take
-# structs by reference (`by_reference.py`). They compile in a third of the time; surfaces render 5 to 8 % slower, volumes
-# a quarter.
+# structs by reference (`by_reference.py`). They compile in a third of the time; surfaces render 5 to 8 % slower,
+# volumes a quarter.
 OUT_OF_LINE_OPTIONS: dict[str, Any] = {
     **MODULE_OPTIONS,
     "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=1000 -Wno-constant-conversion",
