@@ -75,6 +75,8 @@ def _fail(engine: bpy.types.RenderEngine, report: reports.RenderReport, message:
 
 def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, report: reports.RenderReport) -> None:
     settings = settings_from(depsgraph.scene)
+    if settings.tile_order == "AUTO" and not bpy.app.background:  # somebody watches
+        settings = settings.replace(tile_order="PROGRESSIVE")
     layer_name = depsgraph.view_layer.name
     status = _Status(engine, layer_name)
     for name in view_names(engine, layer_name, depsgraph.scene):
@@ -203,8 +205,8 @@ class _Status:
         if progress.stage == "render":
             self._engine.update_progress(progress.fraction)
         if progress.memory_bytes:
-            megabytes = progress.memory_bytes / 2**20
-            self._engine.update_memory_stats(memory_used=megabytes, memory_peak=megabytes)
+            used, peak = progress.memory_bytes / 2**20, progress.memory_peak / 2**20
+            self._engine.update_memory_stats(memory_used=used, memory_peak=max(used, peak))
         self.show(status_text(progress))
 
 

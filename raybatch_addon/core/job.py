@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,13 +11,15 @@ import warp as wp
 
 from .ahead.change import TierChange
 from .ahead.request import CompileRequest
+from .device.devices import memory_used
 from .measure.parts import Parts
 from .observers import Progress, Tile
 from .scene.description import Scene
 from .scene.features import SceneFeatures
 from .settings.settings import RenderSettings
-from .wavefront.plan.plan import Choice, TracingPlan
+from .wavefront.plan.plan import Choice, Method, TracingPlan
 from .wavefront.render.rendering import Rendering, SnapshotWatcher
+from .wavefront.render.steps import TileSteps
 from .wavefront.tier import TierChoice
 
 
@@ -53,6 +56,15 @@ class Job:
         """Sample counts at which pictures are wanted."""
         return [mark for watcher in self.watchers for mark in watcher.marks]
 
+    @functools.cached_property
+    def steps(self) -> TileSteps | None:
+        """How far tiles go before they are shown; None: as far as they can. Pages of geometry serve all samples at
+        once.
+        """
+        settings, paged = self.settings, self.plan.method is Method.PAGED
+        wanted = settings.tile_order == "PROGRESSIVE" and settings.sample_order == "FRAME_FIRST" and not paged
+        return TileSteps() if wanted else None
+
     @property
     def kernels(self) -> dict[str, Any]:
         """Which kernels render, for the statistics."""
@@ -81,9 +93,7 @@ def progress_of(
     **rates: Any,
 ) -> Progress:
     """How far a render on `device` has come; `rates`: what else is known (`Progress`)."""
-    memory = 0
-    if device.is_cuda and wp.is_mempool_enabled(device):
-        memory = int(wp.get_mempool_used_mem_current(device))
+    memory, peak = memory_used(device)
     unknown = {"samples_done": 0.0, "rays_per_second": 0.0, "seconds_left": None}
     return Progress(
         stage=stage,
@@ -91,6 +101,7 @@ def progress_of(
         samples_total=settings.sample_count,
         seconds_elapsed=parts.elapsed,
         memory_bytes=memory,
+        memory_peak=peak,
         message=message or parts.message,
         **{**unknown, **rates},
     )

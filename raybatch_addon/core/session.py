@@ -47,7 +47,7 @@ from .wavefront.render.summary import batching_totals, ray_totals, rounds_summar
 from .wavefront.render.workers import make_workers
 from .wavefront.scene.device_scene import DeviceScene
 from .wavefront.scene.scene_cache import GeometryRequest, SceneCache
-from .wavefront.scheduler import round_tile_edge, tile_edge
+from .wavefront.scheduler import round_tile_edge, step_tile_edge, tile_edge
 from .wavefront.tier import choose_tier
 
 
@@ -262,7 +262,7 @@ class Session:
         active = first_active(job.scene.frame, settings, job.sample_first, after, self.device)
         x0, y0, x1, y1 = job.scene.frame.region
         workers, paged = worker_count(self.device, settings.thread_count), job.plan.method is Method.PAGED
-        choose_edge = round_tile_edge if policy.is_cut else tile_edge
+        choose_edge = step_tile_edge if job.steps else round_tile_edge if policy.is_cut else tile_edge
         edge = choose_edge(settings, self.device.is_cuda, x1 - x0, y1 - y0, workers, paged)
         if not settings.tile_size:
             job.chosen["tile_size"] = Choice(edge, "by device, frame and samples")
@@ -339,7 +339,7 @@ class Session:
         seconds_left: float | None = None
         job.parts.enter("render")
         events = RenderEvents(on_tile=on_tile, on_progress=on_progress, cancelled=job.cancelled, watchers=job.watchers)
-        job.rendering = Rendering(integrators, state, film, events, job.parts.started)
+        job.rendering = Rendering(integrators, state, film, events, job.parts.started, job.steps)
         change = None
         if job.tier.general and job.tier.asked == "AUTO":
             request = CompileRequest(job.features, job.settings, job.plan)

@@ -47,6 +47,7 @@ from .volumes.volumes import with_state
 
 # A stopped tile whose rays are not at their end after this long gives them up [s]
 DRAIN_SECONDS = 0.25
+TAIL_SHARE = 0.125  # of the slots: below it, without paths to come, turns do little
 
 
 class TileIntegrator:
@@ -119,17 +120,25 @@ class TileIntegrator:
         self.rays = RayTotals()
         self.invalid_samples = 0
         self.items_done = 0  # paths that came to their end, for progress
+        self.tail_seconds = 0.0  # of the last `render`: from its last full waves to the picture
 
-    def render(self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool]) -> FinishedTile:
-        """Render what is left of a tile's samples `sample_first` to `sample_first + sample_count`; `state` is brought
-        up to date.
+    def render(
+        self,
+        state: TileState,
+        sample_first: int,
+        sample_count: int,
+        stop: Callable[[], bool],
+        items_most: float = float("inf"),
+    ) -> FinishedTile:
+        """Render what is left of a tile's samples `sample_first` to `sample_first + sample_count`, but begin no more
+        than `items_most` paths; `state` is brought up to date.
 
         They are added to what the tile has from earlier rounds. When `stop()` turns true no path is begun any more, and
         those under way are brought to their end.
         """
         work, film = self._begin_tile(state, sample_first, sample_count)
-        items = state.pixel_count * sample_count
-        done, stopped_at = 0, None
+        items = min(state.pixel_count * sample_count, state.items_begun + items_most)
+        done, stopped_at, tail_from = 0, None, None
         while True:
             self._kernels = self._wanted_kernels
             if stopped_at is None and stop():
@@ -139,6 +148,8 @@ class TileIntegrator:
                 camera = self._generate(state, work, items)
             elif self._alive and time.perf_counter() - stopped_at > DRAIN_SECONDS:
                 self._give_up(state)
+            if tail_from is None and state.items_begun == items and self._alive <= TAIL_SHARE * self.path_count:
+                tail_from = time.perf_counter()
             if self._alive == 0:
                 break
             back = self._trace(work, film, camera, stop)
@@ -161,6 +172,7 @@ class TileIntegrator:
                 self._mattes,
             )
         self.invalid_samples += finished.invalid
+        self.tail_seconds = time.perf_counter() - tail_from if tail_from else 0.0
         return finished
 
     def use_kernels(self, kernels: StageKernels) -> None:

@@ -22,6 +22,7 @@ from ...scene.passes import GUIDE_PASSES
 from ..integrator import TileIntegrator, TileState
 from .resume import ResumeState
 from .rounds import sample_marks
+from .steps import TileSteps
 from .summary import ray_totals
 
 # How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
@@ -67,9 +68,11 @@ class Rendering:
         film: Film,
         events: RenderEvents,
         started: float,
+        steps: TileSteps | None = None,
     ):
         """`state` is brought up to date and `film` filled; `started` is when the render was asked for
-        (`time.perf_counter`).
+        (`time.perf_counter`). With `steps` all tiles are shown after few samples, and then refined; without, each has
+        all samples of a round when it is shown.
         """
         self._integrators, self._state, self._film, self._events, self._started = (
             integrators,
@@ -78,6 +81,7 @@ class Rendering:
             events,
             started,
         )
+        self._steps = steps
         self._total, self._pixels = state.items_to_come, state.pixel_count
         self._earlier = film.sample_total  # paths that are in the film already
         self._begun = time.perf_counter()
@@ -158,7 +162,10 @@ class Rendering:
         def work(integrator: TileIntegrator) -> None:
             try:
                 while not stop.is_set():
-                    results.put(self._render_tile(integrator, todo.get_nowait(), stop.is_set))
+                    halves = todo.get_nowait()
+                    results.put(self._render_tile(integrator, halves, stop.is_set))
+                    if state.is_open(halves):
+                        todo.put(halves)
             except queue.Empty:
                 pass
             except BaseException as error:  # carried to the calling thread, and raised there
@@ -182,7 +189,7 @@ class Rendering:
                     if result is None:
                         working -= 1
                     else:
-                        events.on_tile(result, self._film.add_tile(result))
+                        self._hand_out(result)
                 except queue.Empty:
                     pass
                 self._report_progress()
@@ -195,11 +202,34 @@ class Rendering:
     def _render_tile(
         self, integrator: TileIntegrator, halves: Sequence[TileState], stop: Callable[[], bool]
     ) -> FinishedTile:
-        finished = []
+        """A step of a tile, or all that is left of its round."""
+        start, tail_seconds, finished = time.perf_counter(), 0.0, []
+        step, begun = self._step_of(halves), [state.items_begun for state in halves]
         for state in halves:
             samples = self._state.samples_of(state)
-            finished.append(integrator.render(state, samples.first, samples.sample_count, stop))
-        return finished[0] if len(finished) == 1 else FinishedTile.sum_of(*finished)
+            most = step * state.pixel_count
+            finished.append(integrator.render(state, samples.first, samples.sample_count, stop, most))
+            tail_seconds += integrator.tail_seconds
+        joined = time.perf_counter()
+        tile = finished[0] if len(finished) == 1 else FinishedTile.sum_of(*finished)
+        if self._steps and begun != (now := [state.items_begun for state in halves]) and not stop():
+            end = time.perf_counter()
+            samples = max((b - a) / max(each.pixel_count, 1) for a, b, each in zip(begun, now, halves, strict=True))
+            self._steps.note(tile.rectangle, samples, end - start, tail_seconds + end - joined)
+        return tile
+
+    def _step_of(self, halves: Sequence[TileState]) -> int:
+        """Samples of each half that a tile gets before it is shown."""
+        tile = halves[0].tile
+        left = max(-(-self._state.items_left(state) // max(state.pixel_count, 1)) for state in halves)
+        return self._steps.samples((tile.x, tile.y, tile.width, tile.height), left) if self._steps else left
+
+    def _hand_out(self, tile: FinishedTile) -> None:
+        """Put `tile` into the film, and show it."""
+        start = time.perf_counter()
+        self._events.on_tile(tile, self._film.add_tile(tile))
+        if self._steps:
+            self._steps.note_shown(tile.rectangle, time.perf_counter() - start)
 
     def _report_progress(self) -> None:
         seconds = time.perf_counter() - self._begun

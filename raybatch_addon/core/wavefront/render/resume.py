@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,18 +92,23 @@ class ResumeState:
             return self.done
         return np.maximum(self.active.counts(self.sample_first + self.done) - self.sample_first, 0)
 
-    def _items_left(self, state: TileState) -> int:
+    def items_left(self, state: TileState) -> int:
+        """Paths of the round under way that a tile, or one half of its samples, has not begun."""
         return state.pixel_count * self.samples_of(state).sample_count - state.items_begun
 
     @property
     def open_tiles(self) -> list[tuple[TileState, ...]]:
         """Tiles of which not all paths of the round under way were begun."""
-        return [halves for halves in self.tiles if any(self._items_left(state) for state in halves)]
+        return [halves for halves in self.tiles if self.is_open(halves)]
+
+    def is_open(self, halves: Sequence[TileState]) -> bool:
+        """Whether not all paths of the round under way were begun in a tile."""
+        return any(self.items_left(state) for state in halves)
 
     @property
     def items_open(self) -> int:
         """Paths of the round under way that were not begun."""
-        return sum(self._items_left(state) for state in self.states)
+        return sum(self.items_left(state) for state in self.states)
 
     @property
     def items_to_come(self) -> int:
