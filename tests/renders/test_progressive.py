@@ -78,7 +78,7 @@ def test_where_it_is_not_wanted_or_does_not_pay_tiles_are_shown_once(session, pl
     assert_same(film.passes, plain.passes)
 
 
-def test_halves_and_rounds_are_refined_too(session, halves):  # noqa: F811
+def test_halves_and_rounds_are_refined_too(session, halves):
     watcher, shown = Watcher([3]), []
     settings = HALVES.replace(**PROGRESSIVE)
     film = session.render(scenes.mixed(FRAME), settings, observers=[watcher], on_tile=shown.append)
