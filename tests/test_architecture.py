@@ -59,6 +59,7 @@ ROOMS = (
     "blender/viewport/callbacks.py",
     "blender/result.py",
     "blender/denoising.py",
+    "blender/preview.py",
     "ui",
     "blender/frame.py",
     "engine.py",
