@@ -163,8 +163,9 @@ class Rendering:
             try:
                 while not stop.is_set():
                     halves = todo.get_nowait()
+                    left = state.items_left_of(halves)
                     results.put(self._render_tile(integrator, halves, stop.is_set))
-                    if state.is_open(halves):
+                    if 0 < state.items_left_of(halves) < left:  # one that was stopped waits for who resumes it
                         todo.put(halves)
             except queue.Empty:
                 pass

@@ -99,11 +99,11 @@ class ResumeState:
     @property
     def open_tiles(self) -> list[tuple[TileState, ...]]:
         """Tiles of which not all paths of the round under way were begun."""
-        return [halves for halves in self.tiles if self.is_open(halves)]
+        return [halves for halves in self.tiles if self.items_left_of(halves)]
 
-    def is_open(self, halves: Sequence[TileState]) -> bool:
-        """Whether not all paths of the round under way were begun in a tile."""
-        return any(self.items_left(state) for state in halves)
+    def items_left_of(self, halves: Sequence[TileState]) -> int:
+        """The same of all halves of a tile."""
+        return sum(map(self.items_left, halves))
 
     @property
     def items_open(self) -> int:
