@@ -212,8 +212,12 @@ class _Status:
 
 def status_text(progress: Progress) -> str:
     """One line on where a render stands."""
+    memory = []
+    if progress.memory_bytes:
+        used, peak = (each / 2**20 for each in (progress.memory_bytes, progress.memory_peak))
+        memory = [f"Mem: {used:.0f}M, Peak: {max(used, peak):.0f}M"]
     if progress.stage != "render":
-        return progress.message
+        return " | ".join([progress.message, *memory])
     parts = [
         f"Sample {progress.samples_done:.0f}/{progress.samples_total}",
         f"{progress.rays_per_second / 1e6:.2f} Mrays/s",
@@ -221,6 +225,7 @@ def status_text(progress: Progress) -> str:
     if progress.seconds_left is not None:
         minutes, seconds = divmod(round(progress.seconds_left), 60)
         parts.append(f"{minutes:d}:{seconds:02d} left")
+    parts += memory
     if progress.kernels:
         parts.append(f"{progress.kernels} kernels")
     return " | ".join(parts)

@@ -14,6 +14,8 @@ from collections.abc import Hashable
 COST_SHARE = 0.01
 # A step is not shorter: nobody looks more often [s]
 STEP_SECONDS = 1.0
+# A step has at most so many times the samples before it, whatever the one before cost: that may have been chance
+GROWTH_MOST = 8
 # The last step of a tile may be so many times as long: a rest would not pay
 LAST_LONGER = 1.5
 
@@ -25,6 +27,7 @@ class TileSteps:
         self._seconds_a_sample: dict[Hashable, float] = {}  # of a tile's last step
         self._stop_seconds: dict[Hashable, float] = {}  # that it took to stop then
         self._show_seconds: dict[Hashable, float] = {}  # that it took to show it then
+        self._done: dict[Hashable, float] = {}  # samples so far
 
     def samples(self, tile: Hashable, left: int) -> int:
         """Samples of the next step of `tile`, which has `left` to come; 1 where nothing is known of it."""
@@ -33,11 +36,13 @@ class TileSteps:
             return min(1, left)
         cost = self._stop_seconds[tile] + self._show_seconds.get(tile, 0.0)
         wanted = max(STEP_SECONDS, cost / COST_SHARE) / max(seconds, 1e-9)
-        return left if left <= LAST_LONGER * wanted else math.ceil(wanted)
+        wanted = min(wanted, GROWTH_MOST * self._done[tile])
+        return left if left <= LAST_LONGER * wanted else max(1, math.ceil(wanted))
 
     def note(self, tile: Hashable, samples: int, seconds: float, stop_seconds: float) -> None:
         """A step of `samples` samples took `seconds`, of them `stop_seconds` from its last full wave to its picture."""
         self._seconds_a_sample[tile] = seconds / samples
+        self._done[tile] = self._done.get(tile, 0.0) + samples
         self._stop_seconds[tile] = stop_seconds
 
     def note_shown(self, tile: Hashable, seconds: float) -> None:
