@@ -16,6 +16,7 @@ from ..core.measure.parts import Parts
 from ..core.observers import Progress
 from ..core.scene.description import Scene
 from ..core.settings.settings import RenderSettings
+from ..export.meshes.persistent import begin_frame
 from ..export.passed_over.look import with_light_looked_for
 from ..export.passes import SAMPLE_SHARE, wants_sample_share
 from ..export.scene import export_scene
@@ -99,6 +100,7 @@ def _render_view(
     layer_name = depsgraph.view_layer.name
     parts = Parts("export")
     status.show(parts.message)
+    begin_frame(finals.job)
     scene = export_scene(depsgraph, cancelled=engine.test_break, view=view)
     if scene is None:
         return

@@ -264,7 +264,8 @@ def test_frames_share_the_session_and_what_it_keeps(lit, films, monkeypatch, tmp
     assert len(made) == 1 and tree_work(films[-1][2]) == (1, 0)
 
 
-def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path):
+@pytest.mark.parametrize("persistent", [False, True])
+def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path, persistent):
     """A mesh that waves, and instances that move.
 
     Their trees are refitted, and every frame equals that of a session that saw no other frame.
@@ -281,7 +282,9 @@ def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path
             stone.keyframe_insert("location", frame=number)
             stone.keyframe_insert("rotation_euler", frame=number)
     sessions.close_all()
+    lit.render.use_persistent_data = persistent
     animate(lit, 5, tmp_path)
+    lit.render.use_persistent_data = False
     followed = [film for _, _, film in films]
     work = [tree_work(film) for film in followed]
     # the instances' own tree does not change; a tree with split triangles is built once without them, to be refitted
