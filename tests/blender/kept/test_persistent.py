@@ -1,4 +1,4 @@
-"""Animations with Persistent Data: which meshes are read in which frame, and that pictures are those of frames alone."""
+"""Animations with Persistent Data: which meshes are read in which frame; pictures are those of frames alone."""
 
 import numpy as np
 import pytest
