@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -123,21 +124,16 @@ class TileIntegrator:
         self.tail_seconds = 0.0  # of the last `render`: from its last full waves to the picture
 
     def render(
-        self,
-        state: TileState,
-        sample_first: int,
-        sample_count: int,
-        stop: Callable[[], bool],
-        items_most: float = float("inf"),
+        self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool], most: float = math.inf
     ) -> FinishedTile:
         """Render what is left of a tile's samples `sample_first` to `sample_first + sample_count`, but begin no more
-        than `items_most` paths; `state` is brought up to date.
+        than `most` paths; `state` is brought up to date.
 
         They are added to what the tile has from earlier rounds. When `stop()` turns true no path is begun any more, and
         those under way are brought to their end.
         """
         work, film = self._begin_tile(state, sample_first, sample_count)
-        items = min(state.pixel_count * sample_count, state.items_begun + items_most)
+        items = min(state.pixel_count * sample_count, state.items_begun + most)
         done, stopped_at, tail_from = 0, None, None
         while True:
             self._kernels = self._wanted_kernels
