@@ -39,6 +39,7 @@ ROOMS = (
     "core/observers.py",
     "core/convergence",
     "core/wavefront",
+    "core/checkpoint",
     "core/ahead",
     "core/job.py",
     "core/session.py",

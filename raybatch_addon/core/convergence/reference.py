@@ -93,8 +93,13 @@ def scene_hash(scene: Scene) -> str:
     """A digest of all that decides how the scene looks: camera, size, geometry, materials, lights and world; 32
     hexadecimal digits.
     """
+    return digest_of_value(scene)
+
+
+def digest_of_value(value: Any) -> str:
+    """A digest of a scene or of a part of it, but for what does not show; 32 hexadecimal digits."""
     digest = hashlib.blake2b(digest_size=16)
-    _feed(digest, scene)
+    _feed(digest, value)
     return digest.hexdigest()
 
 

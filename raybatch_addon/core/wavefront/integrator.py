@@ -45,7 +45,7 @@ from .tracers.interface import Tracer
 from .volumes.table import MediaState
 from .volumes.volumes import with_state
 
-# A stopped tile whose rays are not at their end after this long gives them up [s]
+# A stopped tile whose rays are not at their end after this long gives them up [s], unless it is told to wait longer
 DRAIN_SECONDS = 0.25
 
 
@@ -119,6 +119,7 @@ class TileIntegrator:
         self.rays = RayTotals()
         self.invalid_samples = 0
         self.items_done = 0  # paths that came to their end, for progress
+        self.patience: float | None = None  # how long a stopped tile waits for its rays [s]; None: `DRAIN_SECONDS`
 
     def render(self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool]) -> FinishedTile:
         """Render what is left of a tile's samples `sample_first` to `sample_first + sample_count`; `state` is brought
@@ -137,7 +138,7 @@ class TileIntegrator:
             camera = NO_RAYS
             if stopped_at is None:
                 camera = self._generate(state, work, items)
-            elif self._alive and time.perf_counter() - stopped_at > DRAIN_SECONDS:
+            elif self._alive and time.perf_counter() - stopped_at > (self.patience or DRAIN_SECONDS):
                 self._give_up(state)
             if self._alive == 0:
                 break

@@ -11,7 +11,8 @@ import warp as wp
 from ...errors import RayBatchError
 from ...film import Film
 from ...scene.description import Frame
-from ...settings.info import INT_MAX
+from ...settings.denoise import DenoiseSettings
+from ...settings.info import INT_MAX, infos_of
 from ...settings.settings import SETTINGS, RenderSettings
 from ..adaptive.active_pixels import ActivePixels, HalfPictures
 from ..integrator import TileState
@@ -19,8 +20,8 @@ from ..scheduler import tiles
 from ..stages.generate import ITEMS_NUMBERED
 from .rounds import Round, RoundPolicy
 
-# Estimator settings that only say when a render ends, by the clock
-_CLOCK = ("time_limit",)
+# Settings that no sum of the film depends on: when a render ends, by the clock, and how its picture is denoised
+_NO_SUMS = ("time_limit", *infos_of(DenoiseSettings))
 
 
 @dataclass(kw_only=True)
@@ -35,6 +36,7 @@ class ResumeState:
     done: int = 0  # samples of every pixel, of this render, at the end of the last round
     end: int | None = None  # the same at the end of the round that is under way; None: between rounds
     active: ActivePixels | None = None  # which pixels get samples; None: all
+    invalid_samples: int = 0  # not finite, and counted as black
 
     @staticmethod
     def begin(
@@ -232,6 +234,7 @@ def film_to_fill(
         done=state.done,
         end=state.end,
         active=state.active and state.active.copy(),
+        invalid_samples=state.invalid_samples,
     )
     if film.resume_state.active:
         film.resume_state.list_active(device)
@@ -239,9 +242,9 @@ def film_to_fill(
 
 
 def estimator_settings(settings: RenderSettings) -> dict[str, Any]:
-    """The settings that change the film, but for what a clock decides."""
+    """The settings that change the film's sums, but for what a clock decides."""
     return {
         name: getattr(settings, name)
         for name, info in SETTINGS.items()
-        if info.effect == "estimator" and name not in _CLOCK
+        if info.effect == "estimator" and name not in _NO_SUMS
     }
