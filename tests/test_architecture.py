@@ -49,6 +49,7 @@ ROOMS = (
     "export",
     "blender/__init__.py",
     "blender/reports.py",
+    "blender/checkpoints.py",
     "blender/missing.py",
     "blender/kernel_cache.py",
     "blender/general_kernels.py",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,13 +46,21 @@ class _Copy:
 class Checkpoint:
     """A file that one render goes on from, if it is there and fits, and that the render keeps up to date."""
 
-    def __init__(self, path: str | Path, interval: float = INTERVAL_DEFAULT, *, begins_anew: bool = False):
-        """The file is written every `interval` seconds, and at the end.
+    def __init__(
+        self,
+        path: str | Path,
+        interval: float = INTERVAL_DEFAULT,
+        *,
+        begins_anew: bool = False,
+        tell: Callable[[str], None] = lambda text: None,
+    ):
+        """The file is written every `interval` seconds, and at the end. `tell` gets what the user should know.
 
         One that is there and does not fit is an error; with `begins_anew` the render begins anew, a warning says why,
         and the old file stays beside the new one unless all of its samples were there.
         """
         self.path, self.interval, self._begins_anew = Path(path).absolute(), interval, begins_anew
+        self._tell = tell
         self.warnings: list[str] = []
         self.samples_before = 0.0  # of a pixel in the mean, that were there
         self._identity: FilmIdentity | None = None
@@ -88,6 +97,9 @@ class Checkpoint:
         film = film_of_kept(kept, scene.frame, settings)
         self._mark = _mark(film.resume_state)
         self.samples_before = film.sample_total / scene.frame.pixel_count
+        self._tell(
+            f"goes on from {self.path}: {self.samples_before:.5g} of {settings.sample_count:,} samples are there"
+        )
         return film
 
     def _why_not(self, kept: KeptFilm, sample_first: int) -> str:
@@ -150,13 +162,15 @@ class Checkpoint:
         if state.drained and is_begun and _mark(state) != self._mark:
             self._asked_at = None
             self.keep(state)
+            self.wait()
         elif not state.drained:
             self.warnings.append(
                 f"rays were given up when the render was stopped: {self.path.name} has the samples of the last interval"
                 if self._count or self.samples_before
                 else f"rays were given up when the render was stopped, so {self.path.name} was not written"
             )
-        self.wait()
+        if state.policy.stopped_by is None and (self._count or self.samples_before):
+            self._tell(f"stopped; the same render goes on from {self.path}")
 
     def wait(self) -> None:
         """Until what is being written is there."""

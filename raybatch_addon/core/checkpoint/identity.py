@@ -9,7 +9,7 @@ from typing import Any
 
 import warp as wp
 
-from ..convergence.reference import digest_of_value, scene_hash
+from ..convergence.reference import NOT_SHOWN, digest_of_value
 from ..film.layout import layout_of
 from ..measure.statistics import versions
 from ..scene.description import Scene
@@ -28,7 +28,7 @@ class FilmIdentity:
 
     versions: dict[str, str]
     device: str  # of one kind and model alone the bits are the same
-    scene: str  # digest of all that the film depends on
+    scene: dict[str, str]  # digest and name of each part
     width: int  # of the full frame [pixels]
     height: int
     region: tuple[int, int, int, int]
@@ -43,7 +43,7 @@ class FilmIdentity:
         return FilmIdentity(
             versions={name: told[name] for name in _VERSIONS},
             device=f"CUDA, {device.name}" if device.is_cuda else f"CPU, {platform.machine()}",
-            scene=_film_digest(scene),
+            scene=_scene_parts(scene),
             width=frame.width,
             height=frame.height,
             region=tuple(int(edge) for edge in frame.region),
@@ -95,11 +95,12 @@ class FilmIdentity:
         for name, own in self.settings.items():
             if name != "sample_count" and film.settings[name] != own:
                 return f"it was begun with {name} = {film.settings[name]}, and now it is {own}"
-        if film.scene != self.scene:
-            return "the scene has changed since (camera, geometry, materials, lights, world or what its passes show)"
-        return ""
+        return _change(film.scene, self.scene)
 
 
+_MESH = "mesh "
+# Parts of a scene that are looked at one by one, and what one of them is called
+_LISTED = {"meshes": "mesh", "materials": "material", "lights": "light"}
 _ENGINES = {"raybatch": "RayBatch", "warp": "Warp"}
 
 
@@ -107,10 +108,40 @@ def _passes(film: FilmIdentity) -> str:
     return ", ".join(film.passes) + (" on a transparent film" if film.transparent else "")
 
 
-def _film_digest(scene: Scene) -> str:
-    """Of all that decides what the scene looks like, and where mattes show names, of these too."""
-    digest = scene_hash(scene)
+def _scene_parts(scene: Scene) -> dict[str, str]:
+    """Digests of all that decides what the scene looks like, each with the name of what it is of; where mattes show
+    names, of these too.
+    """
+    parts: dict[str, str] = {}
+    for field in dataclasses.fields(scene):
+        if field.name in NOT_SHOWN or field.name == "asset_names":
+            continue
+        value = getattr(scene, field.name)
+        if field.name in _LISTED:
+            for number, each in enumerate(value, 1):
+                parts[f"{_LISTED[field.name]} {number}"] = (
+                    f"{digest_of_value(each)} {getattr(each, 'name', '')}".strip()
+                )
+        else:
+            parts[field.name] = digest_of_value(value)
     if matte_kinds(scene.frame.passes):
         names = (scene.object_names, tuple(each.name for each in scene.materials), scene.asset_names)
-        digest += digest_of_value(names)
-    return digest
+        parts["names that mattes show"] = digest_of_value(names)
+    return parts
+
+
+def _change(before: dict[str, str], now: dict[str, str]) -> str:
+    """What of the scene is not as it was, in words."""
+    then, here = ({part: value.split(" ", 1)[0] for part, value in each.items()} for each in (before, now))
+    changed = [part for part in dict.fromkeys((*then, *here)) if then.get(part) != here.get(part)]
+    if not changed:
+        return ""
+    name = (now.get(changed[0]) or before[changed[0]]).partition(" ")[2]
+    more = f", and {len(changed) - 1} more" if len(changed) > 1 else ""
+    text = f"the scene has changed since ({changed[0]}{f', {name}' if name else ''}{more})"
+    if all(part.startswith(_MESH) and part in then and part in here for part in changed):
+        text += (
+            "; if nobody changed it, Blender did not make it to the same bits again, as with some modifiers: "
+            "render.py --save-scene keeps a scene as it is"
+        )
+    return text
