@@ -20,7 +20,7 @@ from ..film import Film
 from ..film.host_samples import HostSamples
 from ..film.sums import ExactSums
 from ..film.tile import FinishedTile
-from ..scene.description import Frame, Scene
+from ..scene.description import Scene
 from ..settings.settings import RenderSettings
 from ..wavefront.render.resume import ResumeState
 from .file import CheckpointError, KeptFilm, load_kept, remove_leftovers, write_kept
@@ -94,7 +94,8 @@ class Checkpoint:
                 raise
             self._put_aside(kept, error)
             return None
-        film = film_of_kept(kept, scene.frame, settings)
+        film = kept.film()
+        film.complete, film.resume_state = False, kept.progress.state(settings, film.region)
         self._mark = _mark(film.resume_state)
         self.samples_before = film.sample_total / scene.frame.pixel_count
         self._tell(
@@ -217,15 +218,6 @@ class Checkpoint:
         text = f"the checkpoint {self.path} could not be written: {why}; the render goes on, and {there}"
         if text not in self.warnings:
             self.warnings.append(text)
-
-
-def film_of_kept(kept: KeptFilm, frame: Frame, settings: RenderSettings) -> Film:
-    """The film of a checkpoint, which a render with `settings` goes on with."""
-    film = Film.empty(frame, kept.progress.half_count)
-    for half, samples in zip(film.halves or (film,), kept.halves, strict=True):
-        half.samples = samples
-    film.complete, film.resume_state = False, kept.progress.state(settings, film.region)
-    return film
 
 
 def _mark(state: ResumeState) -> tuple:

@@ -20,6 +20,7 @@ import numpy as np
 
 from ..errors import RayBatchError
 from ..files import whole_file
+from ..film import Film
 from ..film.host_samples import HostSamples
 from .identity import FilmIdentity
 from .progress import KeptProgress
@@ -58,6 +59,13 @@ class KeptFilm:
     identity: FilmIdentity
     progress: KeptProgress
     halves: tuple[HostSamples, ...]  # one, or those of both halves
+
+    def film(self) -> Film:
+        """Its passes and sums."""
+        film = Film.empty(self.identity.frame, len(self.halves))
+        for half, samples in zip(film.halves or (film,), self.halves, strict=True):
+            half.samples = samples
+        return film
 
 
 def write_kept(
@@ -112,8 +120,8 @@ def load_kept(path: Path) -> KeptFilm:
         if isinstance(error, CheckpointError):
             raise
         raise CheckpointError(
-            f"{path} cannot be read as a checkpoint; is it damaged, cut short or of another kind? Delete it, or name "
-            f"another file, to begin anew ({error})"
+            f"{path} cannot be read as a checkpoint; is it damaged, cut short or of another kind? Name another "
+            f"file to begin anew ({error})"
         ) from error
     return KeptFilm(identity, progress, tuple(halves))
 

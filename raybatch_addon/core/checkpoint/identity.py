@@ -12,7 +12,7 @@ import warp as wp
 from ..convergence.reference import NOT_SHOWN, digest_of_value
 from ..film.layout import layout_of
 from ..measure.statistics import versions
-from ..scene.description import Scene
+from ..scene.description import Frame, Scene
 from ..scene.passes import matte_kinds
 from ..settings.settings import RenderSettings
 from ..wavefront.render.resume import estimator_settings
@@ -72,9 +72,9 @@ class FilmIdentity:
         return Place(self.region, self.passes, layout_of(self.passes, self.transparent))
 
     @property
-    def half_count(self) -> int:
-        """In how many films its samples come."""
-        return RenderSettings(**self.settings).half_count
+    def frame(self) -> Frame:
+        """The frame, as far as films know it."""
+        return Frame(self.width, self.height, border=self.region, transparent=self.transparent, passes=self.passes)
 
     def why_not(self, film: FilmIdentity) -> str:
         """Why `film` is not one of this; empty where it is, with any number of samples."""
@@ -84,17 +84,17 @@ class FilmIdentity:
         if film.device != self.device:
             return f"it was rendered on another device ({film.device}; this is {self.device}), whose bits differ"
         if (film.width, film.height) != (self.width, self.height):
-            return f"its frame is {film.width} x {film.height} pixels, and this one {self.width} x {self.height}"
+            return f"its frame has {film.width} x {film.height} pixels, and this one {self.width} x {self.height}"
         if film.region != self.region:
             return f"its border is {list(film.region)}, and this one {list(self.region)}"
         if film.passes != self.passes or film.transparent != self.transparent:
-            return f"its passes are {_passes(film)}, and here {_passes(self)} are asked for"
+            return f"its passes are {_passes(film)}, and those of this film {_passes(self)}"
         if unknown := sorted(film.settings.keys() ^ self.settings.keys()):
             where = "it lacks" if unknown[0] in self.settings else "this RayBatch lacks"
             return f"it was begun by another version: {where} the setting {unknown[0]}"
         for name, own in self.settings.items():
             if name != "sample_count" and film.settings[name] != own:
-                return f"it was begun with {name} = {film.settings[name]}, and now it is {own}"
+                return f"it was begun with {name} = {film.settings[name]}, and this film has {own}"
         return _change(film.scene, self.scene)
 
 
@@ -127,6 +127,8 @@ def _scene_parts(scene: Scene) -> dict[str, str]:
     if matte_kinds(scene.frame.passes):
         names = (scene.object_names, tuple(each.name for each in scene.materials), scene.asset_names)
         parts["names that mattes show"] = digest_of_value(names)
+    if "UV" in scene.frame.passes:  # elsewhere UV maps count where programs read them
+        parts["UV maps"] = digest_of_value(tuple(mesh.corner_uvs for mesh in scene.meshes))
     return parts
 
 
@@ -138,7 +140,7 @@ def _change(before: dict[str, str], now: dict[str, str]) -> str:
         return ""
     name = (now.get(changed[0]) or before[changed[0]]).partition(" ")[2]
     more = f", and {len(changed) - 1} more" if len(changed) > 1 else ""
-    text = f"the scene has changed since ({changed[0]}{f', {name}' if name else ''}{more})"
+    text = f"its scene is another one ({changed[0]}{f', {name}' if name else ''}{more})"
     if all(part.startswith(_MESH) and part in then and part in here for part in changed):
         text += (
             "; if nobody changed it, Blender did not make it to the same bits again, as with some modifiers: "
