@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ...errors import RayBatchError
+from ...device.devices import free_memory
+from ...errors import OutOfMemoryError, RayBatchError
 from ...film import Film
+from ...measure.memory import film_bytes, size_text
 from ...scene.description import Frame
 from ...settings.denoise import DenoiseSettings
 from ...settings.info import INT_MAX, infos_of
@@ -196,8 +198,9 @@ def film_to_fill(
     frame: Frame, settings: RenderSettings, sample_first: int, resume: Film | None, device: wp.Device
 ) -> Film:
     """An empty film, or a copy of the one to go on with, its tiles on `device`; raises `RayBatchError` for a film that
-    cannot be gone on with.
+    cannot be gone on with, and for one that does not fit in memory.
     """
+    _check_memory(frame, settings.half_count, device)
     film = Film.empty(frame, settings.half_count)
     if resume is None:
         return film
@@ -239,6 +242,20 @@ def film_to_fill(
     if film.resume_state.active:
         film.resume_state.list_active(device)
     return film
+
+
+def _check_memory(frame: Frame, half_count: int, device: wp.Device) -> None:
+    """Raises `OutOfMemoryError` where the film does not fit on `device`, or its pictures not in the host's memory."""
+    host = wp.get_device("cpu")
+    sums, pictures = film_bytes(frame, half_count)
+    for where, needed in [(host, sums + pictures)] if device.is_cpu else [(device, sums), (host, pictures)]:
+        if needed > (free := free_memory(where)):
+            x0, y0, x1, y1 = frame.region
+            raise OutOfMemoryError(
+                f"a picture of {x1 - x0:,} x {y1 - y0:,} pixels with its passes takes {size_text(needed)} on "
+                f"{where.alias}, where {size_text(free)} are free; lower the resolution, ask for fewer passes, or "
+                "render it in parts with a render border"
+            )
 
 
 def estimator_settings(settings: RenderSettings) -> dict[str, Any]:
