@@ -71,9 +71,10 @@ class KeptProgress:
         tiles = tuple(tuple(map(int, tile)) for tile in header["tiles"])
         begun = tuple(tuple(map(int, halves)) for halves in header["items_begun"])
         covered = np.zeros(place.pixel_count, np.int64)
-        for x, y, width, height in tiles:
-            np.add.at(covered, place.pixels(x, y, width, height), 1)
-        if not (covered == 1).all() or len(begun) != len(tiles) or len({len(halves) for halves in begun}) != 1:
+        if sum(width * height for _, _, width, height in tiles) == place.pixel_count:
+            for tile in tiles:
+                covered[place.pixels(*tile)] = 1
+        if not covered.all() or len(begun) != len(tiles) or len({len(halves) for halves in begun}) != 1:
             raise ValueError("its tiles are not those of its frame")
         if len(begun[0]) not in (1, 2) or header["sample_order"] not in ("FRAME_FIRST", "PIXEL_FIRST"):
             raise ValueError("its rounds are none")
