@@ -105,6 +105,7 @@ class BlenderRender:
             raise
         finally:
             self._bar.close()
+            checkpoints.asked = None
         self._tell()
 
     def _tell(self) -> None:
