@@ -62,6 +62,9 @@ FORMATS = {
 }
 
 
+_WORKSHOP = ".raybatch-"  # begins the names of folders for half-written files; the process follows
+
+
 class _SceneSaved(RayBatchError):
     """Ends a render whose scene was all that was wanted."""
 
@@ -209,7 +212,8 @@ class _Workshop:
         self._where = where
 
     def __enter__(self) -> _Workshop:
-        self.folder = Path(tempfile.mkdtemp(prefix=".raybatch-", dir=self._where))
+        _remove_workshops(self._where)
+        self.folder = Path(tempfile.mkdtemp(prefix=f"{_WORKSHOP}{os.getpid()}-", dir=self._where))
         return self
 
     def __exit__(self, *_) -> None:
@@ -226,6 +230,19 @@ class _Workshop:
             target = place if place is not None and len(made) == 1 else self._where / file.name
             os.replace(file, target)
             tell_saved(target)
+
+
+def _remove_workshops(where: Path) -> None:
+    """Remove what processes left that were killed; where the system cannot tell whether one is alive, it stays."""
+    for folder in where.glob(f"{_WORKSHOP}*-*"):
+        process = folder.name.removeprefix(_WORKSHOP).partition("-")[0]
+        if process.isdecimal() and os.name == "posix":
+            try:
+                os.kill(int(process), 0)  # sends nothing
+            except ProcessLookupError:
+                shutil.rmtree(folder, ignore_errors=True)
+            except OSError:  # it is another user's
+                continue
 
 
 def _open(request: Request) -> None:

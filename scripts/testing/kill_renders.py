@@ -30,7 +30,8 @@ DESCRIPTION = """\
 Kill renders at random moments by SIGKILL, let each go on from its checkpoint, and compare the films with those of
 renders that nobody killed, bit for bit.
 
-SCENE.scene.npz is a scene written by render.py --save-scene. Films of all scenes and of these settings take turns:
+SCENE.scene.npz is a scene written by render.py --save-scene; where none is named, those of
+tests/support/schedule_scenes.py are rendered, with all passes, mattes, hair and motion blur. Films of all scenes and of these settings take turns:
 plain, in halves (error_estimate), to an error target, and with adaptive sampling. Each render that goes on has another
 schedule. Most renders are processes forked from one that has loaded the kernels; every tenth is render.py itself.
 Runs on the CPU, on systems that can fork. The exit code is 0, or 1 if a film differs or a checkpoint cannot be read.
@@ -172,6 +173,17 @@ class Killed:
         return process.returncode
 
 
+def _scenes_of_tests(folder: Path) -> list[Path]:
+    from raybatch_addon.core.scene.archive import save_scene
+    from tests.support import schedule_scenes
+
+    paths = []
+    for name, make in schedule_scenes.SCENES.items():
+        paths.append(folder / f"{name}.scene.npz")
+        save_scene(paths[-1], make(), schedule_scenes.ESTIMATOR)
+    return paths
+
+
 def _written_at(path: Path) -> int:
     return path.stat().st_mtime_ns if path.exists() else 0
 
@@ -196,8 +208,8 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
     random, start = np.random.default_rng(options.seed), time.perf_counter()
     session = Session("cpu")
     with tempfile.TemporaryDirectory(prefix="raybatch-kills-") as scratch:
-        killed = []
-        for number, (path, variant) in enumerate((path, name) for path in options.scenes for name in options.variants):
+        killed, scenes = [], options.scenes or _scenes_of_tests(Path(scratch))
+        for number, (path, variant) in enumerate((path, name) for path in scenes for name in options.variants):
             folder = Path(scratch, str(number))
             folder.mkdir()
             killed.append(Killed(session, path, variant, folder))
@@ -246,7 +258,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="kill_renders.py", description=DESCRIPTION, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("scenes", nargs="+", type=Path, metavar="SCENE.scene.npz")
+    parser.add_argument("scenes", nargs="*", type=Path, metavar="SCENE.scene.npz")
     parser.add_argument("--kills", type=int, default=300, metavar="N", help="default: 300")
     parser.add_argument("--kills-a-film", type=int, default=8, metavar="N", help="at most; default: 8")
     parser.add_argument("--variants", nargs="+", choices=VARIANTS, default=list(VARIANTS), metavar="NAME")

@@ -49,7 +49,7 @@ class FilmIdentity:
             region=tuple(int(edge) for edge in frame.region),
             passes=tuple(frame.passes),
             transparent=bool(frame.transparent),
-            settings=estimator_settings(settings),
+            settings=estimator_settings(settings) | {"batching": _tree(settings)},
         )
 
     @staticmethod
@@ -102,6 +102,11 @@ _MESH = "mesh "
 # Parts of a scene that are looked at one by one, and what one of them is called
 _LISTED = {"meshes": "mesh", "materials": "material", "lights": "light"}
 _ENGINES = {"raybatch": "RayBatch", "warp": "Warp"}
+
+
+def _tree(settings: RenderSettings) -> str:
+    """The choice of the one schedule setting that changes hits: Warp's own tree."""
+    return "REFERENCE" if settings.batching == "REFERENCE" else "another"
 
 
 def _passes(film: FilmIdentity) -> str:
