@@ -31,10 +31,11 @@ Kill renders at random moments by SIGKILL, let each go on from its checkpoint, a
 renders that nobody killed, bit for bit.
 
 SCENE.scene.npz is a scene written by render.py --save-scene; where none is named, those of
-tests/support/schedule_scenes.py are rendered, with all passes, mattes, hair and motion blur. Films of all scenes and of these settings take turns:
-plain, in halves (error_estimate), to an error target, and with adaptive sampling. Each render that goes on has another
-schedule. Most renders are processes forked from one that has loaded the kernels; every tenth is render.py itself.
-Runs on the CPU, on systems that can fork. The exit code is 0, or 1 if a film differs or a checkpoint cannot be read.
+tests/support/schedule_scenes.py are rendered, with all passes, mattes, hair and motion blur. Films of all scenes and
+of these settings take turns: plain, in halves (error_estimate), to an error target, and with adaptive sampling. Each
+render that goes on has another schedule. Most renders are processes forked from one that has loaded the kernels; every
+tenth is render.py itself. Runs on the CPU, on systems that can fork. The exit code is 0, or 1 if a film differs or a
+checkpoint cannot be read.
 """
 MARKS = ("<!-- kills: made by scripts/testing/kill_renders.py -->", "<!-- end of kills -->")
 INTERVAL = 0.05  # of checkpoints [s]
