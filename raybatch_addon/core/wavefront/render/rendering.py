@@ -175,19 +175,16 @@ class Rendering:
             if keeper and keeper.is_due():
                 self._note_invalid()
                 keeper.keep(state)
-            is_cancelled = self._render_tiles()
-            if not state.drained or not state.open_tiles:
-                return state.drained
-            if is_cancelled:
-                return False
+            is_kept = self._render_tiles()
+            if not (is_kept and state.drained and state.open_tiles):
+                return state.drained and not state.open_tiles
 
     def _render_tiles(self) -> bool:
-        """Let the workers render open tiles, and take their results on this thread; True: it was cancelled.
-
-        They stop too when somebody wants to keep the state, but give up no rays for it.
+        """Let the workers render open tiles, and take their results on this thread. They stop when it is cancelled, and
+        when somebody wants to keep the state, but give up no rays for that; whether that was all that stopped them.
         """
         state, events = self._state, self._events
-        is_cancelled = False
+        is_cancelled = is_kept = False
         todo: queue.SimpleQueue[tuple[TileState, ...]] = queue.SimpleQueue()
         for halves in state.open_tiles:
             todo.put(halves)
@@ -220,6 +217,7 @@ class Rendering:
                     for integrator in self._integrators:
                         integrator.patience = KEPT_PATIENCE if events.keeper else None
                 elif events.keeper and not stop.is_set() and events.keeper.is_due():
+                    is_kept = True
                     stop.set()
                 try:
                     result = results.get(timeout=POLL_SECONDS)
@@ -236,7 +234,7 @@ class Rendering:
             stop.set()
             for thread in threads:
                 thread.join()
-        return is_cancelled
+        return is_kept and not is_cancelled
 
     def _render_tile(
         self, integrator: TileIntegrator, halves: Sequence[TileState], stop: Callable[[], bool]
