@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import signal
+import time
 from typing import Any
 
+# A signal that comes so soon after the first is the same: a process may get it twice, once with its group [s]
+SAME_SECONDS = 1.0
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -12,7 +15,7 @@ class StopRequests:
     """Inside, signals that ask for an end are remembered instead of raised; a second one is a `KeyboardInterrupt`."""
 
     def __init__(self) -> None:
-        self._is_asked = False
+        self._asked_at: float | None = None
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> StopRequests:
@@ -26,9 +29,11 @@ class StopRequests:
 
     def asked(self) -> bool:
         """Whether the render is to end."""
-        return self._is_asked
+        return self._asked_at is not None
 
     def _on_signal(self, *_: object) -> None:
-        if self._is_asked:
+        now = time.monotonic()
+        if self._asked_at is None:
+            self._asked_at = now
+        elif now - self._asked_at > SAME_SECONDS:
             raise KeyboardInterrupt
-        self._is_asked = True

@@ -51,35 +51,39 @@ class TileSamples:
     samples: HostSamples
 
 
-def samples_as_arrays(place: Place, tiles: Iterable[TileSamples]) -> dict[str, np.ndarray]:
-    """Arrays by name of the samples of all `tiles`; pixels outside them have none."""
-    pixels, channels = place.pixel_count, place.layout.count
-    window = np.zeros((WINDOW_WORDS, pixels, channels), np.uint32)
-    counts = np.zeros(pixels, np.int64)
-    first = {name: np.zeros((pixels, channels_of(name)), np.float32) for name in _named(place, FIRST_SAMPLE_PASSES)}
-    cost = {name: np.zeros(pixels, np.int64) for name in _named(place, COST_PASSES)}
-    wide_cells, wide, mattes = [np.zeros(0, np.int64)], [np.zeros((WIDE_WORDS, 0), np.uint32)], [Mattes()]
-    kinds = len(matte_kinds(place.pass_names))
+def samples_as_arrays(place: Place, tiles: Sequence[TileSamples]) -> dict[str, np.ndarray]:
+    """Arrays by name of the samples of all `tiles`; pixels that have none are left out, but for their count of 0."""
+    channels, kinds = place.layout.count, len(matte_kinds(place.pass_names))
+    counts = np.zeros(place.pixel_count, np.int64)
     for tile in tiles:
-        there, samples = place.pixels(*tile.rectangle), tile.samples
-        window[:, there] = _words(samples.sums.window).reshape(WINDOW_WORDS, -1, channels)
-        counts[there] = samples.counts
+        counts[place.pixels(*tile.rectangle)] = tile.samples.counts
+    number = np.cumsum(counts > 0) - 1  # of each pixel that has samples
+    sampled = int(np.count_nonzero(counts))
+    window = np.zeros((WINDOW_WORDS, sampled, channels), np.uint32)
+    first = {name: np.zeros((sampled, channels_of(name)), np.float32) for name in _named(place, FIRST_SAMPLE_PASSES)}
+    cost = {name: np.zeros(sampled, np.int64) for name in _named(place, COST_PASSES)}
+    wide_cells, wide, mattes = [np.zeros(0, np.int64)], [np.zeros((WIDE_WORDS, 0), np.uint32)], [Mattes()]
+    for tile in tiles:
+        samples, pixels = tile.samples, place.pixels(*tile.rectangle)
+        has = samples.counts > 0
+        to = number[pixels[has]]
+        window[:, to] = _words(samples.sums.window).reshape(WINDOW_WORDS, -1, channels)[:, has]
         for name, values in first.items():
-            values[there] = samples.first[name].reshape(-1, channels_of(name))
+            values[to] = samples.first[name].reshape(-1, channels_of(name))[has]
         for name, sums in cost.items():
-            sums[there] = samples.cost[name]
+            sums[to] = samples.cost[name][has]
         if len(samples.sums.wide):
             used = np.flatnonzero(samples.sums.wide.any(0))
-            wide_cells.append(there[used // channels] * channels + used % channels)
+            wide_cells.append(pixels[used // channels] * channels + used % channels)
             wide.append(_words(samples.sums.wide[:, used]))
-        mattes.append(samples.mattes.moved(there, kinds))
+        mattes.append(samples.mattes.moved(pixels, kinds))
     together = {name: np.concatenate([getattr(each, name) for each in mattes]) for name in _MATTES}
     ordered = Mattes().plus(Mattes(**together))
     return {
+        "counts": counts,
         "window": window.reshape(WINDOW_WORDS, -1),
         "wide_cells": np.concatenate(wide_cells),
         "wide": np.concatenate(wide, axis=1),
-        "counts": counts,
         **{f"first/{name}": values.reshape(-1) for name, values in first.items()},
         **{f"cost/{name}": sums for name, sums in cost.items()},
         **{f"mattes/{name}": getattr(ordered, name) for name in _MATTES},
@@ -87,7 +91,7 @@ def samples_as_arrays(place: Place, tiles: Iterable[TileSamples]) -> dict[str, n
 
 
 def samples_of_arrays(place: Place, arrays: dict[str, np.ndarray]) -> HostSamples:
-    """The inverse of `samples_as_arrays`. Raises `ValueError` or `KeyError` for arrays that are no samples there."""
+    """The inverse of `samples_as_arrays`; raises `ValueError`, `KeyError` or `IndexError` for other arrays."""
     pixels, channels = place.pixel_count, place.layout.count
 
     def array(name: str, dtype: type, *shape: int) -> np.ndarray:
@@ -95,6 +99,17 @@ def samples_of_arrays(place: Place, arrays: dict[str, np.ndarray]) -> HostSample
         if found.dtype != dtype or found.ndim != len(shape) or any(n not in (m, -1) for n, m in _pairs(found, shape)):
             raise ValueError(f"{name} is {found.dtype} of shape {list(found.shape)}")
         return found
+
+    counts = array("counts", np.int64, pixels)
+    there = np.flatnonzero(counts)
+
+    def spread(values: np.ndarray, width: int) -> np.ndarray:
+        """Of all pixels, what is there of those that have samples: `width` values each."""
+        if len(there) == pixels:
+            return values
+        whole = np.zeros((*values.shape[:-1], pixels, width), values.dtype)
+        whole[..., there, :] = values.reshape(*values.shape[:-1], len(there), width)
+        return whole.reshape(*values.shape[:-1], pixels * width)
 
     wide, cells = no_wide(), array("wide_cells", np.int64, -1)
     words = array("wide", np.uint32, WIDE_WORDS, len(cells))
@@ -104,14 +119,15 @@ def samples_of_arrays(place: Place, arrays: dict[str, np.ndarray]) -> HostSample
     mattes = [array(f"mattes/{name}", dtype, -1) for name, dtype in _MATTES.items()]
     if len({len(each) for each in mattes}) != 1:
         raise ValueError("mattes are of several lengths")
+    window = array("window", np.uint32, WINDOW_WORDS, len(there) * channels)
     return HostSamples(
-        ExactSums(_digits(array("window", np.uint32, WINDOW_WORDS, pixels * channels)), wide, channels),
-        array("counts", np.int64, pixels),
+        ExactSums(spread(_digits(window), channels), wide, channels),
+        counts,
         {
-            name: array(f"first/{name}", np.float32, pixels * channels_of(name))
+            name: spread(array(f"first/{name}", np.float32, len(there) * channels_of(name)), channels_of(name))
             for name in _named(place, FIRST_SAMPLE_PASSES)
         },
-        {name: array(f"cost/{name}", np.int64, pixels) for name in _named(place, COST_PASSES)},
+        {name: spread(array(f"cost/{name}", np.int64, len(there)), 1) for name in _named(place, COST_PASSES)},
         Mattes(*mattes),
     )
 

@@ -5,6 +5,7 @@ import signal
 
 import numpy as np
 import pytest
+from rendering import stops as stops_module
 from rendering.stops import StopRequests
 
 from raybatch_addon.core.checkpoint.file import load_kept
@@ -121,12 +122,14 @@ def test_a_picture_that_cannot_fit_is_refused(saved, tmp_path):
     assert "a picture of 65,536 x 65,536 pixels" in error_line(done) and "lower the resolution" in done.stderr
 
 
-def test_the_first_signal_asks_and_the_second_ends():
+def test_the_first_signal_asks_and_the_second_ends(monkeypatch):
     before = signal.getsignal(signal.SIGTERM)
     with StopRequests() as stops:
         assert not stops.asked()
         signal.raise_signal(signal.SIGTERM)
+        signal.raise_signal(signal.SIGTERM)  # as of a process and of its group
         assert stops.asked()
+        monkeypatch.setattr(stops_module, "SAME_SECONDS", -1.0)
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert signal.getsignal(signal.SIGTERM) is before
