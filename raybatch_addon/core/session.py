@@ -125,7 +125,7 @@ class Session:
             after: with adaptive sampling and a `sample_first` above 0, the finished film of all samples up to the last
                 look at the noise before it: by that some pixels have ended their sampling.
             parts: the clock of a render that began before this call, and may go on after it; default: one of this call.
-            checkpoint: goes on from what is in its file, shows it, and keeps it there.
+            checkpoint: goes on from what is in its file, unless there is `resume`; shows it, and keeps it there.
 
         Raises:
             RayBatchError: what the user can mend; the message says how.
@@ -145,7 +145,8 @@ class Session:
         job.checkpoint = checkpoint
         if checkpoint:
             job.parts.enter("checkpoint")
-            resume = resume or checkpoint.begin(scene, job.settings, self.device, sample_first)
+            found = checkpoint.begin(scene, job.settings, self.device, sample_first)
+            resume = resume or found
         film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume, self.device)
         if checkpoint:
             job.show(film)

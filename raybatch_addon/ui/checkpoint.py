@@ -49,8 +49,8 @@ class RAYBATCH_RENDER_PT_checkpoint(EnginePanel, bpy.types.Panel):
         layout.active = own.use
         layout.prop(own, "interval")
         path = checkpoint_path(scene, context.view_layer.name)
-        there = "The next render goes on from" if path.is_file() else "Kept in"
-        draw_lines(layout, context, [f"{there} {path}"])
+        found = "The next render goes on from there, if nothing but its samples has changed"
+        draw_lines(layout, context, [f"Kept in {path}", *([found] if path.is_file() else [])])
 
 
 _classes = (RayBatchCheckpoint, RAYBATCH_RENDER_PT_checkpoint)

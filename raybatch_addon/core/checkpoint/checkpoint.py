@@ -205,9 +205,9 @@ class Checkpoint:
             self._count += 1
             self._mark = copy.mark
         except OSError as error:
-            self._warn(f"{error.strerror or error}")
-        except MemoryError:
-            self._warn("there is not enough memory to pack it")
+            self._warn(error.strerror or str(error))
+        except Exception as error:  # the render is not lost with it
+            self._warn(f"{type(error).__name__}: {error}")
         seconds = time.perf_counter() - written_from
         self._writing_seconds += seconds
         self._cost = stopped + seconds

@@ -172,12 +172,16 @@ def test_files_of_other_kinds_are_told_and_left_alone(session, tmp_path):
         load_kept(tmp_path)
 
 
-def test_a_full_disk_ends_no_render_and_what_was_written_stays(session, path, monkeypatch):
-    def full(_):
+@pytest.mark.parametrize("where", ["sync", "array"])
+def test_a_full_disk_ends_no_render_and_what_was_written_stays(session, path, monkeypatch, where):
+    def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     written = path.read_bytes()
-    monkeypatch.setattr(checkpoint_file.os, "fsync", full)
+    if where == "sync":
+        monkeypatch.setattr(checkpoint_file.os, "fsync", full)
+    else:
+        monkeypatch.setattr(checkpoint_file, "_write_array", full)
     more = SETTINGS.replace(sample_count=20)
     film = session.render(scenes.mixed(FRAME), more, checkpoint=Checkpoint(path))
     assert film.complete and path.read_bytes() == written and os.listdir(path.parent) == [path.name]
