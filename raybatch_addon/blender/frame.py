@@ -22,7 +22,7 @@ from ..export.passes import SAMPLE_SHARE, wants_sample_share
 from ..export.scene import export_scene
 from ..export.settings import exposure_of, settings_from
 from ..export.view import View
-from . import finals, missing, reports
+from . import checkpoints, finals, missing, reports
 from .denoise_library import library_for
 from .denoising import denoise_film, whole_tile, with_guides
 from .result import ResultWriter, stamp_mattes, view_names
@@ -35,6 +35,11 @@ film_listeners: list[Callable[[str, Scene, Film], None]] = []
 scene_listeners: list[Callable[[str, Scene, RenderSettings], None]] = []
 # Called with the core's `Progress` several times a second
 progress_listeners: list[Callable[[Progress], None]] = []
+
+# Called with what is told of a render beside warnings
+note_listeners: list[Callable[[str], None]] = []
+# Asked several times a second whether the render is to end with what is done; for scripts, which get signals
+stop_listeners: list[Callable[[], bool]] = []
 
 # Blender's status line is written at most this often [s]: it goes to the terminal when Blender has no window
 STATUS_SECONDS = 0.25
@@ -84,8 +89,12 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, repo
         if name:
             engine.active_view_set(name)
         _render_view(engine, depsgraph, report, settings, status, View(engine, name))
-        if engine.test_break():
+        if _is_stopped(engine):
             return
+
+
+def _is_stopped(engine: bpy.types.RenderEngine) -> bool:
+    return engine.test_break() or any(listener() for listener in stop_listeners)
 
 
 def _render_view(
@@ -101,7 +110,7 @@ def _render_view(
     parts = Parts("export")
     status.show(parts.message)
     begin_frame(finals.job)
-    scene = export_scene(depsgraph, cancelled=engine.test_break, view=view)
+    scene = export_scene(depsgraph, cancelled=lambda: _is_stopped(engine), view=view)
     if scene is None:
         return
     report.export_seconds = parts.elapsed
@@ -120,6 +129,15 @@ def _render_view(
         for listener in progress_listeners:
             listener(progress)
 
+    def is_stopped() -> bool:
+        return _is_stopped(engine)
+
+    def tell(text: str) -> None:
+        status.show(text)
+        engine.report({"INFO"}, f"RayBatch: {text}")
+        for listener in note_listeners:
+            listener(text)
+
     recorder = None
     if wants_recording(depsgraph.scene, settings, has_windows=not bpy.app.background):
         recorder = records.recorder_for(
@@ -130,7 +148,7 @@ def _render_view(
     try:
         parts.enter("start")
         status.show(parts.message)
-        with session_for(settings, engine.test_break) as session:
+        with session_for(settings, is_stopped) as session:
             if session is None:
                 state = records.CANCELLED
                 return
@@ -139,14 +157,16 @@ def _render_view(
                 settings,
                 on_tile=writer.write,
                 on_progress=on_progress,
-                cancelled=engine.test_break,
+                cancelled=is_stopped,
                 observers=observers,
+                sample_first=checkpoints.first_sample(),
                 parts=parts,
+                checkpoint=checkpoints.checkpoint_of(depsgraph.scene, layer_name, view.name, tell),
             )
             if denoiser is not None:  # viewports, which would take its processors, wait for it too
                 parts.enter("denoise")
                 status.show(parts.message)
-                denoise_film(film, settings, denoiser, engine.test_break)
+                denoise_film(film, settings, denoiser, is_stopped)
     finally:
         if recorder:
             if film is not None:

@@ -11,6 +11,7 @@ PARTS = {
     "export": "Reading the scene",
     "start": "Starting the device",
     "check": "Checking the scene",
+    "checkpoint": "Reading or writing the checkpoint",
     "displacement": "Displacing surfaces",
     "wait": "Waiting for what a cancelled render still builds",
     "images": "Uploading images",

@@ -46,7 +46,7 @@ from .tracers.interface import Tracer
 from .volumes.table import MediaState
 from .volumes.volumes import with_state
 
-# A stopped tile whose rays are not at their end after this long gives them up [s]
+# A stopped tile whose rays are not at their end after this long gives them up [s], unless it is told to wait longer
 DRAIN_SECONDS = 0.25
 TAIL_SHARE = 0.125  # of the slots: below it, without paths to come, turns do little
 
@@ -122,6 +122,7 @@ class TileIntegrator:
         self.invalid_samples = 0
         self.items_done = 0  # paths that came to their end, for progress
         self.tail_seconds = 0.0  # of the last `render`: from its last full waves to the picture
+        self.patience: float | None = None  # how long a stopped tile waits for its rays [s]; None: `DRAIN_SECONDS`
 
     def render(
         self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool], most: float = math.inf
@@ -142,7 +143,7 @@ class TileIntegrator:
             camera = NO_RAYS
             if stopped_at is None:
                 camera = self._generate(state, work, items)
-            elif self._alive and time.perf_counter() - stopped_at > DRAIN_SECONDS:
+            elif self._alive and time.perf_counter() - stopped_at > (self.patience or DRAIN_SECONDS):
                 self._give_up(state)
             if tail_from is None and state.items_begun == items and self._alive <= TAIL_SHARE * self.path_count:
                 tail_from = time.perf_counter()

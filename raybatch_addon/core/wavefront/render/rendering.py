@@ -4,12 +4,13 @@ pictures between.
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -27,6 +28,21 @@ from .summary import ray_totals
 
 # How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
 POLL_SECONDS = 0.05
+# A cancelled render that is kept waits this long for the rays that are under way, without which it cannot go on [s]
+KEPT_PATIENCE = 5.0
+
+
+class StateKeeper(Protocol):
+    """Whoever keeps how far a render has come, while it goes on."""
+
+    def start(self) -> None:
+        """The workers are about to begin."""
+
+    def is_due(self) -> bool:
+        """Whether the workers are to stop for it now; asked several times a second."""
+
+    def keep(self, state: ResumeState) -> None:
+        """Copy `state` and its sums: no worker is at them until this returns."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +72,7 @@ class RenderEvents:
     on_progress: Callable[[float, float, float], None]
     cancelled: Callable[[], bool]
     watchers: Sequence[SnapshotWatcher]
+    keeper: StateKeeper | None = None
 
 
 class Rendering:
@@ -84,6 +101,7 @@ class Rendering:
         self._steps = steps
         self._total, self._pixels = state.items_to_come, state.pixel_count
         self._earlier = film.sample_total  # paths that are in the film already
+        self._earlier_invalid = state.invalid_samples
         self._begun = time.perf_counter()
         self.error: HalfError | None = None  # at the end of the last round where it was looked at
         self.error_samples = 0  # of every pixel, then
@@ -91,11 +109,17 @@ class Rendering:
 
     def run(self) -> None:
         """Until the policy or a cancel ends it; raises what a worker or a callback raised."""
+        if self._events.keeper:
+            self._events.keeper.start()
         try:
             self._run_rounds()
         finally:
+            self._note_invalid()
             for integrator in self._integrators:
                 integrator.release()
+
+    def _note_invalid(self) -> None:
+        self._state.invalid_samples = self._earlier_invalid + sum(each.invalid_samples for each in self._integrators)
 
     def _run_rounds(self) -> None:
         state, policy = self._state, self._state.policy
@@ -149,10 +173,22 @@ class Rendering:
     # --- a round
 
     def _render_round(self) -> bool:
-        """Let the workers render what is left of the round, and take their results on this thread; False: it was
-        cancelled.
+        """Let the workers render what is left of the round, with stops for who keeps it; False: it was cancelled."""
+        state, keeper = self._state, self._events.keeper
+        while True:
+            if keeper and keeper.is_due():
+                self._note_invalid()
+                keeper.keep(state)
+            is_kept = self._render_tiles()
+            if not (is_kept and state.drained and state.open_tiles):
+                return state.drained and not state.open_tiles
+
+    def _render_tiles(self) -> bool:
+        """Let the workers render open tiles, and take their results on this thread. They stop when it is cancelled, and
+        when somebody wants to keep the state, but give up no rays for that; whether that was all that stopped them.
         """
         state, events = self._state, self._events
+        is_cancelled = is_kept = False
         todo: queue.SimpleQueue[tuple[TileState, ...]] = queue.SimpleQueue()
         for halves in state.open_tiles:
             todo.put(halves)
@@ -175,13 +211,21 @@ class Rendering:
             finally:
                 results.put(None)  # this worker is through
 
+        for integrator in self._integrators:
+            integrator.patience = math.inf if events.keeper else None
         threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in self._integrators]
         working = len(threads)
         for thread in threads:
             thread.start()
         try:
             while working:
-                if events.cancelled():
+                if not is_cancelled and events.cancelled():
+                    is_cancelled = True
+                    stop.set()
+                    for integrator in self._integrators:
+                        integrator.patience = KEPT_PATIENCE if events.keeper else None
+                elif events.keeper and not stop.is_set() and events.keeper.is_due():
+                    is_kept = True
                     stop.set()
                 try:
                     result = results.get(timeout=POLL_SECONDS)
@@ -198,7 +242,7 @@ class Rendering:
             stop.set()
             for thread in threads:
                 thread.join()
-        return state.drained and not state.open_tiles
+        return is_kept and not is_cancelled
 
     def _render_tile(
         self, integrator: TileIntegrator, halves: Sequence[TileState], stop: Callable[[], bool]
