@@ -14,6 +14,7 @@ from bpy_extras.object_utils import world_to_camera_view
 
 from raybatch_addon.blender import frame, reports, sessions
 from raybatch_addon.core import session as core_session
+from raybatch_addon.core.wavefront.render import steps
 from tests.support.blender_builders import add_grid, add_mesh, add_object, add_triangle, material_of, node_tree
 from tests.support.blender_watch import watch_engines
 
@@ -153,6 +154,23 @@ def test_finished_tiles_cover_the_border_once(lit, rectangles, films, tmp_path, 
 
 
 # --- size and shape of the picture
+
+
+def test_a_picture_that_grows_is_written_over_and_over_and_ends_as_the_same(
+    lit, rectangles, films, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(steps, "STEP_SECONDS", 0.0)
+    monkeypatch.setattr(steps, "COST_SHARE", 1e30)
+    pictures = []
+    lit.raybatch.sample_count, lit.raybatch.tile_size = 5, 16
+    for order in ("TILE_FIRST", "PROGRESSIVE"):
+        rectangles.clear()
+        lit.raybatch.tile_order = order
+        lit.render.filepath = str(tmp_path / order)
+        bpy.ops.render.render(write_still=True)
+        pictures.append(picture_of(tmp_path / f"{order}.exr"))
+        assert len(rectangles) == len(set(rectangles)) * (5 if order == "PROGRESSIVE" else 1)
+    assert np.array_equal(*pictures) and pictures[0].any()
 
 
 def test_a_percentage_is_the_same_picture_as_that_resolution(lit, tmp_path):
