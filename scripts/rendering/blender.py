@@ -177,6 +177,7 @@ class BlenderRender:
             raise UsageError("--film, --heat-map and --checkpoint are for still pictures; the file renders a movie")
         out = Path(_absolute(self._request.out))
         self._folders.prepare(out)
+        checkpoints.asked = AskedCheckpoint(None, sample_first=self._request.sample_first)
         scene.frame_start, scene.frame_end, scene.frame_step = frames[0], frames[-1], 1
         with _Workshop(out.parent) as workshop:
             scene.render.filepath = str(workshop.folder / out.name)

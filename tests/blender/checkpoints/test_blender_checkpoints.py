@@ -1,6 +1,9 @@
 """Final renders in Blender with checkpoints: where they are, what goes on from them, and what begins anew."""
 
 import json
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -173,3 +176,15 @@ def test_a_command_that_is_stopped_between_frames_tells_of_those_that_are_done(k
     assert done.returncode == 130 and Path(out.parent / "p0001.png").exists()
     told = json.loads(report.read_text())
     assert len(told) == 2 and told[0]["complete"] and not (out.parent / "p0003.png").exists()
+
+
+def test_folders_of_commands_that_were_killed_are_removed(kept, tmp_path):
+    blend, out = tmp_path / "a.blend", tmp_path / "pictures"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    left, own = out / f".raybatch-{ended.pid}-abc", out / f".raybatch-{os.getpid()}-def"
+    for folder in (left, own):
+        folder.mkdir(parents=True)
+    assert call_script("render.py", blend, "-o", out / "p.png", "--device", "cpu").returncode == 0
+    assert not left.exists() and own.exists()

@@ -1,6 +1,7 @@
 """Renders that go on from their checkpoints, however often and under whatever schedule: the film is that of one."""
 
 import json
+import time
 import zipfile
 
 import numpy as np
@@ -186,3 +187,22 @@ def test_a_film_that_was_kept_is_made_of_its_sums(session, tmp_path):
     kept = load_kept(path).film()
     assert_same(kept.passes, rounded_anew(film))
     assert_same(kept.passes, film.passes)
+
+
+def test_a_copy_stays_as_it_was_while_the_render_goes_on(session, tmp_path, monkeypatch):
+    """It is packed and written when many more samples are there."""
+    write, written = checkpoints.write_kept, []
+
+    def late(path, *kept):
+        time.sleep(0.1)
+        size = write(path, *kept)
+        written.append(load_kept(path))
+        return size
+
+    monkeypatch.setattr(checkpoints, "write_kept", late)
+    endless = SETTINGS.replace(sample_count=10_000_000, ray_count=500)
+    checkpoint = Checkpoint(tmp_path / "a.checkpoint", 0.01)
+    session.render(scenes.mixed(FRAME), endless, checkpoint=checkpoint, cancelled=lambda: len(written) > 1)
+    for kept in written:
+        begun = sum(map(sum, kept.progress.items_begun))
+        assert kept.film().sample_total == kept.progress.done * 24 * 20 + begun > 0
