@@ -10,11 +10,11 @@ from .blender.viewport import callbacks
 
 
 class RayBatchRenderEngine(bpy.types.RenderEngine):
-    """Final renders, and the Rendered mode of the 3D view."""
+    """Final renders, previews, and the Rendered mode of the 3D view."""
 
     bl_idname = "RAYBATCH"
     bl_label = "RayBatch"
-    bl_use_preview = False
+    bl_use_preview = True
     bl_use_eevee_viewport = True  # Material Preview
     bl_use_shading_nodes_custom = False  # Blender's own shader nodes: otherwise their editor hides
 
@@ -28,6 +28,11 @@ class RayBatchRenderEngine(bpy.types.RenderEngine):
 
     def render(self, depsgraph):
         warm_up.finish_warm_up()
+        if self.is_preview:
+            from .blender.preview import render_preview
+
+            render_preview(self, depsgraph)
+            return
         from .blender.frame import render_view_layer  # brings in Warp, which opening Blender should not wait for
 
         render_view_layer(self, depsgraph)

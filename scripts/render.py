@@ -15,6 +15,7 @@ from lib.command import UsageError, run_command
 from lib.output import OutputFolders, leave
 from rendering.request import (
     ARCHIVE,
+    INTERVAL_DEFAULT,
     NPZ,
     PASS_NAMES,
     Request,
@@ -22,6 +23,8 @@ from rendering.request import (
     parse_frames,
     parse_heat_map,
     parse_pass,
+    parse_sample,
+    parse_seconds,
     parse_settings,
 )
 
@@ -41,7 +44,7 @@ FILE is one of
 Geometry gets a default light (a sun and a pale blue sky), and a camera that shows all of it unless --camera is given.
 Nothing is written to standard output but the statistics, for `--json -`. Progress and errors go to standard error.
 The exit code is 0, or 1 with one line that says what was wrong (2: the command line was not understood; 3: --strict
-refuses to render).
+refuses to render; 130: stopped by Ctrl-C or SIGTERM, with statistics of what was done, and no picture).
 """
 OUT_HELP = """\
 where the picture goes. A name with a picture's extension (.png .exr .jpg .tif ...) is that file, in that format;
@@ -143,6 +146,25 @@ def argument_parser() -> argparse.ArgumentParser:
         "numbered as with -o",
     )
     add(
+        "--checkpoint",
+        metavar="FILE",
+        help="keep the film in FILE while it is rendered, and go on from there if FILE is of the same scene and\n"
+        "settings: after a stop (Ctrl-C, SIGTERM), a kill or a crash, or with a larger sample_count. The film is that\n"
+        "of one render, bit for bit. Frames are numbered as with -o (docs/checkpoints.md)",
+    )
+    add(
+        "--checkpoint-interval",
+        metavar="SECONDS",
+        help=f"how often FILE is written (default: {INTERVAL_DEFAULT:g}; less often where that would take more than a "
+        "twentieth of the time)",
+    )
+    add(
+        "--sample-first",
+        metavar="N",
+        help="render sample_count samples of each pixel from sample N on (default: 0). merge.py merges checkpoints of\n"
+        "ranges that adjoin",
+    )
+    add(
         "--camera",
         metavar="EX,EY,EZ,TX,TY,TZ,FOV",
         help="for geometry: eye, target and field of view of the longer side [degrees],\nin the file's own coordinates "
@@ -172,10 +194,12 @@ def request_from(options: argparse.Namespace) -> Request:
     """The checked request; raises `RayBatchError`."""
     if options.file is None:
         raise UsageError("name the FILE to render (or --prewarm); --help says more")
-    if not (options.out or options.film or options.json or options.save_scene or options.heat_map):
+    if not any(getattr(options, name) for name in ("out", "film", "json", "save_scene", "heat_map", "checkpoint")):
         raise UsageError(
-            "nothing would be written: give at least one of -o, --film, --heat-map, --json and --save-scene"
+            "nothing would be written: give at least one of -o, --film, --heat-map, --json, --checkpoint, --save-scene"
         )
+    if options.checkpoint_interval and not options.checkpoint:
+        raise UsageError("--checkpoint-interval says how often a checkpoint is written: give --checkpoint FILE too")
     assignments = options.set + ([f"device={options.device}"] if options.device else [])
     settings, resolution = parse_settings(assignments, options.preset)
     for name, option, ending in ((options.film, "--film", ".npz"), (options.save_scene, "--save-scene", ".scene.npz")):
@@ -199,6 +223,9 @@ def request_from(options: argparse.Namespace) -> Request:
         heat_maps=heat_maps,
         json=options.json,
         save_scene=options.save_scene,
+        checkpoint=options.checkpoint,
+        checkpoint_interval=parse_seconds("--checkpoint-interval", options.checkpoint_interval, INTERVAL_DEFAULT),
+        sample_first=parse_sample("--sample-first", options.sample_first),
         camera=options.camera,
         up=options.up,
         settings_from=(options.settings_from or "").upper(),

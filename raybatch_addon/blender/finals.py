@@ -13,6 +13,7 @@ from bpy.app.handlers import persistent
 _lock = threading.Lock()
 _count = 0  # renders of view layers
 _is_job = False  # Blender is in a render, maybe between two frames
+job = 0  # number of the render that Blender is in, or was in last
 
 
 @contextmanager
@@ -42,7 +43,8 @@ def look() -> None:
 
 @persistent
 def _begin(scene: Any, *_: Any) -> None:
-    global _is_job
+    global _is_job, job
+    job += 1
     _is_job = scene is not None and scene.render.engine == "RAYBATCH"
 
 

@@ -16,12 +16,13 @@ from ..core.measure.parts import Parts
 from ..core.observers import Progress
 from ..core.scene.description import Scene
 from ..core.settings.settings import RenderSettings
+from ..export.meshes.persistent import begin_frame
 from ..export.passed_over.look import with_light_looked_for
 from ..export.passes import SAMPLE_SHARE, wants_sample_share
 from ..export.scene import export_scene
 from ..export.settings import exposure_of, settings_from
 from ..export.view import View
-from . import finals, missing, reports
+from . import checkpoints, finals, missing, reports
 from .denoise_library import library_for
 from .denoising import denoise_film, whole_tile, with_guides
 from .result import ResultWriter, stamp_mattes, view_names
@@ -34,6 +35,11 @@ film_listeners: list[Callable[[str, Scene, Film], None]] = []
 scene_listeners: list[Callable[[str, Scene, RenderSettings], None]] = []
 # Called with the core's `Progress` several times a second
 progress_listeners: list[Callable[[Progress], None]] = []
+
+# Called with what is told of a render beside warnings
+note_listeners: list[Callable[[str], None]] = []
+# Asked several times a second whether the render is to end with what is done; for scripts, which get signals
+stop_listeners: list[Callable[[], bool]] = []
 
 # Blender's status line is written at most this often [s]: it goes to the terminal when Blender has no window
 STATUS_SECONDS = 0.25
@@ -75,14 +81,20 @@ def _fail(engine: bpy.types.RenderEngine, report: reports.RenderReport, message:
 
 def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, report: reports.RenderReport) -> None:
     settings = settings_from(depsgraph.scene)
+    if settings.tile_order == "AUTO" and not bpy.app.background:  # somebody watches
+        settings = settings.replace(tile_order="PROGRESSIVE")
     layer_name = depsgraph.view_layer.name
     status = _Status(engine, layer_name)
     for name in view_names(engine, layer_name, depsgraph.scene):
         if name:
             engine.active_view_set(name)
         _render_view(engine, depsgraph, report, settings, status, View(engine, name))
-        if engine.test_break():
+        if _is_stopped(engine):
             return
+
+
+def _is_stopped(engine: bpy.types.RenderEngine) -> bool:
+    return engine.test_break() or any(listener() for listener in stop_listeners)
 
 
 def _render_view(
@@ -97,7 +109,8 @@ def _render_view(
     layer_name = depsgraph.view_layer.name
     parts = Parts("export")
     status.show(parts.message)
-    scene = export_scene(depsgraph, cancelled=engine.test_break, view=view)
+    begin_frame(finals.job)
+    scene = export_scene(depsgraph, cancelled=lambda: _is_stopped(engine), view=view)
     if scene is None:
         return
     report.export_seconds = parts.elapsed
@@ -116,6 +129,15 @@ def _render_view(
         for listener in progress_listeners:
             listener(progress)
 
+    def is_stopped() -> bool:
+        return _is_stopped(engine)
+
+    def tell(text: str) -> None:
+        status.show(text)
+        engine.report({"INFO"}, f"RayBatch: {text}")
+        for listener in note_listeners:
+            listener(text)
+
     recorder = None
     if wants_recording(depsgraph.scene, settings, has_windows=not bpy.app.background):
         recorder = records.recorder_for(
@@ -126,7 +148,7 @@ def _render_view(
     try:
         parts.enter("start")
         status.show(parts.message)
-        with session_for(settings, engine.test_break) as session:
+        with session_for(settings, is_stopped) as session:
             if session is None:
                 state = records.CANCELLED
                 return
@@ -135,14 +157,16 @@ def _render_view(
                 settings,
                 on_tile=writer.write,
                 on_progress=on_progress,
-                cancelled=engine.test_break,
+                cancelled=is_stopped,
                 observers=observers,
+                sample_first=checkpoints.first_sample(),
                 parts=parts,
+                checkpoint=checkpoints.checkpoint_of(depsgraph.scene, layer_name, view.name, tell),
             )
             if denoiser is not None:  # viewports, which would take its processors, wait for it too
                 parts.enter("denoise")
                 status.show(parts.message)
-                denoise_film(film, settings, denoiser, engine.test_break)
+                denoise_film(film, settings, denoiser, is_stopped)
     finally:
         if recorder:
             if film is not None:
@@ -203,15 +227,19 @@ class _Status:
         if progress.stage == "render":
             self._engine.update_progress(progress.fraction)
         if progress.memory_bytes:
-            megabytes = progress.memory_bytes / 2**20
-            self._engine.update_memory_stats(memory_used=megabytes, memory_peak=megabytes)
+            used, peak = progress.memory_bytes / 2**20, progress.memory_peak / 2**20
+            self._engine.update_memory_stats(memory_used=used, memory_peak=max(used, peak))
         self.show(status_text(progress))
 
 
 def status_text(progress: Progress) -> str:
     """One line on where a render stands."""
+    memory = []
+    if progress.memory_bytes:
+        used, peak = (each / 2**20 for each in (progress.memory_bytes, progress.memory_peak))
+        memory = [f"Mem: {used:.0f}M, Peak: {max(used, peak):.0f}M"]
     if progress.stage != "render":
-        return progress.message
+        return " | ".join([progress.message, *memory])
     parts = [
         f"Sample {progress.samples_done:.0f}/{progress.samples_total}",
         f"{progress.rays_per_second / 1e6:.2f} Mrays/s",
@@ -219,6 +247,7 @@ def status_text(progress: Progress) -> str:
     if progress.seconds_left is not None:
         minutes, seconds = divmod(round(progress.seconds_left), 60)
         parts.append(f"{minutes:d}:{seconds:02d} left")
+    parts += memory
     if progress.kernels:
         parts.append(f"{progress.kernels} kernels")
     return " | ".join(parts)

@@ -32,6 +32,22 @@ def session_for(settings: RenderSettings, cancelled: Callable[[], bool] = lambda
     """The session of the settings' device, to oneself, for a final render: viewports stop for it. None once
     `cancelled()`, which is asked while it is not free. Raises `DeviceError` for a device that is not there.
     """
+    with _lent_first(cancelled) as is_ours:
+        yield _session_of(settings) if is_ours else None
+
+
+@contextmanager
+def preview_session(settings: RenderSettings, cancelled: Callable[[], bool]) -> Iterator[Session | None]:
+    """As `session_for`, for previews: their session is one of their own, so that what is kept of the user's scene stays
+    where it is.
+    """
+    with _lent_first(cancelled) as is_ours:
+        yield _session_of(settings, "preview ") if is_ours else None
+
+
+@contextmanager
+def _lent_first(cancelled: Callable[[], bool]) -> Iterator[bool]:
+    """Sessions are lent to one render, before all viewports; False once `cancelled()`."""
     with finals.under_way():
         with _changed:
             while _is_lent and not cancelled():
@@ -40,7 +56,7 @@ def session_for(settings: RenderSettings, cancelled: Callable[[], bool] = lambda
             if is_ours:
                 _lend()
         try:
-            yield _session_of(settings) if is_ours else None
+            yield is_ours
         finally:
             if is_ours:
                 _give_back()
@@ -101,11 +117,12 @@ def _give_back() -> None:
         _changed.notify_all()
 
 
-def _session_of(settings: RenderSettings) -> Session:
-    """The session of the device, for who was lent it."""
+def _session_of(settings: RenderSettings, use: str = "") -> Session:
+    """The session of the device for a `use` of its own, for who was lent it."""
     start_warp(kernel_cache_folder())
-    name = find_device(settings.device).alias
+    alias = find_device(settings.device).alias
+    name = use + alias
     if name not in _sessions:
         # a window stays when a picture is there; without one, Blender ends or goes on to the next frame
-        _sessions[name] = Session(name, settings, compile_between_renders=not bpy.app.background)
+        _sessions[name] = Session(alias, settings, compile_between_renders=not bpy.app.background)
     return _sessions[name]

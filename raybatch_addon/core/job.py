@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,13 +11,21 @@ import warp as wp
 
 from .ahead.change import TierChange
 from .ahead.request import CompileRequest
+from .checkpoint.checkpoint import Checkpoint
+from .device.devices import memory_used, worker_count
+from .film import Film
 from .measure.parts import Parts
 from .observers import Progress, Tile
 from .scene.description import Scene
 from .scene.features import SceneFeatures
 from .settings.settings import RenderSettings
-from .wavefront.plan.plan import Choice, TracingPlan
+from .wavefront.adaptive.ranges import first_active
+from .wavefront.plan.plan import Choice, Method, TracingPlan
 from .wavefront.render.rendering import Rendering, SnapshotWatcher
+from .wavefront.render.resume import ResumeState
+from .wavefront.render.rounds import RoundPolicy
+from .wavefront.render.steps import TileSteps
+from .wavefront.scheduler import round_tile_edge, step_tile_edge, tile_edge
 from .wavefront.tier import TierChoice
 
 
@@ -36,12 +45,46 @@ class Job:
     watchers: list[SnapshotWatcher]
     parts: Parts
     warnings: list[str]
+    checkpoint: Checkpoint | None = None
     # filled while the render runs
     hardware: dict[str, Any] = field(default_factory=dict)  # counts of the processor
     chosen: dict[str, Choice] = field(default_factory=dict)  # for settings that were left open until the scene was read
     path_bytes: int = 0  # device memory of one path alive, with all that grows with their number
     rendering: Rendering | None = None  # from the first ray on
     change: TierChange | None = None  # of a render that general kernels begin, and others may take over
+
+    def show(self, film: Film) -> None:
+        """Hand out what `film` has already."""
+        for tile in film.tiles.values():
+            if tile.sample_count:
+                self.on_tile(Tile(tile.x, tile.y, tile.width, tile.height, tile.passes))
+
+    def begin(self, film: Film, after: Film | None, device: wp.Device) -> ResumeState:
+        """The state of a render that begins, or that goes on with what `film` has; `film` loses it meanwhile."""
+        state, film.resume_state = film.resume_state, None
+        if state is None:
+            state = self._all_tiles(after, device)
+        else:
+            state.policy = state.policy.resumed(self.settings, self.marks)
+            if state.policy.is_cut and not state.shorten_round() and self.settings.time_limit:
+                self.warnings.append(state.cannot_shorten)
+        self.settings = self.settings.replace(sample_order=state.sample_order)  # items are numbered by it
+        return state
+
+    def _all_tiles(self, after: Film | None, device: wp.Device) -> ResumeState:
+        """The state of a render that begins."""
+        settings, policy = self.settings, RoundPolicy.of(self.settings, self.marks, self.sample_first)
+        active = first_active(self.scene.frame, settings, self.sample_first, after, device)
+        x0, y0, x1, y1 = self.scene.frame.region
+        workers, paged = worker_count(device, settings.thread_count), self.plan.method is Method.PAGED
+        choose_edge = step_tile_edge if self.steps else round_tile_edge if policy.is_cut else tile_edge
+        edge = choose_edge(settings, device.is_cuda, x1 - x0, y1 - y0, workers, paged)
+        if not settings.tile_size:
+            self.chosen["tile_size"] = Choice(edge, "by device, frame and samples")
+        state = ResumeState.begin(settings, self.scene.frame, edge, self.sample_first, policy, active)
+        if active:
+            state.list_active(device)
+        return state
 
     @property
     def request(self) -> CompileRequest:
@@ -52,6 +95,15 @@ class Job:
     def marks(self) -> list[int]:
         """Sample counts at which pictures are wanted."""
         return [mark for watcher in self.watchers for mark in watcher.marks]
+
+    @functools.cached_property
+    def steps(self) -> TileSteps | None:
+        """How far tiles go before they are shown; None: as far as they can. Pages of geometry serve all samples at
+        once.
+        """
+        settings, paged = self.settings, self.plan.method is Method.PAGED
+        wanted = settings.tile_order == "PROGRESSIVE" and settings.sample_order == "FRAME_FIRST" and not paged
+        return TileSteps() if wanted else None
 
     @property
     def kernels(self) -> dict[str, Any]:
@@ -81,9 +133,7 @@ def progress_of(
     **rates: Any,
 ) -> Progress:
     """How far a render on `device` has come; `rates`: what else is known (`Progress`)."""
-    memory = 0
-    if device.is_cuda and wp.is_mempool_enabled(device):
-        memory = int(wp.get_mempool_used_mem_current(device))
+    memory, peak = memory_used(device)
     unknown = {"samples_done": 0.0, "rays_per_second": 0.0, "seconds_left": None}
     return Progress(
         stage=stage,
@@ -91,6 +141,7 @@ def progress_of(
         samples_total=settings.sample_count,
         seconds_elapsed=parts.elapsed,
         memory_bytes=memory,
+        memory_peak=peak,
         message=message or parts.message,
         **{**unknown, **rates},
     )

@@ -24,7 +24,8 @@ class Progress:
     rays_per_second: float
     seconds_elapsed: float
     seconds_left: float | None  # None: not known yet
-    memory_bytes: int
+    memory_bytes: int  # held now: on the device, on a CPU by this process; 0: unknown
+    memory_peak: int  # the most that was held so far
     message: str
     kernels: str = ""  # that render: "general" or "specialised"; empty before the first ray
     seconds_rendering: float = 0.0  # part of `seconds_elapsed` in which rays are traced; `rays_per_second` refers to it

@@ -18,8 +18,9 @@ from .ahead.prepare import Preparation
 from .ahead.request import CompileRequest, kernels_ahead
 from .bvh.build.scene_tree import layout_for
 from .bvh.memory import GeometrySize
+from .checkpoint.checkpoint import Checkpoint
 from .device.compiler import CompileStoppedError
-from .device.devices import find_device, free_memory, load_kernels, start_warp, warp_cache_folder, worker_count
+from .device.devices import find_device, free_memory, load_kernels, start_warp, warp_cache_folder
 from .displacement.displaced import is_displaced
 from .film import Film
 from .film.tile import FinishedTile, add_integers_kernel
@@ -36,18 +37,16 @@ from .scene.features import SceneFeatures, derive_features
 from .scene.notice import by_weight, described
 from .scene.validate import checked_scene
 from .settings.settings import RenderSettings
-from .wavefront.adaptive.ranges import check_after, chosen_looks, first_active, pixels_can_end
+from .wavefront.adaptive.ranges import check_after, chosen_looks, pixels_can_end
 from .wavefront.estimates.displacement import mover
 from .wavefront.integrator import TileIntegrator
-from .wavefront.plan.plan import Choice, Memory, Method, plan_tracing, report_of
+from .wavefront.plan.plan import Choice, Memory, plan_tracing, report_of
 from .wavefront.render.rendering import RenderEvents, Rendering, snapshot_watchers
 from .wavefront.render.resume import ResumeState, check_samples, film_to_fill
-from .wavefront.render.rounds import RoundPolicy
 from .wavefront.render.summary import batching_totals, ray_totals, rounds_summary, workers_summary
 from .wavefront.render.workers import make_workers
 from .wavefront.scene.device_scene import DeviceScene
 from .wavefront.scene.scene_cache import GeometryRequest, SceneCache
-from .wavefront.scheduler import round_tile_edge, tile_edge
 from .wavefront.tier import choose_tier
 
 
@@ -108,6 +107,7 @@ class Session:
         resume: Film | None = None,
         after: Film | None = None,
         parts: Parts | None = None,
+        checkpoint: Checkpoint | None = None,
     ) -> Film:
         """Render `scene` and return its film.
 
@@ -125,6 +125,7 @@ class Session:
             after: with adaptive sampling and a `sample_first` above 0, the finished film of all samples up to the last
                 look at the noise before it: by that some pixels have ended their sampling.
             parts: the clock of a render that began before this call, and may go on after it; default: one of this call.
+            checkpoint: goes on from what is in its file, unless there is `resume`; shows it, and keeps it there.
 
         Raises:
             RayBatchError: what the user can mend; the message says how.
@@ -141,16 +142,15 @@ class Session:
             cancelled=cancelled or (lambda: False),
             observers=observers,
         )
+        job.checkpoint = checkpoint
+        if checkpoint:
+            job.parts.enter("checkpoint")
+            found = checkpoint.begin(scene, job.settings, self.device, sample_first)
+            resume = resume or found
         film = film_to_fill(job.scene.frame, job.settings, job.sample_first, resume, self.device)
-        state = film.resume_state
-        if state is None:
-            state = self._all_tiles(job, after)
-        else:
-            state.policy = state.policy.resumed(job.settings, job.marks)
-            if state.policy.is_cut and not state.shorten_round() and job.settings.time_limit:
-                job.warnings.append(state.cannot_shorten)
-        film.resume_state = None
-        job.settings = job.settings.replace(sample_order=state.sample_order)  # items are numbered by it
+        if checkpoint:
+            job.show(film)
+        state = job.begin(film, after, self.device)
         if job.settings.kernel_tier == "AUTO":
             job.chosen["kernel_tier"] = Choice("GENERAL" if job.tier.general else "SPECIALISED", job.tier.why)
         device_scene, modules = self._prepare(job)
@@ -171,6 +171,10 @@ class Session:
                 job.hardware = counters.report()
             else:
                 self._run(job, integrators, state, film)
+        if checkpoint:
+            job.parts.enter("checkpoint")
+            checkpoint.end(state)
+            job.warnings += checkpoint.warnings
         job.parts.enter("report")
         state.release()
         film.complete = state.policy.stopped_by is not None
@@ -256,21 +260,6 @@ class Session:
             if done.done():
                 self._building = None
 
-    def _all_tiles(self, job: Job, after: Film | None) -> ResumeState:
-        """The state of a render that begins."""
-        settings, policy = job.settings, RoundPolicy.of(job.settings, job.marks, job.sample_first)
-        active = first_active(job.scene.frame, settings, job.sample_first, after, self.device)
-        x0, y0, x1, y1 = job.scene.frame.region
-        workers, paged = worker_count(self.device, settings.thread_count), job.plan.method is Method.PAGED
-        choose_edge = round_tile_edge if policy.is_cut else tile_edge
-        edge = choose_edge(settings, self.device.is_cuda, x1 - x0, y1 - y0, workers, paged)
-        if not settings.tile_size:
-            job.chosen["tile_size"] = Choice(edge, "by device, frame and samples")
-        state = ResumeState.begin(settings, job.scene.frame, edge, job.sample_first, policy, active)
-        if active:
-            state.list_active(self.device)
-        return state
-
     def _prepare(self, job: Job) -> tuple[DeviceScene | None, list[str]]:
         """The scene on the device, and the names of the modules of kernels; nothing when cancelled meanwhile."""
         kernels = job.request.kernels(self.device) + [add_integers_kernel] * (job.settings.half_count - 1)
@@ -338,8 +327,14 @@ class Session:
 
         seconds_left: float | None = None
         job.parts.enter("render")
-        events = RenderEvents(on_tile=on_tile, on_progress=on_progress, cancelled=job.cancelled, watchers=job.watchers)
-        job.rendering = Rendering(integrators, state, film, events, job.parts.started)
+        events = RenderEvents(
+            on_tile=on_tile,
+            on_progress=on_progress,
+            cancelled=job.cancelled,
+            watchers=job.watchers,
+            keeper=job.checkpoint,
+        )
+        job.rendering = Rendering(integrators, state, film, events, job.parts.started, job.steps)
         change = None
         if job.tier.general and job.tier.asked == "AUTO":
             request = CompileRequest(job.features, job.settings, job.plan)
@@ -351,6 +346,8 @@ class Session:
         finally:
             if change:
                 change.close()
+            if job.checkpoint:
+                job.checkpoint.wait()
         if change and change.changed_after is not None:
             why = f"{job.tier.why}; specialised ones took over after {change.changed_after:.1f} s"
             job.chosen["kernel_tier"] = Choice("GENERAL", why)
@@ -369,7 +366,7 @@ class Session:
         device_scene: DeviceScene | None,
     ) -> dict[str, Any]:
         job.warnings += job.rendering.warnings if job.rendering else []
-        invalid = sum(integrator.invalid_samples for integrator in integrators)
+        invalid = state.invalid_samples
         if invalid:
             job.warnings.append(
                 f"{invalid:,} samples were not finite and count as black; this is a fault, please report the scene"
@@ -394,6 +391,7 @@ class Session:
                 "invalid_samples": invalid,
                 "modules": modules,
                 "warnings": job.warnings,
+                "checkpoint": job.checkpoint and job.checkpoint.statistics,
                 "missing": [described(notice) for notice in by_weight(job.scene.warnings)],
             },
         )

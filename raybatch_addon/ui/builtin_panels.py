@@ -11,7 +11,6 @@ _GENERAL = "BLENDER_RENDER"
 _LEFT_OUT = {
     "DATA_PT_light",  # the fuller DATA_PT_EEVEE_light is taken
     "NODE_DATA_PT_light",
-    "DATA_PT_preview",
     "PHYSICS_PT_fluid_domain_render",
 }
 _LEFT_OUT_FAMILIES = ("DATA_PT_lightprobe", "DATA_PT_context_lightprobe")
@@ -23,6 +22,7 @@ _TAKEN = {
     "DATA_PT_camera_dof",
     "DATA_PT_camera_dof_aperture",
     "EEVEE_MATERIAL_PT_context_material",
+    "MATERIAL_PT_preview",
     "EEVEE_MATERIAL_PT_surface",
     "EEVEE_WORLD_PT_surface",
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import bpy
@@ -55,10 +56,20 @@ def report_lines(report: reports.RenderReport) -> list[str]:
             _tree_lines(statistics.get("tree"))
             + _batching_lines(statistics.get("batching"))
             + _counter_lines(statistics.get("counters"))
+            + _checkpoint_lines(statistics.get("checkpoint"))
         )
         if statistics["invalid_samples"]:
             lines.append(f"{name}: {statistics['invalid_samples']:,} samples were not finite and count as black")
     return lines
+
+
+def _checkpoint_lines(checkpoint: dict[str, Any] | None) -> list[str]:
+    """What was there of the film before the render, and where the film is kept."""
+    if checkpoint is None:
+        return []
+    before = f"went on from {checkpoint['samples_before']:.5g} samples; " if checkpoint["samples_before"] else ""
+    size = f", {checkpoint['bytes'] / 1e6:.1f} MB" if checkpoint["bytes"] else ""
+    return [f"Checkpoint: {before}{os.path.basename(checkpoint['file'])}{size}"]
 
 
 def _parts_line(seconds: dict[str, float]) -> str:

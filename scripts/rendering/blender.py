@@ -23,7 +23,8 @@ from lib.output import (
 )
 
 import raybatch_addon
-from raybatch_addon.blender import reports
+from raybatch_addon.blender import checkpoints, reports
+from raybatch_addon.blender.checkpoints import AskedCheckpoint
 from raybatch_addon.core.errors import RayBatchError, SceneError
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import save_scene
@@ -43,6 +44,7 @@ from rendering.imported import import_geometry
 from rendering.pictures import write_heat_map
 from rendering.progress import ProgressBar
 from rendering.request import BLEND, Request
+from rendering.stops import StopRequests
 
 # Blender's formats by the extension that chooses them; the first one listed is taken
 FORMATS = {
@@ -60,6 +62,9 @@ FORMATS = {
 }
 
 
+_WORKSHOP = ".raybatch-"  # begins the names of folders for half-written files; the process follows
+
+
 class _SceneSaved(RayBatchError):
     """Ends a render whose scene was all that was wanted."""
 
@@ -73,6 +78,7 @@ class BlenderRender:
         self._statistics: list[dict[str, Any]] = []
         self._scene_saved = False
         self._shown: set[str] = set()  # messages about the exported scene
+        self._stops = StopRequests()
 
     def run(self) -> None:
         """Open, render and write what was asked for; raises `RayBatchError`."""
@@ -92,14 +98,22 @@ class BlenderRender:
                 raise UsageError(
                     "--save-scene holds one picture: choose one frame with --frame and one layer with --view-layer"
                 )
-            if request.out and scene.render.is_movie_format and not _picture_format(request.out):
-                self._render_movie(scene, frames)
-            else:
-                self._render_stills(scene, frames)
+            with self._stops:
+                if request.out and scene.render.is_movie_format and not _picture_format(request.out):
+                    self._render_movie(scene, frames)
+                else:
+                    self._render_stills(scene, frames)
+        except KeyboardInterrupt:
+            self._tell()
+            raise
         finally:
             self._bar.close()
-        if request.json:
-            write_json(request.json, self._statistics, self._standard_output)
+            checkpoints.asked = None
+        self._tell()
+
+    def _tell(self) -> None:
+        if self._request.json:
+            write_json(self._request.json, self._statistics, self._standard_output)
 
     # --- what the engine tells
 
@@ -109,6 +123,8 @@ class BlenderRender:
         frame.progress_listeners.append(self._bar.show)
         frame.scene_listeners.append(self._on_scene)
         frame.film_listeners.append(self._on_film)
+        frame.stop_listeners.append(self._stops.asked)
+        frame.note_listeners.append(lambda text: tell_notes([text]))
 
     def _on_scene(self, _layer: str, exported: Scene, settings: RenderSettings) -> None:
         tell_warnings(exported.warnings)
@@ -134,14 +150,16 @@ class BlenderRender:
             _set_format(scene, file_format)
         places = [_still_path(scene, request.out, number, many) if request.out else None for number in frames]
         films = [numbered(request.film, number, many) if request.film else None for number in frames]
+        kept = [numbered(request.checkpoint, number, many) if request.checkpoint else None for number in frames]
         heat_maps = [[(name, numbered(path, number, many)) for name, path in request.heat_maps] for number in frames]
-        every = (*places, *films, *(path for each in heat_maps for _, path in each))
+        every = (*places, *films, *kept, *(path for each in heat_maps for _, path in each))
         for path in {path.parent: path for path in every if path is not None}.values():
             self._folders.prepare(path)
-        for number, place, film_path, pictures in zip(frames, places, films, heat_maps, strict=True):
+        for number, place, film_path, kept_path, pictures in zip(frames, places, films, kept, heat_maps, strict=True):
             self._bar.label = f"frame {number}: " if many else ""
             scene.frame_set(number)
             self._films.clear()
+            checkpoints.asked = AskedCheckpoint(kept_path, request.checkpoint_interval, request.sample_first)
             if place is None:
                 self._operate()
             else:
@@ -155,10 +173,11 @@ class BlenderRender:
                 write_heat_map(path, self._films[0][1], name)
 
     def _render_movie(self, scene: bpy.types.Scene, frames: tuple[int, ...]) -> None:
-        if self._request.film or self._request.heat_maps:
-            raise UsageError("--film and --heat-map are for still pictures; the file renders a movie")
+        if self._request.film or self._request.heat_maps or self._request.checkpoint:
+            raise UsageError("--film, --heat-map and --checkpoint are for still pictures; the file renders a movie")
         out = Path(_absolute(self._request.out))
         self._folders.prepare(out)
+        checkpoints.asked = AskedCheckpoint(None, sample_first=self._request.sample_first)
         scene.frame_start, scene.frame_end, scene.frame_step = frames[0], frames[-1], 1
         with _Workshop(out.parent) as workshop:
             scene.render.filepath = str(workshop.folder / out.name)
@@ -170,6 +189,8 @@ class BlenderRender:
         before = reports.last()
         try:
             bpy.ops.render.render(**how)
+            if self._stops.asked():
+                raise KeyboardInterrupt
         except RuntimeError as error:
             report = reports.last()
             if report is not None and report is not before and report.interrupted:
@@ -192,7 +213,8 @@ class _Workshop:
         self._where = where
 
     def __enter__(self) -> _Workshop:
-        self.folder = Path(tempfile.mkdtemp(prefix=".raybatch-", dir=self._where))
+        _remove_workshops(self._where)
+        self.folder = Path(tempfile.mkdtemp(prefix=f"{_WORKSHOP}{os.getpid()}-", dir=self._where))
         return self
 
     def __exit__(self, *_) -> None:
@@ -209,6 +231,19 @@ class _Workshop:
             target = place if place is not None and len(made) == 1 else self._where / file.name
             os.replace(file, target)
             tell_saved(target)
+
+
+def _remove_workshops(where: Path) -> None:
+    """Remove what processes left that were killed; where the system cannot tell whether one is alive, it stays."""
+    for folder in where.glob(f"{_WORKSHOP}*-*"):
+        process = folder.name.removeprefix(_WORKSHOP).partition("-")[0]
+        if process.isdecimal() and os.name == "posix":
+            try:
+                os.kill(int(process), 0)  # sends nothing
+            except ProcessLookupError:
+                shutil.rmtree(folder, ignore_errors=True)
+            except OSError:  # it is another user's
+                continue
 
 
 def _open(request: Request) -> None:

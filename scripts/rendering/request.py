@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +28,7 @@ KINDS = (
 )
 RESOLUTION_DEFAULT = (960, 540)  # of geometry, which has none of its own [pixels]
 RESOLUTION_MAX = 65_536  # Blender's own limit
+INTERVAL_DEFAULT = 60.0  # from one checkpoint to the next [s]
 VECTOR_PASSES = tuple(name for name, channels in PASSES.items() if channels > 1)
 
 
@@ -46,6 +48,9 @@ class Request:
     heat_maps: tuple[tuple[str, str], ...] = ()  # pass and file; the passes are in `passes`
     json: str | None = None
     save_scene: str | None = None
+    checkpoint: str | None = None
+    checkpoint_interval: float = INTERVAL_DEFAULT  # [s]
+    sample_first: int = 0
     camera: str | None = None
     up: str | None = None
     settings_from: str = ""  # CYCLES or EEVEE: take over that engine's settings first
@@ -54,7 +59,7 @@ class Request:
     @property
     def renders(self) -> bool:
         """Whether a render is wanted, not just the exported scene."""
-        return bool(self.out or self.film or self.json or self.heat_maps)
+        return bool(self.out or self.film or self.json or self.heat_maps or self.checkpoint)
 
 
 def kind_of(source: Path, taken: Sequence[str] = tuple(dict(KINDS).values())) -> str:
@@ -97,6 +102,24 @@ def parse_heat_map(text: str) -> tuple[str, str]:
     if name in VECTOR_PASSES:
         raise UsageError(f"--heat-map {text}: {name} has three values a pixel; choose a pass that has one")
     return name, path
+
+
+def parse_seconds(option: str, text: str | None, default: float) -> float:
+    """A time above 0 [s]; raises `UsageError`."""
+    try:
+        seconds = default if text is None else float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0.0 < seconds < math.inf:
+        raise UsageError(f"{option} {text} is no time: write a number of seconds above 0")
+    return seconds
+
+
+def parse_sample(option: str, text: str | None) -> int:
+    """The number of a sample; raises `UsageError`."""
+    if text is not None and not text.strip().isdecimal():
+        raise UsageError(f"{option} {text} is no sample: write a whole number, from 0 on")
+    return int(text or 0)
 
 
 def parse_settings(assignments: list[str], preset: str | None = None) -> tuple[dict[str, Any], tuple[int, int] | None]:

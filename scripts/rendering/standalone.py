@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import IO
 
 from lib.command import RefusedError, UsageError
 from lib.geometry_files import load_geometry, parse_view
-from lib.output import OutputFolders, described, tell_saved, tell_warnings, write_film, write_json
+from lib.output import OutputFolders, described, tell_notes, tell_saved, tell_warnings, write_film, write_json
 
 from raybatch_addon.blender.denoise_library import library_for
 from raybatch_addon.blender.denoising import denoise_film, with_guides
 from raybatch_addon.blender.kernel_cache import kernel_cache_folder
+from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
+from raybatch_addon.core.film import Film
 from raybatch_addon.core.measure.parts import Parts
 from raybatch_addon.core.scene.archive import load_scene, save_scene
 from raybatch_addon.core.scene.description import Camera, Scene
@@ -21,6 +24,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from rendering.pictures import picture_path, write_heat_map, write_picture
 from rendering.progress import ProgressBar
 from rendering.request import ARCHIVE, RESOLUTION_DEFAULT, Request
+from rendering.stops import StopRequests
 
 
 def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar, standard_output) -> None:
@@ -32,7 +36,10 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
     out = picture_path(Path(request.out).absolute()) if request.out else None
     film_path = Path(request.film).absolute() if request.film else None
     heat_maps = [(name, Path(path).absolute()) for name, path in request.heat_maps]
-    for path in (out, film_path, *(path for _, path in heat_maps)):
+    checkpoint = None
+    if request.checkpoint:
+        checkpoint = Checkpoint(request.checkpoint, request.checkpoint_interval, tell=lambda text: tell_notes([text]))
+    for path in (out, film_path, checkpoint and checkpoint.path, *(path for _, path in heat_maps)):
         if path is not None:
             folders.prepare(path)
     parts = Parts("export")
@@ -51,15 +58,26 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
     parts.enter("start")
     session = Session(settings.device, settings, kernel_cache_folder())
     try:
-        film = session.render(scene, settings, on_progress=bar.show, parts=parts)
+        with StopRequests() as stops:
+            film = session.render(
+                scene,
+                settings,
+                on_progress=bar.show,
+                cancelled=stops.asked,
+                sample_first=request.sample_first,
+                parts=parts,
+                checkpoint=checkpoint,
+            )
     finally:
         session.close()
         bar.close()
+    if stops.asked() and not film.complete:
+        _tell(request, film, scene, standard_output)
+        raise KeyboardInterrupt
     if denoiser is not None:
         parts.enter("denoise")
         denoise_film(film, settings, denoiser)
     film.statistics["seconds"] = parts.told()
-    tell_warnings(text for text in film.statistics["warnings"] if text not in scene.warnings)
     if out is not None:
         write_picture(out, film, scene)
         tell_saved(out)
@@ -67,6 +85,11 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
         write_film(film_path, [("", film)])
     for name, path in heat_maps:
         write_heat_map(path, film, name)
+    _tell(request, film, scene, standard_output)
+
+
+def _tell(request: Request, film: Film, scene: Scene, standard_output: IO[str]) -> None:
+    tell_warnings(text for text in film.statistics["warnings"] if text not in scene.warnings)
     if request.json:
         write_json(request.json, [described(film, None, None)], standard_output)
 

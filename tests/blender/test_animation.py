@@ -14,6 +14,7 @@ from bpy_extras.object_utils import world_to_camera_view
 
 from raybatch_addon.blender import frame, reports, sessions
 from raybatch_addon.core import session as core_session
+from raybatch_addon.core.wavefront.render import steps
 from tests.support.blender_builders import add_grid, add_mesh, add_object, add_triangle, material_of, node_tree
 from tests.support.blender_watch import watch_engines
 
@@ -155,6 +156,23 @@ def test_finished_tiles_cover_the_border_once(lit, rectangles, films, tmp_path, 
 # --- size and shape of the picture
 
 
+def test_a_picture_that_grows_is_written_over_and_over_and_ends_as_the_same(
+    lit, rectangles, films, monkeypatch, tmp_path
+):
+    monkeypatch.setattr(steps, "STEP_SECONDS", 0.0)
+    monkeypatch.setattr(steps, "COST_SHARE", 1e30)
+    pictures = []
+    lit.raybatch.sample_count, lit.raybatch.tile_size = 5, 16
+    for order in ("TILE_FIRST", "PROGRESSIVE"):
+        rectangles.clear()
+        lit.raybatch.tile_order = order
+        lit.render.filepath = str(tmp_path / order)
+        bpy.ops.render.render(write_still=True)
+        pictures.append(picture_of(tmp_path / f"{order}.exr"))
+        assert len(rectangles) == len(set(rectangles)) * (5 if order == "PROGRESSIVE" else 1)
+    assert np.array_equal(*pictures) and pictures[0].any()
+
+
 def test_a_percentage_is_the_same_picture_as_that_resolution(lit, tmp_path):
     whole = render(tmp_path / "whole")
     lit.render.resolution_x, lit.render.resolution_y, lit.render.resolution_percentage = 64, 48, 50
@@ -264,7 +282,8 @@ def test_frames_share_the_session_and_what_it_keeps(lit, films, monkeypatch, tmp
     assert len(made) == 1 and tree_work(films[-1][2]) == (1, 0)
 
 
-def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path):
+@pytest.mark.parametrize("persistent", [False, True])
+def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path, persistent):
     """A mesh that waves, and instances that move.
 
     Their trees are refitted, and every frame equals that of a session that saw no other frame.
@@ -281,7 +300,9 @@ def test_what_moves_is_followed_without_a_trace_in_the_film(lit, films, tmp_path
             stone.keyframe_insert("location", frame=number)
             stone.keyframe_insert("rotation_euler", frame=number)
     sessions.close_all()
+    lit.render.use_persistent_data = persistent
     animate(lit, 5, tmp_path)
+    lit.render.use_persistent_data = False
     followed = [film for _, _, film in films]
     work = [tree_work(film) for film in followed]
     # the instances' own tree does not change; a tree with split triangles is built once without them, to be refitted

@@ -12,6 +12,7 @@ bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import frame, reports, sessions
 from raybatch_addon.blender.result import ResultWriter, register_passes
+from raybatch_addon.core.device.devices import host_memory_used
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.export.passes import OWN_PASS_PROPERTIES
 from tests.support.blender_builders import add_object, add_triangle, material_of, node_tree
@@ -381,6 +382,7 @@ def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch, watch
     assert any("/64" in line and "Mrays/s" in line and "left" in line for line in lines)
     tier = reports.last().statistics["ViewLayer"]["kernels"]["tier"].lower()
     assert lines[-1].endswith(f" | {tier} kernels")
+    assert any("Mem: " in line and "Peak: " in line for line in lines) == (host_memory_used() > 0)
     assert fractions == sorted(fractions) and fractions[-1] == 1
 
 

@@ -217,12 +217,12 @@ def stop_in_a_tile(monkeypatch, after: int):
     """Renders of tiles are told to stop when they have asked `after` times."""
     render, asked = integrator.TileIntegrator.render, [0]
 
-    def stopped(self, state, first, count, stop):
+    def stopped(self, state, first, count, stop, most):
         def tells():
             asked[0] += 1
             return stop() or asked[0] > after
 
-        return render(self, state, first, count, tells)
+        return render(self, state, first, count, tells, most)
 
     monkeypatch.setattr(integrator.TileIntegrator, "render", stopped)
 

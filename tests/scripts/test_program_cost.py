@@ -3,7 +3,7 @@
 import dataclasses
 
 import numpy as np
-import program_cost
+from benchmarking import program_cost
 
 from raybatch_addon.core.scene.description import Frame
 from raybatch_addon.core.settings.settings import RenderSettings

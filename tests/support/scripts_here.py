@@ -44,7 +44,13 @@ def _addon_as_before() -> Iterator[None]:
     def registered() -> bool:
         return hasattr(bpy.types.Scene, "raybatch")
 
-    lists = (frame.film_listeners, frame.scene_listeners, frame.progress_listeners)
+    lists = (
+        frame.film_listeners,
+        frame.scene_listeners,
+        frame.progress_listeners,
+        frame.note_listeners,
+        frame.stop_listeners,
+    )
     was_registered, listeners = registered(), [list(each) for each in lists]
     if was_registered:
         raybatch_addon.unregister()

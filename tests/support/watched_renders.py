@@ -62,12 +62,12 @@ def stopping(after: int):
     """
     render, asked = integrator.TileIntegrator.render, [0]
 
-    def stopped(self, state, first, count, stop):
+    def stopped(self, state, first, count, stop, most):
         def tells():
             asked[0] += 1
             return stop() or asked[0] > after
 
-        return render(self, state, first, count, tells)
+        return render(self, state, first, count, tells, most)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(integrator, "DRAIN_SECONDS", 1e9)

@@ -28,7 +28,7 @@ VERSION = 1
 PICTURE_SETTINGS = ("bounce_max", "transparent_bounce_max", "pixel_filter", "filter_width")
 # What of a scene does not change its picture: names, notes, the other passes, and UV maps while no shader reads them
 # (Blender subdivides on many threads, and does not make them to the same bits twice)
-_NOT_SHOWN = {"name", "object_names", "warnings", "passes", "kinds", "corner_uvs"}
+NOT_SHOWN = {"name", "object_names", "warnings", "passes", "kinds", "corner_uvs"}
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,13 @@ def scene_hash(scene: Scene) -> str:
     """A digest of all that decides how the scene looks: camera, size, geometry, materials, lights and world; 32
     hexadecimal digits.
     """
+    return digest_of_value(scene)
+
+
+def digest_of_value(value: Any) -> str:
+    """A digest of a scene or of a part of it, but for what does not show; 32 hexadecimal digits."""
     digest = hashlib.blake2b(digest_size=16)
-    _feed(digest, scene)
+    _feed(digest, value)
     return digest.hexdigest()
 
 
@@ -238,7 +243,7 @@ def _feed(digest: Any, value: Any) -> None:
     if dataclasses.is_dataclass(value):
         digest.update(f"<{type(value).__name__}>".encode())
         for field in dataclasses.fields(value):
-            if field.name not in _NOT_SHOWN:
+            if field.name not in NOT_SHOWN:
                 digest.update(f"{stored_name(field)}:".encode())
                 _feed(digest, getattr(value, field.name))
     elif isinstance(value, (np.ndarray, np.generic)):

@@ -172,6 +172,30 @@ def host_memory_peak() -> int:
     return int(peak if sys.platform == "darwin" else peak * 1024)
 
 
+def host_memory_used() -> int:
+    """Resident size of this process [bytes]; 0 where the system does not say."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, ValueError, IndexError):
+        return 0
+
+
+def device_memory_peak(device: wp.Device) -> int:
+    """Largest device memory that Warp held so far [bytes]; 0 on the CPU, where the host's figure holds."""
+    return int(wp.get_mempool_used_mem_high(device)) if device.is_cuda and wp.is_mempool_enabled(device) else 0
+
+
+def memory_used(device: wp.Device) -> tuple[int, int]:
+    """Memory held now, and at most so far [bytes]: that of Warp on `device`, on the CPU that of this process; 0 where
+    nobody says.
+    """
+    if not device.is_cuda:
+        return host_memory_used(), host_memory_peak()
+    used = int(wp.get_mempool_used_mem_current(device)) if wp.is_mempool_enabled(device) else 0
+    return used, device_memory_peak(device)
+
+
 def load_module(kernel: wp.Kernel, device: wp.Device, given_up: Callable[[], bool] | None = None) -> None:
     """Compile or load the module of `kernel`. Several threads may ask for one module: the first one loads it.
 

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from ..bvh.memory import TREE_BYTES, GeometrySize
 from ..bvh.node import Layout
+from ..film.layout import channels_of, layout_of
+from ..film.sums import WINDOW_DIGITS
+from ..scene.description import Frame
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,15 @@ def estimate_memory(
     """
     tree = TREE_BYTES[layout] * size.triangles if tree_bytes is None else tree_bytes
     return MemoryEstimate(path_bytes, path_count, size.arrays(), tree, min(tree, budget) if budget else tree)
+
+
+def film_bytes(frame: Frame, half_count: int) -> tuple[int, int]:
+    """What the sums of a film of `frame` take on the device that renders it, and what its pictures take in the host's
+    memory; both in halves where there are 2 [bytes].
+    """
+    sums = (layout_of(frame.passes, frame.transparent).count * WINDOW_DIGITS + 1) * 8 * half_count
+    pictures = sum(channels_of(name) for name in frame.passes) * 4 * (3 if half_count == 2 else 1)
+    return frame.pixel_count * sums, frame.pixel_count * pictures
 
 
 def size_text(size: int) -> str:

@@ -13,6 +13,7 @@ PARTS = {
     "check": "Checking the scene",
     "displacement": "Displacing surfaces",
     "wait": "Waiting for what a cancelled render still builds",
+    "checkpoint": "Reading or writing the checkpoint",
     "images": "Uploading images",
     "tree": "Building the tree",
     "materials": "Uploading materials",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ..device.devices import device_description, host_memory_peak
+from ..device.devices import device_description, device_memory_peak, host_memory_peak
 from ..scene.features import SceneFeatures
 from ..settings.settings import RenderSettings
 
@@ -56,13 +56,6 @@ def render_statistics(
         "rays": {**rays, "total": sum(rays.values())},
         "rays_per_second": round(sum(rays.values()) / seconds["render"]) if seconds.get("render") else 0,
         "left_out": features.left_out(),
-        "memory_peak": {"host": host_memory_peak(), "device": _device_memory_peak(device)},
+        "memory_peak": {"host": host_memory_peak(), "device": device_memory_peak(device)},
         **counts,
     }
-
-
-def _device_memory_peak(device: wp.Device) -> int:
-    """Largest device memory that Warp held so far [bytes]; on the CPU the host's figure holds."""
-    if not device.is_cuda or not wp.is_mempool_enabled(device):
-        return 0
-    return int(wp.get_mempool_used_mem_high(device))

@@ -77,7 +77,7 @@ def flatten(scene: Scene) -> FlatGeometry:
     baked = alive & (uses[instances.mesh] == 1) & ~apart(scene) if len(instances) else alive
     seen = instances.visibility & RAY_BITS
 
-    chunks: list[_Chunk] = []
+    chunks: list[MeshChunk] = []
     merged: list[Merged] = []
     mesh_position: dict[int, int] = {}
     triangle_first = 0
@@ -86,7 +86,7 @@ def flatten(scene: Scene) -> FlatGeometry:
         starts, start = [], 0
         for i in members:
             mesh_position[int(instances.mesh[i])] = len(chunks)
-            chunks.append(_bake(scene.meshes[instances.mesh[i]], instances.transform[i]))
+            chunks.append(baked_mesh(scene.meshes[instances.mesh[i]], instances.transform[i]))
             starts.append(start)
             start += len(chunks[-1].triangles)
         merged.append(Merged(visibility, triangle_first, start, members, np.array(starts, np.int32)))
@@ -136,7 +136,9 @@ def is_mirrored_where_baked(scene: Scene) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class _Chunk:
+class MeshChunk:
+    """The geometry of one mesh as it is joined to that of others."""
+
     positions: np.ndarray
     triangles: np.ndarray
     corner_normals: np.ndarray | None
@@ -144,18 +146,19 @@ class _Chunk:
     curves: bool = False
 
 
-def _keep(mesh: Mesh) -> _Chunk:
+def _keep(mesh: Mesh) -> MeshChunk:
     if mesh.radii is not None:
         return _segments(mesh, mesh.positions, mesh.radii)
-    return _Chunk(mesh.positions, mesh.triangles, mesh.corner_normals, mesh.triangle_slot)
+    return MeshChunk(mesh.positions, mesh.triangles, mesh.corner_normals, mesh.triangle_slot)
 
 
-def _segments(mesh: Mesh, positions: np.ndarray, radii: np.ndarray) -> _Chunk:
+def _segments(mesh: Mesh, positions: np.ndarray, radii: np.ndarray) -> MeshChunk:
     corners, triangles = pack_segments(positions, radii, mesh.triangles, mesh.ribbons)
-    return _Chunk(corners, triangles, None, mesh.triangle_slot, curves=True)
+    return MeshChunk(corners, triangles, None, mesh.triangle_slot, curves=True)
 
 
-def _bake(mesh: Mesh, transform: np.ndarray) -> _Chunk:
+def baked_mesh(mesh: Mesh, transform: np.ndarray) -> MeshChunk:
+    """`mesh` in the world, where `transform` [3, 4] places it."""
     matrix = np.asarray(transform, np.float64)
     if np.array_equal(matrix, IDENTITY):
         return _keep(mesh)
@@ -180,7 +183,7 @@ def _bake(mesh: Mesh, transform: np.ndarray) -> _Chunk:
         # A mirrored triangle keeps its front outside: exchange its last two corners
         triangles = np.ascontiguousarray(triangles[:, [0, 2, 1]])
         normals = None if normals is None else np.ascontiguousarray(normals[:, [0, 2, 1]])
-    return _Chunk(positions, triangles, normals, mesh.triangle_slot)
+    return MeshChunk(positions, triangles, normals, mesh.triangle_slot)
 
 
 def _joined(chunks, instance_mesh, transform, merged, shared, motion) -> FlatGeometry:

@@ -71,6 +71,20 @@ class TracingSettings:
         maximum=65_536,
         auto=0,
     )
+    tile_order: str = setting(
+        "AUTO",
+        "Tile Order",
+        "Whether the whole frame is seen early and refined, or tile after tile is finished. Where samples come pixel "
+        "first, or geometry does not fit in memory, each tile gets all of its samples at once",
+        group="PERFORMANCE",
+        effect="schedule",
+        auto="AUTO",
+        choices=(
+            ("AUTO", "Automatic", "Progressive where a window shows it"),
+            ("PROGRESSIVE", "Progressive", "A sample of each tile, then some seconds of work on each in turn"),
+            ("TILE_FIRST", "Tile first", "All samples of a tile, then the next tile"),
+        ),
+    )
     spatial_splits: str = setting(
         "AUTO",
         "Spatial Splits",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -45,8 +46,9 @@ from .tracers.interface import Tracer
 from .volumes.table import MediaState
 from .volumes.volumes import with_state
 
-# A stopped tile whose rays are not at their end after this long gives them up [s]
+# A stopped tile whose rays are not at their end after this long gives them up [s], unless it is told to wait longer
 DRAIN_SECONDS = 0.25
+TAIL_SHARE = 0.125  # of the slots: below it, without paths to come, turns do little
 
 
 class TileIntegrator:
@@ -119,17 +121,21 @@ class TileIntegrator:
         self.rays = RayTotals()
         self.invalid_samples = 0
         self.items_done = 0  # paths that came to their end, for progress
+        self.tail_seconds = 0.0  # of the last `render`: from its last full waves to the picture
+        self.patience: float | None = None  # how long a stopped tile waits for its rays [s]; None: `DRAIN_SECONDS`
 
-    def render(self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool]) -> FinishedTile:
-        """Render what is left of a tile's samples `sample_first` to `sample_first + sample_count`; `state` is brought
-        up to date.
+    def render(
+        self, state: TileState, sample_first: int, sample_count: int, stop: Callable[[], bool], most: float = math.inf
+    ) -> FinishedTile:
+        """Render what is left of a tile's samples `sample_first` to `sample_first + sample_count`, but begin no more
+        than `most` paths; `state` is brought up to date.
 
         They are added to what the tile has from earlier rounds. When `stop()` turns true no path is begun any more, and
         those under way are brought to their end.
         """
         work, film = self._begin_tile(state, sample_first, sample_count)
-        items = state.pixel_count * sample_count
-        done, stopped_at = 0, None
+        items = min(state.pixel_count * sample_count, state.items_begun + most)
+        done, stopped_at, tail_from = 0, None, None
         while True:
             self._kernels = self._wanted_kernels
             if stopped_at is None and stop():
@@ -137,8 +143,10 @@ class TileIntegrator:
             camera = NO_RAYS
             if stopped_at is None:
                 camera = self._generate(state, work, items)
-            elif self._alive and time.perf_counter() - stopped_at > DRAIN_SECONDS:
+            elif self._alive and time.perf_counter() - stopped_at > (self.patience or DRAIN_SECONDS):
                 self._give_up(state)
+            if tail_from is None and state.items_begun == items and self._alive <= TAIL_SHARE * self.path_count:
+                tail_from = time.perf_counter()
             if self._alive == 0:
                 break
             back = self._trace(work, film, camera, stop)
@@ -161,6 +169,7 @@ class TileIntegrator:
                 self._mattes,
             )
         self.invalid_samples += finished.invalid
+        self.tail_seconds = time.perf_counter() - tail_from if tail_from else 0.0
         return finished
 
     def use_kernels(self, kernels: StageKernels) -> None:

@@ -23,6 +23,8 @@ CUDA_TILE = 2048
 CPU_TILE_PATHS_LEAST = 256
 # Tiles of each CPU worker, about, where a render is cut into rounds
 CUT_TILES_A_WORKER = 2
+# Edge up to which tiles are large for that alone where they are shown after a sample: some tenths of a second of a core
+CPU_STEP_TILE = 512
 # Where a tile's last paths come to their end a GPU has little to do, so its tiles have this many paths if they can
 CUDA_TILE_PATHS = 1 << 24
 
@@ -112,6 +114,16 @@ def round_tile_edge(
     if is_cuda or settings.tile_size:
         return edge
     return max(edge, math.ceil(math.sqrt(width * height / (CUT_TILES_A_WORKER * workers))))
+
+
+def step_tile_edge(
+    settings: RenderSettings, is_cuda: bool, width: int, height: int, workers: int = 1, paged: bool = False
+) -> int:
+    """As `round_tile_edge`, for a render that shows the whole frame after a sample and refines it: large tiles would
+    come late.
+    """
+    edge = round_tile_edge(settings, is_cuda, width, height, workers, paged)
+    return edge if is_cuda or settings.tile_size else min(edge, CPU_STEP_TILE)
 
 
 def tiles(region: tuple[int, int, int, int], edge: int) -> Iterator[Rectangle]:

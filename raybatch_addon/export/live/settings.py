@@ -20,7 +20,8 @@ def live_settings(scene: bpy.types.Scene) -> RenderSettings:
     """
     own = getattr(scene, "raybatch_viewport", None)
     samples, denoise = (own.samples, own.denoise) if own is not None else (SAMPLES_DEFAULT, False)
-    return settings_from(scene).replace(sample_count=samples, denoise="ON" if denoise else "OFF", **_NO_END)
+    settings = settings_from(scene).replace(sample_count=samples, denoise="ON" if denoise else "OFF", **_NO_END)
+    return settings.replace(tile_order="TILE_FIRST")  # whole pictures come at their own pace
 
 
 def pixel_side(scene: bpy.types.Scene, ui_scale: float = 1.0) -> int:

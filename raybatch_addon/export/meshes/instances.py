@@ -23,9 +23,10 @@ from ..nodes.collections import OF_INSTANCER
 from ..settings import output_engine
 from .attributes import object_value
 from .holdouts import is_holdout, with_hole
-from .kept_meshes import MeshSource, end_export
+from .kept_meshes import MeshSource
 from .live_meshes import LiveMeshes, LiveSource
 from .meshes import slot_count
+from .persistent import known_meshes
 from .placements import Placements, Template
 from .random_numbers import random_of
 from .smoke import any_grids, smoke_domain
@@ -67,15 +68,13 @@ def collect_placements(
     depsgraph: bpy.types.Depsgraph, cancelled: Callable[[], bool], moving: bool = False
 ) -> Placements:
     """One pass over `depsgraph`; `moving`: with what finds things again at other times. Raises `Cancelled`."""
-    collector = PlacementCollector(depsgraph, moving)
-    try:
+    with known_meshes(depsgraph, moving) as known:
+        collector = PlacementCollector(depsgraph, moving, known)
         for count, placed in enumerate(depsgraph.object_instances):
             if count % _CANCEL_INTERVAL == 0 and cancelled():
                 raise Cancelled
             collector.add(placed, cancelled)
         return collector.finish()
-    finally:
-        end_export()
 
 
 class PlacementCollector:

@@ -8,7 +8,8 @@ and what else it derives from them. The arrays of a kept mesh are frozen: what t
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import bpy
@@ -89,6 +90,7 @@ _kept: dict[bytes, _Kept] = {}  # by digest of the shape
 # Of each mesh, by names and counts, the digest that it had last
 _last: dict[tuple, bytes] = {}
 _export_count = 0
+_is_aside = False
 
 
 def mesh_arrays(mesh: Mesh) -> list[np.ndarray]:
@@ -103,9 +105,22 @@ def forget_meshes() -> None:
     _last.clear()
 
 
+@contextmanager
+def aside() -> Iterator[None]:
+    """Exports meanwhile are of another scene than the user's, and no meshes of that are dropped for them."""
+    global _is_aside
+    _is_aside = True
+    try:
+        yield
+    finally:
+        _is_aside = False
+
+
 def end_export() -> None:
     """An export has ended: drop meshes that are not used any more, and the longest unused where they take too much."""
     global _export_count
+    if _is_aside:
+        return
     for digest in [digest for digest, each in _kept.items() if each.used <= _export_count - _EXPORTS_KEPT]:
         del _kept[digest]
     sizes = {digest: each.bytes for digest, each in _kept.items()}

@@ -118,8 +118,9 @@ def test_all_viewports_end_together(shown):
 
 def test_settings_of_viewports(lit):
     lit.raybatch.time_limit, lit.raybatch.adaptive_sampling, lit.raybatch.sample_count = 3.0, "ON", 99
-    lit.render.use_motion_blur = True
+    lit.render.use_motion_blur, lit.raybatch.tile_order = True, "PROGRESSIVE"
     found = live_settings(lit)
+    assert found.tile_order == "TILE_FIRST"
     assert (found.sample_count, found.time_limit, found.adaptive_sampling, found.denoise) == (4, 0, "OFF", "OFF")
     assert left_out(lit) == ["motion blur", "adaptive sampling", "time limit"]
     lit.render.preview_pixel_size = "4"

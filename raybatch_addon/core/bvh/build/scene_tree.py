@@ -127,6 +127,26 @@ def refit_scene_tree(
     built.note(len(worse), len(moved) - len(worse), start)
 
 
+def refit_moved(
+    built: BuiltTree,
+    flat: FlatGeometry,
+    geometry: Geometry,
+    visibility: np.ndarray,
+    moved: Sequence[int],
+    device: wp.Device,
+) -> bool:
+    """As `refit_scene_tree` for triangles alone, whose arrays `flat` may lack; False where a tree should be built anew,
+    after which `built` is of no frame.
+    """
+    start = time.perf_counter()
+    trees = MeshTrees(flat, geometry, device, built.layout, built.splits_moving)
+    if not all(trees.refit(built.meshes[i]) for i in moved):
+        return False
+    _assemble(built, flat, entries_of(flat, visibility), device, fresh=False)
+    built.note(0, len(moved), start)
+    return True
+
+
 def build_kernels(device: wp.Device) -> list[wp.Kernel]:
     """The kernels that build trees on `device`, for compiling ahead; builds load what they need by themselves."""
     if device.is_cuda:

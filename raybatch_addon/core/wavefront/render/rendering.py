@@ -4,12 +4,13 @@ pictures between.
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -22,10 +23,26 @@ from ...scene.passes import GUIDE_PASSES
 from ..integrator import TileIntegrator, TileState
 from .resume import ResumeState
 from .rounds import sample_marks
+from .steps import TileSteps
 from .summary import ray_totals
 
 # How often the calling thread looks up from waiting: for results, for a cancel, to report progress [s]
 POLL_SECONDS = 0.05
+# A cancelled render that is kept waits this long for the rays that are under way, without which it cannot go on [s]
+KEPT_PATIENCE = 5.0
+
+
+class StateKeeper(Protocol):
+    """Whoever keeps how far a render has come, while it goes on."""
+
+    def start(self) -> None:
+        """The workers are about to begin."""
+
+    def is_due(self) -> bool:
+        """Whether the workers are to stop for it now; asked several times a second."""
+
+    def keep(self, state: ResumeState) -> None:
+        """Copy `state` and its sums: no worker is at them until this returns."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +72,7 @@ class RenderEvents:
     on_progress: Callable[[float, float, float], None]
     cancelled: Callable[[], bool]
     watchers: Sequence[SnapshotWatcher]
+    keeper: StateKeeper | None = None
 
 
 class Rendering:
@@ -67,9 +85,11 @@ class Rendering:
         film: Film,
         events: RenderEvents,
         started: float,
+        steps: TileSteps | None = None,
     ):
         """`state` is brought up to date and `film` filled; `started` is when the render was asked for
-        (`time.perf_counter`).
+        (`time.perf_counter`). With `steps` all tiles are shown after few samples, and then refined; without, each has
+        all samples of a round when it is shown.
         """
         self._integrators, self._state, self._film, self._events, self._started = (
             integrators,
@@ -78,8 +98,10 @@ class Rendering:
             events,
             started,
         )
+        self._steps = steps
         self._total, self._pixels = state.items_to_come, state.pixel_count
         self._earlier = film.sample_total  # paths that are in the film already
+        self._earlier_invalid = state.invalid_samples
         self._begun = time.perf_counter()
         self.error: HalfError | None = None  # at the end of the last round where it was looked at
         self.error_samples = 0  # of every pixel, then
@@ -87,11 +109,17 @@ class Rendering:
 
     def run(self) -> None:
         """Until the policy or a cancel ends it; raises what a worker or a callback raised."""
+        if self._events.keeper:
+            self._events.keeper.start()
         try:
             self._run_rounds()
         finally:
+            self._note_invalid()
             for integrator in self._integrators:
                 integrator.release()
+
+    def _note_invalid(self) -> None:
+        self._state.invalid_samples = self._earlier_invalid + sum(each.invalid_samples for each in self._integrators)
 
     def _run_rounds(self) -> None:
         state, policy = self._state, self._state.policy
@@ -145,10 +173,22 @@ class Rendering:
     # --- a round
 
     def _render_round(self) -> bool:
-        """Let the workers render what is left of the round, and take their results on this thread; False: it was
-        cancelled.
+        """Let the workers render what is left of the round, with stops for who keeps it; False: it was cancelled."""
+        state, keeper = self._state, self._events.keeper
+        while True:
+            if keeper and keeper.is_due():
+                self._note_invalid()
+                keeper.keep(state)
+            is_kept = self._render_tiles()
+            if not (is_kept and state.drained and state.open_tiles):
+                return state.drained and not state.open_tiles
+
+    def _render_tiles(self) -> bool:
+        """Let the workers render open tiles, and take their results on this thread. They stop when it is cancelled, and
+        when somebody wants to keep the state, but give up no rays for that; whether that was all that stopped them.
         """
         state, events = self._state, self._events
+        is_cancelled = is_kept = False
         todo: queue.SimpleQueue[tuple[TileState, ...]] = queue.SimpleQueue()
         for halves in state.open_tiles:
             todo.put(halves)
@@ -158,7 +198,11 @@ class Rendering:
         def work(integrator: TileIntegrator) -> None:
             try:
                 while not stop.is_set():
-                    results.put(self._render_tile(integrator, todo.get_nowait(), stop.is_set))
+                    halves = todo.get_nowait()
+                    left = state.items_left_of(halves)
+                    results.put(self._render_tile(integrator, halves, stop.is_set))
+                    if 0 < state.items_left_of(halves) < left:  # one that was stopped waits for who resumes it
+                        todo.put(halves)
             except queue.Empty:
                 pass
             except BaseException as error:  # carried to the calling thread, and raised there
@@ -167,13 +211,21 @@ class Rendering:
             finally:
                 results.put(None)  # this worker is through
 
+        for integrator in self._integrators:
+            integrator.patience = math.inf if events.keeper else None
         threads = [threading.Thread(target=work, args=(i,), daemon=True) for i in self._integrators]
         working = len(threads)
         for thread in threads:
             thread.start()
         try:
             while working:
-                if events.cancelled():
+                if not is_cancelled and events.cancelled():
+                    is_cancelled = True
+                    stop.set()
+                    for integrator in self._integrators:
+                        integrator.patience = KEPT_PATIENCE if events.keeper else None
+                elif events.keeper and not stop.is_set() and events.keeper.is_due():
+                    is_kept = True
                     stop.set()
                 try:
                     result = results.get(timeout=POLL_SECONDS)
@@ -182,7 +234,7 @@ class Rendering:
                     if result is None:
                         working -= 1
                     else:
-                        events.on_tile(result, self._film.add_tile(result))
+                        self._hand_out(result)
                 except queue.Empty:
                     pass
                 self._report_progress()
@@ -190,16 +242,39 @@ class Rendering:
             stop.set()
             for thread in threads:
                 thread.join()
-        return state.drained and not state.open_tiles
+        return is_kept and not is_cancelled
 
     def _render_tile(
         self, integrator: TileIntegrator, halves: Sequence[TileState], stop: Callable[[], bool]
     ) -> FinishedTile:
-        finished = []
+        """A step of a tile, or all that is left of its round."""
+        start, tail_seconds, finished = time.perf_counter(), 0.0, []
+        step, begun = self._step_of(halves), [state.items_begun for state in halves]
         for state in halves:
             samples = self._state.samples_of(state)
-            finished.append(integrator.render(state, samples.first, samples.sample_count, stop))
-        return finished[0] if len(finished) == 1 else FinishedTile.sum_of(*finished)
+            most = step * state.pixel_count
+            finished.append(integrator.render(state, samples.first, samples.sample_count, stop, most))
+            tail_seconds += integrator.tail_seconds
+        joined = time.perf_counter()
+        tile = finished[0] if len(finished) == 1 else FinishedTile.sum_of(*finished)
+        if self._steps and begun != (now := [state.items_begun for state in halves]) and not stop():
+            end = time.perf_counter()
+            samples = max((b - a) / max(each.pixel_count, 1) for a, b, each in zip(begun, now, halves, strict=True))
+            self._steps.note(tile.rectangle, samples, end - start, tail_seconds + end - joined)
+        return tile
+
+    def _step_of(self, halves: Sequence[TileState]) -> int:
+        """Samples of each half that a tile gets before it is shown."""
+        tile = halves[0].tile
+        left = max(-(-self._state.items_left(state) // max(state.pixel_count, 1)) for state in halves)
+        return self._steps.samples((tile.x, tile.y, tile.width, tile.height), left) if self._steps else left
+
+    def _hand_out(self, tile: FinishedTile) -> None:
+        """Put `tile` into the film, and show it."""
+        start = time.perf_counter()
+        self._events.on_tile(tile, self._film.add_tile(tile))
+        if self._steps:
+            self._steps.note_shown(tile.rectangle, time.perf_counter() - start)
 
     def _report_progress(self) -> None:
         seconds = time.perf_counter() - self._begun

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ...errors import RayBatchError
+from ...device.devices import free_memory
+from ...errors import OutOfMemoryError, RayBatchError
 from ...film import Film
+from ...measure.memory import film_bytes, size_text
 from ...scene.description import Frame
-from ...settings.info import INT_MAX
+from ...settings.denoise import DenoiseSettings
+from ...settings.info import INT_MAX, infos_of
 from ...settings.settings import SETTINGS, RenderSettings
 from ..adaptive.active_pixels import ActivePixels, HalfPictures
 from ..integrator import TileState
@@ -19,8 +23,8 @@ from ..scheduler import tiles
 from ..stages.generate import ITEMS_NUMBERED
 from .rounds import Round, RoundPolicy
 
-# Estimator settings that only say when a render ends, by the clock
-_CLOCK = ("time_limit",)
+# Settings that no sum of the film depends on: when a render ends, by the clock, and how its picture is denoised
+_NO_SUMS = ("time_limit", *infos_of(DenoiseSettings))
 
 
 @dataclass(kw_only=True)
@@ -35,6 +39,7 @@ class ResumeState:
     done: int = 0  # samples of every pixel, of this render, at the end of the last round
     end: int | None = None  # the same at the end of the round that is under way; None: between rounds
     active: ActivePixels | None = None  # which pixels get samples; None: all
+    invalid_samples: int = 0  # not finite, and counted as black
 
     @staticmethod
     def begin(
@@ -91,18 +96,23 @@ class ResumeState:
             return self.done
         return np.maximum(self.active.counts(self.sample_first + self.done) - self.sample_first, 0)
 
-    def _items_left(self, state: TileState) -> int:
+    def items_left(self, state: TileState) -> int:
+        """Paths of the round under way that a tile, or one half of its samples, has not begun."""
         return state.pixel_count * self.samples_of(state).sample_count - state.items_begun
 
     @property
     def open_tiles(self) -> list[tuple[TileState, ...]]:
         """Tiles of which not all paths of the round under way were begun."""
-        return [halves for halves in self.tiles if any(self._items_left(state) for state in halves)]
+        return [halves for halves in self.tiles if self.items_left_of(halves)]
+
+    def items_left_of(self, halves: Sequence[TileState]) -> int:
+        """The same of all halves of a tile."""
+        return sum(map(self.items_left, halves))
 
     @property
     def items_open(self) -> int:
         """Paths of the round under way that were not begun."""
-        return sum(self._items_left(state) for state in self.states)
+        return sum(self.items_left(state) for state in self.states)
 
     @property
     def items_to_come(self) -> int:
@@ -194,8 +204,9 @@ def film_to_fill(
     frame: Frame, settings: RenderSettings, sample_first: int, resume: Film | None, device: wp.Device
 ) -> Film:
     """An empty film, or a copy of the one to go on with, its tiles on `device`; raises `RayBatchError` for a film that
-    cannot be gone on with.
+    cannot be gone on with, and for one that does not fit in memory.
     """
+    _check_memory(frame, settings.half_count, device)
     film = Film.empty(frame, settings.half_count)
     if resume is None:
         return film
@@ -232,16 +243,31 @@ def film_to_fill(
         done=state.done,
         end=state.end,
         active=state.active and state.active.copy(),
+        invalid_samples=state.invalid_samples,
     )
     if film.resume_state.active:
         film.resume_state.list_active(device)
     return film
 
 
+def _check_memory(frame: Frame, half_count: int, device: wp.Device) -> None:
+    """Raises `OutOfMemoryError` where the film does not fit on `device`, or its pictures not in the host's memory."""
+    host = wp.get_device("cpu")
+    sums, pictures = film_bytes(frame, half_count)
+    for where, needed in [(host, sums + pictures)] if device.is_cpu else [(device, sums), (host, pictures)]:
+        if needed > (free := free_memory(where)):
+            x0, y0, x1, y1 = frame.region
+            raise OutOfMemoryError(
+                f"a picture of {x1 - x0:,} x {y1 - y0:,} pixels with its passes takes {size_text(needed)} on "
+                f"{where.alias}, where {size_text(free)} are free; lower the resolution, ask for fewer passes, or "
+                "render it in parts with a render border"
+            )
+
+
 def estimator_settings(settings: RenderSettings) -> dict[str, Any]:
-    """The settings that change the film, but for what a clock decides."""
+    """The settings that change the film's sums, but for what a clock decides."""
     return {
         name: getattr(settings, name)
         for name, info in SETTINGS.items()
-        if info.effect == "estimator" and name not in _CLOCK
+        if info.effect == "estimator" and name not in _NO_SUMS
     }

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import KW_ONLY, dataclass, field
+from typing import Any
 
 from ...settings.settings import RenderSettings
 from ..adaptive.looks import Looks
@@ -107,6 +108,18 @@ class RoundPolicy:
         """The policy of a render that goes on, with a clock and observers of its own."""
         policy = RoundPolicy.of(settings, wanted)
         policy._error, policy._check, policy.looks = self._error, self._check, self.looks
+        return policy
+
+    def told(self) -> dict[str, Any]:
+        """What `resumed` takes over, as JSON has it."""
+        return {"error": self._error, "check": self._check, "first_look": self.looks and self.looks.first}
+
+    @staticmethod
+    def of_told(sample_count: int, told: dict[str, Any]) -> RoundPolicy:
+        """A policy to be `resumed`, from what `told` said of it."""
+        first, error = told["first_look"], told["error"]
+        policy = RoundPolicy(sample_count, looks=None if first is None else Looks(int(first)))
+        policy._error, policy._check = None if error is None else float(error), int(told["check"])
         return policy
 
     def next_end(self, done: int, seconds: float, share: float = 1.0) -> int | None:

@@ -6,14 +6,13 @@ import functools
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
 
-from ...bvh.build.mesh_tree import mesh_parts
 from ...bvh.build.scene_tree import BuiltTree, build_scene_tree, refit_scene_tree
 from ...bvh.memory import GeometrySize, check_counts, check_memory, explained_memory_errors
 from ...bvh.node import Layout
@@ -39,49 +38,13 @@ from ...shading.lights.choice_table import ChoiceTable, choice_tree_bytes
 from ...shading.lights.emitters import EmissiveTriangles
 from ..plan.plan import Method, TracingPlan, cut_rule
 from ..volumes.upload import VolumeCache
+from .fingerprint import Fingerprint
+from .moved_instances import Placed, follow_moved
 from .unchanged import Last
 from .world_cache import WorldCache
 
 # Of a device's free memory, what images may take: geometry, rays and the film need the rest
 IMAGE_SHARE = 0.5
-
-
-@dataclass(frozen=True)
-class _Fingerprint:
-    """Digests of a frame: what is equal was equal."""
-
-    # triangles, what instances place, visibility, settings: a tree can follow only where it is the same
-    topology: bytes
-    positions: tuple[bytes, ...]  # of each mesh tree
-    transforms: bytes  # of instances that are not baked
-    surface: bytes  # normals and materials, which trees do not know
-
-    @staticmethod
-    def of(flat: FlatGeometry, scene: Scene, kind: tuple) -> _Fingerprint:
-        """The fingerprint of a frame; `kind` are the choices that its tree depends on."""
-        merged = [array for group in flat.merged for array in (group.instance, group.instance_triangle_first)]
-        topology = [
-            flat.triangles,
-            flat.mesh_triangle_first,
-            flat.mesh_vertex_first,
-            flat.instance_mesh,
-            flat.shared,
-            *merged,
-            scene.instances.visibility,
-            np.frombuffer(repr(kind).encode(), np.uint8),
-        ]
-        moving = [flat.motion.row, flat.motion.keys] if flat.motion else []
-        # a tree does not follow vertices that move in a frame
-        steps = flat.motion.steps.values() if flat.motion else ()
-        topology += [array for each in steps for array in each if array is not None]
-        parts = [flat.positions[part.vertex_first : part.vertex_first + part.vertex_count] for part in mesh_parts(flat)]
-        surface = [flat.corner_normals, flat.triangle_slot, scene.instances.slot_first, scene.slot_materials]
-        return _Fingerprint(
-            digest_of(topology),
-            tuple(digest_of([part]) for part in parts),
-            digest_of([flat.instance_transform, *moving]),
-            digest_of(surface),
-        )
 
 
 @dataclass
@@ -114,12 +77,13 @@ BuiltGeometry = BuiltReference | BuiltTree | PagedTree
 class Kept:
     """The geometry and tree of a frame."""
 
-    fingerprint: _Fingerprint
+    fingerprint: Fingerprint
     geometry: Geometry
     built: BuiltGeometry
     treelets: TreeletTree | None = None  # of `built`, where rays wait at treelets in memory
     cut: CutRule | None = None  # that they were cut by
     shown: Same | None = None  # what of the scene it was made of
+    placed: Placed | None = None  # where its parts lie; None where the next frame is to be looked at anyway
 
     @property
     def device_bytes(self) -> int:
@@ -232,7 +196,7 @@ class SceneCache:
         Raises `SceneError` for too large a scene, `OutOfMemoryError` for one that does not fit, before or where memory
         is asked for; `BuildCancelledError`.
         """
-        kept = self._unchanged(scene, request)
+        kept = self._unchanged(scene, request) or self._moved(scene, request, device)
         if kept is not None:
             return kept
         size = GeometrySize.of(scene)
@@ -242,7 +206,7 @@ class SceneCache:
             check_memory(size, request.layout, device, all_of_it=True)
         with explained_memory_errors(size, request.layout, device):
             flat = flatten(scene)
-            fingerprint = _Fingerprint.of(flat, scene, request.kind())
+            fingerprint = Fingerprint.of(flat, scene, request.kind())
             with self._lock:
                 # nothing is kept until the new one is whole: not what an error left half done, nor two of them
                 last, self._last = self._last, None
@@ -256,10 +220,36 @@ class SceneCache:
                     if whole:
                         check_memory(size, request.layout, device, all_of_it=False)
                     last = _build(fingerprint, flat, scene, request, device)
-                _cut(last, request, device)
-                last.shown = Same(*_geometry_of(scene, request))
-                self._last = last
+                own = isinstance(last.built, BuiltTree)
+                self._keep(last, own and Placed.of(flat, scene, *_still_of(scene, request)), scene, request, device)
                 return last
+
+    def _keep(
+        self, kept: Kept, placed: Placed | None, scene: Scene, request: GeometryRequest, device: wp.Device
+    ) -> None:
+        """`kept` shows `scene`, whose parts lie where `placed` says."""
+        _cut(kept, request, device)
+        kept.shown, kept.placed = Same(*_geometry_of(scene, request)), placed or None
+        self._last = kept
+
+    def _moved(self, scene: Scene, request: GeometryRequest, device: wp.Device) -> Kept | None:
+        """What is kept, where instances of the same frozen meshes moved and nothing else changed."""
+        with self._lock:
+            last = self._last
+            if last is None or last.placed is None or not _serves(last.built, request.plan):
+                return None
+            if not last.placed.serves(scene, *_still_of(scene, request)):
+                return None
+            self._last = None  # until it is whole
+            placed, trees = follow_moved(last.placed, scene, last.built, last.geometry, device)
+            digests = tuple(b"" if i in trees else each for i, each in enumerate(last.fingerprint.positions))
+            last.fingerprint = replace(last.fingerprint, positions=digests, transforms=b"")
+            last.treelets = last.cut = None  # copies of what is changed now
+            if placed is None:
+                self._last, last.shown, last.placed = last, None, None
+                return None
+            self._keep(last, placed, scene, request, device)
+            return last
 
     def _unchanged(self, scene: Scene, request: GeometryRequest) -> Kept | None:
         """What is kept, where `scene` has the same frozen arrays: then there is nothing to look at."""
@@ -277,6 +267,17 @@ class SceneCache:
 
 def _geometry_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarray | None], tuple]:
     """Arrays and values that geometry, tree and treelets of `scene` follow from."""
+    arrays, values = _still_of(scene, request)
+    instances = scene.instances
+    placed = digest_of(
+        [instances.mesh, instances.transform, instances.visibility, instances.slot_first]
+        + ([] if instances.motion is None else [instances.motion.instance, instances.motion.maps])
+    )
+    return arrays, (placed, *values)
+
+
+def _still_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarray | None], tuple]:
+    """The same, but for what its instances are."""
     meshes = [
         array
         for mesh in scene.meshes
@@ -290,14 +291,9 @@ def _geometry_of(scene: Scene, request: GeometryRequest) -> tuple[list[np.ndarra
             mesh.motion_normals,
         )
     ]
-    instances = scene.instances
-    placed = digest_of(
-        [instances.mesh, instances.transform, instances.visibility, instances.slot_first, scene.slot_materials]
-        + ([] if instances.motion is None else [instances.motion.instance, instances.motion.maps])
-    )
     cut = cut_rule(request.plan, request.settings) if request.plan.method is Method.BATCHED else None
     ribbons = tuple(mesh.ribbons for mesh in scene.meshes)
-    return meshes, (placed, ribbons, request.kind(), request.plan.method, cut)
+    return meshes, (digest_of([scene.slot_materials]), ribbons, request.kind(), request.plan.method, cut)
 
 
 def _serves(built: BuiltGeometry, plan: TracingPlan) -> bool:
@@ -309,7 +305,7 @@ def _serves(built: BuiltGeometry, plan: TracingPlan) -> bool:
     return not isinstance(built, BuiltTree) or built.splits_planned or not plan.splits
 
 
-def _follow(last: Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, device: wp.Device) -> bool:
+def _follow(last: Kept, fingerprint: Fingerprint, flat: FlatGeometry, scene: Scene, device: wp.Device) -> bool:
     """Make `last` show the frame; False where it cannot."""
     start = time.perf_counter()
     before, last.fingerprint = last.fingerprint, fingerprint
@@ -331,7 +327,7 @@ def _follow(last: Kept, fingerprint: _Fingerprint, flat: FlatGeometry, scene: Sc
 
 
 def _build(
-    fingerprint: _Fingerprint, flat: FlatGeometry, scene: Scene, request: GeometryRequest, device: wp.Device
+    fingerprint: Fingerprint, flat: FlatGeometry, scene: Scene, request: GeometryRequest, device: wp.Device
 ) -> Kept:
     plan, settings, layout, visibility = request.plan, request.settings, request.layout, scene.instances.visibility
     on_host = plan.method is Method.PAGED and device.is_cuda

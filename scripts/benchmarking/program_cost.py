@@ -2,7 +2,7 @@
 """What long shader programs cost: a plane whose colour comes out of a chain of nodes, beside the same folded by hand
 into one node.
 
-    python scripts/program_cost.py [--nodes N] [--device D] [--samples N] [--repeats N]
+    python scripts/benchmarking/program_cost.py [--nodes N] [--device D] [--samples N] [--repeats N]
 
 Each node of the chain multiplies by a factor and adds a term; by hand that is one factor and one term. Both are
 rendered in turns, and beside them a plane of a constant colour, which has no program; the smallest times count. Also
@@ -18,8 +18,8 @@ import sys
 import time
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 import numpy as np
 from lib.command import UsageError, exit_code

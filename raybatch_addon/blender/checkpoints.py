@@ -1,0 +1,62 @@
+"""Checkpoints of final renders: whether there are any, and their files, beside the output."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+
+if TYPE_CHECKING:
+    from ..core.checkpoint.checkpoint import Checkpoint  # brings in Warp, which panels do without
+
+ENDING = ".checkpoint"
+
+
+@dataclass(frozen=True)
+class AskedCheckpoint:
+    """What a script asks for in the place of what the scene says."""
+
+    path: Path | None  # of a frame with one picture; None: no checkpoint
+    interval: float = 60.0  # [s]
+    sample_first: int = 0
+
+
+asked: AskedCheckpoint | None = None  # set by scripts
+
+
+def first_sample() -> int:
+    """The first sample of every pixel."""
+    return asked.sample_first if asked else 0
+
+
+def checkpoint_path(scene: bpy.types.Scene, layer: str, view: str = "") -> Path:
+    """Where the checkpoint of a view layer of the scene's frame is, of stereoscopy that of a view."""
+    if asked and asked.path:
+        folder, stem, ending = asked.path.parent, asked.path.stem, asked.path.suffix
+    else:
+        output = Path(bpy.path.abspath(scene.render.frame_path(frame=scene.frame_current)))
+        folder, stem, ending = output.parent, output.stem, ENDING
+        if scene.render.is_movie_format:
+            stem += f".{scene.frame_current:04d}"
+        # many scenes are rendered to the same place, where nobody chose one
+        stem += f".{Path(bpy.data.filepath).stem or 'untitled'}"
+    names = [layer] if sum(each.use for each in scene.view_layers) > 1 else []
+    names += [view] if view else []
+    return folder / (".".join([stem, *(bpy.path.clean_name(name) for name in names)]) + ending)
+
+
+def checkpoint_of(scene: bpy.types.Scene, layer: str, view: str, tell: Callable[[str], None]) -> Checkpoint | None:
+    """The checkpoint of a view layer that is about to be rendered; None where there is to be none."""
+    from ..core.checkpoint.checkpoint import Checkpoint
+
+    own = getattr(scene, "raybatch_checkpoint", None)
+    if asked is not None:
+        if asked.path is None:
+            return None
+        return Checkpoint(checkpoint_path(scene, layer, view), asked.interval, tell=tell)
+    if own is None or not own.use:
+        return None
+    return Checkpoint(checkpoint_path(scene, layer, view), own.interval, begins_anew=True, tell=tell)

@@ -1,0 +1,50 @@
+"""Digests of a frame's geometry, by which a tree of the frame before is known to be right, or to follow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...bvh.build.mesh_tree import mesh_parts
+from ...device.bulk import digest_of
+from ...scene.description import Scene
+from ...scene.flatten import FlatGeometry
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """Digests of a frame: what is equal was equal."""
+
+    # triangles, what instances place, visibility, settings: a tree can follow only where it is the same
+    topology: bytes
+    positions: tuple[bytes, ...]  # of each mesh tree; empty where they are others since
+    transforms: bytes  # of instances that are not baked; likewise
+    surface: bytes  # normals and materials, which trees do not know
+
+    @staticmethod
+    def of(flat: FlatGeometry, scene: Scene, kind: tuple) -> Fingerprint:
+        """The fingerprint of a frame; `kind` are the choices that its tree depends on."""
+        merged = [array for group in flat.merged for array in (group.instance, group.instance_triangle_first)]
+        topology = [
+            flat.triangles,
+            flat.mesh_triangle_first,
+            flat.mesh_vertex_first,
+            flat.instance_mesh,
+            flat.shared,
+            *merged,
+            scene.instances.visibility,
+            np.frombuffer(repr(kind).encode(), np.uint8),
+        ]
+        moving = [flat.motion.row, flat.motion.keys] if flat.motion else []
+        # a tree does not follow vertices that move in a frame
+        steps = flat.motion.steps.values() if flat.motion else ()
+        topology += [array for each in steps for array in each if array is not None]
+        parts = [flat.positions[part.vertex_first : part.vertex_first + part.vertex_count] for part in mesh_parts(flat)]
+        surface = [flat.corner_normals, flat.triangle_slot, scene.instances.slot_first, scene.slot_materials]
+        return Fingerprint(
+            digest_of(topology),
+            tuple(digest_of([part]) for part in parts),
+            digest_of([flat.instance_transform, *moving]),
+            digest_of(surface),
+        )

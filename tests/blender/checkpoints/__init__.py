@@ -1,0 +1,1 @@
+"""Checkpoints of final renders in Blender."""

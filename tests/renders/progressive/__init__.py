@@ -1,0 +1,1 @@
+"""Renders that show the whole frame early."""
