@@ -13,7 +13,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "raybatch_addon"
 FILES = sorted(PACKAGE.rglob("*.py"))
 CORE_FILES = sorted((PACKAGE / "core").rglob("*.py"))
-FOLDERS = sorted({path.parent for path in FILES})
+# each file below is an entry of a menu, which Blender makes of the folder
+MENUS = PACKAGE / "presets" / "raybatch"
+FOLDERS = sorted({path.parent for path in FILES if MENUS not in path.parents})
 SCRIPTS = sorted((ROOT / "scripts").rglob("*.py"))
 CODE = [*FILES, *SCRIPTS, *sorted((ROOT / "tests").rglob("*.py"))]
 
@@ -56,10 +58,12 @@ ROOMS = (
     "blender/denoise_library.py",
     "blender/viewport",
     "blender/warm_up.py",
+    "blender/devices.py",
     "blender/viewport/callbacks.py",
     "blender/result.py",
     "blender/denoising.py",
     "ui",
+    "presets",
     "blender/frame.py",
     "engine.py",
     "__init__.py",

@@ -9,6 +9,7 @@ from . import (
     choices,
     convergence,
     data_panels,
+    devices,
     last_render,
     light_groups,
     preferences,
@@ -21,6 +22,7 @@ from . import (
 _parts = (
     properties,
     choices,
+    devices,
     presets,
     render_panels,
     viewport,

@@ -8,7 +8,8 @@ ENGINE = "RAYBATCH"
 
 
 def own_panels():
-    return [panel for panel in bpy.types.Panel.__subclasses__() if panel.__name__.startswith(f"{ENGINE}_")]
+    own = [panel for panel in bpy.types.Panel.__subclasses__() if panel.__name__.startswith(f"{ENGINE}_")]
+    return [panel for panel in own if panel.bl_region_type != "HEADER"]  # menus of presets are panels too
 
 
 def enabled_panels():
@@ -31,6 +32,10 @@ class Layout:
     def label(self, text="", icon="NONE", icon_value=0):
         assert icon in bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items
         self.notes.append(("label", text, icon))
+
+    def popover(self, panel, icon="NONE", text=""):
+        assert issubclass(getattr(bpy.types, panel), bpy.types.Panel)
+        self.notes.append(("popover", panel, icon))
 
     def template_icon(self, icon_value, scale=1.0):
         self.notes.append(("icon", icon_value, scale))
