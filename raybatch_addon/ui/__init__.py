@@ -16,6 +16,7 @@ from . import (
     presets,
     properties,
     render_panels,
+    shading_panels,
     viewport,
 )
 
@@ -27,6 +28,7 @@ _parts = (
     render_panels,
     viewport,
     data_panels,
+    shading_panels,
     light_groups,
     camera_panels,
     before_render,

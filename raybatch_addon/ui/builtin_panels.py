@@ -25,7 +25,11 @@ _TAKEN = {
     "DATA_PT_camera_dof_aperture",
     "EEVEE_MATERIAL_PT_context_material",
     "EEVEE_MATERIAL_PT_surface",
+    "EEVEE_MATERIAL_PT_volume",
+    "EEVEE_MATERIAL_PT_displacement",
     "EEVEE_WORLD_PT_surface",
+    "EEVEE_WORLD_PT_volume",
+    "EEVEE_WORLD_PT_mist",
 }
 
 _added: list[type] = []

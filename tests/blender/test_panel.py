@@ -10,6 +10,14 @@ bpy = pytest.importorskip("bpy")
 from raybatch_addon.blender import reports, sessions
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.settings.settings import BYTES, GROUPS, SETTINGS, RenderSettings
+from raybatch_addon.export.passes import (
+    CATCHER_PROPERTY,
+    LIGHT_PASS_PROPERTIES,
+    MATTE_PROPERTIES,
+    OWN_PASS_PROPERTIES,
+    PASS_PROPERTIES,
+    VOLUME_PASS_PROPERTIES,
+)
 from raybatch_addon.export.settings import assign_setting, settings_from
 from raybatch_addon.ui import builtin_panels, last_render
 from raybatch_addon.ui.devices import CHOICE
@@ -147,10 +155,13 @@ def test_panels_are_there_for_this_engine_only(scene):
 
 def test_the_other_panels_draw_what_exists(scene):
     light = bpy.data.lights.new("Light", "AREA")
+    material = bpy.data.materials.new("Material")
     obj = bpy.data.objects.new("Light", light)
     camera = bpy.data.cameras.new("Camera")
     camera.type = "PANO"
-    context = context_of(scene, object=obj, light=light, camera=camera, world=bpy.data.worlds.new("World"))
+    context = context_of(
+        scene, object=obj, light=light, camera=camera, world=bpy.data.worlds.new("World"), material=material
+    )
     drawn_properties = {}
     for panel in own_panels():
         if panel.bl_context != "render":
@@ -159,7 +170,14 @@ def test_the_other_panels_draw_what_exists(scene):
     assert {"use_pass_normal", "use_pass_node_steps"} <= set(drawn_properties["RAYBATCH_VIEWLAYER_PT_passes"])
     assert "visible_glossy" in drawn_properties["RAYBATCH_OBJECT_PT_ray_visibility"]
     assert {"use_strand", "use_volumes"} <= set(drawn_properties["RAYBATCH_VIEWLAYER_PT_filter"])
-    assert "spread" in drawn_properties["RAYBATCH_LIGHT_PT_settings"]
+    assert {"spread", "is_portal"} <= set(drawn_properties["RAYBATCH_LIGHT_PT_settings"])
+    assert "displacement_method" in drawn_properties["RAYBATCH_MATERIAL_PT_settings"]
+    assert "glossy" in drawn_properties["RAYBATCH_WORLD_PT_ray_visibility"]
+    assert "sampling_method" in drawn_properties["RAYBATCH_WORLD_PT_settings"]
+    every = set(drawn_properties["RAYBATCH_VIEWLAYER_PT_passes"])
+    from_view_layer = {*PASS_PROPERTIES, *LIGHT_PASS_PROPERTIES, *VOLUME_PASS_PROPERTIES, *MATTE_PROPERTIES}
+    assert from_view_layer | {*OWN_PASS_PROPERTIES, CATCHER_PROPERTY} <= every, "each pass is offered"
+    assert "aovs" in drawn_properties["RAYBATCH_VIEWLAYER_PT_aov"]
 
 
 def test_parents_of_panels_exist_and_are_enabled(addon):
@@ -190,7 +208,11 @@ def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
         "DATA_PT_uv_texture",
         "EEVEE_MATERIAL_PT_context_material",
         "EEVEE_MATERIAL_PT_surface",
+        "EEVEE_MATERIAL_PT_displacement",
+        "EEVEE_MATERIAL_PT_volume",
         "EEVEE_WORLD_PT_surface",
+        "EEVEE_WORLD_PT_volume",
+        "EEVEE_WORLD_PT_mist",
         "WORLD_PT_context_world",
         "OBJECT_PT_visibility",
         "OBJECT_PT_shading",

@@ -48,6 +48,10 @@ class Layout:
         assert active in active_owner.bl_rna.properties
         self.notes.append(("list", kind, collection))
 
+    def template_node_view(self, tree, node, _socket):
+        assert tree.nodes[node.name] == node
+        self.notes.append(("nodes", tree.name, node.name))
+
     def prop_search(self, owner, name, source, collection, **_options):
         assert name in owner.bl_rna.properties and collection in source.bl_rna.properties
         self.notes.append(("prop", owner.bl_rna.identifier, name))
