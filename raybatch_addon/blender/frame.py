@@ -21,7 +21,7 @@ from ..export.passes import SAMPLE_SHARE, wants_sample_share
 from ..export.scene import export_scene
 from ..export.settings import exposure_of, settings_from
 from ..export.view import View
-from . import finals, missing, reports
+from . import finals, missing, reports, tuning
 from .denoise_library import library_for
 from .denoising import denoise_film, whole_tile, with_guides
 from .result import ResultWriter, stamp_mattes, view_names
@@ -109,6 +109,11 @@ def _render_view(
     for listener in scene_listeners:
         listener(layer_name, scene, settings)
     missing.refuse_what_lacks(depsgraph.scene, found)
+    if tuning.is_asked():
+        tried = tuning.run(scene, settings, engine.test_break, status.show)
+        if tried is not None:
+            ResultWriter(engine, layer_name, scene.frame.region[:2], view.name).write(whole_tile(tried))
+        return
     writer = ResultWriter(engine, layer_name, scene.frame.region[:2], view.name, exposure_of(depsgraph.scene))
 
     def on_progress(progress: Progress) -> None:

@@ -17,6 +17,7 @@ from . import (
     properties,
     render_panels,
     shading_panels,
+    tune,
     viewport,
 )
 
@@ -26,6 +27,7 @@ _parts = (
     devices,
     presets,
     render_panels,
+    tune,
     viewport,
     data_panels,
     shading_panels,

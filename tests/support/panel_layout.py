@@ -24,10 +24,10 @@ class Layout:
     def __init__(self, notes=None):
         self.notes = [] if notes is None else notes
 
-    def column(self, **_options):
+    def column(self, *_args, **_options):
         return Layout(self.notes)
 
-    row = box = column
+    row = box = split = column
 
     def label(self, text="", icon="NONE", icon_value=0):
         assert icon in bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items

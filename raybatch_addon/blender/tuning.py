@@ -1,0 +1,101 @@
+"""A render that tries schedules instead of making a picture: asked for by the panel, and what came of it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from ..core.film import Film
+from ..core.scene.description import Scene
+from ..core.settings.settings import RenderSettings
+from ..core.tuning import Tuning, tune
+from .devices import device_choices
+from .sessions import session_for
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """What came of the last one."""
+
+    scene: str
+    tuning: Tuning
+
+
+_lock = threading.Lock()
+_asked: tuple[str, float] | None = None  # the scene's name, and seconds for a candidate
+_last: Tuned | None = None
+
+
+def ask(scene: str, seconds: float) -> None:
+    """The next render tries schedules on `scene`, each for some `seconds`."""
+    global _asked
+    with _lock:
+        _asked = (scene, seconds)
+
+
+def withdraw() -> None:
+    """The next render is a picture again."""
+    global _asked
+    with _lock:
+        _asked = None
+
+
+def is_asked() -> bool:
+    """Whether the render under way is one of these."""
+    return _asked is not None
+
+
+def last() -> Tuned | None:
+    """What was tried last, as far as that is."""
+    return _last
+
+
+def forget() -> None:
+    """Forget it."""
+    global _last
+    _last = None
+    withdraw()
+
+
+def run(
+    scene: Scene, settings: RenderSettings, cancelled: Callable[[], bool], show: Callable[[str], None]
+) -> Film | None:
+    """Try schedules on `scene`; returns the film of the given settings, None where it was stopped before there was one.
+    Raises `RayBatchError`.
+    """
+    global _last
+    with _taken() as (name, seconds):
+
+        def render(candidate, ends, on_progress) -> Film:
+            with session_for(candidate, ends) as session:
+                if session is None:
+                    return Film.empty(scene.frame)
+                return session.render(scene, candidate, on_progress=on_progress, cancelled=ends)
+
+        def on_trial(tuning: Tuning, following: str) -> None:
+            global _last
+            _last = Tuned(name, tuning)
+            show(f"Tune: trying {following or 'the settings as they are'}")
+
+        tuning, film = tune(settings, _other_devices(settings), render, seconds, cancelled=cancelled, on_trial=on_trial)
+        _last = Tuned(name, tuning)
+        return film
+
+
+@contextmanager
+def _taken() -> Iterator[tuple[str, float]]:
+    """What was asked for; the next render is a picture again."""
+    try:
+        yield _asked
+    finally:
+        withdraw()
+
+
+def _other_devices(settings: RenderSettings) -> list[str]:
+    """Those that would not render now: an empty list where they are not known yet."""
+    known = [each.name for each in device_choices() or () if each.name != "AUTO"]
+    cuda = [name for name in known if name != "cpu"]
+    now = settings.device.lower() if settings.device.upper() != "AUTO" else (cuda or ["cpu"])[0]
+    return [name for name in known if name != now]

@@ -1,0 +1,85 @@
+"""Operators: try schedules, and take the fastest."""
+
+from __future__ import annotations
+
+import bpy
+
+from ...export.settings import assign_setting
+from ..panel import ENGINE
+
+
+class RAYBATCH_OT_tune(bpy.types.Operator):
+    """Render the scene for seconds with each of some ways to trace rays, and on each device, and tell the fastest. The
+    picture is the same with all of them; nothing is changed before you take the fastest
+    """
+
+    bl_idname = "raybatch.tune"
+    bl_label = "Tune"
+
+    seconds: bpy.props.FloatProperty(
+        name="Seconds", description="How long each of them renders", default=3.0, min=0.05, max=600.0
+    )
+
+    @classmethod
+    def poll(cls, context):
+        return context.scene is not None and context.engine == ENGINE and not bpy.app.is_job_running("RENDER")
+
+    def invoke(self, context, _event):
+        from ...blender import tuning
+
+        tuning.ask(context.scene.name, self.seconds)
+        started = bpy.ops.render.render("INVOKE_DEFAULT")
+        if "CANCELLED" in started:
+            tuning.withdraw()
+        return started & {"FINISHED", "CANCELLED"} or {"FINISHED"}
+
+    def execute(self, context):
+        from ...blender import tuning
+
+        tuning.ask(context.scene.name, self.seconds)
+        try:
+            return bpy.ops.render.render()
+        finally:
+            tuning.withdraw()
+
+
+class RAYBATCH_OT_take_fastest(bpy.types.Operator):
+    """Set what was found to be the fastest"""
+
+    bl_idname = "raybatch.take_fastest"
+    bl_label = "Use the Fastest"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        from ...blender import tuning
+
+        found = tuning.last()
+        return context.scene is not None and found is not None and found.tuning.best is not None
+
+    def execute(self, context):
+        from ...blender import tuning
+
+        for name, value in tuning.last().tuning.best.changes.items():
+            assign_setting(context.scene.raybatch, name, value)
+        return {"FINISHED"}
+
+
+_classes = (RAYBATCH_OT_tune, RAYBATCH_OT_take_fastest)
+
+
+def register() -> None:
+    """Add the operators."""
+    for cls in _classes:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Remove the operators, and what was found."""
+    import sys
+
+    tuning = sys.modules.get(f"{__package__.rpartition('.ui')[0]}.blender.tuning")
+    if tuning is not None:
+        tuning.forget()
+    for cls in reversed(_classes):
+        bpy.utils.unregister_class(cls)
