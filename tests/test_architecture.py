@@ -51,6 +51,7 @@ ROOMS = (
     "export",
     "blender/__init__.py",
     "blender/reports.py",
+    "blender/exit_code.py",
     "blender/missing.py",
     "blender/kernel_cache.py",
     "blender/general_kernels.py",

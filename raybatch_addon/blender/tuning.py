@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from ..core.film import Film
+from ..core.observers import Progress
 from ..core.scene.description import Scene
 from ..core.settings.settings import RenderSettings
 from ..core.tuning import Tuning, tune
@@ -67,8 +68,13 @@ def run(
     """
     global _last
     with _taken() as (name, seconds):
+        tried = "the settings as they are"
 
-        def render(candidate, ends, on_progress) -> Film:
+        def render(candidate, ends, look) -> Film:
+            def on_progress(progress: Progress) -> None:
+                look(progress)
+                show(f"Tune: {tried}: {progress.message or progress.stage}")
+
             with session_for(candidate, ends) as session:
                 if session is None:
                     return Film.empty(scene.frame)
@@ -76,8 +82,8 @@ def run(
 
         def on_trial(tuning: Tuning, following: str) -> None:
             global _last
-            _last = Tuned(name, tuning)
-            show(f"Tune: trying {following or 'the settings as they are'}")
+            nonlocal tried
+            _last, tried = Tuned(name, tuning), following or tried
 
         tuning, film = tune(settings, _other_devices(settings), render, seconds, cancelled=cancelled, on_trial=on_trial)
         _last = Tuned(name, tuning)

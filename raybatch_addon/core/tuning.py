@@ -46,6 +46,7 @@ class Tuning:
 
     settings: RenderSettings
     samples: int = 0  # that each candidate rendered
+    tier: str = ""  # of the kernels: GENERAL or SPECIALISED
     trials: list[Trial] = field(default_factory=list)
     ended: bool = False  # everything was tried
 
@@ -84,11 +85,9 @@ def tune(
 
 class _Tuner:
     def __init__(self, settings, devices, render, seconds, cancelled, on_trial):
-        # all that a clock or an estimate ends would give each candidate other samples; kernels that are compiled
-        # meanwhile would take its time
-        tier = "GENERAL" if settings.kernel_tier == "AUTO" else settings.kernel_tier
+        # all that a clock or an estimate ends would give each candidate other samples
         ends = dict(time_limit=0.0, error_target=0.0, error_estimate="OFF", adaptive_sampling="OFF", denoise="OFF")
-        self._base = settings.replace(**ends, kernel_tier=tier, counters="OFF")
+        self._base = settings.replace(**ends, counters="OFF")
         self._devices, self._render, self._cancelled, self._on_trial = devices, render, cancelled, on_trial
         self._seconds = seconds
         self._digests: dict[str, str] = {}  # by device
@@ -98,8 +97,9 @@ class _Tuner:
         film, samples = self._first()
         if film is None:
             return self.tuning, None
-        self._base = self._base.replace(sample_count=samples)
-        self.tuning.samples = samples
+        # all render with the kernels that were chosen for the first
+        self.tuning.samples, self.tuning.tier = samples, film.statistics["kernels"]["tier"]
+        self._base = self._base.replace(sample_count=samples, kernel_tier=self.tuning.tier)
         if samples > 1:
             film = self._trial({}, raises=True) or film
         else:

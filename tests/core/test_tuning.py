@@ -27,6 +27,7 @@ class Renders:
             "seconds": {"render": self.seconds(settings) * settings.sample_count},
             "device": {"alias": alias},
             "auto": AUTO,
+            "kernels": {"tier": "GENERAL"},
             "schedule": {"ray_count": 1000},
         }
         return SimpleNamespace(complete=not cancelled(), statistics=statistics, passes={"Combined": pixels})
@@ -65,7 +66,7 @@ def test_what_ends_by_clock_or_error_is_off_and_kernels_stay_the_same():
     assert tuning.samples == 3, "no more than the picture has"
     for each in renders.asked:
         assert (each.time_limit, each.adaptive_sampling, each.error_target, each.denoise) == (0, "OFF", 0, "OFF")
-        assert each.kernel_tier == "GENERAL"
+    assert [each.kernel_tier for each in renders.asked] == ["AUTO", *["GENERAL"] * (len(renders.asked) - 1)]
 
 
 def test_devices_are_tried_and_each_has_bits_of_its_own():

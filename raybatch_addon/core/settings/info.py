@@ -104,6 +104,12 @@ class SettingInfo:
         return f"{lowest} to {highest}"
 
     @property
+    def title(self) -> str:
+        """The label, with its panel's where it says nothing alone."""
+        group = GROUPS[self.group]
+        return f"{group.label}, {self.label}" if group.parent else self.label
+
+    @property
     def is_switch(self) -> bool:
         """Whether it is on or off, and nothing else."""
         return sorted(identifier for identifier, _, _ in self.choices) == ["OFF", "ON"]

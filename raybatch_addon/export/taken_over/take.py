@@ -32,7 +32,7 @@ class Difference:
 
     def text(self, engine: str) -> str:
         """It in words."""
-        label = _OF_FILE.get(self.setting) or SETTINGS[self.setting].label
+        label = _OF_FILE.get(self.setting) or SETTINGS[self.setting].title
         return f"{label}: {_shown(self.theirs)} in {ENGINE_LABELS[engine]}, {_shown(self.ours)} here"
 
 

@@ -30,7 +30,8 @@ class RAYBATCH_RENDER_PT_before_render(EnginePanel, bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        layout.prop(context.scene.raybatch_export, "strict")
+        layout.label(text="Refuse to Render")
+        layout.prop(context.scene.raybatch_export, "strict", text="")
         layout.operator(RAYBATCH_OT_check_scene.bl_idname, icon="VIEWZOOM")
         found = missing.found_in(context.scene)
         if found is None:
@@ -63,7 +64,8 @@ class RAYBATCH_RENDER_PT_settings_from(EnginePanel, bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        layout.prop(context.scene.raybatch_export, "material_output")
+        layout.label(text="Material Output")
+        layout.prop(context.scene.raybatch_export, "material_output", text="")
         for engine in (CYCLES, EEVEE):
             text = f"Settings From {ENGINE_LABELS[engine]}"
             layout.operator(RAYBATCH_OT_settings_from.bl_idname, text=text, icon="IMPORT").engine = engine

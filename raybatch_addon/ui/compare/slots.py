@@ -10,6 +10,8 @@ from bpy.app.handlers import persistent
 
 from ...blender import reports
 from ...convergence.run_texts import error_line
+from ...core.settings.settings import SETTINGS
+from ..choices import value_text
 from ..panel import ENGINE
 
 RESULT = "Render Result"
@@ -49,8 +51,12 @@ def title_of(report: reports.RenderReport) -> str:
 
 
 def differences(settings: dict[str, Any], others: dict[str, Any]) -> list[str]:
-    """Names and values of the settings that differ, as `settings` has them."""
-    return [f"{name} {value}" for name, value in settings.items() if name in others and others[name] != value]
+    """Titles and values of the settings that differ, as `settings` has them."""
+    return [
+        f"{SETTINGS[name].title} {value_text(SETTINGS[name], value)}"
+        for name, value in settings.items()
+        if name in SETTINGS and name in others and others[name] != value
+    ]
 
 
 @persistent

@@ -68,7 +68,9 @@ def _why(trial) -> str:
 def notes(tuning) -> list[str]:
     """What is to know about the table."""
     count = f"{tuning.samples} sample{'s' if tuning.samples != 1 else ''}"
-    lines = [f"Time of a sample of every pixel, from {count} by general kernels. Rows build on the best above."]
+    lines = [
+        f"Time of a sample of every pixel, from {count} by {tuning.tier.lower()} kernels. Rows build on the best above."
+    ]
     differing = [each for each in tuning.trials if each.same_bits is False]
     if differing:
         lines.append(f"Not the same bits: {change_text(differing[0].changes)}. This is a fault of RayBatch: tell it")

@@ -30,7 +30,7 @@ def test_renders_go_into_slots_of_their_own(rendered):
     assert len(set(numbers)) == 3, "each has its own"
     assert [each.settings["sample_count"] for _, each in slots.known()] == [3, 2, 1]
     labels = [note[1] for note in drawn(RAYBATCH_RENDER_PT_compare, context_of(rendered)) if note[0] == "label"]
-    assert "Here sample_count 2" in labels and "Here sample_count 1" in labels and "Here sample_count 3" not in labels
+    assert "Here Samples 2" in labels and "Here Samples 1" in labels and "Here Samples 3" not in labels
     buttons = [note for note in drawn(RAYBATCH_RENDER_PT_compare, context_of(rendered)) if note[0] == "operator"]
     assert [note[2] for note in buttons[1:]] == [f"Slot {number + 1}" for number in reversed(numbers)]
     bpy.ops.raybatch.show_slot(slot=numbers[0])

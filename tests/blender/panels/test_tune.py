@@ -23,7 +23,7 @@ TRIALS = [
 
 @pytest.fixture
 def found(scene, monkeypatch):
-    made = Tuning(RenderSettings(), 4, list(TRIALS), True)
+    made = Tuning(RenderSettings(), 4, "GENERAL", list(TRIALS), True)
     monkeypatch.setattr(tuning, "_last", tuning.Tuned(scene.name, made))
     return made
 
