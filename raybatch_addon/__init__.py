@@ -12,11 +12,12 @@ def register() -> None:
     import bpy
 
     from . import engine, ui
-    from .blender import finals
+    from .blender import finals, migration
 
     ui.register()
     bpy.utils.register_class(engine.RayBatchRenderEngine)
     finals.register()
+    migration.register()
     if bpy.app.module:
         # Python ends before Blender here, and Blender 4.5 waits for ever on classes that are still registered
         atexit.register(_unregister_at_exit)
@@ -30,10 +31,11 @@ def unregister() -> None:
     import bpy
 
     from . import engine, ui
-    from .blender import finals, missing, reports
+    from .blender import finals, migration, missing, reports
 
     atexit.unregister(_unregister_at_exit)
     bpy.utils.unregister_class(engine.RayBatchRenderEngine)
+    migration.unregister()
     ui.unregister()
     finals.unregister()
     viewports = sys.modules.get(f"{__name__}.blender.viewport.viewport")

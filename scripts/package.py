@@ -24,7 +24,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 MANIFEST = "blender_manifest.toml"
-STATISTICS = "raybatch_addon/core/measure/statistics.py"
+VERSION_FILE = "raybatch_addon/core/version.py"
 # the name of pip's platform, by Blender's. Warp's wheels are the same for every Python 3.
 PIP_PLATFORMS = {"linux-x64": "manylinux_2_28_x86_64", "windows-x64": "win_amd64", "macos-arm64": "macosx_11_0_arm64"}
 
@@ -38,18 +38,11 @@ class DownloadError(PackageError):
 
 
 def project_version() -> str:
-    """The version that the manifest and the statistics agree on; raises `PackageError` when they do not."""
-    statistics = (ROOT / STATISTICS).read_text(encoding="utf-8")
-    said = re.search(r'^VERSION = "([^"]+)"', statistics, re.MULTILINE)
-    versions = {
-        MANIFEST: tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8"))["version"],
-        STATISTICS: said[1] if said else "nothing",
-    }
-    if len(set(versions.values())) > 1:
-        raise PackageError(
-            "the versions differ: " + "; ".join(f"{name} says {version}" for name, version in versions.items())
-        )
-    return versions[MANIFEST]
+    """The version, which stands in one place; raises `PackageError` where it does not."""
+    said = re.search(r'^VERSION = "([^"]+)"', (ROOT / VERSION_FILE).read_text(encoding="utf-8"), re.MULTILINE)
+    if said is None:
+        raise PackageError(f"{VERSION_FILE} says no version")
+    return said[1]
 
 
 def warp_requirement() -> tuple[str, str]:
@@ -137,10 +130,11 @@ def stage(folder: Path, platform: str, wheel: Path) -> None:
     except OSError:
         shutil.copy(wheel, folder / "wheels")
     text = (ROOT / MANIFEST).read_text(encoding="utf-8")
-    kept = [line for line in text.splitlines() if not line.startswith(("platforms", "# `wheels`"))]
+    kept = [line for line in text.splitlines() if not line.startswith(("platforms", "#"))]
     # top-level keys must come before the first table
     first_table = next(i for i, line in enumerate(kept) if line.startswith("["))
-    kept[first_table:first_table] = [f'platforms = ["{platform}"]', f'wheels = ["./wheels/{wheel.name}"]', ""]
+    version = f'version = "{project_version()}"'
+    kept[first_table:first_table] = [version, f'platforms = ["{platform}"]', f'wheels = ["./wheels/{wheel.name}"]', ""]
     (folder / MANIFEST).write_text("\n".join(kept) + "\n", encoding="utf-8")
 
 

@@ -111,8 +111,8 @@ def _render_view(
     for listener in scene_listeners:
         listener(layer_name, scene, settings)
     missing.refuse_what_lacks(depsgraph.scene, found)
-    if tuning.is_asked():
-        tried = tuning.run(scene, settings, engine.test_break, status.show)
+    if tuning.is_tuning():
+        tried = tuning.run_tuning(scene, settings, engine.test_break, status.show)
         if tried is not None:
             ResultWriter(engine, layer_name, scene.frame.region[:2], view.name).write(whole_tile(tried))
         return

@@ -29,38 +29,38 @@ _asked: tuple[str, float] | None = None  # the scene's name, and seconds for a c
 _last: Tuned | None = None
 
 
-def ask(scene: str, seconds: float) -> None:
+def ask_for_tuning(scene: str, seconds: float) -> None:
     """The next render tries schedules on `scene`, each for some `seconds`."""
     global _asked
     with _lock:
         _asked = (scene, seconds)
 
 
-def withdraw() -> None:
+def withdraw_tuning() -> None:
     """The next render is a picture again."""
     global _asked
     with _lock:
         _asked = None
 
 
-def is_asked() -> bool:
+def is_tuning() -> bool:
     """Whether the render under way is one of these."""
     return _asked is not None
 
 
-def last() -> Tuned | None:
+def last_tuned() -> Tuned | None:
     """What was tried last, as far as that is."""
     return _last
 
 
-def forget() -> None:
+def forget_tuned() -> None:
     """Forget it."""
     global _last
     _last = None
-    withdraw()
+    withdraw_tuning()
 
 
-def run(
+def run_tuning(
     scene: Scene, settings: RenderSettings, cancelled: Callable[[], bool], show: Callable[[str], None]
 ) -> Film | None:
     """Try schedules on `scene`; returns the film of the given settings, None where it was stopped before there was one.
@@ -96,7 +96,7 @@ def _taken() -> Iterator[tuple[str, float]]:
     try:
         yield _asked
     finally:
-        withdraw()
+        withdraw_tuning()
 
 
 def _other_devices(settings: RenderSettings) -> list[str]:

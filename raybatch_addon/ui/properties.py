@@ -140,6 +140,9 @@ def _megabytes(info: SettingInfo):
 def _annotations() -> dict:
     properties = {name: _property(info) for name, info in SETTINGS.items()}
     views = {megabytes_name(info): _megabytes(info) for info in SETTINGS.values() if info.unit == BYTES}
+    views["version"] = bpy.props.StringProperty(
+        name="Version", description="The version of RayBatch that last had these settings", options={"HIDDEN"}
+    )
     views[CHOICE] = device_choice_property()
     return properties | views | {switch_name(info): _switch(info) for info in SETTINGS.values() if switch_name(info)}
 

@@ -51,7 +51,19 @@ def test_what_is_faster_is_kept_and_tried_with_the_rest():
     ]
     assert tuning.best.changes == {"batching": "ON", "ray_count": 2000}
     assert tuning.best.seconds == pytest.approx(0.2)
-    assert [each.sample_count for each in renders.asked] == [1, *[4] * 6], "all render the same samples"
+    assert [each.sample_count for each in renders.asked] == [1, *[4] * 8], "all render the same samples"
+    assert [each.ray_count for each in renders.asked[-2:]] == [0, 2000], "first and fastest are looked at twice"
+
+
+def test_a_machine_that_had_other_work_at_first_decides_nothing():
+    count = []
+
+    def seconds(_settings):
+        count.append(1)
+        return 0.9 if len(count) == 2 else 0.3
+
+    tuning, _ = tune(RenderSettings(), [], Renders(seconds), 2.0)
+    assert tuning.best.changes == {} and tuning.best.seconds == pytest.approx(0.3)
 
 
 def test_noise_of_the_clock_changes_nothing():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ...blender import missing
+from ...blender import migration, missing
 from ...core.errors import SettingsError
 from ...core.scene.notice import Notice, Weight
 from ...export.taken_over.rows import CYCLES, EEVEE
@@ -25,11 +25,15 @@ class RAYBATCH_RENDER_PT_before_render(EnginePanel, bpy.types.Panel):
 
     def draw_header(self, context):
         found = missing.found_in(context.scene)
-        if found:
+        if migration.complaint(context.scene):
+            self.layout.label(text="", icon="ERROR")
+        elif found:
             self.layout.label(text="", icon=ICONS[found[0].weight])
 
     def draw(self, context):
         layout = self.layout
+        if newer := migration.complaint(context.scene):
+            draw_box(layout, context, newer, "ERROR")
         layout.label(text="Refuse to Render")
         layout.prop(context.scene.raybatch_export, "strict", text="")
         layout.operator(RAYBATCH_OT_check_scene.bl_idname, icon="VIEWZOOM")

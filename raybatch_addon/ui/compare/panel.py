@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..panel import LATER, EnginePanel, draw_lines
-from .slots import RAYBATCH_OT_render_in_new_slot, RAYBATCH_OT_show_slot, differences, known, slots
+from .slots import RAYBATCH_OT_render_in_new_slot, RAYBATCH_OT_show_slot, known_renders, slots, unlike
 
 
 class RAYBATCH_RENDER_PT_compare(EnginePanel, bpy.types.Panel):
@@ -18,7 +18,7 @@ class RAYBATCH_RENDER_PT_compare(EnginePanel, bpy.types.Panel):
     def draw(self, context):
         layout = self.layout
         layout.operator(RAYBATCH_OT_render_in_new_slot.bl_idname, icon="RENDER_STILL")
-        found = known()
+        found = known_renders()
         if not found:
             draw_lines(layout, context, ["Renders are listed here, to be shown side by side or one after another"])
             return
@@ -30,7 +30,7 @@ class RAYBATCH_RENDER_PT_compare(EnginePanel, bpy.types.Panel):
             button = column.operator(RAYBATCH_OT_show_slot.bl_idname, text=text, icon="IMAGE_DATA", depress=is_shown)
             button.slot = index
             lines = [each.title]
-            if each is not newest and (differing := differences(each.settings, newest.settings)):
+            if each is not newest and (differing := unlike(each.settings, newest.settings)):
                 lines.append(f"Here {', '.join(differing)}")
             draw_lines(column, context, lines)
 

@@ -36,21 +36,21 @@ def slots() -> Any | None:
     return image.render_slots if image is not None and len(image.render_slots) else None
 
 
-def known() -> list[tuple[int, SlotRender]]:
+def known_renders() -> list[tuple[int, SlotRender]]:
     """The slots with renders of this engine, by their index, the newest first."""
     there = slots()
     found = [item for item in _renders.items() if there is not None and item[0] < len(there)]
     return sorted(found, key=lambda item: -item[1].number)
 
 
-def title_of(report: reports.RenderReport) -> str:
+def slot_title(report: reports.RenderReport) -> str:
     """Seconds, samples and error of a render, in a line."""
     statistics = next(iter(report.statistics.values()))
     parts = [f"{statistics['seconds']['total']:.1f} s", error_line(statistics), statistics["device"]["alias"]]
     return ", ".join(part for part in parts if part)
 
 
-def differences(settings: dict[str, Any], others: dict[str, Any]) -> list[str]:
+def unlike(settings: dict[str, Any], others: dict[str, Any]) -> list[str]:
     """Titles and values of the settings that differ, as `settings` has them."""
     return [
         f"{SETTINGS[name].title} {value_text(SETTINGS[name], value)}"
@@ -60,7 +60,7 @@ def differences(settings: dict[str, Any], others: dict[str, Any]) -> list[str]:
 
 
 @persistent
-def note(*_: object) -> None:
+def note_render(*_: object) -> None:
     """A render is over: note what is in its slot."""
     global _count
     there, report = slots(), reports.last()
@@ -75,11 +75,11 @@ def note(*_: object) -> None:
         _renders.pop(index, None)  # another engine's render: the last report is of an older one
         return
     _count += 1
-    _renders[index] = SlotRender(_count, title_of(report), statistics.get("settings", {}))
+    _renders[index] = SlotRender(_count, slot_title(report), statistics.get("settings", {}))
 
 
 @persistent
-def forget(*_: object) -> None:
+def forget_slots(*_: object) -> None:
     """Another file was opened: its slots are empty."""
     _renders.clear()
 
@@ -91,6 +91,13 @@ def next_slot() -> int | None:
         return None
     free = [index for index in range(len(there)) if index not in _renders]
     return free[0] if free else min(_renders, key=lambda index: _renders[index].number)
+
+
+def take_next_slot() -> None:
+    """The next render goes there."""
+    index = next_slot()
+    if index is not None:
+        slots().active_index = index
 
 
 class RAYBATCH_OT_render_in_new_slot(bpy.types.Operator):
@@ -105,18 +112,13 @@ class RAYBATCH_OT_render_in_new_slot(bpy.types.Operator):
     def poll(cls, context):
         return context.scene is not None and context.engine == ENGINE and not bpy.app.is_job_running("RENDER")
 
-    def _take_slot(self) -> None:
-        index = next_slot()
-        if index is not None:
-            slots().active_index = index
-
     def invoke(self, _context, _event):
-        self._take_slot()
+        take_next_slot()
         bpy.ops.render.render("INVOKE_DEFAULT")
         return {"FINISHED"}
 
     def execute(self, _context):
-        self._take_slot()
+        take_next_slot()
         return bpy.ops.render.render()
 
 
@@ -149,14 +151,14 @@ def register() -> None:
     """Add the operators, and have renders noted."""
     for cls in _classes:
         bpy.utils.register_class(cls)
-    bpy.app.handlers.render_complete.append(note)
-    bpy.app.handlers.load_pre.append(forget)
+    bpy.app.handlers.render_complete.append(note_render)
+    bpy.app.handlers.load_pre.append(forget_slots)
 
 
 def unregister() -> None:
     """Remove them."""
-    bpy.app.handlers.load_pre.remove(forget)
-    bpy.app.handlers.render_complete.remove(note)
-    forget()
+    bpy.app.handlers.load_pre.remove(forget_slots)
+    bpy.app.handlers.render_complete.remove(note_render)
+    forget_slots()
     for cls in reversed(_classes):
         bpy.utils.unregister_class(cls)

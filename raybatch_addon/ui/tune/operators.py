@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ...export.settings import assign_setting
+from ..compare.slots import take_next_slot
 from ..panel import ENGINE
 
 
@@ -27,20 +28,21 @@ class RAYBATCH_OT_tune(bpy.types.Operator):
     def invoke(self, context, _event):
         from ...blender import tuning
 
-        tuning.ask(context.scene.name, self.seconds)
+        take_next_slot()  # the last picture stays
+        tuning.ask_for_tuning(context.scene.name, self.seconds)
         started = bpy.ops.render.render("INVOKE_DEFAULT")
         if "CANCELLED" in started:
-            tuning.withdraw()
+            tuning.withdraw_tuning()
         return started & {"FINISHED", "CANCELLED"} or {"FINISHED"}
 
     def execute(self, context):
         from ...blender import tuning
 
-        tuning.ask(context.scene.name, self.seconds)
+        tuning.ask_for_tuning(context.scene.name, self.seconds)
         try:
             return bpy.ops.render.render()
         finally:
-            tuning.withdraw()
+            tuning.withdraw_tuning()
 
 
 class RAYBATCH_OT_take_fastest(bpy.types.Operator):
@@ -54,13 +56,13 @@ class RAYBATCH_OT_take_fastest(bpy.types.Operator):
     def poll(cls, context):
         from ...blender import tuning
 
-        found = tuning.last()
+        found = tuning.last_tuned()
         return context.scene is not None and found is not None and found.tuning.best is not None
 
     def execute(self, context):
         from ...blender import tuning
 
-        for name, value in tuning.last().tuning.best.changes.items():
+        for name, value in tuning.last_tuned().tuning.best.changes.items():
             assign_setting(context.scene.raybatch, name, value)
         return {"FINISHED"}
 
@@ -80,6 +82,6 @@ def unregister() -> None:
 
     tuning = sys.modules.get(f"{__package__.rpartition('.ui')[0]}.blender.tuning")
     if tuning is not None:
-        tuning.forget()
+        tuning.forget_tuned()
     for cls in reversed(_classes):
         bpy.utils.unregister_class(cls)

@@ -25,7 +25,7 @@ class RAYBATCH_RENDER_PT_tune(EnginePanel, bpy.types.Panel):
         layout.operator(RAYBATCH_OT_tune.bl_idname, text="Try What Is Fastest", icon="TIME")
         # brought in by the first render: drawing does not wait for the core
         tuning = sys.modules.get(f"{__package__.rpartition('.ui')[0]}.blender.tuning")
-        found = tuning.last() if tuning is not None else None
+        found = tuning.last_tuned() if tuning is not None else None
         if found is None or found.scene != context.scene.name or not found.tuning.trials:
             return
         table = layout.column(align=True)

@@ -33,29 +33,29 @@ def test_schedules_are_tried_by_a_render(scene):
     scene.raybatch.device, scene.raybatch.sample_count = "cpu", 4
     before = settings_from(scene)
     assert bpy.ops.raybatch.tune(seconds=0.05) == {"FINISHED"}
-    made = tuning.last().tuning
+    made = tuning.last_tuned().tuning
     assert made.ended and made.samples >= 1 and not reports.last().errors
     assert len(made.trials) >= 5 and made.trials[0].changes == {}
     assert all(trial.same_bits for trial in made.trials if trial.seconds is not None)
     assert settings_from(scene) == before, "nothing is changed unasked"
-    assert not tuning.is_asked()
+    assert not tuning.is_tuning()
     bpy.ops.render.render()
     assert reports.last().statistics, "the next render is a picture again"
-    tuning.forget()
+    tuning.forget_tuned()
 
 
 def test_an_error_leaves_the_next_render_alone(scene):
     scene.camera = None
     with pytest.raises(RuntimeError):
         bpy.ops.raybatch.tune(seconds=0.05)
-    assert not tuning.is_asked()
+    assert not tuning.is_tuning()
 
 
 def test_the_fastest_is_taken_by_a_click(scene, found):
     before = settings_from(scene)
     assert bpy.ops.raybatch.take_fastest() == {"FINISHED"}
     assert settings_from(scene) == before.replace(batching="ON")
-    tuning.forget()
+    tuning.forget_tuned()
     assert not bpy.ops.raybatch.take_fastest.poll()
 
 

@@ -12,13 +12,13 @@ from tests.support.panel_layout import context_of, drawn
 
 @pytest.fixture
 def rendered(scene):
-    slots.forget()
+    slots.forget_slots()
     add_grid("Grid", 4)
     there = slots.slots()
     if there is not None:
         there.active_index = 0
     yield scene
-    slots.forget()
+    slots.forget_slots()
 
 
 def test_renders_go_into_slots_of_their_own(rendered):
@@ -28,7 +28,7 @@ def test_renders_go_into_slots_of_their_own(rendered):
         assert bpy.ops.raybatch.render_in_new_slot() == {"FINISHED"}
         numbers.append(slots.slots().active_index)
     assert len(set(numbers)) == 3, "each has its own"
-    assert [each.settings["sample_count"] for _, each in slots.known()] == [3, 2, 1]
+    assert [each.settings["sample_count"] for _, each in slots.known_renders()] == [3, 2, 1]
     labels = [note[1] for note in drawn(RAYBATCH_RENDER_PT_compare, context_of(rendered)) if note[0] == "label"]
     assert "Here Samples 2" in labels and "Here Samples 1" in labels and "Here Samples 3" not in labels
     buttons = [note for note in drawn(RAYBATCH_RENDER_PT_compare, context_of(rendered)) if note[0] == "operator"]
@@ -43,12 +43,12 @@ def test_a_render_in_the_same_slot_takes_the_place_of_the_last(rendered):
     for samples in (1, 2):
         rendered.raybatch.sample_count = samples
         bpy.ops.render.render()
-    assert [each.settings["sample_count"] for _, each in slots.known()] == [2]
+    assert [each.settings["sample_count"] for _, each in slots.known_renders()] == [2]
 
 
 def test_the_oldest_render_goes_where_all_slots_are_taken(rendered):
     bpy.ops.render.render()
-    settings = slots.known()[0][1].settings
+    settings = slots.known_renders()[0][1].settings
     count = len(slots.slots())
     for index in range(count):
         slots._renders[index] = slots.SlotRender(1000 + (index - 2) % count, "", dict(settings))
