@@ -24,7 +24,12 @@ class DeviceChoice:
 
 def device_choices() -> tuple[DeviceChoice, ...] | None:
     """AUTO, the CPU and each CUDA device; None as long as they are looked for."""
-    return _found() if warm_up.is_over(_nothing) else None
+    if not warm_up.is_over(_nothing):
+        return None
+    try:
+        return _found()
+    except Exception as error:  # Warp is missing, or does not fit: renders say so too
+        return (DeviceChoice("AUTO", "No device", f"RayBatch cannot start: {type(error).__name__}: {error}"),)
 
 
 def _nothing() -> None:

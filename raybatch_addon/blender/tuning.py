@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..core.film import Film
@@ -24,28 +23,43 @@ class Tuned:
     tuning: Tuning
 
 
-_lock = threading.Lock()
-_asked: tuple[str, float] | None = None  # the scene's name, and seconds for a candidate
+@dataclass
+class _Request:
+    """What was asked for."""
+
+    scene: str
+    seconds: float  # for a candidate
+    has_begun: bool = False  # Blender's render, of one view layer after another
+    is_over: bool = False  # all was tried: other view layers have nothing to do
+
+
+_request: _Request | None = None
 _last: Tuned | None = None
 
 
 def ask_for_tuning(scene: str, seconds: float) -> None:
     """The next render tries schedules on `scene`, each for some `seconds`."""
-    global _asked
-    with _lock:
-        _asked = (scene, seconds)
+    global _request
+    _request = _Request(scene, seconds)
 
 
-def withdraw_tuning() -> None:
+def withdraw_tuning(*_: object) -> None:
     """The next render is a picture again."""
-    global _asked
-    with _lock:
-        _asked = None
+    global _request
+    _request = None
+
+
+def begin_tuning(*_: object) -> None:
+    """A render begins: what another one was asked for is over, however that ended."""
+    if _request is not None and _request.has_begun:
+        withdraw_tuning()
+    elif _request is not None:
+        _request.has_begun = True
 
 
 def is_tuning() -> bool:
     """Whether the render under way is one of these."""
-    return _asked is not None
+    return _request is not None
 
 
 def last_tuned() -> Tuned | None:
@@ -67,36 +81,31 @@ def run_tuning(
     Raises `RayBatchError`.
     """
     global _last
-    with _taken() as (name, seconds):
-        tried = "the settings as they are"
+    request = _request
+    if request is None or request.is_over:
+        return None
+    request.is_over = True
+    tried = "the settings as they are"
 
-        def render(candidate, ends, look) -> Film:
-            def on_progress(progress: Progress) -> None:
-                look(progress)
-                show(f"Tune: {tried}: {progress.message or progress.stage}")
+    def render(candidate: RenderSettings, ends: Callable[[], bool], look: Callable[[Progress], None]) -> Film:
+        def on_progress(progress: Progress) -> None:
+            look(progress)
+            show(f"Tune: {tried}: {progress.message or progress.stage}")
 
-            with session_for(candidate, ends) as session:
-                if session is None:
-                    return Film.empty(scene.frame)
-                return session.render(scene, candidate, on_progress=on_progress, cancelled=ends)
+        with session_for(candidate, ends) as session:
+            if session is None:
+                return dataclasses.replace(Film.empty(scene.frame), complete=False)
+            return session.render(scene, candidate, on_progress=on_progress, cancelled=ends)
 
-        def on_trial(tuning: Tuning, following: str) -> None:
-            global _last
-            nonlocal tried
-            _last, tried = Tuned(name, tuning), following or tried
+    def on_trial(tuning: Tuning, following: str) -> None:
+        global _last
+        nonlocal tried
+        _last, tried = Tuned(request.scene, tuning), following or tried
 
-        tuning, film = tune(settings, _other_devices(settings), render, seconds, cancelled=cancelled, on_trial=on_trial)
-        _last = Tuned(name, tuning)
-        return film
-
-
-@contextmanager
-def _taken() -> Iterator[tuple[str, float]]:
-    """What was asked for; the next render is a picture again."""
-    try:
-        yield _asked
-    finally:
-        withdraw_tuning()
+    devices = _other_devices(settings)
+    tuning, film = tune(settings, devices, render, request.seconds, cancelled=cancelled, on_trial=on_trial)
+    _last = Tuned(request.scene, tuning)
+    return film
 
 
 def _other_devices(settings: RenderSettings) -> list[str]:

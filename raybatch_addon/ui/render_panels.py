@@ -97,10 +97,11 @@ def _draw_complaint(layout, context) -> None:
 
 
 def _draw_switch(self, context):
-    name = _IN_HEADER[self.group]
+    own, name = context.scene.raybatch, _IN_HEADER[self.group]
     row = self.layout.row()
-    row.enabled = self.group != "DENOISING" or not why_not(context.scene.raybatch.denoise_library)
-    row.prop(context.scene.raybatch, switch_name(SETTINGS[name]), text="")
+    # what cannot be had can be turned off, where another computer turned it on
+    row.enabled = getattr(own, name) == "ON" or not why_not(own.denoise_library)
+    row.prop(own, switch_name(SETTINGS[name]), text="")
 
 
 def _draw_presets(self, _context):

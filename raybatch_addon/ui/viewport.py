@@ -43,7 +43,7 @@ class RAYBATCH_RENDER_PT_viewport(EnginePanel, bpy.types.Panel):
         layout.prop(own, "samples")
         missing = why_not(scene.raybatch.denoise_library)
         row = layout.row()
-        row.enabled = not missing
+        row.enabled = own.denoise or not missing
         row.prop(own, "denoise")
         if missing and own.denoise:
             draw_box(layout, context, missing)

@@ -7,6 +7,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import reports
+from raybatch_addon.blender.devices import DeviceChoice
 from raybatch_addon.core.settings.settings import SETTINGS
 from raybatch_addon.export.settings import assign_setting, settings_from
 from raybatch_addon.ui import choices, memory
@@ -138,10 +139,14 @@ def test_memory_before_the_first_render(scene):
     assert " ".join(labels) == " ".join(memory.estimate_lines(context_of(scene)))
 
 
-def test_a_device_that_is_not_known_is_not_guessed(scene):
+def test_a_device_that_is_not_known_is_not_guessed(scene, monkeypatch):
     reports.clear()
     scene.raybatch.device = "AUTO"
-    assert memory.estimate_lines(context_of(scene)) == ["Name a device or render once, for an estimate of memory"]
+    monkeypatch.setattr(memory, "device_choices", lambda: None)
+    assert memory.estimate_lines(context_of(scene)) == ["Memory is estimated once the devices are known"]
+    of_gpu = DeviceChoice("cuda:0", "NVIDIA H100, 80 GiB", "")
+    monkeypatch.setattr(memory, "device_choices", lambda: (of_gpu,))
+    assert memory.estimate_lines(context_of(scene))[0].startswith("Rays: 4,194,304 x ")
     scene.raybatch.device = "cuda:3"
     assert memory.estimate_lines(context_of(scene))[0].startswith("Rays: 4,194,304 x ")
 

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+from typing import Any
+
 import bpy
+from bpy.app.handlers import persistent
 
 from ...export.settings import assign_setting
 from ..compare.slots import take_next_slot
@@ -70,18 +75,41 @@ class RAYBATCH_OT_take_fastest(bpy.types.Operator):
 _classes = (RAYBATCH_OT_tune, RAYBATCH_OT_take_fastest)
 
 
+def _handlers() -> tuple[tuple[list, Callable[..., None]], ...]:
+    told = bpy.app.handlers
+    return (told.render_init, _begin), (told.render_complete, _end), (told.render_cancel, _end)
+
+
+def _tuning() -> Any | None:
+    """The module, once it is there: it brings in the core, which registering does not wait for."""
+    return sys.modules.get(f"{__package__.rpartition('.ui')[0]}.blender.tuning")
+
+
+@persistent
+def _begin(*_: object) -> None:
+    if (tuning := _tuning()) is not None:
+        tuning.begin_tuning()
+
+
+@persistent
+def _end(*_: object) -> None:
+    if (tuning := _tuning()) is not None:
+        tuning.withdraw_tuning()
+
+
 def register() -> None:
-    """Add the operators."""
+    """Add the operators, and have Blender tell of its renders."""
     for cls in _classes:
         bpy.utils.register_class(cls)
+    for handlers, function in _handlers():
+        handlers.append(function)
 
 
 def unregister() -> None:
     """Remove the operators, and what was found."""
-    import sys
-
-    tuning = sys.modules.get(f"{__package__.rpartition('.ui')[0]}.blender.tuning")
-    if tuning is not None:
+    for handlers, function in _handlers():
+        handlers.remove(function)
+    if (tuning := _tuning()) is not None:
         tuning.forget_tuned()
     for cls in reversed(_classes):
         bpy.utils.unregister_class(cls)

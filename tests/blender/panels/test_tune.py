@@ -44,6 +44,26 @@ def test_schedules_are_tried_by_a_render(scene):
     tuning.forget_tuned()
 
 
+def test_other_view_layers_are_left_alone(scene, monkeypatch):
+    scene.view_layers.new("Second")
+    scene.raybatch.sample_count = 2
+    calls = []
+    monkeypatch.setattr(tuning, "tune", lambda *args, **_rest: calls.append(args) or (Tuning(args[0]), None))
+    bpy.ops.raybatch.tune(seconds=0.05)
+    assert len(calls) == 1 and not reports.last().statistics, "nothing is rendered for the second layer"
+    bpy.ops.render.render()
+    assert len(calls) == 1 and len(reports.last().statistics) == 2
+    scene.view_layers.remove(scene.view_layers["Second"])
+
+
+def test_what_was_asked_for_and_began_is_over_when_the_next_render_begins(scene):
+    tuning.ask_for_tuning(scene.name, 1.0)
+    tuning.begin_tuning()
+    assert tuning.is_tuning()
+    tuning.begin_tuning()
+    assert not tuning.is_tuning(), "Blender never told of its end"
+
+
 def test_an_error_leaves_the_next_render_alone(scene):
     scene.camera = None
     with pytest.raises(RuntimeError):
