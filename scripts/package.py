@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import importlib.util
-import re
 import shutil
 import subprocess
 import sys
@@ -24,7 +23,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 MANIFEST = "blender_manifest.toml"
-VERSION_FILE = "raybatch_addon/core/version.py"
 # the name of pip's platform, by Blender's. Warp's wheels are the same for every Python 3.
 PIP_PLATFORMS = {"linux-x64": "manylinux_2_28_x86_64", "windows-x64": "win_amd64", "macos-arm64": "macosx_11_0_arm64"}
 
@@ -38,11 +36,11 @@ class DownloadError(PackageError):
 
 
 def project_version() -> str:
-    """The version, which stands in one place; raises `PackageError` where it does not."""
-    said = re.search(r'^VERSION = "([^"]+)"', (ROOT / VERSION_FILE).read_text(encoding="utf-8"), re.MULTILINE)
-    if said is None:
-        raise PackageError(f"{VERSION_FILE} says no version")
-    return said[1]
+    """The version, which stands in the manifest alone; raises `PackageError` where it does not."""
+    version = tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8")).get("version")
+    if version is None:
+        raise PackageError(f"{MANIFEST} says no version")
+    return version
 
 
 def warp_requirement() -> tuple[str, str]:
@@ -130,11 +128,10 @@ def stage(folder: Path, platform: str, wheel: Path) -> None:
     except OSError:
         shutil.copy(wheel, folder / "wheels")
     text = (ROOT / MANIFEST).read_text(encoding="utf-8")
-    kept = [line for line in text.splitlines() if not line.startswith(("platforms", "#"))]
+    kept = [line for line in text.splitlines() if not line.startswith(("platforms", "# `wheels`"))]
     # top-level keys must come before the first table
     first_table = next(i for i, line in enumerate(kept) if line.startswith("["))
-    version = f'version = "{project_version()}"'
-    kept[first_table:first_table] = [version, f'platforms = ["{platform}"]', f'wheels = ["./wheels/{wheel.name}"]', ""]
+    kept[first_table:first_table] = [f'platforms = ["{platform}"]', f'wheels = ["./wheels/{wheel.name}"]', ""]
     (folder / MANIFEST).write_text("\n".join(kept) + "\n", encoding="utf-8")
 
 
