@@ -1,6 +1,7 @@
 """The menus of presets: Blender's own mechanism, with files for what the core defines."""
 
 import re
+from pathlib import Path
 
 import pytest
 
@@ -25,15 +26,15 @@ def test_a_preset_sets_what_the_core_says(scene, name):
 def files(folder):
     """The files of a menu, by the names that it shows."""
     return {
-        bpy.path.display_name(path.name): path
+        bpy.path.display_name(path.name, title_case=False): path
         for each in bpy.utils.preset_paths(folder)
-        for path in sorted(__import__("pathlib").Path(each).glob("*.py"))
+        for path in sorted(Path(each).glob("*.py"))
     }
 
 
 def test_the_menus_offer_what_users_look_for(scene):
     assert {"Preview", "Balanced", "Final", "Thesis"} <= set(files(presets.RENDER))
-    assert {"Auto", "Thesis", "Unbatched"} <= set(files(presets.BATCHING))
+    assert {"Automatic", "Thesis", "Unbatched"} <= set(files(presets.BATCHING))
     for group, panel in (("SAMPLING", "RAYBATCH_PT_render_presets"), ("BATCHING", "RAYBATCH_PT_batching_presets")):
         of_group = next(each for each in own_panels() if getattr(each, "group", None) == group)
         assert ("popover", panel, "PRESET") in drawn(of_group, context_of(scene), "draw_header_preset")
@@ -49,7 +50,7 @@ def test_each_file_of_a_menu_sets_its_preset(scene, folder):
         menu = f"RAYBATCH_PT_{folder.rpartition('/')[2]}_presets"
         bpy.ops.script.execute_preset(filepath=str(path), menu_idname=menu)
         named = re.search(r'preset="(\w+)"', path.read_text())[1]
-        assert named == path.stem.upper()
+        assert PRESETS[named].label == path.stem
         assert settings_from(scene) == before.replace(**preset_settings(named))
 
 
