@@ -85,9 +85,11 @@ def _opened(*_: object) -> None:
 
 
 def register() -> None:
-    """Have Blender tell of files."""
+    """Have Blender tell of files; where the add-on is enabled with one open, that is brought to this version too."""
     bpy.app.handlers.load_post.append(_opened)
     bpy.app.handlers.save_pre.append(migrate_all)
+    if hasattr(bpy.data, "scenes"):  # not while Blender itself starts: it opens a file then
+        migrate_all()
 
 
 def unregister() -> None:

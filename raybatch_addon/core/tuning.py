@@ -84,7 +84,15 @@ def tune(
 
 
 class _Tuner:
-    def __init__(self, settings, devices, render, seconds, cancelled, on_trial):
+    def __init__(
+        self,
+        settings: RenderSettings,
+        devices: Sequence[str],
+        render: Render,
+        seconds: float,
+        cancelled: Callable[[], bool],
+        on_trial: Callable[[Tuning, str], None],
+    ):
         # all that a clock or an estimate ends would give each candidate other samples
         ends = dict(time_limit=0.0, error_target=0.0, error_estimate="OFF", adaptive_sampling="OFF", denoise="OFF")
         self._base = settings.replace(**ends, counters="OFF")

@@ -64,6 +64,13 @@ def test_migrations_happen_once_and_in_order(scene, monkeypatch):
     assert called[2:] == ["0.2.0"]
 
 
+def test_a_file_that_is_open_where_the_addon_is_enabled_is_migrated(addon, scene):
+    scene.raybatch.device, scene.raybatch.version = "cuda", ""
+    migration.unregister()
+    migration.register()
+    assert scene.raybatch.device == "cuda:0"
+
+
 def test_the_version_is_kept_in_the_file(scene, tmp_path):
     path = str(tmp_path / "kept.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
