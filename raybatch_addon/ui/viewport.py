@@ -23,7 +23,7 @@ class RayBatchViewport(bpy.types.PropertyGroup):
     )
     denoise: bpy.props.BoolProperty(
         name="Denoise",
-        description="Show pictures without their noise, at 1, 2, 4, 8 and so on samples. How is set under Denoising",
+        description="Show pictures without their noise, at 1, 2, 4, 8 and so on samples. How is set under Denoise",
         default=False,
         options=set(),
     )
