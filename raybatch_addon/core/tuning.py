@@ -166,7 +166,9 @@ class _Tuner:
         limit = _GIVEN_UP * best.seconds * self.tuning.samples + _MOMENT if best else float("inf")
         clock = _Clock(limit)
         try:
-            settings = self._base.replace(**changes)
+            # another device renders with what it has: its kernels are not compiled to be tried
+            tier = {"kernel_tier": "AUTO"} if "device" in changes else {}
+            settings = self._base.replace(**tier, **changes)
             film = self._render(settings, lambda: self._cancelled() or clock.is_over(), clock.look)
         except RayBatchError as error:
             if raises:

@@ -86,6 +86,7 @@ def test_devices_are_tried_and_each_has_bits_of_its_own():
     tuning, _ = tune(RenderSettings(device="cpu"), ["cuda:0"], renders, 1.0)
     assert changes(tuning)[1] == {"device": "cuda:0"} and tuning.best.changes["device"] == "cuda:0"
     assert all(trial.same_bits for trial in tuning.trials)
+    assert {each.kernel_tier for each in renders.asked if each.device == "cuda:0"} == {"AUTO"}, "nothing is compiled"
 
 
 def test_another_film_is_told_and_never_offered():
