@@ -6,8 +6,8 @@ import bpy
 from bl_ui.properties_view_layer import ViewLayerAOVPanelHelper
 from bpy_extras.node_utils import find_node_input
 
-from ..export.settings import output_engine
-from .panel import EnginePanel
+from ...export.settings import output_engine
+from ..panel import EnginePanel
 
 
 class RAYBATCH_MATERIAL_PT_settings(EnginePanel, bpy.types.Panel):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..export.passes import (
+from ...export.passes import (
     CATCHER_PROPERTY,
     COST_PASS_PROPERTIES,
     LIGHT_PASS_PROPERTIES,
@@ -12,7 +12,7 @@ from ..export.passes import (
     PASS_PROPERTIES,
     VOLUME_PASS_PROPERTIES,
 )
-from .panel import EnginePanel
+from ..panel import EnginePanel
 
 _GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}
 
