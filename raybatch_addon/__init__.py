@@ -12,12 +12,11 @@ def register() -> None:
     import bpy
 
     from . import engine, ui
-    from .blender import finals, migration
+    from .blender import finals
 
     ui.register()
     bpy.utils.register_class(engine.RayBatchRenderEngine)
     finals.register()
-    migration.register()
     if bpy.app.module:
         # Python ends before Blender here, and Blender 4.5 waits for ever on classes that are still registered
         atexit.register(_unregister_at_exit)
@@ -31,11 +30,10 @@ def unregister() -> None:
     import bpy
 
     from . import engine, ui
-    from .blender import finals, migration, missing, reports
+    from .blender import finals, missing, reports
 
     atexit.unregister(_unregister_at_exit)
     bpy.utils.unregister_class(engine.RayBatchRenderEngine)
-    migration.unregister()
     ui.unregister()
     finals.unregister()
     viewports = sys.modules.get(f"{__name__}.blender.viewport.viewport")

@@ -53,7 +53,6 @@ ROOMS = (
     "blender/__init__.py",
     "blender/reports.py",
     "blender/exit_code.py",
-    "blender/migration.py",
     "blender/missing.py",
     "blender/kernel_cache.py",
     "blender/general_kernels.py",

@@ -10,6 +10,7 @@ from . import (
     convergence,
     devices,
     last_render,
+    migration,
     preferences,
     presets,
     properties,
@@ -21,6 +22,7 @@ from . import (
 
 _parts = (
     properties,
+    migration,
     choices,
     devices,
     presets,

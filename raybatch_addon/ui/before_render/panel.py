@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import bpy
 
-from ...blender import migration, missing
+from ...blender import missing
 from ...core.errors import SettingsError
 from ...core.scene.notice import Notice, Weight
 from ...export.taken_over.rows import CYCLES, EEVEE
 from ...export.taken_over.take import ENGINE_LABELS, differences
+from .. import migration
 from ..panel import LATER, EnginePanel, draw_box, draw_lines
 from .operators import RAYBATCH_OT_check_scene, RAYBATCH_OT_select_object, RAYBATCH_OT_settings_from
 

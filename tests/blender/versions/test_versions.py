@@ -7,10 +7,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import migration
 from raybatch_addon.core.settings.settings import SETTINGS
 from raybatch_addon.core.version import VERSION
 from raybatch_addon.export.settings import settings_from
+from raybatch_addon.ui import migration
 from tests.support.panel_layout import context_of, drawn, own_panels
 
 FOLDER = Path(__file__).parent
