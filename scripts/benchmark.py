@@ -112,7 +112,7 @@ def argument_parser() -> argparse.ArgumentParser:
         added.add_argument(
             "--preset",
             metavar="NAME",
-            help=f"set the whole schedule: {', '.join(PRESETS)}. --set then changes single settings of it",
+            help=f"set what a preset sets: {', '.join(PRESETS)}. --set then changes single settings of it",
         )
         added.add_argument(
             "--set",

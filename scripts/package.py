@@ -13,7 +13,6 @@ from __future__ import annotations
 import argparse
 import importlib.metadata
 import importlib.util
-import re
 import shutil
 import subprocess
 import sys
@@ -24,7 +23,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 MANIFEST = "blender_manifest.toml"
-STATISTICS = "raybatch_addon/core/measure/statistics.py"
 # the name of pip's platform, by Blender's. Warp's wheels are the same for every Python 3.
 PIP_PLATFORMS = {"linux-x64": "manylinux_2_28_x86_64", "windows-x64": "win_amd64", "macos-arm64": "macosx_11_0_arm64"}
 
@@ -38,18 +36,11 @@ class DownloadError(PackageError):
 
 
 def project_version() -> str:
-    """The version that the manifest and the statistics agree on; raises `PackageError` when they do not."""
-    statistics = (ROOT / STATISTICS).read_text(encoding="utf-8")
-    said = re.search(r'^VERSION = "([^"]+)"', statistics, re.MULTILINE)
-    versions = {
-        MANIFEST: tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8"))["version"],
-        STATISTICS: said[1] if said else "nothing",
-    }
-    if len(set(versions.values())) > 1:
-        raise PackageError(
-            "the versions differ: " + "; ".join(f"{name} says {version}" for name, version in versions.items())
-        )
-    return versions[MANIFEST]
+    """The version, which stands in the manifest alone; raises `PackageError` where it does not."""
+    version = tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8")).get("version")
+    if version is None:
+        raise PackageError(f"{MANIFEST} says no version")
+    return version
 
 
 def warp_requirement() -> tuple[str, str]:

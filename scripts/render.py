@@ -89,8 +89,8 @@ def argument_parser() -> argparse.ArgumentParser:
     add(
         "--preset",
         metavar="NAME",
-        help=f"set the whole schedule (all that changes only how long a render takes, but for the device): "
-        f"{', '.join(PRESETS)}.\n"
+        help=f"{', '.join(PRESETS)}: set samples, noise, bounces and denoising, or the whole schedule (all that\n"
+        "changes only how long a render takes, but for the device).\n"
         "--set then changes single settings of it",
     )
     add(

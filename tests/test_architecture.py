@@ -13,7 +13,9 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "raybatch_addon"
 FILES = sorted(PACKAGE.rglob("*.py"))
 CORE_FILES = sorted((PACKAGE / "core").rglob("*.py"))
-FOLDERS = sorted({path.parent for path in FILES})
+# each file below is an entry of a menu, which Blender makes of the folder
+MENUS = PACKAGE / "presets" / "raybatch"
+FOLDERS = sorted({path.parent for path in FILES if MENUS not in path.parents})
 SCRIPTS = sorted((ROOT / "scripts").rglob("*.py"))
 CODE = [*FILES, *SCRIPTS, *sorted((ROOT / "tests").rglob("*.py"))]
 
@@ -22,6 +24,7 @@ ROOMS = (
     "core/errors.py",
     "core/files.py",
     "core/float32.py",
+    "core/version.py",
     "core/native",
     "core/settings",
     "core/denoise",
@@ -43,6 +46,7 @@ ROOMS = (
     "core/ahead",
     "core/job.py",
     "core/session.py",
+    "core/tuning.py",
     "core/live",
     "core/__init__.py",
     "convergence",
@@ -50,6 +54,7 @@ ROOMS = (
     "blender/__init__.py",
     "blender/reports.py",
     "blender/checkpoints.py",
+    "blender/exit_code.py",
     "blender/missing.py",
     "blender/kernel_cache.py",
     "blender/general_kernels.py",
@@ -58,11 +63,14 @@ ROOMS = (
     "blender/denoise_library.py",
     "blender/viewport",
     "blender/warm_up.py",
+    "blender/devices.py",
     "blender/viewport/callbacks.py",
+    "blender/tuning.py",
     "blender/result.py",
     "blender/denoising.py",
     "blender/preview.py",
     "ui",
+    "presets",
     "blender/frame.py",
     "engine.py",
     "__init__.py",

@@ -22,7 +22,7 @@ from ..export.passes import SAMPLE_SHARE, wants_sample_share
 from ..export.scene import export_scene
 from ..export.settings import exposure_of, settings_from
 from ..export.view import View
-from . import checkpoints, finals, missing, reports
+from . import checkpoints, exit_code, finals, missing, reports, tuning
 from .denoise_library import library_for
 from .denoising import denoise_film, whole_tile, with_guides
 from .result import ResultWriter, stamp_mattes, view_names
@@ -41,8 +41,8 @@ note_listeners: list[Callable[[str], None]] = []
 # Asked several times a second whether the render is to end with what is done; for scripts, which get signals
 stop_listeners: list[Callable[[], bool]] = []
 
-# Blender's status line is written at most this often [s]: it goes to the terminal when Blender has no window
-STATUS_SECONDS = 0.25
+# Blender's status line is written at most this often [s]; without a window it is a line on the terminal
+STATUS_SECONDS, PLAIN_SECONDS = 0.25, 5.0
 
 
 def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
@@ -76,6 +76,8 @@ def render_view_layer(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsg
 def _fail(engine: bpy.types.RenderEngine, report: reports.RenderReport, message: str) -> None:
     line = " ".join(message.split())
     report.errors.append(line)
+    if bpy.app.background and not bpy.app.module:
+        exit_code.end_with(exit_code.FAILED)
     engine.report({"ERROR"}, f"RayBatch: {line}")
 
 
@@ -122,6 +124,11 @@ def _render_view(
     for listener in scene_listeners:
         listener(layer_name, scene, settings)
     missing.refuse_what_lacks(depsgraph.scene, found)
+    if tuning.is_tuning():
+        tried = tuning.run_tuning(scene, settings, engine.test_break, status.show)
+        if tried is not None:
+            ResultWriter(engine, layer_name, scene.frame.region[:2], view.name).write(whole_tile(tried))
+        return
     writer = ResultWriter(engine, layer_name, scene.frame.region[:2], view.name, exposure_of(depsgraph.scene))
 
     def on_progress(progress: Progress) -> None:
@@ -179,6 +186,7 @@ def _render_view(
         status.show(parts.message)
         writer.write(whole_tile(film))
     stamp_mattes(engine, layer_name, scene)
+    status.end(film, settings.sample_count)
     film.statistics["seconds"] = parts.told()
     report.statistics[f"{layer_name}, {view.name}" if view.name else layer_name] = film.statistics
     _report_warnings(engine, report, film.statistics["warnings"])
@@ -216,13 +224,26 @@ class _Status:
         self._shown = float("-inf")
 
     def show(self, text: str) -> None:
-        """Write `text` now."""
+        """Write `text` now; without a window only where a line is due."""
+        if not bpy.app.background or self._is_due():
+            self._write(text)
+
+    def end(self, film: Film, sample_count: int) -> None:
+        """The last line of a render without a window, which those who count its samples wait for."""
+        if bpy.app.background and film.complete:
+            self._write(f"Sample {sample_count}/{sample_count} | Finished")
+
+    def _is_due(self) -> bool:
+        seconds = PLAIN_SECONDS if bpy.app.background else STATUS_SECONDS
+        return time.perf_counter() - self._shown >= seconds
+
+    def _write(self, text: str) -> None:
         self._shown = time.perf_counter()
         self._engine.update_stats(self._layer_name, text)
 
     def update(self, progress: Progress) -> None:
         """Show `progress`, unless something was shown just before."""
-        if time.perf_counter() - self._shown < STATUS_SECONDS:
+        if not self._is_due():
             return
         if progress.stage == "render":
             self._engine.update_progress(progress.fraction)

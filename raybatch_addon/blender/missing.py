@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import atexit
-import os
 import sys
 from collections.abc import Sequence
 
@@ -12,8 +10,7 @@ import bpy
 from ..core.errors import RayBatchError
 from ..core.scene.notice import Notice, Weight, by_weight
 from ..export.asked import asked
-
-REFUSED = 3  # exit code of a process whose render was refused
+from . import exit_code
 
 # By names of a scene and a view layer: of the last look, or the last render
 _found: dict[str, dict[str, list[Notice]]] = {}
@@ -64,8 +61,7 @@ def refuse_what_lacks(scene: bpy.types.Scene, notices: Sequence[Notice]) -> None
     if not heavy:
         return
     if asked().strict is not None and bpy.app.background:
-        # Blender goes on after a render that failed, and ends with 0
-        atexit.register(_end_as_refused)
+        exit_code.end_with(exit_code.REFUSED)
     more = f"; and {len(heavy) - 1} more" if len(heavy) > 1 else ""
     raise Refused(f"not rendered, as nothing may be missing: {heavy[0]}{more}")
 
@@ -75,9 +71,3 @@ def tell(notices: Sequence[Notice], start: str = "RayBatch: warning") -> None:
     for notice in notices:
         remedy = f" ({notice.remedy})" if notice.remedy else ""
         print(f"{start}: {notice}{remedy}", file=sys.stderr)
-
-
-def _end_as_refused() -> None:
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(REFUSED)

@@ -13,12 +13,13 @@ from .taken_over.rows import ROWS, exact
 
 
 def settings_from(scene: bpy.types.Scene) -> RenderSettings:
-    """The settings at `scene.raybatch`, or the defaults if the add-on is not registered. Raises `SettingsError`."""
+    """The settings at `scene.raybatch`, or the defaults if the add-on is not registered; the command line comes first.
+    Raises `SettingsError`.
+    """
+    wanted = asked()
     properties = getattr(scene, "raybatch", None)
-    if properties is None:
-        return RenderSettings()
-    own = {name: exact(getattr(properties, name)) for name in SETTINGS}
-    return RenderSettings(**own | engine_settings(scene, asked().settings_from))
+    own = {} if properties is None else {name: exact(getattr(properties, name)) for name in SETTINGS}
+    return RenderSettings(**own | engine_settings(scene, wanted.settings_from) | wanted.settings)
 
 
 def output_engine(scene: bpy.types.Scene) -> str:

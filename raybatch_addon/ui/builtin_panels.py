@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .panel import ENGINE
+from .panel import ENGINE, EnginePanel
 
 # Every panel for engines of Blender's general kind is taken, without those of what is not rendered
 _GENERAL = "BLENDER_RENDER"
@@ -13,7 +13,8 @@ _LEFT_OUT = {
     "NODE_DATA_PT_light",
     "PHYSICS_PT_fluid_domain_render",
 }
-_LEFT_OUT_FAMILIES = ("DATA_PT_lightprobe", "DATA_PT_context_lightprobe")
+_SIMPLIFY = "RENDER_PT_simplify"  # Blender draws it above all others; the panels below are in its place
+_LEFT_OUT_FAMILIES = ("DATA_PT_lightprobe", "DATA_PT_context_lightprobe", _SIMPLIFY)
 
 # Panels that Blender made for EEVEE and that say nothing special to it
 _TAKEN = {
@@ -24,10 +25,38 @@ _TAKEN = {
     "EEVEE_MATERIAL_PT_context_material",
     "MATERIAL_PT_preview",
     "EEVEE_MATERIAL_PT_surface",
+    "EEVEE_MATERIAL_PT_volume",
+    "EEVEE_MATERIAL_PT_displacement",
     "EEVEE_WORLD_PT_surface",
+    "EEVEE_WORLD_PT_volume",
+    "EEVEE_WORLD_PT_mist",
 }
 
 _added: list[type] = []
+
+
+def _simplify_panels() -> list[type]:
+    """Blender's panel Simplify and those in it as panels of this engine, which have their place among its others."""
+    made = []
+    for name in ("", "_viewport", "_render", "_greasepencil"):
+        builtin = getattr(bpy.types, f"{_SIMPLIFY}{name}", None)
+        if builtin is None:
+            continue
+        values = {
+            "__doc__": "As Blender's own panel.",
+            "bl_label": builtin.bl_label,
+            "bl_options": set(getattr(builtin, "bl_options", ())),
+            "draw": builtin.draw,
+        }
+        if name:
+            values["bl_parent_id"] = made[0].__name__
+        else:
+            values["draw_header"] = builtin.draw_header
+        made.append(type(f"RAYBATCH_{_SIMPLIFY}{name}", (EnginePanel, bpy.types.Panel), values))
+    return made
+
+
+_own: list[type] = []
 
 
 def _applies(panel: type) -> bool:
@@ -39,6 +68,9 @@ def _applies(panel: type) -> bool:
 
 def register() -> None:
     """Enable them for the engine."""
+    _own[:] = _simplify_panels()
+    for panel in _own:
+        bpy.utils.register_class(panel)
     for panel in bpy.types.Panel.__subclasses__():
         if hasattr(panel, "COMPAT_ENGINES") and ENGINE not in panel.COMPAT_ENGINES and _applies(panel):
             panel.COMPAT_ENGINES.add(ENGINE)
@@ -47,6 +79,9 @@ def register() -> None:
 
 def unregister() -> None:
     """Disable exactly those again."""
+    for panel in reversed(_own):
+        bpy.utils.unregister_class(panel)
+    _own.clear()
     for panel in _added:
         panel.COMPAT_ENGINES.discard(ENGINE)
     _added.clear()

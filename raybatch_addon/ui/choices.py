@@ -12,25 +12,29 @@ from ..core.settings.settings import BYTES, SettingInfo, parse_setting
 from ..export.settings import assign_setting
 
 
-def last_statistics(context) -> dict[str, Any] | None:
-    """Statistics of the context's view layer, or of the first one there is, if the last render was of the context's
-    scene.
-    """
+def statistics_of(scene: bpy.types.Scene, layer_name: str = "") -> dict[str, Any] | None:
+    """Statistics of the view layer, or of the first one there is, if the last render was of `scene`."""
     report = reports.last()
-    if report is None or report.scene != context.scene.name or not report.statistics:
+    if report is None or report.scene != scene.name or not report.statistics:
         return None
-    return report.statistics.get(context.view_layer.name) or next(iter(report.statistics.values()))
+    return report.statistics.get(layer_name) or next(iter(report.statistics.values()))
+
+
+def last_statistics(context) -> dict[str, Any] | None:
+    """Those of the context's scene and view layer."""
+    return statistics_of(context.scene, context.view_layer.name)
+
+
+def chosen_for(statistics: dict[str, Any] | None, name: str) -> dict[str, Any] | None:
+    """`{"value": ..., "why": ...}` of the setting `name`; None where nothing is known."""
+    return statistics.get("auto", {}).get(name) if statistics else None
 
 
 def last_choice(context, info: SettingInfo) -> dict[str, Any] | None:
-    """`{"value": ..., "why": ...}` of the last render; None where the setting leaves no choice now, or nothing is
-    known.
-    """
+    """What was chosen in the last render; None where the setting leaves no choice now, or nothing is known."""
     value = getattr(context.scene.raybatch, info.name)
-    if not info.is_auto(_number(value) if info.unit == BYTES else value):
-        return None
-    statistics = last_statistics(context)
-    return statistics.get("auto", {}).get(info.name) if statistics else None
+    is_auto = info.is_auto(_number(value) if info.unit == BYTES else value)
+    return chosen_for(last_statistics(context), info.name) if is_auto else None
 
 
 def _number(text: str) -> int | None:
@@ -42,15 +46,11 @@ def value_text(info: SettingInfo, value: Any) -> str:
     for identifier, label, _ in info.choices:
         if identifier == value:
             return label
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
-        return (
-            f"{value / 1e6:,.3g} MB"
-            if info.unit == BYTES and value < 1e8
-            else f"{value / 1e6:,.0f} MB"
-            if info.unit == BYTES
-            else f"{value:,}"
-        )
-    return str(value)
+    if not isinstance(value, (int, float)) or isinstance(value, bool):
+        return str(value)
+    if info.unit == BYTES:
+        return f"{value / 1e6:,.3g} MB" if value < 1e8 else f"{value / 1e6:,.0f} MB"
+    return f"{value:,} px" if info.unit == "pixels" else f"{value:,}"
 
 
 class RAYBATCH_OT_keep_choice(bpy.types.Operator):
@@ -78,12 +78,20 @@ class RAYBATCH_OT_keep_choice(bpy.types.Operator):
         return {"FINISHED"}
 
 
+def auto_text(context, info: SettingInfo) -> str:
+    """What stands beside the checkbox of a setting that lets RayBatch choose: also what it chose, if that is known."""
+    choice = last_choice(context, info)
+    return "Auto" if choice is None else f"Auto, {value_text(info, choice['value'])}"
+
+
 def draw_choice(row, context, info: SettingInfo) -> None:
-    """Show in `row` what was chosen for a setting, if that is known."""
+    """A button that keeps what was chosen for a setting, if that is known; it shows the choice of a dropdown."""
     choice = last_choice(context, info)
     if choice is None:
         return
-    button = row.operator(RAYBATCH_OT_keep_choice.bl_idname, text=value_text(info, choice["value"]), emboss=False)
+    text = value_text(info, choice["value"]) if info.choices else ""
+    icon = "NONE" if info.choices else "UNPINNED"
+    button = row.operator(RAYBATCH_OT_keep_choice.bl_idname, text=text, icon=icon, emboss=False)
     button.setting, button.value, button.why = info.name, str(choice["value"]), str(choice["why"])
 
 

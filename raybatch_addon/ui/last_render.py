@@ -10,13 +10,14 @@ import bpy
 from ..blender import reports
 from ..convergence.run_texts import error_line
 from ..core.measure.parts import PARTS
-from .panel import EnginePanel, draw_lines
+from .panel import LATER, EnginePanel, draw_box, draw_lines
 
 
 class RAYBATCH_RENDER_PT_last_render(EnginePanel, bpy.types.Panel):
     """Errors and warnings of the last render."""
 
     bl_label = "Last Render"
+    bl_order = LATER
 
     @classmethod
     def poll(cls, context):
@@ -32,7 +33,7 @@ class RAYBATCH_RENDER_PT_last_render(EnginePanel, bpy.types.Panel):
         draw_lines(self.layout, context, [f"{report.scene}, frame {report.frame}", *report_lines(report)])
         for icon, texts in (("ERROR", report.errors), ("INFO", report.warnings)):
             for text in texts:
-                draw_lines(self.layout.box(), context, [text], icon)
+                draw_box(self.layout, context, text, icon)
         if not report.errors and not report.warnings:
             self.layout.label(text="No warnings", icon="CHECKMARK")
 

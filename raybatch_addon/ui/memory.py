@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
+from ..blender.devices import device_choices
 from ..core.errors import SettingsError
 from ..core.settings.settings import RenderSettings
 from ..export.passes import wanted_passes
@@ -27,16 +28,17 @@ def estimate_lines(context) -> list[str]:
     statistics = last_statistics(context)
     is_cuda = _is_cuda(settings, statistics)
     if is_cuda is None:
-        return ["Name a device or render once, for an estimate of memory"]
+        return ["Memory is estimated once the devices are known"]
     return _lines(_estimate(context, settings, statistics, is_cuda))
 
 
 def _is_cuda(settings: RenderSettings, statistics: dict[str, Any] | None) -> bool | None:
-    """Whether the render will be on a CUDA device; None where Warp would have to be started to know."""
+    """Whether the render will be on a CUDA device; None as long as devices are looked for."""
     device = settings.device.lower()
     if device == "auto":
         if statistics is None:
-            return None
+            known = device_choices()
+            return None if known is None else any(each.name.startswith("cuda") for each in known)
         device = statistics["device"]["alias"]
     return device != "cpu"
 

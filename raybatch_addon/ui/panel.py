@@ -1,12 +1,19 @@
-"""Base of every panel of the engine, and text broken into its lines."""
+"""Base of every panel of the engine, and text broken into lines that fit."""
 
 from __future__ import annotations
 
-import textwrap
+from collections.abc import Callable
+
+import blf
 
 ENGINE = "RAYBATCH"
-# Mean width of a letter of Blender's interface [pixels at scale 1], for breaking lines
-_LETTER_WIDTH = 6.5
+LATER = 1  # `bl_order` of panels behind those that come without one, as Simplify
+# Of Blender's interface, at scale 1 [pixels]
+_LETTER_POINTS = 11
+ICON_WIDTH = 20
+# What a panel, and a box in it, keep free beside their text
+_PANEL_MARGIN, _BOX_MARGIN = 48, 18
+_LEAST_WIDTH = 60
 
 
 class EnginePanel:
@@ -22,10 +29,50 @@ class EnginePanel:
         return context.engine in cls.COMPAT_ENGINES
 
 
-def draw_lines(layout, context, texts: list[str], icon: str = "NONE") -> None:
-    """Labels with `texts`, broken into lines where the panel ends; `icon` stands before the first line of each."""
-    letters = max(20, int(context.region.width / (_LETTER_WIDTH * context.preferences.system.ui_scale)))
+def label_width(text: str) -> float:
+    """How wide Blender's interface shows `text`, at scale 1 [pixels]."""
+    blf.size(0, _LETTER_POINTS)
+    return blf.dimensions(0, text)[0]
+
+
+def fitting_lines(text: str, width: float, width_of: Callable[[str], float] = label_width) -> list[str]:
+    """`text` in lines that are at most `width` wide; a word that is wider is broken. There is one line at least."""
+    lines, line = [], ""
+    for word in text.split():
+        longer = f"{line} {word}" if line else word
+        if width_of(longer) <= width:
+            line = longer
+            continue
+        if line:
+            lines.append(line)
+        while width_of(word) > width and len(word) > 1:
+            fitting = next((end for end in range(len(word) - 1, 1, -1) if width_of(word[:end]) <= width), 1)
+            lines.append(word[:fitting])
+            word = word[fitting:]
+        line = word
+    return [*lines, line] if line or not lines else lines
+
+
+def free_width(context, in_box: bool = False) -> float:
+    """What is left for text in a panel, at scale 1 [pixels]."""
+    width = context.region.width / context.preferences.system.ui_scale - _PANEL_MARGIN
+    return max(_LEAST_WIDTH, width - (_BOX_MARGIN if in_box else 0))
+
+
+def draw_lines(layout, context, texts: list[str], icon: str = "NONE", in_box: bool = False) -> None:
+    """Labels with `texts`, broken into lines where the panel ends, or its box; `icon` stands before the first line of
+    each.
+    """
+    width = free_width(context, in_box) - (ICON_WIDTH if icon != "NONE" else 0)
     column = layout.column(align=True)
+    column.scale_y = 0.8
     for text in texts:
-        for i, line in enumerate(textwrap.wrap(text, letters) or [""]):
+        for i, line in enumerate(fitting_lines(text, width)):
             column.label(text=line, icon=icon if i == 0 or icon == "NONE" else "BLANK1")
+
+
+def draw_box(layout, context, text: str, icon: str = "INFO", alert: bool = False) -> None:
+    """A box with one text, in lines."""
+    box = layout.box()
+    box.alert = alert
+    draw_lines(box, context, [text], icon, in_box=True)

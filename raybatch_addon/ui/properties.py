@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from fractions import Fraction
 
 import bpy
@@ -12,21 +13,8 @@ import numpy as np
 from ..core.errors import SettingsError
 from ..core.settings.settings import BYTES, SETTINGS, SettingInfo, parse_setting
 from ..export.settings import assign_setting
-
-
-def device_names() -> list[tuple[str, str]]:
-    """Devices that may be chosen, and what each is; starts Warp."""
-    import warp as wp
-
-    from ..core.device.devices import start_warp
-
-    start_warp()
-    choices = [("AUTO", "the first CUDA device, else the CPU"), ("cpu", "the processor")]
-    return choices + [(device.alias, device.name) for device in wp.get_cuda_devices()]
-
-
-def _search_devices(_self, _context, text: str):
-    return [choice for choice in device_names() if text.lower() in choice[0].lower()]
+from .choices import chosen_for, statistics_of
+from .devices import CHOICE, device_choice_property
 
 
 def _update_passes(_self, context) -> None:
@@ -35,13 +23,17 @@ def _update_passes(_self, context) -> None:
         context.view_layer.update_render_passes()
 
 
+# How Blender shows numbers of a unit
+_SUBTYPES = {"pixels": "PIXEL", "of rays alive": "FACTOR"}
+
+
 def _property(info: SettingInfo):
     """Blender's property for one setting."""
     about = dict(name=info.label, description=_description(info), default=info.default, options=set())
     if info.name == "device":
-        # Text with suggestions, not an enumeration: a file from a machine with other devices keeps what it
-        # says, and the render names the devices that there are. Warp starts when the list is opened.
-        return bpy.props.StringProperty(search=_search_devices, search_options={"SUGGESTION"}, **about)
+        # Text, not an enumeration: a file from a machine with other devices keeps what it says, and the render names
+        # the devices that there are. The panel shows them by another property, `device_choice`
+        return bpy.props.StringProperty(**about)
     if info.choices:
         if info.name == "denoise":  # it asks for a pass
             about["update"] = _update_passes
@@ -55,6 +47,8 @@ def _property(info: SettingInfo):
             description=f"{about['description']}; 1.5G is 1,500,000,000, and 512Mi is 536,870,912",
         )
         return bpy.props.StringProperty(**about)
+    if info.unit in _SUBTYPES:
+        about["subtype"] = _SUBTYPES[info.unit]
     if info.kind is int:
         return bpy.props.IntProperty(min=int(info.minimum), max=int(info.maximum), **about)
     if info.unit == "s":
@@ -72,6 +66,48 @@ def _description(info: SettingInfo) -> str:
 def megabytes_name(info: SettingInfo) -> str:
     """The property that shows a number of bytes in megabytes."""
     return f"{info.name}_mb"
+
+
+def switch_name(info: SettingInfo) -> str:
+    """The checkbox of a setting: on or off, automatic or not, limited or not. Empty where it has none."""
+    if info.is_switch or info.off is not None:
+        return f"{info.name}_is_on"
+    return f"{info.name}_is_auto" if info.auto is not None and info.kind is int else ""
+
+
+def _switch(info: SettingInfo):
+    """Blender's property for the checkbox of a setting: a view of the one that keeps it."""
+
+    def get(properties) -> bool:
+        value = getattr(properties, info.name)
+        if info.is_switch:
+            return value == "ON"
+        return value != info.off if info.auto is None else str(value) == str(info.auto)
+
+    def put(properties, checked: bool) -> None:
+        if info.is_switch:
+            setattr(properties, info.name, "ON" if checked else "OFF")
+        elif checked != get(properties):
+            rests = info.auto if info.auto is not None else info.off
+            is_set = checked == (info.auto is None)
+            assign_setting(properties, info.name, _first_value(info, properties.id_data) if is_set else rests)
+
+    name, about = info.label, info.description
+    if info.is_switch:
+        meaning = next(description for identifier, _, description in info.choices if identifier == "ON")
+        about = f"{about}.\nOn: {meaning}"
+    elif info.auto is not None:
+        name, about = "Auto", f"RayBatch chooses. {info.description}"
+    return bpy.props.BoolProperty(name=name, description=about, options=set(), get=get, set=put)
+
+
+def _first_value(info: SettingInfo, scene: bpy.types.Scene) -> int | float:
+    """What a number is at first where RayBatch no longer chooses it: what was chosen in the last render, if known."""
+    choice = chosen_for(statistics_of(scene), info.name)
+    if choice is not None and info.kind is int:
+        with contextlib.suppress(SettingsError):
+            return parse_setting(info.name, str(choice["value"])) or info.start
+    return info.start
 
 
 def _megabytes(info: SettingInfo):
@@ -103,7 +139,12 @@ def _megabytes(info: SettingInfo):
 
 def _annotations() -> dict:
     properties = {name: _property(info) for name, info in SETTINGS.items()}
-    return properties | {megabytes_name(info): _megabytes(info) for info in SETTINGS.values() if info.unit == BYTES}
+    views = {megabytes_name(info): _megabytes(info) for info in SETTINGS.values() if info.unit == BYTES}
+    views["version"] = bpy.props.StringProperty(
+        name="Version", description="The version of RayBatch that last had these settings", options={"HIDDEN"}
+    )
+    views[CHOICE] = device_choice_property()
+    return properties | views | {switch_name(info): _switch(info) for info in SETTINGS.values() if switch_name(info)}
 
 
 RayBatchSettings = type(

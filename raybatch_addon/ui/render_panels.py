@@ -9,19 +9,26 @@ from ..core.errors import SettingsError
 from ..core.settings.info import GroupInfo
 from ..core.settings.settings import BYTES, GROUPS, SETTINGS, SettingInfo, parse_setting
 from ..export.settings import settings_from
-from .choices import draw_choice
+from .choices import auto_text, draw_choice
+from .devices import draw_devices
+from .heard import is_heard
 from .memory import estimate_lines
-from .panel import EnginePanel, draw_lines
-from .presets import RAYBATCH_MT_schedule_presets
-from .properties import megabytes_name
+from .panel import LATER, EnginePanel, draw_box, draw_lines
+from .presets import RAYBATCH_PT_batching_presets, RAYBATCH_PT_render_presets
+from .properties import megabytes_name, switch_name
 
-# Blender's own settings that belong to a group: shown at its end
-_BUILTIN = {"FILM": ("film_transparent",)}
-_SCHEDULE = "PERFORMANCE"
+# The setting whose checkbox stands in the header of its group's panel
+_IN_HEADER = {"DENOISING": "denoise"}
+_SCHEDULE = "BATCHING"
+# The menus of presets in headers
+_PRESETS = {"SAMPLING": RAYBATCH_PT_render_presets, _SCHEDULE: RAYBATCH_PT_batching_presets}
+_LATER = ("PERFORMANCE", "BATCHING")
 
 
 def shown_name(info: SettingInfo) -> str:
-    """The property that a panel shows for a setting."""
+    """The property that a panel shows for the value of a setting."""
+    if info.is_switch:
+        return switch_name(info)
     return megabytes_name(info) if info.unit == BYTES else info.name
 
 
@@ -29,38 +36,48 @@ def _draw(self, context):
     layout = self.layout
     layout.use_property_split = True
     layout.use_property_decorate = False
-    missing = why_not(context.scene.raybatch.denoise_library) if self.group == "DENOISING" else ""
+    own = context.scene.raybatch
+    missing = why_not(own.denoise_library) if self.group == "DENOISING" else ""
     column = layout.column()
-    for info in SETTINGS.values():
-        if info.group == self.group:
-            row = column.row(align=True)
-            row.active = _is_heard(context.scene.raybatch, info.name)
-            row.enabled = not missing or info.name == "denoise_library"
-            row.prop(context.scene.raybatch, shown_name(info))
-            draw_choice(row, context, info)
-            if info.unit == BYTES:
-                _draw_text_complaint(column, context, info)
-    if missing:
-        draw_lines(layout.box(), context, [missing], "INFO")
-    for name in _BUILTIN.get(self.group, ()):
-        column.prop(context.scene.render, name)
     if self.group == "FILM":
         column.prop(context.scene.raybatch_export, "exposure")
-    if self.group == _SCHEDULE:
+    for info in SETTINGS.values():
+        if info.group != self.group or info.name == _IN_HEADER.get(self.group):
+            continue
+        part = column.column()
+        part.active = is_heard(own, info.name)
+        part.enabled = not missing or info.name == "denoise_library"
+        _draw_setting(part, context, info)
+    if missing:
+        draw_box(layout, context, missing)
+    if self.group == "FILM":
+        column.prop(context.scene.render, "film_transparent", text="Transparent")
+    elif self.group == _SCHEDULE:
         _draw_complaint(layout, context)
     elif self.group == "MEMORY":
         draw_lines(layout, context, estimate_lines(context))
 
 
-def _is_heard(settings, name: str) -> bool:
-    """Whether a setting has a say: no other already says what it would, or leaves nothing to say."""
-    if name.startswith("denoise_"):
-        guided = name != "denoise_prefilter" or settings.denoise_inputs != "NONE"
-        return name == "denoise_library" or (settings.denoise == "ON" and guided)
-    is_adaptive = settings.adaptive_sampling == "ON"
-    if name == "error_estimate":
-        return not (settings.error_target > 0 or is_adaptive)
-    return is_adaptive or name not in ("noise_threshold", "adaptive_samples_min")
+def _draw_setting(column, context, info: SettingInfo) -> None:
+    own = context.scene.raybatch
+    if info.name == "device":
+        draw_devices(column, context)
+        return
+    switch = "" if info.is_switch else switch_name(info)
+    if not switch:
+        row = column.row(align=True)
+        row.prop(own, shown_name(info))
+        draw_choice(row, context, info)
+        return
+    is_set = getattr(own, switch) == (info.auto is None)
+    unit = " (MB)" if info.unit == BYTES and is_set else ""
+    row = column.column(heading=f"{info.label}{unit}").row(align=True)
+    row.prop(own, switch, text="" if is_set or info.auto is None else auto_text(context, info))
+    if is_set:
+        row.prop(own, shown_name(info), text="")
+    draw_choice(row, context, info)
+    if info.unit == BYTES:
+        _draw_text_complaint(column, context, info)
 
 
 def _draw_text_complaint(layout, context, info: SettingInfo) -> None:
@@ -68,9 +85,7 @@ def _draw_text_complaint(layout, context, info: SettingInfo) -> None:
     try:
         parse_setting(info.name, getattr(context.scene.raybatch, info.name))
     except SettingsError as error:
-        box = layout.box()
-        box.alert = True
-        draw_lines(box, context, [str(error)], "ERROR")
+        draw_box(layout, context, str(error), "ERROR", alert=True)
 
 
 def _draw_complaint(layout, context) -> None:
@@ -78,11 +93,19 @@ def _draw_complaint(layout, context) -> None:
     try:
         settings_from(context.scene)
     except SettingsError as error:
-        draw_lines(layout.box(), context, [str(error)], "ERROR")
+        draw_box(layout, context, str(error), "ERROR")
+
+
+def _draw_switch(self, context):
+    own, name = context.scene.raybatch, _IN_HEADER[self.group]
+    row = self.layout.row()
+    # what cannot be had can be turned off, where another computer turned it on
+    row.enabled = getattr(own, name) == "ON" or not why_not(own.denoise_library)
+    row.prop(own, switch_name(SETTINGS[name]), text="")
 
 
 def _draw_presets(self, _context):
-    self.layout.menu(RAYBATCH_MT_schedule_presets.__name__, text="", icon="PRESET")
+    _PRESETS[self.group].draw_panel_header(self.layout)
 
 
 def _panel_name(group: str) -> str:
@@ -97,7 +120,11 @@ def _panel(group: str, info: GroupInfo) -> type:
         "group": group,
         "draw": _draw,
     }
-    if group == _SCHEDULE:
+    if group in _LATER:
+        values["bl_order"] = LATER
+    if group in _IN_HEADER:
+        values["draw_header"] = _draw_switch
+    if group in _PRESETS:
         values["draw_header_preset"] = _draw_presets
     if info.parent:
         values["bl_parent_id"] = _panel_name(info.parent)

@@ -7,7 +7,7 @@ import bpy
 from ..blender.denoise_library import why_not
 from ..core.errors import SettingsError
 from ..export.live.settings import SAMPLES_DEFAULT, left_out
-from .panel import EnginePanel, draw_lines
+from .panel import EnginePanel, draw_box
 
 
 class RayBatchViewport(bpy.types.PropertyGroup):
@@ -23,7 +23,7 @@ class RayBatchViewport(bpy.types.PropertyGroup):
     )
     denoise: bpy.props.BoolProperty(
         name="Denoise",
-        description="Show pictures without their noise, at 1, 2, 4, 8 and so on samples. How is set under Denoising",
+        description="Show pictures without their noise, at 1, 2, 4, 8 and so on samples. How is set under Denoise",
         default=False,
         options=set(),
     )
@@ -43,17 +43,17 @@ class RAYBATCH_RENDER_PT_viewport(EnginePanel, bpy.types.Panel):
         layout.prop(own, "samples")
         missing = why_not(scene.raybatch.denoise_library)
         row = layout.row()
-        row.enabled = not missing
+        row.enabled = own.denoise or not missing
         row.prop(own, "denoise")
         if missing and own.denoise:
-            draw_lines(layout.box(), context, [missing], "INFO")
+            draw_box(layout, context, missing)
         layout.prop(scene.render, "preview_pixel_size", text="Pixel Size")
         try:
             names = left_out(scene)
         except SettingsError:  # the panel of what is wrong tells it
             return
         if names:
-            draw_lines(layout.box(), context, [f"Final renders alone have: {', '.join(names)}"], "INFO")
+            draw_box(layout, context, f"Final renders alone have: {', '.join(names)}")
 
 
 _classes = (RayBatchViewport, RAYBATCH_RENDER_PT_viewport)

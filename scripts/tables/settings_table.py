@@ -76,8 +76,10 @@ def settings_tables() -> str:
     lines = []
     for name, group in GROUPS.items():
         lines += [f"### {group.label}", "", group.description, ""]
-        lines += [_row(["setting", "in the panel", "values", "default", "meaning"]), "|---|---|---|---|---|"]
         infos = [info for info in SETTINGS.values() if info.group == name]
+        if not infos:  # they are in the groups below it
+            continue
+        lines += [_row(["setting", "in the panel", "values", "default", "meaning"]), "|---|---|---|---|---|"]
         for info in infos:
             cells = [f"`{info.name}`", info.label, _values(info), f"`{info.default}`", f"{info.description}."]
             lines.append(_row(cells))
@@ -89,10 +91,13 @@ def presets_list() -> str:
     """What each preset sets to other than the default."""
     lines = []
     for name, preset in PRESETS.items():
-        changed = [
-            f"`{each}={value}`" for each, value in preset_settings(name).items() if value != SETTINGS[each].default
-        ]
-        lines += _item(f"`{name}`: {preset.description}. Other than the defaults: {', '.join(changed) or 'nothing'}.")
+        values = preset_settings(name).items()
+        changed = [f"`{each}={value}`" for each, value in values if value != SETTINGS[each].default]
+        if preset.changes_picture:
+            told = f"Sets {', '.join(f'`{each}={value}`' for each, value in values)}"
+        else:
+            told = f"Other than the defaults: {', '.join(changed) or 'nothing'}"
+        lines += _item(f"`{name}`: {preset.description}. {told}.")
     return "\n".join(lines)
 
 

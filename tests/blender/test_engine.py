@@ -370,7 +370,7 @@ def test_statistics_count_the_export(lit, films):
 
 
 def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch, watch):
-    monkeypatch.setattr(frame, "STATUS_SECONDS", 0.0)
+    monkeypatch.setattr(frame, "PLAIN_SECONDS", 0.0)
     lines, fractions = [], []
     watch(
         update_stats=lambda engine, stats, info: lines.append(info),
@@ -381,8 +381,9 @@ def test_the_status_line_shows_stage_speed_and_time_left(lit, monkeypatch, watch
     assert lines[:2] == ["Reading the scene", "Starting the device"]
     assert any("/64" in line and "Mrays/s" in line and "left" in line for line in lines)
     tier = reports.last().statistics["ViewLayer"]["kernels"]["tier"].lower()
-    assert lines[-1].endswith(f" | {tier} kernels")
+    assert lines[-2].endswith(f" | {tier} kernels")
     assert any("Mem: " in line and "Peak: " in line for line in lines) == (host_memory_used() > 0)
+    assert lines[-1] == "Sample 64/64 | Finished"
     assert fractions == sorted(fractions) and fractions[-1] == 1
 
 

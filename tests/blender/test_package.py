@@ -14,7 +14,7 @@ import pytest
 from lib.shipped_kernels import can_be_made
 from PIL import Image
 
-from raybatch_addon.core.measure.statistics import VERSION
+from raybatch_addon.core.version import VERSION
 from tests.support.command_line import ROOT, run_python, run_script
 from tests.support.running.kernels_to_ship import LOWEST, make_lowest
 
@@ -230,7 +230,7 @@ def test_each_platform_gets_its_own_manifest(platform, tmp_path):
     wheel.write_bytes(b"wheel")
     package.stage(tmp_path / "stage", platform, wheel)
     manifest = tomllib.loads((tmp_path / "stage/blender_manifest.toml").read_text())
-    assert manifest["platforms"] == [platform]
+    assert manifest["platforms"] == [platform] and manifest["version"] == VERSION
     assert manifest["wheels"] == [f"./wheels/{wheel.name}"]
     assert (tmp_path / "stage" / manifest["wheels"][0]).read_bytes() == b"wheel"
     assert manifest["permissions"]["files"]
@@ -251,17 +251,6 @@ def test_a_refused_manifest_leaves_no_zip(tmp_path, monkeypatch):
     with pytest.raises(package.PackageError, match="license"):
         package.build("linux-x64", tmp_path / "dist", tmp_path / "build" / "wheels")
     assert list((tmp_path / "dist").iterdir()) == []
-
-
-def test_versions_that_differ_are_named(tmp_path, monkeypatch):
-    for name in (package.MANIFEST, "pyproject.toml", package.STATISTICS):
-        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text((ROOT / name).read_text())
-    monkeypatch.setattr(package, "ROOT", tmp_path)
-    (tmp_path / package.STATISTICS).write_text('VERSION = "0.0.7"\n')
-    with pytest.raises(package.PackageError, match="statistics.py says 0.0.7"):
-        package.build("linux-x64", tmp_path / "dist", tmp_path / "wheels")
-    assert not (tmp_path / "dist").exists()
 
 
 def test_an_unknown_platform_is_named():

@@ -10,9 +10,19 @@ bpy = pytest.importorskip("bpy")
 from raybatch_addon.blender import reports, sessions
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.settings.settings import BYTES, GROUPS, SETTINGS, RenderSettings
+from raybatch_addon.export.passes import (
+    CATCHER_PROPERTY,
+    LIGHT_PASS_PROPERTIES,
+    MATTE_PROPERTIES,
+    OWN_PASS_PROPERTIES,
+    PASS_PROPERTIES,
+    VOLUME_PASS_PROPERTIES,
+)
 from raybatch_addon.export.settings import assign_setting, settings_from
 from raybatch_addon.ui import builtin_panels, last_render
-from raybatch_addon.ui.properties import megabytes_name
+from raybatch_addon.ui.devices import CHOICE
+from raybatch_addon.ui.panel import free_width, label_width
+from raybatch_addon.ui.properties import megabytes_name, switch_name
 from raybatch_addon.ui.render_panels import shown_name
 from tests.support.blender_builders import add_grid
 from tests.support.panel_layout import ENGINE, context_of, drawn, enabled_panels, own_panels
@@ -111,7 +121,17 @@ def test_every_setting_is_in_one_panel(scene):
     for panel in own_panels():
         if panel.__name__.startswith(f"{ENGINE}_RENDER_PT_") and hasattr(panel, "group"):
             shown += [note[2] for note in drawn(panel, context_of(scene)) if note[:2] == ("prop", "RayBatchSettings")]
-    assert sorted(shown) == sorted(shown_name(info) for info in SETTINGS.values())
+    own = scene.raybatch
+    own.device_choice  # noqa: B018 - the items are there where it is drawn
+    shown = [name for name in shown if name != CHOICE]
+    expected = []
+    for info in SETTINGS.values():
+        switch = switch_name(info)
+        is_set = not switch or info.is_switch or getattr(own, switch) == (info.auto is None)
+        expected += [shown_name(info)] if is_set and info.name != "device" else []
+        expected += [switch] if switch and not info.is_switch else []
+    expected.remove("denoise_is_on")  # in the header
+    assert sorted(shown) == sorted(expected)
 
 
 def test_panels_of_groups_lie_in_that_of_their_parent(scene):
@@ -121,13 +141,9 @@ def test_panels_of_groups_lie_in_that_of_their_parent(scene):
         assert getattr(panel, "bl_parent_id", None) == (
             panels[GROUPS[name].parent].__name__ if GROUPS[name].parent else None
         )
-    assert [panels[name].bl_label for name in GROUPS if GROUPS[name].parent] == [
-        "Scheduler",
-        "Queues",
-        "Treelets",
-        "Launch",
-        "Memory",
-    ]
+    of_batching = [panels[name].bl_label for name in GROUPS if GROUPS[name].parent == "BATCHING"]
+    assert of_batching == ["Scheduler", "Queues", "Treelets", "Launch"]
+    assert panels["BATCHING"].bl_options == {"DEFAULT_CLOSED"}, "the laboratory's settings are out of the way"
 
 
 def test_panels_are_there_for_this_engine_only(scene):
@@ -139,10 +155,13 @@ def test_panels_are_there_for_this_engine_only(scene):
 
 def test_the_other_panels_draw_what_exists(scene):
     light = bpy.data.lights.new("Light", "AREA")
+    material = bpy.data.materials.new("Material")
     obj = bpy.data.objects.new("Light", light)
     camera = bpy.data.cameras.new("Camera")
     camera.type = "PANO"
-    context = context_of(scene, object=obj, light=light, camera=camera, world=bpy.data.worlds.new("World"))
+    context = context_of(
+        scene, object=obj, light=light, camera=camera, world=bpy.data.worlds.new("World"), material=material
+    )
     drawn_properties = {}
     for panel in own_panels():
         if panel.bl_context != "render":
@@ -151,7 +170,14 @@ def test_the_other_panels_draw_what_exists(scene):
     assert {"use_pass_normal", "use_pass_node_steps"} <= set(drawn_properties["RAYBATCH_VIEWLAYER_PT_passes"])
     assert "visible_glossy" in drawn_properties["RAYBATCH_OBJECT_PT_ray_visibility"]
     assert {"use_strand", "use_volumes"} <= set(drawn_properties["RAYBATCH_VIEWLAYER_PT_filter"])
-    assert "spread" in drawn_properties["RAYBATCH_LIGHT_PT_settings"]
+    assert {"spread", "is_portal"} <= set(drawn_properties["RAYBATCH_LIGHT_PT_settings"])
+    assert "displacement_method" in drawn_properties["RAYBATCH_MATERIAL_PT_settings"]
+    assert "glossy" in drawn_properties["RAYBATCH_WORLD_PT_ray_visibility"]
+    assert "sampling_method" in drawn_properties["RAYBATCH_WORLD_PT_settings"]
+    every = set(drawn_properties["RAYBATCH_VIEWLAYER_PT_passes"])
+    from_view_layer = {*PASS_PROPERTIES, *LIGHT_PASS_PROPERTIES, *VOLUME_PASS_PROPERTIES, *MATTE_PROPERTIES}
+    assert from_view_layer | {*OWN_PASS_PROPERTIES, CATCHER_PROPERTY} <= every, "each pass is offered"
+    assert "aovs" in drawn_properties["RAYBATCH_VIEWLAYER_PT_aov"]
 
 
 def test_parents_of_panels_exist_and_are_enabled(addon):
@@ -171,7 +197,8 @@ def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
         "RENDER_PT_format",
         "RENDER_PT_frame_range",
         "RENDER_PT_color_management",
-        "RENDER_PT_simplify",
+        "RAYBATCH_RENDER_PT_simplify",
+        "RAYBATCH_RENDER_PT_simplify_render",
         "RENDER_PT_stereoscopy",
         "VIEWLAYER_PT_layer",
         "DATA_PT_lens",
@@ -181,7 +208,11 @@ def test_builtin_panels_that_apply_are_enabled_and_others_are_not(addon):
         "DATA_PT_uv_texture",
         "EEVEE_MATERIAL_PT_context_material",
         "EEVEE_MATERIAL_PT_surface",
+        "EEVEE_MATERIAL_PT_displacement",
+        "EEVEE_MATERIAL_PT_volume",
         "EEVEE_WORLD_PT_surface",
+        "EEVEE_WORLD_PT_volume",
+        "EEVEE_WORLD_PT_mist",
         "WORLD_PT_context_world",
         "OBJECT_PT_visibility",
         "OBJECT_PT_shading",
@@ -236,7 +267,8 @@ def test_the_last_render_shows_the_tree_and_the_counts(scene):
     assert re.fullmatch(r"\d+\.\d node steps, \d+\.\d triangle tests a ray", lines[4])
     assert re.fullmatch(r"Time: \w+ \d+ %(, \w+ \d+ %)*", lines[5]) and "trace" in lines[5]
     labels = [text for _, text, _ in drawn(last_render.RAYBATCH_RENDER_PT_last_render, context_of(scene))]
-    assert all(len(text) <= 46 for text in labels[:8]), "lines are broken where the panel ends"
+    width = free_width(context_of(scene))
+    assert all(label_width(text) <= width for text in labels), "lines are broken where the panel ends"
     scene.raybatch.counters = "OFF"
     bpy.ops.render.render()
     lines = last_render.report_lines(reports.last())

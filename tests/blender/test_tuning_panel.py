@@ -1,4 +1,4 @@
-"""The panel Performance: automatic choices, presets, memory, and settings that do not go together."""
+"""The panels of time: automatic choices, presets, memory, and settings that do not go together."""
 
 import re
 
@@ -7,7 +7,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 
 from raybatch_addon.blender import reports
-from raybatch_addon.core.settings.presets import PRESETS, preset_settings
+from raybatch_addon.blender.devices import DeviceChoice
 from raybatch_addon.core.settings.settings import SETTINGS
 from raybatch_addon.export.settings import assign_setting, settings_from
 from raybatch_addon.ui import choices, memory
@@ -56,9 +56,9 @@ def chosen(scene):
 def test_choices_stand_beside_the_settings_that_were_left_open(chosen):
     found = shown_choices(context_of(chosen))
     assert {name: text for name, (text, _) in found.items()} == {
-        "treelet_size": "4,096",
-        "geometry_budget": "1,500 MB",
-        "bucket_selection": "Most full",
+        "treelet_size": "",
+        "geometry_budget": "",
+        "bucket_selection": "Most Full",
     }
     assert found["treelet_size"][1].why == AUTO["treelet_size"]["why"]
     chosen.raybatch.treelet_size, chosen.raybatch.geometry_budget = 10, "1M"
@@ -96,51 +96,14 @@ def test_a_choice_is_kept_by_a_click(chosen):
     assert button.why in description and "Click" in description
 
 
-@pytest.mark.parametrize("name", list(PRESETS))
-def test_presets_set_the_whole_schedule(scene, name):
-    scene.raybatch.warp_count, scene.raybatch.geometry_budget, scene.raybatch.sample_count = 5, "3G", 9
-    before = settings_from(scene)
-    assert bpy.ops.raybatch.schedule_preset(preset=name) == {"FINISHED"}
-    assert settings_from(scene) == before.replace(**preset_settings(name))
-
-
-def test_presets_are_in_a_menu_of_the_panel_and_can_be_undone(scene):
-    assert drawn(panel("PERFORMANCE"), context_of(scene), "draw_header_preset") == [
-        ("menu", "RAYBATCH_MT_schedule_presets", "PRESET")
-    ]
-    notes = drawn(bpy.types.RAYBATCH_MT_schedule_presets, context_of(scene))
-    assert [(name, text, button.preset) for _, name, text, button, _ in notes] == [
-        ("raybatch.schedule_preset", preset.label, name) for name, preset in PRESETS.items()
-    ]
-    for operator in (bpy.types.RAYBATCH_OT_schedule_preset, bpy.types.RAYBATCH_OT_keep_choice):
-        assert "UNDO" in operator.bl_options
-    for _, _, _, button, _ in notes:
-        assert PRESETS[button.preset].description in bpy.types.RAYBATCH_OT_schedule_preset.description(
-            bpy.context, button
-        )
-    scene.render.engine = "BLENDER_WORKBENCH"
-    assert not bpy.ops.raybatch.schedule_preset.poll()
-
-
-def test_a_preset_is_undone(scene):
-    bpy.context.preferences.edit.use_global_undo = True
-    scene.raybatch.queue_size = 9
-    bpy.ops.ed.undo_push(message="before")
-    bpy.ops.raybatch.schedule_preset(preset="THESIS")
-    assert bpy.context.scene.raybatch.queue_size == 64
-    bpy.ops.ed.undo_push(message="behind")
-    bpy.ops.ed.undo()
-    assert bpy.context.scene.raybatch.queue_size == 9
-
-
 def test_settings_that_do_not_go_together_are_named_in_the_panel(scene):
     def icons():
-        return [note[2] for note in drawn(panel("PERFORMANCE"), context_of(scene)) if note[0] == "label"]
+        return [note[2] for note in drawn(panel("BATCHING"), context_of(scene)) if note[0] == "label"]
 
     assert not icons()
     scene.raybatch.batching, scene.raybatch.geometry_budget = "OFF", "1M"
     assert icons()[0] == "ERROR" and set(icons()[1:]) == {"BLANK1"}
-    text = " ".join(note[1] for note in drawn(panel("PERFORMANCE"), context_of(scene)) if note[0] == "label")
+    text = " ".join(note[1] for note in drawn(panel("BATCHING"), context_of(scene)) if note[0] == "label")
     assert "set geometry_budget to 0, or batching to AUTO or ON" in text
     assert memory.estimate_lines(context_of(scene)) == []
 
@@ -176,10 +139,14 @@ def test_memory_before_the_first_render(scene):
     assert " ".join(labels) == " ".join(memory.estimate_lines(context_of(scene)))
 
 
-def test_a_device_that_is_not_known_is_not_guessed(scene):
+def test_a_device_that_is_not_known_is_not_guessed(scene, monkeypatch):
     reports.clear()
     scene.raybatch.device = "AUTO"
-    assert memory.estimate_lines(context_of(scene)) == ["Name a device or render once, for an estimate of memory"]
+    monkeypatch.setattr(memory, "device_choices", lambda: None)
+    assert memory.estimate_lines(context_of(scene)) == ["Memory is estimated once the devices are known"]
+    of_gpu = DeviceChoice("cuda:0", "NVIDIA H100, 80 GiB", "")
+    monkeypatch.setattr(memory, "device_choices", lambda: (of_gpu,))
+    assert memory.estimate_lines(context_of(scene))[0].startswith("Rays: 4,194,304 x ")
     scene.raybatch.device = "cuda:3"
     assert memory.estimate_lines(context_of(scene))[0].startswith("Rays: 4,194,304 x ")
 
@@ -208,8 +175,8 @@ def test_real_statistics_are_what_the_panel_takes_them_for(scene):
     bpy.ops.render.render()
     lines = memory.estimate_lines(context_of(scene))
     assert len(lines) == 3 and lines[0].startswith("Rays: ") and "trees: " in lines[1]
-    for text, _ in shown_choices(context_of(scene)).values():
-        assert text
+    for name, (text, _) in shown_choices(context_of(scene)).items():
+        assert bool(text) == bool(SETTINGS[name].choices)
 
 
 def test_the_last_render_shows_batching():

@@ -305,7 +305,7 @@ def test_standard_output_is_json_alone_and_no_blender_is_needed(geometry):
         (["--scene", "{bowl}", "--threads", "two"], "--threads two is not valid"),
         (["--scene", "{bowl}", "--camera", "1,2"], "seven numbers"),
         (["--scene", "{bowl}", "--device", "cuda:99"], "no device 'cuda:99'"),
-        (["--scene", "{bowl}", "--preset", "fast"], "no preset is called 'fast'; the presets are AUTO"),
+        (["--scene", "{bowl}", "--preset", "fast"], "no preset is called 'fast'; the presets are PREVIEW"),
         (["--scene", "{bowl}", "--set", "samples=3"], "no setting is called 'samples'"),
         (["--scene", "{bowl}", "--set", "resolution=8x8"], "--ray-count"),
         (["--scene", "{bowl}", "--json", "{bowl}/x.json"], "x.json cannot be written"),

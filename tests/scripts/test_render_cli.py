@@ -153,7 +153,7 @@ def test_up_is_the_axis_that_the_caller_says(sheet, tmp_path):
         ),
         (
             ["{sheet}", "-o", "{folder}/x.png", "--preset", "fast"],
-            "no preset is called 'fast'; the presets are AUTO, THESIS, UNBATCHED",
+            "no preset is called 'fast'; the presets are PREVIEW, BALANCED, FINAL, AUTO, THESIS, UNBATCHED",
         ),
         (["{sheet}", "-o", "{folder}/x.png", "--set", "resolution=0x9"], "resolution"),
         (["{sheet}", "-o", "{folder}/x.png", "--set", "resolution=9"], "WIDTHxHEIGHT"),

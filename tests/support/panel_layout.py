@@ -8,7 +8,8 @@ ENGINE = "RAYBATCH"
 
 
 def own_panels():
-    return [panel for panel in bpy.types.Panel.__subclasses__() if panel.__name__.startswith(f"{ENGINE}_")]
+    own = [panel for panel in bpy.types.Panel.__subclasses__() if panel.__name__.startswith(f"{ENGINE}_")]
+    return [panel for panel in own if panel.bl_region_type != "HEADER"]  # menus of presets are panels too
 
 
 def enabled_panels():
@@ -23,14 +24,18 @@ class Layout:
     def __init__(self, notes=None):
         self.notes = [] if notes is None else notes
 
-    def column(self, **_options):
+    def column(self, *_args, **_options):
         return Layout(self.notes)
 
-    row = box = column
+    row = box = split = column
 
     def label(self, text="", icon="NONE", icon_value=0):
         assert icon in bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items
         self.notes.append(("label", text, icon))
+
+    def popover(self, panel, icon="NONE", text=""):
+        assert issubclass(getattr(bpy.types, panel), bpy.types.Panel)
+        self.notes.append(("popover", panel, icon))
 
     def template_icon(self, icon_value, scale=1.0):
         self.notes.append(("icon", icon_value, scale))
@@ -42,6 +47,10 @@ class Layout:
         assert hasattr(bpy.types, kind) and collection in owner.bl_rna.properties
         assert active in active_owner.bl_rna.properties
         self.notes.append(("list", kind, collection))
+
+    def template_node_view(self, tree, node, _socket):
+        assert tree.nodes[node.name] == node
+        self.notes.append(("nodes", tree.name, node.name))
 
     def prop_search(self, owner, name, source, collection, **_options):
         assert name in owner.bl_rna.properties and collection in source.bl_rna.properties

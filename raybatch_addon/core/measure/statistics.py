@@ -13,9 +13,9 @@ import warp as wp
 from ..device.devices import device_description, device_memory_peak, host_memory_peak
 from ..scene.features import SceneFeatures
 from ..settings.settings import RenderSettings
+from ..version import VERSION
 
 ENGINE = "RayBatch"
-VERSION = "0.1.0"  # that of the package too; the extension's manifest repeats it
 
 
 def versions() -> dict[str, str]:

@@ -29,13 +29,13 @@ class DenoiseSettings:
     )
     denoise_inputs: str = setting(
         "ALBEDO_NORMAL",
-        "Inputs",
+        "Passes",
         "What tells the denoiser of edges and textures beside the picture itself. These passes are rendered too",
         group="DENOISING",
         choices=(
             ("NONE", "Color", "The picture alone: fine textures get lost"),
             ("ALBEDO", "Albedo", "The picture and its pass Denoising Albedo"),
-            ("ALBEDO_NORMAL", "Albedo and Normal", "The picture and its passes Denoising Albedo and Denoising Normal"),
+            ("ALBEDO_NORMAL", "Albedo, Normal", "The picture and its passes Denoising Albedo and Denoising Normal"),
         ),
     )
     denoise_prefilter: str = setting(

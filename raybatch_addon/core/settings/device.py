@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 
 from .info import BYTES, setting
@@ -32,6 +33,7 @@ class DeviceSettings:
         minimum=0,
         maximum=1024,
         auto=0,
+        start=os.cpu_count() or 1,
     )
     kernel_tier: str = setting(
         "AUTO",
@@ -69,6 +71,7 @@ class LaunchSettings:
         minimum=0,
         maximum=2**20,
         auto=0,
+        start=64,
     )
     single_lane: str = setting(
         "OFF",
@@ -80,7 +83,7 @@ class LaunchSettings:
     )
     register_cap: int = setting(
         0,
-        "Registers",
+        "Max Registers",
         "Most registers of a thread (CUDA's maxrregcount); 0 lets the compiler choose. Not used on the CPU",
         group="LAUNCH",
         effect="schedule",
@@ -89,6 +92,7 @@ class LaunchSettings:
         maximum=255,
         least=16,
         auto=0,
+        start=64,
     )
     block_size: int = setting(
         0,
@@ -101,6 +105,7 @@ class LaunchSettings:
         maximum=1024,
         multiple=32,
         auto=0,
+        start=TRACE_BLOCK_SIZE,
     )
 
 
@@ -119,17 +124,18 @@ class MemorySettings:
         minimum=0,
         maximum=2**62,
         auto=0,
+        start=10**9,
     )
     geometry_store: str = setting(
         "AUTO",
-        "Behind It",
+        "Keep Rest In",
         "Where geometry is kept that is not on the device",
         group="MEMORY",
         effect="schedule",
         auto="AUTO",
         choices=(
-            ("AUTO", "Automatic", "Host memory of a CUDA device where that is large enough, else disk"),
-            ("HOST", "Host memory", "The host's memory, page-locked for a CUDA device"),
+            ("AUTO", "Auto", "Host memory of a CUDA device where that is large enough, else disk"),
+            ("HOST", "Host Memory", "The host's memory, page-locked for a CUDA device"),
             ("DISK", "Disk", "A file beside the cache of compiled kernels, written once and used again"),
         ),
     )

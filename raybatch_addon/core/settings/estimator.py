@@ -33,14 +33,14 @@ class EstimatorSettings:
             (
                 "ON",
                 "On",
-                "A pixel gets samples until the noise around it is below Noise Threshold, and no more than Samples. "
+                "A pixel gets samples until the noise around it is below Max Noise, and no more than Samples. "
                 "Samples come in two halves, which differ by the noise: it implies Error Estimate",
             ),
         ),
     )
     noise_threshold: float = setting(
         0.01,
-        "Noise Threshold",
+        "Max Noise",
         "Noise below which a pixel gets no more samples, relative to its brightness: the standard deviation, summed "
         "over channels, divided by the root of their sum (above 1 by the sum itself). 0 ends no pixel",
         group="SAMPLING",
@@ -51,12 +51,13 @@ class EstimatorSettings:
     adaptive_samples_min: int = setting(
         0,
         "Min Samples",
-        "Samples that every pixel gets before the first look at its noise; 0 chooses by Noise Threshold",
+        "Samples that every pixel gets before the first look at its noise; 0 chooses by Max Noise",
         group="SAMPLING",
         unit="samples per pixel",
         minimum=0,
         maximum=INT_MAX,
         auto=0,
+        start=16,
     )
     time_limit: float = setting(
         0.0,
@@ -67,12 +68,14 @@ class EstimatorSettings:
         unit="s",
         minimum=0.0,
         maximum=1e9,
+        off=0.0,
+        start=60.0,
     )
     error_estimate: str = setting(
         "OFF",
         "Error Estimate",
         "Tell how far the picture is from its limit at infinitely many samples, without a reference",
-        group="SAMPLING",
+        group="ERROR",
         choices=(
             ("OFF", "Off", "All samples have the same seed"),
             (
@@ -88,16 +91,18 @@ class EstimatorSettings:
         "Stop at Error",
         "A render ends when its estimated error is at most this: the mean over pixels and channels of the "
         "squared error over the squared value (relMSE). It implies Error Estimate; 0 renders all samples",
-        group="SAMPLING",
+        group="ERROR",
         unit="relMSE",
         minimum=0.0,
         maximum=1e9,
+        off=0.0,
+        start=0.001,
     )
     seed: int = setting(
         0,
         "Seed",
         "Chooses another set of random numbers, and so another pattern of noise",
-        group="SAMPLING",
+        group="ADVANCED",
         minimum=0,
         maximum=INT_MAX,
     )
@@ -105,12 +110,12 @@ class EstimatorSettings:
         "SOBOL",
         "Sequence",
         "How the random numbers of a pixel are spread",
-        group="SAMPLING",
+        group="ADVANCED",
         choices=(
             (
                 "SOBOL",
-                "Owen-scrambled Sobol",
-                "Low-discrepancy points: less noise at the same sample count (Burley 2020)",
+                "Sobol",
+                "Owen-scrambled Sobol points, of low discrepancy: less noise at the same sample count (Burley 2020)",
             ),
             (
                 "BLUE_NOISE",
@@ -125,7 +130,7 @@ class EstimatorSettings:
         "ON",
         "Light Sampling",
         "Next-event estimation: aim a shadow ray at a light from every surface",
-        group="SAMPLING",
+        group="ADVANCED",
         choices=(
             ("ON", "On", "Lights are sampled directly, combined with BSDF sampling by multiple importance sampling"),
             ("OFF", "Off", "Light is found by BSDF sampling alone; lights without size then give no light"),
@@ -135,9 +140,8 @@ class EstimatorSettings:
     mis: str = setting(
         "ON",
         "Combine Sampling",
-        "Multiple importance sampling: what light sampling and BSDF sampling can both find is weighted by how likely "
-        "each finds it",
-        group="SAMPLING",
+        "What light sampling and BSDF sampling can both find is weighted by how likely each finds it",
+        group="ADVANCED",
         choices=(
             (
                 "ON",
@@ -155,94 +159,104 @@ class EstimatorSettings:
 
     bounce_max: int = setting(
         8,
-        "Bounces",
+        "Total",
         "Bounces of indirect light; 0 renders direct light only",
-        group="LIGHT_PATHS",
+        group="BOUNCES",
         unit="bounces",
         minimum=0,
         maximum=100_000,
     )
     diffuse_bounce_max: int = setting(
         KIND_BOUNCES_MOST,
-        "Diffuse Bounces",
-        "Most bounces of a path that are diffuse reflections; 1024 sets no limit but Bounces",
-        group="LIGHT_PATHS",
+        "Diffuse",
+        "Most bounces of a path that are diffuse reflections; 1024 sets no limit but Total",
+        group="BOUNCES",
         unit="bounces",
         minimum=0,
         maximum=KIND_BOUNCES_MOST,
+        off=KIND_BOUNCES_MOST,
+        start=4,
     )
     glossy_bounce_max: int = setting(
         KIND_BOUNCES_MOST,
-        "Glossy Bounces",
-        "Most bounces of a path that are reflections by facets, sharp or not; 1024 sets no limit but Bounces",
-        group="LIGHT_PATHS",
+        "Glossy",
+        "Most bounces of a path that are reflections by facets, sharp or not; 1024 sets no limit but Total",
+        group="BOUNCES",
         unit="bounces",
         minimum=0,
         maximum=KIND_BOUNCES_MOST,
+        off=KIND_BOUNCES_MOST,
+        start=4,
     )
     transmission_bounce_max: int = setting(
         KIND_BOUNCES_MOST,
-        "Transmission Bounces",
+        "Transmission",
         "Most bounces of a path that are refractions, or pass light to the other side in another way; "
-        "1024 sets no limit but Bounces",
-        group="LIGHT_PATHS",
+        "1024 sets no limit but Total",
+        group="BOUNCES",
         unit="bounces",
         minimum=0,
         maximum=KIND_BOUNCES_MOST,
+        off=KIND_BOUNCES_MOST,
+        start=12,
     )
     transparent_bounce_max: int = setting(
         8,
-        "Transparent Bounces",
+        "Transparent",
         "Transparent surfaces that a ray passes before it is taken as blocked",
-        group="LIGHT_PATHS",
+        group="BOUNCES",
         unit="surfaces",
         minimum=0,
         maximum=1024,
     )
     volume_bounce_max: int = setting(
         1024,
-        "Volume Bounces",
+        "Volume",
         "Bounces of indirect light within volumes, which count as bounces too; 0: light scatters there once at most",
-        group="LIGHT_PATHS",
+        group="BOUNCES",
         unit="bounces",
         minimum=0,
         maximum=100_000,
     )
     roulette_bounce: int = setting(
         2,
-        "Roulette From",
+        "From Bounce",
         "Bounce from which Russian roulette may end a path that carries little light (unbiased)",
-        group="LIGHT_PATHS",
+        group="ROULETTE",
         unit="bounces",
         minimum=0,
         maximum=100_000,
     )
     roulette_throughput: float = setting(
         0.5,
-        "Roulette Below",
+        "Throughput",
         "Throughput, the share of light that a path carries, below which Russian roulette may end it: the path goes on "
         "with a probability of its throughput over this",
-        group="LIGHT_PATHS",
+        group="ROULETTE",
         minimum=1e-6,
         maximum=1.0,
     )
     clamp_direct: float = setting(
         0.0,
-        "Clamp Direct",
+        "Direct Light",
         "Largest radiance of one light seen directly or at the first bounce; 0 does not clamp. Clamping loses light",
-        group="LIGHT_PATHS",
+        group="CLAMPING",
         unit="W/(m² sr)",
         minimum=0.0,
         maximum=1e30,
+        off=0.0,
+        start=10.0,
     )
     clamp_indirect: float = setting(
         0.0,
-        "Clamp Indirect",
+        "Indirect Light",
         "Largest radiance of one light found after the first bounce; 0 does not clamp. Clamping loses light",
-        group="LIGHT_PATHS",
+        group="CLAMPING",
         unit="W/(m² sr)",
         minimum=0.0,
         maximum=1e30,
+        off=0.0,
+        start=10.0,
     )
 
     filter_glossy: float = setting(
@@ -250,15 +264,15 @@ class EstimatorSettings:
         "Filter Glossy",
         "Roughens surfaces for paths that came by unlikely directions, so that caustics are less noisy, and blurred: "
         "the larger the more. 0 leaves all as they are",
-        group="LIGHT_PATHS",
+        group="CAUSTICS",
         minimum=0.0,
         maximum=100.0,
     )
     caustics_reflective: str = setting(
         "ON",
-        "Reflective Caustics",
+        "Reflective",
         "Light that glossy surfaces throw on diffuse ones: noisy where the source is small",
-        group="LIGHT_PATHS",
+        group="CAUSTICS",
         choices=(
             ("ON", "On", "All of it is rendered"),
             ("OFF", "Off", "Surfaces that a diffuse ray meets reflect no light sharply. The picture is darker"),
@@ -266,9 +280,9 @@ class EstimatorSettings:
     )
     caustics_refractive: str = setting(
         "ON",
-        "Refractive Caustics",
+        "Refractive",
         "Light that comes through glass to diffuse surfaces: noisy where the source is small",
-        group="LIGHT_PATHS",
+        group="CAUSTICS",
         choices=(
             ("ON", "On", "All of it is rendered"),
             ("OFF", "Off", "Glass that a diffuse ray meets lets no light through, and reflects none. It is darker"),
@@ -279,7 +293,7 @@ class EstimatorSettings:
         "OFF",
         "Texture Filter",
         "How images of materials are looked up where a path sees many texels at once",
-        group="LIGHT_PATHS",
+        group="TEXTURES",
         choices=(
             ("OFF", "Off", "Every look-up reads the image itself: without error, and noisy where texels are small"),
             (
@@ -293,10 +307,10 @@ class EstimatorSettings:
     )
     texture_filter_width: float = setting(
         0.25,
-        "Texture Filter Width",
+        "Filter Width",
         "Width of the area that a look-up is filtered over, in widths of what the path sees; smaller is sharper and "
         "noisier. Unused where textures are not filtered",
-        group="LIGHT_PATHS",
+        group="TEXTURES",
         unit="footprints",
         minimum=0.01,
         maximum=16.0,

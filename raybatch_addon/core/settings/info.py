@@ -35,25 +35,35 @@ class GroupInfo:
 
 GROUPS = {
     "DEVICE": GroupInfo("Device", "Where to render.", closed=False),
-    "SAMPLING": GroupInfo("Sampling", "How many paths are traced, and what decides where they go.", closed=False),
+    "SAMPLING": GroupInfo("Sampling", "How many paths are traced through a pixel.", closed=False),
+    "ERROR": GroupInfo("Error", "How far the picture is from what it would be at last.", "SAMPLING"),
+    "ADVANCED": GroupInfo("Advanced", "What decides where paths go.", "SAMPLING"),
+    "DENOISING": GroupInfo("Denoise", "Noise that is removed from the finished picture."),
     "LIGHT_PATHS": GroupInfo("Light Paths", "How far light is followed."),
-    "FILM": GroupInfo("Film", "How samples become pixels."),
-    "DENOISING": GroupInfo("Denoising", "Noise that is removed from the finished picture."),
-    "PERFORMANCE": GroupInfo(
-        "Performance", "How rays are traced. From here on no setting changes the picture, only the time it takes."
+    "BOUNCES": GroupInfo("Max Bounces", "How often light may change its way.", "LIGHT_PATHS", closed=False),
+    "CLAMPING": GroupInfo("Clamping", "Light above a limit is cut: less noise, and light is lost.", "LIGHT_PATHS"),
+    "CAUSTICS": GroupInfo(
+        "Caustics", "Light that mirrors and glass throw on other surfaces.", "LIGHT_PATHS", closed=False
     ),
-    "SCHEDULER": GroupInfo("Scheduler", "Which rays are alive, and what is done next.", "PERFORMANCE"),
-    "QUEUES": GroupInfo("Queues", "Where rays wait. For renders that batch.", "PERFORMANCE"),
+    "TEXTURES": GroupInfo("Textures", "How images of materials are looked up.", "LIGHT_PATHS"),
+    "ROULETTE": GroupInfo("Russian Roulette", "Which paths end early. The picture stays unbiased.", "LIGHT_PATHS"),
+    "FILM": GroupInfo("Film", "How samples become pixels."),
+    "PERFORMANCE": GroupInfo(
+        "Performance", "How a frame is rendered. From here on no setting changes the picture, only the time it takes."
+    ),
+    "MEMORY": GroupInfo(
+        "Memory", "How much of the scene's geometry is on the device, and where the rest is.", "PERFORMANCE"
+    ),
+    "BATCHING": GroupInfo("Batching", "How rays are traced: for those who study it."),
+    "SCHEDULER": GroupInfo("Scheduler", "Which rays are alive, and what is done next.", "BATCHING"),
+    "QUEUES": GroupInfo("Queues", "Where rays wait. For renders that batch.", "BATCHING"),
     "TREELETS": GroupInfo(
-        "Treelets", "How trees are cut into parts that rays visit together. For renders that batch.", "PERFORMANCE"
+        "Treelets", "How trees are cut into parts that rays visit together. For renders that batch.", "BATCHING"
     ),
     "LAUNCH": GroupInfo(
         "Launch",
         "How the kernels that trace rays are compiled and launched, but for those of Warp's own tree.",
-        "PERFORMANCE",
-    ),
-    "MEMORY": GroupInfo(
-        "Memory", "How much of the scene's geometry is on the device, and where the rest is.", "PERFORMANCE"
+        "BATCHING",
     ),
 }
 
@@ -76,6 +86,8 @@ class SettingInfo:
     multiple: int = 1  # of an int: values are whole multiples of it
     choices: tuple[tuple[str, str, str], ...] = ()  # (identifier, label, description)
     auto: Any = None  # the value that lets RayBatch choose; None: there is none
+    off: Any = None  # the value of a number that sets no limit; None: there is none
+    start: Any = None  # of a number with `auto` or `off`: what it is at first where it is neither
 
     def range_text(self) -> str:
         """The legal values in words, for messages and the manual."""
@@ -90,6 +102,17 @@ class SettingInfo:
             words = f"{lowest}, or {self.least or self.multiple} to {highest}"
             return words + (f" in steps of {self.multiple}" if self.multiple > 1 else "")
         return f"{lowest} to {highest}"
+
+    @property
+    def title(self) -> str:
+        """The label, with its panel's where it says nothing alone."""
+        group = GROUPS[self.group]
+        return f"{group.label}, {self.label}" if group.parent else self.label
+
+    @property
+    def is_switch(self) -> bool:
+        """Whether it is on or off, and nothing else."""
+        return sorted(identifier for identifier, _, _ in self.choices) == ["OFF", "ON"]
 
     def is_auto(self, value: Any) -> bool:
         """Whether `value` lets RayBatch choose."""
@@ -110,6 +133,8 @@ def setting(
     multiple=1,
     choices=(),
     auto=None,
+    off=None,
+    start=None,
 ):
     """A field of a dataclass of settings; for the arguments see `SettingInfo`."""
     metadata = dict(
@@ -124,6 +149,8 @@ def setting(
         multiple=multiple,
         choices=tuple(choices),
         auto=auto,
+        off=off,
+        start=start,
     )
     return dataclasses.field(default=default, metadata=metadata)
 

@@ -1,4 +1,4 @@
-"""Sets of schedule settings to start from: by the panel's menu, and `scripts/render.py --preset`."""
+"""Sets of settings to start from: by the panels' menus, and `scripts/render.py --preset`."""
 
 from __future__ import annotations
 
@@ -11,14 +11,34 @@ from .settings import SETTINGS
 
 @dataclass(frozen=True)
 class Preset:
-    """Schedule settings that differ from their defaults."""
+    """Settings of the picture, or those of the schedule that differ from their defaults."""
 
     label: str
     description: str
     settings: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def changes_picture(self) -> bool:
+        """Whether it sets samples and the like, and leaves the schedule as it is."""
+        return any(SETTINGS[name].effect == "estimator" for name in self.settings)
+
+
+def _picture(label: str, description: str, samples: int, noise: float, bounces: int, quality: str) -> Preset:
+    settings = dict(
+        sample_count=samples,
+        adaptive_sampling="ON",
+        noise_threshold=noise,
+        bounce_max=bounces,
+        denoise="ON",
+        denoise_quality=quality,
+    )
+    return Preset(label, description, settings)
+
 
 PRESETS = {
+    "PREVIEW": _picture("Preview", "A first look, denoised", 32, 0.1, 4, "FAST"),
+    "BALANCED": _picture("Balanced", "Few minutes for most scenes, denoised", 256, 0.03, 8, "BALANCED"),
+    "FINAL": _picture("Final", "Little noise, and what is left denoised", 2048, 0.01, 12, "HIGH"),
     "AUTO": Preset("Automatic", "RayBatch chooses by device and scene"),
     # Table 4.2 of "Batching of divergent rays"; of its lists the values of the best run (table 4.3: Dragon, 31.4 s),
     # and the queues of 64 rays of chapter 6. What the thesis does not state (MIN_TREELETSIZE, QUEUECOUNT, the water
@@ -49,12 +69,14 @@ PRESETS = {
 
 
 def preset_settings(name: str) -> dict[str, Any]:
-    """Every schedule setting by name as the preset `name` has it, but for where to render (group DEVICE); raises
-    `SettingsError`.
+    """By name what the preset `name` sets: settings of the picture, or every one of the schedule but for where to
+    render (group DEVICE). Raises `SettingsError`.
     """
     preset = PRESETS.get(name.strip().upper())
     if preset is None:
         raise SettingsError(f"no preset is called {name!r}; the presets are {', '.join(PRESETS)}")
+    if preset.changes_picture:
+        return dict(preset.settings)
     defaults = {
         info.name: info.default for info in SETTINGS.values() if info.effect == "schedule" and info.group != "DEVICE"
     }

@@ -15,13 +15,13 @@ class TracingSettings:
         "AUTO",
         "Batching",
         "Let rays wait at parts of the tree (treelets) and visit them together, or let each ray go its way",
-        group="PERFORMANCE",
+        group="BATCHING",
         effect="schedule",
         auto="AUTO",
         choices=(
             (
                 "AUTO",
-                "Automatic",
+                "Auto",
                 "On for a scene that does not fit in the device's memory; else what is expected to be fastest",
             ),
             ("ON", "On", "Rays wait in queues at treelets"),
@@ -33,11 +33,11 @@ class TracingSettings:
         "AUTO",
         "Sort Rays",
         "Sort rays by direction and origin before they are traced",
-        group="PERFORMANCE",
+        group="BATCHING",
         effect="schedule",
         auto="AUTO",
         choices=(
-            ("AUTO", "Automatic", "Where that was measured to save time, by kind of ray"),
+            ("AUTO", "Auto", "Where that was measured to save time, by kind of ray"),
             (
                 "ON",
                 "On",
@@ -51,11 +51,11 @@ class TracingSettings:
         "AUTO",
         "Sort Hits",
         "Sort hits by material before they are shaded, so that threads beside each other run the same code",
-        group="PERFORMANCE",
+        group="BATCHING",
         effect="schedule",
         auto="AUTO",
         choices=(
-            ("AUTO", "Automatic", "On a GPU, where the scene has materials that run different code"),
+            ("AUTO", "Auto", "On a GPU, where the scene has materials that run different code"),
             ("ON", "On", "Wherever the scene has such materials"),
             ("OFF", "Off", "Never. Hits on geometry beyond the memory of a GPU follow their triangles whatever is set"),
         ),
@@ -70,6 +70,7 @@ class TracingSettings:
         minimum=0,
         maximum=65_536,
         auto=0,
+        start=256,
     )
     tile_order: str = setting(
         "AUTO",
@@ -96,7 +97,7 @@ class TracingSettings:
         choices=(
             (
                 "AUTO",
-                "Automatic",
+                "Auto",
                 "On the CPU in renders of so many samples that faster rays save more than the build takes, but for "
                 "meshes that move from frame to frame: their trees follow them. On CUDA trees are built on the "
                 "device, without splits",
@@ -109,7 +110,7 @@ class TracingSettings:
         "OFF",
         "Counters",
         "Count the steps of every ray, by kind and bounce, and time each stage; the render takes longer",
-        group="PERFORMANCE",
+        group="BATCHING",
         effect="schedule",
         choices=(
             ("OFF", "Off", "Nothing is counted, and nothing is paid for it"),
@@ -133,10 +134,11 @@ class SchedulerSettings:
         minimum=0,
         maximum=2**28,
         auto=0,
+        start=2**20,
     )
     ray_low_water: float = setting(
         0.75,
-        "Low Water",
+        "Refill Below",
         "New paths are generated when fewer than this share of Rays Alive is left",
         group="SCHEDULER",
         effect="schedule",
@@ -146,7 +148,7 @@ class SchedulerSettings:
     )
     ray_high_water: float = setting(
         1.0,
-        "High Water",
+        "Refill To",
         "Share of Rays Alive up to which new paths are generated",
         group="SCHEDULER",
         effect="schedule",
@@ -161,8 +163,8 @@ class SchedulerSettings:
         group="SCHEDULER",
         effect="schedule",
         choices=(
-            ("FRAME_FIRST", "Frame first", "One sample of every pixel of the tile, then the next sample"),
-            ("PIXEL_FIRST", "Pixel first", "All samples of a pixel, then the next pixel"),
+            ("FRAME_FIRST", "Frame First", "One sample of every pixel of the tile, then the next sample"),
+            ("PIXEL_FIRST", "Pixel First", "All samples of a pixel, then the next pixel"),
         ),
     )
     bucket_selection: str = setting(
@@ -173,8 +175,8 @@ class SchedulerSettings:
         effect="schedule",
         auto="AUTO",
         choices=(
-            ("AUTO", "Automatic", "By device"),
-            ("MOST_FULL", "Most full", "The one in which most rays wait"),
+            ("AUTO", "Auto", "By device"),
+            ("MOST_FULL", "Most Full", "The one in which most rays wait"),
             ("NEXT", "Next", "The one behind the last, in turn, that is not empty"),
             ("RANDOM", "Random", "Any that is not empty, from random numbers that repeat"),
             ("ALL", "All", "Every bucket in each step, in one sorted sweep"),
@@ -190,6 +192,8 @@ class SchedulerSettings:
         unit="steps",
         minimum=0,
         maximum=INT_MAX,
+        off=0,
+        start=64,
     )
     top_level_traversal: str = setting(
         "NAIVE",
@@ -218,6 +222,7 @@ class QueueSettings:
         minimum=0,
         maximum=2**24,
         auto=0,
+        start=1024,
     )
     queue_count: int = setting(
         0,
@@ -230,6 +235,7 @@ class QueueSettings:
         minimum=0,
         maximum=2**28,
         auto=0,
+        start=4096,
     )
     ray_storage: str = setting(
         "INDIRECT",
@@ -265,8 +271,8 @@ class TreeletSettings:
 
     treelet_size: int = setting(
         0,
-        "Nodes at Most",
-        "Most nodes of a treelet; 0 chooses by device. Nodes at Least comes first: where it keeps a node closed, a "
+        "Max Nodes",
+        "Most nodes of a treelet; 0 chooses by device. Min Nodes comes first: where it keeps a node closed, a "
         "treelet is larger. As many as the tree has make it one treelet, as a control",
         group="TREELETS",
         effect="schedule",
@@ -274,11 +280,12 @@ class TreeletSettings:
         minimum=0,
         maximum=INT_MAX,
         auto=0,
+        start=4096,
     )
     treelet_size_min: int = setting(
         1,
-        "Nodes at Least",
-        "No node is opened whose child would be a smaller treelet than this: it comes before Nodes at Most",
+        "Min Nodes",
+        "No node is opened whose child would be a smaller treelet than this: it comes before Max Nodes",
         group="TREELETS",
         effect="schedule",
         unit="nodes",
@@ -287,19 +294,20 @@ class TreeletSettings:
     )
     treelet_bytes: int = setting(
         0,
-        "Bytes at Most",
+        "Max Size",
         "Most memory of a treelet's nodes and triangles, such as a cache's size; 0 chooses by device, or sets no limit "
-        "where Nodes at Most is given",
+        "where Max Nodes is given",
         group="TREELETS",
         effect="schedule",
         unit=BYTES,
         minimum=0,
         maximum=INT_MAX,
         auto=0,
+        start=2**20,
     )
     top_level_depth_max: int = setting(
         64,
-        "Top Level Depth",
+        "Top Levels",
         "Levels of a mesh's tree that are above its treelets at most",
         group="TREELETS",
         effect="schedule",

@@ -86,7 +86,7 @@ SCENE_ROWS = (
         "Denoise is on in Cycles and off in RayBatch: the picture keeps its noise",
         _denoises,
         Weight.SETTING,
-        "turn on Denoise in RayBatch's panel Denoising, or turn it off in Cycles' sampling settings",
+        "turn on Denoise in RayBatch's panel Denoise, or turn it off in Cycles' sampling settings",
     ),
     Row(
         "a transparent film shows through glass in Cycles; here glass shows the background as black",

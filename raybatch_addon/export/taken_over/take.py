@@ -32,8 +32,13 @@ class Difference:
 
     def text(self, engine: str) -> str:
         """It in words."""
-        label = _OF_FILE.get(self.setting) or SETTINGS[self.setting].label
-        return f"{label}: {_shown(self.theirs)} in {ENGINE_LABELS[engine]}, {_shown(self.ours)} here"
+        info = SETTINGS.get(self.setting)
+        label = _OF_FILE[self.setting] if info is None else info.title
+        theirs, ours = (
+            "no limit" if info is not None and info.off is not None and value == info.off else _shown(value)
+            for value in (self.theirs, self.ours)
+        )
+        return f"{label}: {theirs} in {ENGINE_LABELS[engine]}, {ours} here"
 
 
 def differences(scene: bpy.types.Scene, engine: str, chosen: bool = False) -> list[Difference]:

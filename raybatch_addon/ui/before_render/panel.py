@@ -9,7 +9,8 @@ from ...core.errors import SettingsError
 from ...core.scene.notice import Notice, Weight
 from ...export.taken_over.rows import CYCLES, EEVEE
 from ...export.taken_over.take import ENGINE_LABELS, differences
-from ..panel import EnginePanel, draw_lines
+from .. import migration
+from ..panel import LATER, EnginePanel, draw_box, draw_lines
 from .operators import RAYBATCH_OT_check_scene, RAYBATCH_OT_select_object, RAYBATCH_OT_settings_from
 
 ICONS = {Weight.MISSING: "ERROR", Weight.REPLACED: "QUESTION", Weight.SETTING: "PREFERENCES", Weight.REPAIRED: "INFO"}
@@ -20,16 +21,22 @@ class RAYBATCH_RENDER_PT_before_render(EnginePanel, bpy.types.Panel):
     """What a render of this scene would lack."""
 
     bl_label = "Before the Render"
+    bl_order = LATER
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw_header(self, context):
         found = missing.found_in(context.scene)
-        if found:
+        if migration.complaint(context.scene):
+            self.layout.label(text="", icon="ERROR")
+        elif found:
             self.layout.label(text="", icon=ICONS[found[0].weight])
 
     def draw(self, context):
         layout = self.layout
-        layout.prop(context.scene.raybatch_export, "strict")
+        if newer := migration.complaint(context.scene):
+            draw_box(layout, context, newer, "ERROR")
+        layout.label(text="Refuse to Render")
+        layout.prop(context.scene.raybatch_export, "strict", text="")
         layout.operator(RAYBATCH_OT_check_scene.bl_idname, icon="VIEWZOOM")
         found = missing.found_in(context.scene)
         if found is None:
@@ -44,9 +51,9 @@ class RAYBATCH_RENDER_PT_before_render(EnginePanel, bpy.types.Panel):
 
 def _draw_notice(layout, context, number: int, notice: Notice) -> None:
     box = layout.box()
-    draw_lines(box, context, [notice], ICONS[notice.weight])
+    draw_lines(box, context, [notice], ICONS[notice.weight], in_box=True)
     if notice.remedy:
-        draw_lines(box, context, [f"To do: {notice.remedy}"])
+        draw_lines(box, context, [f"To do: {notice.remedy}"], in_box=True)
     if notice.objects:
         text = notice.objects[0] if len(notice.objects) == 1 else f"{len(notice.objects)} objects"
         select = box.operator(RAYBATCH_OT_select_object.bl_idname, text=f"Select {text}", icon="RESTRICT_SELECT_OFF")
@@ -62,14 +69,15 @@ class RAYBATCH_RENDER_PT_settings_from(EnginePanel, bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        layout.prop(context.scene.raybatch_export, "material_output")
+        layout.label(text="Material Output")
+        layout.prop(context.scene.raybatch_export, "material_output", text="")
         for engine in (CYCLES, EEVEE):
             text = f"Settings From {ENGINE_LABELS[engine]}"
             layout.operator(RAYBATCH_OT_settings_from.bl_idname, text=text, icon="IMPORT").engine = engine
             try:
                 found = differences(context.scene, engine)
             except SettingsError as error:
-                draw_lines(layout.box(), context, [str(error)], "ERROR")
+                draw_box(layout, context, str(error), "ERROR")
                 continue
             draw_lines(layout, context, [each.text(engine) for each in found] or ["They are the same"])
 

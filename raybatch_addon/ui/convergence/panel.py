@@ -7,7 +7,7 @@ import bpy
 from ...convergence.records import Run, store
 from ...convergence.run_texts import names_of, run_lines, target_line
 from ...core.settings.settings import keeps_halves
-from ..panel import EnginePanel, draw_lines
+from ..panel import LATER, EnginePanel, draw_lines
 from .operators import (
     RAYBATCH_OT_convergence_clear,
     RAYBATCH_OT_convergence_copy,
@@ -28,6 +28,7 @@ class RAYBATCH_RENDER_PT_convergence(EnginePanel, bpy.types.Panel):
     """Error and rays a second over time, of the running render and of the last ones."""
 
     bl_label = "Convergence"
+    bl_order = LATER
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):

@@ -21,8 +21,11 @@ from tests.support.panel_layout import context_of, drawn, own_panels
 def test_both_ends_of_a_render_are_shown_beside_its_samples(lit):
     sampling = next(panel for panel in own_panels() if getattr(panel, "group", "") == "SAMPLING")
     shown = [note[2] for note in drawn(sampling, context_of(lit)) if note[0] == "prop"]
-    adaptive = ["adaptive_sampling", "noise_threshold", "adaptive_samples_min"]
-    assert shown[:7] == ["sample_count", *adaptive, "time_limit", "error_estimate", "error_target"]
+    assert shown[0] == "sample_count" and "time_limit_is_on" in shown
+    error = next(panel for panel in own_panels() if getattr(panel, "group", "") == "ERROR")
+    assert error.bl_parent_id == sampling.__name__
+    shown = [note[2] for note in drawn(error, context_of(lit)) if note[0] == "prop"]
+    assert shown == ["error_estimate_is_on", "error_target_is_on"]
     own = lit.raybatch.bl_rna.properties
     assert (own["time_limit"].name, own["error_target"].name) == ("Time Limit", "Stop at Error")
     assert own["time_limit"].unit == "TIME_ABSOLUTE" and "[s]" in own["time_limit"].description

@@ -125,6 +125,7 @@ def test_a_denoised_render_keeps_the_noisy_picture_and_leaves_the_film_alone(roo
 def test_a_cancel_ends_denoising_and_keeps_the_noisy_picture(room, monkeypatch):
     plain = rendered_film(room).passes["Combined"]
     room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
+    monkeypatch.setattr(frame, "PLAIN_SECONDS", 0.0)  # each line is seen
     lines = []
     watch_engines(
         monkeypatch,

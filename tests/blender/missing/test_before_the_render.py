@@ -9,7 +9,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.blender import frame, missing, reports
+from raybatch_addon.blender import exit_code, frame, missing, reports
 from raybatch_addon.core.scene.archive import load_scene, save_scene
 from raybatch_addon.core.scene.notice import Notice, Weight, by_weight, described
 from raybatch_addon.core.settings.settings import RenderSettings
@@ -272,7 +272,7 @@ def test_a_process_ends_with_a_code_of_its_own_where_a_render_is_refused(scene, 
     done = subprocess.run(
         [sys.executable, "-c", code, "--", "--raybatch-strict"], capture_output=True, text=True, check=False
     )
-    assert done.returncode == missing.REFUSED, done.stderr
+    assert done.returncode == exit_code.REFUSED, done.stderr
     assert "Render Time" in done.stderr
     done = subprocess.run(
         [sys.executable, str(ROOT / "scripts/render.py"), str(file), "--strict", "--json", "-"],
@@ -280,7 +280,7 @@ def test_a_process_ends_with_a_code_of_its_own_where_a_render_is_refused(scene, 
         text=True,
         check=False,
     )
-    assert done.returncode == missing.REFUSED and "not rendered" in done.stderr and not done.stdout
+    assert done.returncode == exit_code.REFUSED and "not rendered" in done.stderr and not done.stdout
 
 
 def test_another_engines_settings_are_taken_over_on_the_command_line(scene, tmp_path):

@@ -9,7 +9,7 @@ from raybatch_addon.export.materials import export_material
 from raybatch_addon.export.nodes.collections import Collections
 from raybatch_addon.export.settings import settings_from
 from raybatch_addon.export.taken_over.rows import CYCLES, EEVEE, ROWS
-from raybatch_addon.export.taken_over.take import differences, passed_over_settings, take_over
+from raybatch_addon.export.taken_over.take import Difference, differences, passed_over_settings, take_over
 from raybatch_addon.ui.before_render.panel import RAYBATCH_RENDER_PT_settings_from
 from tests.support.panel_layout import context_of, drawn
 
@@ -116,3 +116,10 @@ def test_the_output_of_the_engine_counts(scene, engine, color):
     collections.engine = engine
     exported, _ = export_material(material, collections)
     assert exported.closures[0].weight == color
+
+
+def test_numbers_that_set_no_limit_are_told_so():
+    text = Difference("glossy_bounce_max", 4, SETTINGS["glossy_bounce_max"].off).text("CYCLES")
+    assert text == "Max Bounces, Glossy: 4 in Cycles, no limit here"
+    assert Difference("time_limit", 0.0, 5.0).text("CYCLES") == "Time Limit: no limit in Cycles, 5 here"
+    assert Difference("exposure", 2.0, 1.0).text("CYCLES") == "Exposure: 2 in Cycles, 1 here"

@@ -1,4 +1,4 @@
-"""Presets are whole sets of legal schedule settings."""
+"""Presets are whole sets of legal settings: those of the schedule, or what a picture's noise depends on."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from raybatch_addon.core.settings.presets import PRESETS, preset_settings
 from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings
 
 
-@pytest.mark.parametrize("name", list(PRESETS))
+@pytest.mark.parametrize("name", [name for name, preset in PRESETS.items() if not preset.changes_picture])
 def test_a_preset_sets_the_whole_schedule_and_nothing_else(name):
     settings = preset_settings(name)
     assert set(settings) == {info.name for info in SETTINGS.values() if info.effect == "schedule"} - {
@@ -19,6 +19,17 @@ def test_a_preset_sets_the_whole_schedule_and_nothing_else(name):
     after = before.replace(**settings)
     assert after == RenderSettings(**settings, sample_count=7, device="cpu"), "nothing of the old schedule is left"
     assert preset_settings(f" {name.lower()} ") == settings
+
+
+def test_presets_of_the_picture_leave_the_schedule_alone():
+    found = {name: preset_settings(name) for name, preset in PRESETS.items() if preset.changes_picture}
+    assert list(found) == ["PREVIEW", "BALANCED", "FINAL"]
+    assert len({tuple(values) for values in found.values()}) == 1, "each undoes the others"
+    assert all(SETTINGS[name].effect == "estimator" for name in found["FINAL"])
+    assert [values["sample_count"] for values in found.values()] == [32, 256, 2048]
+    noise = [values["noise_threshold"] for values in found.values()]
+    assert noise == sorted(noise, reverse=True)
+    assert all(RenderSettings(**values).denoise == "ON" for values in found.values())
 
 
 def test_what_presets_are():
@@ -35,5 +46,5 @@ def test_what_presets_are():
 
 
 def test_another_preset_is_refused_with_those_that_there_are():
-    with pytest.raises(SettingsError, match="'Fast'.*AUTO, THESIS, UNBATCHED"):
+    with pytest.raises(SettingsError, match="'Fast'.*FINAL, AUTO, THESIS, UNBATCHED"):
         preset_settings("Fast")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..export.panorama import panorama_settings
-from .panel import EnginePanel
+from ...export.panorama import panorama_settings
+from ..panel import EnginePanel
 
 # Settings of each type of panorama
 _PANORAMAS = {

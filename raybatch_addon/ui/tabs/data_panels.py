@@ -1,12 +1,10 @@
-"""Panels outside of the render tab, for what Blender's own panels do not show: passes, filter, ray visibility,
-light.
-"""
+"""Panels of view layers and objects, for what Blender's own panels do not show: passes, filter, ray visibility."""
 
 from __future__ import annotations
 
 import bpy
 
-from ..export.passes import (
+from ...export.passes import (
     CATCHER_PROPERTY,
     COST_PASS_PROPERTIES,
     LIGHT_PASS_PROPERTIES,
@@ -14,9 +12,23 @@ from ..export.passes import (
     PASS_PROPERTIES,
     VOLUME_PASS_PROPERTIES,
 )
-from .panel import EnginePanel
+from ..panel import EnginePanel
 
 _GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}
+
+
+# Passes of light that belong to no kind of reflection, with names that fit
+_OTHER_LIGHT = {"use_pass_emit": "Emission", "use_pass_environment": "Environment", "use_pass_ambient_occlusion": "AO"}
+
+
+def _light_passes() -> list[tuple[str, dict[str, str]]]:
+    """The passes of each kind of reflection: its heading, and what each property is called below it."""
+    found: dict[str, dict[str, str]] = {}
+    for name, about in LIGHT_PASS_PROPERTIES.items():
+        kind, _, part = about.partition(" ")
+        if name not in _OTHER_LIGHT:
+            found.setdefault(kind, {})[name] = part
+    return list(found.items())
 
 
 class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
@@ -29,26 +41,36 @@ class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
         layout = self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
+        layer = context.view_layer
+        # properties of Cycles' own are there as long as that add-on is enabled
+        of_cycles = getattr(layer, "cycles", None)
         column = layout.column(heading="Include")
         for name in ("use_pass_combined", *PASS_PROPERTIES):
-            column.prop(context.view_layer, name)
-        column.prop(context.view_layer, "pass_alpha_threshold")
-        column.prop(context.view_layer.raybatch, "use_pass_sample_count")
-        if hasattr(context.view_layer, "cycles"):  # the property is Cycles' own
-            column.prop(context.view_layer.cycles, "denoising_store_passes", text="Denoising Data")
-        column = layout.column(heading="Light")
-        for name in LIGHT_PASS_PROPERTIES:
-            column.prop(context.view_layer, name)
-        if hasattr(context.view_layer, "cycles"):  # as above
-            for name in (*VOLUME_PASS_PROPERTIES, CATCHER_PROPERTY):
-                column.prop(context.view_layer.cycles, name)
+            column.prop(layer, name)
+        column.prop(layer.raybatch, "use_pass_sample_count")
+        if of_cycles is not None:
+            column.prop(of_cycles, "denoising_store_passes", text="Denoising Data")
+        layout.prop(layer, "pass_alpha_threshold", text="Alpha From")
+        for heading, names in _light_passes():
+            column = layout.column(heading=heading)
+            for name, text in names.items():
+                column.prop(layer, name, text=text)
+        if of_cycles is not None:
+            column = layout.column(heading="Volume")
+            for name, about in VOLUME_PASS_PROPERTIES.items():
+                column.prop(of_cycles, name, text=about.removeprefix("Volume "))
+        column = layout.column(heading="Other")
+        for name, text in _OTHER_LIGHT.items():
+            column.prop(layer, name, text=text)
+        if of_cycles is not None:
+            column.prop(of_cycles, CATCHER_PROPERTY)
         column = layout.column(heading="Cryptomatte")
-        for name in MATTE_PROPERTIES:
-            column.prop(context.view_layer, name)
-        column.prop(context.view_layer, "pass_cryptomatte_depth", text="Levels")
+        for name, kind in MATTE_PROPERTIES.items():
+            column.prop(layer, name, text=kind.removeprefix("Crypto"))
+        layout.prop(layer, "pass_cryptomatte_depth", text="Levels")
         column = layout.column(heading="Cost")
         for name in COST_PASS_PROPERTIES:
-            column.prop(context.view_layer.raybatch, name)
+            column.prop(layer.raybatch, name)
 
 
 class RAYBATCH_VIEWLAYER_PT_filter(EnginePanel, bpy.types.Panel):
@@ -69,7 +91,7 @@ class RAYBATCH_VIEWLAYER_PT_filter(EnginePanel, bpy.types.Panel):
         column.prop(context.view_layer, "use_volumes", text="Volumes")
         if hasattr(context.view_layer, "use_motion_blur"):
             column.prop(context.view_layer, "use_motion_blur", text="Motion Blur")
-        layout.prop(context.view_layer, "material_override")
+        layout.prop(context.view_layer, "material_override", text="Override")
 
 
 class RAYBATCH_OBJECT_PT_ray_visibility(EnginePanel, bpy.types.Panel):
@@ -94,32 +116,7 @@ class RAYBATCH_OBJECT_PT_ray_visibility(EnginePanel, bpy.types.Panel):
             column.prop(context.object, "is_shadow_catcher")
 
 
-class RAYBATCH_LIGHT_PT_settings(EnginePanel, bpy.types.Panel):
-    """Settings of a light that Blender's own panel leaves out."""
-
-    bl_label = "RayBatch"
-    bl_context = "data"
-    bl_parent_id = "DATA_PT_EEVEE_light"
-
-    @classmethod
-    def poll(cls, context):
-        return super().poll(context) and context.light is not None
-
-    def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        light = context.light
-        layout.prop(light, "use_shadow", text="Cast Shadow")
-        if light.type == "AREA":
-            layout.prop(light, "spread")
-
-
-_classes = (
-    RAYBATCH_VIEWLAYER_PT_passes,
-    RAYBATCH_VIEWLAYER_PT_filter,
-    RAYBATCH_OBJECT_PT_ray_visibility,
-    RAYBATCH_LIGHT_PT_settings,
-)
+_classes = (RAYBATCH_VIEWLAYER_PT_passes, RAYBATCH_VIEWLAYER_PT_filter, RAYBATCH_OBJECT_PT_ray_visibility)
 
 
 def register() -> None:

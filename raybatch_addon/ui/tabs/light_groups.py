@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .panel import EnginePanel
+from ..panel import EnginePanel
 
 
 class RAYBATCH_VIEWLAYER_PT_light_groups(EnginePanel, bpy.types.Panel):

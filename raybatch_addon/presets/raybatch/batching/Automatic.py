@@ -1,0 +1,5 @@
+"""What the preset AUTO of `core/settings/presets.py` sets."""
+
+import bpy
+
+bpy.ops.raybatch.preset(preset="AUTO")

@@ -1,0 +1,158 @@
+"""Panels of materials, worlds and lights for what Blender shows to its own engines alone, and passes of materials."""
+
+from __future__ import annotations
+
+import bpy
+from bl_ui.properties_view_layer import ViewLayerAOVPanelHelper
+from bpy_extras.node_utils import find_node_input
+
+from ...export.settings import output_engine
+from ..panel import EnginePanel
+
+
+class RAYBATCH_MATERIAL_PT_settings(EnginePanel, bpy.types.Panel):
+    """Settings of a material beside its nodes."""
+
+    bl_label = "Settings"
+    bl_context = "material"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and context.material is not None and not context.material.grease_pencil
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(context.material, "displacement_method", text="Displacement")
+        layout.prop(context.material, "pass_index")
+
+
+class _WorldPanel(EnginePanel):
+    bl_context = "world"
+    bl_options = {"DEFAULT_CLOSED"}
+    settings = ""  # the property of a world, of Cycles' add-on, that the panel shows
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and hasattr(context.world, cls.settings)
+
+
+class RAYBATCH_WORLD_PT_ray_visibility(_WorldPanel, bpy.types.Panel):
+    """Kinds of rays that see the world."""
+
+    bl_label = "Ray Visibility"
+    settings = "cycles_visibility"
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        column = layout.column()
+        for ray in ("camera", "diffuse", "glossy", "transmission"):
+            column.prop(context.world.cycles_visibility, ray)
+
+
+class RAYBATCH_WORLD_PT_settings(_WorldPanel, bpy.types.Panel):
+    """How rays are aimed at a world's light."""
+
+    bl_label = "Settings"
+    settings = "cycles"
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        own = context.world.cycles
+        layout.prop(own, "sampling_method", text="Sampling")
+        row = layout.row()
+        row.active = own.sampling_method == "MANUAL"
+        row.prop(own, "sample_map_resolution", text="Resolution")
+
+
+def _is_portal(light: bpy.types.Light) -> bool:
+    return light.type == "AREA" and getattr(getattr(light, "cycles", None), "is_portal", False)
+
+
+class RAYBATCH_LIGHT_PT_settings(EnginePanel, bpy.types.Panel):
+    """Settings of a light that Blender's own panel leaves out."""
+
+    bl_label = "Settings"
+    bl_context = "data"
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and context.light is not None
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        light = context.light
+        column = layout.column()
+        column.active = not _is_portal(light)
+        column.prop(light, "use_shadow", text="Cast Shadow")
+        if light.type != "AREA":
+            return
+        column.prop(light, "spread")
+        if hasattr(light, "cycles"):
+            layout.prop(light.cycles, "is_portal", text="Portal")
+
+
+class RAYBATCH_LIGHT_PT_nodes(EnginePanel, bpy.types.Panel):
+    """The nodes of a light."""
+
+    bl_label = "Nodes"
+    bl_context = "data"
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and context.light is not None and not _is_portal(context.light)
+
+    def draw(self, context):
+        layout, light = self.layout, context.light
+        layout.use_property_split = True
+        if bpy.app.version < (5, 0):
+            layout.prop(light, "use_nodes", icon="NODETREE")
+            if not light.use_nodes:
+                return
+        tree = light.node_tree
+        node = tree.get_output_node(output_engine(context.scene)) if tree is not None else None
+        surface = find_node_input(node, "Surface") if node is not None else None
+        if surface is None:
+            layout.label(text="No nodes: its color is even" if tree is None else "No output node")
+        else:
+            layout.template_node_view(tree, node, surface)
+
+
+class RAYBATCH_VIEWLAYER_PT_aov(EnginePanel, bpy.types.Panel):
+    """Passes that materials write."""
+
+    bl_label = "Shader AOV"
+    bl_context = "view_layer"
+    bl_parent_id = "RAYBATCH_VIEWLAYER_PT_passes"
+    bl_options = {"DEFAULT_CLOSED"}
+    draw = ViewLayerAOVPanelHelper.draw
+
+
+_classes = (
+    RAYBATCH_MATERIAL_PT_settings,
+    RAYBATCH_WORLD_PT_ray_visibility,
+    RAYBATCH_WORLD_PT_settings,
+    RAYBATCH_LIGHT_PT_settings,
+    RAYBATCH_LIGHT_PT_nodes,
+    RAYBATCH_VIEWLAYER_PT_aov,
+)
+
+
+def register() -> None:
+    """Add the panels."""
+    for cls in _classes:
+        bpy.utils.register_class(cls)
+
+
+def unregister() -> None:
+    """Remove the panels."""
+    for cls in reversed(_classes):
+        bpy.utils.unregister_class(cls)

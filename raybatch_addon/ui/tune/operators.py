@@ -1,0 +1,115 @@
+"""Operators: try schedules, and take the fastest."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ...export.settings import assign_setting
+from ..compare.slots import take_next_slot
+from ..panel import ENGINE
+
+
+class RAYBATCH_OT_tune(bpy.types.Operator):
+    """Render the scene for seconds with each of some ways to trace rays, and on each device, and tell the fastest. The
+    picture is the same with all of them; nothing is changed before you take the fastest
+    """
+
+    bl_idname = "raybatch.tune"
+    bl_label = "Tune"
+
+    seconds: bpy.props.FloatProperty(
+        name="Seconds", description="How long each of them renders", default=3.0, min=0.05, max=600.0
+    )
+
+    @classmethod
+    def poll(cls, context):
+        return context.scene is not None and context.engine == ENGINE and not bpy.app.is_job_running("RENDER")
+
+    def invoke(self, context, _event):
+        from ...blender import tuning
+
+        take_next_slot()  # the last picture stays
+        tuning.ask_for_tuning(context.scene.name, self.seconds)
+        started = bpy.ops.render.render("INVOKE_DEFAULT")
+        if "CANCELLED" in started:
+            tuning.withdraw_tuning()
+        return started & {"FINISHED", "CANCELLED"} or {"FINISHED"}
+
+    def execute(self, context):
+        from ...blender import tuning
+
+        tuning.ask_for_tuning(context.scene.name, self.seconds)
+        try:
+            return bpy.ops.render.render()
+        finally:
+            tuning.withdraw_tuning()
+
+
+class RAYBATCH_OT_take_fastest(bpy.types.Operator):
+    """Set what was found to be the fastest"""
+
+    bl_idname = "raybatch.take_fastest"
+    bl_label = "Use the Fastest"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context):
+        from ...blender import tuning
+
+        found = tuning.last_tuned()
+        return context.scene is not None and found is not None and found.tuning.best is not None
+
+    def execute(self, context):
+        from ...blender import tuning
+
+        for name, value in tuning.last_tuned().tuning.best.changes.items():
+            assign_setting(context.scene.raybatch, name, value)
+        return {"FINISHED"}
+
+
+_classes = (RAYBATCH_OT_tune, RAYBATCH_OT_take_fastest)
+
+
+def _handlers() -> tuple[tuple[list, Callable[..., None]], ...]:
+    told = bpy.app.handlers
+    return (told.render_init, _begin), (told.render_complete, _end), (told.render_cancel, _end)
+
+
+def _tuning() -> Any | None:
+    """The module, once it is there: it brings in the core, which registering does not wait for."""
+    return sys.modules.get(f"{__package__.rpartition('.ui')[0]}.blender.tuning")
+
+
+@persistent
+def _begin(*_: object) -> None:
+    if (tuning := _tuning()) is not None:
+        tuning.begin_tuning()
+
+
+@persistent
+def _end(*_: object) -> None:
+    if (tuning := _tuning()) is not None:
+        tuning.withdraw_tuning()
+
+
+def register() -> None:
+    """Add the operators, and have Blender tell of its renders."""
+    for cls in _classes:
+        bpy.utils.register_class(cls)
+    for handlers, function in _handlers():
+        handlers.append(function)
+
+
+def unregister() -> None:
+    """Remove the operators, and what was found."""
+    for handlers, function in _handlers():
+        handlers.remove(function)
+    if (tuning := _tuning()) is not None:
+        tuning.forget_tuned()
+    for cls in reversed(_classes):
+        bpy.utils.unregister_class(cls)

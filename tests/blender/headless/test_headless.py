@@ -1,0 +1,148 @@
+"""Blender without a window: what its command line asks for, the lines that it prints, the code that it ends with."""
+
+import itertools
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from raybatch_addon.blender import exit_code, frame, reports
+from raybatch_addon.core.errors import SettingsError
+from raybatch_addon.core.observers import Progress
+from raybatch_addon.export.asked import asked
+from raybatch_addon.export.settings import settings_from
+from tests.support.blender_builders import add_grid
+
+
+def test_device_settings_and_threads_are_asked_for_on_the_command_line():
+    line = "blender -b x.blend -t 3 -E RAYBATCH -f 1 --"
+    read = asked([*line.split(), "--raybatch-device", "cuda:1", "--raybatch-set", "sample_count=7"])
+    assert read.settings == {"thread_count": 3, "device": "cuda:1", "sample_count": 7}
+    read = asked(
+        ["blender", "--threads", "0", "--", "--raybatch-set", "nee=half", "--raybatch-set", "geometry_budget=2G"]
+    )
+    assert read.settings == {"nee": "HALF", "geometry_budget": 2_000_000_000}
+    assert asked(["script.py", "-t", "3"]).settings == {}, "options of a script are its own"
+    assert asked(["blender", "-b", "--raybatch-set", "seed=1"]).settings == {}, "Blender's own stand before --"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--raybatch-set", "sample_cuont=7"], "did you mean sample_count"),
+        (["--raybatch-set", "sample_count"], "NAME=VALUE"),
+        (["--raybatch-set", "sample_count=-1"], "must be 1 to"),
+        (["--raybatch-device"], "takes the name of a device"),
+        (["--raybatch-devize", "cpu"], "no option --raybatch-devize: the options are --raybatch-device"),
+    ],
+)
+def test_options_that_are_not_understood_are_told(options, words):
+    with pytest.raises(SettingsError, match=words):
+        asked(["blender", "--", *options])
+
+
+def test_the_command_line_comes_before_the_file(scene, monkeypatch):
+    scene.raybatch.sample_count, scene.raybatch.seed = 5, 6
+    monkeypatch.setattr(sys, "argv", ["blender", "-t", "1", "--", "--raybatch-set", "sample_count=7"])
+    settings = settings_from(scene)
+    assert (settings.sample_count, settings.seed, settings.thread_count) == (7, 6, 1)
+
+
+@pytest.fixture
+def animated(scene, tmp_path):
+    """A scene of which frames 1, 3 and 5 are asked for, as by `-s 1 -e 5 -j 2 -a`."""
+    add_grid("Grid", 4)
+    scene.frame_start, scene.frame_end, scene.frame_step = 1, 5, 2
+    scene.render.filepath = f"{tmp_path}/"
+    scene.render.image_settings.file_format = "PNG"
+    scene.raybatch.sample_count = 1
+    return scene
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_frames_are_those_that_were_asked_for(animated, tmp_path):
+    bpy.ops.render.render(animation=True)
+    assert names(tmp_path) == ["0001.png", "0003.png", "0005.png"]
+
+
+@contextmanager
+def looking(look):
+    """`look()` is called as each view layer begins."""
+
+    def listen(_layer, _scene, _settings):
+        look()
+
+    frame.scene_listeners.append(listen)
+    try:
+        yield
+    finally:
+        frame.scene_listeners.remove(listen)
+
+
+def test_frames_that_are_there_are_left_alone_without_overwrite(animated, tmp_path):
+    (tmp_path / "0003.png").write_bytes(b"there")
+    animated.render.use_overwrite = False
+    rendered = []
+    with looking(lambda: rendered.append(animated.frame_current)):
+        bpy.ops.render.render(animation=True)
+    assert rendered == [1, 5] and (tmp_path / "0003.png").read_bytes() == b"there"
+
+
+def test_placeholders_are_there_while_a_frame_renders(animated, tmp_path):
+    animated.render.use_placeholder = True
+    seen = []
+    with looking(lambda: seen.append(names(tmp_path))):
+        bpy.ops.render.render(animation=True)
+    assert seen[0] == ["0001.png"] and seen[-1] == ["0001.png", "0003.png", "0005.png"]
+    assert (tmp_path / "0005.png").stat().st_size > 0
+
+
+def test_extensions_are_left_out_where_asked(animated, tmp_path):
+    animated.render.use_file_extension = False  # as by `-x 0`
+    bpy.ops.render.render(animation=True)
+    assert names(tmp_path) == ["0001", "0003", "0005"]
+
+
+def test_lines_of_progress_come_at_most_every_five_seconds(monkeypatch):
+    lines = []
+    clock = [100.0]
+    engine = type("Engine", (), {name: lambda *_, **__: None for name in ("update_progress", "update_memory_stats")})()
+    engine.update_stats = lambda _layer, text: lines.append((clock[0], text))
+    monkeypatch.setattr(frame.time, "perf_counter", lambda: clock[0])
+    status = frame._Status(engine, "ViewLayer")
+    samples = dict(samples_done=3, samples_total=16, rays_per_second=1e6, seconds_elapsed=1.0, seconds_left=None)
+    progress = Progress(stage="render", fraction=0.5, message="", memory_bytes=0, **samples)
+    status.show("Reading the scene")
+    for _ in range(120):
+        clock[0] += 0.1
+        status.update(progress)
+        status.show("another stage")
+    times = [time for time, _ in lines]
+    assert len(lines) == 3 and min(later - time for time, later in itertools.pairwise(times)) >= 5
+    assert lines[1][1].startswith("Sample 3/16 | "), "as Cycles has it, for those who read it"
+
+
+@pytest.mark.parametrize(("codes", "left"), [([1], 1), ([3], 3), ([1, 3], 3), ([3, 1], 3)])
+def test_the_exit_code_tells_what_became_of_renders(codes, left):
+    code = f"import raybatch_addon.blender.exit_code as e; [e.end_with(each) for each in {codes}]; print('all')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.strip()) == (left, "all")
+
+
+def test_a_failed_render_ends_blender_with_1_and_no_script(scene, monkeypatch):
+    codes = []
+    monkeypatch.setattr(exit_code, "end_with", codes.append)
+    scene.raybatch.device = "cuda:99"
+    with pytest.raises(RuntimeError):
+        bpy.ops.render.render()
+    assert reports.last().errors and codes == [], "a script has its own"
+    is_module = type("App", (), {"background": True, "module": False})
+    monkeypatch.setattr(frame, "bpy", type("Blender", (), {"app": is_module, "types": bpy.types}))
+    frame._fail(type("Engine", (), {"report": lambda *_: None})(), reports.RenderReport("Scene", 1), "no camera")
+    assert codes == [exit_code.FAILED]

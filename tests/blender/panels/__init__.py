@@ -1,0 +1,1 @@
+"""Tests of what panels show, and of what their buttons do."""

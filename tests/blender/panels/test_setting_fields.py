@@ -1,0 +1,163 @@
+"""How single settings are shown: checkboxes, what is automatic, devices, and names that are not cut off."""
+
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from raybatch_addon.blender import devices, reports
+from raybatch_addon.core.settings.settings import GROUPS, SETTINGS
+from raybatch_addon.export.settings import settings_from
+from raybatch_addon.ui.devices import choices_for
+from raybatch_addon.ui.heard import is_heard
+from raybatch_addon.ui.panel import fitting_lines, free_width, label_width
+from raybatch_addon.ui.properties import switch_name
+from tests.support.panel_layout import Layout, context_of, drawn, own_panels
+
+# Seen in Blender's window where the Properties editor has its first width, 282 pixels [pixels]
+LABEL_WIDTH, FIELD_WIDTH = 84, 102
+SWITCHES = [name for name, info in SETTINGS.items() if info.is_switch]
+NUMBERS = [name for name, info in SETTINGS.items() if switch_name(info) and not info.is_switch]
+
+
+@pytest.mark.parametrize("name", SWITCHES)
+def test_what_is_on_or_off_is_a_checkbox(scene, name):
+    box = switch_name(SETTINGS[name])
+    for wanted in ("ON", "OFF", "ON"):
+        setattr(scene.raybatch, box, wanted == "ON")
+        assert getattr(settings_from(scene), name) == wanted == getattr(scene.raybatch, name)
+    setattr(scene.raybatch, name, "OFF")
+    assert getattr(scene.raybatch, box) is False
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_numbers_that_may_be_left_open_have_a_checkbox(scene, name):
+    info, own = SETTINGS[name], scene.raybatch
+    reports.clear()
+    box = switch_name(info)
+    rests = info.auto if info.auto is not None else info.off
+    is_open = info.auto is not None  # what the box says where the number is left open
+    assert getattr(own, box) == is_open and getattr(settings_from(scene), name) == rests == info.default
+    setattr(own, box, not is_open)
+    assert getattr(settings_from(scene), name) == info.start != rests
+    assert getattr(own, box) != is_open
+    setattr(own, box, is_open)
+    assert getattr(settings_from(scene), name) == rests
+
+
+def test_a_number_begins_with_what_was_chosen_in_the_last_render(scene):
+    report = reports.begin(scene.name, 1)
+    report.statistics[scene.view_layers[0].name] = {
+        "auto": {"treelet_size": {"value": 1234, "why": "it fits"}, "tile_size": {"value": 96, "why": "few pixels"}},
+        "device": {"alias": "cpu"},
+        "schedule": {},
+        "tree": None,
+    }
+    texts = {}
+
+    class Noted(Layout):
+        def column(self, heading="", **_options):
+            return Noted(self.notes)
+
+        row = box = column
+
+        def prop(self, owner, name, text=None, **options):
+            texts[name] = text
+
+    for panel in own_panels():
+        if hasattr(panel, "group"):
+            panel.draw(type("Self", (), {"layout": Noted(), "group": panel.group})(), context_of(scene))
+    assert texts["treelet_size_is_auto"] == "Auto, 1,234" and texts["tile_size_is_auto"] == "Auto, 96 px"
+    assert texts["ray_count_is_auto"] == "Auto"
+    scene.raybatch.treelet_size_is_auto = False
+    assert settings_from(scene).treelet_size == 1234
+
+
+def test_names_fit_the_panel_at_its_first_width():
+    for info in SETTINGS.values():
+        is_beside = info.is_switch and info.name != "denoise"  # the name of a lone checkbox stands behind it
+        assert label_width(info.label) <= (FIELD_WIDTH if is_beside else LABEL_WIDTH), info.label
+        if not info.is_switch:
+            for _, label, _ in info.choices:
+                assert label_width(label) <= FIELD_WIDTH, (info.name, label)
+    for group in GROUPS.values():
+        assert label_width(group.label) <= 150
+
+
+def test_other_numbers_than_0_say_what_is_automatic():
+    for info in SETTINGS.values():
+        if info.kind is int and info.auto is not None:
+            assert info.start not in (None, info.auto)
+        if info.off is not None:
+            assert info.start not in (None, info.off) and info.default == info.off
+
+
+def test_devices_are_a_list_with_names_and_memory(scene, monkeypatch):
+    found = (
+        devices.DeviceChoice("AUTO", "Auto (NVIDIA H100)", ""),
+        devices.DeviceChoice("cpu", "CPU, AMD EPYC, 24 GiB", ""),
+        devices.DeviceChoice("cuda:0", "NVIDIA H100, 80 GiB", ""),
+    )
+    monkeypatch.setattr("raybatch_addon.ui.devices.device_choices", lambda: found)
+    own = scene.raybatch
+    for name in ("AUTO", "cpu", "cuda:0"):
+        own.device_choice = name
+        assert own.device == name == own.device_choice
+    own.device = "cuda:7"
+    assert [each.label for each in choices_for("cuda:7")][-1] == "cuda:7: not on this computer"
+    assert own.device_choice == "cuda:7", "a file from another computer keeps what it says"
+    own.device_choice = "cpu"
+    assert own.device == "cpu"
+
+
+def test_the_devices_of_this_computer_are_named(scene):
+    devices._found.cache_clear()
+    auto, cpu, *_ = devices._found()
+    assert (auto.name, cpu.name) == ("AUTO", "cpu")
+    assert cpu.label.startswith("CPU, ") and cpu.label.endswith(" GiB") and auto.label.startswith("Auto (")
+
+
+@pytest.mark.parametrize(
+    ("model", "shown"),
+    [
+        ("Intel(R) Xeon(R) Platinum 8488C", "Intel Xeon Platinum 8488C"),
+        ("Intel(R) Core(TM) i7-8700K CPU @ 3.70GHz", "Intel Core i7-8700K"),
+        ("AMD Ryzen 9 7950X 16-Core Processor", "AMD Ryzen 9 7950X"),
+    ],
+)
+def test_processors_are_named_shortly(model, shown):
+    assert " ".join(devices._NOISE.sub(" ", model).split()) == shown
+
+
+def test_what_has_no_say_is_grey(scene):
+    own = scene.raybatch
+    assert not is_heard(own, "noise_threshold") and not is_heard(own, "denoise_quality")
+    own.adaptive_sampling, own.denoise = "ON", "ON"
+    assert is_heard(own, "noise_threshold") and is_heard(own, "denoise_quality")
+    own.device = "AUTO"
+    assert is_heard(own, "queue_size") and is_heard(own, "register_cap") and is_heard(own, "thread_count")
+    own.batching, own.device = "OFF", "cpu"
+    assert not is_heard(own, "queue_size") and not is_heard(own, "register_cap")
+    assert not is_heard(own, "geometry_budget")
+    own.device = "cuda:0"
+    assert is_heard(own, "register_cap") and not is_heard(own, "thread_count")
+
+
+@pytest.mark.parametrize("width", [120, 180, 300, 700])
+def test_lines_are_broken_at_every_width(scene, width):
+    report = reports.begin("Scene", 7)
+    report.warnings.append("the material “" + "Wallpaper" * 9 + "” of 12 objects has a node that is not supported, OSL")
+    region = type("Region", (), {"width": width})()
+    context = context_of(scene, region=region)
+    panel = next(each for each in own_panels() if each.__name__ == "RAYBATCH_RENDER_PT_last_render")
+    texts = [note[1] for note in drawn(panel, context) if note[0] == "label"]
+    assert "".join("".join(texts).split()).removeprefix("Scene,frame7") == "".join(report.warnings[0].split()), (
+        "nothing is left out"
+    )
+    assert all(label_width(text) <= free_width(context) for text in texts)
+
+
+def test_lines_take_words_as_they_fit():
+    assert fitting_lines("one two  three", 7, len) == ["one two", "three"]
+    assert fitting_lines("abcdefgh ij", 3, len) == ["abc", "def", "gh", "ij"]
+    assert fitting_lines("", 3, len) == [""]
+    assert fitting_lines("a b", 0, len) == ["a", "b"]
