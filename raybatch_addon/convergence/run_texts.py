@@ -41,7 +41,7 @@ def names_of(runs: Sequence[Run]) -> dict[int, str]:
 
 def _setting_texts(run: Run) -> dict[str, str]:
     return {
-        name: f"{SETTINGS[name].title if name in SETTINGS else name} {_value_text(value)}"
+        name: f"{SETTINGS[name].label if name in SETTINGS else name} {_value_text(value)}"
         for name, value in run.settings.items()
     }
 

@@ -107,7 +107,7 @@ class SettingInfo:
     def title(self) -> str:
         """The label, with its panel's where it says nothing alone."""
         group = GROUPS[self.group]
-        return f"{group.label}: {self.label}" if group.parent else self.label
+        return f"{group.label}, {self.label}" if group.parent else self.label
 
     @property
     def is_switch(self) -> bool:
