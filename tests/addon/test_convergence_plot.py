@@ -80,7 +80,7 @@ def test_an_error_that_does_not_fall_is_never_reached():
 
 def test_runs_are_told_apart_by_what_differs():
     runs = store_of(ESTIMATED, ESTIMATED.replace(nee="OFF"), ESTIMATED.replace(nee="OFF", bounce_max=2)).runs()
-    assert names_of(runs) == {1: "#1, Light Sampling On", 2: "#2", 3: "#3, Bounces 2"}, "what most have is not said"
+    assert names_of(runs) == {1: "#1, Light Sampling On", 2: "#2", 3: "#3, All Bounces 2"}, "what most have is not said"
     assert names_of(runs[1:]) == {1: "#1, Light Sampling On", 2: "#2, Light Sampling Off"}
     assert names_of(store_of(ESTIMATED, ESTIMATED.replace(sample_count=8)).runs()) == {
         1: "#1, Samples 256",

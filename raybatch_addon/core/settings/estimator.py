@@ -159,7 +159,7 @@ class EstimatorSettings:
 
     bounce_max: int = setting(
         8,
-        "Total",
+        "All Bounces",
         "Bounces of indirect light; 0 renders direct light only",
         group="BOUNCES",
         unit="bounces",
@@ -169,7 +169,7 @@ class EstimatorSettings:
     diffuse_bounce_max: int = setting(
         KIND_BOUNCES_MOST,
         "Diffuse",
-        "Most bounces of a path that are diffuse reflections; 1024 sets no limit but Total",
+        "Most bounces of a path that are diffuse reflections; 1024 sets no limit but All Bounces",
         group="BOUNCES",
         unit="bounces",
         minimum=0,
@@ -180,7 +180,7 @@ class EstimatorSettings:
     glossy_bounce_max: int = setting(
         KIND_BOUNCES_MOST,
         "Glossy",
-        "Most bounces of a path that are reflections by facets, sharp or not; 1024 sets no limit but Total",
+        "Most bounces of a path that are reflections by facets, sharp or not; 1024 sets no limit but All Bounces",
         group="BOUNCES",
         unit="bounces",
         minimum=0,
@@ -192,7 +192,7 @@ class EstimatorSettings:
         KIND_BOUNCES_MOST,
         "Transmission",
         "Most bounces of a path that are refractions, or pass light to the other side in another way; "
-        "1024 sets no limit but Total",
+        "1024 sets no limit but All Bounces",
         group="BOUNCES",
         unit="bounces",
         minimum=0,
