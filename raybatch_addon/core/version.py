@@ -8,6 +8,7 @@ from pathlib import Path
 
 # Beside the add-on's files where it is an extension, above them in the repository
 _MANIFESTS = tuple(Path(__file__).parents[up] / "blender_manifest.toml" for up in (1, 2))
+UNKNOWN = "0.0.0"  # of a copy of the code that came without either
 
 
 def _version() -> str:
@@ -16,7 +17,10 @@ def _version() -> str:
             said = re.search(r'^version = "([^"]+)"', path.read_text(encoding="utf-8"), re.MULTILINE)
             if said is not None:
                 return said[1]
-    return importlib.metadata.version("raybatch")  # installed by pip, without the manifest
+    try:
+        return importlib.metadata.version("raybatch")  # installed by pip, without the manifest
+    except importlib.metadata.PackageNotFoundError:
+        return UNKNOWN
 
 
 VERSION = _version()

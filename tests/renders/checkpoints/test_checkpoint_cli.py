@@ -40,13 +40,19 @@ def assert_same_files(first, second):
 
 
 def stop_after(monkeypatch, looks):
-    """The command is asked to stop when it has looked so often."""
-    left = [looks]
+    """The command is asked to stop when it has looked so often since the first path began."""
+    left, begun = [looks], []
+    run = rendering.Rendering.run
+
+    def run_noted(self):
+        begun.append(True)
+        run(self)
 
     def asked(_):
-        left[0] -= 1
+        left[0] -= bool(begun)
         return left[0] < 0
 
+    monkeypatch.setattr(rendering.Rendering, "run", run_noted)
     monkeypatch.setattr(StopRequests, "asked", asked)
     monkeypatch.setattr(rendering, "POLL_SECONDS", 0.001)
 

@@ -240,9 +240,10 @@ class MeshTrees:
         )
 
     def _levels(self, mesh: MeshTree) -> NodeLevels:
+        device = mesh.nodes.device  # the host's, until a tree that was built there is uploaded
         if mesh.level_first is None:
             words = mesh.nodes.numpy().view(self.layout.node_type).reshape(-1, self.layout.node_words)
-            return node_levels(words, self._device)
+            return node_levels(words, device)
         return NodeLevels(
-            wp.array(np.arange(mesh.node_count, dtype=np.int32), dtype=int, device=self._device), mesh.level_first
+            wp.array(np.arange(mesh.node_count, dtype=np.int32), dtype=int, device=device), mesh.level_first
         )
