@@ -117,7 +117,7 @@ def test_lines_of_progress_come_at_most_every_five_seconds(monkeypatch):
     monkeypatch.setattr(frame.time, "perf_counter", lambda: clock[0])
     status = frame._Status(engine, "ViewLayer")
     samples = dict(samples_done=3, samples_total=16, rays_per_second=1e6, seconds_elapsed=1.0, seconds_left=None)
-    progress = Progress(stage="render", fraction=0.5, message="", memory_bytes=0, **samples)
+    progress = Progress(stage="render", fraction=0.5, message="", memory_bytes=0, memory_peak=0, **samples)
     status.show("Reading the scene")
     for _ in range(120):
         clock[0] += 0.1

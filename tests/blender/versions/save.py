@@ -1,17 +1,15 @@
-"""Save the file of this version: python tests/blender/versions/save.py
+"""Save the file of this version: python -m tests.blender.versions.save, in the repository
 
 Each version has one, made once, before it is released: `VERSION.blend`, and in `VERSION.json` what it means.
 """
 
 import dataclasses
 import json
-import sys
 from pathlib import Path
 
 import bpy
 
 FOLDER = Path(__file__).parent
-sys.path.insert(0, str(FOLDER.parents[2]))
 
 # Where the rule below would choose what does not go together, or what a later version is to mend
 CHOSEN = {"batching": "ON", "warp_count": 1, "device": "cuda"}

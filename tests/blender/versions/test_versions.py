@@ -22,7 +22,7 @@ needs_blender_5 = pytest.mark.skipif(bpy.app.version < (5, 2), reason="Blender 5
 
 
 def test_each_version_has_its_file():
-    assert {"0.1.0", VERSION} <= set(VERSIONS), "make that of a new version: python tests/blender/versions/save.py"
+    assert {"0.1.0", VERSION} <= set(VERSIONS), "make that of a new version: python -m tests.blender.versions.save"
 
 
 @needs_blender_5
