@@ -153,12 +153,16 @@ def _shading_kernels(
     simple = _stage_functions(without_programs(needed), in_one, shading.world_light)
     simple[ShadingStage.AIM] = _stage_functions(needed, None)[ShadingStage.AIM]
     has_simple = aims_apart or not wide
-    found = {stage: stage_kernel(simple[stage](), stage) for stage in stages if has_simple and not runs_program[stage]}
+    found = {
+        stage: stage_kernel(simple[stage](), stage, out_of_line=stage == ShadingStage.SURFACE)
+        for stage in stages
+        if has_simple and not runs_program[stage]
+    }
     if ShadingStage.SURFACE in stages and runs_program[ShadingStage.SURFACE] and not aims_apart and is_common(features):
         # most of the time of a render is here, so what such a scene lacks is left out of this stage
         common = common_features(shading)
         function = _stage_functions(common, narrow(common, AimFeatures))[ShadingStage.SURFACE]()
-        found[ShadingStage.SURFACE] = stage_kernel(function, ShadingStage.SURFACE)
+        found[ShadingStage.SURFACE] = stage_kernel(function, ShadingStage.SURFACE, out_of_line=True)
     if ShadingStage.OCCLUSION in stages and not shading.occlusion_pass:
         occlusion = _stage_functions(features, None)[ShadingStage.OCCLUSION]()
         found[ShadingStage.OCCLUSION] = stage_kernel(occlusion, ShadingStage.OCCLUSION)

@@ -10,7 +10,13 @@ import functools
 
 import warp as wp
 
-from ...device.kernel import DEFAULT_BLOCK_SIZE, KERNEL_OPTIONS, general_options, with_block_size
+from ...device.kernel import (
+    DEFAULT_BLOCK_SIZE,
+    KERNEL_OPTIONS,
+    OUT_OF_LINE_KERNEL_OPTIONS,
+    general_options,
+    with_block_size,
+)
 from ...film.tile import FilmTile
 from ...native.build import native_source
 from ...rays import Rays
@@ -55,9 +61,11 @@ def stage_thread_count(slot_count: int, device: wp.Device) -> int:
 
 
 @functools.cache
-def stage_kernel(function: wp.Function, of: ShadingStage) -> wp.Kernel:
+def stage_kernel(function: wp.Function, of: ShadingStage, out_of_line: bool = False) -> wp.Kernel:
     """Kernel (data, work, limits, paths, rays, film, slots, count) of the stage `of` that calls `function` for each of
     the first `count` slots, with a slot in place of the last two.
+
+    `out_of_line`: compile it for a CPU in less time (`OUT_OF_LINE_OPTIONS`).
     """
 
     def stage(
@@ -78,10 +86,10 @@ def stage_kernel(function: wp.Function, of: ShadingStage) -> wp.Kernel:
             i = next_of_thread(i)
 
     stage.__name__ = stage.__qualname__ = f"{function.func.__name__}_kernel"
-    if of not in _LAUNCHES:
-        return wp.kernel(stage, **KERNEL_OPTIONS)
-    block_size, registers = _LAUNCHES[of]
-    return with_block_size(wp.kernel(stage, **KERNEL_OPTIONS, cuda_max_registers=registers), block_size)
+    block_size, registers = _LAUNCHES.get(of, (DEFAULT_BLOCK_SIZE, None))
+    limit = {} if registers is None else {"cuda_max_registers": registers}
+    kernel = wp.kernel(stage, **(OUT_OF_LINE_KERNEL_OPTIONS if out_of_line else KERNEL_OPTIONS), **limit)
+    return with_block_size(kernel, block_size)
 
 
 # Stages of the kernel of all of them, in the order of its functions; both that connect are one
