@@ -8,6 +8,12 @@ import warp as wp
 
 from .declared import shared_module, unique_options
 
+
+def _cpu_flags(inline_threshold: int) -> str:
+    """Flags of Clang, which inlines what it finds to cost no more than the threshold."""
+    return f"-march=native -mllvm=-inline-threshold={inline_threshold} -Wno-constant-conversion"
+
+
 # Fused multiply-adds and fast math would make results depend on the compiler's choices, and adjoints
 # are never needed. A kernel with `module="unique"` ignores its file's `set_module_options`, so each
 # kernel is declared as `@wp.kernel(**KERNEL_OPTIONS)`; a test looks at every loaded module.
@@ -17,17 +23,14 @@ MODULE_OPTIONS: dict[str, Any] = {
     "enable_backward": False,
     "fuse_fp": False,
     "fast_math": False,
-    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=1000000 -Wno-constant-conversion",
+    "cpu_compiler_flags": _cpu_flags(1_000_000),
 }
 KERNEL_OPTIONS: dict[str, Any] = unique_options(MODULE_OPTIONS)
 
 # Large modules of the general tier: the compiler inlines what it finds worth it, and functions take structs by
 # reference (`by_reference.py`). They compile in a third to two thirds of the time. Kernels of surfaces alone render as
 # fast as inlined; where all stages are one kernel, surfaces are 5 to 8 % slower, and volumes a quarter.
-OUT_OF_LINE_OPTIONS: dict[str, Any] = {
-    **MODULE_OPTIONS,
-    "cpu_compiler_flags": "-march=native -mllvm=-inline-threshold=1000 -Wno-constant-conversion",
-}
+OUT_OF_LINE_OPTIONS: dict[str, Any] = {**MODULE_OPTIONS, "cpu_compiler_flags": _cpu_flags(1000)}
 OUT_OF_LINE_KERNEL_OPTIONS: dict[str, Any] = unique_options(OUT_OF_LINE_OPTIONS)
 
 # Kernels of the general tier: each has a module, in which the interpreter of programs is one function and each op is
