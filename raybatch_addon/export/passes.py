@@ -1,11 +1,13 @@
 """Passes that Blender's properties ask for.
 
-It imports nothing of the core: the engine is registered with it.
+Of the core it imports names alone: the engine is registered with it.
 """
 
 from __future__ import annotations
 
 import bpy
+
+from ..core.scene.passes import AOV_COLOR, AOV_VALUE, CATCHER_PASS, GUIDE_PASSES, LIGHT_GROUP
 
 # Passes that can be rendered, by the property of a view layer that asks for them
 PASS_PROPERTIES = {
@@ -30,10 +32,8 @@ LIGHT_PASS_PROPERTIES = {
 }
 # Passes of volumes' light, by Cycles' own property of a view layer
 VOLUME_PASS_PROPERTIES = {"use_pass_volume_direct": "Volume Direct", "use_pass_volume_indirect": "Volume Indirect"}
-# The pass of shadow catchers, by Cycles' own property of a view layer
-CATCHER_PROPERTY, CATCHER_PASS = "use_pass_shadow_catcher", "Shadow Catcher"
-# What is rendered in its place where nobody asks for it: Combined has the shadows then
-CATCHER_SHADOWS = "Catcher Shadows"
+# Cycles' own property of a view layer that asks for the pass of shadow catchers
+CATCHER_PROPERTY = "use_pass_shadow_catcher"
 # Passes that show cost, by the property of a view layer's `raybatch`
 COST_PASS_PROPERTIES = {
     "use_pass_rays": "Rays",
@@ -44,8 +44,6 @@ COST_PASS_PROPERTIES = {
 }
 # Every pass by a property of a view layer's `raybatch`
 OWN_PASS_PROPERTIES = {"use_pass_sample_count": "Sample Count"} | COST_PASS_PROPERTIES
-# Passes that guide a denoiser, by Cycles' own property of a view layer
-DENOISING_PASSES = ("Denoising Albedo", "Denoising Normal", "Denoising Depth")
 # What denoised pictures were made of, which is kept beside them
 NOISY_IMAGE, NOISY_CATCHER = "Noisy Image", "Noisy Shadow Catcher"
 # Names of passes before Blender 5, where they differ
@@ -71,12 +69,10 @@ MATTE_PROPERTIES = {
     "use_pass_cryptomatte_material": "CryptoMaterial",
     "use_pass_cryptomatte_asset": "CryptoAsset",
 }
-# Beginning of the names of passes of light groups
-LIGHT_GROUP = "Combined_"
 # What share of the samples of the pixel that has most each pixel has, by Cycles' own property of a view layer
 SAMPLE_SHARE_PROPERTY, SAMPLE_SHARE = "pass_debug_sample_count", "Debug Sample Count"
-# Beginnings of the names that passes of materials have in the film (`core/scene/passes.py`), by the type of an AOV
-AOV_BEGINNINGS = {"COLOR": "AOV color ", "VALUE": "AOV value "}
+# Beginnings of the names that passes of materials have in the film, by the type of an AOV
+AOV_BEGINNINGS = {"COLOR": AOV_COLOR, "VALUE": AOV_VALUE}
 
 
 def wanted_passes(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
@@ -89,7 +85,7 @@ def wanted_passes(view_layer: bpy.types.ViewLayer) -> tuple[str, ...]:
     if getattr(of_cycles, CATCHER_PROPERTY, False):
         passes.append(CATCHER_PASS)
     if getattr(of_cycles, "denoising_store_passes", False):
-        passes += DENOISING_PASSES
+        passes += GUIDE_PASSES
     passes += [name for prop, name in OWN_PASS_PROPERTIES.items() if getattr(own, prop, False)]
     levels = (min(16, view_layer.pass_cryptomatte_depth) + 1) // 2  # two in each pass, as in Cycles
     for prop, kind in MATTE_PROPERTIES.items():

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..core.scene.description import Camera, Frame, Scene
 from ..core.scene.notice import Notice, Weight, by_weight
+from ..core.scene.passes import CATCHER_PASS, CATCHER_SHADOWS
 from .camera import export_camera
 from .drivers import failed_drivers
 from .meshes.instances import Cancelled, collect_placements
@@ -19,14 +20,7 @@ from .motion.shutter import Exposure, export_shutter, neighbours, open_time
 from .motion.steps import MotionSteps, camera_steps, with_frames
 from .nodes.collections import occlusion_distance
 from .passed_over.look import passed_over
-from .passes import (
-    CATCHER_PASS,
-    CATCHER_SHADOWS,
-    LIGHT_PASS_PROPERTIES,
-    MATTE_PROPERTIES,
-    PASS_PROPERTIES,
-    wanted_passes,
-)
+from .passes import LIGHT_PASS_PROPERTIES, MATTE_PROPERTIES, PASS_PROPERTIES, wanted_passes
 from .view import View
 from .world import export_world, with_portals
 

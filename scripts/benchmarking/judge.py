@@ -22,11 +22,11 @@ from benchmarking.rays import CapturedRays
 from benchmarking.tracers.interface import Hits
 from raybatch_addon.core.bvh.margin import TRIANGLE_TEST  # surfaces move the origins of rays that leave them by no less
 from raybatch_addon.core.device.kernel import KERNEL_OPTIONS
+from raybatch_addon.core.float32 import UNIT_ROUNDOFF
 from raybatch_addon.core.scene.description import Visibility
 from raybatch_addon.core.scene.flatten import FlatGeometry
 
 ROUNDINGS = 32
-UNIT_ROUNDOFF = 2.0**-24  # of float32
 RELATIVE_BOUND = ROUNDINGS * UNIT_ROUNDOFF * 3**0.5  # of a length, from that of a coordinate
 # A ray that passes through a triangle and no nearer to its edges than the bound meets its plane at more than 16
 # roundings [rad]; what float64 tells of flatter ones is noise

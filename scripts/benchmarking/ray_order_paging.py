@@ -25,13 +25,12 @@ from raybatch_addon.core.measure.batching import BatchingTotals
 from raybatch_addon.core.rays import NO_ANY_HIT, RayKind, RayList
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.rays import allocate_progress, trail_words
-from raybatch_addon.core.wavefront.tracers.pages.tracer import go_on_stage
+from raybatch_addon.core.wavefront.tracers.pages.tracer import PATIENCE, go_on_stage
 from raybatch_addon.core.wavefront.tracers.visit import VisitStage
 from raybatch_addon.core.wavefront.tracers.worker_rays import WorkerRays
 
 WINDOW = 4096
 """Rays of a window."""
-_PATIENCE = 1.0
 
 
 class RayOrderPager:
@@ -154,5 +153,5 @@ class RayOrderPager:
             changes = self._residency.changes
             self._residency.ask(lambda facts, count: [page], least_recently_used, 1, self._view.counts)
             while not self._residency.there()[page]:
-                self._residency.wait(changes, _PATIENCE)
+                self._residency.wait(changes, PATIENCE)
                 changes = self._residency.changes

@@ -19,7 +19,6 @@ from raybatch_addon.core.film.sums import WIDE_DIGITS, normalised
 from raybatch_addon.core.scene.description import Frame, Scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import SETTINGS, RenderSettings
-from raybatch_addon.core.wavefront.plan.plan import TREE_BYTES_MOST
 from raybatch_addon.core.wavefront.tracers.buckets import tracer as batching
 
 # What the engine says when a budget is too small; the number is taken at its word
@@ -58,11 +57,9 @@ class FilmComparer:
         frame = scene.frame
         x0, y0, x1, y1 = frame.region
         triangles = sum(len(scene.meshes[i].triangles) for i in scene.instances.mesh)
-        placed = sum(len(mesh.triangles) for mesh in scene.meshes)
-        steps = GeometrySize.of(scene).step_bytes(session.layout)
         self.sizes = DrawnSizes(
             triangles,
-            TREE_BYTES_MOST[session.layout] * max(placed, 1) + steps,
+            max(1, GeometrySize.of(scene).tree_bytes_most(session.layout)),
             (x1 - x0) * (y1 - y0) * estimator.sample_count,
         )
 

@@ -11,13 +11,13 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from raybatch_addon.core.convergence.errors import RELMSE_MOST
 from raybatch_addon.core.errors import RayBatchError
 
 BLOCK = 4  # pixels of the edge of a block: pictures are compared by means of blocks, which have less noise
 # Two pictures are the same where relMSE is at most SAME_RELMSE + SAME_NOISE x the relMSE that noise alone makes, and
 # their means differ by less than SAME_BIAS beyond SIGMAS standard errors
 SAME_RELMSE, SAME_NOISE, SAME_BIAS, SIGMAS = 0.01, 1.6, 0.02, 2.0
-NOISE_MOST = 10.0  # relative, of a pixel or block and channel: a single firefly does not decide all
 DARK = 1e-4  # added to squares, so that what is darker than 1 % of white counts as black
 LIT = 0.01  # of the mean: a darker block tells nothing of brightness
 RESAMPLES = 10_000
@@ -114,8 +114,8 @@ def agreement(picture: Pair, other: Pair) -> Agreement:
         raise RayBatchError(f"one engine wrote {sizes[0]} pixels and the other {sizes[1]}: they cannot be compared")
     ours, theirs = picture.in_blocks(), other.in_blocks()
     scale = relative_to(theirs.mean)
-    apart = np.minimum(np.square(ours.mean - theirs.mean) / scale, NOISE_MOST)
-    noise = np.minimum((ours.variance + theirs.variance) / scale, NOISE_MOST)
+    apart = np.minimum(np.square(ours.mean - theirs.mean) / scale, RELMSE_MOST)
+    noise = np.minimum((ours.variance + theirs.variance) / scale, RELMSE_MOST)
     bright_ours, bright_theirs = (np.maximum(each.mean.mean(-1), 0.0) for each in (ours, theirs))
     least = max(LIT * max(bright_ours.mean(), bright_theirs.mean()), math.sqrt(DARK) * 0.01)
     lit = np.maximum(bright_ours, bright_theirs) > least
@@ -145,11 +145,11 @@ def _ratio(picture: Pair, other: Pair) -> tuple[float, float]:
 
 
 def noise_of(pair: Pair, shown: np.ndarray) -> float:
-    """The relMSE of one picture of `pair`: half of that of the two against each other, cut at NOISE_MOST a pixel.
+    """The relMSE of one picture of `pair`: half of that of the two against each other, cut at RELMSE_MOST a pixel.
 
     `shown` is the picture that errors are relative to: the same for engines that are compared.
     """
-    return float(np.minimum(np.square(pair.first - pair.second) / 2 / relative_to(shown), NOISE_MOST).mean())
+    return float(np.minimum(np.square(pair.first - pair.second) / 2 / relative_to(shown), RELMSE_MOST).mean())
 
 
 def equal_error(ours: tuple[float, float], theirs: tuple[float, float]) -> float | None:

@@ -23,13 +23,13 @@ import numpy as np
 
 import raybatch_addon
 from raybatch_addon.blender.kernel_cache import VARIABLE
+from real_files.judging import NAMES
 from real_files.worker import STATE
 
 DONE, FAILED, CRASHED, TIMED_OUT = "done", "failed", "crashed", "timed out"
 COLD = "cold"  # for --kernel-cache: an empty one
 LOOK_SECONDS = 0.1  # between looks at how far the process is
 LINES_KEPT = 3  # of what a process said last
-_NAMES = {"CYCLES": "Cycles", "RAYBATCH": "RayBatch"}
 
 
 @dataclass
@@ -125,7 +125,7 @@ def _outcome(code: int, in_time: bool, folder: Path, said: Path, request: dict, 
         if (folder / f"{each['name']}.npy").exists()
     }
     made = {"state": state, "pictures": pictures}
-    name = _NAMES.get(request["engine"], request["engine"])
+    name = NAMES.get(request["engine"], request["engine"])
     if not in_time:
         text = (
             f"{name} was ended in the step “{doing}”, which took more than {limit:g} s: raise --limit, or lower "

@@ -10,6 +10,7 @@ from typing import Any
 
 from lib.command import UsageError
 
+from raybatch_addon.core.checkpoint import INTERVAL_DEFAULT
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.scene.passes import PASSES
 from raybatch_addon.core.scene.validate import PASS_NAMES
@@ -28,7 +29,6 @@ KINDS = (
 )
 RESOLUTION_DEFAULT = (960, 540)  # of geometry, which has none of its own [pixels]
 RESOLUTION_MAX = 65_536  # Blender's own limit
-INTERVAL_DEFAULT = 60.0  # from one checkpoint to the next [s]
 VECTOR_PASSES = tuple(name for name, channels in PASSES.items() if channels > 1)
 
 

@@ -11,7 +11,7 @@ from tests.support.scripts_here import call_script
 
 bpy = pytest.importorskip("bpy")
 
-from raybatch_addon.export.passes import DENOISING_PASSES
+from raybatch_addon.core.scene.passes import GUIDE_PASSES
 
 # the steps of a person: open the file, render, save
 RENDER_BY_HAND = """
@@ -154,7 +154,7 @@ def test_settings_of_the_schedule_and_passes_that_show_cost(blend, tmp_path):
     )
     assert names(out) == ["a.json", "a.npz", "steps.png"]
     with np.load(out / "a.npz") as film, np.load(tmp_path / "plain.npz") as plain:
-        assert set(film.files) == {"Combined", "Normal", "Node Steps", "Triangle Tests", *DENOISING_PASSES}
+        assert set(film.files) == {"Combined", "Normal", "Node Steps", "Triangle Tests", *GUIDE_PASSES}
         assert film["Combined"].tobytes() == plain["Combined"].tobytes()
         steps = film["Node Steps"][..., 0]
     picture = np.array(Image.open(out / "steps.png")).astype(int).sum(-1)[::-1]

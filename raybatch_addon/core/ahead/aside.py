@@ -14,7 +14,7 @@ from ..measure.parts import Parts
 
 T = TypeVar("T")
 
-POLL_SECONDS = 0.02
+_POLL_SECONDS = 0.02
 
 
 class WaitedParts:
@@ -62,7 +62,7 @@ def is_awaited(future: Future, cancelled: Callable[[], bool], on_wait: Callable[
     """
     while not future.done() and not cancelled():
         on_wait()
-        wait([future], POLL_SECONDS)
+        wait([future], _POLL_SECONDS)
     return future.done()
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from concurrent.futures import Future
 
 import warp as wp
 
@@ -13,7 +14,7 @@ from ..device.devices import load_kernels
 from ..device.notes import take_notes
 from ..measure.parts import Parts
 from ..wavefront.scene.device_scene import DeviceScene
-from .aside import POLL_SECONDS, WaitedParts, end_of, once_free
+from .aside import WaitedParts, begin_aside, end_of, is_awaited, once_free
 
 
 class Preparation:
@@ -57,31 +58,30 @@ class Preparation:
     ) -> tuple[DeviceScene | None, list[str]]:
         """What `build` returned, and the names of the modules; nothing when cancelled meanwhile.
 
-        `on_progress` is told a stage, the share of the kernels that are there, and a message.
+        `on_progress` gets a stage, the share of the kernels that are there, and a message.
         """
+
+        def show() -> None:
+            waits, message = self._parts.part == "kernels", self._parts.message
+            if waits:
+                message += f" ({self._loaded} of {self._total})"
+            on_progress("compile" if waits else "build", self._loaded / self._total, message)
+
         if cancelled():
             return None, []
-        pool = ThreadPoolExecutor(max_workers=2)
+        modules, built = begin_aside(self._load), begin_aside(functools.partial(self._build, build))
+        self.build = end_of(built)
         try:
-            modules, built = pool.submit(self._load), pool.submit(self._build, build)
-            self.build = end_of(built)
-            while not (modules.done() and built.done()):
-                if cancelled():
-                    return None, []
-                waits, message = self._parts.part == "kernels", self._parts.message
-                if waits:
-                    message += f" ({self._loaded} of {self._total})"
-                on_progress("compile" if waits else "build", self._loaded / self._total, message)
-                wait([each for each in (modules, built) if not each.done()], POLL_SECONDS)
+            if not all(is_awaited(each, cancelled, show) for each in (built, modules)):
+                return None, []
             made = built.result(), modules.result()
             self.build = None
-            self.warnings = take_notes()  # only of a render that goes on: the next one tells what this one cannot
+            self.warnings = take_notes()  # only of a render that goes on: the next one reports what this one cannot
             return made
         except CompileStoppedError:  # the session was closed
             return None, []
         finally:
             self._waited.give_up()
-            pool.shutdown(wait=False)  # a cancelled render does not wait for the compiler
 
     def _load(self) -> list[str]:
         start = time.perf_counter()

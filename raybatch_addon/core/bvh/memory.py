@@ -1,6 +1,7 @@
 """Memory of a scene's geometry and trees, computed before it is allocated.
 
-Figures are lower bounds: what is refused here would not fit, what is not may still fail when it is allocated.
+Figures are lower bounds but for those named MOST: what is refused here would not fit, what is not may still fail when
+it is allocated.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ VERTICES_MAX = 2**31 - 1
 # [bytes]
 ROW = 12  # a triangle's indices, or a position
 NORMALS = 36  # of the corners of a triangle
-TREE_BYTES = {Layout.BOXES: 45, Layout.QUANTISED: 55}  # nodes and blocks of full groups and leaves, for each triangle
+# Of nodes and triangles, for each triangle: from above, so that a budget holds them; and of full groups and leaves
+TREE_BYTES_MOST = {Layout.BOXES: 90, Layout.QUANTISED: 64}
+TREE_BYTES = {Layout.BOXES: 45, Layout.QUANTISED: 55}
 COPY_BYTES = {Layout.BOXES: 40, Layout.QUANTISED: 48}  # of a triangle in a block
 BUILD_BYTES_HOST = 100  # records, lists and nodes of a binary tree, for each triangle (`cpu/build.py`)
 
@@ -73,6 +76,10 @@ class GeometrySize:
     def step_bytes(self, layout: Layout) -> int:
         """Of `copies`, in blocks that are full [bytes]."""
         return COPY_BYTES[layout] * self.copies
+
+    def tree_bytes_most(self, layout: Layout) -> int:
+        """Trees and triangles, the copies included, from above [bytes]."""
+        return TREE_BYTES_MOST[layout] * self.triangles + self.step_bytes(layout)
 
     def arrays(self) -> int:
         """Geometry alone [bytes]."""

@@ -58,7 +58,9 @@ QUANTISED_TRIANGLE = np.dtype(
     [("a", "<f4", 3), ("face", "<i4"), ("b", "<f4", 3), ("spare_b", "<i4"), ("c", "<f4", 3), ("spare_c", "<i4")]
 )
 
-# What native code knows of either layout; the words of a quantised one are 16 bytes
+VECTOR_BYTES = 16  # of an element of the arrays of nodes and triangles: a word of a quantised layout
+
+# What native code knows of either layout
 BOXES_DEFINES = {
     "NODE_BYTES": BOXES_NODE.itemsize,
     "NODE_CHILD": BOXES_NODE.fields["child"][1],
@@ -66,7 +68,10 @@ BOXES_DEFINES = {
     "GROUP_FACE": BOXES_GROUP.fields["face"][1],
     "EMPTY_CHILD": EMPTY_CHILD,
 }
-QUANTISED_DEFINES = {"NODE_WORDS": QUANTISED_NODE.itemsize // 16, "TRIANGLE_WORDS": QUANTISED_TRIANGLE.itemsize // 16}
+QUANTISED_DEFINES = {
+    "NODE_WORDS": QUANTISED_NODE.itemsize // VECTOR_BYTES,
+    "TRIANGLE_WORDS": QUANTISED_TRIANGLE.itemsize // VECTOR_BYTES,
+}
 
 
 class Layout(enum.Enum):

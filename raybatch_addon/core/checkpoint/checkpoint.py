@@ -23,12 +23,12 @@ from ..film.tile import FinishedTile
 from ..scene.description import Scene
 from ..settings.settings import RenderSettings
 from ..wavefront.render.resume import ResumeState
+from . import INTERVAL_DEFAULT
 from .file import CheckpointError, KeptFilm, load_kept, remove_leftovers, write_kept
 from .identity import FilmIdentity
 from .progress import KeptProgress
 from .samples import TileSamples, samples_as_arrays
 
-INTERVAL_DEFAULT = 60.0  # [s]
 # Keeping a film takes no more than this share of the time: where it would, the interval is longer
 SHARE_MOST = 0.05
 _ASIDE = ".old"  # ends the name of a checkpoint that another render took the place of

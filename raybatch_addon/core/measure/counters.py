@@ -19,6 +19,7 @@ from ..bvh.traverse.counts import LANE_PARTS, TraceCounts
 from ..device.kernel import KERNEL_OPTIONS
 from ..film.layout import COST_PASSES
 from ..rays import RayList
+from .hardware import UNAVAILABLE
 from .timing import StageTimer, clock_of
 
 # Numbered like `RayKind`
@@ -38,7 +39,6 @@ BOUNCE_BINS_MAX = 32
 # barycentrics; or only whether something was hit)
 RAY_BYTES_READ = 4 + 12 + 12 + 4 + 4
 RAY_BYTES_WRITTEN = {"closest": 20, "occlusion": 4, "transparent_shadow": 20}
-UNAVAILABLE = "unavailable"
 _CUDA_COPIES = 256
 
 

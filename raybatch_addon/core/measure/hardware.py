@@ -15,7 +15,7 @@ import platform
 import sys
 from typing import Any
 
-UNAVAILABLE = "unavailable"
+UNAVAILABLE = "unavailable"  # in place of a figure
 
 _HARDWARE, _CACHE = 0, 3  # PERF_TYPE_HARDWARE, PERF_TYPE_HW_CACHE
 _L1_DATA, _LAST_LEVEL, _DATA_TLB = 0, 2, 3

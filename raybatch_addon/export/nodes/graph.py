@@ -10,6 +10,7 @@ from typing import Any
 # Most nested groups, and most sockets on the way of one link: more of them is a cycle
 _GROUPS_MOST = 64
 _HOPS_MOST = 1000
+AXES = {"X": 0, "Y": 1, "Z": 2}  # as nodes name them
 _GROUPS = ("GROUP", "CUSTOM GROUP")
 # Blender numbers the nodes that it copies into an inlined tree
 _NUMBERED = re.compile(r"^\d+_")

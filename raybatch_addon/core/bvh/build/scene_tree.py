@@ -14,7 +14,7 @@ from ...device.devices import free_memory
 from ...errors import OutOfMemoryError, SceneError
 from ...scene.flatten import FlatGeometry
 from ...scene.geometry import Geometry, mat34
-from ..node import Layout, aligned_empty
+from ..node import VECTOR_BYTES, Layout, aligned_empty
 from ..tree import Tree
 from .collapse import collapse_boxes_kernel, fill_boxes_kernel
 from .cpu.stages import build_kernel
@@ -23,7 +23,6 @@ from .encode import as_vectors, place_groups_kernel
 from .entries import Entries, build_top_level, entries_of
 from .mesh_tree import MeshTree, MeshTrees, mesh_parts
 
-_VECTOR = 16  # bytes of an element of the device's arrays
 _VECTORS_MAX = 2**31 - 1  # elements of an array
 # The top level has room for more nodes than it has, a share of them and a few: another frame's may need them
 _TOP_ROOM_SHARE, _TOP_ROOM_NODES = 0.25, 4
@@ -228,12 +227,12 @@ def _joined(blocks: list[wp.array], room: int, device: wp.Device) -> tuple[wp.ar
     size = ends[-1] + room
     if size > _VECTORS_MAX:
         raise SceneError(
-            f"the trees of all meshes need {size * _VECTOR / 1e9:.1f} GB, and one array holds "
-            f"{_VECTORS_MAX * _VECTOR / 1e9:.1f} GB; split the scene"
+            f"the trees of all meshes need {size * VECTOR_BYTES / 1e9:.1f} GB, and one array holds "
+            f"{_VECTORS_MAX * VECTOR_BYTES / 1e9:.1f} GB; split the scene"
         )
-    if size * _VECTOR > free_memory(device):
+    if size * VECTOR_BYTES > free_memory(device):
         raise OutOfMemoryError(
-            f"the trees of all meshes need {size * _VECTOR / 1e9:.2f} GB more while they are put together, and "
+            f"the trees of all meshes need {size * VECTOR_BYTES / 1e9:.2f} GB more while they are put together, and "
             f"{device.name} has "
             f"{free_memory(device) / 1e9:.2f} GB free; close other programs, or render a smaller scene"
         )
@@ -258,7 +257,7 @@ def _description(built: BuiltTree, top_count: int) -> dict[str, Any]:
         "entries": tree.entry_count,
         "triangles": sum(mesh.part.triangle_count for mesh in meshes),
         "nodes": sum(mesh.node_count for mesh in meshes) + top_count,
-        "bytes": (tree.nodes.size + tree.triangles.size) * _VECTOR,
+        "bytes": (tree.nodes.size + tree.triangles.size) * VECTOR_BYTES,
         "depth": max(mesh.depth for mesh in meshes),
         "sah": round(costly.sah, 4),
         "sah_built": round(costly.sah_built, 4),

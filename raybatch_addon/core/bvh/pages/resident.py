@@ -15,7 +15,7 @@ from ...scene.geometry import mat34
 from ..build.encode import as_vectors
 from ..build.entries import build_top_level
 from ..build.mesh_tree import mesh_parts
-from ..node import Layout, aligned_empty
+from ..node import VECTOR_BYTES, Layout, aligned_empty
 from ..tree import Tree
 from ..treelets.links import tree_levels
 from .entries import chunk_entries
@@ -70,7 +70,7 @@ def place_resident(
     tree.top_centre, tree.top_margin = wp.vec3(*top.centre.tolist()), top.margin
     of_node = upload.add(np.concatenate([tables.top_treelet, np.full(len(top_words), -1)]), int)
     root, deform = upload.add(tables.treelet_root, int), upload.add(deform, int)
-    size = upload.bytes + 16 * (tree.nodes.size + tree.triangles.size) + 4 * top.order.size
+    size = upload.bytes + VECTOR_BYTES * (tree.nodes.size + tree.triangles.size) + 4 * top.order.size
     levels = len(tree_levels(layout, top_words)) + int(tables.chunk_levels.max())
     return Resident(tree, of_node, root, deform, levels, np.stack([boxes[:, 0].min(0), boxes[:, 1].max(0)]), size)
 

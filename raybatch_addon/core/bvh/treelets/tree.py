@@ -24,12 +24,10 @@ from ...errors import OutOfMemoryError
 from ..build.encode import as_vectors
 from ..build.mesh_tree import MeshTree
 from ..build.scene_tree import BuiltTree
-from ..node import Layout, aligned_empty
+from ..node import VECTOR_BYTES, Layout, aligned_empty
 from ..tree import Tree, Treelets
 from .cut import CutRule, cut_nodes
 from .links import tree_levels
-
-_VECTOR = 16  # bytes of an element of the device's arrays
 
 
 @wp.kernel(**KERNEL_OPTIONS)
@@ -98,7 +96,7 @@ def cut_scene_tree(built: BuiltTree, rule: CutRule, device: wp.Device) -> Treele
     Raises `OutOfMemoryError` where the result does not fit beside it.
     """
     layout, source = built.layout, built.tree
-    needed, free = _VECTOR * (source.nodes.size + source.triangles.size), free_memory(device)
+    needed, free = VECTOR_BYTES * (source.nodes.size + source.triangles.size), free_memory(device)
     if needed > free:
         raise OutOfMemoryError(
             f"cutting the trees into treelets needs {needed / 1e9:.2f} GB more, and {device.name} has {free / 1e9:.2f} "
@@ -143,7 +141,7 @@ def cut_scene_tree(built: BuiltTree, rule: CutRule, device: wp.Device) -> Treele
         treelet_count=int(mesh_treelet[-1]),
         levels=top_levels + max(part.levels for part in parts),
         node_bytes=4 * layout.node_words * (len(top) + sum(mesh.node_count for mesh in built.meshes)),
-        triangle_bytes=_VECTOR * sum(mesh.triangles.size for mesh in built.meshes),
+        triangle_bytes=VECTOR_BYTES * sum(mesh.triangles.size for mesh in built.meshes),
         box=built.box,
         treelet_sizes=np.concatenate([part.sizes for part in parts]),
         treelet_units=np.concatenate([part.units for part in parts]),

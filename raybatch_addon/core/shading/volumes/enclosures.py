@@ -22,7 +22,8 @@ from ...scene.moved import inverse_at, motion_row, positions_at
 
 # A direction that lies along no axis, in which surfaces around a point are looked for
 _AHEAD = (0.436, 0.218, 0.873)
-_FARTHEST = 1e30
+# As far as anything is looked for, where nothing ends the way [m]
+FARTHEST = 1e30
 # Half the edge of a box around what moves [m], whose area is still a number of float32
 _EVERYWHERE = 1e15
 # Roundings of the distance between a point and a plane, and of carrying the point to the object
@@ -125,7 +126,7 @@ def is_around(geometry: Geometry, enclosures: Enclosures, number: int, point: wp
     origin = transform_point(to_object, point)
     ahead = wp.normalize(wp.vec3(wp.static(_AHEAD[0]), wp.static(_AHEAD[1]), wp.static(_AHEAD[2])))
     direction = wp.normalize(transform_vector(to_object, ahead))
-    nearest = float(wp.static(_FARTHEST))
+    nearest = float(wp.static(FARTHEST))
     inside = bool(False)
     item = int(0)
     query = wp.bvh_query_ray(enclosure.tree, origin, direction)

@@ -20,8 +20,6 @@ from ...measure.memory import size_text
 from ...settings.settings import RenderSettings
 from .cost_model import batching_cost, costs_of, split_seconds, unbatched_cost
 
-# Bytes of tree and triangles for each triangle, from above: what must fit a budget is counted so
-TREE_BYTES_MOST = {Layout.BOXES: 90, Layout.QUANTISED: 64}
 # Shares of the free memory: a scene is kept whole where its geometry and the build take no more than the first; else
 # the tree gets the second, and rays the rest
 WHOLE_SHARE = 0.85
@@ -124,7 +122,7 @@ def _plan_of_rays(
     if mode == "OFF":
         return TracingPlan(Method.UNBATCHED)
     needed, free = memory.needed, memory.free
-    tree = TREE_BYTES_MOST[layout] * size.triangles + size.step_bytes(layout)
+    tree = size.tree_bytes_most(layout)
     budget, choices = settings.geometry_budget, {}
     device = "the device" if is_cuda else "the machine"
     if budget:

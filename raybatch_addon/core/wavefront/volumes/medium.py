@@ -13,8 +13,9 @@ from ...scene.geometry import transform_point, transform_vector
 from ...scene.moved import inverse_at, motion_row
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import RECORD_FLOATS, ClosureRecord, address_of
+from ...shading.volumes.enclosures import FARTHEST
 from ...shading.volumes.phase import PhaseLobe, phase_pdf, phase_value, sampled_cosine
-from .table import FARTHEST, INSIDE_MOST, VolumeData, entry
+from .table import INSIDE_MOST, VolumeData, entry
 
 # Scattering closures of a point; those beyond them scatter as the last one
 LOBES_MOST = 16

@@ -25,6 +25,7 @@ from ...shading.segments import make_surface_point
 from ...shading.sequences.keys import DIMENSIONS_PER_BOUNCE
 from ...shading.sequences.sampler import make_sampler
 from ...shading.surface import material_at
+from ...shading.volumes.enclosures import FARTHEST
 from ...shading.volumes.numbers import CHANNEL, LENGTH, LIGHTS, LIT_CHANNEL, LIT_LENGTH, piece_dimension, stream_of
 from ...shading.volumes.phase import PhaseLobe
 from ..catchers.copies import is_in_vacuum
@@ -41,7 +42,7 @@ from .features import VolumeFeatures
 from .lights import Way, make_lights_ahead
 from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, has_program, make_medium
 from .segment import constant_way, ray_point, scattering_shares
-from .table import AIMED, BACK, FARTHEST, FRONT, GOES_ON, IN_VACUUM, VolumeData, innermost_instance, is_empty
+from .table import AIMED, BACK, FRONT, GOES_ON, IN_VACUUM, VolumeData, innermost_instance, is_empty
 from .track import SCATTERED, STOPPED, Track, make_track
 from .vertex import make_aim_in_volume, make_scattered
 

@@ -11,10 +11,11 @@ from ...programs.point import IN_VOLUME, ShadingPoint
 from ...scene.program import ProgramFeatures
 from ...shading.bsdf.materials import address_of
 from ...shading.bsdf.subsurface import channel_shares
+from ...shading.volumes.enclosures import FARTHEST
 from ...shading.volumes.phase import PhaseLobe
 from .along import Sought, lit_length
 from .medium import LOBE_FLOATS, LOBES_MOST, Coefficients, has_program, make_medium, passes
-from .table import FARTHEST, VolumeData
+from .table import VolumeData
 from .track import SCATTERED, Track, make_transmitted
 
 # Depths below which 1 - exp(-x) is x, to rounding

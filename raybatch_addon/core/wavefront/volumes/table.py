@@ -9,8 +9,6 @@ from ...scene.geometry import mat34
 from ...shading.bsdf.materials import ClosureRecord
 from ...shading.volumes.enclosures import Enclosures
 
-# As far as a way through volumes goes where nothing ends it [m]
-FARTHEST = 1e30
 # Volumes of meshes that a ray is in at once; those that it enters beyond them are not noticed
 INSIDE_MOST = 4
 # In place of what is inside, for paths of scenes with shadow catchers: there is no volume, not even the world's

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from ....core.programs.builder import Value
+from ..graph import AXES
 from ..node import Node, own_value
 from ..registry import values
 from ..volume_builder import is_in_volume
 from .attributes import mesh_attribute, of_instancer
-
-_AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
 @values("ShaderNodeValue", "ShaderNodeRGB", family="Inputs")
@@ -62,7 +61,7 @@ def geometry(node: Node) -> dict[str, Value]:
         _, outputs["True Normal"], outputs["Incoming"] = node.op("normals")
         outputs["Normal"] = node.surface_normal()
     if node.wants("Tangent"):
-        outputs["Tangent"] = node.op("radial_tangent", _AXES["Z"], node.shift)
+        outputs["Tangent"] = node.op("radial_tangent", AXES["Z"], node.shift)
     if node.wants("Parametric"):
         outputs["Parametric"] = node.op("parametric", node.shift)
     if node.wants("Backfacing"):

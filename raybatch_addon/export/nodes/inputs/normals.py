@@ -12,11 +12,11 @@ from ....core.programs.ops.values.math import MathOperation
 from ....core.programs.ops.values.spaces import Space, VectorKind
 from ....core.programs.ops.values.vector_math import VectorOperation
 from ....core.programs.point import shift_width, wide_shift
+from ..graph import AXES
 from ..node import Graph, Node
 from ..registry import values
 
 FILTER_WIDTH = 0.1  # Blender's filter width in a new node, which is that of the steps aside
-_AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
 def three_heights(graph: Graph, height, width: float = 1.0) -> tuple[Value, Value, Value]:
@@ -71,7 +71,7 @@ def normal_map(node: Node) -> Value:
 def tangent(node: Node) -> Value:
     """A tangent around an axis, or along a UV map."""
     if node.node.direction_type == "RADIAL":
-        return node.op("radial_tangent", _AXES[node.node.axis], node.shift)
+        return node.op("radial_tangent", AXES[node.node.axis], node.shift)
     return node.op("uv_tangent", node.graph.collections.attribute("TANGENT", node.node.uv_map))
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ....core.programs.builder import Value
+from ..graph import AXES
 from ..node import Node
 
-_AXES = {"X": 0, "Y": 1, "Z": 2}
 _INVERTED = ("TEXTURE", "NORMAL")
 SCALE_LEAST = 1e-5  # least scale of mappings that are inverted
 
@@ -41,7 +41,7 @@ def affine_of(mapping) -> tuple[np.ndarray, np.ndarray]:
     axes = np.zeros((3, 3))
     for row, axis in enumerate((mapping.mapping_x, mapping.mapping_y, mapping.mapping_z)):
         if axis != "NONE":
-            axes[row, _AXES[axis]] = 1.0
+            axes[row, AXES[axis]] = 1.0
     return matrix @ axes, offset
 
 

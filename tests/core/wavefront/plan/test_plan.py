@@ -7,13 +7,12 @@ import re
 
 import pytest
 
-from raybatch_addon.core.bvh.memory import COPY_BYTES, GeometrySize
+from raybatch_addon.core.bvh.memory import COPY_BYTES, TREE_BYTES_MOST, GeometrySize
 from raybatch_addon.core.bvh.node import Layout
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.plan.cost_model import split_seconds
 from raybatch_addon.core.wavefront.plan.plan import (
     PAGED_SHARE,
-    TREE_BYTES_MOST,
     TREELET_BYTES,
     Memory,
     Method,

@@ -18,7 +18,7 @@ import warp as wp
 from ....device.devices import free_memory
 from ....device.kernel import KERNEL_OPTIONS
 from ....errors import OutOfMemoryError, SceneError
-from ...node import TRIANGLES_MAX_QUANTISED
+from ...node import TRIANGLES_MAX_QUANTISED, VECTOR_BYTES
 from ..collapse import QUANTISED_COST, TOP_COST, CollapseCost
 from .clusters import CLUSTER_KERNELS, ROUND_LIMIT, BinaryNodes, merge_leaves, sort_leaves, triangle_boxes
 from .collapse import COLLAPSE_KERNELS, WideNodes, choose_node_children, collapse
@@ -84,7 +84,7 @@ class DeviceMesh(DeviceTree):
     @property
     def byte_count(self) -> int:
         """Memory of nodes and triangles [bytes]."""
-        return 16 * (self.nodes.size + self.triangles.size)
+        return VECTOR_BYTES * (self.nodes.size + self.triangles.size)
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ _NEW_CUDA, _NEW_CPU = 1 << 24, 1 << 16
 # `advance` returns when this share of the rays alive is finished
 _FINISHED_SHARE = 8
 # A worker that waited this long for a page takes the place of pages that other workers wait for [s]
-_PATIENCE = 1.0
+PATIENCE = 1.0
 
 
 def streaming_bytes_per_path(path_count: int, shadow_rays: bool, levels: int) -> int:
@@ -335,6 +335,6 @@ class StreamingTracer:
         """
         residency, changes = self._residency, self._residency.changes
         with self._timer.stage("copy"):
-            if not self._has_work() and not residency.wait(changes, _PATIENCE) and not residency.is_coming():
+            if not self._has_work() and not residency.wait(changes, PATIENCE) and not residency.is_coming():
                 forced = functools.partial(choose_victims, forced=True)
                 residency.ask(choose_pages, forced, self._step_pages, self._view.counts)
