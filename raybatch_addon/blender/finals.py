@@ -1,4 +1,9 @@
-"""Final renders under way: viewports leave the sessions to them, from Blender's start of a render to its last frame."""
+"""Final renders under way: viewports leave the sessions to them, from Blender's start of a render to its last frame.
+
+Two facts are kept, as neither holds all the time: Blender's handlers know of the job, also between two of its frames
+and before the first, but not of previews, nor of sessions that close; the count knows of these, and of every view layer
+that is rendered, but not of what lies between.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +40,7 @@ def are_under_way() -> bool:
 
 
 def look() -> None:
-    """Notice, on Blender's main thread while it draws, a render of whose end Blender told nobody."""
+    """Notice, on Blender's main thread while it draws, a render whose end Blender did not report."""
     global _is_job
     if _is_job and not bpy.app.is_job_running("RENDER"):
         _is_job = False
@@ -55,13 +60,13 @@ def _end(*_: Any) -> None:
 
 
 def register() -> None:
-    """Have Blender tell of its renders."""
+    """Follow Blender's renders from now on."""
     for handlers, function in _handlers():
         handlers.append(function)
 
 
 def unregister() -> None:
-    """Have it tell no more."""
+    """Follow them no longer."""
     _end()
     for handlers, function in _handlers():
         if function in handlers:
@@ -69,5 +74,5 @@ def unregister() -> None:
 
 
 def _handlers() -> tuple[tuple[Any, Any], ...]:
-    told = bpy.app.handlers
-    return (told.render_init, _begin), (told.render_complete, _end), (told.render_cancel, _end)
+    events = bpy.app.handlers
+    return (events.render_init, _begin), (events.render_complete, _end), (events.render_cancel, _end)

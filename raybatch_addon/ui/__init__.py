@@ -20,6 +20,7 @@ from . import (
     tune,
     viewport,
 )
+from .panel import register_all, unregister_all
 
 _parts = (
     properties,
@@ -43,11 +44,9 @@ _parts = (
 
 def register() -> None:
     """Add all of it."""
-    for part in _parts:
-        part.register()
+    register_all(_parts)
 
 
 def unregister() -> None:
     """Remove all of it."""
-    for part in reversed(_parts):
-        part.unregister()
+    unregister_all(_parts)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .panel import ENGINE, EnginePanel
+from .panel import ENGINE, EnginePanel, register_all, unregister_all
 
 # Every panel for engines of Blender's general kind is taken, without those of what is not rendered
 _GENERAL = "BLENDER_RENDER"
@@ -69,8 +69,7 @@ def _applies(panel: type) -> bool:
 def register() -> None:
     """Enable them for the engine."""
     _own[:] = _simplify_panels()
-    for panel in _own:
-        bpy.utils.register_class(panel)
+    register_all(_own)
     for panel in bpy.types.Panel.__subclasses__():
         if hasattr(panel, "COMPAT_ENGINES") and ENGINE not in panel.COMPAT_ENGINES and _applies(panel):
             panel.COMPAT_ENGINES.add(ENGINE)
@@ -79,8 +78,7 @@ def register() -> None:
 
 def unregister() -> None:
     """Disable exactly those again."""
-    for panel in reversed(_own):
-        bpy.utils.unregister_class(panel)
+    unregister_all(_own)
     _own.clear()
     for panel in _added:
         panel.COMPAT_ENGINES.discard(ENGINE)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender.checkpoints import checkpoint_path
-from .panel import EnginePanel, draw_lines
+from .panel import EnginePanel, draw_lines, register_all, split_layout, unregister_all
 
 
 class RayBatchCheckpoint(bpy.types.PropertyGroup):
@@ -42,9 +42,7 @@ class RAYBATCH_RENDER_PT_checkpoint(EnginePanel, bpy.types.Panel):
         self.layout.prop(context.scene.raybatch_checkpoint, "use", text="")
 
     def draw(self, context):
-        layout, scene = self.layout, context.scene
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, scene = split_layout(self.layout), context.scene
         own = scene.raybatch_checkpoint
         layout.active = own.use
         layout.prop(own, "interval")
@@ -58,8 +56,7 @@ _classes = (RayBatchCheckpoint, RAYBATCH_RENDER_PT_checkpoint)
 
 def register() -> None:
     """Add `scene.raybatch_checkpoint` and the panel."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
     bpy.types.Scene.raybatch_checkpoint = bpy.props.PointerProperty(
         type=RayBatchCheckpoint, name="RayBatch Checkpoint", description="Checkpoints of final renders"
     )
@@ -68,5 +65,4 @@ def register() -> None:
 def unregister() -> None:
     """Remove both."""
     del bpy.types.Scene.raybatch_checkpoint
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

@@ -1,10 +1,12 @@
-"""Base of every panel of the engine, and text broken into lines that fit."""
+"""Base of every panel of the engine, text broken into lines that fit, and how parts of the interface are added."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from types import ModuleType
 
 import blf
+import bpy
 
 ENGINE = "RAYBATCH"
 LATER = 1  # `bl_order` of panels behind those that come without one, as Simplify
@@ -27,6 +29,31 @@ class EnginePanel:
     @classmethod
     def poll(cls, context):
         return context.engine in cls.COMPAT_ENGINES
+
+
+def split_layout(layout, animated: bool = False):
+    """`layout` with names on the left and values on the right; `animated`: with the dots of keys."""
+    layout.use_property_split = True
+    layout.use_property_decorate = animated
+    return layout
+
+
+def register_all(parts: Sequence[type | ModuleType]) -> None:
+    """Add `parts` in their order: classes of Blender's types, and modules by their own `register`."""
+    for part in parts:
+        if isinstance(part, ModuleType):
+            part.register()
+        else:
+            bpy.utils.register_class(part)
+
+
+def unregister_all(parts: Sequence[type | ModuleType]) -> None:
+    """Remove what `register_all` added, the last first."""
+    for part in reversed(parts):
+        if isinstance(part, ModuleType):
+            part.unregister()
+        else:
+            bpy.utils.unregister_class(part)
 
 
 def label_width(text: str) -> float:

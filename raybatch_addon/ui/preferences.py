@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender import general_kernels, warm_up
-from .panel import ENGINE
+from .panel import ENGINE, register_all, unregister_all
 
 PACKAGE = __package__.rpartition(".")[0]
 
@@ -44,8 +44,7 @@ def register() -> None:
     """Add the preferences. What a first render needs is made while Blender evaluates its scene; where there is a
     window, once a scene is RayBatch's, and general kernels are compiled once the window is there.
     """
-    for each in _classes:
-        bpy.utils.register_class(each)
+    register_all(_classes)
     bpy.app.handlers.render_init.append(_before_render)
     if not bpy.app.background and not bpy.app.module:
         bpy.app.timers.register(_compile, first_interval=1.0, persistent=True)
@@ -61,8 +60,7 @@ def unregister() -> None:
             bpy.app.timers.unregister(timer)
     general_kernels.stop()
     warm_up.finish_warm_up()
-    for each in reversed(_classes):
-        bpy.utils.unregister_class(each)
+    unregister_all(_classes)
 
 
 def _compile() -> None:

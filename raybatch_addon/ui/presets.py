@@ -12,7 +12,7 @@ from ..blender.denoise_library import why_not
 from ..core.settings.presets import PRESETS, preset_settings
 from ..core.settings.settings import SETTINGS
 from ..export.settings import assign_setting
-from .panel import ENGINE
+from .panel import ENGINE, register_all, unregister_all
 
 # The folder in which Blender finds `presets`
 _HOME = str(Path(__file__).parents[1])
@@ -108,13 +108,11 @@ _classes = (
 
 def register() -> None:
     """Add operators and menus, and have Blender find the files."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
     bpy.utils.register_preset_path(_HOME)
 
 
 def unregister() -> None:
     """Remove the presets."""
     bpy.utils.unregister_preset_path(_HOME)
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

@@ -13,7 +13,7 @@ from .choices import auto_text, draw_choice
 from .devices import draw_devices
 from .heard import is_heard
 from .memory import estimate_lines
-from .panel import LATER, EnginePanel, draw_box, draw_lines
+from .panel import LATER, EnginePanel, draw_box, draw_lines, register_all, split_layout, unregister_all
 from .presets import RAYBATCH_PT_batching_presets, RAYBATCH_PT_render_presets
 from .properties import megabytes_name, switch_name
 
@@ -33,9 +33,7 @@ def shown_name(info: SettingInfo) -> str:
 
 
 def _draw(self, context):
-    layout = self.layout
-    layout.use_property_split = True
-    layout.use_property_decorate = False
+    layout = split_layout(self.layout)
     own = context.scene.raybatch
     missing = why_not(own.denoise_library) if self.group == "DENOISING" else ""
     column = layout.column()
@@ -136,11 +134,9 @@ _classes = tuple(_panel(name, info) for name, info in GROUPS.items())
 
 def register() -> None:
     """Add the panels."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
 
 
 def unregister() -> None:
     """Remove the panels."""
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

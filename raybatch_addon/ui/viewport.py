@@ -7,7 +7,7 @@ import bpy
 from ..blender.denoise_library import why_not
 from ..core.errors import SettingsError
 from ..export.live.settings import SAMPLES_DEFAULT, left_out
-from .panel import EnginePanel, draw_box
+from .panel import EnginePanel, draw_box, register_all, split_layout, unregister_all
 
 
 class RayBatchViewport(bpy.types.PropertyGroup):
@@ -36,9 +36,7 @@ class RAYBATCH_RENDER_PT_viewport(EnginePanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        layout, scene = self.layout, context.scene
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, scene = split_layout(self.layout), context.scene
         own = scene.raybatch_viewport
         layout.prop(own, "samples")
         missing = why_not(scene.raybatch.denoise_library)
@@ -61,8 +59,7 @@ _classes = (RayBatchViewport, RAYBATCH_RENDER_PT_viewport)
 
 def register() -> None:
     """Add `scene.raybatch_viewport` and the panel."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
     bpy.types.Scene.raybatch_viewport = bpy.props.PointerProperty(
         type=RayBatchViewport, name="RayBatch Viewport", description="RayBatch's settings of the 3D view"
     )
@@ -71,5 +68,4 @@ def register() -> None:
 def unregister() -> None:
     """Remove both."""
     del bpy.types.Scene.raybatch_viewport
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..panel import register_all, unregister_all
 from . import operators, panel, properties
 
 _parts = (properties, operators, panel)
@@ -9,11 +10,9 @@ _parts = (properties, operators, panel)
 
 def register() -> None:
     """Add properties, operators and panels."""
-    for part in _parts:
-        part.register()
+    register_all(_parts)
 
 
 def unregister() -> None:
     """Remove all of it."""
-    for part in reversed(_parts):
-        part.unregister()
+    unregister_all(_parts)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..panel import ENGINE
+from ..panel import ENGINE, register_all, unregister_all
 from .unhidden import unhidden
 
 
@@ -120,8 +120,7 @@ def register() -> None:
     from ...blender import missing
 
     bpy.app.handlers.load_pre.append(missing.forget_found)
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
 
 
 def unregister() -> None:
@@ -129,5 +128,4 @@ def unregister() -> None:
     from ...blender import missing
 
     bpy.app.handlers.load_pre.remove(missing.forget_found)
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

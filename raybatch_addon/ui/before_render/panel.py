@@ -10,7 +10,7 @@ from ...core.scene.notice import Notice, Weight
 from ...export.taken_over.rows import CYCLES, EEVEE
 from ...export.taken_over.take import ENGINE_LABELS, differences
 from .. import migration
-from ..panel import LATER, EnginePanel, draw_box, draw_lines
+from ..panel import LATER, EnginePanel, draw_box, draw_lines, register_all, unregister_all
 from .operators import RAYBATCH_OT_check_scene, RAYBATCH_OT_select_object, RAYBATCH_OT_settings_from
 
 ICONS = {Weight.MISSING: "ERROR", Weight.REPLACED: "QUESTION", Weight.SETTING: "PREFERENCES", Weight.REPAIRED: "INFO"}
@@ -87,11 +87,9 @@ _classes = (RAYBATCH_RENDER_PT_before_render, RAYBATCH_RENDER_PT_settings_from)
 
 def register() -> None:
     """Add the panels."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
 
 
 def unregister() -> None:
     """Remove the panels."""
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

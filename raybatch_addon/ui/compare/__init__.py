@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..panel import register_all, unregister_all
 from . import panel, slots
 
 _parts = (slots, panel)
@@ -9,11 +10,9 @@ _parts = (slots, panel)
 
 def register() -> None:
     """Add operators and panel, and have renders noted."""
-    for part in _parts:
-        part.register()
+    register_all(_parts)
 
 
 def unregister() -> None:
     """Remove them."""
-    for part in reversed(_parts):
-        part.unregister()
+    unregister_all(_parts)

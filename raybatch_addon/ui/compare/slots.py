@@ -12,7 +12,7 @@ from ...blender import reports
 from ...convergence.run_texts import error_line
 from ...core.settings.settings import SETTINGS
 from ..choices import value_text
-from ..panel import ENGINE
+from ..panel import ENGINE, register_all, unregister_all
 
 RESULT = "Render Result"
 
@@ -149,8 +149,7 @@ _classes = (RAYBATCH_OT_render_in_new_slot, RAYBATCH_OT_show_slot)
 
 def register() -> None:
     """Add the operators, and have renders noted."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
     bpy.app.handlers.render_complete.append(note_render)
     bpy.app.handlers.load_pre.append(forget_slots)
 
@@ -160,5 +159,4 @@ def unregister() -> None:
     bpy.app.handlers.load_pre.remove(forget_slots)
     bpy.app.handlers.render_complete.remove(note_render)
     forget_slots()
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

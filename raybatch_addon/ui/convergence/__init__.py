@@ -6,6 +6,7 @@ import bpy
 import bpy.utils.previews
 
 from ...convergence.records import store
+from ..panel import register_all, unregister_all
 from .operators import (
     RAYBATCH_OT_convergence_clear,
     RAYBATCH_OT_convergence_copy,
@@ -36,8 +37,7 @@ def _handlers() -> tuple[list, ...]:
 
 def register() -> None:
     """Add the panel, its operators and what it remembers; and look at the record from now on."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
     bpy.types.Scene.raybatch_convergence = bpy.props.PointerProperty(
         type=RayBatchConvergence, name="RayBatch Convergence", description="What the panel Convergence remembers"
     )
@@ -59,5 +59,4 @@ def unregister() -> None:
     Shown.panels.clear()
     store.clear()
     del bpy.types.Scene.raybatch_convergence
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

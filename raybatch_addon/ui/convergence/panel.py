@@ -7,7 +7,7 @@ import bpy
 from ...convergence.records import Run, store
 from ...convergence.run_texts import names_of, run_lines, target_line
 from ...core.settings.settings import keeps_halves
-from ..panel import LATER, EnginePanel, draw_lines
+from ..panel import LATER, EnginePanel, draw_lines, split_layout
 from .operators import (
     RAYBATCH_OT_convergence_clear,
     RAYBATCH_OT_convergence_copy,
@@ -33,9 +33,7 @@ class RAYBATCH_RENDER_PT_convergence(EnginePanel, bpy.types.Panel):
 
     def draw(self, context):
         Shown.seen = True
-        scene, layout = context.scene, self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        scene, layout = context.scene, split_layout(self.layout)
         row = layout.row()
         row.active = not keeps_halves(scene.raybatch)  # or it is recorded anyway
         row.prop(scene.raybatch_convergence, "record")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..panel import register_all, unregister_all
 from . import camera_panels, data_panels, light_groups, shading_panels
 
 _parts = (data_panels, shading_panels, light_groups, camera_panels)
@@ -9,11 +10,9 @@ _parts = (data_panels, shading_panels, light_groups, camera_panels)
 
 def register() -> None:
     """Add the panels."""
-    for part in _parts:
-        part.register()
+    register_all(_parts)
 
 
 def unregister() -> None:
     """Remove the panels."""
-    for part in reversed(_parts):
-        part.unregister()
+    unregister_all(_parts)

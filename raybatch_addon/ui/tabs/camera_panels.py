@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ...export.panorama import panorama_settings
-from ..panel import EnginePanel
+from ..panel import EnginePanel, register_all, split_layout, unregister_all
 
 # Settings of each type of panorama
 _PANORAMAS = {
@@ -32,8 +32,7 @@ class RAYBATCH_CAMERA_PT_panorama(EnginePanel, bpy.types.Panel):
         return super().poll(context) and context.camera is not None and context.camera.type == "PANO"
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
+        layout = split_layout(self.layout, animated=True)
         settings = panorama_settings(context.camera)
         if settings is None:
             layout.label(text="Enable the add-on Cycles, which has the settings", icon="INFO")
@@ -54,8 +53,7 @@ class RAYBATCH_RENDER_PT_motion_blur(EnginePanel, bpy.types.Panel):
         self.layout.prop(context.scene.render, "use_motion_blur", text="")
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
+        layout = split_layout(self.layout, animated=True)
         render = context.scene.render
         layout.active = render.use_motion_blur
         layout.prop(render, "motion_blur_position", text="Position")
@@ -83,8 +81,7 @@ class RAYBATCH_OBJECT_PT_motion_blur(EnginePanel, bpy.types.Panel):
         self.layout.prop(context.object.cycles, "use_motion_blur", text="")
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
+        layout = split_layout(self.layout, animated=True)
         cycles = context.object.cycles
         layout.active = context.scene.render.use_motion_blur and cycles.use_motion_blur
         layout.prop(cycles, "motion_steps", text="Steps")
@@ -97,11 +94,9 @@ _classes = (RAYBATCH_CAMERA_PT_panorama, RAYBATCH_RENDER_PT_motion_blur, RAYBATC
 
 def register() -> None:
     """Add the panels."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
 
 
 def unregister() -> None:
     """Remove the panels."""
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

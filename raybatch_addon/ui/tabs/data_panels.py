@@ -12,7 +12,7 @@ from ...export.passes import (
     PASS_PROPERTIES,
     VOLUME_PASS_PROPERTIES,
 )
-from ..panel import EnginePanel
+from ..panel import EnginePanel, register_all, split_layout, unregister_all
 
 _GEOMETRY = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}
 
@@ -38,9 +38,7 @@ class RAYBATCH_VIEWLAYER_PT_passes(EnginePanel, bpy.types.Panel):
     bl_context = "view_layer"
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout = split_layout(self.layout)
         layer = context.view_layer
         # properties of Cycles' own are there as long as that add-on is enabled
         of_cycles = getattr(layer, "cycles", None)
@@ -81,9 +79,7 @@ class RAYBATCH_VIEWLAYER_PT_filter(EnginePanel, bpy.types.Panel):
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout = split_layout(self.layout)
         column = layout.column(heading="Include")
         column.prop(context.view_layer, "use_sky", text="Environment")
         column.prop(context.view_layer, "use_solid", text="Surfaces")
@@ -106,8 +102,7 @@ class RAYBATCH_OBJECT_PT_ray_visibility(EnginePanel, bpy.types.Panel):
         return super().poll(context) and context.object is not None and context.object.type in _GEOMETRY | {"LIGHT"}
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
+        layout = split_layout(self.layout, animated=True)
         column = layout.column()
         for ray in ("camera", "diffuse", "glossy", "transmission"):
             column.prop(context.object, f"visible_{ray}", text=ray.title())
@@ -121,11 +116,9 @@ _classes = (RAYBATCH_VIEWLAYER_PT_passes, RAYBATCH_VIEWLAYER_PT_filter, RAYBATCH
 
 def register() -> None:
     """Add the panels."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
 
 
 def unregister() -> None:
     """Remove the panels."""
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

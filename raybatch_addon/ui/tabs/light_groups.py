@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..panel import EnginePanel
+from ..panel import EnginePanel, register_all, unregister_all
 
 
 class RAYBATCH_VIEWLAYER_PT_light_groups(EnginePanel, bpy.types.Panel):
@@ -72,11 +72,9 @@ _classes = (RAYBATCH_VIEWLAYER_PT_light_groups, RAYBATCH_OBJECT_PT_light_group, 
 
 def register() -> None:
     """Add the panels."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
 
 
 def unregister() -> None:
     """Remove the panels."""
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

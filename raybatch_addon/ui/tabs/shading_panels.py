@@ -7,7 +7,7 @@ from bl_ui.properties_view_layer import ViewLayerAOVPanelHelper
 from bpy_extras.node_utils import find_node_input
 
 from ...export.settings import output_engine
-from ..panel import EnginePanel
+from ..panel import EnginePanel, register_all, split_layout, unregister_all
 
 
 class RAYBATCH_MATERIAL_PT_settings(EnginePanel, bpy.types.Panel):
@@ -22,9 +22,7 @@ class RAYBATCH_MATERIAL_PT_settings(EnginePanel, bpy.types.Panel):
         return super().poll(context) and context.material is not None and not context.material.grease_pencil
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout = split_layout(self.layout)
         layout.prop(context.material, "displacement_method", text="Displacement")
         layout.prop(context.material, "pass_index")
 
@@ -46,9 +44,7 @@ class RAYBATCH_WORLD_PT_ray_visibility(_WorldPanel, bpy.types.Panel):
     settings = "cycles_visibility"
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout = split_layout(self.layout)
         column = layout.column()
         for ray in ("camera", "diffuse", "glossy", "transmission"):
             column.prop(context.world.cycles_visibility, ray)
@@ -61,9 +57,7 @@ class RAYBATCH_WORLD_PT_settings(_WorldPanel, bpy.types.Panel):
     settings = "cycles"
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout = split_layout(self.layout)
         own = context.world.cycles
         layout.prop(own, "sampling_method", text="Sampling")
         row = layout.row()
@@ -86,9 +80,7 @@ class RAYBATCH_LIGHT_PT_settings(EnginePanel, bpy.types.Panel):
         return super().poll(context) and context.light is not None
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout = split_layout(self.layout)
         light = context.light
         column = layout.column()
         column.active = not _is_portal(light)
@@ -111,8 +103,7 @@ class RAYBATCH_LIGHT_PT_nodes(EnginePanel, bpy.types.Panel):
         return super().poll(context) and context.light is not None and not _is_portal(context.light)
 
     def draw(self, context):
-        layout, light = self.layout, context.light
-        layout.use_property_split = True
+        layout, light = split_layout(self.layout, animated=True), context.light
         if bpy.app.version < (5, 0):
             layout.prop(light, "use_nodes", icon="NODETREE")
             if not light.use_nodes:
@@ -148,11 +139,9 @@ _classes = (
 
 def register() -> None:
     """Add the panels."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
 
 
 def unregister() -> None:
     """Remove the panels."""
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)

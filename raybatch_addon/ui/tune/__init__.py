@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..panel import register_all, unregister_all
 from . import operators, panel
 
 _parts = (operators, panel)
@@ -9,11 +10,9 @@ _parts = (operators, panel)
 
 def register() -> None:
     """Add operators and panel."""
-    for part in _parts:
-        part.register()
+    register_all(_parts)
 
 
 def unregister() -> None:
     """Remove them."""
-    for part in reversed(_parts):
-        part.unregister()
+    unregister_all(_parts)

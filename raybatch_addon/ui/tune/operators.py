@@ -11,7 +11,7 @@ from bpy.app.handlers import persistent
 
 from ...export.settings import assign_setting
 from ..compare.slots import take_next_slot
-from ..panel import ENGINE
+from ..panel import ENGINE, register_all, unregister_all
 
 
 class RAYBATCH_OT_tune(bpy.types.Operator):
@@ -99,8 +99,7 @@ def _end(*_: object) -> None:
 
 def register() -> None:
     """Add the operators, and have Blender tell of its renders."""
-    for cls in _classes:
-        bpy.utils.register_class(cls)
+    register_all(_classes)
     for handlers, function in _handlers():
         handlers.append(function)
 
@@ -111,5 +110,4 @@ def unregister() -> None:
         handlers.remove(function)
     if (tuning := _tuning()) is not None:
         tuning.forget_tuned()
-    for cls in reversed(_classes):
-        bpy.utils.unregister_class(cls)
+    unregister_all(_classes)
