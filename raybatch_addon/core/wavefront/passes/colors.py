@@ -24,6 +24,17 @@ _DIFFUSE_KINDS = tuple(
 
 
 @wp.struct
+class ClosuresInView:
+    """The closures of a surface, as a path sees them."""
+
+    closures: wp.array(dtype=ClosureRecord)  # those from `first` on before `end` are the surface's
+    first: int
+    end: int
+    lobes: wp.array(dtype=Lobe)  # of the same from 0 on, as `Bsdf.look` sees them from wo
+    frame: ShadingFrame
+
+
+@wp.struct
 class ClosureColors:
     """Sums over the closures of a material, by component."""
 
@@ -40,9 +51,7 @@ def facet_cosine(roughness: float, cosine: float) -> float:
 
 @functools.cache
 def make_closure_colors(features: ClosureFeatures) -> wp.Function:
-    """Function (closures, first, end, lobes, albedo, frame) -> ClosureColors; `lobes` are the closures as `Bsdf.look`
-    sees them from wo.
-    """
+    """Function (view: ClosuresInView, albedo: AlbedoTables) -> ClosureColors."""
     functions = make_lobes(features)
     reflectance, mirror = functions.reflectance, functions.mirror
     is_diffuse, is_mirror = features.test(_DIFFUSE_KINDS), features.test(REFLECTION_KINDS)
@@ -51,30 +60,23 @@ def make_closure_colors(features: ClosureFeatures) -> wp.Function:
     has_refraction, has_phong = features.has(_K.REFRACTION), features.has(_K.ASHIKHMIN_SHIRLEY)
 
     @wp.func
-    def closure_colors(
-        closures: wp.array(dtype=ClosureRecord),
-        first: int,
-        end: int,
-        lobes: wp.array(dtype=Lobe),
-        albedo: AlbedoTables,
-        frame: ShadingFrame,
-    ) -> ClosureColors:
+    def closure_colors(view: ClosuresInView, albedo: AlbedoTables) -> ClosureColors:
         colors = ClosureColors()
-        for c in range(first, end):
-            kind = closures[c].kind
-            lobe = lobes[c - first]
+        for c in range(view.first, view.end):
+            kind = view.closures[c].kind
+            lobe = view.lobes[c - view.first]
             if is_diffuse(kind):
                 colors.diffuse += lobe.scale
             if wp.static(has_mirror):
                 if is_mirror(kind) and lobe.selection > 0.0:
-                    facets = mirror(closures, c, albedo, frame.entering, lobe.cosine)
+                    facets = mirror(view.closures, c, albedo, view.frame.entering, lobe.cosine)
                     seen = facets.seen
                     if wp.static(has_opaque):
                         if is_opaque(kind):  # of a facet as they are turned on average
-                            cosine = facet_cosine(closures[c].roughness, lobe.cosine)
-                            seen = reflectance(closures, c, albedo, cosine, frame.entering)
+                            cosine = facet_cosine(view.closures[c].roughness, lobe.cosine)
+                            seen = reflectance(view.closures, c, albedo, cosine, view.frame.entering)
                     color = wp.cw_mul(lobe.scale, seen)
-                    if closures[c].multiscatter == 1:
+                    if view.closures[c].multiscatter == 1:
                         color = facets.single * color
                     if kind == _SHEET:
                         colors.transmission += color
@@ -88,10 +90,12 @@ def make_closure_colors(features: ClosureFeatures) -> wp.Function:
                     colors.transmission += lobe.scale
             if wp.static(has_glass):
                 if kind == _GLASS and lobe.selection > 0.0:
-                    cosine = facet_cosine(closures[c].roughness, lobe.cosine)
-                    f = reflectance(closures, c, albedo, cosine, frame.entering)
+                    cosine = facet_cosine(view.closures[c].roughness, lobe.cosine)
+                    f = reflectance(view.closures, c, albedo, cosine, view.frame.entering)
                     colors.glossy += wp.cw_mul(lobe.scale, f)
-                    colors.transmission += wp.cw_mul(lobe.scale, wp.cw_mul(wp.vec3(1.0) - f, closures[c].refraction))
+                    colors.transmission += wp.cw_mul(
+                        lobe.scale, wp.cw_mul(wp.vec3(1.0) - f, view.closures[c].refraction)
+                    )
         return colors
 
     return closure_colors

@@ -16,10 +16,11 @@ import warp as wp
 from ...scene.description import ClosureKind
 from ...shading.bsdf.albedo import AlbedoTables
 from ...shading.bsdf.facets import make_facets
-from ...shading.bsdf.lobes import Lobe, make_lobes
-from ...shading.bsdf.materials import MICROFACET_KINDS, ClosureFeatures, ClosureRecord, ShadingFrame
+from ...shading.bsdf.lobes import make_lobes
+from ...shading.bsdf.materials import MICROFACET_KINDS, ClosureFeatures
 from ..rays import Paths
 from ..stages.limits import has_light
+from .colors import ClosuresInView
 from .state import add_channels, is_guided
 
 _K = ClosureKind
@@ -43,8 +44,8 @@ def note_seen_light(paths: Paths, path: int, before: wp.vec3):
 
 @functools.cache
 def make_note_surface(features: ClosureFeatures) -> wp.Function:
-    """Function (paths, path, closures, first, end, lobes, tables, frame, distance: float) that notes a surface, seen at
-    the end of a ray of length `distance` [m].
+    """Function (paths, path: int, view: ClosuresInView, tables: AlbedoTables, distance: float) that notes a surface,
+    seen at the end of a ray of length `distance` [m].
     """
     has = features.has
     mean_alpha, reflectance = make_facets(features).alpha, make_lobes(features).reflectance
@@ -54,17 +55,7 @@ def make_note_surface(features: ClosureFeatures) -> wp.Function:
     has_transparent, has_portal = has(_K.TRANSPARENT), has(_K.RAY_PORTAL)
 
     @wp.func
-    def note_surface(
-        paths: Paths,
-        path: int,
-        closures: wp.array(dtype=ClosureRecord),
-        first: int,
-        end: int,
-        lobes: wp.array(dtype=Lobe),
-        tables: AlbedoTables,
-        frame: ShadingFrame,
-        distance: float,
-    ):
+    def note_surface(paths: Paths, path: int, view: ClosuresInView, tables: AlbedoTables, distance: float):
         if not is_guided(paths.passes):
             return
         passes = paths.passes[0]
@@ -79,22 +70,24 @@ def make_note_surface(features: ClosureFeatures) -> wp.Function:
         smooth = wp.vec3(0.0)
         rough_share = float(0.0)
         share = float(0.0)
-        for c in range(first, end):
-            lobe = lobes[c - first]
+        for c in range(view.first, view.end):
+            lobe = view.lobes[c - view.first]
             if lobe.selection > 0.0:
                 is_rough = bool(True)
                 color = lobe.scale
                 if wp.static(has_transparent):
-                    if closures[c].kind == _TRANSPARENT:
+                    if view.closures[c].kind == _TRANSPARENT:
                         is_rough = False
                 if wp.static(has_portal):
-                    if closures[c].kind == _RAY_PORTAL:
+                    if view.closures[c].kind == _RAY_PORTAL:
                         is_rough = False
                 if wp.static(has_facets):
-                    if is_facets(closures[c].kind):
-                        is_rough = mean_alpha(closures, c) > wp.static(ALPHA_SMOOTH)
-                        if not is_clear(closures[c].kind):
-                            color = wp.cw_mul(color, reflectance(closures, c, tables, lobe.cosine, frame.entering))
+                    if is_facets(view.closures[c].kind):
+                        is_rough = mean_alpha(view.closures, c) > wp.static(ALPHA_SMOOTH)
+                        if not is_clear(view.closures[c].kind):
+                            color = wp.cw_mul(
+                                color, reflectance(view.closures, c, tables, lobe.cosine, view.frame.entering)
+                            )
                 # as large as the closure's albedo, of the colour that it has here
                 total = color[0] + color[1] + color[2]
                 if total > 0.0 and total < wp.inf:

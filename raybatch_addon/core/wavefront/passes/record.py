@@ -9,15 +9,14 @@ import warp as wp
 from ...film.mattes import MatteTile, add_matte
 from ...film.tile import FilmTile
 from ...rays import Rays
-from ...shading.bsdf.albedo import AlbedoTables
-from ...shading.bsdf.bsdf import ClosureFeatures, ClosureRecord, Lobe, ShadingFrame, make_bsdf
+from ...shading.bsdf.bsdf import ClosureFeatures, make_bsdf
 from ..catchers.copies import is_copy
 from ..rays import Paths
 from ..scene.scene_data import SceneData, depth_of
 from ..stages.generate import pixel_sample
 from ..stages.surface.vertex import Vertex
 from ..stages.work import TileWork
-from .colors import make_closure_colors
+from .colors import ClosuresInView, make_closure_colors
 from .state import PassInputs, add_channels
 from .vectors import motion_vector
 
@@ -112,24 +111,16 @@ def record_background(work: TileWork, paths: Paths, film: FilmTile, path: int):
 
 @functools.cache
 def make_record_surface(features: ClosureFeatures, transparency: bool, catchers: bool = False) -> wp.Function:
-    """Function (data, paths, rays, film, path, v: Vertex, frame: ShadingFrame, closures, first, end): what passes show
-    of a surface that a path meets before it scatters, but for its colours. Depth, Position and Normal are among them
-    where surfaces may be transparent (`transparency`). With `catchers` copies of paths record nothing.
+    """Function (data, paths, rays, film, path: int, v: Vertex, view: ClosuresInView): what passes show of a surface
+    that a path meets before it scatters. Depth, Position and Normal are among them where surfaces may be transparent
+    (`transparency`). With `catchers` copies of paths record nothing.
     """
     let_through = make_bsdf(features).transparency
+    closure_colors = make_closure_colors(features)
 
     @wp.func
     def record_surface(
-        data: SceneData,
-        paths: Paths,
-        rays: Rays,
-        film: FilmTile,
-        path: int,
-        v: Vertex,
-        frame: ShadingFrame,
-        closures: wp.array(dtype=ClosureRecord),
-        first: int,
-        end: int,
+        data: SceneData, paths: Paths, rays: Rays, film: FilmTile, path: int, v: Vertex, view: ClosuresInView
     ):
         passes = paths.passes[0]
         if wp.static(catchers):
@@ -142,7 +133,7 @@ def make_record_surface(features: ClosureFeatures, transparency: bool, catchers:
         alpha = wp.vec3(1.0, 1.0, 1.0)
         settled = int(0)
         if wp.static(transparency):
-            through = let_through(closures, first, end)
+            through = let_through(view.closures, view.first, view.end)
             for c in range(3):
                 alpha[c] = wp.clamp(1.0 - through[c], 0.0, 1.0)
             if passes.settled.shape[0] > 0 and v.passed > 0:
@@ -162,7 +153,7 @@ def make_record_surface(features: ClosureFeatures, transparency: bool, catchers:
                 settled = 1
                 if wp.static(transparency):
                     if paths.normal.shape[0] > 0:
-                        paths.normal[path] = frame.normal
+                        paths.normal[path] = view.frame.normal
                 if passes.uv >= 0:
                     add_channels(passes, passes.uv, path, uv_at(passes.inputs, instance, primitive, barycentric))
                 if passes.vector >= 0:
@@ -180,35 +171,10 @@ def make_record_surface(features: ClosureFeatures, transparency: bool, catchers:
         if passes.mist >= 0:
             seen = clear_view(data, passes.inputs, v.surface.position) * mean_channel(wp.cw_mul(throughput, alpha))
             passes.values[passes.mist, path] = passes.values[passes.mist, path] + seen
-
-    return record_surface
-
-
-@functools.cache
-def make_record_colors(features: ClosureFeatures, catchers: bool = False) -> wp.Function:
-    """Function (paths, path, closures, first, end, lobes, tables, frame): the colours of such a surface."""
-    closure_colors = make_closure_colors(features)
-
-    @wp.func
-    def record_colors(
-        paths: Paths,
-        path: int,
-        closures: wp.array(dtype=ClosureRecord),
-        first: int,
-        end: int,
-        lobes: wp.array(dtype=Lobe),
-        tables: AlbedoTables,
-        frame: ShadingFrame,
-    ):
-        passes = paths.passes[0]
-        if wp.static(catchers):
-            if is_copy(paths, path):
-                return
-        throughput = paths.throughput[path]
         if passes.color[0] >= 0 or passes.color[1] >= 0 or passes.color[2] >= 0:
-            colors = closure_colors(closures, first, end, lobes, tables, frame)
+            colors = closure_colors(view, data.materials.albedo)
             add_channels(passes, passes.color[0], path, wp.cw_mul(throughput, colors.diffuse))
             add_channels(passes, passes.color[1], path, wp.cw_mul(throughput, colors.glossy))
             add_channels(passes, passes.color[2], path, wp.cw_mul(throughput, colors.transmission))
 
-    return record_colors
+    return record_surface

@@ -5,11 +5,12 @@ through the middle of the unit cube. Box looks along the three axes of the objec
 normal.
 """
 
+import functools
 from enum import IntEnum
 
 import warp as wp
 
-from ....shading.images.textures import sample_image
+from ....shading.images.textures import sample_image, sample_level
 from ...op import NodeData, number, op, put_number, put_vector, vector
 from ...point import ShadingPoint
 
@@ -145,6 +146,45 @@ def image(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingP
     put_texel(data, stack, pc + 7, value)
 
 
+@functools.cache
+def make_box_texel(at_level: bool) -> wp.Function:
+    """Function (data, stack, pc: int, first: int, level: int) -> vec4: the texel of an op with box projection, whose
+    operands are those of `image_box`, with coordinates from the word `first` on; `level` counts with `at_level`.
+    """
+
+    @wp.func
+    def box_texel(data: NodeData, stack: wp.array(dtype=float), pc: int, first: int, level: int) -> wp.vec4:
+        p = vector(data, stack, first)
+        normal = vector(data, stack, first + 1)
+        weights = box_weights(normal, number(data, stack, pc + 5))
+        total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+        axis = int(0)
+        while axis < 3:  # a loop that is not unrolled, so that the look-up is compiled once
+            if weights[axis] > 0.0:
+                uv = box_uv(axis, p, normal)
+                if wp.static(at_level):
+                    total += weights[axis] * sample_level(
+                        data.images,
+                        data.code[pc + 1],
+                        level,
+                        uv,
+                        data.code[pc + 2],
+                        data.code[pc + 3],
+                        data.code[pc + 4],
+                    )
+                else:
+                    total += weights[axis] * sample_image(
+                        data.images, data.code[pc + 1], uv, data.code[pc + 2], data.code[pc + 3], data.code[pc + 4]
+                    )
+            axis += 1
+        return total
+
+    return box_texel
+
+
+_box_texel = make_box_texel(at_level=False)
+
+
 @op("image_box", "miiinvv>VN", foldable=False)
 @wp.func
 def image_box(data: NodeData, stack: wp.array(dtype=float), pc: int, point: ShadingPoint):
@@ -153,17 +193,4 @@ def image_box(data: NodeData, stack: wp.array(dtype=float), pc: int, point: Shad
     Operands: image, `Interpolation`, `Extension`, whether alpha is divided out, blend, coordinates, normal in object
     space.
     """
-    p = vector(data, stack, pc + 6)
-    normal = vector(data, stack, pc + 7)
-    weights = box_weights(normal, number(data, stack, pc + 5))
-    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    axis = int(0)
-    while axis < 3:  # a loop that is not unrolled, so that the look-up is compiled once
-        if weights[axis] > 0.0:
-            image_uv = box_uv(axis, p, normal)
-            value = sample_image(
-                data.images, data.code[pc + 1], image_uv, data.code[pc + 2], data.code[pc + 3], data.code[pc + 4]
-            )
-            total += weights[axis] * value
-        axis += 1
-    put_texel(data, stack, pc + 8, total)
+    put_texel(data, stack, pc + 8, _box_texel(data, stack, pc, pc + 6, 0))

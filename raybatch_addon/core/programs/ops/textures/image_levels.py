@@ -10,7 +10,7 @@ import warp as wp
 from ....shading.images.textures import footprint_level, sample_level
 from ...op import NodeData, number, op, put_number, vector
 from ...point import ShadingPoint
-from .image import Projection, box_uv, box_weights, projected_uv, put_texel
+from .image import Projection, make_box_texel, projected_uv, put_texel
 
 # Registers that are set before a program runs
 FOOTPRINT = 0  # area of the footprint on the surface, in areas of the parallelogram of the point's two steps
@@ -19,6 +19,7 @@ REGISTERS = 2
 # `Projection` of op `image_level` for images with box projection
 BOX = 3
 
+_box_texel = make_box_texel(at_level=True)
 _FLAT = wp.constant(int(Projection.FLAT))
 
 
@@ -80,17 +81,4 @@ def image_box_at(data: NodeData, stack: wp.array(dtype=float), pc: int, point: S
     Operands: those of `image_box`, with the level before the coordinates.
     """
     level = int(number(data, stack, pc + 6))
-    p = vector(data, stack, pc + 7)
-    normal = vector(data, stack, pc + 8)
-    weights = box_weights(normal, number(data, stack, pc + 5))
-    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-    axis = int(0)
-    while axis < 3:  # a loop that is not unrolled, so that the look-up is compiled once
-        if weights[axis] > 0.0:
-            image_uv = box_uv(axis, p, normal)
-            value = sample_level(
-                data.images, data.code[pc + 1], level, image_uv, data.code[pc + 2], data.code[pc + 3], data.code[pc + 4]
-            )
-            total += weights[axis] * value
-        axis += 1
-    put_texel(data, stack, pc + 9, total)
+    put_texel(data, stack, pc + 9, _box_texel(data, stack, pc, pc + 7, level))

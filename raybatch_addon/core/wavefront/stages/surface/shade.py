@@ -31,9 +31,10 @@ from ....shading.sampling import bitangent_of, tangent_of
 from ....shading.sequences.keys import BSDF, ROULETTE, TEXTURE
 from ....shading.sequences.sampler import make_sampler
 from ....shading.surface import spawn_origin
+from ...passes.colors import ClosuresInView
 from ...passes.guides import make_note_surface, note_seen_light
 from ...passes.light import divide_extending_ray
-from ...passes.record import make_record_colors, make_record_surface, record_aov, settles
+from ...passes.record import make_record_surface, record_aov, settles
 from ...rays import (
     BOUNCE_SHIFT,
     SHADOW_PASS,
@@ -99,10 +100,9 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
     begin_walk = make_walk_begin(features.sample_sequence)
     lobes_most = features.lobes_most
     note_surface = make_note_surface(kinds) if features.guides else None
-    record_surface = record_colors = None
+    record_surface = None
     if features.records_surfaces:
         record_surface = make_record_surface(kinds, features.transparency, features.catchers)
-        record_colors = make_record_colors(kinds, features.catchers)
     blur = make_blur(kinds)
     leave_out_caustics = make_leave_out_caustics(kinds, features.caustics_reflective, features.caustics_refractive)
 
@@ -223,12 +223,18 @@ def make_shade_surface(features: SurfaceFeatures, aims: AimFeatures | None) -> w
         of_lobes = wp.zeros(wp.static(lobes_most * LOBE_FLOATS), dtype=float)
         lobes = wp.array(ptr=address_of(of_lobes), shape=(wp.static(lobes_most),), dtype=Lobe)
         look(closures, first, end, data.materials.albedo, frame, wo, lobes)
+        if wp.static(features.guides or features.records_surfaces):
+            view = ClosuresInView()
+            view.closures = closures
+            view.first = first
+            view.end = end
+            view.lobes = lobes
+            view.frame = frame
         if wp.static(features.guides):
-            note_surface(paths, path, closures, first, end, lobes, data.materials.albedo, frame, hit_t)
+            note_surface(paths, path, view, data.materials.albedo, hit_t)
         if wp.static(features.records_surfaces):
             if v.bounce == 0 and not v.comes_out and paths.passes.shape[0] > 0:
-                record_surface(data, paths, rays, film, path, v, frame, closures, first, end)
-                record_colors(paths, path, closures, first, end, lobes, data.materials.albedo, frame)
+                record_surface(data, paths, rays, film, path, v, view)
         if wp.static(features.lacks_caustics):
             leave_out_caustics(limits, closures, first, end, lobes, visibility_of(status))
         if wp.static(features.filter_glossy):  # colours are those of the facets as they are
