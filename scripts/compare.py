@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Render .blend files with Cycles and with RayBatch, and tell how they differ. `compare.py --help` says how."""
+"""Render .blend files with Cycles and with RayBatch, and show how they differ. `compare.py --help` says how."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ engines differ.
 python scripts/direct_light.py SCENE.scene.npz --size 160x160 --pixel X,Y [--pixel X,Y ...] [--samples N]
 
 SCENE is a scene that render.py --save-scene wrote: matt surfaces under suns and a world of one colour. A surface gets
-light on the side of its triangle that is seen, from where the ray meets no triangle. Two figures are told: with the
+light on the side of its triangle that is seen, from where the ray meets no triangle. Two figures are reported: with the
 cosine to the interpolated normal everywhere, and with that to the triangle's own normal where the interpolated one is
 turned away from the viewer. Pixels count from the bottom left.
 """

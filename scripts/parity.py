@@ -123,12 +123,12 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
     out = options.out or (ROOT / "docs" if whole else None)
     started = time.perf_counter()
 
-    def tell(result) -> None:
+    def show(result) -> None:
         print(result.text(), file=sys.stderr, flush=True)
         if out:  # what was done is there if the rest is stopped
             _write_page(out, [result], known, standard_output)
 
-    results = run_groups(features, Path(__file__).resolve(), options.jobs, tell)
+    results = run_groups(features, Path(__file__).resolve(), options.jobs, show)
     seconds = time.perf_counter() - started
     if options.json:
         write_json(options.json, [json_report(results, known, seconds)], standard_output)

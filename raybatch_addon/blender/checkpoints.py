@@ -48,7 +48,7 @@ def checkpoint_path(scene: bpy.types.Scene, layer: str, view: str = "") -> Path:
     return folder / (".".join([stem, *(bpy.path.clean_name(name) for name in names)]) + ending)
 
 
-def checkpoint_of(scene: bpy.types.Scene, layer: str, view: str, tell: Callable[[str], None]) -> Checkpoint | None:
+def checkpoint_of(scene: bpy.types.Scene, layer: str, view: str, report: Callable[[str], None]) -> Checkpoint | None:
     """The checkpoint of a view layer that is about to be rendered; None where there is to be none."""
     from ..core.checkpoint.checkpoint import Checkpoint
 
@@ -56,7 +56,7 @@ def checkpoint_of(scene: bpy.types.Scene, layer: str, view: str, tell: Callable[
     if asked is not None:
         if asked.path is None:
             return None
-        return Checkpoint(checkpoint_path(scene, layer, view), asked.interval, tell=tell)
+        return Checkpoint(checkpoint_path(scene, layer, view), asked.interval, report=report)
     if own is None or not own.use:
         return None
-    return Checkpoint(checkpoint_path(scene, layer, view), own.interval, begins_anew=True, tell=tell)
+    return Checkpoint(checkpoint_path(scene, layer, view), own.interval, begins_anew=True, report=report)

@@ -52,14 +52,14 @@ def _denoise(
     start = time.perf_counter()
     made = film.made | {COMBINED: denoised(passes, settings, library, cancelled)}
     made |= denoised_catchers(passes, settings, library, cancelled)
-    told = description(settings, library, time.perf_counter() - start)
+    record = description(settings, library, time.perf_counter() - start)
     if film.halves:
         halves = [half.passes for half in film.halves]
         noisy = [half[COMBINED][..., :3] for half in halves]
         clean = [denoised(half, settings, library, cancelled)[..., :3] for half in halves]
-        told["error_of_halves"] = dataclasses.asdict(filtered_half_error(*noisy, *clean))
+        record["error_of_halves"] = dataclasses.asdict(filtered_half_error(*noisy, *clean))
     film.made = made
-    film.statistics["denoise"] = told
+    film.statistics["denoise"] = record
 
 
 def whole_tile(film: Film) -> Tile:

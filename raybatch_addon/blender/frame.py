@@ -36,7 +36,7 @@ scene_listeners: list[Callable[[str, Scene, RenderSettings], None]] = []
 # Called with the core's `Progress` several times a second
 progress_listeners: list[Callable[[Progress], None]] = []
 
-# Called with what is told of a render beside warnings
+# Called with each note on a render that is no warning
 note_listeners: list[Callable[[str], None]] = []
 # Asked several times a second whether the render is to end with what is done; for scripts, which get signals
 stop_listeners: list[Callable[[], bool]] = []
@@ -120,7 +120,7 @@ def _render_view(
     found = missing.keep_found(depsgraph.scene, layer_name, scene.warnings)
     _report_warnings(engine, report, found)
     if bpy.app.background and not scene_listeners:
-        missing.tell(found)
+        missing.print_notices(found)
     for listener in scene_listeners:
         listener(layer_name, scene, settings)
     missing.refuse_what_lacks(depsgraph.scene, found)
@@ -139,7 +139,7 @@ def _render_view(
     def is_stopped() -> bool:
         return _is_stopped(engine)
 
-    def tell(text: str) -> None:
+    def show_note(text: str) -> None:
         status.show(text)
         engine.report({"INFO"}, f"RayBatch: {text}")
         for listener in note_listeners:
@@ -168,7 +168,7 @@ def _render_view(
                 observers=observers,
                 sample_first=checkpoints.first_sample(),
                 parts=parts,
-                checkpoint=checkpoints.checkpoint_of(depsgraph.scene, layer_name, view.name, tell),
+                checkpoint=checkpoints.checkpoint_of(depsgraph.scene, layer_name, view.name, show_note),
             )
             if denoiser is not None:  # viewports, which would take its processors, wait for it too
                 parts.enter("denoise")
@@ -187,7 +187,7 @@ def _render_view(
         writer.write(whole_tile(film))
     stamp_mattes(engine, layer_name, scene)
     status.end(film, settings.sample_count)
-    film.statistics["seconds"] = parts.told()
+    film.statistics["seconds"] = parts.record()
     report.statistics[f"{layer_name}, {view.name}" if view.name else layer_name] = film.statistics
     _report_warnings(engine, report, film.statistics["warnings"])
     if view.name:

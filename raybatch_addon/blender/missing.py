@@ -1,4 +1,4 @@
-"""What a scene would be rendered without, told before the render; and renders that are refused for it."""
+"""What a scene would be rendered without, reported before the render; and renders that are refused for it."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def refuse_what_lacks(scene: bpy.types.Scene, notices: Sequence[Notice]) -> None
     raise Refused(f"not rendered, as nothing may be missing: {heavy[0]}{more}")
 
 
-def tell(notices: Sequence[Notice], start: str = "RayBatch: warning") -> None:
+def print_notices(notices: Sequence[Notice], start: str = "RayBatch: warning") -> None:
     """Write `notices` to standard error, each in a line, with what to do."""
     for notice in notices:
         remedy = f" ({notice.remedy})" if notice.remedy else ""

@@ -30,7 +30,7 @@ _MADE_LETTERS = {NOISY_IMAGE: "RGBA", NOISY_CATCHER: "RGB", SAMPLE_SHARE: "X"}
 
 
 def register_passes(engine: bpy.types.RenderEngine, scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> None:
-    """Tell Blender which passes the render of `view_layer` will fill."""
+    """Name to Blender the passes that the render of `view_layer` will fill."""
     for name in (*wanted_passes(view_layer), *made_passes(scene, view_layer)):
         engine.register_pass(scene, view_layer, blender_name(name), *_about(name))
 

@@ -118,8 +118,8 @@ class Job:
     @property
     def kernels_now(self) -> str:
         """Which kernels render now: general or specialised."""
-        told = self.kernels
-        return "general" if told["tier"] == "GENERAL" and told["specialised_after"] is None else "specialised"
+        kernels = self.kernels
+        return "general" if kernels["tier"] == "GENERAL" and kernels["specialised_after"] is None else "specialised"
 
 
 def progress_of(

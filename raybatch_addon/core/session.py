@@ -279,8 +279,8 @@ class Session:
             )
 
         def on_progress(stage: str, fraction: float, message: str) -> None:
-            told = progress_of(job.parts, job.settings, self.device, stage, fraction=fraction, message=message)
-            job.on_progress(told)
+            reported = progress_of(job.parts, job.settings, self.device, stage, fraction=fraction, message=message)
+            job.on_progress(reported)
 
         try:
             return preparation.run(build, job.cancelled, on_progress)
@@ -376,7 +376,7 @@ class Session:
             settings=job.settings,
             features=job.features,
             frame={"width": film.width, "height": film.height, "region": [*film.region], "passes": [*film.pass_names]},
-            seconds=job.parts.told(),
+            seconds=job.parts.record(),
             rays=ray_totals(integrators),
             samples=film.sample_total,
             counts={

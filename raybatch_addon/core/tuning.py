@@ -25,7 +25,7 @@ _GIVEN_UP, _MOMENT = 2.0, 0.5
 _VALUES = {"batching": ("OFF", "ON"), "ray_sort": ("OFF", "ON"), "hit_sort": ("OFF", "ON")}
 _RAY_COUNT_FACTORS = (0.5, 2.0)
 
-# Renders with settings until the first function says that it is to end, and tells the second one how far it is
+# Renders with settings until the first function says that it is to end, and reports to the second one how far it is
 Render = Callable[[RenderSettings, Callable[[], bool], Callable[[Progress], None]], Film]
 
 
@@ -191,7 +191,7 @@ class _Tuner:
 
 
 class _Clock:
-    """Tells when a trial's time is over, counted from where it traces rays: not while kernels are compiled."""
+    """Decides when a trial's time is over, counted from where it traces rays: not while kernels are compiled."""
 
     def __init__(self, limit: float):
         self._limit, self._start = limit, None

@@ -37,7 +37,7 @@ class UntouchedMaterials:
     def __init__(self) -> None:
         self._known: dict[int, _Kept] = {}  # by `session_uid` of the original
         self._images: dict[Any, Image] = {}  # by what `Collections.image` knows them as
-        self._told: tuple[str, int] | None = None  # what all of them follow from
+        self._reported: tuple[str, int] | None = None  # what all of them follow from
 
     def forget(self, touched: Iterable[int] | None = None) -> None:
         """Materials of these `session_uid`s are others now; None: any may be."""
@@ -50,10 +50,10 @@ class UntouchedMaterials:
 
     def begin(self, collections: Collections) -> None:
         """A pass begins, which asks `collections`."""
-        told = (collections.engine, collections.frame)
-        if told != self._told:
+        reported = (collections.engine, collections.frame)
+        if reported != self._reported:
             self.forget()
-            self._told = told
+            self._reported = reported
 
     def find(self, material: bpy.types.Material, collections: Collections) -> _Kept | None:
         """`material` as it was, if nothing touched it and the scene gives the same indices."""
@@ -127,7 +127,7 @@ class KeptMaterials:
         self, material: bpy.types.Material | None, signature: tuple | None, compiled: Material, notes: list[str]
     ) -> None:
         """Remember what `material` was compiled to, of which `Collections.record` still holds what it asked for; where
-        that cannot be told, or there is no signature, forget what it was before.
+        that cannot be known, or there is no signature, forget what it was before.
         """
         if material is None:
             return

@@ -59,7 +59,7 @@ class ExportedMaterials:
         return index
 
     def begin_live(self, untouched: UntouchedMaterials) -> None:
-        """A pass of a viewport begins, of whose last pass `untouched` tells."""
+        """A pass of a viewport begins; `untouched`: materials that were not edited since its last one."""
         self._kept.untouched = untouched
         untouched.begin(self.collections)
 

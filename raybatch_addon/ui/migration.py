@@ -85,7 +85,7 @@ def _opened(*_: object) -> None:
 
 
 def register() -> None:
-    """Have Blender tell of files; where the add-on is enabled with one open, that is brought to this version too."""
+    """Bring files to this version as Blender opens them, and one that is open already."""
     bpy.app.handlers.load_post.append(_opened)
     bpy.app.handlers.save_pre.append(migrate_all)
     if hasattr(bpy.data, "scenes"):  # not while Blender itself starts: it opens a file then
@@ -93,6 +93,6 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Have it tell no more."""
+    """Look at them no longer."""
     bpy.app.handlers.save_pre.remove(migrate_all)
     bpy.app.handlers.load_post.remove(_opened)

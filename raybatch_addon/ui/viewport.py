@@ -48,7 +48,7 @@ class RAYBATCH_RENDER_PT_viewport(EnginePanel, bpy.types.Panel):
         layout.prop(scene.render, "preview_pixel_size", text="Pixel Size")
         try:
             names = left_out(scene)
-        except SettingsError:  # the panel of what is wrong tells it
+        except SettingsError:  # the panel of what is wrong shows it
             return
         if names:
             draw_box(layout, context, f"Final renders alone have: {', '.join(names)}")

@@ -29,7 +29,7 @@ from raybatch_addon.core.scene.flatten import FlatGeometry
 ROUNDINGS = 32
 RELATIVE_BOUND = ROUNDINGS * UNIT_ROUNDOFF * 3**0.5  # of a length, from that of a coordinate
 # A ray that passes through a triangle and no nearer to its edges than the bound meets its plane at more than 16
-# roundings [rad]; what float64 tells of flatter ones is noise
+# roundings [rad]; what float64 finds for flatter ones is noise
 FLATTEST = 2.0**-23
 CHUNK = 1 << 14  # triangles of one thread
 PAIRS_MAX = {"cpu": 500_000_000, "cuda": 200_000_000_000}  # rays times triangles of one judgement

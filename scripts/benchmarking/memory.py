@@ -21,7 +21,7 @@ from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import RenderSettings, parse_setting
 
 MEMORY = "memory"  # the render with all geometry there, by name
-# What a render in pages tells of itself
+# What a render in pages reports of itself
 _PAGING = (
     "bytes_copied",
     "pages_loaded",
@@ -71,7 +71,7 @@ def _parse_budget(text: str) -> GeometryBudget:
 
 @dataclass
 class _Variant:
-    """One way to render, and what its runs told."""
+    """One way to render, and what its runs reported."""
 
     name: str
     settings: RenderSettings
@@ -81,21 +81,21 @@ class _Variant:
     stages: dict[str, float] | None = None  # by stage, of a render with counters [s]
 
     def report(self) -> dict[str, Any]:
-        """Times, and what is told of the last run."""
-        told = self.runs[-1]
+        """Times, and what is reported for the last run."""
+        reported = self.runs[-1]
         parts = {stage: summary([run["seconds"][stage] for run in self.runs]) for stage in ("build", "render")}
         return {
             "cold": {"seconds": round(self.cold["seconds"]["total"], 3), "stages": self.cold["seconds"]},
             "whole": summary(self.seconds),
             **parts,
-            "rays_per_second": round(told["rays"]["total"] / parts["render"]["seconds"])
+            "rays_per_second": round(reported["rays"]["total"] / parts["render"]["seconds"])
             if parts["render"]["seconds"]
             else 0,
-            "schedule": told["schedule"],
-            "auto": told["auto"],
-            "tree": told["tree"],
+            "schedule": reported["schedule"],
+            "auto": reported["auto"],
+            "tree": reported["tree"],
             "stages": self.stages,
-            "warnings": told["warnings"],
+            "warnings": reported["warnings"],
         }
 
 
@@ -161,7 +161,7 @@ def measure_against_memory(
 ) -> tuple[dict[str, Any], Film]:
     """The report of `benchmark.py render --against memory`, and the film in memory; raises `RayBatchError`.
 
-    Films that differ are told in the report, under `films`. Every timed render builds its tree anew; one in pages opens
+    Films that differ are in the report, under `films`. Every timed render builds its tree anew; one in pages opens
     the file of an earlier one where geometry lies on disk.
     """
     check_settings(request.settings, settings)
@@ -238,7 +238,7 @@ def _begun(
 
 
 def _limited_report(variant: _Variant, whole: _Variant) -> dict[str, Any]:
-    told = variant.runs[-1]
+    reported = variant.runs[-1]
 
     def speed(ours: list[float], theirs: list[float]) -> float:
         return round(statistics.median(b / a for a, b in zip(ours, theirs, strict=True)), 4)
@@ -250,5 +250,5 @@ def _limited_report(variant: _Variant, whole: _Variant) -> dict[str, Any]:
         **variant.report(),
         "speed": speed(*renders),  # of the render in memory, without trees: 1 is as fast
         "speed_whole": speed(variant.seconds, whole.seconds),
-        **{name: told["batching"][name] for name in _PAGING},
+        **{name: reported["batching"][name] for name in _PAGING},
     }

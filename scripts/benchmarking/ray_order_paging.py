@@ -5,8 +5,8 @@ the first page that is missing is brought in at once, and the one that was not u
 That is what a system does that maps the file into memory and lets rays run into it, or a tracer with a plain cache of
 geometry.
 
-Use is told exactly, a window at a time: at its start all pages are hidden, and the rays that come to one which is there
-(no copy is needed) show that it is in use.
+Use is known exactly, a window at a time: at its start all pages are hidden, and the rays that come to one which is
+there (no copy is needed) show that it is in use.
 """
 
 from __future__ import annotations

@@ -55,8 +55,8 @@ def measure_slopes(
     """The report of `benchmark.py render` with two sample counts, and the first film; raises `RayBatchError`.
 
     Cycles, where it is asked for, is measured on every kind of device that it offers there (OptiX and CUDA), and the
-    one whose samples are quicker is the peer. The first render of each engine, which loads or compiles kernels, is told
-    apart and not a run.
+    one whose samples are quicker is the peer. The first render of each engine, which loads or compiles kernels, is no
+    run, and stated apart.
     """
     from lib.cycles_peer import CyclesPeer, kinds_offered
 
@@ -116,7 +116,7 @@ def _beside(ours: dict[str, Any], theirs: dict[str, dict[str, Any]], timed: dict
     """RayBatch over the quickest kind of Cycles."""
     peer = min(theirs, key=lambda kind: theirs[kind]["ms_a_sample"])
     at_samples = quotient(ours["ms_a_sample"], theirs[peer]["ms_a_sample"])
-    told: dict[str, Any] = {
+    reported: dict[str, Any] = {
         "peer": peer,
         "slope_raybatch_over_cycles": at_samples,
         "fixed_raybatch_over_cycles": quotient(ours["fixed_seconds"], theirs[peer]["fixed_seconds"]),
@@ -124,12 +124,12 @@ def _beside(ours: dict[str, Any], theirs: dict[str, dict[str, Any]], timed: dict
     pictures = [timed["RayBatch"].pictures, timed[peer].pictures]
     if all(len(each) == 2 for each in pictures):
         noise = relmse_of_pairs(*pictures)
-        told["relmse"] = {"raybatch": noise[0], "cycles": noise[1]}
+        reported["relmse"] = {"raybatch": noise[0], "cycles": noise[1]}
         variance = quotient(*noise)
-        told["variance_raybatch_over_cycles"] = variance
-        told["equal_error_raybatch_over_cycles"] = None if None in (at_samples, variance) else at_samples * variance
-        told["mean_ratio"] = quotient(*(float(np.mean(each)) for each in pictures))
-    return told
+        reported["variance_raybatch_over_cycles"] = variance
+        reported["equal_error_raybatch_over_cycles"] = None if None in (at_samples, variance) else at_samples * variance
+        reported["mean_ratio"] = quotient(*(float(np.mean(each)) for each in pictures))
+    return reported
 
 
 def combined(film: Film) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Clocks, and what is told of several runs."""
+"""Clocks, and what is reported for several runs."""
 
 from __future__ import annotations
 

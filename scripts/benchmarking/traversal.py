@@ -179,7 +179,7 @@ def check_hits(tracers: list[MeasuredTracer], rays: CapturedRays, judge: Judge) 
     first = tracers[0].name
     verdicts = {tracer.name: judge.compare(rays, found[tracer.name], found[first]) for tracer in tracers}
     for tracer in tracers[1:]:
-        # what the first is told of is where any other differs from it
+        # the report of the first states where any other differs from it
         against = judge.compare(rays, found[first], found[tracer.name])
         verdicts[first] = max(verdicts[first], against, key=lambda verdict: (verdict.faults, verdict.disagreements))
     return verdicts
@@ -201,7 +201,7 @@ def timed_in_turns(
 
 
 def figures(timings: list[Timing], ray_count: int) -> dict[str, Any]:
-    """What is told of several runs over the same rays."""
+    """What is reported for several runs over the same rays."""
     seconds = [timing.seconds for timing in timings]
     traced = [timing.seconds - timing.sort_seconds for timing in timings]
     return {

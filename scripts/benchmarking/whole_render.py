@@ -34,11 +34,11 @@ class RenderRequest:
     size: tuple[int, int] | None = None
     against: str | None = None  # "cycles" or "memory"
     budgets: str | None = None  # with "memory": as `parse_budgets` takes them
-    counters: bool = True  # with "memory": tell the time of stages, from renders of their own
+    counters: bool = True  # with "memory": show the time of stages, from renders of their own
     equal_error: bool = False
     picture: Path | None = None
     settings: dict[str, Any] = field(default_factory=dict)
-    samples_longer: int = 0  # a second, larger count: tell the time of a sample from the two
+    samples_longer: int = 0  # a second, larger count: show the time of a sample from the two
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -162,18 +162,18 @@ def timed_render(session: Session, scene: Scene, settings: RenderSettings) -> Ti
     return TimedRender(time.perf_counter() - start, film)
 
 
-def scene_report(opened: OpenedScene, told: dict[str, Any]) -> dict[str, Any]:
+def scene_report(opened: OpenedScene, reported: dict[str, Any]) -> dict[str, Any]:
     """What every report of whole renders begins with; `told` are the statistics of one of them."""
     return {
         "scene": opened.name,
-        "device": told["device"],
-        "versions": told["versions"],
-        "settings": told["settings"],
-        "frame": told["frame"],
-        "triangles": told["triangles"],
-        "samples_per_pixel": told["settings"]["sample_count"],
-        "bounces": told["settings"]["bounce_max"],
-        "rays": told["rays"],
-        "invalid_samples": told["invalid_samples"],
+        "device": reported["device"],
+        "versions": reported["versions"],
+        "settings": reported["settings"],
+        "frame": reported["frame"],
+        "triangles": reported["triangles"],
+        "samples_per_pixel": reported["settings"]["sample_count"],
+        "bounces": reported["settings"]["bounce_max"],
+        "rays": reported["rays"],
+        "invalid_samples": reported["invalid_samples"],
         "export_s": None if opened.export_seconds is None else round(opened.export_seconds, 4),
     }

@@ -46,7 +46,7 @@ from raybatch_addon.core.wavefront.rays import allocate_rays
 CHUNK = {"cpu": 1 << 20, "cuda": 1 << 22}  # rays at a time
 WHOLE_TESTS = {"cpu": 10**10, "cuda": 4 * 10**11}  # triangles that are tested for rays that leave out none
 AUDITED = 1 << 11  # rays of a chunk that are judged although tracers agree
-EXAMPLES = 4  # rays that are told of each check that fails
+EXAMPLES = 4  # rays that are reported for each check that fails
 
 
 @dataclass(frozen=True)

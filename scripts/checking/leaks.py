@@ -258,7 +258,7 @@ def check_leaks(
     device: wp.Device,
 ) -> dict[str, Any]:
     """Trace `count` rays from inside closed meshes with `trees` of `scene`, or such as these."""
-    told = []
+    reported = []
     closed = closed_scenes(scene, seed)
     for each in closed:
         own, peer = trees, reference
@@ -272,7 +272,7 @@ def check_leaks(
         test = LeakTest(each, own, seed, chunk, device)
         test.run(-(-count // len(closed)), chunk)
         escaped = test.of_reference(peer, min(chunk, REFERENCE_RAYS))
-        told.append(
+        reported.append(
             {
                 "mesh": test.name,
                 "triangles": test.triangles,
@@ -284,7 +284,7 @@ def check_leaks(
             }
         )
     return {
-        "rays": sum(each["rays"] for each in told),
-        "escapes": sum(each["escapes"] for each in told),
-        "meshes": told,
+        "rays": sum(each["rays"] for each in reported),
+        "escapes": sum(each["escapes"] for each in reported),
+        "meshes": reported,
     }

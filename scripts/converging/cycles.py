@@ -71,7 +71,7 @@ def setup_seconds(times: list[tuple[int, float]]) -> float:
     """What of each render is not rendering, from the (samples, seconds) of whole ones: synchronisation, the tree, start
     and end.
 
-    A line through the first and the last tells the seconds of a sample; what no render took less than beside its
+    A line through the first and the last shows the seconds of a sample; what no render took less than beside its
     samples is set-up.
     """
     (first, begun), (last, ended) = times[0], times[-1]

@@ -202,7 +202,7 @@ class References:
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     def _from_raybatch(self, settings: RenderSettings) -> Reference:
-        """Two halves with scrambles of their own: their difference tells the reference's noise."""
+        """Two halves with scrambles of their own: their difference shows the reference's noise."""
         halves = LastHalves()
         self._session.render(self._opened.scene, settings, observers=[halves])
         return Reference.of_halves(*halves.snapshot.halves, "RayBatch with another seed", settings.sample_count)
@@ -271,6 +271,6 @@ def write_reference(path: Path, opened: OpenedScene, used: UsedReference) -> Non
 
 
 def picture_alone(opened: OpenedScene) -> OpenedScene:
-    """`opened` without other passes: they cost time and tell nothing here."""
+    """`opened` without other passes: they cost time and show nothing here."""
     scene = dataclasses.replace(opened.scene, frame=dataclasses.replace(opened.scene.frame, passes=("Combined",)))
     return dataclasses.replace(opened, scene=scene)

@@ -14,7 +14,7 @@ import numpy as np
 from benchmarking.progress import Steps
 from benchmarking.whole_render import OpenedScene, RenderRequest, open_scene
 from lib.command import UsageError
-from lib.output import tell_warnings
+from lib.output import print_warnings
 
 from converging.flip import MISSING, flip_function
 from converging.reference import TAKEN_SEEDS, References, UsedReference, picture_alone
@@ -127,7 +127,7 @@ class _Runner:
     def run(self) -> None:
         """Warm up, get references, then let variants take turns."""
         request, study = self._request, self._study
-        references = References(request, study.opened, self._session, self._tell)
+        references = References(request, study.opened, self._session, self._report)
         references.require_one(study.variants)
         if not request.makes_reference:  # nothing is rendered if it cannot be used
             for variant in study.variants:
@@ -154,7 +154,7 @@ class _Runner:
                 study.runs.append(self._run(variant, seed, keep=turn == 0))
                 self._steps.end()
 
-    def _tell(self, text: str) -> None:
+    def _report(self, text: str) -> None:
         print(f"convergence.py: {text}", file=sys.stderr, flush=True)
 
     def _warm_up(self, variant: Variant) -> float:
@@ -172,13 +172,13 @@ class _Runner:
         settings = variant.settings
         if self._request.seconds is None:
             settings = settings.replace(sample_count=min(WARM_UP_SAMPLES, settings.sample_count))
-        else:  # long enough to tell how many samples a run will have
+        else:  # long enough to show how many samples a run will have
             settings = settings.replace(time_limit=min(WARM_UP_SHARE * self._request.seconds, WARM_UP_SECONDS))
         start = time.perf_counter()
         film = self._session.render(with_guides(self._study.opened.scene, settings), settings, observers=[recorder])
         self._study.first_seconds[variant.label] = time.perf_counter() - start
         warnings = [text for text in film.statistics["warnings"] if text not in self._study.warnings]
-        tell_warnings(warnings, "convergence.py")
+        print_warnings(warnings, "convergence.py")
         self._study.warnings += warnings
         return recorder.snapshots[-1].seconds / recorder.snapshots[-1].samples
 
@@ -186,7 +186,7 @@ class _Runner:
         snapshots = self._snapshots(variant, seed)
         picture = snapshots[-1].picture if keep else None
         reference = self._study.references[variant.label].reference
-        if reference is None:  # halves that have no sample yet tell nothing
+        if reference is None:  # halves that have no sample yet show nothing
             snapshots = [each for each in snapshots if each.halves is not None and each.samples >= 2]
         points = [error_point(each, reference, self._flip_or_nan if self._flip else None) for each in snapshots]
         return Run(variant, seed, points, picture)

@@ -15,7 +15,7 @@ from converging.request import CLAMPS, CYCLES, RAYBATCH, Variant
 from converging.study import Run, Study
 from raybatch_addon.core.convergence.points import ErrorPoint, Slope, efficiency, fit_slope, time_to
 
-# Share of the last squared error above which a reference's noise is told
+# Share of the last squared error above which a reference's noise is reported
 FLOOR_TOLD = 0.1
 
 
@@ -279,7 +279,7 @@ def reference_text(summary: Summary) -> list[str]:
         if used.reference is None:
             lines.append("error: estimated from two halves of each render, without a reference")
             continue
-        told = f"{used.reference.samples:,} samples, " if used.reference.samples else ""
+        reported = f"{used.reference.samples:,} samples, " if used.reference.samples else ""
         floor = (
             "of unknown noise"
             if used.floor[0] is None
@@ -288,7 +288,7 @@ def reference_text(summary: Summary) -> list[str]:
         kept = (
             f" ({'kept from before' if used.from_cache else 'made now'})" if used.kind in ("raybatch", "cycles") else ""
         )
-        lines.append(f"reference: {used.reference.name}, {told}{floor}{kept}")
+        lines.append(f"reference: {used.reference.name}, {reported}{floor}{kept}")
     return lines
 
 

@@ -6,7 +6,7 @@ import math
 
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
 
-# What is told of each decade, from more to less
+# What is labelled of each decade, from more to less
 CHOICES = ((1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8), (1, 1.5, 2, 3, 5, 7), (1, 2, 3, 5), (1, 2, 5), (1, 3), (1,))
 
 

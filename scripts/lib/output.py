@@ -202,7 +202,7 @@ def described(film: Film, frame_number: int | None, view_layer: str | None) -> d
 WARNINGS_SHOWN = 10  # of one picture; all of them are in the statistics
 
 
-def tell_warnings(warnings: Iterable[str], script: str = "render.py") -> None:
+def print_warnings(warnings: Iterable[str], script: str = "render.py") -> None:
     """Write what a render of `script` did without, or did otherwise, to standard error."""
     warnings = list(warnings)
     for text in warnings[:WARNINGS_SHOWN]:
@@ -212,12 +212,12 @@ def tell_warnings(warnings: Iterable[str], script: str = "render.py") -> None:
         print(f"{script}: warning: {len(warnings) - WARNINGS_SHOWN} more; --json lists them", file=sys.stderr)
 
 
-def tell_notes(texts: Iterable[str], script: str = "render.py") -> None:
+def print_notes(texts: Iterable[str], script: str = "render.py") -> None:
     """Write what `script` did beside what was said, to standard error."""
     for text in texts:
         print(f"{script}: {text}", file=sys.stderr)
 
 
-def tell_saved(path: Path, what: str = "") -> None:
+def print_saved(path: Path, what: str = "") -> None:
     """Write where a picture went, and what it shows, to standard error."""
     print(f"render.py: saved {path}{f' ({what})' if what else ''}", file=sys.stderr)

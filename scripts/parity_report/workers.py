@@ -1,4 +1,4 @@
-"""Features run in processes of their own: what ends one of these with Blender in it is told, and costs no other
+"""Features run in processes of their own: what ends one of these with Blender in it is reported, and costs no other
 feature.
 """
 
@@ -36,7 +36,7 @@ def run_groups(features: list, script: Path, jobs: int, done: Callable) -> list:
     telling = threading.Lock()
     by_name = {each.name: each for each in features}
 
-    def tell(result: Result) -> None:
+    def report(result: Result) -> None:
         with telling:
             results[result.feature.name] = result
             done(result)
@@ -49,12 +49,12 @@ def run_groups(features: list, script: Path, jobs: int, done: Callable) -> list:
         missing = [each for each in group if each.name not in {result.feature.name for result in found}]
         if missing and len(group) > 1:
             for result in found:
-                tell(result)
+                report(result)
             for each in missing:
                 run([each])
             return
         for result in found + [Result(each, FAILED, note=why or "no result") for each in missing]:
-            tell(result)
+            report(result)
 
     with ThreadPoolExecutor(jobs) as pool:
         list(pool.map(run, groups_of(features)))

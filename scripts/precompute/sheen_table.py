@@ -16,7 +16,7 @@ import numpy as np
 from mathutils import Vector
 
 SIZE = 32  # of the table in roughness and cosine
-# The places that are measured: along a row of the table the lobe is linear, so that two of the first cell tell what is
+# The places that are measured: along a row of the table the lobe is linear, so that two of the first cell show what is
 # at its end
 COSINES = np.array([0.4, 0.8, *range(1, SIZE)]) / (SIZE - 1)
 ROUGHNESS_LEAST = 1e-3  # Cycles takes what is below as this

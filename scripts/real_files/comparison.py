@@ -113,15 +113,15 @@ def _compared(
 def _without_place(outcome: Outcome, file: RealFile, folder: Path | None) -> Outcome:
     """`outcome` with texts that do not tell where the file lies on this machine: // is its folder, as in Blender."""
 
-    def told(value):
+    def without_folders(value):
         if isinstance(value, str):
             value = value.replace(f"{file.path.parent}/", "//")
             return value.replace(f"{folder.absolute()}/", "FOLDER/") if folder else value
         if isinstance(value, list):
-            return [told(each) for each in value]
-        return {name: told(each) for name, each in value.items()} if isinstance(value, dict) else value
+            return [without_folders(each) for each in value]
+        return {name: without_folders(each) for name, each in value.items()} if isinstance(value, dict) else value
 
-    return replace(outcome, error=told(outcome.error), state=told(outcome.state))
+    return replace(outcome, error=without_folders(outcome.error), state=without_folders(outcome.state))
 
 
 def _to_be_judged(record: Record, options: argparse.Namespace) -> bool:

@@ -13,7 +13,7 @@ from real_files.measures import Agreement, Pair, agreement
 # An engine's pictures do not add up where the mean is off by more than EXCESS_MOST and by more than SIGMAS standard
 # errors, or where blocks are off by more than counts as the same picture
 EXCESS_MOST, SIGMAS = 0.01, 4.0
-ERROR_MOST = 0.02  # standard error of the mean, relative, above which nothing can be told
+ERROR_MOST = 0.02  # standard error of the mean, relative, above which nothing can be decided
 NAMES = {"CYCLES": "Cycles", "RAYBATCH": "RayBatch"}
 UNDECIDED, TOO_NOISY = "undecided", "too noisy"
 
@@ -60,29 +60,29 @@ def judge(everything: dict[str, Pair], alone: dict[str, dict[str, Pair]]) -> Jud
 
 
 def _verdict(engines: dict[str, Agreement], sources: dict[str, Agreement], both: Agreement) -> tuple[str, str]:
-    told = "; ".join(
+    reported = "; ".join(
         f"the picture of all by {NAMES[name]} has {_share(each)} of its sum" for name, each in engines.items()
     )
     holds = {name: adds_up(each) for name, each in engines.items()}
     apart = [name for name, each in sources.items() if not each.same]
     if False in holds.values():
         if list(holds.values()).count(False) == len(holds):
-            return UNDECIDED, f"neither engine's pictures add up: {told}"
+            return UNDECIDED, f"neither engine's pictures add up: {reported}"
         wrong = next(name for name, held in holds.items() if held is False)
         other = next(name for name in holds if name != wrong)
         if holds[other] is None:
             return (
                 TOO_NOISY,
-                f"{NAMES[wrong]}'s pictures do not add up, and those of {NAMES[other]} are too noisy: {told}",
+                f"{NAMES[wrong]}'s pictures do not add up, and those of {NAMES[other]} are too noisy: {reported}",
             )
         rest = f"; alone, {_names(apart)} differ too" if apart else "; alone, all sources look the same in both"
-        return NAMES[other], f"{NAMES[wrong]}'s pictures do not add up: {told}{rest}"
+        return NAMES[other], f"{NAMES[wrong]}'s pictures do not add up: {reported}{rest}"
     if None in holds.values():
-        return TOO_NOISY, f"the noise hides whether pictures add up: {told}; render more --samples"
+        return TOO_NOISY, f"the noise hides whether pictures add up: {reported}; render more --samples"
     if both.same:
-        return UNDECIDED, f"both engines' pictures add up, and show the same: {told}"
+        return UNDECIDED, f"both engines' pictures add up, and show the same: {reported}"
     where = f"what differs is in the pictures of {_names(apart)} alone" if apart else "no source alone differs"
-    return UNDECIDED, f"both engines' pictures add up ({told}): {where}"
+    return UNDECIDED, f"both engines' pictures add up ({reported}): {where}"
 
 
 def _share(each: Agreement) -> str:

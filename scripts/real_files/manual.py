@@ -128,8 +128,8 @@ def _section(row: dict[str, Any], entry: dict[str, Any]) -> list[str]:
         lines += ["", *_wrapped(f"**Right: {right}.**{' ' if why else ''}{why}")]
     elif finding.get("why"):
         lines += ["", *_wrapped(finding["why"])]
-    told = [f"- {kind}: {text}" for kind, text in remarks(row)]
-    lines += [""] * bool(told) + [line for text in told for line in _wrapped(text, "  ")]
+    reported = [f"- {kind}: {text}" for kind, text in remarks(row)]
+    lines += [""] * bool(reported) + [line for text in reported for line in _wrapped(text, "  ")]
     if row.get("picture"):
         credit = f"; {entry['credit']}" if entry.get("credit") else ""
         lines += ["", f"![Cycles, RayBatch and their difference](real-files/{row['picture']})", ""]

@@ -1,6 +1,6 @@
 """How far two pictures are apart beside the noise of both, how noisy an engine is, and medians with their intervals.
 
-A picture is rendered twice, with two seeds: how far these two are apart tells the noise of their mean.
+A picture is rendered twice, with two seeds: how far these two are apart shows the noise of their mean.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ BLOCK = 4  # pixels of the edge of a block: pictures are compared by means of bl
 # their means differ by less than SAME_BIAS beyond SIGMAS standard errors
 SAME_RELMSE, SAME_NOISE, SAME_BIAS, SIGMAS = 0.01, 1.6, 0.02, 2.0
 DARK = 1e-4  # added to squares, so that what is darker than 1 % of white counts as black
-LIT = 0.01  # of the mean: a darker block tells nothing of brightness
+LIT = 0.01  # of the mean: a darker block shows nothing of brightness
 RESAMPLES = 10_000
 INTERVAL = (2.5, 97.5)  # percentiles
 

@@ -136,8 +136,8 @@ class OpenFile:
         name = "RayBatch" if self.engine == RAYBATCH else "Cycles"
         return f"{name} could not render it: {' '.join(text.removeprefix('Error:').split())}"
 
-    def told(self) -> dict:
-        """What RayBatch tells of the last render: warnings by name, invalid samples, triangles, seconds by stage."""
+    def record(self) -> dict:
+        """What RayBatch reports of the last render: warnings by name, invalid samples, triangles, seconds by stage."""
         report = reports.last() if self.engine == RAYBATCH else None
         if report is None:
             return {}

@@ -46,7 +46,7 @@ def html_page(report: dict[str, Any], records: list[Record], command: str) -> st
         f"<h1>Real files by Cycles and by RayBatch</h1>\n<p>{_text(counted(report['summary']))}; {request['width']} "
         f"pixels wide, {request['samples']} samples, on the CPU, {how_rendered(request.get('defaults', False))}. {_text(machine)}.</p>\n"
         f'<div class="wide">{_table(SUMMARY_HEADS, summary_rows(report["summary"]))}</div>\n'
-        + "".join(f"<p>{_text(told)}</p>\n" for told in notes_of_old(report))
+        + "".join(f"<p>{_text(reported)}</p>\n" for reported in notes_of_old(report))
         + f'<h2>Files</h2>\n<div class="wide">{_table(HEADS, [cells(row) for row in report["files"]])}</div>\n'
         f'<p class="soft">{_text(EXPLAINED.replace("*", ""))}</p>\n'
         f"<p>Pictures: Cycles, RayBatch, and their absolute difference {GAIN} times as bright.</p>\n"
@@ -73,7 +73,7 @@ def _section(row: dict[str, Any], record: Record | None) -> str:
     if all(pairs) and pairs[0].mean.shape == pairs[1].mean.shape:
         encoded = base64.b64encode(png(side_by_side(*pairs))).decode()
         lines.append(f'<img alt="{_text(row["name"])}" src="data:image/png;base64,{encoded}">')
-    told = "".join(
+    reported = "".join(
         f"<li{' class=bad' if kind == 'error' else ''}>{_text(kind)}: {_text(text)}</li>" for kind, text in remarks(row)
     )
-    return "\n".join(lines) + (f"<ul>{told}</ul>\n" if told else "\n")
+    return "\n".join(lines) + (f"<ul>{reported}</ul>\n" if reported else "\n")

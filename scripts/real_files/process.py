@@ -71,7 +71,7 @@ def run_process(script: Path, request: dict[str, Any], limit: float, kernel_cach
                 command,
                 stdout=sink,
                 stderr=subprocess.STDOUT,
-                stdin=subprocess.PIPE,  # never written to: its end tells the worker that nobody waits for it any more
+                stdin=subprocess.PIPE,  # never written to: at its end the worker knows that nobody waits any more
                 env=environment,
                 start_new_session=True,
             )

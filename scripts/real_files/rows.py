@@ -1,4 +1,4 @@
-"""What is told of each file, and of all of them together."""
+"""What is reported for each file, and of all of them together."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from real_files.records import ENGINES, Record
 from real_files.worker import PICTURES, SEEDS, SOURCES, seed_pairs
 
 SAME, DIFFERS, BLACK, FAILED = "same", "differs", "both black", "not compared"
-# Noise that is told: relative standard error of the ratio of means, and the part of relMSE that noise makes
+# Noise that is reported: relative standard error of the ratio of means, and the part of relMSE that noise makes
 NOISY, NOISY_BLOCKS = 0.02, 0.04
 ALPHA_MOST = 0.02  # mean difference of alpha at which pictures are still the same
-# Times that are told, by the step that they are of
+# Times that are reported, by the step that they are of
 TIMES = {"first": "first picture", "again": "picture again", "small": "16 x 16 pixels", "all-2": "all samples"}
-# What is told of the errors: variances at equal samples, and times at equal error
+# What is reported for the errors: variances at equal samples, and times at equal error
 VARIANCE, EQUAL = "variance", "equal error"
 
 
@@ -80,7 +80,7 @@ def _compare(row: dict[str, Any], record: Record, pairs: dict) -> None:
         )
     if cells := record.tasks[f"RAYBATCH/{PICTURES}"].get("cells"):
         row["cells"] = _cells(pairs, cells)
-        row["notes"].append(_told_cells(row["cells"]))
+        row["notes"].append(_reported_cells(row["cells"]))
     alone = {engine: record.sources(engine) for engine in ENGINES}
     if all(alone.values()):
         row["superposition"] = judge(pairs, alone).data()
@@ -99,7 +99,7 @@ def _cells(pairs: dict, cells: list[dict[str, Any]]) -> dict[str, dict[str, Any]
     return found
 
 
-def _told_cells(cells: dict[str, dict[str, Any]]) -> str:
+def _reported_cells(cells: dict[str, dict[str, Any]]) -> str:
     """Which materials differ, the furthest apart first."""
     agreements = {name: Agreement.of_data(data) for name, data in cells.items()}
     differ = sorted(
@@ -107,9 +107,11 @@ def _told_cells(cells: dict[str, dict[str, Any]]) -> str:
     )
     if not differ:
         return f"all {len(cells)} materials look the same"
-    told = ", ".join(f"“{name}” ({agreements[name].ratio:.2f} ±{agreements[name].ratio_error:.2f})" for name in differ)
+    ratios = ", ".join(
+        f"“{name}” ({agreements[name].ratio:.2f} ±{agreements[name].ratio_error:.2f})" for name in differ
+    )
     same = len(cells) - len(differ)
-    return f"of {len(cells)} materials {same} look the same; of the others RayBatch over Cycles: {told}"
+    return f"of {len(cells)} materials {same} look the same; of the others RayBatch over Cycles: {ratios}"
 
 
 def _note_errors(row: dict[str, Any], record: Record, shown: np.ndarray) -> None:
@@ -143,11 +145,11 @@ def _alpha_apart(record: Record) -> float:
 
 
 def _errors(record: Record) -> list[str]:
-    told = [record.complaint] if record.complaint else []
+    reported = [record.complaint] if record.complaint else []
     for key, task in record.tasks.items():
-        if task["status"] != DONE and task["error"] not in told:
-            told.append(task["error"] + (" (its sources alone)" if key.endswith(SOURCES) else ""))
-    return told
+        if task["status"] != DONE and task["error"] not in reported:
+            reported.append(task["error"] + (" (its sources alone)" if key.endswith(SOURCES) else ""))
+    return reported
 
 
 def agreement_in(row: dict[str, Any]) -> Agreement | None:

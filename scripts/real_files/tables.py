@@ -23,12 +23,12 @@ SUMMARY_HEADS = ("", "RayBatch over Cycles", "95 % interval", "worst", "of", "Ra
 def cells(row: dict[str, Any]) -> list[str]:
     """A row under HEADS; `-` for what is not known."""
     found = agreement_in(row)
-    told = ["-"] * 3
+    reported = ["-"] * 3
     if found:
         ratio = "-" if found.ratio != found.ratio else f"{found.ratio:.3f} ±{found.ratio_error:.3f}"
-        told = [f"{found.relmse:.2g}", f"{found.noise:.2g}", ratio]
+        reported = [f"{found.relmse:.2g}", f"{found.noise:.2g}", ratio]
     times = [_both(row, step) for step in TIMES]
-    return [row["name"], row["verdict"], *told, *times, _number(row["ratios"].get(EQUAL))]
+    return [row["name"], row["verdict"], *reported, *times, _number(row["ratios"].get(EQUAL))]
 
 
 def _both(row: dict[str, Any], step: str) -> str:
@@ -78,7 +78,7 @@ def notes_of_old(report: dict[str, Any]) -> list[str]:
 
 
 def remarks(row: dict[str, Any]) -> list[tuple[str, str]]:
-    """What else is to be told of a file: kind and text."""
+    """What else is to be reported for a file: kind and text."""
     found = [("error", text) for text in row["errors"]]
     found += [("note", text) for text in row["notes"]]
     if row["invalid_samples"]:

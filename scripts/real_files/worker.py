@@ -50,12 +50,12 @@ class Steps:
         self.write()
         return result
 
-    def picture(self, name: str, work: Callable[[], np.ndarray], tell: Callable[[], dict]) -> None:
-        """Run `work`, and keep its picture under `name`, with what `tell` tells of it."""
+    def picture(self, name: str, work: Callable[[], np.ndarray], report: Callable[[], dict]) -> None:
+        """Run `work`, and keep its picture under `name`, with what `report` returns."""
         pixels = self.run(name, work)
         with whole_file(self._folder / f"{name}.npy") as temporary, open(temporary, "wb") as file:
             np.save(file, pixels)
-        self.state["steps"][-1] |= tell()
+        self.state["steps"][-1] |= report()
         self.write()
 
     def fail(self, text: str) -> None:
@@ -137,7 +137,7 @@ def _pictures(steps: Steps, request: dict) -> None:
     steps.state |= opened.prepared()
     for name, samples, seed, small in picture_steps(request["samples"], request["repeats"]):
         size = (SMALL, SMALL) if small else None
-        steps.picture(name, lambda: opened.render(samples, seed, size), opened.told)
+        steps.picture(name, lambda: opened.render(samples, seed, size), opened.record)
 
 
 def _sources(steps: Steps, request: dict) -> None:
@@ -151,4 +151,4 @@ def _sources(steps: Steps, request: dict) -> None:
         for seed in SEEDS:
             # seeds of their own: pictures of two sources with one seed share their noise, which would not average out
             picture = 10 * (number + 1) + seed
-            steps.picture(f"source-{number}-{seed}", lambda: opened.render(request["samples"], picture), opened.told)
+            steps.picture(f"source-{number}-{seed}", lambda: opened.render(request["samples"], picture), opened.record)

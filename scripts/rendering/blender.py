@@ -15,9 +15,9 @@ from lib.output import (
     OutputFolders,
     described,
     numbered,
-    tell_notes,
-    tell_saved,
-    tell_warnings,
+    print_notes,
+    print_saved,
+    print_warnings,
     write_film,
     write_json,
 )
@@ -104,14 +104,14 @@ class BlenderRender:
                 else:
                     self._render_stills(scene, frames)
         except KeyboardInterrupt:
-            self._tell()
+            self._report()
             raise
         finally:
             self._bar.close()
             checkpoints.asked = None
-        self._tell()
+        self._report()
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         if self._request.json:
             write_json(self._request.json, self._statistics, self._standard_output)
 
@@ -124,10 +124,10 @@ class BlenderRender:
         frame.scene_listeners.append(self._on_scene)
         frame.film_listeners.append(self._on_film)
         frame.stop_listeners.append(self._stops.asked)
-        frame.note_listeners.append(lambda text: tell_notes([text]))
+        frame.note_listeners.append(lambda text: print_notes([text]))
 
     def _on_scene(self, _layer: str, exported: Scene, settings: RenderSettings) -> None:
-        tell_warnings(exported.warnings)
+        print_warnings(exported.warnings)
         self._shown = set(exported.warnings)
         if self._request.save_scene and not self._scene_saved:
             save_scene(Path(self._request.save_scene).absolute(), exported, settings)
@@ -136,7 +136,7 @@ class BlenderRender:
                 raise _SceneSaved("the scene is saved")
 
     def _on_film(self, layer: str, _exported: Scene, film: Film) -> None:
-        tell_warnings(text for text in film.statistics["warnings"] if text not in self._shown)
+        print_warnings(text for text in film.statistics["warnings"] if text not in self._shown)
         self._statistics.append(described(film, bpy.context.scene.frame_current, layer))
         if self._request.film or self._request.heat_maps:
             view = film.statistics.get("frame", {}).get("view")
@@ -195,11 +195,11 @@ class BlenderRender:
             report = reports.last()
             if report is not None and report is not before and report.interrupted:
                 raise KeyboardInterrupt from None
-            told = report.errors if report is not None and report is not before else []
+            reported = report.errors if report is not None and report is not before else []
             if self._scene_saved and not self._request.renders:
                 return
             kind = RefusedError if report is not None and report is not before and report.refused else SceneError
-            raise kind(told[0] if told else _one_line(error)) from None
+            raise kind(reported[0] if reported else _one_line(error)) from None
         if (report := reports.last()) is not None and report is not before and report.errors and not self._scene_saved:
             if report.interrupted:
                 raise KeyboardInterrupt
@@ -230,7 +230,7 @@ class _Workshop:
         for file in made:
             target = place if place is not None and len(made) == 1 else self._where / file.name
             os.replace(file, target)
-            tell_saved(target)
+            print_saved(target)
 
 
 def _remove_workshops(where: Path) -> None:
@@ -282,7 +282,7 @@ def _take_over_settings(scene: bpy.types.Scene, request: Request) -> None:
     """The settings of another engine, where asked for, and those of the command line on top of them."""
     if request.settings_from:
         changed = take_over(scene, request.settings_from)
-        tell_notes(each.text(request.settings_from) for each in changed)
+        print_notes(each.text(request.settings_from) for each in changed)
     _apply_settings(scene, request)
 
 

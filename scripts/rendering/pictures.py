@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
-from lib.output import OutputError, tell_saved, write_whole
+from lib.output import OutputError, print_saved, write_whole
 
 from raybatch_addon.core.denoise.picture import COMBINED, NOISY_IMAGE
 from raybatch_addon.core.film import Film
@@ -71,11 +71,11 @@ def display_pixels(combined: np.ndarray) -> np.ndarray:
 
 def write_heat_map(path: Path, film: Film, name: str) -> None:
     """Write the pass `name`, of one channel, to the PNG `path`, from black for 0 to bright for its largest finite
-    value; tells which that is.
+    value; names which that is.
     """
     pixels, largest = heat_pixels(film.passes[name][..., 0])
     write_whole(path, lambda temporary: save_png(temporary, pixels))
-    tell_saved(path, f"{name}, 0 to {largest:.4g}")
+    print_saved(path, f"{name}, 0 to {largest:.4g}")
 
 
 def heat_pixels(values: np.ndarray) -> tuple[np.ndarray, float]:

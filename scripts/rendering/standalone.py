@@ -8,7 +8,7 @@ from typing import IO
 
 from lib.command import RefusedError, UsageError
 from lib.geometry_files import load_geometry, parse_view
-from lib.output import OutputFolders, described, tell_notes, tell_saved, tell_warnings, write_film, write_json
+from lib.output import OutputFolders, described, print_notes, print_saved, print_warnings, write_film, write_json
 
 from raybatch_addon.blender.denoise_library import library_for
 from raybatch_addon.blender.denoising import denoise_film, with_guides
@@ -38,7 +38,9 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
     heat_maps = [(name, Path(path).absolute()) for name, path in request.heat_maps]
     checkpoint = None
     if request.checkpoint:
-        checkpoint = Checkpoint(request.checkpoint, request.checkpoint_interval, tell=lambda text: tell_notes([text]))
+        checkpoint = Checkpoint(
+            request.checkpoint, request.checkpoint_interval, report=lambda text: print_notes([text])
+        )
     for path in (out, film_path, checkpoint and checkpoint.path, *(path for _, path in heat_maps)):
         if path is not None:
             folders.prepare(path)
@@ -49,7 +51,7 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
     settings = settings.replace(**request.settings)
     if request.save_scene:
         save_scene(Path(request.save_scene).absolute(), scene, settings)
-    tell_warnings(scene.warnings)
+    print_warnings(scene.warnings)
     if not request.renders:
         return
     _refuse(request, scene)
@@ -72,24 +74,24 @@ def render_standalone(request: Request, folders: OutputFolders, bar: ProgressBar
         session.close()
         bar.close()
     if stops.asked() and not film.complete:
-        _tell(request, film, scene, standard_output)
+        _report(request, film, scene, standard_output)
         raise KeyboardInterrupt
     if denoiser is not None:
         parts.enter("denoise")
         denoise_film(film, settings, denoiser)
-    film.statistics["seconds"] = parts.told()
+    film.statistics["seconds"] = parts.record()
     if out is not None:
         write_picture(out, film, scene)
-        tell_saved(out)
+        print_saved(out)
     if film_path is not None:
         write_film(film_path, [("", film)])
     for name, path in heat_maps:
         write_heat_map(path, film, name)
-    _tell(request, film, scene, standard_output)
+    _report(request, film, scene, standard_output)
 
 
-def _tell(request: Request, film: Film, scene: Scene, standard_output: IO[str]) -> None:
-    tell_warnings(text for text in film.statistics["warnings"] if text not in scene.warnings)
+def _report(request: Request, film: Film, scene: Scene, standard_output: IO[str]) -> None:
+    print_warnings(text for text in film.statistics["warnings"] if text not in scene.warnings)
     if request.json:
         write_json(request.json, [described(film, None, None)], standard_output)
 

@@ -88,8 +88,8 @@ def text_report(results: list[Result], device: dict[str, Any], seconds: float) -
     for result in results:
         found = result.outcome
         numbers = [number(x) for x in (found.measured, found.expected, found.tolerance)] if found else [""] * 3
-        told = (used(result), str(result.invalid_samples), f"{result.seconds:.1f}")
-        rows.append((result.case.name, result.tracer, verdict(result), *numbers, *told))
+        reported = (used(result), str(result.invalid_samples), f"{result.seconds:.1f}")
+        rows.append((result.case.name, result.tracer, verdict(result), *numbers, *reported))
     widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
     lines = [f"{device['name']} ({device['alias']})"]
     family = None

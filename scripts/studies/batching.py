@@ -138,8 +138,10 @@ def draw(reports: dict[str, Report], folder: Path) -> None:
         axis.axhline(1, color="black", linewidth=0.8)
         axis.set(xlabel=label, ylim=(0, None))
     axes[0].set_xscale("log", base=2)
-    told = sorted({row["bounces"] for report in reports.values() for row in report["rows"] if row["axis"] == "bounces"})
-    axes[0].set_xticks([bounces + 1 for bounces in told], told)
+    steps = sorted(
+        {row["bounces"] for report in reports.values() for row in report["rows"] if row["axis"] == "bounces"}
+    )
+    axes[0].set_xticks([bounces + 1 for bounces in steps], steps)
     axes[0].minorticks_off()
     axes[1].set_xscale("log")
     sizes = sorted(

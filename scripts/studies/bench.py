@@ -37,7 +37,7 @@ from studies.study import Options, Row
 
 WARM_EDGE = 32  # pixels of the render before the first that is timed
 REFERENCE_SEED = 1_000_003
-# What a render with queues tells of itself
+# What a render with queues reports of itself
 _BATCHING = (
     "steps",
     "rays_queued_per_ray",
@@ -109,13 +109,13 @@ class Bench:
         film = self.session.render(scene, settings, observers=[recorder])
         points = recorder.points(reference)
         slope = fit_slope(points)
-        told = [
+        reported = [
             {"seconds": p.seconds, "samples": p.samples, "rmse": p.rmse, "relmse": p.relmse, "spread": p.rmse_spread}
             for p in points
         ]
         return {
             **row_of(film, settings),
-            "points": told,
+            "points": reported,
             "sequence": settings.sample_sequence,
             "slope": slope
             and {
@@ -137,12 +137,12 @@ class Bench:
         began = time.process_time()
         film = self.session.render(scene, settings)
         seconds = time.process_time() - began
-        told, picture = film.statistics, film.passes["Combined"][..., :3]
-        adaptive = told["adaptive"] or {}
+        reported, picture = film.statistics, film.passes["Combined"][..., :3]
+        adaptive = reported["adaptive"] or {}
         return {
             **row_of(film, settings),
-            "cost": told["seconds"]["render"] if self.options.is_cuda else seconds,
-            "samples_mean": told["samples"] / (film.width * film.height),
+            "cost": reported["seconds"]["render"] if self.options.is_cuda else seconds,
+            "samples_mean": reported["samples"] / (film.width * film.height),
             "converged": adaptive.get("converged"),
             "rounds": len(adaptive.get("looks", ())) + 1,
             "relmse": relmse(picture, reference.picture),
@@ -181,35 +181,35 @@ class Bench:
 
 def row_of(film: Film, settings: RenderSettings) -> Row:
     """What is kept of a film and its statistics."""
-    told = film.statistics
+    reported = film.statistics
     whole = film.width * film.height * settings.sample_count
-    share = told["samples"] / whole
-    seconds = told["seconds"]
-    batching = told.get("batching") or {}
-    tree = told.get("tree") or {}
+    share = reported["samples"] / whole
+    seconds = reported["seconds"]
+    batching = reported.get("batching") or {}
+    tree = reported.get("tree") or {}
     cut = tree.get("cut") or {}
     return {
         "seconds": round(seconds["render"], 6),
         "build": round(seconds["build"], 4),
-        "rays": told["rays"]["total"],
-        "rays_per_second": told["rays_per_second"],
-        "complete": bool(told["complete"]),
-        "share": 1.0 if told["complete"] else share,
-        "film": digest(film) if told["complete"] else None,
-        "invalid_samples": told["invalid_samples"],
-        "rays_alive": told["schedule"]["ray_count"],
-        "method": chosen(told),
+        "rays": reported["rays"]["total"],
+        "rays_per_second": reported["rays_per_second"],
+        "complete": bool(reported["complete"]),
+        "share": 1.0 if reported["complete"] else share,
+        "film": digest(film) if reported["complete"] else None,
+        "invalid_samples": reported["invalid_samples"],
+        "rays_alive": reported["schedule"]["ray_count"],
+        "method": chosen(reported),
         "tree_bytes": tree.get("bytes"),
         **({"treelets": cut["treelets"], "treelet_nodes": cut["treelet_nodes_mean"]} if cut else {}),
         **{name: batching[name] for name in _BATCHING if name in batching},
-        **({"warnings": told["warnings"]} if told["warnings"] else {}),
+        **({"warnings": reported["warnings"]} if reported["warnings"] else {}),
     }
 
 
-def chosen(told: dict[str, Any]) -> str:
+def chosen(reported: dict[str, Any]) -> str:
     """What `batching` was, or AUTO made of it."""
-    asked = told["settings"]["batching"]
-    return told["auto"].get("batching", {}).get("value", asked) if asked == "AUTO" else asked
+    asked = reported["settings"]["batching"]
+    return reported["auto"].get("batching", {}).get("value", asked) if asked == "AUTO" else asked
 
 
 def digest(film: Film) -> str:

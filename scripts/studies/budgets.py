@@ -36,7 +36,7 @@ def scene_size(options: Options) -> tuple[str, int, int, int]:
 
 
 def measure(case: Case, turn: int, bench: Bench) -> Row:
-    """One render; the first tells how many bytes all of the geometry takes."""
+    """One render; the first shows how many bytes all of the geometry takes."""
     mesh, count, edge, samples = scene_size(bench.options)
     scene = with_frame(bench.scene((mesh, count), lambda: scenes.grid(mesh, bench.options, count, 64)), edge, edge)
     settings = RenderSettings(sample_count=samples, bounce_max=BOUNCES, roulette_bounce=100_000, spatial_splits="OFF")

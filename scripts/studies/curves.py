@@ -57,9 +57,9 @@ def mean_curve(rows: Sequence[Row]) -> list[SimpleNamespace]:
     curves = [points_of(row) for row in rows]
     mean = []
     for points in zip(*curves, strict=True):
-        told = {name: statistics.mean(getattr(p, name) for p in points) for name in ("seconds", "relmse")}
+        reported = {name: statistics.mean(getattr(p, name) for p in points) for name in ("seconds", "relmse")}
         rmse = math.sqrt(statistics.mean(p.rmse**2 for p in points))
-        mean.append(SimpleNamespace(**{**vars(points[0]), **told, "rmse": rmse}))
+        mean.append(SimpleNamespace(**{**vars(points[0]), **reported, "rmse": rmse}))
     return mean
 
 
@@ -67,7 +67,7 @@ def seconds_to(rows: Sequence[Row], target: float) -> tuple[float, bool] | None:
     """Seconds to a relMSE in the mean over runs, and whether that lies beyond what was rendered; None: never, as it
     looks.
     """
-    # what lies beyond follows from theory where it can: few runs do not tell the slope of an error that is rarely found
+    # what lies beyond follows from theory where it can: few runs do not show the slope of an error that is rarely found
     slope = (
         -0.5
         if rows[0].get("sequence") == "INDEPENDENT"

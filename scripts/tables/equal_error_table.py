@@ -29,7 +29,7 @@ PAGE = ROOT / "docs" / "studies" / "equal-error.md"
 DATA = ROOT / "docs" / "studies" / "data" / "equal-error.json"
 MARKS = "<!-- equal error: made by scripts/tables/equal_error_table.py -->", "<!-- end of equal error -->"
 TIME = "time"
-WIDTH = 160  # pixels: what the page speaks of; others are told
+WIDTH = 160  # pixels: what the page takes for granted; others are stated
 HEADS = ("", *(f"{name}, {what}" for name in (VARIANCE, TIME, EQUAL) for what in ("median", "worst")), "files")
 
 

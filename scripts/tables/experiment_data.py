@@ -23,8 +23,8 @@ def load(pattern: str) -> dict[str, dict[str, Any]]:
     """Data by the file's name without its ending, in the order of names."""
     found = {}
     for path in sorted((FOLDER / "data").glob(pattern)):
-        told = json.loads(path.read_text(encoding="utf-8"))
-        found[path.stem] = told[0] if isinstance(told, list) else told
+        reported = json.loads(path.read_text(encoding="utf-8"))
+        found[path.stem] = reported[0] if isinstance(reported, list) else reported
         if "-unsplit-" in path.stem:
             found[path.stem]["scene"] += ", no splits"
     return found

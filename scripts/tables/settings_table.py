@@ -94,10 +94,10 @@ def presets_list() -> str:
         values = preset_settings(name).items()
         changed = [f"`{each}={value}`" for each, value in values if value != SETTINGS[each].default]
         if preset.changes_picture:
-            told = f"Sets {', '.join(f'`{each}={value}`' for each, value in values)}"
+            reported = f"Sets {', '.join(f'`{each}={value}`' for each, value in values)}"
         else:
-            told = f"Other than the defaults: {', '.join(changed) or 'nothing'}"
-        lines += _item(f"`{name}`: {preset.description}. {told}.")
+            reported = f"Other than the defaults: {', '.join(changed) or 'nothing'}"
+        lines += _item(f"`{name}`: {preset.description}. {reported}.")
     return "\n".join(lines)
 
 

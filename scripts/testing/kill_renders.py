@@ -136,11 +136,11 @@ class Killed:
 
     def _fork(self, path: Path, seconds: float | None, seed: int) -> int:
         """The exit code of a forked process that renders, killed after so many `seconds`; None: it is left alone."""
-        found, told = os.pipe()
+        found, pipe = os.pipe()
         child = os.fork()
         if child == 0:
-            os._exit(_code_of(lambda: self._render(path, self._settings.replace(**self._schedule(seed)), told)))
-        os.close(told)
+            os._exit(_code_of(lambda: self._render(path, self._settings.replace(**self._schedule(seed)), pipe)))
+        os.close(pipe)
         if seconds is not None:
             time.sleep(seconds)
             os.kill(child, signal.SIGKILL)
@@ -149,10 +149,10 @@ class Killed:
         os.close(found)
         return code
 
-    def _render(self, path: Path, settings: Any, told: int) -> None:
+    def _render(self, path: Path, settings: Any, pipe: int) -> None:
         from raybatch_addon.core.checkpoint.checkpoint import Checkpoint
 
-        checkpoint = Checkpoint(path, INTERVAL, tell=lambda text: "goes on" in text and os.write(told, b"+"))
+        checkpoint = Checkpoint(path, INTERVAL, report=lambda text: "goes on" in text and os.write(pipe, b"+"))
         self._session.render(self._scene, settings, checkpoint=checkpoint)
 
     def _command(self, path: Path, seconds: float | None, seed: int) -> int:
@@ -169,8 +169,8 @@ class Killed:
             if seconds is not None:
                 time.sleep(seconds)
                 process.kill()
-            told = process.communicate()[1]
-        self.outcome.goings_on += "goes on from" in told
+            pipe = process.communicate()[1]
+        self.outcome.goings_on += "goes on from" in pipe
         return process.returncode
 
 
@@ -250,8 +250,8 @@ def table_of(report: dict[str, Any]) -> str:
     sums = " | ".join(str(sum(each[name] for each in outcomes)) for name in numbers)
     rows.append(f"| all | | {sums} | {sum(len(each['faults']) for each in outcomes)} |")
     faults = [f"- {each['scene']}, {each['variant']}: {fault}" for each in outcomes for fault in each["faults"]]
-    told = f"{report['date']}, commit {report['commit']}, seed {report['seed']}, {report['seconds']} s on the CPU."
-    return "\n".join([told, "", *rows, *(["", *faults] if faults else [])])
+    pipe = f"{report['date']}, commit {report['commit']}, seed {report['seed']}, {report['seconds']} s on the CPU."
+    return "\n".join([pipe, "", *rows, *(["", *faults] if faults else [])])
 
 
 def main(arguments: list[str] | None = None) -> int:

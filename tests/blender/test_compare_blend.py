@@ -112,13 +112,13 @@ def test_materials_of_a_library_are_put_on_balls(scene, tmp_path):
     path = tmp_path / "library.blend"
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     opened = OpenFile(str(path), RAYBATCH, 48, 1, False)
-    told = opened.prepared()
-    assert "13 materials are on balls" in told["prepared"] and opened.size == (48, 36)
+    reported = opened.prepared()
+    assert "13 materials are on balls" in reported["prepared"] and opened.size == (48, 36)
     picture = opened.render(4, 1)
     assert picture.shape == (72, 48, 4), "two sheets, one above the other"
-    assert [each["material"] for each in told["cells"]] == [f"Paint {number:02}" for number in range(13)]
+    assert [each["material"] for each in reported["cells"]] == [f"Paint {number:02}" for number in range(13)]
     shown = []
-    for x0, y0, x1, y1 in (each["box"] for each in told["cells"]):
+    for x0, y0, x1, y1 in (each["box"] for each in reported["cells"]):
         middle = picture[(y0 + y1) // 2 - 1 : (y0 + y1) // 2 + 2, (x0 + x1) // 2 - 1 : (x0 + x1) // 2 + 2]
         shown.append(float((middle[..., 0] / middle[..., 1]).mean()))
     assert shown == sorted(shown) and shown[0] < 0.6 < 2.0 < shown[-1], shown

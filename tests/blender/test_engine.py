@@ -190,9 +190,9 @@ def test_adaptive_sampling_tells_who_got_how_many_samples(lit, films, tmp_path):
     lit.view_layers[0].raybatch.use_pass_sample_count = True
     lit.view_layers[0].cycles.pass_debug_sample_count = True  # the same, as Cycles has it
     render(tmp_path / "adaptive")
-    counts, told = films[0][1].passes["Sample Count"], films[0][1].statistics["adaptive"]
-    assert told["threshold"] == 0.001 and counts.min() == 4
-    assert counts.mean() == pytest.approx(told["samples_mean"], rel=1e-5)
+    counts, reported = films[0][1].passes["Sample Count"], films[0][1].statistics["adaptive"]
+    assert reported["threshold"] == 0.001 and counts.min() == 4
+    assert counts.mean() == pytest.approx(reported["samples_mean"], rel=1e-5)
     share = films[0][1].made["Debug Sample Count"]
     assert np.allclose(share, counts / counts.max()) and counts.max() > 4
 

@@ -1,4 +1,4 @@
-"""Schedules are tried one beside another: the fastest is told, and none with another film is offered."""
+"""Schedules are tried one beside another: the fastest is reported, and none with another film is offered."""
 
 from types import SimpleNamespace
 

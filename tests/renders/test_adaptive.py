@@ -55,13 +55,13 @@ def plain(session) -> Film:
 
 
 def test_pixels_end_at_looks_and_the_film_is_the_mean_of_what_each_has(plain):
-    counts, told = plain.counts, plain.statistics["adaptive"]
+    counts, reported = plain.counts, plain.statistics["adaptive"]
     assert set(np.unique(counts)) == {*LOOKS, 40}
     assert_same(plain.passes, rounded_anew(plain))
-    assert [each["samples"] for each in told["looks"]] == LOOKS
-    assert [each["pixels"] for each in told["looks"]] == [int((counts > samples).sum()) for samples in LOOKS]
-    assert told["samples_mean"] == counts.mean() and told["samples_min"] == 8 and told["threshold"] == 0.1
-    assert told["converged"] == pytest.approx((counts < 40).mean())
+    assert [each["samples"] for each in reported["looks"]] == LOOKS
+    assert [each["pixels"] for each in reported["looks"]] == [int((counts > samples).sum()) for samples in LOOKS]
+    assert reported["samples_mean"] == counts.mean() and reported["samples_min"] == 8 and reported["threshold"] == 0.1
+    assert reported["converged"] == pytest.approx((counts < 40).mean())
     assert plain.statistics["stopped_by"] == "samples" and plain.complete
     assert plain.statistics["samples"] == plain.statistics["rays"]["camera"] == plain.sample_total == counts.sum()
     assert "adaptive_samples_min" not in plain.statistics["auto"]
@@ -186,17 +186,17 @@ def test_a_gap_in_the_film_before_is_noticed(session):
 def test_parts_after_every_pixel_has_ended_are_empty_and_shown(session):
     ended = render(session, noise_threshold=1.0)
     assert ended.statistics["stopped_by"] == "noise" and ended.counts.max() < 32
-    watcher, told = Watcher([]), []
+    watcher, reported = Watcher([]), []
     part = session.render(
         scenes.mixed(FRAME),
         ADAPTIVE.replace(noise_threshold=1.0, sample_count=8),
         sample_first=32,
         after=ended,
         observers=[watcher],
-        on_progress=told.append,
+        on_progress=reported.append,
     )
     assert part.complete and part.statistics["stopped_by"] == "noise" and not part.counts.any()
-    assert len(watcher.got) == 1 and not watcher.got[0].picture.any() and told[-1].fraction == 1.0
+    assert len(watcher.got) == 1 and not watcher.got[0].picture.any() and reported[-1].fraction == 1.0
     assert_same_film(ended.merge(part), ended)
 
 
@@ -271,11 +271,13 @@ def test_snapshots_tell_how_many_samples_each_pixel_has(session, plain):
 
 
 def test_progress_never_goes_back_and_counts_what_is_done(session, plain):
-    told = []
+    reported = []
     session.render(
-        scenes.mixed(FRAME), ADAPTIVE, on_progress=lambda each: told.append(each) if each.stage == "render" else None
+        scenes.mixed(FRAME),
+        ADAPTIVE,
+        on_progress=lambda each: reported.append(each) if each.stage == "render" else None,
     )
-    shares, samples = [each.fraction for each in told], [each.samples_done for each in told]
+    shares, samples = [each.fraction for each in reported], [each.samples_done for each in reported]
     assert shares == sorted(shares) and shares[-1] == 1.0
     assert samples == sorted(samples) and samples[-1] == plain.counts.mean()
 

@@ -1,4 +1,4 @@
-"""What programs of lights are told of the path that aims at them."""
+"""What programs of lights get to know of the path that aims at them."""
 
 import dataclasses
 

@@ -146,10 +146,16 @@ def test_halves_are_renders_with_seeds_of_their_own(session, halves, way):
     first = watcher.got[0]
     assert first.samples == 1 and not first.halves[1].any() and np.array_equal(first.halves[0], first.picture)
     error = half_error(*(part.passes["Combined"][..., :3] for part in parts), 7)
-    told = film.statistics["error"]
-    assert (told["relmse"], told["rmse"], told["samples"]) == (error.relmse, error.rmse, 7) and error.relmse > 0
+    reported = film.statistics["error"]
+    assert (reported["relmse"], reported["rmse"], reported["samples"]) == (
+        error.relmse,
+        error.rmse,
+        7,
+    ) and error.relmse > 0
     assert (
-        told["stopped_by"] == film.statistics["stopped_by"] == "samples" and told["target"] == 0 and not told["reached"]
+        reported["stopped_by"] == film.statistics["stopped_by"] == "samples"
+        and reported["target"] == 0
+        and not reported["reached"]
     )
     json.dumps(film.statistics)
 
@@ -257,9 +263,14 @@ def test_a_border_has_the_halves_of_the_frame(session, halves):
 def test_an_error_target_ends_the_render_at_the_same_sample_whatever_the_schedule(session):
     target = SETTINGS.replace(sample_count=4096, error_target=0.02)
     one = session.render(scenes.mixed(FRAME), target)
-    told = one.statistics["error"]
-    assert told["reached"] and 0 < told["relmse"] <= 0.02 and told["stopped_by"] == "error" and told["target"] == 0.02
-    samples = told["samples"]
+    reported = one.statistics["error"]
+    assert (
+        reported["reached"]
+        and 0 < reported["relmse"] <= 0.02
+        and reported["stopped_by"] == "error"
+        and reported["target"] == 0.02
+    )
+    samples = reported["samples"]
     assert (
         4 <= samples < 512
         and one.complete
@@ -273,7 +284,7 @@ def test_an_error_target_ends_the_render_at_the_same_sample_whatever_the_schedul
         dict(time_limit=1e6),
     ):
         film = session.render(scenes.mixed(FRAME), target.replace(**more), observers=[Watcher([1, 3, 7, 9])])
-        assert film.statistics["error"] == told
+        assert film.statistics["error"] == reported
         assert_same(film.passes, one.passes)
     alone = session.render(
         scenes.mixed(FRAME), target.replace(error_target=0, error_estimate="ON", sample_count=samples)
@@ -297,13 +308,13 @@ def test_a_black_picture_that_meets_the_target_is_told(session):
 
 def test_a_target_that_is_not_reached(session):
     film = session.render(scenes.mixed(FRAME), SETTINGS.replace(error_target=1e-9))
-    told = film.statistics["error"]
+    reported = film.statistics["error"]
     assert (
         film.complete
-        and not told["reached"]
-        and told["stopped_by"] == "samples"
-        and told["samples"] == 7
-        and told["relmse"] > 1e-9
+        and not reported["reached"]
+        and reported["stopped_by"] == "samples"
+        and reported["samples"] == 7
+        and reported["relmse"] > 1e-9
     )
 
 
@@ -323,17 +334,19 @@ def test_a_time_limit_ends_the_render_between_rounds(session, estimate):
 
 def test_progress_tells_the_samples_that_there_are(session):
     """Not the share of a time limit, and with those from before a resume."""
-    limited, told = SETTINGS.replace(sample_count=10_000_000, time_limit=0.3), []
-    film = session.render(scenes.mixed(FRAME), limited, on_progress=told.append)
-    samples = [progress.samples_done for progress in told if progress.stage == "render"]
+    limited, reported = SETTINGS.replace(sample_count=10_000_000, time_limit=0.3), []
+    film = session.render(scenes.mixed(FRAME), limited, on_progress=reported.append)
+    samples = [progress.samples_done for progress in reported if progress.stage == "render"]
     assert (
-        samples == sorted(samples) and samples[-1] == film.statistics["samples_per_pixel"] and told[-1].fraction > 0.5
+        samples == sorted(samples)
+        and samples[-1] == film.statistics["samples_per_pixel"]
+        and reported[-1].fraction > 0.5
     )
     many_turns = SETTINGS.replace(tile_size=4, ray_count=64)
     with stopping(5):
-        film = session.render(scenes.mixed(FRAME), many_turns, on_progress=told.append)
+        film = session.render(scenes.mixed(FRAME), many_turns, on_progress=reported.append)
     begun = film.sample_total / (24 * 20)
-    assert 0 < begun < 7 and told[-1].samples_done == pytest.approx(begun)
+    assert 0 < begun < 7 and reported[-1].samples_done == pytest.approx(begun)
     more = []
     session.render(scenes.mixed(FRAME), many_turns, resume=film, on_progress=more.append)
     samples = [progress.samples_done for progress in more if progress.stage == "render"]

@@ -151,7 +151,7 @@ def run(capfd, *arguments):
 
 
 def test_the_script_finds_nothing_where_all_is_well(saved, device, capfd):
-    code, report, told = run(
+    code, report, reported = run(
         capfd, "--scene", saved, saved, "--device", device, "--count", 4, "--size", 12, "--samples", 1, "--seed", 5
     )
     assert code == 0 and report["faults"] == 0 and report["compared"] == 8 and report["seed"] == 5
@@ -160,7 +160,7 @@ def test_the_script_finds_nothing_where_all_is_well(saved, device, capfd):
         report["scenes"][0]["methods"] == report["scenes"][1]["methods"]
         and sum(report["scenes"][0]["methods"].values()) == 4
     )
-    assert "closed.scene.npz: the plain film" in told
+    assert "closed.scene.npz: the plain film" in reported
 
 
 def test_the_script_tells_what_differs(saved, device, capfd, monkeypatch):
@@ -190,11 +190,13 @@ def test_the_script_tells_what_differs(saved, device, capfd, monkeypatch):
         "--set",
         "geometry_budget=0",
     )
-    code, report, told = run(capfd, *options)
+    code, report, reported = run(capfd, *options)
     assert code == 1 and report["faults"] == 3 and report["scenes"][0]["faults"][0]["simplest"] == {"batching": "ON"}
     first = report["scenes"][0]["faults"][0]
     assert (
-        first["differs"][-1] == "exact sums differ" and first["settings"]["batching"] == "ON" and '"queue_size"' in told
+        first["differs"][-1] == "exact sums differ"
+        and first["settings"]["batching"] == "ON"
+        and '"queue_size"' in reported
     )
 
     def fails(self, scene, drawn=None, **more):
@@ -203,7 +205,7 @@ def test_the_script_tells_what_differs(saved, device, capfd, monkeypatch):
         return render(self, scene, drawn, **more)
 
     monkeypatch.setattr(Session, "render", fails)
-    code, report, told = run(capfd, *options)
+    code, report, reported = run(capfd, *options)
     assert code == 1 and report["scenes"][0]["faults"][0]["differs"] == ["AssertionError: a ray is in two places"]
 
 
@@ -217,10 +219,10 @@ def test_the_script_tells_what_differs(saved, device, capfd, monkeypatch):
     ],
 )
 def test_the_script_says_what_is_wrong_with_its_options(saved, capfd, options, words):
-    code, _, told = run(capfd, "--scene", saved, *options)
-    assert code == 1 and words in told
+    code, _, reported = run(capfd, "--scene", saved, *options)
+    assert code == 1 and words in reported
 
 
 def test_the_script_wants_saved_scenes(tmp_path, capfd):
-    code, _, told = run(capfd, "--scene", tmp_path / "a.blend")
-    assert code == 1 and "render.py --save-scene" in told
+    code, _, reported = run(capfd, "--scene", tmp_path / "a.blend")
+    assert code == 1 and "render.py --save-scene" in reported

@@ -65,9 +65,9 @@ def filtered(session):
 
 
 def test_statistics_tell_levels_and_look_ups(session, filtered):
-    told = filtered.statistics["images"]
-    assert (told["filtered_look_ups"], told["other_look_ups"]) == (1, 0)
-    assert told["level_bytes"] == sum(4**k for k in range(6))
+    reported = filtered.statistics["images"]
+    assert (reported["filtered_look_ups"], reported["other_look_ups"]) == (1, 0)
+    assert reported["level_bytes"] == sum(4**k for k in range(6))
     assert filtered.statistics["invalid_samples"] == 0
     plain = session.render(room(), OFF).statistics
     assert plain["images"].keys() == {"count", "bytes"} and "levels of images" in plain["left_out"]

@@ -82,8 +82,8 @@ def test_what_recording_costs(tmp_path, capfd):
     report = json.loads(capfd.readouterr().out)
     assert report["samples_per_pixel"] == 5 and report["clock"] == "processor"
     assert report["films"] == {"compared": 4, "equal": True, "differences": []}
-    told = [(way["error_estimate"], way["recorded"], way["rounds"]) for way in report["ways"]]
-    assert told == [("OFF", False, 1), ("OFF", True, 4), ("ON", False, 1), ("ON", True, 4)]
+    reported = [(way["error_estimate"], way["recorded"], way["rounds"]) for way in report["ways"]]
+    assert reported == [("OFF", False, 1), ("OFF", True, 4), ("ON", False, 1), ("ON", True, 4)]
     assert report["ways"][0]["cost"] == report["ways"][0]["seconds_added"] == 0
     for way in report["ways"]:
         assert way["runs"] == 3 and way["seconds"] > 0 and way["cost_half"][0] <= way["cost"] <= way["cost_half"][1]
@@ -324,9 +324,9 @@ def test_error_falls_as_samples_rise():
 
 def test_what_a_render_takes_once_is_told_from_what_a_sample_takes():
     timed = Timed([2.5, 2.7, 2.6], [3.5, 3.6, 3.7])
-    told = timed.report((10, 20))
-    assert told["ms_a_sample"] == 100 and (told["ms_a_sample_least"], told["ms_a_sample_most"]) == (90, 110)
-    assert told["fixed_seconds"] == pytest.approx(1.5, abs=0.001) and told["runs"] == 3
+    reported = timed.report((10, 20))
+    assert reported["ms_a_sample"] == 100 and (reported["ms_a_sample_least"], reported["ms_a_sample_most"]) == (90, 110)
+    assert reported["fixed_seconds"] == pytest.approx(1.5, abs=0.001) and reported["runs"] == 3
 
 
 def test_slopes_without_a_peer(tmp_path, capfd):

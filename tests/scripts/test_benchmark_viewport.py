@@ -1,4 +1,4 @@
-"""scripts/benchmark.py viewport: edits of every kind are shown, and what is told of them."""
+"""scripts/benchmark.py viewport: edits of every kind are shown, and what is reported for them."""
 
 import json
 

@@ -197,12 +197,12 @@ def test_what_other_code_rendered_is_rendered_anew_and_shown_as_old_until_then(
     codes["RAYBATCH"] = {"bpy": "1", "RayBatch": "def"}
     assert main(["--out", str(out), "--table"]) == 0
     assert not rendered.calls and report_in(out)["old"] == ["a.blend", "b.blend"]
-    told = "were rendered by another state of RayBatch or Blender than that which tells of them here."
-    assert f"All files {told}" in capfd.readouterr().out and told in (out / "report.html").read_text()
+    reported = "were rendered by another state of RayBatch or Blender than that which tells of them here."
+    assert f"All files {reported}" in capfd.readouterr().out and reported in (out / "report.html").read_text()
     assert main([*blends[:1], "--out", str(out)]) == 0 and rendered.calls == ["RAYBATCH a.blend"]
     said = capfd.readouterr()
     assert "a.blend: pictures by RayBatch are of other code (RayBatch abc, now def): rendered again" in said.err
-    assert report_in(out)["old"] == ["b.blend"] and f"1 of 2 files (b.blend) {told}" in said.out
+    assert report_in(out)["old"] == ["b.blend"] and f"1 of 2 files (b.blend) {reported}" in said.out
 
 
 def test_the_code_of_raybatch_is_all_of_the_add_on_and_cycles_does_not_depend_on_it(tmp_path, monkeypatch):

@@ -108,8 +108,12 @@ def test_exr_holds_every_channel_of_mattes_and_the_names_they_stand_for(sheet, t
         for name, letters in (("CryptoObject00", "rgba"), ("Diffuse Color", "RGB"), ("Depth", "Z")):
             for k, letter in enumerate(letters):
                 assert (channels[f"{name}.{letter}"] == passes[name][::-1, :, k]).all()
-    told = {key.rsplit("/", 1)[1]: value for key, value in header.items() if key.startswith("cryptomatte/")}
-    assert told["name"] == "CryptoObject" and told["hash"] == "MurmurHash3_32" and told["manifest"].startswith("{")
+    reported = {key.rsplit("/", 1)[1]: value for key, value in header.items() if key.startswith("cryptomatte/")}
+    assert (
+        reported["name"] == "CryptoObject"
+        and reported["hash"] == "MurmurHash3_32"
+        and reported["manifest"].startswith("{")
+    )
 
 
 def test_up_is_the_axis_that_the_caller_says(sheet, tmp_path):

@@ -145,7 +145,7 @@ def test_cycles_is_compared_at_equal_error(monkeypatch, tmp_path):
     from studies import cycles
 
     ran = []
-    told = {
+    reported = {
         "raybatch": {"seconds": 1.0},
         "cycles": {},
         "triangles": 1,
@@ -154,7 +154,7 @@ def test_cycles_is_compared_at_equal_error(monkeypatch, tmp_path):
         "equal_error": {},
     }
     monkeypatch.setattr(cycles, "blend_of", lambda name, options: tmp_path / name)
-    monkeypatch.setattr(cycles, "_run", lambda command: ran.append(command) or json.dumps(told))
+    monkeypatch.setattr(cycles, "_run", lambda command: ran.append(command) or json.dumps(reported))
     for case in cycles.cases(Options()):
         cycles.measure(case, 0, NotedBench(Options()))
     assert len(ran) == 5 and all("--equal-error" in command and "--set" not in command for command in ran)
@@ -290,7 +290,7 @@ def test_a_bench_measures_renders(tmp_path):
 
 
 def test_films_that_differ_are_found():
-    told = [
+    reported = [
         {"case": k, "turn": 0, "scene": s, "film": f, "complete": c}
         for k, s, f, c in (
             ("a", "x", "1", True),
@@ -300,7 +300,7 @@ def test_films_that_differ_are_found():
             ("e", "y", "4", False),
         )
     ]
-    assert rows.differing_films(told, ("scene",)) == ["d"]
+    assert rows.differing_films(reported, ("scene",)) == ["d"]
 
 
 # --- pages

@@ -148,7 +148,7 @@ class Viewport:
         made_of = (id(scene), _values_of(camera), frame, settings, side)
         if made_of == self._shown:
             return
-        denoiser = library_for(settings)  # an error of it is told as long as it is there
+        denoiser = library_for(settings)  # an error of it is shown as long as it is there
         self._shown = made_of
         self._number += 1
         passes = tuple(dict.fromkeys((*frame.passes, *guiding_passes(settings))))
@@ -170,11 +170,11 @@ def live_status(state: LiveState) -> str:
 
 def with_warnings(text: str, warnings: Sequence[str]) -> str:
     """`text` with the first of `warnings`, and how many more there are."""
-    told = list(dict.fromkeys(warnings))
-    if not told:
+    reported = list(dict.fromkeys(warnings))
+    if not reported:
         return text
-    more = f" (and {len(told) - 1} more)" if len(told) > 1 else ""
-    return " | ".join(filter(None, (text, f"{told[0]}{more}")))
+    more = f" (and {len(reported) - 1} more)" if len(reported) > 1 else ""
+    return " | ".join(filter(None, (text, f"{reported[0]}{more}")))
 
 
 def close_viewports(seconds: float = 10.0) -> None:
@@ -192,6 +192,6 @@ def _values_of(camera: Camera) -> tuple[Any, ...]:
 
 
 def _state_of(space: Any) -> tuple[Any, ...]:
-    """What of a 3D view decides which objects it shows, and of which Blender tells nobody."""
+    """What of a 3D view decides which objects it shows, and of which Blender reports nowhere."""
     kinds = [name for name in space.bl_rna.properties.keys() if name.startswith("show_object_viewport_")]
     return (space.local_view is not None, space.use_local_collections, tuple(getattr(space, name) for name in kinds))

@@ -59,7 +59,7 @@ class CompileProcess:
         )
         _running[:] = [each for each in _running if each.is_running] + [self]
         with contextlib.suppress(OSError):  # it has ended: `complaint` says why
-            # the pipe stays open: its end tells the other process that this one is gone
+            # the pipe stays open: its end lets the other process know that this one is gone
             self._process.stdin.write(struct.pack(_LENGTHS, len(head), len(data)) + head + data)
             self._process.stdin.flush()
 
@@ -110,7 +110,7 @@ def compile_as_asked() -> None:
     if hasattr(os, "nice"):
         os.nice(_NICENESS)
     # compilers may write more than a pipe holds that nobody reads: what went wrong is one line
-    told = os.fdopen(os.dup(2), "w")
+    answer = os.fdopen(os.dup(2), "w")
     with open(os.devnull, "wb") as nothing:
         os.dup2(nothing.fileno(), 2)
     try:
@@ -131,11 +131,11 @@ def compile_as_asked() -> None:
         request = decode_request(data, order["core"]) if data else GeneralRequest()
         for device in [find_device(order["device"])] if order["device"] != "ALL" else one_of_each_kind():
             load_kernels(request.kernels(device), device, lambda done, total: None)
-        told.write("; ".join(take_notes()))
-        told.close()
+        answer.write("; ".join(take_notes()))
+        answer.close()
     except Exception as error:  # whatever it is, who asked goes on without, and says so
-        told.write(f"{type(error).__name__}: {error}".replace("\n", " ")[:_COMPLAINT_LENGTH])
-        told.close()
+        answer.write(f"{type(error).__name__}: {error}".replace("\n", " ")[:_COMPLAINT_LENGTH])
+        answer.close()
         os._exit(1)
     os._exit(0)  # a thread still reads the pipe
 

@@ -1,4 +1,4 @@
-"""What is to be compiled, as it is told to another process."""
+"""What is to be compiled, as it is sent to another process."""
 
 from __future__ import annotations
 

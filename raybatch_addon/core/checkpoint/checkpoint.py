@@ -52,7 +52,7 @@ class Checkpoint:
         interval: float = INTERVAL_DEFAULT,
         *,
         begins_anew: bool = False,
-        tell: Callable[[str], None] = lambda text: None,
+        report: Callable[[str], None] = lambda text: None,
     ):
         """The file is written every `interval` seconds, and at the end. `tell` gets what the user should know.
 
@@ -60,13 +60,13 @@ class Checkpoint:
         and the old file stays beside the new one unless all of its samples were there.
         """
         self.path, self.interval, self._begins_anew = Path(path).absolute(), interval, begins_anew
-        self._tell = tell
+        self._report = report
         self.warnings: list[str] = []
         self.samples_before = 0.0  # of a pixel in the mean, that were there
         self._identity: FilmIdentity | None = None
         self._mark: tuple | None = None  # how far the render has come in the file
         self._writing: threading.Thread | None = None
-        self._asked_at: float | None = None  # when the workers were told to stop for it
+        self._asked_at: float | None = None  # when the workers were asked to stop for it
         self._next_at = float("inf")
         self._stopped_seconds = self._writing_seconds = 0.0
         self._cost = 0.0  # of keeping the film once [s]
@@ -98,7 +98,7 @@ class Checkpoint:
         film.complete, film.resume_state = False, kept.progress.state(settings, film.region)
         self._mark = _mark(film.resume_state)
         self.samples_before = film.sample_total / scene.frame.pixel_count
-        self._tell(
+        self._report(
             f"goes on from {self.path}: {self.samples_before:.5g} of {settings.sample_count:,} samples are there"
         )
         return film
@@ -171,7 +171,7 @@ class Checkpoint:
                 else f"rays were given up when the render was stopped, so {self.path.name} was not written"
             )
         if state.policy.stopped_by is None and (self._count or self.samples_before):
-            self._tell(f"stopped; the same render goes on from {self.path}")
+            self._report(f"stopped; the same render goes on from {self.path}")
 
     def wait(self) -> None:
         """Until what is being written is there."""

@@ -74,13 +74,13 @@ def write_kept(
     """Write a checkpoint to `path`, whole or not at all, even where the machine fails; `halves` are arrays of
     `samples_as_arrays`. Returns its bytes; errors of the file system (`OSError`) are raised as they are.
     """
-    header, progress_arrays = progress.told()
-    told = {"format": FORMAT, "version": VERSION, "film": identity.told(), "progress": header}
+    header, progress_arrays = progress.record()
+    record = {"format": FORMAT, "version": VERSION, "film": identity.record(), "progress": header}
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         with open(temporary, "wb") as file:
             with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=_COMPRESSION) as archive:
-                archive.writestr(_HEADER, json.dumps(told))
+                archive.writestr(_HEADER, json.dumps(record))
                 for number, arrays in enumerate(halves):
                     for name, values in arrays.items():
                         _write_array(archive, f"{number}/{name}", values)
@@ -103,10 +103,10 @@ def load_kept(path: Path) -> KeptFilm:
                     f"{path} is a checkpoint of format version {header['version']}, and this RayBatch reads version "
                     f"{VERSION}: go on with the RayBatch that wrote it, or name another file to begin anew"
                 )
-            identity = FilmIdentity.of_told(header["film"])
+            identity = FilmIdentity.of_record(header["film"])
             names = [name for name in archive.namelist() if name != _HEADER]
             arrays = {name.removesuffix(".npy"): _read_array(archive, name) for name in names}
-        progress = KeptProgress.of_told(header["progress"], arrays, identity.place)
+        progress = KeptProgress.of_record(header["progress"], arrays, identity.place)
         halves = []
         for number in range(progress.half_count):
             start = f"{number}/"

@@ -39,9 +39,9 @@ class FilmIdentity:
     @staticmethod
     def of(scene: Scene, settings: RenderSettings, device: wp.Device) -> FilmIdentity:
         """Of a render that is asked for."""
-        frame, told = scene.frame, versions()
+        frame, record = scene.frame, versions()
         return FilmIdentity(
-            versions={name: told[name] for name in _VERSIONS},
+            versions={name: record[name] for name in _VERSIONS},
             device=f"CUDA, {device.name}" if device.is_cuda else f"CPU, {platform.machine()}",
             scene=_scene_parts(scene),
             width=frame.width,
@@ -53,16 +53,16 @@ class FilmIdentity:
         )
 
     @staticmethod
-    def of_told(told: dict[str, Any]) -> FilmIdentity:
-        """The inverse of `told`; raises `TypeError` or `ValueError` for what is none."""
-        values = {**told, "region": tuple(map(int, told["region"])), "passes": tuple(map(str, told["passes"]))}
+    def of_record(record: dict[str, Any]) -> FilmIdentity:
+        """The inverse of `record`; raises `TypeError` or `ValueError` for what is none."""
+        values = {**record, "region": tuple(map(int, record["region"])), "passes": tuple(map(str, record["passes"]))}
         found = FilmIdentity(**values)
         x0, y0, x1, y1 = found.region
         if not (0 <= x0 < x1 <= found.width and 0 <= y0 < y1 <= found.height) or not found.settings["sample_count"] > 0:
             raise ValueError("its frame or its samples are none")
         return found
 
-    def told(self) -> dict[str, Any]:
+    def record(self) -> dict[str, Any]:
         """As JSON has it."""
         return dataclasses.asdict(self)
 

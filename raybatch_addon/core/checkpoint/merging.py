@@ -86,7 +86,7 @@ def _joined(first: KeptFilm, second: KeptFilm) -> KeptFilm:
         items_begun=tuple(tuple(0 for _ in halves) for halves in first.progress.items_begun),
         done=count,
         end=None,
-        policy=RoundPolicy(count).told(),
+        policy=RoundPolicy(count).record(),
         invalid_samples=first.progress.invalid_samples + second.progress.invalid_samples,
     )
     halves: tuple[HostSamples, ...] = tuple(a.add(b) for a, b in zip(first.halves, second.halves, strict=True))

@@ -26,7 +26,7 @@ class KeptProgress:
     sample_order: str
     done: int  # samples of every pixel at the end of the last round
     end: int | None  # the same at the end of the round that is under way; None: between rounds
-    policy: dict[str, Any]  # what decides how the rounds to come go (`RoundPolicy.told`)
+    policy: dict[str, Any]  # what decides how the rounds to come go (`RoundPolicy.record`)
     invalid_samples: int
     threshold: float  # with adaptive sampling
     looks: tuple[dict[str, Any], ...]
@@ -43,7 +43,7 @@ class KeptProgress:
             sample_order=state.sample_order,
             done=state.done,
             end=state.end,
-            policy=state.policy.told(),
+            policy=state.policy.record(),
             invalid_samples=state.invalid_samples,
             threshold=active.threshold if active else 0.0,
             looks=tuple(active.looks) if active else (),
@@ -60,14 +60,14 @@ class KeptProgress:
         """Whether every pixel that gets samples has the same number of them."""
         return self.end is None or not any(map(any, self.items_begun))
 
-    def told(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    def record(self) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         """As JSON has it, and arrays by name."""
         header = {name: value for name, value in vars(self).items() if name != "stopped"}
         return header, {} if self.stopped is None else {"stopped": self.stopped}
 
     @staticmethod
-    def of_told(header: dict[str, Any], arrays: dict[str, np.ndarray], place: Place) -> KeptProgress:
-        """The inverse of `told`; raises `ValueError`, `TypeError` or `KeyError` for what is none."""
+    def of_record(header: dict[str, Any], arrays: dict[str, np.ndarray], place: Place) -> KeptProgress:
+        """The inverse of `record`; raises `ValueError`, `TypeError` or `KeyError` for what is none."""
         tiles = tuple(tuple(map(int, tile)) for tile in header["tiles"])
         begun = tuple(tuple(map(int, halves)) for halves in header["items_begun"])
         covered = np.zeros(place.pixel_count, np.int64)
@@ -109,7 +109,7 @@ class KeptProgress:
             sample_first=self.sample_first,
             sample_order=self.sample_order,
             estimator=estimator_settings(settings),
-            policy=RoundPolicy.of_told(settings.sample_count, self.policy),
+            policy=RoundPolicy.of_record(settings.sample_count, self.policy),
             done=self.done,
             end=self.end,
             active=active,

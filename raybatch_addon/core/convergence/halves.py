@@ -53,7 +53,7 @@ def filtered_half_error(
     """The error that the picture of either half has once it is filtered (denoised), its bias included.
 
     The halves A and B are independent and without bias, so (F(A) - B)^2 is in the mean the squared error of F(A) plus
-    the variance of B. Both ways together have the variances of both, which (A - B)^2 tells: their mean less
+    the variance of B. Both ways together have the variances of both, which (A - B)^2 shows: their mean less
     (A - B)^2 / 2 estimates the squared error of the filtered halves without bias, however many samples each has. That
     of all samples, filtered, is lower as a rule.
 

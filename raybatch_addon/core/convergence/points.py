@@ -146,11 +146,11 @@ class ConvergenceRecorder(RenderObserver):
     def points(
         self, reference: Reference | None = None, flip: Callable[[np.ndarray, np.ndarray], float] | None = None
     ) -> list[ErrorPoint]:
-        """The error at every snapshot: against `reference`, else as the difference of the two halves tells it.
+        """The error at every snapshot: against `reference`, else as the difference of the two halves shows it.
 
         `flip(picture, reference)` is called, if given, with two linear float32 pictures [height, width, 3], top row
         first, and there is a reference. Without one, snapshots before both halves have a sample give no point. Raises
-        `RayBatchError` where sizes differ, or nothing tells the error.
+        `RayBatchError` where sizes differ, or nothing shows the error.
         """
         points = [
             error_point(snapshot, reference, flip)

@@ -39,7 +39,7 @@ class Reference:
     # of each value of `picture`, float64, the same shape; 0 for a closed form; None: not known
     variance: np.ndarray | None = None
     name: str = "reference"  # where it is from
-    samples: int = 0  # of each pixel; 0 where it has none, or nobody told
+    samples: int = 0  # of each pixel; 0 where it has none, or nobody knows
 
     def __post_init__(self):
         picture = np.asarray(self.picture, np.float64)

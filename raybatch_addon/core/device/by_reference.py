@@ -2,7 +2,7 @@
 
 Warp passes structs by value. The scene's are some thousand bytes of arrays, so that each call which is left copies as
 many. In modules of `OUT_OF_LINE_OPTIONS` a function takes its structs by reference instead, but for those that it
-writes to, which stay its own copies. Nothing else writes to them while it runs, and the compiler is told so.
+writes to, which stay its own copies. Nothing else writes to them while it runs, and the compiler is informed of it.
 """
 
 from __future__ import annotations

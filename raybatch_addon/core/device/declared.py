@@ -100,7 +100,7 @@ class _Function(wp.Function):
 
 
 def _declare(function: _Function) -> None:
-    """Declare `function` in full; where that fails, the next one who asks is told the same."""
+    """Declare `function` in full; where that fails, the next one who asks gets the same error."""
     global declared_count
     before = dict(vars(function))
     function.__class__ = wp.Function
@@ -264,7 +264,7 @@ class _Module(wp.Module):
                 kernel.__class__ = wp.Kernel
                 try:
                     _declare_kernel(kernel, kernel.func, key=kernel.key, module=self, options=before["options"])
-                except BaseException:  # the next one who asks is told the same
+                except BaseException:  # the next one who asks gets the same error
                     kernel.__class__ = _Kernel
                     vars(kernel).clear()
                     vars(kernel).update(before)
@@ -297,11 +297,11 @@ class _Module(wp.Module):
             return self._identities()[0]
 
     def is_known(self, size: int) -> bool:
-        """Whether its hash for blocks of `size` threads can be told without its code."""
+        """Whether its hash for blocks of `size` threads can be known without its code."""
         with _codegen._codegen_lock:
             if size in self.hashers:
                 return True
-            if self._kernel_key and not is_any_known(self._kernel_key):  # nobody has to tell which it is
+            if self._kernel_key and not is_any_known(self._kernel_key):  # nobody needs to know which it is
                 return False
             return (known := self._known()) is not None and size in known.hashes
 
@@ -333,7 +333,7 @@ class _Module(wp.Module):
             self.declare()
             found = super().get_module_hash(size)
             self._known_identities = identities
-            self._tell(size)
+            self._report(size)
             return found
 
     def mark_modified(self) -> None:
@@ -370,7 +370,7 @@ class _Module(wp.Module):
             return None
         return known if all(set(of_kernels) <= set(each) for _, each in known.hashes.values()) else None
 
-    def _tell(self, size: int) -> None:
+    def _report(self, size: int) -> None:
         """Let others know what was hashed."""
         own, of_kernels = self._identities()
         if not own or any(each.is_generic for each in self.all_kernels):

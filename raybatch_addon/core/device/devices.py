@@ -207,7 +207,7 @@ def load_module(kernel: wp.Kernel, device: wp.Device, given_up: Callable[[], boo
 def is_compiled(kernel: wp.Kernel, device: wp.Device, at_once: bool = False) -> bool:
     """Whether the module of `kernel` is loaded, was shipped, or is in the cache of compiled kernels.
 
-    `at_once`: only if that can be told without its code, which takes a tenth of a second or more.
+    `at_once`: only if that can be known without its code, which takes a tenth of a second or more.
     """
     module, block_size = kernel.module, block_size_of(kernel) if device.is_cuda else 1
     if at_once and not is_known(module, block_size):

@@ -1,7 +1,7 @@
 """What code a kernel is made of, without reading its source: two kernels of one identity have the same code.
 
 Warp tells kernels apart by their source, which takes it milliseconds a function. Here the files of the core are taken
-together by a digest of all they hold. Within these files a function is told by its place and its bytecode, and by what
+together by a digest of all they hold. Within these files a function is known by its place and its bytecode, and by what
 it refers to: variables of the functions around it, globals, and annotations, which in turn may be functions.
 """
 
@@ -30,7 +30,7 @@ _MISSING = object()
 
 
 class UnknownError(Exception):
-    """Something whose identity cannot be told."""
+    """Something whose identity cannot be found."""
 
 
 @functools.cache
@@ -77,17 +77,19 @@ def identity_of(
 
     The module's does not depend on the order of its kernels. Raises `UnknownError`.
     """
-    teller = _Teller()
-    told = [_digest(teller.of_warp(each) + teller.value(sorted(own.items())).encode()) for each, own in kernels]
-    return _digest("\n".join([teller.value(sorted(options.items())), *sorted(told)]).encode()), told
+    identifier = _Identifier()
+    digests = [
+        _digest(identifier.of_warp(each) + identifier.value(sorted(own.items())).encode()) for each, own in kernels
+    ]
+    return _digest("\n".join([identifier.value(sorted(options.items())), *sorted(digests)]).encode()), digests
 
 
 def _digest(data: bytes) -> str:
     return hashlib.blake2b(data, digest_size=16).hexdigest()
 
 
-class _Teller:
-    """Tells one module; what it told once it remembers, as nothing changes meanwhile."""
+class _Identifier:
+    """Finds the identity of one module; what it found it remembers, as nothing changes meanwhile."""
 
     def __init__(self):
         self._texts: dict[int, tuple[Any, str]] = {}  # by id, with the object, which must live as long
@@ -96,8 +98,8 @@ class _Teller:
     def of_warp(self, function: types.FunctionType) -> bytes:
         """Digest of a function of the core that Warp compiles."""
         names = function.__globals__
-        told = [f"{name}:{self.annotation(each, names)}" for name, each in function.__annotations__.items()]
-        return self.function(function) + "\n".join(told).encode()
+        types = [f"{name}:{self.annotation(each, names)}" for name, each in function.__annotations__.items()]
+        return self.function(function) + "\n".join(types).encode()
 
     def function(self, function: types.FunctionType) -> bytes:
         """Digest of a function of the core, without its annotations."""
@@ -132,9 +134,9 @@ class _Teller:
                         raise
         digest = hashlib.blake2b("\n".join(parts).encode(), digest_size=16)
         digest.update(code.co_code)
-        told = digest.digest()
-        self._functions[id(function)] = function, told
-        return told
+        made = digest.digest()
+        self._functions[id(function)] = function, made
+        return made
 
     def annotation(self, value: Any, names: dict[str, Any]) -> str:
         """A type that arguments have; `names` are those that it may go by."""

@@ -44,9 +44,9 @@ DEFAULT_BLOCK_SIZE = 256  # threads of a CUDA block where a kernel does not ask 
 def general_options(name: str, of: tuple[str, ...]) -> dict[str, Any]:
     """Arguments of `wp.kernel` for the kernel `name` of the general tier.
 
-    `of`: what tells it from others of that name, such as those for other devices: the ops of its programs. Each kernel
-    has a module of its own, since a module's hash, by which it is found, is that of all kernels that it happens to
-    have.
+    `of`: what sets it apart from others of that name, such as those for other devices: the ops of its programs. Each
+    kernel has a module of its own, since a module's hash, by which it is found, is that of all kernels that it happens
+    to have.
     """
     own = f"{GENERAL_MODULE}_{name}_{zlib.crc32(' '.join(of).encode()):08x}"
     return {"module": shared_module(own, OUT_OF_LINE_OPTIONS), "enable_backward": False}

@@ -73,7 +73,9 @@ def load(module: wp.Module, device: wp.Device, block_size: int, given_up: Callab
 
 @contextlib.contextmanager
 def loads_noted(note: Callable[[bool], None]) -> Iterator[None]:
-    """Inside, `note` is told when this thread begins to wait for a module to be loaded (True), and when it has it."""
+    """Inside, `note` is called when this thread begins to wait for a module to be loaded (True), and when it has it
+    (False).
+    """
     _local.note = note
     try:
         yield

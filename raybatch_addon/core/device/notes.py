@@ -1,4 +1,4 @@
-"""What a user should know of compiled kernels, kept until a render's report tells it."""
+"""What a user should know of compiled kernels, kept for the next render's report."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _noted: set[str] = set()
 
 
 def note(text: str) -> None:
-    """Tell `text` with the next report; the same text is told once."""
+    """Have the next report name `text`; the same text is reported once."""
     with _lock:
         if text not in _noted:
             _noted.add(text)

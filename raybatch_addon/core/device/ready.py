@@ -31,7 +31,7 @@ _new: dict[str, dict[str, Any]] = {}  # not written yet
 
 @dataclass
 class KnownModule:
-    """What hashing tells of a module."""
+    """What hashing found of a module."""
 
     name: str
     # by block size: of it, and of its kernels by their identities
@@ -64,7 +64,7 @@ def is_any_known(kernel_key: str) -> bool:
 
 
 def note_module(identity: str, known: KnownModule) -> None:
-    """Remember what hashing told; `write_notes` keeps it."""
+    """Remember what hashing found; `write_notes` keeps it."""
     with _lock:
         entry = _new.setdefault(identity, {"name": known.name, "dimensions": known.dimensions, "hashes": {}})
         entry["hashes"].update({str(size): [own, kernels] for size, (own, kernels) in known.hashes.items()})

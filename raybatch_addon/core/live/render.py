@@ -223,7 +223,7 @@ class LiveRender:
         shown: _Shown | None = None,
         resumed: Film | None = None,
     ) -> Film:
-        """A render into `canvas`, which also tells how long its pixels take."""
+        """A render into `canvas`, which also measures how long its pixels take."""
 
         def on_progress(progress: Progress) -> None:
             stage = _STAGES.get(progress.stage, "") if not progress.message else progress.message
@@ -249,8 +249,8 @@ class LiveRender:
             resume=resumed,
         )
         if film.complete and film.sample_total > already:
-            told = film.statistics["seconds"]
-            seconds = told["paths"] + told["render"] - (shown.seconds if shown else 0.0)
+            parts = film.statistics["seconds"]
+            seconds = parts["paths"] + parts["render"] - (shown.seconds if shown else 0.0)
             self._pace.note(film.sample_total - already, seconds)
         return film
 

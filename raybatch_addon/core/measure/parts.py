@@ -26,7 +26,7 @@ PARTS = {
     "denoise": "Denoising",
     "write": "Handing over the picture",
 }
-# Those of a scene on its device; their sum is told as `build`
+# Those of a scene on its device; their sum is reported as `build`
 BUILD_PARTS = ("images", "tree", "materials", "lights", "volumes")
 
 
@@ -34,7 +34,7 @@ class Parts:
     """The clock of one render. Threads take turns with it: one part goes on at a time, whoever is at work on it."""
 
     def __init__(self, first: str, now: Callable[[], float] = time.perf_counter):
-        """The part `first` begins. `now` tells the time [s]."""
+        """The part `first` begins. `now` gives the time [s]."""
         self._now, self._lock = now, threading.Lock()
         self.started = self._since = now()
         self.part = first  # that goes on
@@ -58,12 +58,12 @@ class Parts:
             self._seconds[self.part] = self._seconds.get(self.part, 0.0) + now - self._since
             self.part, self._since = part, now
 
-    def told(self) -> dict[str, float]:
+    def record(self) -> dict[str, float]:
         """Seconds until now of each part that there was, `build` of those in `BUILD_PARTS` together, `compile` of what
         went on beside others, and their `total`.
         """
         self.enter(self.part)
         parts = {part: self._seconds[part] for part in PARTS if part in self._seconds}
         sums = {"build": sum(parts.get(part, 0.0) for part in BUILD_PARTS), "compile": self.compile_seconds}
-        told = {"render": 0.0, **parts, **sums, "total": sum(parts.values())}
-        return {name: round(seconds, 6) for name, seconds in told.items()}
+        found = {"render": 0.0, **parts, **sums, "total": sum(parts.values())}
+        return {name: round(seconds, 6) for name, seconds in found.items()}

@@ -39,7 +39,7 @@ class HostClock:
     """The clock of the CPU, where a launch returns when its work is done."""
 
     def __init__(self, now: Callable[[], float] = time.perf_counter):
-        """`now` tells the time [s]."""
+        """`now` gives the time [s]."""
         self._now = now
 
     def mark(self) -> float:
@@ -89,8 +89,8 @@ def clock_of(device: wp.Device) -> Clock:
 
 
 def cost_clock_of(device: wp.Device) -> Clock:
-    """A clock that tells what work costs. On the CPU it runs while the calling thread does: waiting for other threads,
-    or for Python's lock after a launch, is no cost. Where the system tells that too coarsely, time on the wall stands
+    """A clock of what work costs. On the CPU it runs while the calling thread does: waiting for other threads,
+    or for Python's lock after a launch, is no cost. Where the system counts that too coarsely, time on the wall stands
     for it."""
     if device.is_cuda:
         return CudaClock(device)

@@ -61,7 +61,7 @@ def _is_finite(x: float) -> bool:
 
 
 def _bits(values: Sequence[float]) -> bytes:
-    """Bytes by which constants are told apart: 0 is not -0, as hashes and signs see it."""
+    """Bytes by which constants are distinguished: 0 is not -0, as hashes and signs see it."""
     return np.array(values, np.float32).tobytes()
 
 

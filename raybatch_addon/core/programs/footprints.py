@@ -2,7 +2,7 @@
 
 A program is rewritten for a render that filters (`texture_filter`). Each `image` op gets its coordinates a second and
 third time, one step aside along either axis of the surface: the same instructions, with other words where ops say where
-they look (letter `s`). How far the coordinates change by the steps tells how large the path's footprint is in the
+they look (letter `s`). How far the coordinates change by the steps shows how large the path's footprint is in the
 image, whatever leads from a UV map, or from the position, to the coordinates.
 
 Look-ups stay at level 0, the image itself:

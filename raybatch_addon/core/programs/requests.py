@@ -1,6 +1,6 @@
 """Programs that ask for rays: what their requests are, and where the answers lie.
 
-A program with an op of `REQUEST_OPS` is rewritten for a render. Its requests are numbered, and each op is told the
+A program with an op of `REQUEST_OPS` is rewritten for a render. Its requests are numbered, and each op gets the
 registers in which answers are given, which are the last ones of all programs. What the requests depend on becomes a
 program of its own, without closures, which `wavefront/requests` runs until all are answered.
 """

@@ -23,7 +23,7 @@ from ..settings.settings import RenderSettings
 from . import description
 from .frozen import freeze
 from .motion import instance_maps
-from .notice import Notice, from_told, told
+from .notice import Notice, as_record, from_record
 
 FORMAT = "raybatch-scene"
 VERSION = 1
@@ -103,7 +103,7 @@ def _encode(value: Any, arrays: dict[str, np.ndarray], members: dict[int, str]) 
             arrays[name] = array
         return {"scalar" if isinstance(value, np.generic) else "array": members[id(value)]}
     if isinstance(value, Notice):
-        return {"notice": str(value), **told(value)}
+        return {"notice": str(value), **as_record(value)}
     if isinstance(value, enum.Enum):
         return {"enum": type(value).__name__, "value": value.value}
     if dataclasses.is_dataclass(value):
@@ -126,7 +126,7 @@ def _decode(value: Any, arrays: dict[str, np.ndarray]) -> Any:
     if not isinstance(value, dict):
         return value
     if "notice" in value:
-        return from_told(value["notice"], value)
+        return from_record(value["notice"], value)
     if "array" in value:
         return arrays[value["array"]]
     if "scalar" in value:

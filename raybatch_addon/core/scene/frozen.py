@@ -56,7 +56,7 @@ def _forget(key: tuple[int, Callable], gone: weakref.ref) -> None:
 
 
 class Same:
-    """Remembers arrays and plain values, to tell whether others are the same. It keeps no array alive."""
+    """Remembers arrays and plain values, to find whether others are the same. It keeps no array alive."""
 
     def __init__(self, arrays: Iterable[np.ndarray | None], values: object) -> None:
         """`values` are compared by `==`."""

@@ -24,7 +24,7 @@ mat34 = wp.types.matrix(shape=(3, 4), dtype=wp.float32)
 
 @wp.struct
 class Geometry:
-    """Device arrays of `FlatGeometry`. What moves lies behind the entries that are told here (`moved.py`)."""
+    """Device arrays of `FlatGeometry`. What moves lies behind the entries that are listed here (`moved.py`)."""
 
     # [m], shape [vertex_count], or the corners of every triangle, shape [3 * triangle_count]
     positions: wp.array(dtype=wp.vec3)

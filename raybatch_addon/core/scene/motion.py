@@ -30,7 +30,7 @@ def moving_instances(scene: Scene) -> np.ndarray:
 
 
 def moving_maps(scene: Scene) -> InstanceMaps:
-    """The maps of the instances that `moving_instances` tells of, in their order."""
+    """The maps of the instances that `moving_instances` lists, in their order."""
     motion = scene.instances.motion
     if motion is None or motion.maps.shape[1] < 2:
         return InstanceMaps(np.zeros(0, np.int32), np.zeros((0, 2, 3, 4), np.float32))

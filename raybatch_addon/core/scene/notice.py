@@ -62,7 +62,7 @@ def by_weight(messages: Iterable[str]) -> list[Notice]:
     return sorted(map(as_notice, messages), key=lambda notice: -notice.weight)
 
 
-def told(notice: Notice) -> dict[str, Any]:
+def as_record(notice: Notice) -> dict[str, Any]:
     """All that a notice says beside its text; what it does not say is left out."""
     every = {
         "weight": notice.weight.name,
@@ -74,12 +74,12 @@ def told(notice: Notice) -> dict[str, Any]:
     return {name: value for name, value in every.items() if value}
 
 
-def from_told(text: str, told: dict[str, Any]) -> Notice:
-    """The notice with that `text` of which `told` is what the function of this name gave."""
-    rest = {name: told[name] for name in ("objects", "material", "nodes", "remedy") if name in told}
-    return Notice(text, Weight[told["weight"]], **rest)
+def from_record(text: str, record: dict[str, Any]) -> Notice:
+    """The inverse of `as_record`: the notice with that `text`."""
+    rest = {name: record[name] for name in ("objects", "material", "nodes", "remedy") if name in record}
+    return Notice(text, Weight[record["weight"]], **rest)
 
 
 def described(notice: Notice) -> dict[str, Any]:
     """A notice as statistics have it: `what` it says, and the rest."""
-    return {"what": str(notice), **told(notice)}
+    return {"what": str(notice), **as_record(notice)}

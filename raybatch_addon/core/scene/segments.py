@@ -10,7 +10,7 @@ The first two corners of a segment are its points. The third is no point but thr
 
     x   both radii: the upper 16 bits of their float32, without the sign, which are 8 bits of mantissa; the first lowest
     y   bits 0 to 21: normal of the plane at the first point; bit 22: the segment is a ribbon
-    z   a NaN, which tells that the primitive is a segment: no coordinate of a triangle is one. Bits 0 to 21: normal of
+    z   a NaN, which marks that the primitive is a segment: no coordinate of a triangle is one. Bits 0 to 21: normal of
         the plane at the second point
 
 A normal is a point on the octahedron (Meyer, Süssmuth, Sußner, Stamminger and Greiner 2010, "On floating-point normal

@@ -181,7 +181,7 @@ def make_camera_ray(features: CameraFeatures) -> wp.Function:
 
 
 def _make_any_ray(features: CameraFeatures) -> wp.Function:
-    """`camera_ray` of the camera that `CameraData` tells: a kernel of the general tier has few lines of each."""
+    """`camera_ray` of the camera that `CameraData` describes: a kernel of the general tier has few lines of each."""
     perspective_ray, orthographic_ray = (
         make_camera_ray(dataclasses.replace(features, camera=kind))
         for kind in (CameraKind.PERSPECTIVE, CameraKind.ORTHOGRAPHIC)

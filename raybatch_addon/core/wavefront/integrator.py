@@ -46,7 +46,7 @@ from .tracers.interface import Tracer
 from .volumes.table import MediaState
 from .volumes.volumes import with_state
 
-# A stopped tile whose rays are not at their end after this long gives them up [s], unless it is told to wait longer
+# A stopped tile whose rays are not at their end after this long gives them up [s], unless it is asked to wait longer
 DRAIN_SECONDS = 0.25
 TAIL_SHARE = 0.125  # of the slots: below it, without paths to come, turns do little
 

@@ -67,13 +67,13 @@ class StrandMeshes:
             seen = self._seen.setdefault(key, set())
             new = [each for each in asked if each not in seen]
             added = source.attributes(new)
-            self._tell_lacking(obj, new, added)
+            self._report_lacking(obj, new, added)
             mesh = self._meshes[index]
             self._meshes[index] = replace(mesh, attributes=(*mesh.attributes, *added))
             seen.update(asked)
         return index
 
-    def _tell_lacking(self, obj: bpy.types.Object, asked: _Asked, added: list[Attribute]) -> None:
+    def _report_lacking(self, obj: bpy.types.Object, asked: _Asked, added: list[Attribute]) -> None:
         there = {(each.kind, each.name) for each in added}
         for kind, name in asked:
             if (kind, name) not in there and kind not in (STRAND_KIND, "GRID"):

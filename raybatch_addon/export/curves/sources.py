@@ -133,7 +133,7 @@ class ParticleHair:
             points, first = _paths(owner, self._system, viewport)
             self._count, self._given = len(first) - 1, len(points)
             strands = sound_strands(points, _radii(settings, points, first), first)
-        else:  # wherever its points are, which Blender takes long to tell
+        else:  # wherever its points are, which Blender takes long to give
             self._count, self._given = len(_strand_numbers(self._system)), 0
             strands = without_radius(self._count)
         self._cut = CutStrands(strands, shape)
@@ -169,21 +169,21 @@ class ParticleHair:
         return self._at_roots(functools.partial(self._system.uv_on_emitter, self._modifier, uv_no=which), 2)
 
     def _emitter_colors(self, name: str) -> np.ndarray | None:
-        """RGBA of the emitter's faces where each strand grows; None where they are not stored as Blender can tell
+        """RGBA of the emitter's faces where each strand grows; None where they are not stored as Blender can give
         them, as bytes at corners.
         """
         colors = self._owner.data.color_attributes if isinstance(self._owner.data, bpy.types.Mesh) else ()
         names = [each.name for each in colors if each.data_type == "BYTE_COLOR" and each.domain == "CORNER"]
         if name not in names:
             return None
-        told = functools.partial(self._system.mcol_on_emitter, self._modifier, vcol_no=names.index(name))
-        values = self._at_roots(told, 3)
+        asked = functools.partial(self._system.mcol_on_emitter, self._modifier, vcol_no=names.index(name))
+        values = self._at_roots(asked, 3)
         if values is None:
             return None
         return np.concatenate([linear_colors(values), np.ones((len(values), 1), np.float32)], 1)
 
-    def _at_roots(self, told: Callable[..., Iterable[float]], width: int) -> np.ndarray | None:
-        """What Blender tells of the emitter's surface at the root of each strand that is left, float32, shape
+    def _at_roots(self, asked: Callable[..., Iterable[float]], width: int) -> np.ndarray | None:
+        """What Blender gives of the emitter's surface at the root of each strand that is left, float32, shape
         [strand_count, width].
         """
         particles, system = self._system.particles, self._system
@@ -194,7 +194,7 @@ class ParticleHair:
         parents = list(particles)
         last = parents[-1]
         values = (
-            told(particle=parents[begin + i] if begin + i < len(parents) else last, particle_no=begin + i)
+            asked(particle=parents[begin + i] if begin + i < len(parents) else last, particle_no=begin + i)
             for i in number
         )
         return np.fromiter(chain.from_iterable(values), np.float32, width * len(number)).reshape(-1, width)
@@ -325,14 +325,14 @@ def _has_width(settings: Any) -> bool:
 def _paths(owner: bpy.types.Object, system: Any, viewport: bool) -> tuple[np.ndarray, np.ndarray]:
     """Points of all strands in the object's space [m], and the first of each.
 
-    Blender tells one point a call, and nothing else: 0.4 microseconds each, a third more without a tuple of it.
+    Blender gives one point a call, and nothing else: 0.4 microseconds each, a third more without a tuple of it.
     """
     settings, numbers = system.settings, _strand_numbers(system)
     steps = (1 << (settings.display_step if viewport else settings.render_step)) + 1
     if settings.kink == "SPIRAL":
         steps += settings.kink_extra_steps
-    count, told = len(numbers), system.co_hair
-    values = (told(owner, particle_no=i, step=k)[:] for i in numbers for k in range(steps))
+    count, asked = len(numbers), system.co_hair
+    values = (asked(owner, particle_no=i, step=k)[:] for i in numbers for k in range(steps))
     points = np.fromiter(chain.from_iterable(values), np.float32, 3 * count * steps).reshape(-1, 3)
     inverse = np.array(owner.matrix_world.inverted_safe(), np.float64)
     points = (points @ inverse[:3, :3].T + inverse[:3, 3]).astype(np.float32)

@@ -12,7 +12,7 @@ import bpy
 import imbuf
 import numpy as np
 
-_HEAD_LENGTH = 32  # bytes of a file that tell its kind
+_HEAD_LENGTH = 32  # bytes of a file that show its kind
 
 
 def frame_number(user: Any, frame: int) -> int:
@@ -75,9 +75,9 @@ def stored_pixels(image: bpy.types.Image, path: str | None, tile: int, raw: bool
 
 def stored_bytes(image: bpy.types.Image) -> np.ndarray | None:
     """Pixels of a file or packed file of 8-bit numbers, as it stores them, uint8 [height, width, channels] from the
-    bottom; None where it is another or cannot be read, where Blender has read it before, or tells no bytes.
+    bottom; None where it is another or cannot be read, where Blender has read it before, or gives no bytes.
 
-    Blender tells numbers of an image datablock as float32 alone: of a large file that takes longer than to read it.
+    Blender gives numbers of an image datablock as float32 alone: of a large file that takes longer than to read it.
     """
     if not hasattr(imbuf.types.ImBuf, "with_buffer"):  # before Blender 5.2
         return None

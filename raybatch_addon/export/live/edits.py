@@ -1,4 +1,4 @@
-"""What an edit touched: Blender's list of what it evaluated anew, told apart by what must be read again."""
+"""What an edit touched: Blender's list of what it evaluated anew, sorted by what must be read again."""
 
 from __future__ import annotations
 

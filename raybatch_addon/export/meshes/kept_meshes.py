@@ -1,6 +1,6 @@
 """Meshes of earlier exports, found again by digests of what Blender stores of a mesh.
 
-Blender evaluates a scene anew for every render, so that meshes have other addresses each time. Their numbers tell
+Blender evaluates a scene anew for every render, so that meshes have other addresses each time. Their numbers show
 whether they are the same. Attributes as Blender stores them are copied a hundred times as fast as triangles, normals
 and what else it derives from them. The arrays of a kept mesh are frozen: what the core made of them may be kept too.
 """

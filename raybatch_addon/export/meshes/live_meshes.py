@@ -1,6 +1,6 @@
 """Meshes that a viewport read before and need not be read again: those of objects that no edit touched since.
 
-Blender tells of each object whose geometry it evaluated anew. All others have the mesh that they had, at the same
+Blender lists each object whose geometry it evaluated anew. All others have the mesh that they had, at the same
 address; so it need not even be looked at. No pointer is followed that an earlier call got: addresses are keys alone.
 """
 
@@ -82,7 +82,7 @@ class LiveMeshes:
         """The mesh of `obj`, which `read()` reads where it is not known."""
         key, owner = (data.as_pointer(), data.session_uid), obj.original.session_uid
         known = self._known.get(key)
-        # another object's mesh may have come to lie where one was; in one pass the address tells
+        # another object's mesh may have come to lie where one was; in one pass the address shows
         if known is not None and owner not in known.owners and known.pass_count != self._pass_count:
             known = None
         if known is None:

@@ -1,6 +1,6 @@
 """Meshes of an animation with Persistent Data: those that Blender did not evaluate anew are not read again.
 
-Blender keeps the evaluated scene from frame to frame then, and tells what it evaluated. What it told is lost where
+Blender keeps the evaluated scene from frame to frame then, and reports what it evaluated. The report is lost where
 nobody was there to hear it, as when a render is stopped between two frames; so all is read anew when a render begins.
 """
 

@@ -34,10 +34,10 @@ def export_volume(obj: bpy.types.Object, names: Iterable[str], frame: int, warni
 
     None where there is nothing to see; `warnings` gets a line for whatever cannot be read.
     """
-    told: list[str] = []
-    mesh = _exported(obj, list(names), frame, told)
+    texts: list[str] = []
+    mesh = _exported(obj, list(names), frame, texts)
     # what was not weighed is not in the picture
-    warnings += [Notice(text, getattr(text, "weight", Weight.MISSING), objects=[obj.name]) for text in told]
+    warnings += [Notice(text, getattr(text, "weight", Weight.MISSING), objects=[obj.name]) for text in texts]
     return mesh
 
 

@@ -13,7 +13,7 @@ from ...core.scene.notice import Notice, Weight
 class Row:
     """Something that can be set. `found` looks for it and says what it is, or gives nothing where it is not set."""
 
-    text: str  # of the message, with `{found}` where it is told
+    text: str  # of the message, with `{found}` where that is reported
     found: Callable[..., Any]
     weight: Weight
     remedy: str = ""
@@ -46,13 +46,13 @@ def unlike_new(owner: Any, *names: str) -> str:
 
     `owner` is None where an add-on that defines it is not enabled.
     """
-    told = []
+    values = []
     for name in names:
         prop = owner.bl_rna.properties.get(name) if owner is not None else None
         if prop is None or getattr(owner, name) == prop.default:
             continue
-        told.append(f"{prop.name} {shown(getattr(owner, name))}")
-    return ", ".join(told)
+        values.append(f"{prop.name} {shown(getattr(owner, name))}")
+    return ", ".join(values)
 
 
 def shown(value: Any) -> str:

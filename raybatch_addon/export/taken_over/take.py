@@ -1,4 +1,4 @@
-"""Taking over: the settings of another engine become ours, and what differs is told."""
+"""Taking over: the settings of another engine become ours, and what differs is reported."""
 
 from __future__ import annotations
 
@@ -85,10 +85,10 @@ def passed_over_settings(scene: bpy.types.Scene) -> list[Notice]:
     found = [each for each in differences(scene, CYCLES, chosen=True) if each.setting != "seed"]
     if not found:
         return []
-    told = "; ".join(each.text(CYCLES) for each in found)
+    reported = "; ".join(each.text(CYCLES) for each in found)
     remedy = "take them over: Settings From in the panel Before the Render, or render.py --settings-from cycles"
     weight = Weight.REPLACED if any(each.setting == EXPOSURE for each in found) else Weight.SETTING
-    return [Notice(f"scene “{scene.name}”: settings of Cycles are not used. {told}", weight, remedy=remedy)]
+    return [Notice(f"scene “{scene.name}”: settings of Cycles are not used. {reported}", weight, remedy=remedy)]
 
 
 def _shown(value: Any) -> str:

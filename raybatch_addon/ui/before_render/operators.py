@@ -36,7 +36,7 @@ class RAYBATCH_OT_check_scene(_OfEngine, bpy.types.Operator):
             return {"CANCELLED"}
         missing.begin_look(context.scene)
         found = missing.keep_found(context.scene, context.view_layer.name, exported.warnings)
-        missing.tell(found)
+        missing.print_notices(found)
         self.report({"INFO"}, f"RayBatch: {len(found)} found" if found else "RayBatch: nothing is missing")
         return {"FINISHED"}
 

@@ -15,7 +15,7 @@ from ..panel import ENGINE, register_all, unregister_all
 
 
 class RAYBATCH_OT_tune(bpy.types.Operator):
-    """Render the scene for seconds with each of some ways to trace rays, and on each device, and tell the fastest. The
+    """Render the scene for seconds with each of some ways to trace rays, and on each device, and show the fastest. The
     picture is the same with all of them; nothing is changed before you take the fastest
     """
 
@@ -76,8 +76,8 @@ _classes = (RAYBATCH_OT_tune, RAYBATCH_OT_take_fastest)
 
 
 def _handlers() -> tuple[tuple[list, Callable[..., None]], ...]:
-    told = bpy.app.handlers
-    return (told.render_init, _begin), (told.render_complete, _end), (told.render_cancel, _end)
+    events = bpy.app.handlers
+    return (events.render_init, _begin), (events.render_complete, _end), (events.render_cancel, _end)
 
 
 def _tuning() -> Any | None:
@@ -98,7 +98,7 @@ def _end(*_: object) -> None:
 
 
 def register() -> None:
-    """Add the operators, and have Blender tell of its renders."""
+    """Add the operators, and follow the renders of Blender."""
     register_all(_classes)
     for handlers, function in _handlers():
         handlers.append(function)

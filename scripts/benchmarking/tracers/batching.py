@@ -44,7 +44,7 @@ class ZeroCopyTracer(StageTracer):
         self._triangles_only = triangles_only
 
     def build(self, scene: BenchmarkScene) -> Tree:
-        told = super().build(scene)
+        reported = super().build(scene)
         tree = self._built.tree
         pinned = type(tree)()
         for field in tree._cls.vars:
@@ -53,7 +53,7 @@ class ZeroCopyTracer(StageTracer):
             array = getattr(tree, field)
             setattr(pinned, field, host_array(array.numpy(), array.dtype, self._device))
         self._built = dataclasses.replace(self._built, tree=pinned, keep=(self._built.keep, pinned))
-        return told
+        return reported
 
 
 @dataclass(frozen=True)
@@ -99,19 +99,19 @@ class WaitingTracer(MeasuredTracer):
         if self.plan.method is Method.PAGED:
             start = time.perf_counter()
             paged = self._paged(scene)
-            told = Tree(time.perf_counter() - start, paged.resident_bytes)
+            reported = Tree(time.perf_counter() - start, paged.resident_bytes)
             kernels = compiled_ahead(self._layout, False, settings)
         elif self.plan.method is Method.BATCHED:
             kept = self._trees.get(scene, "OFF")
             start = time.perf_counter()
             self._treelets = cut_scene_tree(kept.keep[0], cut_rule(self.plan, self._settings), self._device)
-            told = Tree(kept.told.build_seconds + time.perf_counter() - start, kept.told.bytes)
+            reported = Tree(kept.reported.build_seconds + time.perf_counter() - start, kept.reported.bytes)
             kernels = batching_kernels(self._layout, scene.instancing, False, settings, self._device)
         else:
             self._off = StageTracer(self.name, self._trees, self._device, "OFF")
             return self._off.build(scene)
         load_kernels(kernels, self._device, lambda done, total: None)
-        return told
+        return reported
 
     def _paged(self, scene: BenchmarkScene) -> Any:
         plan = self.plan
@@ -189,7 +189,7 @@ class WaitingTracer(MeasuredTracer):
         if self.plan.method is Method.UNBATCHED:
             return self._off.work()
         before, after = self._before, self._tracer.totals()
-        told = {
+        reported = {
             "treelet_visits": (after.treelet_visits - before.treelet_visits) / self._count,
             "queued": (after.rays_queued - before.rays_queued) / self._count,
             "bytes_copied": after.bytes_copied - before.bytes_copied,
@@ -203,4 +203,4 @@ class WaitingTracer(MeasuredTracer):
         self._run(timed)
         stages = {f"{stage}_s": round(seconds, 6) for stage, seconds in timer.totals().items() if seconds}
         self._tracer = self._made(NoTimer())
-        return super().work() | told | {"stages": stages}
+        return super().work() | reported | {"stages": stages}

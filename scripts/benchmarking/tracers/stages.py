@@ -31,7 +31,7 @@ class BuiltScene:
     """A scene's tree on the device."""
 
     tree: Any  # what kernels take
-    told: Tree
+    reported: Tree
     keep: Any
 
 
@@ -127,7 +127,7 @@ class StageTracer(MeasuredTracer):
         if self._sorts:
             kernels.append(sort_kernel(self._device))
         load_kernels(kernels, self._device, lambda done, total: None)
-        return self._built.told
+        return self._built.reported
 
     def _stage(self, any_hit: bool, counters: bool = False) -> TraceStage:
         options = TraceOptions(any_hit=any_hit, instancing=self._instancing, counters=counters)
@@ -162,18 +162,18 @@ class StageTracer(MeasuredTracer):
         if not self._counts:
             return super().work()
         stage, count = self._stage(self._any_hit, counters=True), len(self._rays.t_max)
-        told = TraceCounts()
-        told.node_steps, told.box_tests, told.triangle_tests = (
+        reported = TraceCounts()
+        reported.node_steps, reported.box_tests, reported.triangle_tests = (
             wp.zeros(count, dtype=int, device=self._device) for _ in range(3)
         )
-        told.lanes = wp.zeros(2 * len(LANE_PARTS), dtype=wp.int64, device=self._device)
+        reported.lanes = wp.zeros(2 * len(LANE_PARTS), dtype=wp.int64, device=self._device)
         for part in self._parts:
-            stage.launch(self._built.tree, self._rays, part.in_order or part.listed, told)
+            stage.launch(self._built.tree, self._rays, part.in_order or part.listed, reported)
         found = {
-            name: round(float(getattr(told, name).numpy().mean()), 3)
+            name: round(float(getattr(reported, name).numpy().mean()), 3)
             for name in ("node_steps", "box_tests", "triangle_tests")
         }
-        lanes = told.lanes.numpy().reshape(-1, 2)
+        lanes = reported.lanes.numpy().reshape(-1, 2)
         shares = {
             name: round(busy / there, 4)
             for name, (busy, there) in zip(LANE_PARTS, lanes.tolist(), strict=True)

@@ -95,21 +95,21 @@ def fragment(reports: dict[str, Report]) -> str:
 
 def _figures(rows: list[Row], points: list[Row], cost: float) -> list[str]:
     """`cost`: seconds of a sample of every pixel, where all get all samples."""
-    told = {
+    reported = {
         key: statistics.median(row[key] for row in rows)
         for key in ("samples_mean", "converged", "relmse", "rmse", "cost")
     }
     gains = []
     for measure in ("relmse", "rmse"):
-        samples = needed(points, measure, told[measure])
-        gains += [f"{samples / told['samples_mean']:.2f}", f"{samples * cost / told['cost']:.2f}"]
+        samples = needed(points, measure, reported[measure])
+        gains += [f"{samples / reported['samples_mean']:.2f}", f"{samples * cost / reported['cost']:.2f}"]
     brighter = [row["brightness"] - 1.0 for row in rows]
     spread = f" ± {100 * statistics.stdev(brighter) / math.sqrt(len(brighter)):.2f} %" if len(brighter) > 1 else ""
     return [
-        f"{told['samples_mean']:.0f}",
-        f"{100 * told['converged']:.0f} %",
-        number(told["relmse"]),
-        number(told["cost"]),
+        f"{reported['samples_mean']:.0f}",
+        f"{100 * reported['converged']:.0f} %",
+        number(reported["relmse"]),
+        number(reported["cost"]),
         *gains,
         f"{100 * statistics.mean(brighter):+.2f} %{spread}",
     ]

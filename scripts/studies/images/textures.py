@@ -125,17 +125,17 @@ def measure(case: Case, turn: int, bench: Bench) -> Row:
     a, b = (film - reference for (film, _, _), reference in zip(films, (first, second), strict=True))
     # products of differences from independent references have no noise of these in their means
     error = [np.mean(weight * (film - first) * (film - second)) for film, _, _ in films]
-    told = films[-1][1]
+    reported = films[-1][1]
     return {
         "edge": edge,
         "samples": samples,
         "relmse": float(np.mean(error)),
         "bias": float(np.mean(weight * a * b)),
         "mean": float(np.mean([film for film, _, _ in films]) / np.mean(0.5 * (first + second)) - 1),
-        "seconds": told["seconds"]["render"],
+        "seconds": reported["seconds"]["render"],
         "processor_seconds": min(seconds for _, _, seconds in films),
-        "images": told["images"],
-        "invalid_samples": told["invalid_samples"],
+        "images": reported["images"],
+        "invalid_samples": reported["invalid_samples"],
     }
 
 

@@ -58,9 +58,9 @@ def control_seconds(report: Report, scene: str) -> float | None:
 
 def most_alive(report: Report) -> int | None:
     """How many rays were alive at most, where some cases asked for more than there are in the tiles at work."""
-    told = [
+    reported = [
         (row["ray_count"], row["rays_alive"])
         for row in report["rows"]
         if row["table"] == "ray_count" and row.get("rays_alive")
     ]
-    return max(alive for _, alive in told) if any(alive < asked for asked, alive in told) else None
+    return max(alive for _, alive in reported) if any(alive < asked for asked, alive in reported) else None

@@ -62,7 +62,7 @@ def _control_lines(reports: dict[str, Report]) -> list[str]:
     """How much the machine's own speed changed meanwhile."""
     lines = []
     for report in reports.values():
-        told = []
+        reported = []
         for scene in SCENES:
             found = [
                 row["seconds"]
@@ -70,11 +70,11 @@ def _control_lines(reports: dict[str, Report]) -> list[str]:
                 if row["table"] == "control" and row["scene"] == scene and row["complete"]
             ]
             if len(found) > 1:
-                told.append(f"{number(min(found))} to {number(max(found))} s ({scene})")
-        if told:
+                reported.append(f"{number(min(found))} to {number(max(found))} s ({scene})")
+        if reported:
             lines.append(
                 f"- {device_title(report)}: the control, which was rendered in each group of cases, took "
-                f"{' and '.join(told)}: so much the machine's speed changed."
+                f"{' and '.join(reported)}: so much the machine's speed changed."
             )
     return lines
 

@@ -73,12 +73,12 @@ def test_a_stopped_render_goes_on_when_it_is_started_again(kept, path, monkeypat
     kept.raybatch.sample_count = 1_000_000
     notes = []
     monkeypatch.setattr(frame, "note_listeners", [notes.append])
-    told = render_stopped(monkeypatch)
-    assert not told["complete"] and told["checkpoint"]["file"] == str(path)
+    reported = render_stopped(monkeypatch)
+    assert not reported["complete"] and reported["checkpoint"]["file"] == str(path)
     assert notes == [f"stopped; the same render goes on from {path}"]
     samples = load_kept(path).film().sample_total
     again = render_stopped(monkeypatch)
-    assert again["samples"] > samples == told["samples"] and again["checkpoint"]["samples_before"] > 0
+    assert again["samples"] > samples == reported["samples"] and again["checkpoint"]["samples_before"] > 0
     assert notes[1].startswith(f"goes on from {path}: ")
 
 
@@ -86,8 +86,8 @@ def test_more_samples_are_added_and_the_picture_is_that_of_one_render(kept, path
     render()
     kept.raybatch.sample_count = 5
     picture = pixels()
-    told = next(iter(reports.last().statistics.values()))
-    assert told["checkpoint"]["samples_before"] == 2 and told["complete"]
+    reported = next(iter(reports.last().statistics.values()))
+    assert reported["checkpoint"]["samples_before"] == 2 and reported["complete"]
     kept.raybatch_checkpoint.use = False
     assert np.array_equal(picture, pixels())
     assert next(iter(reports.last().statistics.values()))["checkpoint"] is None
@@ -109,8 +109,8 @@ def test_another_scene_begins_anew_and_keeps_what_was_unfinished(kept, path, mon
     render_stopped(monkeypatch)
     kept.camera.location.x += 0.5
     kept.raybatch.sample_count = 2
-    told = render()
-    assert told["complete"] and told["checkpoint"]["samples_before"] == 0
+    reported = render()
+    assert reported["complete"] and reported["checkpoint"]["samples_before"] == 0
     assert "the render begins anew (the old file is now out0001.untitled.checkpoint.old)" in reports.last().warnings[0]
     assert load_kept(path.with_name(f"{path.name}.old")).identity.settings["sample_count"] == 1_000_000
 
@@ -134,8 +134,8 @@ def test_movies_have_a_file_a_frame(kept, tmp_path):
 def test_a_file_that_cannot_be_written_is_a_warning(kept, tmp_path):
     (tmp_path / "file").write_text("no folder")
     kept.render.filepath = str(tmp_path / "file" / "out")
-    told = render()
-    assert told["complete"] and "could not be written" in told["warnings"][0]
+    reported = render()
+    assert reported["complete"] and "could not be written" in reported["warnings"][0]
     assert any("could not be written" in text for text in reports.last().warnings)
 
 
@@ -174,8 +174,8 @@ def test_a_command_that_is_stopped_between_frames_tells_of_those_that_are_done(k
     out = tmp_path / "pictures" / "p.png"
     done = call_script("render.py", blend, "--frames", "1..4", "-o", out, "--device", "cpu", "--json", report)
     assert done.returncode == 130 and Path(out.parent / "p0001.png").exists()
-    told = json.loads(report.read_text())
-    assert len(told) == 2 and told[0]["complete"] and not (out.parent / "p0003.png").exists()
+    reported = json.loads(report.read_text())
+    assert len(reported) == 2 and reported[0]["complete"] and not (out.parent / "p0003.png").exists()
 
 
 def test_folders_of_commands_that_were_killed_are_removed(kept, tmp_path):

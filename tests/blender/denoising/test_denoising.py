@@ -141,11 +141,11 @@ def test_a_cancel_ends_denoising_and_keeps_the_noisy_picture(room, monkeypatch):
 
 def test_all_parts_of_a_denoised_render_are_told_and_add_up(room):
     room.raybatch.denoise, room.raybatch.error_estimate = "ON", "OFF"
-    told = rendered_film(room).statistics["seconds"]
-    named = [part for part in PARTS if part in told]
+    reported = rendered_film(room).statistics["seconds"]
+    named = [part for part in PARTS if part in reported]
     assert named == [part for part in PARTS if part not in ("checkpoint", "displacement", "wait", "volumes")]
-    assert told["total"] == pytest.approx(sum(told[part] for part in named), abs=1e-5)
-    assert min(told["export"], told["render"], told["denoise"]) > 0
+    assert reported["total"] == pytest.approx(sum(reported[part] for part in named), abs=1e-5)
+    assert min(reported["export"], reported["render"], reported["denoise"]) > 0
 
 
 def test_a_library_that_is_missing_ends_the_render_before_it_begins(room):

@@ -89,8 +89,8 @@ def test_an_attribute_that_strands_lack_is_told():
         node = tree.nodes.new("ShaderNodeAttribute")
         node.attribute_name = name
         tree.links.new(node.outputs["Fac" if name == "there" else "Color"], shader.inputs[socket])
-    told = [each for each in exported().warnings if "attribute" in each]
-    assert len(told) == 1 and "“tint”" in told[0] and told[0].objects == ("Hair",)
+    reported = [each for each in exported().warnings if "attribute" in each]
+    assert len(reported) == 1 and "“tint”" in reported[0] and reported[0].objects == ("Hair",)
 
 
 def test_curves_without_radius_have_that_of_cycles():

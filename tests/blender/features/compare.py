@@ -167,7 +167,7 @@ def by_raybatch(
         films.append(film)
 
     scene.render.engine = "RAYBATCH"
-    # Cycles' own too: a difference would be told as a setting of Cycles that is not used
+    # Cycles' own too: a difference would be reported as a setting of Cycles that is not used
     scene.raybatch.seed, scene.raybatch.sample_count, scene.cycles.samples = seed, samples, samples
     frame.film_listeners.append(listen)
     try:

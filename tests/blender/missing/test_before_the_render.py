@@ -208,8 +208,8 @@ def test_what_is_rendered_is_looked_at(scene):
     finally:
         frame.scene_listeners.pop()
     (exported,) = taken
-    told = [each.objects for each in exported.warnings if isinstance(each, Notice) and each.objects]
-    assert told and all(tuple(each) == ("Placed",) for each in told)
+    reported = [each.objects for each in exported.warnings if isinstance(each, Notice) and each.objects]
+    assert reported and all(tuple(each) == ("Placed",) for each in reported)
     assert any("culling" in each for each in exported.warnings)
 
 

@@ -25,8 +25,8 @@ def test_what_differs_is_told_and_taken_over(scene):
     own = scene.cycles
     own.samples, own.max_bounces, own.sample_clamp_indirect, own.adaptive_threshold = 123, 3, 2.5, 0.02
     own.pixel_filter_type, own.filter_width = "GAUSSIAN", 1.75
-    told = {each.setting: each.theirs for each in differences(scene, CYCLES)}
-    assert told["sample_count"] == 123 and told["clamp_indirect"] == 2.5
+    reported = {each.setting: each.theirs for each in differences(scene, CYCLES)}
+    assert reported["sample_count"] == 123 and reported["clamp_indirect"] == 2.5
     assert take_over(scene, CYCLES) and not differences(scene, CYCLES)
     settings = settings_from(scene)
     assert (settings.sample_count, settings.bounce_max, settings.clamp_indirect) == (123, 3, 2.5)

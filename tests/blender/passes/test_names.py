@@ -49,9 +49,9 @@ def test_passes_are_those_of_cycles_but_for_those_that_are_told(scene):
     engine = SimpleNamespace(register_pass=lambda *given: registered.append((given[2], given[4], given[5])))
     register_passes(engine, scene, layer)
     of_cycles = set(list_render_passes(scene, layer))
-    told = {name for name, *_ in of_cycles - set(registered)}
-    assert {name for name, *_ in set(registered) - of_cycles} <= told, "no letters or kinds of our own"
-    assert told <= {
+    reported = {name for name, *_ in of_cycles - set(registered)}
+    assert {name for name, *_ in set(registered) - of_cycles} <= reported, "no letters or kinds of our own"
+    assert reported <= {
         "Render Time",
         "Volume Scatter",
         "Volume Transmit",
@@ -60,4 +60,4 @@ def test_passes_are_those_of_cycles_but_for_those_that_are_told(scene):
         "Denoising Roughness",
     }
     found = " ".join(export_scene(bpy.context.evaluated_depsgraph_get()).warnings)
-    assert all(name in found for name in told)
+    assert all(name in found for name in reported)

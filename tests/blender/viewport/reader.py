@@ -1,4 +1,4 @@
-"""A live scene that is told of edits, and what it is to be equal to."""
+"""A live scene that is informed of edits, and what it is to be equal to."""
 
 from collections import Counter
 
@@ -11,7 +11,7 @@ from tests.blender.viewport.regions import updates_to
 
 
 class Reader:
-    """A live scene that is told of edits as Blender tells a viewport."""
+    """A live scene that is informed of edits as Blender shows a viewport."""
 
     def __init__(self, seconds=10.0):
         self.live, self.seconds, self.changes = LiveScene(), seconds, 0

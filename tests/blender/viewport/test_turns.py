@@ -83,8 +83,8 @@ def test_viewports_wait_from_the_start_of_an_animation_to_its_end(scene, tmp_pat
     def look(*_):
         found.append(views.is_wanted(False))
 
-    told = bpy.app.handlers
-    watched = [told.render_pre, told.render_post, told.render_write]
+    reported = bpy.app.handlers
+    watched = [reported.render_pre, reported.render_post, reported.render_write]
     for each in watched:
         each.append(look)
     frame.scene_listeners.append(look)

@@ -41,8 +41,10 @@ def test_films_of_all_layers_and_eyes_are_kept(scene, tmp_path):
     assert done.returncode == 0, done.stderr
     with np.load(film) as passes:
         assert set(passes.files) == {"Combined", "A/right/Combined", "B/left/Combined", "B/right/Combined"}
-    told = [each["frame"] for each in json.loads((tmp_path / "eyes.json").read_text())]
-    assert [(each["view_layer"], each["view"]) for each in told] == [(a, b) for a in "AB" for b in ("left", "right")]
+    reported = [each["frame"] for each in json.loads((tmp_path / "eyes.json").read_text())]
+    assert [(each["view_layer"], each["view"]) for each in reported] == [
+        (a, b) for a in "AB" for b in ("left", "right")
+    ]
 
 
 OTHERS = [("PERSP", "TOE"), ("PANO", "PARALLEL"), ("PANO", "TOE")]

@@ -154,7 +154,7 @@ def test_pixels_without_two_samples_do_not_dilute_the_error():
 
 def test_rare_light_does_not_hide_the_error():
     """One path in `1 / chance` brings `1 / chance`, so that each pixel is 1. Few pixels found it, and only a squared
-    value that has no noise in it tells how far these are off; else each would count as 1 off, and 0.8 % of the picture.
+    value that has no noise in it shows how far these are off; else each would count as 1 off, and 0.8 % of the picture.
 
     With few finds A B is 0 nearly everywhere and the estimate that of relMSE / 0.01, where the truth is that of relMSE
     / 1.01.
@@ -162,8 +162,8 @@ def test_rare_light_does_not_hide_the_error():
     chance, samples = 1e-3, 4
     random = np.random.default_rng(8)
     a, b = random.binomial(samples, chance, (2, *SHAPE)) / (samples * chance)
-    told, true = relmse_of_halves(a, b), relmse((a + b) / 2, np.ones(SHAPE))
-    assert true / 2 < told < 150 * true
+    reported, true = relmse_of_halves(a, b), relmse((a + b) / 2, np.ones(SHAPE))
+    assert true / 2 < reported < 150 * true
     # where pixels know their light, it is close: sums of 400 draws with 40 finds, so that E 1 / (A B) is above 1 by
     # some 3 / 20
     a, b = random.binomial(200, 0.1, (2, *SHAPE)) / 20

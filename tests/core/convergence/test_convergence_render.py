@@ -49,7 +49,7 @@ def room():
 
 @pytest.fixture(scope="module")
 def truth(room) -> Reference:
-    """By the float64 tracer: eight independent pictures tell what its own noise is."""
+    """By the float64 tracer: eight independent pictures show what its own noise is."""
     return reference_of_runs(float64_tracer.render_runs(room, 4096, BOUNCES, runs=8), "float64", 4096)
 
 

@@ -71,14 +71,14 @@ def test_denoising_repeats_bit_for_bit_and_every_prefilter_gives_another_picture
 @needs_library
 def test_the_error_of_denoised_halves_is_told_without_the_truth(library):
     settings = ON.replace(denoise_inputs="NONE", denoise_quality="FAST")
-    told, true = [], []
+    reported, true = [], []
     for seed in range(6):
         noisy = [noisy_passes(10 * seed + half) for half in range(2)]
         clean = [denoised(each, settings, library)[..., :3] for each in noisy]
-        told.append(filtered_half_error(*(each["Combined"][..., :3] for each in noisy), *clean).rmse ** 2)
+        reported.append(filtered_half_error(*(each["Combined"][..., :3] for each in noisy), *clean).rmse ** 2)
         true.append(np.mean([error_of(each) for each in clean]))
-    spread = np.std(np.subtract(told, true), ddof=1) / np.sqrt(len(told))
-    assert abs(np.mean(told) - np.mean(true)) < 4 * spread
+    spread = np.std(np.subtract(reported, true), ddof=1) / np.sqrt(len(reported))
+    assert abs(np.mean(reported) - np.mean(true)) < 4 * spread
     assert spread < 0.25 * np.mean(true)  # else the line above says little
 
 

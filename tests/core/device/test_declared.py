@@ -114,12 +114,12 @@ def test_identity_follows_all_that_code_is_made_of(monkeypatch):
         return value
 
     kernels = [make_kernel(3.0), make_kernel(4.0), make_kernel(3.0, Pair), make_kernel(3.0, helper=other)]
-    told = [module_identity(kernel) for kernel in kernels]
-    assert len(set(told)) == 4 and module_identity(make_kernel(3.0)) == told[0]
-    assert identity_of([(kernels[0].func, {"enable_backward": True})], kernels[0].module.options)[0] != told[0]
-    assert identity_of([(kernels[0].func, kernels[0].options)], {"fast_math": True})[0] != told[0]
+    reported = [module_identity(kernel) for kernel in kernels]
+    assert len(set(reported)) == 4 and module_identity(make_kernel(3.0)) == reported[0]
+    assert identity_of([(kernels[0].func, {"enable_backward": True})], kernels[0].module.options)[0] != reported[0]
+    assert identity_of([(kernels[0].func, kernels[0].options)], {"fast_math": True})[0] != reported[0]
     monkeypatch.setitem(globals(), "FACTOR", 3.0)
-    assert module_identity(kernels[0]) != told[0] and result_of(make_kernel(3.0)) == 9.0
+    assert module_identity(kernels[0]) != reported[0] and result_of(make_kernel(3.0)) == 9.0
 
 
 def test_identity_is_that_of_the_functions_not_of_their_order():
@@ -375,9 +375,9 @@ def test_a_changed_source_is_noticed(tmp_path):
 def test_bytecode_that_is_not_the_sources_is_noticed():
     """As in a session whose files were changed after they were imported."""
     kernel = make_kernel(3.0)
-    told = module_identity(kernel)
+    reported = module_identity(kernel)
     kernel.func.__code__ = kernel.func.__code__.replace(co_consts=(*kernel.func.__code__.co_consts, "other"))
-    assert module_identity(kernel) != told
+    assert module_identity(kernel) != reported
 
 
 def test_floats_are_told_to_the_last_bit():

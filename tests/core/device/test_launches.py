@@ -10,10 +10,10 @@ from raybatch_addon.core.device.launches import RepeatedLaunches
 
 @wp.struct
 class Rule:
-    """What is added, and where it is told."""
+    """What is added, and where that is reported."""
 
     amount: int
-    told: wp.array(dtype=int)
+    reported: wp.array(dtype=int)
 
 
 @wp.kernel(**KERNEL_OPTIONS)
@@ -21,14 +21,14 @@ def add_kernel(rule: Rule, factor: float, values: wp.array(dtype=float)):
     """By value."""
     i = wp.tid()
     values[i] = factor * values[i] + float(rule.amount)
-    rule.told[i] = rule.amount
+    rule.reported[i] = rule.amount
 
 
 @pytest.fixture
 def rule(device):
     """With room for ten values."""
     made = Rule()
-    made.amount, made.told = 1, wp.zeros(10, dtype=int, device=device)
+    made.amount, made.reported = 1, wp.zeros(10, dtype=int, device=device)
     return made
 
 
@@ -41,10 +41,10 @@ def test_what_changed_is_launched(device, rule):
     assert (first.numpy() == 7).all()
     launches.launch(add_kernel, 4, rule, 3.0, second)  # another count, number and array
     assert (second.numpy() == np.where(np.arange(10) < 4, 7, 2)).all() and (first.numpy() == 7).all()
-    rule.amount, before, rule.told = 5, rule.told, wp.zeros(10, dtype=int, device=device)
+    rule.amount, before, rule.reported = 5, rule.reported, wp.zeros(10, dtype=int, device=device)
     launches.launch(add_kernel, 5, rule, 3.0, second[2:7])  # a struct that was changed in place, and a part of an array
     assert second.numpy().tolist() == [7, 7, 26, 26, 11, 11, 11, 2, 2, 2]
-    assert (rule.told.numpy()[:5] == 5).all() and (before.numpy() == 1).all()
+    assert (rule.reported.numpy()[:5] == 5).all() and (before.numpy() == 1).all()
 
 
 def test_no_thread_is_no_launch(device, rule):
@@ -61,7 +61,7 @@ def test_another_struct_takes_the_place_of_the_last(device, rule):
     values = wp.zeros(2, dtype=float, device=device)
     launches.launch(add_kernel, 2, rule, 1.0, values)
     other = Rule()
-    other.amount, other.told = 10, rule.told
+    other.amount, other.reported = 10, rule.reported
     launches.launch(add_kernel, 2, other, 1.0, values)
     launches.launch(add_kernel, 2, rule, 1.0, values)
     assert values.numpy().tolist() == [12.0, 12.0]

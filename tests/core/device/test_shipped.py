@@ -192,7 +192,7 @@ def test_a_gpu_takes_the_nearest_code_first(monkeypatch):
 
 @pytest.fixture
 def driver(folder, monkeypatch) -> SimpleNamespace:
-    """A driver that does not load shipped kernels as many times as it is told."""
+    """A driver that does not load shipped kernels as many times as it is asked to."""
     driver, load = SimpleNamespace(failures=99, asked=[]), wp.Module.load
 
     def load_others(module, device, block_dim=None, binary_path=None, **options):

@@ -259,7 +259,7 @@ def test_a_denoiser_ends_for_who_goes_first_and_its_picture_comes_without_anothe
 def test_the_pace_is_that_of_pixels_alone(live, session):
     """Whatever a scene's displacement, tree and kernels took."""
     render, source, _ = live
-    noted, told = (
+    noted, reported = (
         [],
         {"displacement": 64.0, "build": 32.0, "compile": 16.0, "kernels": 8.0, "paths": 1.0, "render": 2.0},
     )
@@ -267,7 +267,7 @@ def test_the_pace_is_that_of_pixels_alone(live, session):
     class Clocked:
         def render(self, *arguments, **options):
             film = session.render(*arguments, **options)
-            film.statistics["seconds"] = told
+            film.statistics["seconds"] = reported
             return film
 
     source.opened, render._pace.note = Clocked(), lambda samples, seconds: noted.append(seconds)

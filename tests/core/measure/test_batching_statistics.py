@@ -46,26 +46,32 @@ def test_workers_together():
 
 def test_totals_stand_at_the_top_and_all_in_an_object_of_their_own():
     auto = {"treelet_size": {"value": 800, "why": "a treelet of this size fits the cache"}}
-    told = batching_statistics(ONE, auto)
-    assert json.loads(json.dumps(told)) == told
-    assert {name: told[name] for name in TOP_LEVEL_TOTALS} == {name: getattr(ONE, name) for name in TOP_LEVEL_TOTALS}
-    assert set(TOP_LEVEL_TOTALS) | {"batching", "auto"} == set(told) and told["auto"] == auto
-    assert {each.name for each in fields(ONE)} < set(told["batching"])
-    assert told["batching"]["occupancy"] == [[0.5, 4]]
-    means = {name: value for name, value in told["batching"].items() if name.endswith("_per_ray")}
+    reported = batching_statistics(ONE, auto)
+    assert json.loads(json.dumps(reported)) == reported
+    assert {name: reported[name] for name in TOP_LEVEL_TOTALS} == {
+        name: getattr(ONE, name) for name in TOP_LEVEL_TOTALS
+    }
+    assert set(TOP_LEVEL_TOTALS) | {"batching", "auto"} == set(reported) and reported["auto"] == auto
+    assert {each.name for each in fields(ONE)} < set(reported["batching"])
+    assert reported["batching"]["occupancy"] == [[0.5, 4]]
+    means = {name: value for name, value in reported["batching"].items() if name.endswith("_per_ray")}
     assert means == {"treelet_visits_per_ray": 3.5, "rays_queued_per_ray": 2.5, "bytes_copied_per_ray": 125.0}
     assert not batching_statistics(BatchingTotals(), {})["batching"]["treelet_visits_per_ray"], "a render of nothing"
 
 
 def test_a_render_that_does_not_batch_says_zero():
-    told = batching_statistics(None, {})
-    assert all(told[name] == 0 for name in TOP_LEVEL_TOTALS) and told["batching"] is None and told["auto"] == {}
+    reported = batching_statistics(None, {})
+    assert (
+        all(reported[name] == 0 for name in TOP_LEVEL_TOTALS)
+        and reported["batching"] is None
+        and reported["auto"] == {}
+    )
 
 
 def test_all_of_it_is_documented():
     text = (Path(__file__).resolve().parents[3] / "docs/statistics.md").read_text(encoding="utf-8")
-    told = batching_statistics(ONE, {})
-    for name in (*told, *told["batching"]):
+    reported = batching_statistics(ONE, {})
+    for name in (*reported, *reported["batching"]):
         assert f"`{name}`" in text, name
 
 

@@ -124,11 +124,11 @@ def test_what_is_not_counted_is_not_compiled(tmp_path):
 
 
 def test_passes_that_stay_zero():
-    told = {
+    reported = {
         features: [name for name in COST_QUANTITIES if features.is_filled(name)]
         for features in (CounterFeatures(False, ()), CounterFeatures(True, ()), CounterFeatures(True, (), True))
     }
-    assert list(told.values()) == [["Rays"], ["Rays", "Node Steps", "Triangle Tests"], list(COST_QUANTITIES)]
+    assert list(reported.values()) == [["Rays"], ["Rays", "Node Steps", "Triangle Tests"], list(COST_QUANTITIES)]
     steps, visits = CounterFeatures(False, ("Rays", "Node Steps", "Triangle Tests", "Times Queued")).warnings()
     assert steps.startswith("the passes Node Steps and Triangle Tests stay 0: Warp's own tree does not tell its steps")
     assert (

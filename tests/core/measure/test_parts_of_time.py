@@ -45,17 +45,17 @@ def test_parts_follow_one_another_and_add_up():
         parts.enter(part)
     clock.now += 8.0
     parts.compile_seconds = 100.0
-    told = parts.told()
-    assert {name: told[name] for name in PARTS if name in told} == {
+    reported = parts.record()
+    assert {name: reported[name] for name in PARTS if name in reported} == {
         "export": 2.0,
         "check": 0.5,
         "tree": 1.25,
         "kernels": 4.0,
         "render": 8.0,
     }
-    assert (told["build"], told["compile"], told["total"]) == (1.25, 100.0, 15.75)
+    assert (reported["build"], reported["compile"], reported["total"]) == (1.25, 100.0, 15.75)
     clock.now += 1.0
-    assert parts.told()["total"] == 16.75 == parts.elapsed
+    assert parts.record()["total"] == 16.75 == parts.elapsed
 
 
 def test_waiting_for_kernels_is_no_part_of_what_waits(monkeypatch):
@@ -70,7 +70,7 @@ def test_waiting_for_kernels_is_no_part_of_what_waits(monkeypatch):
         clock.now += 10.0
         noted[0](False)
         assert parts.part == "lights"
-    assert parts.told()["lights"] == 1.0 and parts.told()["kernels"] == 10.0
+    assert parts.record()["lights"] == 1.0 and parts.record()["kernels"] == 10.0
 
 
 def test_loads_are_noted_on_the_thread_that_waits(device):
@@ -131,24 +131,26 @@ def test_each_part_of_a_render_goes_by_its_own_name_and_they_add_up_to_the_total
         "upload_lights": "lights",
         "upload_volumes": "volumes",
     }
-    told = film.statistics["seconds"]
-    named = [part for part in PARTS if part in told]
+    reported = film.statistics["seconds"]
+    named = [part for part in PARTS if part in reported]
     others = ("export", "start", "wait", "checkpoint", "denoise", "write")
     assert named == [part for part in PARTS if part not in others]
-    assert set(told) - set(named) == {"build", "compile", "total"}
-    assert told["total"] == pytest.approx(sum(told[part] for part in named), abs=1e-5)
-    assert told["build"] == pytest.approx(sum(told[part] for part in BUILD_PARTS), abs=1e-5)
+    assert set(reported) - set(named) == {"build", "compile", "total"}
+    assert reported["total"] == pytest.approx(sum(reported[part] for part in named), abs=1e-5)
+    assert reported["build"] == pytest.approx(sum(reported[part] for part in BUILD_PARTS), abs=1e-5)
     assert "Displacing surfaces" in messages and messages[-1] == "Rendering"
 
 
 def test_the_tier_that_renders_is_told(device):
-    scene, told = feature_scenes.ALL_FEATURES["volume"][0], []
+    scene, reported = feature_scenes.ALL_FEATURES["volume"][0], []
     session = Session(device)
     try:
         film = session.render(
-            scene, SETTINGS.replace(kernel_tier="GENERAL"), on_progress=lambda progress: told.append(progress.kernels)
+            scene,
+            SETTINGS.replace(kernel_tier="GENERAL"),
+            on_progress=lambda progress: reported.append(progress.kernels),
         )
     finally:
         session.close()
     assert film.statistics["kernels"] == {"tier": "GENERAL", "why": "as set", "specialised_after": None}
-    assert set(told) == {"", "general"}
+    assert set(reported) == {"", "general"}

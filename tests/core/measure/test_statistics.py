@@ -39,13 +39,17 @@ def test_everything_is_documented_where_it_belongs(device, tmp_path, kind):
     if paged:
         settings = settings.replace(batching="ON", geometry_budget=schedule_scenes.least_budget(device) + 500)
     session = Session(device, page_folder=tmp_path)
-    told = session.render(schedule_scenes.mixed_scene(), settings).statistics
+    reported = session.render(schedule_scenes.mixed_scene(), settings).statistics
     session.close()
-    tree = told["tree"]
-    assert ("pages" in tree, "cut" in tree, told["batching"] is None) == (paged, kind == "batched", kind == "unbatched")
-    assert (told["ray_sort"] is None) == (kind != "unbatched")
-    assert_documented(told, TEXT)
-    for name, value in told.items():
+    tree = reported["tree"]
+    assert ("pages" in tree, "cut" in tree, reported["batching"] is None) == (
+        paged,
+        kind == "batched",
+        kind == "unbatched",
+    )
+    assert (reported["ray_sort"] is None) == (kind != "unbatched")
+    assert_documented(reported, TEXT)
+    for name, value in reported.items():
         if isinstance(value, dict) and name not in OPEN | {"tree", "counters", "ray_sort"}:
             assert_documented(value, TEXT)
     text = section("Tree") + (section("Pages") if paged else section("Treelets in memory"))
@@ -73,12 +77,12 @@ def test_what_is_documented_of_pages_and_treelets_is_there(device, tmp_path):
 def test_bytes_of_a_paged_tree_are_what_was_built(device):
     session = Session(device)
     budget = schedule_scenes.least_budget(device) + 500
-    told = session.render(
+    reported = session.render(
         schedule_scenes.mixed_scene(),
         RenderSettings(sample_count=1, batching="ON", geometry_budget=budget, geometry_store="HOST"),
     ).statistics
     session.close()
-    tree = told["tree"]
+    tree = reported["tree"]
     assert tree["pages"] > 1 and tree["bytes"] >= tree["node_bytes"] + tree["triangle_bytes"]
-    assert tree["page_bytes"] <= budget and told["resident_peak"] <= budget
-    assert told["schedule"]["bytes_per_path"] > 0
+    assert tree["page_bytes"] <= budget and reported["resident_peak"] <= budget
+    assert reported["schedule"]["bytes_per_path"] > 0

@@ -19,7 +19,7 @@ from tests.support.under_test import DEVICE
 
 
 class SlowClock:
-    """A device that is told faster than it works: marks are numbers, and those up to `now` are past."""
+    """A device that is said to be faster than it works: marks are numbers, and those up to `now` are past."""
 
     def __init__(self):
         self.now = self.given = 0

@@ -1,4 +1,4 @@
-"""What a path takes is told exactly: the arrays of an integrator grow with its paths by just that."""
+"""What a path takes is known exactly: the arrays of an integrator grow with its paths by just that."""
 
 from pathlib import Path
 
@@ -114,8 +114,8 @@ def test_memory_grows_by_what_is_told(case):
     features = derive_features(checked_scene(scene), settings)
     for asked, has in HAS.items():
         assert has(features) == (asked in case), (case, asked)
-    told, grown = told_and_grown(scene, settings)
-    assert told - 1 <= grown <= told, (case, told, grown)
+    reported, grown = reported_and_grown(scene, settings)
+    assert reported - 1 <= grown <= reported, (case, reported, grown)
 
 
 @pytest.mark.thorough
@@ -128,11 +128,11 @@ def test_rays_for_programs_and_passes_take_what_is_told(passes):
     program.closure("diffuse", program.value("splat", seen), normal)
     material = Material("dirt", (), (ClosureKind.DIFFUSE,), program.finish())
     scene = requesting_scene(lit(material, Frame(32, 32, passes=passes)))
-    told, grown = told_and_grown(scene, SETTINGS)
-    assert told - 1 <= grown <= told, (told, grown)
+    reported, grown = reported_and_grown(scene, SETTINGS)
+    assert reported - 1 <= grown <= reported, (reported, grown)
 
 
-def told_and_grown(scene, settings) -> tuple[int, float]:
+def reported_and_grown(scene, settings) -> tuple[int, float]:
     """Bytes of a path, and by how many a worker grows with each."""
     features = derive_features(checked_scene(scene), settings)
     held = []
@@ -141,8 +141,8 @@ def told_and_grown(scene, settings) -> tuple[int, float]:
         integrator.render(TileState(Rectangle(0, 0, 32, 32)), 0, 1, lambda: False)
         sorting = hit_order_bytes(path_count) if built.hits_sorted_by(settings) else 0
         held.append(bytes_held(integrator, built) - sorting)
-    told = bytes_per_path(features, settings.batching == "REFERENCE")
-    return told, (held[1] - held[0]) / (2 * LEAST)
+    reported = bytes_per_path(features, settings.batching == "REFERENCE")
+    return reported, (held[1] - held[0]) / (2 * LEAST)
 
 
 def test_a_path_of_an_opaque_scene_with_lights_is_small():

@@ -65,9 +65,9 @@ def test_a_stopped_command_goes_on_and_tells_what_was_done(saved, tmp_path, monk
         done = call(saved, "--checkpoint", checkpoint, "-o", out, "--json", report, *many)
     assert done.returncode == 130 and not out.exists()
     assert f"stopped; the same render goes on from {checkpoint}" in done.stderr
-    told = json.loads(report.read_text())
-    assert not told["complete"] and told["samples"] == load_kept(checkpoint).film().sample_total
-    assert told["checkpoint"]["written"] == 1 and told["checkpoint"]["bytes"] == checkpoint.stat().st_size
+    reported = json.loads(report.read_text())
+    assert not reported["complete"] and reported["samples"] == load_kept(checkpoint).film().sample_total
+    assert reported["checkpoint"]["written"] == 1 and reported["checkpoint"]["bytes"] == checkpoint.stat().st_size
 
     with monkeypatch.context() as patch:
         stop_after(patch, 100)

@@ -32,7 +32,7 @@ def looked_at_often(monkeypatch):
 
 
 class EagerCheckpoint(Checkpoint):
-    """Is due whenever chance has it, and tells the render to stop after so many copies."""
+    """Is due whenever chance has it, and asks the render to stop after so many copies."""
 
     def __init__(self, path, seed, copies):
         super().__init__(path)
@@ -101,14 +101,14 @@ def test_more_samples_are_added_to_a_finished_film(session, tmp_path, settings):
 
 
 def test_a_finished_film_is_shown_and_no_ray_is_traced(session, tmp_path):
-    path, shown, told = tmp_path / "a.checkpoint", [], []
+    path, shown, reported = tmp_path / "a.checkpoint", [], []
     film = session.render(scenes.mixed(FRAME), HALVES, checkpoint=Checkpoint(path))
     written = path.read_bytes()
     again = session.render(
-        scenes.mixed(FRAME), HALVES, checkpoint=Checkpoint(path, tell=told.append), on_tile=shown.append
+        scenes.mixed(FRAME), HALVES, checkpoint=Checkpoint(path, report=reported.append), on_tile=shown.append
     )
     assert again.complete and again.statistics["rays"]["total"] == 0 and path.read_bytes() == written
-    assert "7 of 7 samples are there" in told[0]
+    assert "7 of 7 samples are there" in reported[0]
     assert_same(again.passes, film.passes)
     picture = np.zeros_like(film.passes["Combined"])
     for tile in shown:

@@ -71,8 +71,8 @@ def test_light_behind_a_portal_counts_once(session, shell, light, nee):
 def test_programs_are_told_how_many_portals_a_path_has_passed(session, gates):
     """Up to three, on the way to a mirror and back; it and a veil are not among them."""
     builder = ProgramBuilder()
-    told = builder.value("portal_depth")
-    builder.closure("emission", builder.value("combine_xyz", told, told, told))
+    reported = builder.value("portal_depth")
+    builder.closure("emission", builder.value("combine_xyz", reported, reported, reported))
     wall = replace(scenes.emitter(), closures=(), program=builder.finish(), kinds=(K.EMISSION,))
     between = [
         (scenes.plane(f"gate {i}", 2.0), scenes.translation(0, 0, 1 + 0.1 * i), portal(1.0, None)) for i in range(gates)

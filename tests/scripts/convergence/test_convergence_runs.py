@@ -114,8 +114,8 @@ def test_independent_samples_have_slope_one_half_and_a_bias_is_flagged(lit, tmp_
     assert clamped["flattens"] is True and "bias" in clamped["says"] and clamped["seconds_to_target"] is None
     assert any("clamp_direct=0.15" in note and "takes light away" in note for note in report["notes"])
     assert not any("clamp_direct=0:" in note for note in report["notes"])
-    for told in (said.out, (tmp_path / "r.html").read_text(encoding="utf-8")):
-        assert told.count("the curve flattens") == 1 and told.count("BIAS") >= 1
+    for reported in (said.out, (tmp_path / "r.html").read_text(encoding="utf-8")):
+        assert reported.count("the curve flattens") == 1 and reported.count("BIAS") >= 1
 
 
 def test_time_ends_runs_and_none_is_without_a_sample(lit, capfd):

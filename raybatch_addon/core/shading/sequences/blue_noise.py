@@ -1,7 +1,7 @@
 """Low-discrepancy points that are spread over the samples of a pixel and over neighbouring pixels alike, so that the
 errors of neighbours differ: what is left of the noise at few samples is fine-grained, which eyes and denoisers smooth.
 
-Neighbours are told by Morton's curve through the frame, whose blocks of 4^j pixels are squares (Ahmed and Wonka 2020,
+Neighbours are found by Morton's curve through the frame, whose blocks of 4^j pixels are squares (Ahmed and Wonka 2020,
 "Screen-space blue-noise diffusion of Monte Carlo sampling error via hierarchical ordering of pixels"). There a pixel's
 place on the curve and a sample's index are written one behind the other, for a number of samples that is fixed
 beforehand. Here the points of *any* 4^k first samples of *any* aligned square of 4^j pixels are a (0, j + k, 2)-net in

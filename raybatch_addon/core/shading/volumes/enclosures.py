@@ -227,7 +227,7 @@ def upload_enclosures(
     moves = np.array([each.moves for each in bounded])
     boxes[moves] = np.array([[-_EVERYWHERE], [_EVERYWHERE]])
     middle, reach = _camera_points(scene.camera)
-    # boxes of boxes tell of most that they are alone
+    # for most, boxes of boxes show that they are alone
     for k in np.flatnonzero((_overlaps(boxes) | _around(boxes, middle, reach)) & ~moves):
         boxes[k] = slots.exact_box(bounded[k])
     touches = _overlaps(boxes) | np.array([slots.meets_itself(each) for each in bounded])

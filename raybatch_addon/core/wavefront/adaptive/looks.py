@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ...settings.settings import RenderSettings
 
 # Samples before the first look: LEAST / noise_threshold^EXPONENT, which is 64 for a threshold of 0.01. The lower the
-# noise that a pixel is held to, the more samples tell what it is.
+# noise that a pixel is held to, the more samples show what it is.
 LEAST, EXPONENT = 16.0, 0.3
 # Looks while the sample count doubles. A pixel gets up to 1 / LOOKS_AN_OCTAVE more samples than it needs, and each look
 # ends a round

@@ -5,7 +5,7 @@ mean square. The squared error of one pixel has a single degree of freedom, so t
 mean over a neighbourhood is not. A pixel's own samples have no part in that mean: where sampling ends by what the
 samples themselves show, pixels stop while a rare bright path has not come yet and go on once it has, which makes
 pictures dark (Kirk and Arvo 1991, "Unbiased sampling techniques for image synthesis"). Where pixels have random numbers
-of their own, what the neighbours show tells nothing of a pixel's own samples, and the mean of these keeps its
+of their own, what the neighbours show says nothing of a pixel's own samples, and the mean of these keeps its
 expectation. From the second look on something of them comes back, by way of the neighbours that went on because of
 them; docs/studies/adaptive.md says how much. With `sample_sequence` BLUE_NOISE neighbours share points out among them,
 so that what they show is not independent of a pixel's own samples.

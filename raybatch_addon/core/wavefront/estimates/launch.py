@@ -74,7 +74,7 @@ def world_texels(data: SceneData, features: SceneFeatures, width: int, device: w
 
 
 def _is_rough(light: np.ndarray) -> np.ndarray:
-    """Whether texels [height, width] differ from those around them by so much that a point does not tell their mean."""
+    """Whether texels [height, width] differ from those around them by so much that a point does not show their mean."""
     around = np.pad(light, ((1, 1), (0, 0)), "edge")
     around = np.stack([around[:-2], around[1:-1], around[2:]])
     low, high = around.min(0), around.max(0)

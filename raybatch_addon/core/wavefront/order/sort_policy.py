@@ -21,7 +21,7 @@ CAMERA, BOUNCE_1, BOUNCE_2, BOUNCE_LATER, SHADOW, BOUNCE = RAY_CLASSES = (
     "shadow",
     "bounce",
 )
-# BOUNCE stands for scattered rays in one list, where they are not told apart: nothing is tried on them
+# BOUNCE stands for scattered rays in one list, where they are not distinguished: nothing is tried on them
 
 # Waves that are traced each way in a trial; their median counts
 TRIAL_WAVES = 3
@@ -38,7 +38,7 @@ RAYS_MIN = 1024
 class _Trial:
     """Both ways are being tried."""
 
-    waves: int = 0  # told to try a way so far
+    waves: int = 0  # that tried a way so far
     costs: dict[bool, list[float]] = field(
         default_factory=lambda: {False: [], True: []}
     )  # sorted or not: time a ray [s]
@@ -95,7 +95,7 @@ class SortPolicy:
         return self._decisions[ray_class].is_trying
 
     def record(self, ray_class: str, was_sorted: bool, rays: int, seconds: float) -> None:
-        """A wave of `rays` rays took `seconds`, sorting included. Waves may be told of late, and in any order."""
+        """A wave of `rays` rays took `seconds`, sorting included. Waves may be reported late, and in any order."""
         decision = self._decisions[ray_class]
         trial = decision.trial
         if trial is None:

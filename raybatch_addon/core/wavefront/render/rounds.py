@@ -69,7 +69,7 @@ class RoundPolicy:
     @staticmethod
     def of(settings: RenderSettings, wanted: Iterable[int], sample_first: int = 0) -> RoundPolicy:
         """For a render whose observers want snapshots at the sample counts `wanted`. From a later sample than 0 on it
-        is a part of a round, after which its own samples do not tell the noise.
+        is a part of a round, after which its own samples do not show the noise.
         """
         return RoundPolicy(
             settings.sample_count,
@@ -110,16 +110,16 @@ class RoundPolicy:
         policy._error, policy._check, policy.looks = self._error, self._check, self.looks
         return policy
 
-    def told(self) -> dict[str, Any]:
+    def record(self) -> dict[str, Any]:
         """What `resumed` takes over, as JSON has it."""
         return {"error": self._error, "check": self._check, "first_look": self.looks and self.looks.first}
 
     @staticmethod
-    def of_told(sample_count: int, told: dict[str, Any]) -> RoundPolicy:
-        """A policy to be `resumed`, from what `told` said of it."""
-        first, error = told["first_look"], told["error"]
+    def of_record(sample_count: int, record: dict[str, Any]) -> RoundPolicy:
+        """A policy to be `resumed`, from its `record`."""
+        first, error = record["first_look"], record["error"]
         policy = RoundPolicy(sample_count, looks=None if first is None else Looks(int(first)))
-        policy._error, policy._check = None if error is None else float(error), int(told["check"])
+        policy._error, policy._check = None if error is None else float(error), int(record["check"])
         return policy
 
     def next_end(self, done: int, seconds: float, share: float = 1.0) -> int | None:

@@ -75,7 +75,7 @@ class DeviceScene:
     ) -> DeviceScene:
         """Upload `scene` and build its tree.
 
-        `shading`: what kernels are specialised on (default: `features`). `on_stage` is told what begins: `images`,
+        `shading`: what kernels are specialised on (default: `features`). `on_stage` gets what begins: `images`,
         `tree`, `materials`, `lights`, `volumes`.
         """
         shading = shading or features

@@ -51,7 +51,7 @@ class WorldCache:
 
 
 def _may_vary(world: World) -> bool:
-    """Whether texels do not tell if the world is the same everywhere: where only some kinds of rays see it, or it looks
+    """Whether texels do not show if the world is the same everywhere: where only some kinds of rays see it, or it looks
     at the ray, of which they know one kind.
     """
     in_part = int(world.visibility) & _SCATTERED not in (0, _SCATTERED)

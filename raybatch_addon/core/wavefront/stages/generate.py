@@ -194,7 +194,7 @@ def make_begin_path(features: GenerateFeatures) -> wp.Function:
 @functools.cache
 def generate_kernel(features: GenerateFeatures) -> wp.Kernel:
     """Kernel (work, limits, camera, paths, rays, slots, count): item `item_first + i` starts in free slot `slots[i]`;
-    `count` is told.
+    `count` is known.
     """
     begin_path = make_begin_path(features)
 

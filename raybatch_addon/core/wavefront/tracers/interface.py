@@ -24,7 +24,7 @@ class Tracer(Protocol):
         `advance`, so a tracer that lets rays wait keeps a copy of it."""
 
     def advance(self, stop: Callable[[], bool] | None = None) -> None:
-        """Work on rays that are under way; at least one of them finishes. Where `stop` tells that the render is to end,
+        """Work on rays that are under way; at least one of them finishes. Where `stop` says that the render is to end,
         it is left at that as soon as some work is done, and perhaps none has finished."""
 
     def take_finished(self) -> list[tuple[RayKind, RayList]]:
@@ -40,7 +40,7 @@ class Tracer(Protocol):
 
 
 class UnbatchedTracer:
-    """A `Tracer` in which every ray visits the whole tree as soon as it is told to advance."""
+    """A `Tracer` in which every ray visits the whole tree as soon as it is asked to advance."""
 
     def __init__(
         self,

@@ -42,7 +42,7 @@ class GridCache:
 
 
 def grid_key(grid: Grid, device: wp.Device) -> tuple[str, bytes]:
-    """What tells a grid from others."""
+    """What sets a grid apart from others."""
     return device.alias, grid_digest(grid)
 
 

@@ -30,7 +30,7 @@ def written(folder, name, pixels, file_format):
     return folder / name
 
 
-def told(image):
+def reported(image):
     """The bytes that Blender tells as float32, once it has read the image."""
     pixels, is_float = stored_pixels(image, None, 0, raw=False)
     assert not is_float
@@ -47,7 +47,7 @@ def test_bytes_are_those_that_blender_tells(tmp_path, name, file_format, pixels,
     assert not image.has_data
     own = stored_bytes(image)
     assert own is not None and not image.has_data, "Blender's own numbers were not made"
-    assert np.array_equal(own, told(image))
+    assert np.array_equal(own, reported(image))
 
 
 def test_what_is_in_blenders_memory_counts(tmp_path):

@@ -130,16 +130,16 @@ def test_what_moves_is_built_without_splits_once_and_followed_from_then_on(split
     positions, triangles = wide_trees.needles(500)
     session = opened(Layout.BOXES)
     session.settings = SETTINGS.replace(spatial_splits="AUTO")
-    work, told = [], []
+    work, reported = [], []
     for frame in range(4):
         moved = (positions + 0.002 * frame * np.sin(40 * positions)).astype(np.float32)
         film = session.render(soup_scene(moved, triangles))
         work.append(counts(film.statistics["tree"]))
         assert_same(film, opened(Layout.BOXES).render(soup_scene(moved, triangles)))
-        told.append(film.statistics["auto"]["spatial_splits"])
+        reported.append(film.statistics["auto"]["spatial_splits"])
     assert work == [(1, 0), (1, 0), (0, 1), (0, 1)]
-    assert [each["value"] for each in told] == ["ON", "OFF", "OFF", "OFF"]
-    assert told[1]["why"] == "1 of 1 trees follow vertices that moved, which split nothing"
+    assert [each["value"] for each in reported] == ["ON", "OFF", "OFF", "OFF"]
+    assert reported[1]["why"] == "1 of 1 trees follow vertices that moved, which split nothing"
     monkeypatch.setattr(cost_model, "SPLIT_NS", 1e9)
     film = session.render(soup_scene(moved, triangles))
     assert film.statistics["auto"]["spatial_splits"]["value"] == "OFF", "an earlier render left none"

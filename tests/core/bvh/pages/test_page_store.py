@@ -137,7 +137,7 @@ def other_layout(data: bytearray) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         (cut_short, "should be of"),
         (almost_nothing, "too short"),
@@ -148,14 +148,14 @@ def other_layout(data: bytearray) -> bytes:
         (other_layout, "another scene"),
     ],
 )
-def test_a_file_that_cannot_be_used_is_written_anew_with_a_warning(tmp_path, change, told):
+def test_a_file_that_cannot_be_used_is_written_anew_with_a_warning(tmp_path, change, reported):
     first = built("DISK", tmp_path)
     path = first.store.path
     path.write_bytes(change(bytearray(path.read_bytes())))
     again = built("DISK", tmp_path)
     assert (
         not again.statistics["reused"]
-        and told in again.statistics["page_file_warning"]
+        and reported in again.statistics["page_file_warning"]
         and str(path) in again.statistics["page_file_warning"]
     )
     assert same(again, built("HOST")) and built("DISK", tmp_path).statistics["reused"]

@@ -176,7 +176,7 @@ def test_nodes_are_opened_by_area_until_they_fill_what_they_may(layout):
         assert resident <= max(limit, node_bytes)
         assert len(cut.top_nodes) >= last
         last = len(cut.top_nodes)
-        # which nodes were opened is told by their number: siblings stay together, the walk goes by largest area
+        # which nodes were opened is known by their number: siblings stay together, the walk goes by largest area
         opened, used, waiting = 0, node_bytes, {0: area[0]}
         while waiting:
             node = max(waiting, key=lambda i: (waiting[i], -i))

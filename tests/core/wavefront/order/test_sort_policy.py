@@ -23,13 +23,13 @@ WAVE = 5000
 
 def play(policy, costs, waves, items=FIRST, late=0, ray_class=BOUNCE_1, rays=WAVE, items_a_wave=0):
     """Trace `waves` waves that cost `costs[sorted]` [s] a ray, told `late` waves later; what was chosen."""
-    chosen, told = [], deque()
+    chosen, reported = [], deque()
     for _ in range(waves):
         sorts = policy.choose(ray_class, rays, items)
         chosen.append(sorts)
-        told.append((policy.is_measured(ray_class), sorts))
-        while len(told) > late:
-            is_measured, sorts = told.popleft()
+        reported.append((policy.is_measured(ray_class), sorts))
+        while len(reported) > late:
+            is_measured, sorts = reported.popleft()
             if is_measured:
                 policy.record(ray_class, sorts, rays, rays * costs[sorts])
         items += items_a_wave

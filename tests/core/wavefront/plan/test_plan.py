@@ -102,7 +102,7 @@ def test_pages_lie_on_disk_where_the_host_has_no_room():
 
 @pytest.mark.parametrize(("layout", "is_cuda"), LAYOUTS)
 def test_inside_memory_rays_go_alone_and_it_is_told_why(layout, is_cuda):
-    """What was compared is told: all that the scene needs, with what is free. People read numbers without powers of
+    """What was compared is reported: all that the scene needs, with what is free. People read numbers without powers of
     ten.
     """
     plan = plan_of(layout, is_cuda, needed=3 * GB)

@@ -1,4 +1,4 @@
-"""What is told of the number of paths alive."""
+"""What is reported for the number of paths alive."""
 
 import pytest
 
@@ -10,7 +10,7 @@ from tests.support import scenes
 
 
 @pytest.mark.parametrize(
-    ("ray_count", "workers", "areas", "samples", "told"),
+    ("ray_count", "workers", "areas", "samples", "reported"),
     [
         (0, 2, [3600] * 4, 1, None),
         (7200, 2, [3600] * 4, 1, None),
@@ -57,8 +57,8 @@ from tests.support import scenes
         ),
     ],
 )
-def test_a_number_of_paths_that_tiles_do_not_have(ray_count, workers, areas, samples, told):
-    assert fewer_alive(ray_count, workers, areas, samples) == told
+def test_a_number_of_paths_that_tiles_do_not_have(ray_count, workers, areas, samples, reported):
+    assert fewer_alive(ray_count, workers, areas, samples) == reported
 
 
 def test_a_render_tells_it_once(device):

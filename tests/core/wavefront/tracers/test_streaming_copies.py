@@ -20,7 +20,7 @@ from tests.core.wavefront.tracers.paged_rays import (
 
 
 class NotedLine:
-    """Fills slots at once, as a device may at the earliest, and notes what its streams were told."""
+    """Fills slots at once, as a device may at the earliest, and notes what its streams were asked to do."""
 
     def __init__(self, scene, pool, slot_bytes, device):
         self.scene, self.memory, self.slot_bytes = scene, pool.numpy().reshape(-1), slot_bytes

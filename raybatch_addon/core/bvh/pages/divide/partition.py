@@ -26,7 +26,7 @@ from .listed import Triangles
 _CELLS_MAX, _CELLS_MIN = 1 << 21, 64
 # A box of the grid whose edges are no more cells than this is too coarse to be split well: it gets a grid of its own
 _COARSE_CELLS = 4
-# A triangle is long whose box is larger than this share of a chunk's estimated edge, unless so many are that it tells
+# A triangle is long whose box is larger than this share of a chunk's estimated edge, unless so many are that it shows
 # nothing
 _LONG_EDGE, _LONG_SHARE_MAX = 0.5, 0.25
 # Long triangles of a chunk, or more, for not many more than so many chunks of them

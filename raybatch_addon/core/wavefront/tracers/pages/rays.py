@@ -179,14 +179,14 @@ class WaitingRays:
         assert known, f"a ray waits for treelet {where.max()} of {len(page_of)}, or in {where.min()}"
         found = np.bincount(page_of[where[where >= 0]], minlength=self._classes - CLASS_PAGES)
         done, shadow = where == -1, np.arange(len(where)) >= self._shadow_first
-        told = {
+        counted = {
             "idle": (counts.idle, (where == IDLE).sum()),
             "new": (counts.new, (where == -2).sum()),
             "done": (counts.done_closest, (done & ~shadow).sum()),
             "done shadow": (counts.done_shadow, (done & shadow).sum()),
             "waiting": (counts.waiting.tolist(), found.tolist()),
         }
-        wrong = {name: pair for name, pair in told.items() if pair[0] != pair[1]}
+        wrong = {name: pair for name, pair in counted.items() if pair[0] != pair[1]}
         assert not wrong, f"counts of rays and rays differ (counted, found): {wrong}"
         slots = self._batch.slots.numpy()[: counts.taken]
         assert len(np.unique(slots)) == len(slots), "a ray was taken twice"

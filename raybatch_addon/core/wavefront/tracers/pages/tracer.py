@@ -129,7 +129,7 @@ class StreamingTracer:
         )
         self._submitted = 0  # bound of rays that came in since the last step
         self._alive = 0  # rays that are not idle at most: counts that are one step old do not know the newest
-        self._new_expected = 0  # rays that are new behind the last step, as far as the host can tell
+        self._new_expected = 0  # rays that are new behind the last step, as far as the host knows
         self._zero_copy = False
         self._totals = BatchingTotals()
         self._forgotten = 0  # rays that were given up
