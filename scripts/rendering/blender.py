@@ -29,9 +29,9 @@ from raybatch_addon.core.errors import RayBatchError, SceneError
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.scene.description import Scene
+from raybatch_addon.core.scene.passes import GUIDE_PASSES
 from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.export.passes import (
-    DENOISING_PASSES,
     LIGHT_PASS_PROPERTIES,
     MATTE_PROPERTIES,
     OWN_PASS_PROPERTIES,
@@ -297,11 +297,11 @@ def _apply_settings(scene: bpy.types.Scene, request: Request) -> None:
 
 def _ask_for_passes(scene: bpy.types.Scene, names: tuple[str, ...]) -> None:
     """Let all view layers render the passes `names` beside those that they have."""
-    of_cycles = [name for name in names if name in (*DENOISING_PASSES, *VOLUME_PASS_PROPERTIES.values())]
+    of_cycles = [name for name in names if name in (*GUIDE_PASSES, *VOLUME_PASS_PROPERTIES.values())]
     for layer in scene.view_layers:
         if of_cycles and not hasattr(layer, "cycles"):
             raise UsageError(f"the pass {of_cycles[0]!r} is a setting of Cycles, whose add-on is not enabled")
-        if not set(of_cycles).isdisjoint(DENOISING_PASSES):
+        if not set(of_cycles).isdisjoint(GUIDE_PASSES):
             layer.cycles.denoising_store_passes = True
         for owner, properties in (
             (layer, PASS_PROPERTIES | LIGHT_PASS_PROPERTIES),

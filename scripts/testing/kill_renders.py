@@ -169,8 +169,8 @@ class Killed:
             if seconds is not None:
                 time.sleep(seconds)
                 process.kill()
-            pipe = process.communicate()[1]
-        self.outcome.goings_on += "goes on from" in pipe
+            errors = process.communicate()[1]
+        self.outcome.goings_on += "goes on from" in errors
         return process.returncode
 
 
@@ -250,8 +250,8 @@ def table_of(report: dict[str, Any]) -> str:
     sums = " | ".join(str(sum(each[name] for each in outcomes)) for name in numbers)
     rows.append(f"| all | | {sums} | {sum(len(each['faults']) for each in outcomes)} |")
     faults = [f"- {each['scene']}, {each['variant']}: {fault}" for each in outcomes for fault in each["faults"]]
-    pipe = f"{report['date']}, commit {report['commit']}, seed {report['seed']}, {report['seconds']} s on the CPU."
-    return "\n".join([pipe, "", *rows, *(["", *faults] if faults else [])])
+    heading = f"{report['date']}, commit {report['commit']}, seed {report['seed']}, {report['seconds']} s on the CPU."
+    return "\n".join([heading, "", *rows, *(["", *faults] if faults else [])])
 
 
 def main(arguments: list[str] | None = None) -> int:
