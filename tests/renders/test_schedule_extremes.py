@@ -14,8 +14,8 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront import integrator
 from raybatch_addon.core.wavefront.tracers.buckets.policy import Selection
 from tests.support import scenes, schedule_scenes
-from tests.support.under_test import DEVICE
 from tests.support.running.shares import each_of
+from tests.support.under_test import DEVICE
 
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2)
 CHECKED = dict(batching="ON", debug_checks="ON")

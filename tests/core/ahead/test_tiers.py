@@ -44,8 +44,8 @@ from raybatch_addon.core.wavefront.tier import (
 from tests.support import scenes, schedule_scenes
 from tests.support.feature_scenes import ALL_FEATURES, EACH_FEATURE, EACH_WIDE_FEATURE, FEATURES, WIDE_FEATURES
 from tests.support.feature_scenes import SETTINGS as FEATURE_SETTINGS
-from tests.support.under_test import DEVICE
 from tests.support.running.shares import thorough_but
+from tests.support.under_test import DEVICE
 
 ROOT = Path(__file__).resolve().parents[3]
 ON_CPU = pytest.mark.skipif(DEVICE != "cpu", reason="on the CPU alone")

@@ -22,10 +22,10 @@ from raybatch_addon.core.scene.geometry import upload_geometry
 from raybatch_addon.core.wavefront.rays import allocate_rays
 from raybatch_addon.core.wavefront.tracers.unbatched import trace_stage
 from tests.support import paged_scenes, scenes
+from tests.support.running.shares import each_of
 from tests.support.under_test import DEVICE
 from tests.twins.tree_walk import triangle_corners
 from tests.twins.treelet_walk import walk_treelets
-from tests.support.running.shares import each_of
 
 # layout, built where rays are traced
 KINDS = {"boxes": (Layout.BOXES, False), "quantised": (Layout.QUANTISED, False), "device": (Layout.QUANTISED, True)}

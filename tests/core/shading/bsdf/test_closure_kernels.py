@@ -27,8 +27,8 @@ from tests.core.shading.bsdf.closure_probe import (
     table_of,
     toward,
 )
-from tests.support.under_test import BLOCK_DIM, DEVICE, SOURCE_SUFFIX
 from tests.support.running.shares import each_of
+from tests.support.under_test import BLOCK_DIM, DEVICE, SOURCE_SUFFIX
 
 
 def test_extremes_stay_finite():

@@ -30,9 +30,9 @@ from raybatch_addon.core.wavefront.tracers.worker_rays import WorkerRays
 from tests.core.wavefront.tracers.wandering import PARALLEL, SELECTIONS, drain, slot_list
 from tests.support import scenes
 from tests.support.paged_scenes import hairy, living
+from tests.support.running.shares import each_of
 from tests.support.under_test import DEVICE
 from tests.support.wide_trees import soup, sphere
-from tests.support.running.shares import each_of
 
 # with hair, and with things that move too
 SCENES = {"hairy": hairy, "living": living}
