@@ -14,6 +14,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront import integrator
 from raybatch_addon.core.wavefront.tracers.buckets.policy import Selection
 from tests.support import scenes, schedule_scenes
+from tests.support.running.shares import each_of
 from tests.support.under_test import DEVICE
 
 ESTIMATOR = RenderSettings(sample_count=3, bounce_max=5, roulette_bounce=2)
@@ -71,7 +72,7 @@ def test_one_ray_at_a_time(comparer, change, paged):
 @pytest.mark.parametrize("storage", STORAGES)
 @pytest.mark.parametrize("selection", SELECTIONS)
 @pytest.mark.parametrize(
-    "change", [dict(queue_size=1), dict(queue_count=1), dict(queue_size=1, queue_count=1)], ids=str
+    "change", each_of(2, [dict(queue_size=1), dict(queue_count=1), dict(queue_size=1, queue_count=1)]), ids=str
 )
 def test_the_smallest_blocks_and_fewest(comparer, change, selection, storage):
     drawn = {**CHECKED, **change, "bucket_selection": selection, "ray_storage": storage}

@@ -15,6 +15,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.images.textures import Extension, Interpolation
 from raybatch_addon.core.wavefront.rays import bytes_per_path, needed_arrays
 from tests.support import scenes
+from tests.support.running.shares import each_of
 
 OFF = RenderSettings(sample_count=4, bounce_max=3, seed=5)
 FILTERED = OFF.replace(texture_filter="FOOTPRINT", texture_filter_width=1.0)
@@ -85,14 +86,17 @@ def test_a_path_keeps_its_cone_in_eight_bytes_and_none_where_nothing_is_filtered
 
 @pytest.mark.parametrize(
     "change",
-    [
-        dict(tile_size=5),
-        dict(thread_count=3, tile_size=7),
-        dict(ray_count=37),
-        dict(sample_order="PIXEL_FIRST"),
-        dict(batching="ON", treelet_size=8),
-        dict(ray_sort="ON"),
-    ],
+    each_of(
+        4,
+        [
+            dict(thread_count=3, tile_size=7),
+            dict(tile_size=5),
+            dict(ray_count=37),
+            dict(sample_order="PIXEL_FIRST"),
+            dict(batching="ON", treelet_size=8),
+            dict(ray_sort="ON"),
+        ],
+    ),
     ids=str,
 )
 def test_schedules_do_not_change_the_film(session, filtered, change):

@@ -8,11 +8,11 @@ from tests.blender.features.registry import chosen_features
 KNOWN: dict[str, str] = {}
 
 
-def quick_parameters(kind: str) -> list:
-    """The quick features of one kind, as parameters of a test."""
+def quick_parameters(kind: str, share: int = 1) -> list:
+    """The quick features of one kind, as parameters of a test: all in a thorough run, else each `share`-th."""
     marks = {name: [pytest.mark.xfail(reason=reason, strict=True)] for name, reason in KNOWN.items()}
+    found = [each for each in chosen_features(quick=True) if each.kind == kind]
+    left_out = {each.name: [pytest.mark.thorough] for i, each in enumerate(found) if i % share}
     return [
-        pytest.param(each, id=each.name, marks=marks.get(each.name, []))
-        for each in chosen_features(quick=True)
-        if each.kind == kind
+        pytest.param(each, id=each.name, marks=marks.get(each.name, []) + left_out.get(each.name, [])) for each in found
     ]

@@ -44,6 +44,7 @@ from raybatch_addon.core.wavefront.tier import (
 from tests.support import scenes, schedule_scenes
 from tests.support.feature_scenes import ALL_FEATURES, EACH_FEATURE, EACH_WIDE_FEATURE, FEATURES, WIDE_FEATURES
 from tests.support.feature_scenes import SETTINGS as FEATURE_SETTINGS
+from tests.support.running.shares import thorough_but
 from tests.support.under_test import DEVICE
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -58,18 +59,8 @@ def choice_is_free(monkeypatch):
 
 
 SCENES = {**schedule_scenes.SCENES, "plain": scenes.mixed}
-# Kernels of its own each. Of those that many scenes have, the last of a row of likes
-SELDOM = {
-    "transparent without light",
-    "transparent with a program",
-    "transparent with a program, without light",
-    "subsurface without light",
-    "lamp program",
-    "fibres that move",
-}
-EACH = [*sorted(SELDOM), *EACH_FEATURE, *EACH_WIDE_FEATURE]
-THOROUGH = [pytest.param(name, marks=pytest.mark.thorough) for name in EACH]
-OFTEN = [name for name in [*FEATURES, *WIDE_FEATURES] if name not in SELDOM]
+# Of features, each of which compiles specialised kernels of its own
+ALWAYS = ("everything", "transparent with a program that asks for history", "a volume with a program")
 
 
 def films(scene, **changes):
@@ -95,7 +86,7 @@ def test_tiers_give_the_same_film(name):
 
 
 @ON_CPU
-@pytest.mark.parametrize("feature", [*OFTEN, *THOROUGH])
+@pytest.mark.parametrize("feature", thorough_but(ALWAYS, ALL_FEATURES))
 def test_tiers_give_the_same_film_of_each_feature(feature):
     scene, changes = ALL_FEATURES[feature]
     specialised, general = (

@@ -354,6 +354,7 @@ def test_another_version_of_warp_declares_all_at_once_and_finds_the_same_hash(tm
     assert other[0] == "0" and waits[2] == other[2]
 
 
+@pytest.mark.thorough  # declares everything three times
 def test_a_changed_source_is_noticed(tmp_path):
     import shutil
 

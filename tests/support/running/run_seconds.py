@@ -1,7 +1,7 @@
 """A plugin of pytest: what a run took, in seconds of processors, and how much of that went into compiling kernels.
 
-Seconds of processors hardly change with what else the machine does. With --store-seconds the seconds of each file are
-kept in file_seconds.json.
+Seconds of processors hardly change with what else the machine does. With --store-seconds those of each file are kept
+in file_seconds.json, and the files that took most are listed.
 """
 
 from __future__ import annotations
@@ -10,10 +10,13 @@ import os
 from collections import Counter
 from pathlib import Path
 
+import pytest
+
 from tests.support.running.file_seconds import store
 from tests.support.running.kernel_builds import BUILDS
 
 KEY = "processor_seconds"
+LISTED = 40  # files, with --store-seconds
 
 
 def pytest_addoption(parser):
@@ -31,6 +34,12 @@ def processor_seconds() -> dict[str, float]:
     }
 
 
+def _spent() -> tuple[float, float]:
+    """Seconds of processors until now, of this process and of those it waited for: all, and those for compiling."""
+    spent = processor_seconds()
+    return spent["here"] + spent["processes"], spent["compiling"]
+
+
 class RunSeconds:
     """Gathers from all workers."""
 
@@ -38,6 +47,8 @@ class RunSeconds:
         self.config = config
         self.workers: list[dict[str, float]] = []
         self.files: Counter = Counter()
+        self.compiling: Counter = Counter()  # part of `files`
+        self._phase_start = _spent()
 
     def pytest_sessionfinish(self, session):
         output = getattr(self.config, "workeroutput", None)
@@ -47,8 +58,24 @@ class RunSeconds:
     def pytest_testnodedown(self, node, error):
         self.workers.append(getattr(node, "workeroutput", {}).get(KEY, {}))
 
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_logstart(self, nodeid, location):
+        self._phase_start = _spent()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_makereport(self, item, call):
+        """Where the test ran: what the phase took goes with its report."""
+        report = yield
+        now = _spent()
+        report.raybatch_seconds = [end - start for start, end in zip(self._phase_start, now)]
+        self._phase_start = now
+        return report
+
     def pytest_runtest_logreport(self, report):
-        self.files[Path(report.nodeid.partition("::")[0]).name] += report.duration
+        name = Path(report.nodeid.partition("::")[0]).name
+        total, compiling = getattr(report, "raybatch_seconds", (0.0, 0.0))
+        self.files[name] += total
+        self.compiling[name] += compiling
 
     def pytest_terminal_summary(self, terminalreporter):
         own = processor_seconds()
@@ -64,6 +91,8 @@ class RunSeconds:
         )
         if self.config.option.store_seconds:
             store(dict(self.files))
+            for name, seconds in self.files.most_common(LISTED):
+                terminalreporter.write_line(f"{seconds:7.1f} {self.compiling[name]:7.1f} compiling  {name}")
 
 
 def pytest_configure(config):

@@ -18,6 +18,7 @@ from tests.blender.features.sheet import TOLERANCE
 from tests.core.programs.op_probe import run_op
 from tests.support.blender_builders import node_tree
 from tests.support.cycles_points import COUNT
+from tests.support.running.shares import each_of
 
 # name: coordinates are multiples of 1/4 around 0, or random ones up to this
 PLACES = {"cells": None, "near": 10.0, "1e5": 1e5, "1e7": 1e7}
@@ -81,7 +82,7 @@ def variants():
                     yield dimensions, feature, metric, place
 
 
-@pytest.mark.parametrize("dimensions, feature, metric, place", list(variants()))
+@pytest.mark.parametrize("dimensions, feature, metric, place", each_of(4, variants()))
 def test_voronoi(cycles, dimensions, feature, metric, place):
     used, _ = inputs_in_use(feature, dimensions, metric)
     points, numbers = points_at(place), drawn(RANGES)

@@ -22,6 +22,7 @@ from raybatch_addon.core.scene.geometry import upload_geometry
 from raybatch_addon.core.wavefront.rays import allocate_rays
 from raybatch_addon.core.wavefront.tracers.unbatched import trace_stage
 from tests.support import paged_scenes, scenes
+from tests.support.running.shares import each_of
 from tests.support.under_test import DEVICE
 from tests.twins.tree_walk import triangle_corners
 from tests.twins.treelet_walk import walk_treelets
@@ -57,7 +58,7 @@ def test_a_cancel_ends_the_build_and_leaves_no_file(kind, store, asks, tmp_path)
 
 
 @pytest.mark.parametrize("rule", [CutRule(), MANY, CutRule(size=1)], ids=["one", "many", "all"])
-@pytest.mark.parametrize("budget", [300_000, 600_000, 100_000_000])
+@pytest.mark.parametrize("budget", each_of(2, [300_000, 600_000, 100_000_000]))
 @pytest.mark.parametrize("kind", KINDS)
 def test_chunks_are_sound_trees_and_hold_every_triangle_once(kind, budget, rule):
     built, (_, flat) = paged(kind, budget, rule=rule, nodes_resident=False), scene()
@@ -294,7 +295,7 @@ def test_memory_that_is_not_there_is_told(monkeypatch):
 @pytest.mark.parametrize("nodes_resident", [False, True])
 @pytest.mark.parametrize("store", ["HOST", "DISK"])
 @pytest.mark.parametrize("rule", [CutRule(), MANY], ids=["one", "many"])
-@pytest.mark.parametrize("kind", ["quantised", "device"])
+@pytest.mark.parametrize("kind", each_of(2, ["quantised", "device"]))
 def test_packed_pages_are_the_same_on_the_device(kind, rule, store, nodes_resident, tmp_path):
     plain = paged(kind, 500_000, nodes_resident=nodes_resident, rule=rule)
     for reused in (False, True) if store == "DISK" else (False,):

@@ -27,6 +27,7 @@ from tests.core.shading.bsdf.closure_probe import (
     table_of,
     toward,
 )
+from tests.support.running.shares import each_of
 from tests.support.under_test import BLOCK_DIM, DEVICE, SOURCE_SUFFIX
 
 
@@ -53,7 +54,9 @@ def test_extremes_stay_finite():
                 np.testing.assert_allclose(np.linalg.norm(direction[lobe != 0], axis=1), 1, atol=1e-5)
 
 
-@pytest.mark.parametrize("kind", [(k,) for k in EVERYTHING.kinds if k.is_model and k != K.EMISSION] + [()], ids=str)
+@pytest.mark.parametrize(
+    "kind", each_of(4, [((k,),) for k in EVERYTHING.kinds if k.is_model and k != K.EMISSION] + [((),)]), ids=str
+)
 def test_a_module_for_one_kind_gives_the_same_numbers(kind):
     """Kinds that a module is compiled for besides a material's change none of its samples."""
     closures = tuple(Closure(k, (0.5, 0.7, 0.9), 0.4, 1.5) for k in kind)

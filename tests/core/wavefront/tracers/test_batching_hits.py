@@ -30,6 +30,7 @@ from raybatch_addon.core.wavefront.tracers.worker_rays import WorkerRays
 from tests.core.wavefront.tracers.wandering import PARALLEL, SELECTIONS, drain, slot_list
 from tests.support import scenes
 from tests.support.paged_scenes import hairy, living
+from tests.support.running.shares import each_of
 from tests.support.under_test import DEVICE
 from tests.support.wide_trees import soup, sphere
 
@@ -159,7 +160,7 @@ def test_hits_are_those_of_the_unbatched_tracer(name, layout, selection, storage
     compare(name, layout, shadow_kind, parallel, bucket_selection=selection, ray_storage=storage, debug_checks=debug)
 
 
-@pytest.mark.parametrize("shadow_kind", [RayKind.OCCLUSION, RayKind.TRANSPARENT_SHADOW])
+@pytest.mark.parametrize("shadow_kind", each_of(2, [RayKind.TRANSPARENT_SHADOW, RayKind.OCCLUSION]))
 @pytest.mark.parametrize("storage", ["INDIRECT", "DIRECT"])
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("name", SCENES)
