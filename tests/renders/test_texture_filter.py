@@ -26,7 +26,7 @@ def textured(kind="diffuse") -> Material:
     builder = ProgramBuilder()
     place = (0, Interpolation.LINEAR, Extension.REPEAT, Projection.FLAT, 0)
     color, _ = builder.value("image", *place, builder.value("uv", -1, 0))
-    builder.closure(kind, color, *([(0.0, 0.0, 1.0)] if kind == "diffuse" else []))
+    builder.closure(kind, color, *([(0.0, 0.0, 0.0)] if kind == "diffuse" else []))
     kinds = (ClosureKind.DIFFUSE if kind == "diffuse" else ClosureKind.EMISSION,)
     return Material("textured", (), kinds, builder.finish())
 
