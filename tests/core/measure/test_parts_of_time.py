@@ -14,6 +14,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.scene import device_scene
 from raybatch_addon.core.wavefront.scene.scene_cache import SceneCache
 from tests.support import feature_scenes
+from tests.support.under_test import DEVICE
 
 SETTINGS = RenderSettings(sample_count=1, bounce_max=2)
 
@@ -141,7 +142,8 @@ def test_each_part_of_a_render_goes_by_its_own_name_and_they_add_up_to_the_total
     assert "Displacing surfaces" in messages and messages[-1] == "Rendering"
 
 
-def test_the_tier_that_renders_is_told(device):
+@pytest.mark.skipif(DEVICE != "cpu", reason="CUDA's compiler takes minutes for general kernels")
+def test_the_tier_that_renders_is_reported(device):
     scene, reported = feature_scenes.ALL_FEATURES["volume"][0], []
     session = Session(device)
     try:
