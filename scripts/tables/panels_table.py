@@ -60,7 +60,9 @@ _LARGE = 2**31 - 1  # from here on a range is told without its end
 
 
 def panels() -> list[type]:
-    """The add-on's own panels, those of a group of settings in the order of the groups, the others by name."""
+    """The add-on's own panels, those of a group of settings in the order of the groups, the others by name. The add-on
+    is registered for it, where it is not.
+    """
     if not hasattr(bpy.types, f"{_PREFIX}device"):
         raybatch_addon.register()
     found = [each for each in _below(EnginePanel) if getattr(each, "is_registered", False)]
