@@ -81,10 +81,10 @@ package: environment
 	$(venv_python) scripts/package.py
 
 repository: environment
-	$(venv_python) scripts/repository.py --build --blender "$(BLENDER)"
+	$(venv_python) scripts/extension/repository.py --build --blender "$(BLENDER)"
 
 docs: environment
-	$(venv_python) scripts/make_docs.py
+	$(venv_python) scripts/docs_site/build.py
 
 clean:
 	rm -rf out dist build .cache

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Build the site of the documents: python scripts/make_docs.py [FOLDER] (default build/docs/site; `make docs`).
+"""Build the site of the documents: python scripts/docs_site/build.py [FOLDER] (default build/docs/site; `make docs`).
 
 Sphinx and its theme, the list `docs` of pyproject.toml, are installed into this Python's environment where they are not
 there; after that nothing is fetched. A link or a picture that leads nowhere is an error: the exit code is 1 then.
@@ -14,7 +14,7 @@ import sys
 import tomllib
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 from docs_site.checking import faults
@@ -61,23 +61,20 @@ def main() -> int:
     parser.add_argument("folder", nargs="?", type=Path, default=ROOT / "build/docs/site", metavar="FOLDER")
     site = parser.parse_args().folder.absolute()
     if (needed := missing(wanted())) and (code := install(needed)):
-        print(
-            "make_docs.py: error: the tools could not be installed (see above); run it again with a network",
-            file=sys.stderr,
-        )
+        print("docs: error: the tools could not be installed (see above); run it again with a network", file=sys.stderr)
         return code
     sources = ROOT / "build/docs/source"
     try:
         stage(sources)
     except (OSError, ValueError) as error:
-        print(f"make_docs.py: error: {error}", file=sys.stderr)
+        print(f"docs: error: {error}", file=sys.stderr)
         return 1
     if build(sources, site):
-        print("make_docs.py: error: the site was not built (see above)", file=sys.stderr)
+        print("docs: error: the site was not built (see above)", file=sys.stderr)
         return 1
     found = faults(site)
     for fault in found:
-        print(f"make_docs.py: error: {fault}", file=sys.stderr)
+        print(f"docs: error: {fault}", file=sys.stderr)
     if not found:
         print(f"The site is in {site}; open {site / 'index.html'}")
     return int(bool(found))

@@ -28,7 +28,7 @@ def messages():
 
 def is_a_message(quoted, there):
     """Whether some text has all pieces of `quoted` in their order."""
-    pieces = [re.escape(piece) for piece in quoted.split(_GAP) if piece.strip(" :;,.()")]
+    pieces = [re.escape(piece.strip()) for piece in quoted.split(_GAP) if piece.strip(" :;,.()")]
     pattern = re.compile(".*".join(pieces))
     return any(pattern.search(text) for text in there)
 

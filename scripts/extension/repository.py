@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Make a static repository of extensions: python scripts/repository.py [--blender BLENDER] (`make repository`).
+"""Make a static repository of extensions: python scripts/extension/repository.py [--blender BLENDER].
 
 The zips that scripts/package.py built of this version are put into a folder, and Blender's own `extension
 server-generate` writes the list (index.json) that Blender reads, and a page for people (index.html). Any web server can
@@ -16,7 +16,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 from package import PackageError, project_version

@@ -3,8 +3,8 @@
 import importlib.util
 from pathlib import Path
 
-import make_docs
 import pytest
+from docs_site import build as make_docs
 from docs_site import staging
 from docs_site.checking import faults
 from docs_site.staging import PARTS, contents, pages_of, stage, with_links_within
@@ -103,4 +103,4 @@ def test_a_page_in_no_part_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr(staging, "PARTS", {"The project": ("CHANGELOG.md",)})
     with pytest.raises(ValueError, match="in no part of the site"):
         stage(tmp_path / "source")
-    assert run_script("make_docs.py", "--help").returncode == 0
+    assert run_script("docs_site/build.py", "--help").returncode == 0

@@ -4,7 +4,7 @@ import json
 import sys
 
 import pytest
-import repository
+from extension import repository
 
 from raybatch_addon.core.version import VERSION
 from tests.support.command_line import run_script
@@ -38,7 +38,13 @@ def blender(folder, text):
 
 def make(tmp_path, packages, program):
     return run_script(
-        "repository.py", "--blender", program, "--packages", str(packages), "--out", str(tmp_path / "repository")
+        "extension/repository.py",
+        "--blender",
+        program,
+        "--packages",
+        str(packages),
+        "--out",
+        str(tmp_path / "repository"),
     )
 
 
