@@ -13,3 +13,4 @@ html_show_sphinx = False
 myst_heading_anchors = 6
 myst_enable_extensions = ["strikethrough"]
 suppress_warnings = ["myst.header", "misc.highlighting_failure"]
+html_use_index = False

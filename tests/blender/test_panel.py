@@ -286,10 +286,8 @@ def test_the_last_render_shows_geometry_beyond_memory(scene):
     report = reports.last()
     assert report.errors == []
     lines = last_render.report_lines(report)
-    assert any(
-        re.fullmatch(r"Tree: 7,202 triangles, 0\.\d MB in \d+ pages, (found again|written in .* s)", each)
-        for each in lines
-    )
+    (tree,) = (line for line in lines if line.startswith("Tree: "))
+    assert re.fullmatch(r"Tree: 7,20\d triangles, 0\.\d MB in \d+ pages, (found again|written in .* s)", tree)
     assert any("brought there: " in each for each in lines)
     assert drawn(last_render.RAYBATCH_RENDER_PT_last_render, context_of(scene))
 

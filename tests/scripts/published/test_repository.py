@@ -37,15 +37,8 @@ def blender(folder, text):
 
 
 def make(tmp_path, packages, program):
-    return run_script(
-        "extension/repository.py",
-        "--blender",
-        program,
-        "--packages",
-        str(packages),
-        "--out",
-        str(tmp_path / "repository"),
-    )
+    folders = ["--packages", str(packages), "--out", str(tmp_path / "repository")]
+    return run_script("extension/repository.py", "--blender", program, *folders)
 
 
 def test_zips_of_this_version_are_listed(tmp_path, packages):
