@@ -27,12 +27,11 @@ import warp as wp
 
 from ..files import lock_now
 from .compiler import CompileError
-from .kept_kernels import folders, spare_folder
+from .kept_kernels import OWNER, SPARE_PREFIX, folders, spare_folder
 from .kernel import MODULE_OPTIONS
 
 _lock = threading.Lock()  # while one thread reads the header, others wait for it
 _PREFIX = "wp_pch_"  # of Warp's temporary folders
-_OWNER = "owner"  # the file in such a folder that its process holds
 
 
 def share_precompiled_header() -> None:
@@ -117,7 +116,7 @@ class _OwnedFolders:
 
     def _make(self) -> str:
         folder = tempfile.mkdtemp(prefix=_PREFIX)
-        handle = lock_now(Path(folder) / _OWNER)
+        handle = lock_now(Path(folder) / OWNER)
         if handle is None:  # or another process, just starting, takes it for one that was left
             shutil.rmtree(folder, ignore_errors=True)
             return self._otherwise()
@@ -131,26 +130,26 @@ def _give_up(folder: str, handle: int) -> None:
 
 
 def remove_left_folders() -> None:
-    """Remove the temporary folders that processes left which were killed.
+    """Remove the temporary folders that processes left which were killed, those with spare kernels too.
 
-    Those without a file for their owner are of Warp without RayBatch: they go where the system tells that no process
-    with Warp in it is as old.
+    Those of the header without a file for their owner are of Warp without RayBatch: they go where the system tells that
+    no process with Warp in it is as old.
     """
     with contextlib.suppress(OSError):  # the temporary folder cannot be read
         with os.scandir(tempfile.gettempdir()) as entries:
-            found = [entry for entry in entries if entry.name.startswith(_PREFIX) and entry.is_dir()]
+            found = [entry for entry in entries if entry.name.startswith((_PREFIX, SPARE_PREFIX)) and entry.is_dir()]
         users = None
         for entry in found:
             with contextlib.suppress(OSError):  # of another user, or another process removes it
-                owner = Path(entry.path) / _OWNER
+                owner = Path(entry.path) / OWNER
                 if owner.exists():
                     handle = lock_now(owner)
                     if handle is not None:
                         _give_up(entry.path, handle)
-                    continue
-                users = [*_processes_with_warp()] if users is None else users
-                if all(began > entry.stat().st_mtime for began in users):
-                    shutil.rmtree(entry.path, ignore_errors=True)
+                elif entry.name.startswith(_PREFIX):
+                    users = [*_processes_with_warp()] if users is None else users
+                    if all(began > entry.stat().st_mtime for began in users):
+                        shutil.rmtree(entry.path, ignore_errors=True)
 
 
 def _processes_with_warp() -> Iterator[float]:

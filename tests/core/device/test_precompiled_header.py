@@ -84,7 +84,12 @@ if sys.argv[1] == "raybatch":
     from raybatch_addon.core.device.devices import start_warp
     start_warp()
 wp.init()
-print(wp._src.context.runtime._get_or_create_pch_dir(), flush=True)
+if sys.argv[2:] == ["spare"]:
+    from pathlib import Path
+    from raybatch_addon.core.device.kept_kernels import spare_folder
+    print(spare_folder(Path("full"), OSError(28, "no room")).parent, flush=True)
+else:
+    print(wp._src.context.runtime._get_or_create_pch_dir(), flush=True)
 input()
 """
 
@@ -95,10 +100,10 @@ def environment_with(temporary):
 
 
 @contextlib.contextmanager
-def holding(kind, temporary):
+def holding(kind, temporary, *what):
     """A process of `kind` that holds a folder in `temporary`, and that folder."""
     process = subprocess.Popen(
-        [sys.executable, "-c", HOLD, kind],
+        [sys.executable, "-c", HOLD, kind, *what],
         env=environment_with(temporary),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
@@ -116,9 +121,10 @@ def start_another(temporary):
     subprocess.run([sys.executable, "-c", code], env=environment_with(temporary), check=True)
 
 
-def test_a_folder_of_a_killed_process_is_removed_at_the_next_start(tmp_path):
-    with holding("raybatch", tmp_path) as (process, folder):
-        assert folder.parent == tmp_path and folder.name.startswith("wp_pch_")
+@pytest.mark.parametrize("what, prefix", [([], "wp_pch_"), (["spare"], "raybatch-kernels-")])
+def test_a_folder_of_a_killed_process_is_removed_at_the_next_start(what, prefix, tmp_path):
+    with holding("raybatch", tmp_path, *what) as (process, folder):
+        assert folder.parent == tmp_path and folder.name.startswith(prefix)
         (folder / "builtin.pch").write_bytes(b"parsed")
         start_another(tmp_path)
         assert (folder / "builtin.pch").exists()  # its process lives
@@ -156,6 +162,7 @@ def test_a_folder_goes_with_its_process(tmp_path):
 
 def test_other_folders_stay(tmp_path):
     (tmp_path / "wp_other").mkdir()
+    (tmp_path / "raybatch-kernels-of-old").mkdir()  # nobody tells whose it is
     (tmp_path / "wp_pch_file").write_bytes(b"")
     start_another(tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {"wp_other", "wp_pch_file"}
+    assert {path.name for path in tmp_path.iterdir()} == {"wp_other", "wp_pch_file", "raybatch-kernels-of-old"}
