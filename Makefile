@@ -5,6 +5,8 @@
 # make test-all run everything there is on the CPU, for hours, and note it in docs/testing.md; run again, it goes on
 # make test-gpu run what needs no Blender on a CUDA device; PART=1/2 and PART=2/2 run one half each
 # make package  build the Blender extension's zips into dist/
+# make repository  put the zips into dist/repository, with the list from which Blender installs and updates them
+# make docs     build the site of the documents into build/docs/site, and check its links
 # make clean    remove what was rendered, built and cached here, but for the environment
 #
 # PYTHON=...    the Python to use (3.13 or 3.11); the newest usable one is found otherwise
@@ -12,11 +14,13 @@
 # TEST_JOBS=... processes that run tests side by side (default: as many as there are cores, 4 at most)
 # TESTS=...     what to run instead of every test, as pytest takes it
 # PART=I/N      of make test-gpu: which share
+# BLENDER=...   of make repository: Blender's program (default blender)
 PYTHON ?=
 VENV ?= .venv
 TESTS ?=
 TEST_JOBS ?= auto
 PART ?= 1/1
+BLENDER ?=
 
 venv_python := $(VENV)/bin/python
 export PYTHON VENV
@@ -29,7 +33,7 @@ pytest := $(venv_python) -m pytest -n $(TEST_JOBS) --maxprocesses 4 --dist loadf
 # what the environment compiles ahead serves the tests
 check test test-all: export RAYBATCH_KERNEL_CACHE ?= $(CURDIR)/.cache/kernels
 
-.PHONY: help environment render lint format check test test-all test-gpu package clean
+.PHONY: help environment render lint format check test test-all test-gpu package repository docs clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -75,6 +79,12 @@ test-gpu:
 
 package: environment
 	$(venv_python) scripts/package.py
+
+repository: environment
+	$(venv_python) scripts/extension/repository.py --build --blender "$(BLENDER)"
+
+docs: environment
+	$(venv_python) scripts/docs_site/build.py
 
 clean:
 	rm -rf out dist build .cache

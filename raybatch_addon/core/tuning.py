@@ -15,7 +15,7 @@ from typing import Any
 from .errors import RayBatchError
 from .film import Film
 from .observers import Progress
-from .settings.settings import RenderSettings
+from .settings.settings import SETTINGS, RenderSettings
 
 # What a candidate must save to be taken [share of the time]: less is noise of the clock
 _LEAST_GAIN = 0.03
@@ -161,7 +161,7 @@ class _Tuner:
         return best.changes if best else {}
 
     def _trial(self, changes: dict[str, Any], raises: bool = False) -> Film | None:
-        self._on_trial(self.tuning, ", ".join(f"{name}={value}" for name, value in changes.items()))
+        self._on_trial(self.tuning, ", ".join(_in_words(name, value) for name, value in changes.items()))
         best = self.tuning.best
         limit = _GIVEN_UP * best.seconds * self.tuning.samples + _MOMENT if best else float("inf")
         clock = _Clock(limit)
@@ -211,3 +211,9 @@ def _digest(film: Film) -> str:
         digest.update(name.encode())
         digest.update(pixels.tobytes())
     return digest.hexdigest()
+
+
+def _in_words(name: str, value: Any) -> str:
+    """A setting and its value as panels show them."""
+    info = SETTINGS[name]
+    return f"{info.label} {next((label for identifier, label, _ in info.choices if identifier == value), value)}"

@@ -90,6 +90,12 @@ def _tree_lines(tree: dict[str, Any] | None) -> list[str]:
     """How large the tree is, and what was done for it; nothing of Warp's."""
     if tree is None:
         return []
+    if "pages" in tree:  # beyond memory
+        written = "found again" if tree["reused"] else f"written in {tree['seconds']:.2f} s"
+        return [
+            f"Tree: {_short(tree['triangles'])} triangles, {tree['bytes'] / 1e6:.1f} MB in {tree['pages']:,} pages, "
+            f"{written}"
+        ]
     done = [f"{tree[what]} {what}" for what in ("built", "refitted") if tree[what]]
     if len(done) == 1 and tree["trees"] == 1:
         done = [done[0].removeprefix("1 ")]

@@ -50,6 +50,8 @@ def _draw(self, context):
         draw_box(layout, context, missing)
     if self.group == "FILM":
         column.prop(context.scene.render, "film_transparent", text="Transparent")
+    elif self.group == "PERFORMANCE":
+        column.prop(context.scene.render, "use_persistent_data", text="Persistent Data")
     elif self.group == _SCHEDULE:
         _draw_complaint(layout, context)
     elif self.group == "MEMORY":

@@ -278,6 +278,20 @@ def test_the_last_render_shows_the_tree_and_the_counts(scene):
     assert len(last_render.report_lines(reports.last())) == 3
 
 
+def test_the_last_render_shows_geometry_beyond_memory(scene):
+    """Statistics of a real render here too: they have other names."""
+    add_grid("Grid", 60)
+    scene.raybatch.geometry_budget = "200K"
+    bpy.ops.render.render()
+    report = reports.last()
+    assert report.errors == []
+    lines = last_render.report_lines(report)
+    (tree,) = (line for line in lines if line.startswith("Tree: "))
+    assert re.fullmatch(r"Tree: 7,20\d triangles, 0\.\d MB in \d+ pages, (found again|written in .* s)", tree)
+    assert any("brought there: " in each for each in lines)
+    assert drawn(last_render.RAYBATCH_RENDER_PT_last_render, context_of(scene))
+
+
 def test_kernels_that_others_took_over_from_are_told():
     kernels = {"tier": "GENERAL", "why": "they are ready", "specialised_after": 12.34}
     assert last_render._kernels_line(kernels) == "Kernels: general ones, and after 12.3 s specialised ones"

@@ -3,24 +3,35 @@
 Warp's CPU compiler reads a header of 1.8 seconds before the first kernel that a thread compiles, and keeps what it has
 read for that thread alone; with it, a small kernel takes 0.1 seconds. Here it is kept in a folder beside the compiled
 kernels, for whoever compiles next.
+
+The compiler for CUDA, and the one for CPUs where that folder cannot be had, keep theirs as Warp does: in a temporary
+folder for each thread, of 4.5 MB. A process that is killed leaves it there. So each folder has a file that its process
+holds locked as long as it lives, and what nobody holds is removed at the next start.
 """
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import hashlib
+import os
 import shutil
+import sys
 import tempfile
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import warp as wp
 
+from ..files import lock_now
 from .compiler import CompileError
-from .kept_kernels import folders, spare_folder
+from .kept_kernels import OWNER, SPARE_PREFIX, folders, spare_folder
 from .kernel import MODULE_OPTIONS
 
 _lock = threading.Lock()  # while one thread reads the header, others wait for it
+_PREFIX = "wp_pch_"  # of Warp's temporary folders
 
 
 def share_precompiled_header() -> None:
@@ -29,6 +40,9 @@ def share_precompiled_header() -> None:
     A Warp that keeps its header elsewhere is left as it is.
     """
     runtime = wp._src.context.runtime
+    if hasattr(runtime, "_get_or_create_pch_dir"):
+        remove_left_folders()
+        runtime._get_or_create_pch_dir = _OwnedFolders(runtime._get_or_create_pch_dir)
     own_folder = getattr(runtime, "get_clang_pch_dir", None)
     if own_folder is None or runtime.llvm is None or getattr(own_folder, "is_shared", False):
         return
@@ -85,3 +99,74 @@ def _compile_nothing(folder: Path) -> None:
             pch_dir=str(folder),
             block_dim=1,
         )
+
+
+class _OwnedFolders:
+    """Temporary folders, one for each thread that asks, which this process holds and removes at its end."""
+
+    def __init__(self, otherwise: Callable[[], str]):
+        self._otherwise = otherwise  # where the file system has no locks
+        self._folders: dict[int, str] = {}
+
+    def __call__(self) -> str:
+        thread = threading.get_ident()
+        if thread not in self._folders:
+            self._folders[thread] = self._make()
+        return self._folders[thread]
+
+    def _make(self) -> str:
+        folder = tempfile.mkdtemp(prefix=_PREFIX)
+        handle = lock_now(Path(folder) / OWNER)
+        if handle is None:  # or another process, just starting, takes it for one that was left
+            shutil.rmtree(folder, ignore_errors=True)
+            return self._otherwise()
+        atexit.register(_give_up, folder, handle)
+        return folder
+
+
+def _give_up(folder: str, handle: int) -> None:
+    os.close(handle)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_left_folders() -> None:
+    """Remove the temporary folders that processes left which were killed, those with spare kernels too.
+
+    Those of the header without a file for their owner are of Warp without RayBatch: they go where the system tells that
+    no process with Warp in it is as old.
+    """
+    with contextlib.suppress(OSError):  # the temporary folder cannot be read
+        with os.scandir(tempfile.gettempdir()) as entries:
+            found = [entry for entry in entries if entry.name.startswith((_PREFIX, SPARE_PREFIX)) and entry.is_dir()]
+        users = None
+        for entry in found:
+            with contextlib.suppress(OSError):  # of another user, or another process removes it
+                owner = Path(entry.path) / OWNER
+                if owner.exists():
+                    handle = lock_now(owner)
+                    if handle is not None:
+                        _give_up(entry.path, handle)
+                elif entry.name.startswith(_PREFIX):
+                    users = [*_processes_with_warp()] if users is None else users
+                    if all(began > entry.stat().st_mtime for began in users):
+                        shutil.rmtree(entry.path, ignore_errors=True)
+
+
+def _processes_with_warp() -> Iterator[float]:
+    """When each process began that has Warp's libraries in it, or of which that cannot be told [s since 1970]."""
+    if not sys.platform.startswith("linux"):
+        yield 0.0
+        return
+    booted = time.time() - float(Path("/proc/uptime").read_text().split()[0])
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if process.stat().st_uid != os.getuid():
+                continue
+            if process.name != str(os.getpid()) and "/warp" not in (process / "maps").read_text(errors="replace"):
+                continue
+            ticks = int((process / "stat").read_text(errors="replace").rpartition(")")[2].split()[19])
+            yield booted + ticks / os.sysconf("SC_CLK_TCK") - 1.0
+        except PermissionError:
+            yield 0.0
+        except (OSError, ValueError, IndexError):  # it ended meanwhile
+            continue

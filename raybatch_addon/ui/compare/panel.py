@@ -31,7 +31,7 @@ class RAYBATCH_RENDER_PT_compare(EnginePanel, bpy.types.Panel):
             button.slot = index
             lines = [each.title]
             if each is not newest and (differing := unlike(each.settings, newest.settings)):
-                lines.append(f"Here {', '.join(differing)}")
+                lines.append(f"Here {'; '.join(differing)}")
             draw_lines(column, context, lines)
 
 

@@ -51,7 +51,7 @@ class RAYBATCH_RENDER_PT_convergence(EnginePanel, bpy.types.Panel):
             icon = panel_icon(scene, context.region.as_pointer(), round(edge * scale), _PANEL_TEXT * scale)
             layout.template_icon(icon_value=icon, scale=edge / _UNIT)
         draw_lines(layout, context, run_lines(runs[0], chosen_target(scene)))
-        _draw_slots(layout, runs, chosen_target(scene))
+        _draw_slots(layout, context, runs, chosen_target(scene))
         row = layout.row(align=True)
         row.operator(RAYBATCH_OT_convergence_plot.bl_idname, text="Show Plot", icon="IMAGE_DATA")
         row.operator(RAYBATCH_OT_convergence_copy.bl_idname, text="", icon="COPYDOWN")
@@ -67,7 +67,7 @@ def _hint(scene: bpy.types.Scene) -> str:
     return "Nothing is recorded: turn on Error Estimate in Sampling, or Record Renders for rays a second alone"
 
 
-def _draw_slots(layout, runs: list[Run], target: float) -> None:
+def _draw_slots(layout, context, runs: list[Run], target: float) -> None:
     """A line for each run: its colour and name, when it reaches the target, and buttons."""
     names = names_of(runs)
     column = layout.column(align=True)
@@ -81,4 +81,4 @@ def _draw_slots(layout, runs: list[Run], target: float) -> None:
         ):
             row.operator(operator.bl_idname, text="", icon=icon, depress=depress).run = run.number
         if len(runs) > 1 and run.points and run is not runs[0]:
-            column.label(text=target_line(run, target), icon="BLANK1")
+            draw_lines(column, context, [target_line(run, target)], "BLANK1")

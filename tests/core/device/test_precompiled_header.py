@@ -1,11 +1,16 @@
-"""Threads and processes that compile for the CPU share what was read of Warp's header."""
+"""Threads and processes that compile for the CPU share what was read of Warp's header; what is left of it goes."""
 
+import contextlib
 import os
 import subprocess
 import sys
+import tempfile
+import time
 from pathlib import Path
 
 import pytest
+
+from raybatch_addon.core.device import precompiled_header
 
 ROOT = Path(__file__).resolve().parents[3]
 COMPILE = """
@@ -68,3 +73,96 @@ def test_one_that_is_gone_is_made_again(folder):
     path.unlink()
     compile_kernels(folder, "5")
     assert list(parsed_headers(folder)) == [path]
+
+
+# A process with a temporary folder for Warp's header, which waits for a line
+HOLD = """
+import sys
+import warp as wp
+wp.config.log_level = wp.LOG_ERROR
+if sys.argv[1] == "raybatch":
+    from raybatch_addon.core.device.devices import start_warp
+    start_warp()
+wp.init()
+if sys.argv[2:] == ["spare"]:
+    from pathlib import Path
+    from raybatch_addon.core.device.kept_kernels import spare_folder
+    print(spare_folder(Path("full"), OSError(28, "no room")).parent, flush=True)
+else:
+    print(wp._src.context.runtime._get_or_create_pch_dir(), flush=True)
+input()
+"""
+
+
+def environment_with(temporary):
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    return os.environ | {"PYTHONPATH": path, "TMPDIR": str(temporary), "TEMP": str(temporary), "TMP": str(temporary)}
+
+
+@contextlib.contextmanager
+def holding(kind, temporary, *what):
+    """A process of `kind` that holds a folder in `temporary`, and that folder."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, kind, *what],
+        env=environment_with(temporary),
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        try:
+            yield process, Path(process.stdout.readline().strip())
+        finally:
+            process.kill()
+
+
+def start_another(temporary):
+    code = "from raybatch_addon.core.device.devices import start_warp; start_warp()"
+    subprocess.run([sys.executable, "-c", code], env=environment_with(temporary), check=True)
+
+
+@pytest.mark.parametrize("what, prefix", [([], "wp_pch_"), (["spare"], "raybatch-kernels-")])
+def test_a_folder_of_a_killed_process_is_removed_at_the_next_start(what, prefix, tmp_path):
+    with holding("raybatch", tmp_path, *what) as (process, folder):
+        assert folder.parent == tmp_path and folder.name.startswith(prefix)
+        (folder / "builtin.pch").write_bytes(b"parsed")
+        start_another(tmp_path)
+        assert (folder / "builtin.pch").exists()  # its process lives
+        process.kill()
+        process.wait()
+        assert folder.exists()
+        start_another(tmp_path)
+        assert not folder.exists()
+
+
+@pytest.mark.parametrize("began, stays", [([], False), ([-60.0, 60.0], True), ([60.0], False), ([0.0], True)])
+def test_a_folder_without_an_owner_goes_where_no_process_is_as_old(began, stays, tmp_path, monkeypatch):
+    folder = tmp_path / "wp_pch_x"
+    folder.mkdir()
+    made = folder.stat().st_mtime
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(precompiled_header, "_processes_with_warp", lambda: [made + each for each in began])
+    precompiled_header.remove_left_folders()
+    assert folder.exists() == stays
+
+
+def test_processes_with_warp_are_seen(tmp_path):
+    before = time.time()
+    with holding("warp", tmp_path):
+        assert any(before - 2 <= began <= time.time() for began in precompiled_header._processes_with_warp()) or (
+            sys.platform != "linux"  # where each folder without an owner stays
+        )
+
+
+def test_a_folder_goes_with_its_process(tmp_path):
+    with holding("raybatch", tmp_path) as (process, folder):
+        process.communicate("\n")
+        assert process.returncode == 0 and not folder.exists()
+
+
+def test_other_folders_stay(tmp_path):
+    (tmp_path / "wp_other").mkdir()
+    (tmp_path / "raybatch-kernels-of-old").mkdir()  # nobody tells whose it is
+    (tmp_path / "wp_pch_file").write_bytes(b"")
+    start_another(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"wp_other", "wp_pch_file", "raybatch-kernels-of-old"}

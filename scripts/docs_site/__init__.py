@@ -1,0 +1,1 @@
+"""The site of the documents: laid out for Sphinx, built without the network, and checked."""
