@@ -10,6 +10,8 @@ from raybatch_addon.core.wavefront.tracers import choose
 from raybatch_addon.core.wavefront.tracers.interface import UnbatchedTracer
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 
 class HesitantTracer(UnbatchedTracer):
     """Traces a random half of the rays that are under way, and keeps the others waiting."""

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from raybatch_addon.core.errors import RayBatchError
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes, schedule_scenes
+from tests.support.running.shares import each_of
 from tests.support.watched_renders import (  # noqa: F401 (`halves_film` is the fixture `halves`)
     FRAME,
     HALVES,
@@ -24,7 +25,7 @@ from tests.support.watched_renders import (  # noqa: F401 (`halves_film` is the 
 )
 
 
-@pytest.mark.parametrize("estimate", ["OFF", "ON"])
+@pytest.mark.parametrize("estimate", each_of(2, ["ON", "OFF"]))
 @pytest.mark.parametrize("name", schedule_scenes.SCENES)
 def test_any_schedule_with_any_rounds_and_stops_gives_the_same_film(session, name, estimate, examples):
     watched = WatchedSession(session)

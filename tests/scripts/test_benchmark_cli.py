@@ -24,6 +24,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 from tests.support.benchmark_scenes import assert_one_error, bowl, save_bowl
 from tests.support.command_line import HIDE_BPY, run_script
+from tests.support.running.shares import each_of
 
 HAS_EMBREE = importlib.util.find_spec("embreex") is not None
 TYPES = "primary,bounce1,bounce2,shadow1"
@@ -188,7 +189,7 @@ def test_instances_are_judged_in_their_places():
 # --- the command
 
 
-@pytest.mark.parametrize("tracer", TRACERS)
+@pytest.mark.parametrize("tracer", each_of(2, TRACERS))
 def test_every_tracer_finds_the_hits_of_a_small_scene(geometry, tracer, capfd):
     if tracer.startswith("embree") and not HAS_EMBREE:
         pytest.skip("embreex is not installed")

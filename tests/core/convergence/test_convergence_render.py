@@ -14,6 +14,8 @@ from tests.support import scenes
 from tests.support.references import reference_of_runs
 from tests.twins import float64_tracer
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 BOUNCES, SEEDS = 2, 8
 SETTINGS = RenderSettings(
     pixel_filter="BOX",

@@ -25,6 +25,7 @@ from tests.core.device.small_kernels import (
     small_kernel,
     works,
 )
+from tests.support.running.shares import each_of
 
 ON_LINUX = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="file systems are mounted as on Linux")
 
@@ -56,7 +57,7 @@ def blank_the_middle(path: Path) -> None:
     path.write_bytes(data)
 
 
-@pytest.mark.parametrize("damage", [truncate, empty, overwrite, blank_the_middle])
+@pytest.mark.parametrize("damage", each_of(3, [truncate, empty, overwrite, blank_the_middle]))
 @pytest.mark.parametrize("which", ["binary", "meta", "sum"])
 def test_what_is_damaged_is_compiled_anew(folder, damage, which):
     kernel = small_kernel()

@@ -16,6 +16,8 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.shading.lights.emitters import find_emissive_triangles
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 SETTINGS = RenderSettings(sample_count=4, bounce_max=3)
 
 

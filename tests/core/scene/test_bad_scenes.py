@@ -16,6 +16,8 @@ from raybatch_addon.core.wavefront import integrator
 from raybatch_addon.core.wavefront.render import workers
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 SETTINGS = RenderSettings(sample_count=2, bounce_max=2)
 BAD_NUMBERS = [math.nan, math.inf, -math.inf]
 WORLD = (0.25, 0.5, 0.75)

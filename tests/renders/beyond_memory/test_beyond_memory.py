@@ -22,9 +22,10 @@ from raybatch_addon.core.wavefront.scene import scene_cache
 from raybatch_addon.core.wavefront.scene.scene_cache import encodes
 from tests.renders.beyond_memory.least_budget import CHECKED, DISK, ESTIMATOR, render, the_file
 from tests.support import schedule_scenes
+from tests.support.running.shares import each_of
 
 
-@pytest.mark.parametrize("store", ["HOST", "DISK"])
+@pytest.mark.parametrize("store", each_of(2, ["HOST", "DISK"]))
 @pytest.mark.parametrize("name", schedule_scenes.SCENES)
 def test_every_budget_gives_the_film_of_memory(session, plain, name, store):
     """From one page to everything."""

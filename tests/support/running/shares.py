@@ -1,4 +1,4 @@
-"""Shares of parameters that the plain run of the tests has; a thorough run has all of them."""
+"""Shares of parameters that the plain run of the tests has; a thorough run has all of them, and so has one on a GPU."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Iterable
 
 import pytest
 
+from tests.support.under_test import DEVICE
+
 
 def each_of(number: int, parameters: Iterable) -> list:
     """`parameters` of `pytest.mark.parametrize`: each `number`-th is run always, the others where it is thorough."""
     return [
-        pytest.param(
-            *(each if isinstance(each, tuple) else (each,)), marks=() if i % number == 0 else pytest.mark.thorough
-        )
+        pytest.param(*(each if isinstance(each, tuple) else (each,)), marks=_marks(i % number == 0))
         for i, each in enumerate(parameters)
     ]
 
@@ -20,4 +20,8 @@ def each_of(number: int, parameters: Iterable) -> list:
 def thorough_but(kept: Iterable, parameters: Iterable) -> list:
     """`parameters`: those in `kept` are run always, the others where it is thorough."""
     kept = list(kept)
-    return [pytest.param(each, marks=() if each in kept else pytest.mark.thorough) for each in parameters]
+    return [pytest.param(each, marks=_marks(each in kept)) for each in parameters]
+
+
+def _marks(always: bool) -> tuple:
+    return () if always or DEVICE != "cpu" else (pytest.mark.thorough,)

@@ -27,6 +27,7 @@ from tests.blender.features.compare import by_cycles, empty_scene, set_alike, se
 from tests.blender.features.sheet import TOLERANCE
 from tests.support.blender_builders import node_tree
 from tests.support.cycles_points import COUNT, EDGE, CyclesPoints
+from tests.support.running.shares import each_of
 from tests.support.under_test import DEVICE
 
 # Preetham's formula is for turbidities from 2 on; below 1.2 it grows without bounds at the horizon
@@ -143,7 +144,7 @@ def test_formulas(points, kind, sun, turbidity, albedo):
     )
 
 
-@pytest.mark.parametrize("name", ATMOSPHERES)
+@pytest.mark.parametrize("name", each_of(2, ATMOSPHERES))
 @pytest.mark.parametrize("kind", SCATTERING)
 def test_skies_without_the_sun(points, kind, name):
     looked = directions()
@@ -204,7 +205,7 @@ def in_world(build, window, path):
     return pixels, world
 
 
-@pytest.mark.parametrize("name", ATMOSPHERES)
+@pytest.mark.parametrize("name", each_of(3, ATMOSPHERES))
 @pytest.mark.parametrize("kind", SCATTERING)
 def test_worlds_see_the_sun(version, kind, name, tmp_path):
     properties = {"sky_type": kind} | ATMOSPHERES[name]

@@ -41,6 +41,8 @@ from tests.support import scenes, wide_trees
 from tests.support.under_test import DEVICE
 from tests.twins.tree_walk import walk_tree
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 
 @layouts
 @pytest.mark.parametrize(("scene_at", "trees", "moving"), [(several, 4, 3), (single, 1, 1), (hairy, 2, 2)])

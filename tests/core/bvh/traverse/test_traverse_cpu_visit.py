@@ -21,9 +21,10 @@ from raybatch_addon.core.bvh.tree import DONE, NEW, TRAIL_LEVELS, Tree, Treelets
 from raybatch_addon.core.wavefront.tracers.unbatched import boxes_kernel
 from tests.core.bvh.traverse.cpu_visit_journeys import COUNTED, Journey, expected_hits
 from tests.core.bvh.traverse.cpu_visit_scenes import CASES, NO_ANY_HIT, RULES, case, cut, list_of, make_rays, t_max_of
+from tests.support.running.shares import each_of
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", each_of(2, RULES))
 @pytest.mark.parametrize("name", CASES)
 def test_top_level_and_treelets_in_turn(name, rule):
     journey = Journey(name, rule)
@@ -31,7 +32,7 @@ def test_top_level_and_treelets_in_turn(name, rule):
     journey.check()
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", each_of(2, RULES))
 @pytest.mark.parametrize("name", CASES)
 def test_going_on_through_what_is_there(name, rule):
     journey = Journey(name, rule)

@@ -23,12 +23,13 @@ from raybatch_addon.core.rays import NO_ANY_HIT, RayList
 from raybatch_addon.core.wavefront.plan.launch import Launch
 from tests.core.bvh.traverse.visit_journeys import Journey, check_same, expected_hits, stage_of, start, whole_stage
 from tests.core.bvh.traverse.visit_scenes import CASES, RULES, case, cut, make_rays, t_max_of, uploaded
+from tests.support.running.shares import each_of
 from tests.support.under_test import DEVICE
 
 COUNTS = ("node_steps", "box_tests", "triangle_tests", "treelet_visits", "queued")
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", each_of(2, RULES))
 @pytest.mark.parametrize("name", CASES)
 def test_top_level_and_treelets_in_turn(device, name, rule):
     journey, expected, t_max = start(name, rule, device)
@@ -37,7 +38,7 @@ def test_top_level_and_treelets_in_turn(device, name, rule):
     assert journey.visits() == visits > 0
 
 
-@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("rule", each_of(2, RULES))
 @pytest.mark.parametrize("name", CASES)
 def test_going_on_through_what_is_there(device, name, rule):
     journey, expected, t_max = start(name, rule, device)

@@ -18,6 +18,7 @@ from raybatch_addon.core.shading.lights.lights import LightFeatures, make_lights
 from raybatch_addon.core.shading.lights.tree import fill, topology
 from raybatch_addon.core.shading.lights.world import sampled_world
 from tests.core.shading.lights.light_probe import facing, scene_of
+from tests.support.running.shares import each_of
 from tests.support.under_test import BLOCK_DIM, DEVICE
 
 COUNT = 2**16
@@ -183,7 +184,7 @@ def joined_alike(monkeypatch):
 POINTS = [((0, 0, 0), (0, 0, 1), False), ((3.1, -2, 0.5), (-1, 1, 0.2), True), ((40, 3, 9), (-1, 0, 0), False)]
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", each_of(2, CASES))
 def test_emitters_are_chosen_as_often_as_is_said(case):
     lights, _ = uploaded(*CASES[case])
     for position, normal, both_sides in POINTS:

@@ -11,6 +11,8 @@ from raybatch_addon.core.scene.linking import shadow_bit
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 SETTINGS = RenderSettings(sample_count=16, bounce_max=0)
 
 

@@ -16,6 +16,8 @@ from raybatch_addon.core.wavefront.scene import device_scene
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 SETTINGS = RenderSettings(device=DEVICE, sample_count=1, bounce_max=1)
 PIXELS = freeze(np.random.default_rng(3).random((8, 16, 4)).astype(np.float32))
 

@@ -7,6 +7,8 @@ from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 K = ClosureKind
 
 
