@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +17,7 @@ except ImportError:  # on Windows
     with contextlib.suppress(ImportError):
         import msvcrt
 
+OWNER = "owner"  # the file in a temporary folder that its process holds locked as long as it lives
 _numbers = itertools.count()
 
 
@@ -51,6 +54,34 @@ def sole_owner(path: Path) -> Iterator[None]:
         yield
     finally:
         os.close(handle)  # which gives the lock back; the system does too where a process is killed
+
+
+def owned_folder(prefix: str) -> tuple[Path, int] | None:
+    """A new temporary folder, whose name begins with `prefix`, and the handle of its file `OWNER`, which this process
+    holds until `give_up` or its end; None where the file system has no locks. Raises `OSError`.
+    """
+    # under another name until it is held, so that nobody takes it for one that was left
+    folder = Path(tempfile.mkdtemp(prefix=f"new-{prefix}" if fcntl is not None else prefix))
+    try:
+        handle = lock_now(folder / OWNER)
+        if handle is None:
+            shutil.rmtree(folder, ignore_errors=True)
+            return None
+        if fcntl is not None:
+            folder = folder.rename(folder.with_name(folder.name.removeprefix("new-")))
+    except OSError:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return folder, handle
+
+
+def give_up(folder: Path | str, handle: int) -> None:
+    """Remove a folder that this process holds by `handle`."""
+    if fcntl is None:  # an open file cannot be removed
+        os.close(handle)
+    shutil.rmtree(folder, ignore_errors=True)
+    if fcntl is not None:
+        os.close(handle)
 
 
 def lock_now(path: Path) -> int | None:

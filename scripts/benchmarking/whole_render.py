@@ -163,7 +163,7 @@ def timed_render(session: Session, scene: Scene, settings: RenderSettings) -> Ti
 
 
 def scene_report(opened: OpenedScene, reported: dict[str, Any]) -> dict[str, Any]:
-    """What every report of whole renders begins with; `told` are the statistics of one of them."""
+    """What every report of whole renders begins with; `reported` are the statistics of one of them."""
     return {
         "scene": opened.name,
         "device": reported["device"],

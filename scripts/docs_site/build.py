@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.metadata
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -21,6 +22,7 @@ from docs_site.checking import faults
 from docs_site.staging import stage
 
 CONFIGURATION = ROOT / "scripts/docs_site"
+INVENTORY = "objects.inv"  # of a site that Sphinx built
 
 
 def wanted() -> list[str]:
@@ -50,7 +52,9 @@ def install(requirements: list[str]) -> int:
 
 
 def build(sources: Path, site: Path) -> int:
-    """Exit code of Sphinx, for which a warning is an error."""
+    """Exit code of Sphinx, for which a warning is an error. A site of before goes, so that no page of it stays."""
+    if (site / INVENTORY).is_file():
+        shutil.rmtree(site)
     options = ["--builder", "html", "--fail-on-warning", "--keep-going", "--fresh-env", "--quiet"]
     command = [sys.executable, "-m", "sphinx", *options, "--conf-dir", str(CONFIGURATION), str(sources), str(site)]
     return subprocess.call(command, stdin=subprocess.DEVNULL)

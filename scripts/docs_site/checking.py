@@ -34,6 +34,7 @@ class _Page(HTMLParser):
 
 def faults(site: Path) -> list[str]:
     """A line for each link or picture that leads nowhere, and for each thing that comes from the network."""
+    site = site.resolve()
     pages = {path: _Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
     found = [] if pages else [f"{site} has no pages"]
     for path, page in pages.items():

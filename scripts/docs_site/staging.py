@@ -102,7 +102,7 @@ def with_links_within(text: str, page: Path, original: Path) -> str:
         if (ROOT / meant).is_dir() or (site == meant and meant not in BESIDE):
             return found[0] if mark else label
         site = FIRST_OF_SITE if meant == os.path.join("docs", FIRST) else site
-        return f"{mark}[{label}]({os.path.relpath(site, page.parent)}{hash_mark}{anchor})"
+        return f"{mark}[{label}]({Path(os.path.relpath(site, page.parent)).as_posix()}{hash_mark}{anchor})"
 
     parts, end = [], 0
     for code in _CODE.finditer(text):

@@ -44,6 +44,8 @@ def build_packages(folder: Path) -> None:
 
 def put_packages(packages: Path, folder: Path) -> list[Path]:
     """Copy the zips of this version from `packages` in place of older ones; returns the copies."""
+    if packages.resolve() == folder.resolve():
+        raise RepositoryError(f"{folder} holds the zips themselves: choose another folder for the repository")
     version = project_version()
     zips = sorted(packages.glob(f"raybatch-{version}-*.zip"))
     if not zips:
@@ -84,7 +86,7 @@ def main() -> int:
         listed = [each.get("archive_url", "") for each in json.loads(index.read_text(encoding="utf-8"))["data"]]
         if unlisted := [each.name for each in zips if f"./{each.name}" not in listed]:
             raise RepositoryError(f"Blender left {', '.join(unlisted)} out of {index}")
-    except (RepositoryError, PackageError, OSError) as error:
+    except (RepositoryError, PackageError, OSError, ValueError, KeyError) as error:
         print(f"repository.py: error: {error}", file=sys.stderr)
         return 1
     print(index)

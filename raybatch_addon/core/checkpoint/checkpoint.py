@@ -54,7 +54,7 @@ class Checkpoint:
         begins_anew: bool = False,
         report: Callable[[str], None] = lambda text: None,
     ):
-        """The file is written every `interval` seconds, and at the end. `tell` gets what the user should know.
+        """The file is written every `interval` seconds, and at the end. `report` gets what the user should know.
 
         One that is there and does not fit is an error; with `begins_anew` the render begins anew, a warning says why,
         and the old file stays beside the new one unless all of its samples were there.

@@ -23,11 +23,10 @@ from pathlib import Path
 import warp as wp
 
 from ..errors import DeviceError
-from ..files import lock_now, whole_file
+from ..files import give_up, owned_folder, whole_file
 from .notes import note
 
 SPARE_PREFIX = "raybatch-kernels-"  # of spare folders
-OWNER = "owner"  # the file in a temporary folder that its process holds locked as long as it lives
 _ABANDONED_SECONDS = 86400.0  # nothing compiles as long as that
 _spare: Path | None = None
 _may_be_spare = True
@@ -69,9 +68,12 @@ def spare_folder(unusable: Path, error: OSError) -> Path:
             raise cannot_be_kept(unusable, error)
         if _spare is None:
             try:
-                folder = Path(tempfile.mkdtemp(prefix=SPARE_PREFIX))
-                atexit.register(shutil.rmtree, folder, ignore_errors=True)
-                lock_now(folder / OWNER)  # until this process ends, however that is
+                if owned := owned_folder(SPARE_PREFIX):
+                    atexit.register(give_up, *owned)
+                    folder = owned[0]
+                else:
+                    folder = Path(tempfile.mkdtemp(prefix=SPARE_PREFIX))
+                    atexit.register(shutil.rmtree, folder, ignore_errors=True)
                 (folder / wp.config.version).mkdir()
             except OSError as other:
                 raise cannot_be_kept(unusable, error) from other

@@ -25,9 +25,9 @@ from pathlib import Path
 
 import warp as wp
 
-from ..files import lock_now
+from ..files import OWNER, give_up, lock_now, owned_folder
 from .compiler import CompileError
-from .kept_kernels import OWNER, SPARE_PREFIX, folders, spare_folder
+from .kept_kernels import SPARE_PREFIX, folders, spare_folder
 from .kernel import MODULE_OPTIONS
 
 _lock = threading.Lock()  # while one thread reads the header, others wait for it
@@ -40,9 +40,10 @@ def share_precompiled_header() -> None:
     A Warp that keeps its header elsewhere is left as it is.
     """
     runtime = wp._src.context.runtime
-    if hasattr(runtime, "_get_or_create_pch_dir"):
+    of_a_thread = getattr(runtime, "_get_or_create_pch_dir", None)
+    if of_a_thread is not None and not getattr(of_a_thread, "is_owned", False):
         remove_left_folders()
-        runtime._get_or_create_pch_dir = _OwnedFolders(runtime._get_or_create_pch_dir)
+        runtime._get_or_create_pch_dir = _OwnedFolders(of_a_thread)
     own_folder = getattr(runtime, "get_clang_pch_dir", None)
     if own_folder is None or runtime.llvm is None or getattr(own_folder, "is_shared", False):
         return
@@ -104,6 +105,8 @@ def _compile_nothing(folder: Path) -> None:
 class _OwnedFolders:
     """Temporary folders, one for each thread that asks, which this process holds and removes at its end."""
 
+    is_owned = True
+
     def __init__(self, otherwise: Callable[[], str]):
         self._otherwise = otherwise  # where the file system has no locks
         self._folders: dict[int, str] = {}
@@ -115,18 +118,11 @@ class _OwnedFolders:
         return self._folders[thread]
 
     def _make(self) -> str:
-        folder = tempfile.mkdtemp(prefix=_PREFIX)
-        handle = lock_now(Path(folder) / OWNER)
-        if handle is None:  # or another process, just starting, takes it for one that was left
-            shutil.rmtree(folder, ignore_errors=True)
-            return self._otherwise()
-        atexit.register(_give_up, folder, handle)
-        return folder
-
-
-def _give_up(folder: str, handle: int) -> None:
-    os.close(handle)
-    shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(OSError):
+            if owned := owned_folder(_PREFIX):
+                atexit.register(give_up, *owned)
+                return str(owned[0])
+        return self._otherwise()
 
 
 def remove_left_folders() -> None:
@@ -137,7 +133,11 @@ def remove_left_folders() -> None:
     """
     with contextlib.suppress(OSError):  # the temporary folder cannot be read
         with os.scandir(tempfile.gettempdir()) as entries:
-            found = [entry for entry in entries if entry.name.startswith((_PREFIX, SPARE_PREFIX)) and entry.is_dir()]
+            found = [
+                entry
+                for entry in entries
+                if entry.name.startswith((_PREFIX, SPARE_PREFIX)) and entry.is_dir(follow_symlinks=False)
+            ]
         users = None
         for entry in found:
             with contextlib.suppress(OSError):  # of another user, or another process removes it
@@ -145,11 +145,16 @@ def remove_left_folders() -> None:
                 if owner.exists():
                     handle = lock_now(owner)
                     if handle is not None:
-                        _give_up(entry.path, handle)
-                elif entry.name.startswith(_PREFIX):
+                        give_up(entry.path, handle)
+                elif entry.name.startswith(_PREFIX) and _is_own(entry):
                     users = [*_processes_with_warp()] if users is None else users
                     if all(began > entry.stat().st_mtime for began in users):
                         shutil.rmtree(entry.path, ignore_errors=True)
+
+
+def _is_own(entry: os.DirEntry) -> bool:
+    """Whether this user made the folder: the processes of others are not looked at."""
+    return not hasattr(os, "getuid") or entry.stat().st_uid == os.getuid()
 
 
 def _processes_with_warp() -> Iterator[float]:

@@ -37,8 +37,8 @@ class RAYBATCH_OT_check_scene(_OfEngine, bpy.types.Operator):
         missing.begin_look(context.scene)
         found = missing.keep_found(context.scene, context.view_layer.name, exported.warnings)
         missing.print_notices(found)
-        told = f"{len(found)} message{'s' if len(found) != 1 else ''} in the panel Before the Render"
-        self.report({"INFO"}, f"RayBatch: {told}" if found else "RayBatch: nothing is missing")
+        count = f"{len(found)} message{'s' if len(found) != 1 else ''} in the panel Before the Render"
+        self.report({"INFO"}, f"RayBatch: {count}" if found else "RayBatch: nothing is missing")
         return {"FINISHED"}
 
 

@@ -60,7 +60,14 @@ def choice_is_free(monkeypatch):
 
 SCENES = {**schedule_scenes.SCENES, "plain": scenes.mixed}
 # Of features, each of which compiles specialised kernels of its own
-ALWAYS = ("everything", "transparent with a program that asks for history", "a volume with a program")
+ALWAYS = (
+    "everything",
+    "passes",
+    "subsurface",
+    "transparent with a program that asks for history",
+    "a volume with a program",
+    "settings of Cycles, and a denoiser's passes",
+)
 
 
 def films(scene, **changes):

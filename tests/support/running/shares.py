@@ -19,7 +19,8 @@ def each_of(number: int, parameters: Iterable) -> list:
 
 def thorough_but(kept: Iterable, parameters: Iterable) -> list:
     """`parameters`: those in `kept` are run always, the others where it is thorough."""
-    kept = list(kept)
+    kept, parameters = list(kept), list(parameters)
+    assert set(kept) <= set(parameters), f"no parameter is called {sorted(set(kept) - set(parameters))}"
     return [pytest.param(each, marks=_marks(each in kept)) for each in parameters]
 
 
