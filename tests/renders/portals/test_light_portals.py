@@ -21,6 +21,8 @@ from raybatch_addon.core.shading.lights.world import sampled_world
 from raybatch_addon.core.wavefront.tier import why_not_general
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 ROOM, HOLE = 4.0, 0.5  # edge of the room, and of the hole in its ceiling [m]
 SETTINGS = RenderSettings(sample_count=64, bounce_max=2)
 ON_GPU = SimpleNamespace(is_cuda=True)

@@ -14,6 +14,8 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from raybatch_addon.core.wavefront.tier import why_not_general
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 ALBEDO, HERE, THERE = 0.5, 3.0, 8.0
 PLACE = (100.0, 0.0, 0.0)
 
