@@ -47,13 +47,20 @@ def sole_owner(path: Path) -> Iterator[None]:
     handle = os.open(path, os.O_CREAT | os.O_RDWR)  # a lock belongs to the open file: threads exclude each other too
     try:
         with contextlib.suppress(OSError):
-            if fcntl is not None:
-                fcntl.flock(handle, fcntl.LOCK_EX)
-            else:
-                msvcrt.locking(handle, msvcrt.LK_LOCK, 1)  # waits for ten seconds at most
+            _lock(handle, waits=True)
         yield
     finally:
         os.close(handle)  # which gives the lock back; the system does too where a process is killed
+
+
+def _lock(handle: int, waits: bool) -> None:
+    """Lock the open file `handle`; raises `OSError` where another holds it and this one does not wait (on Windows,
+    after ten seconds), or where the file system has no locks.
+    """
+    if fcntl is not None:
+        fcntl.flock(handle, fcntl.LOCK_EX if waits else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    else:
+        msvcrt.locking(handle, msvcrt.LK_LOCK if waits else msvcrt.LK_NBLCK, 1)
 
 
 def owned_folder(prefix: str) -> tuple[Path, int] | None:
@@ -92,10 +99,7 @@ def lock_now(path: Path) -> int | None:
     """
     handle = os.open(path, os.O_CREAT | os.O_RDWR)
     try:
-        if fcntl is not None:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        else:
-            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        _lock(handle, waits=False)
     except OSError:
         os.close(handle)
         return None

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import re
 import sys
+import textwrap
 from collections.abc import Callable
 from pathlib import Path
+
+WIDTH = 120  # columns of a document
 
 
 def with_part(text: str, first: str, last: str, made: str, where: object) -> str:
@@ -18,6 +21,18 @@ def with_part(text: str, first: str, last: str, made: str, where: object) -> str
     if found != 1:
         raise ValueError(f"{where} must hold the line {first}, and the line {last} behind it, once")
     return text
+
+
+def list_item(text: str, indent: str = "") -> list[str]:
+    """`text` as an item of a list, in lines."""
+    return textwrap.wrap(
+        text,
+        WIDTH,
+        initial_indent=f"{indent}- ",
+        subsequent_indent=f"{indent}  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
 
 
 def write_or_check(page: Path, updated: Callable[[str], str], script: str, arguments: list[str]) -> int:

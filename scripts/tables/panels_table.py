@@ -8,7 +8,6 @@ With --check nothing is written, and the exit code is 1 where a page is not up t
 from __future__ import annotations
 
 import sys
-import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,12 +22,11 @@ from raybatch_addon.ui.checkpoint import RayBatchCheckpoint
 from raybatch_addon.ui.convergence.properties import RayBatchConvergence
 from raybatch_addon.ui.panel import EnginePanel
 from raybatch_addon.ui.viewport import RayBatchViewport
-from tables.marked_text import with_part, write_or_check
+from tables.marked_text import list_item, with_part, write_or_check
 
 FOLDER = ROOT / "docs/manual/panels"
 LIST = "README.md"  # of all panels
 FIRST, LAST = "<!-- panel: made by scripts/tables/panels_table.py -->", "<!-- end of panel -->"
-WIDTH = 120  # columns of the page
 # Pages of panels of the render tab, by the panel's name, and the properties of those that no group of settings is
 PAGES = {
     "device": None,
@@ -88,17 +86,6 @@ def page_name(panel: str) -> str:
     return f"{panel.replace('_', '-')}.md"
 
 
-def _item(text: str, indent: str = "") -> list[str]:
-    return textwrap.wrap(
-        text,
-        WIDTH,
-        initial_indent=f"{indent}- ",
-        subsequent_indent=f"{indent}  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-
-
 def _number(value: float) -> str:
     return f"{value:,}" if isinstance(value, int) else f"{value:,g}"
 
@@ -130,14 +117,14 @@ def _setting(info: SettingInfo) -> list[str]:
     about = f"**{info.label}**: {info.description}."
     if info.is_switch:
         meaning = next(each[2] for each in info.choices if each[0] == "ON")
-        return _item(f"{about} On: {meaning}. At first {info.default.lower()}.")
+        return list_item(f"{about} On: {meaning}. At first {info.default.lower()}.")
     if info.choices:
         label = next(label for identifier, label, _ in info.choices if identifier == info.default)
-        lines = _item(f"{about} At first *{label}*.")
+        lines = list_item(f"{about} At first *{label}*.")
         for _, label, meaning in info.choices:
-            lines += _item(f"*{label}*: {meaning}.", "  ")
+            lines += list_item(f"*{label}*: {meaning}.", "  ")
         return lines
-    return _item(about if info.kind is str else f"{about} {_values(info)}")
+    return list_item(about if info.kind is str else f"{about} {_values(info)}")
 
 
 def _property(found: bpy.types.Property) -> list[str]:
@@ -147,7 +134,7 @@ def _property(found: bpy.types.Property) -> list[str]:
         text += f" At first {'on' if found.default else 'off'}."
     elif found.type in ("INT", "FLOAT"):
         text += f" At first {found.default:g}{' seconds' if found.unit == 'TIME_ABSOLUTE' else ''}."
-    return _item(text)
+    return list_item(text)
 
 
 def page_part(name: str) -> str:

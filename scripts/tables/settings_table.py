@@ -7,7 +7,6 @@ written, and the exit code is 1 where the file is not up to date.
 from __future__ import annotations
 
 import sys
-import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -16,12 +15,11 @@ sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 from raybatch_addon.core.settings.presets import PRESETS, preset_settings
 from raybatch_addon.core.settings.settings import BYTES, GROUPS, SETTINGS, SettingInfo
-from tables.marked_text import with_part, write_or_check
+from tables.marked_text import list_item, with_part, write_or_check
 
 MANUAL = ROOT / "docs/tuning.md"
 # what is made here, by the names of the marks around it
 PARTS = ("settings", "presets")
-WIDTH = 120  # columns of the page
 
 
 def _marks(part: str) -> tuple[str, str]:
@@ -44,18 +42,6 @@ def _continued(sentence: str) -> str:
     return sentence[0].lower() + sentence[1:] if sentence[1:2].islower() or sentence[1:2] == " " else sentence
 
 
-def _item(text: str, indent: str = "") -> list[str]:
-    """`text` as an item of a list, in lines."""
-    return textwrap.wrap(
-        text,
-        WIDTH,
-        initial_indent=f"{indent}- ",
-        subsequent_indent=f"{indent}  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
-
-
 def _choices(infos: Iterable[SettingInfo]) -> list[str]:
     """What the values of those settings mean that have choices; no lines where none has."""
     lines = []
@@ -63,7 +49,7 @@ def _choices(infos: Iterable[SettingInfo]) -> list[str]:
         if info.choices:
             lines.append(f"- `{info.name}`")
             for identifier, _, about in info.choices:
-                lines += _item(f"`{identifier}`: {_continued(about)}.", "  ")
+                lines += list_item(f"`{identifier}`: {_continued(about)}.", "  ")
     return ["", "What the values mean:", "", *lines] if lines else []
 
 
@@ -97,7 +83,7 @@ def presets_list() -> str:
             reported = f"Sets {', '.join(f'`{each}={value}`' for each, value in values)}"
         else:
             reported = f"Other than the defaults: {', '.join(changed) or 'nothing'}"
-        lines += _item(f"`{name}`: {preset.description}. {reported}.")
+        lines += list_item(f"`{name}`: {preset.description}. {reported}.")
     return "\n".join(lines)
 
 

@@ -98,8 +98,8 @@ class _Identifier:
     def of_warp(self, function: types.FunctionType) -> bytes:
         """Digest of a function of the core that Warp compiles."""
         names = function.__globals__
-        types = [f"{name}:{self.annotation(each, names)}" for name, each in function.__annotations__.items()]
-        return self.function(function) + "\n".join(types).encode()
+        annotations = [f"{name}:{self.annotation(each, names)}" for name, each in function.__annotations__.items()]
+        return self.function(function) + "\n".join(annotations).encode()
 
     def function(self, function: types.FunctionType) -> bytes:
         """Digest of a function of the core, without its annotations."""

@@ -3,6 +3,7 @@
 import pytest
 
 from tests.blender.features.registry import chosen_features
+from tests.support.running.shares import marks_of
 
 # known failures with their figures: expected to fail, and reported when they no longer do
 KNOWN: dict[str, str] = {}
@@ -12,7 +13,7 @@ def quick_parameters(kind: str, share: int = 1) -> list:
     """The quick features of one kind, as parameters of a test: all in a thorough run, else each `share`-th."""
     marks = {name: [pytest.mark.xfail(reason=reason, strict=True)] for name, reason in KNOWN.items()}
     found = [each for each in chosen_features(quick=True) if each.kind == kind]
-    left_out = {each.name: [pytest.mark.thorough] for i, each in enumerate(found) if i % share}
     return [
-        pytest.param(each, id=each.name, marks=marks.get(each.name, []) + left_out.get(each.name, [])) for each in found
+        pytest.param(each, id=each.name, marks=[*marks.get(each.name, []), *marks_of(i % share == 0)])
+        for i, each in enumerate(found)
     ]

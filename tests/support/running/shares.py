@@ -12,7 +12,7 @@ from tests.support.under_test import DEVICE
 def each_of(number: int, parameters: Iterable) -> list:
     """`parameters` of `pytest.mark.parametrize`: each `number`-th is run always, the others where it is thorough."""
     return [
-        pytest.param(*(each if isinstance(each, tuple) else (each,)), marks=_marks(i % number == 0))
+        pytest.param(*(each if isinstance(each, tuple) else (each,)), marks=marks_of(i % number == 0))
         for i, each in enumerate(parameters)
     ]
 
@@ -21,8 +21,9 @@ def thorough_but(kept: Iterable, parameters: Iterable) -> list:
     """`parameters`: those in `kept` are run always, the others where it is thorough."""
     kept, parameters = list(kept), list(parameters)
     assert set(kept) <= set(parameters), f"no parameter is called {sorted(set(kept) - set(parameters))}"
-    return [pytest.param(each, marks=_marks(each in kept)) for each in parameters]
+    return [pytest.param(each, marks=marks_of(each in kept)) for each in parameters]
 
 
-def _marks(always: bool) -> tuple:
+def marks_of(always: bool) -> tuple:
+    """Marks of a test that is run always, or else where it is thorough and on a GPU."""
     return () if always or DEVICE != "cpu" else (pytest.mark.thorough,)
