@@ -235,6 +235,7 @@ def test_frames_of_an_animation_share_one_session(lit, films, tmp_path):
         obj.keyframe_insert("location", frame=number)
     lit.frame_start, lit.frame_end = 1, 3
     lit.render.filepath = str(tmp_path / "frame")
+    sessions.close_all()  # those of tests before, and of previews
     assert bpy.ops.render.render(animation=True) == {"FINISHED"}
     assert sorted(os.listdir(tmp_path)) == ["frame0001.exr", "frame0002.exr", "frame0003.exr"]
     assert len(sessions._sessions) == 1

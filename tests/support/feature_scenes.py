@@ -30,6 +30,7 @@ from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
 SETTINGS = RenderSettings(sample_count=1, bounce_max=2, ray_sort="OFF")
+CATCHES = int(Visibility.ALL) | catcher_bits(int(Visibility.ALL))
 CAUGHT = Frame(32, 32, passes=("Combined", CATCHER_PASS, "Diffuse Direct"), transparent=True)
 
 
@@ -364,7 +365,8 @@ EACH_WIDE_FEATURE = {
     "no caustics": (lit(shiny()), {"caustics_reflective": "OFF", "bounce_max": 4}),
     "a denoiser's passes": (lit(veil(), GUIDED), {}),
     "toon": (lit(toon()), {}),
-    "shadow catchers": (lit(veil(), CAUGHT, int(Visibility.ALL) | catcher_bits(int(Visibility.ALL))), {}),
+    "shadow catchers": (lit(veil(), CAUGHT, CATCHES), {}),
+    "a shadow catcher that shines": (lit(glowing(), CAUGHT, CATCHES), {}),
     "fibres": (furry(), {}),
     "moving": (moving(lit()), {}),
     "moving, transparent with a program": (moving(lit(veil_program())), {}),

@@ -22,6 +22,8 @@ from raybatch_addon.core.scene.passes import (
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 CATCHES = int(Visibility.ALL) | catcher_bits(int(Visibility.ALL))
 UNSEEN = int(Visibility.ALL & ~Visibility.CAMERA)
 ONCE = RenderSettings(sample_count=4, bounce_max=0)

@@ -10,7 +10,7 @@ import warp as wp
 
 from ...device.bulk import digest_of, large_empty
 from ...native.structs import record_type, upload_records, upload_struct
-from ...scene.description import Light, LightKind, Scene
+from ...scene.description import Light, LightKind, Scene, Visibility
 from ...scene.geometry import Geometry
 from .choice_table import ChoiceTable
 from .emitters import EmissiveTriangles, find_emissive_triangles, light_area, light_strengths, triangle_strengths
@@ -170,7 +170,8 @@ def upload_lights(
         table.world = world.table
     has_triangles = len(triangles) > 0
     table.instance_first = upload(triangles.instance_first if has_triangles else np.zeros(0, np.int32), int)
-    visibility = scene.instances.visibility.astype(np.int32)
+    # what rays see them by; the other bits are of what they do to light of others
+    visibility = scene.instances.visibility.astype(np.int32) & int(Visibility.ALL)
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
     choice = _choice_table(table, records, strength, triangles, scene, geometry, world, keep)
     upload_links(scene, choice, triangles.instance, device)

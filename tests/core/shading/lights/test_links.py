@@ -54,6 +54,36 @@ def test_lights_light_their_receivers_and_are_blocked_by_their_blockers(session)
     assert on_floors(session, linked) == pytest.approx((5 * white, 6 * white), rel=1e-2)
 
 
+def test_a_mesh_that_shines_is_blocked_by_its_blockers_alone(session):
+    """A lamp above the roof, which blocks the lamp's light only where it is among its blockers; lamp and roof are in
+    the same shadow set, which says nothing of the lamp's own light.
+    """
+
+    def right_floor(shadow_sets: int) -> float:
+        places = [
+            (scenes.plane("right", 2), 0.0, scenes.diffuse(0.5)),
+            (scenes.plane("roof", 2), 1.0, scenes.diffuse()),
+        ]
+        lamp = scenes.plane("lamp", 0.5), 2.0, scenes.emitter(10.0)
+        made = scenes.scene(
+            [(mesh, scenes.translation(0, 0, z), material) for mesh, z, material in (*places, lamp)],
+            view=scenes.camera(eye=(0, 0, 8), target=(0, 0, 0), half_width=0.12, up=(0, 1, 0)),
+            frame=Frame(4, 4, passes=("Combined",)),
+        )
+        bits = np.array([shadow_bit(1), shadow_bit(0), shadow_bit(0)], np.int32)
+        visibility = np.array([31, int(Visibility.SHADOW), int(Visibility.DIFFUSE)], np.int32) | bits
+        links = np.full((3, 3), ALL_LIGHT_SETS, np.uint64)
+        links[:, 0], links[:, 2] = 0, ALL_SHADOW_SETS
+        links[2, 2] = shadow_sets
+        instances = dataclasses.replace(made.instances, visibility=visibility, links=links)
+        return (
+            session.render(dataclasses.replace(made, instances=instances), SETTINGS).passes["Combined"][..., :3].mean()
+        )
+
+    assert right_floor(ALL_SHADOW_SETS) == 0
+    assert right_floor(ALL_SHADOW_SETS & ~0b1) > 0.05
+
+
 def test_a_scene_without_links_has_none_of_it():
     features = derive_features(floors([scenes.sun(1.0)]), SETTINGS)
     assert not (features.light_links or features.shadow_links or features.light_groups)
