@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from raybatch_addon.core.device.kernel import SPECIALISED_CODE
 from tests.support.running.file_seconds import file_seconds
 from tests.support.running.kernel_builds import build_once
 from tests.support.under_test import DEVICE
@@ -27,6 +28,8 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
+    if not config.option.thorough:  # which then compile in half the time, in processes that tests start too
+        os.environ.setdefault(SPECIALISED_CODE, "OUT_OF_LINE")
     config.addinivalue_line("markers", "thorough: takes a minute or more, and runs with --thorough alone")
 
 

@@ -1,11 +1,13 @@
 """How every kernel of the core is compiled."""
 
+import os
 import weakref
 import zlib
 from typing import Any
 
 import warp as wp
 
+from ..errors import SettingsError
 from .declared import shared_module, unique_options
 
 
@@ -33,6 +35,11 @@ KERNEL_OPTIONS: dict[str, Any] = unique_options(MODULE_OPTIONS)
 OUT_OF_LINE_OPTIONS: dict[str, Any] = {**MODULE_OPTIONS, "cpu_compiler_flags": _cpu_flags(1000)}
 OUT_OF_LINE_KERNEL_OPTIONS: dict[str, Any] = unique_options(OUT_OF_LINE_OPTIONS)
 
+# An environment variable for who compiles much and renders little: OUT_OF_LINE says that specialised kernels are
+# compiled as large modules of the general tier are. By default they are INLINED, which renders faster.
+SPECIALISED_CODE = "RAYBATCH_SPECIALISED_CODE"
+_CODES = ("INLINED", "OUT_OF_LINE")
+
 # Kernels of the general tier: each has a module, in which the interpreter of programs is one function and each op is
 # another, out of line.
 GENERAL_MODULE = "raybatch_general"
@@ -50,6 +57,14 @@ def general_options(name: str, of: tuple[str, ...]) -> dict[str, Any]:
     """
     own = f"{GENERAL_MODULE}_{name}_{zlib.crc32(' '.join(of).encode()):08x}"
     return {"module": shared_module(own, OUT_OF_LINE_OPTIONS), "enable_backward": False}
+
+
+def specialised_out_of_line() -> bool:
+    """Whether the environment asks for specialised kernels that compile sooner. Raises `SettingsError`."""
+    asked = os.environ.get(SPECIALISED_CODE) or _CODES[0]
+    if asked not in _CODES:
+        raise SettingsError(f"{SPECIALISED_CODE} is {asked!r}; set it to one of {', '.join(_CODES)}, or not at all")
+    return asked == "OUT_OF_LINE"
 
 
 def is_general(module: wp.Module) -> bool:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from ..device.kernel import specialised_out_of_line
 from ..film import layout_of
 from ..film.tile import add_spill_kernel, resolve_kernel
 from ..measure.counters import count_kernel
@@ -61,7 +62,7 @@ class StageKernels:
     @staticmethod
     def choose(features: SceneFeatures, device: wp.Device, shading: SceneFeatures | None = None) -> StageKernels:
         """The kernels for a scene with `features`, those that shade specialised on `shading` (default: the same)."""
-        return _chosen(features, shading or features, device.is_cuda)
+        return _chosen(features, shading or features, device.is_cuda, specialised_out_of_line())
 
     def that_shade(self) -> list[wp.Kernel]:
         """Kernels of surfaces, lights, the world and volumes."""
@@ -80,7 +81,7 @@ class StageKernels:
 
 
 @functools.cache
-def _chosen(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool) -> StageKernels:
+def _chosen(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool, out_of_line: bool) -> StageKernels:
     """What `StageKernels.choose` returns: each render asks for it again and again."""
     layout = layout_of(features.passes, features.film_transparent)
     # flat meshes walk by what was compiled ahead for smooth ones; so do curves and what moves
@@ -97,13 +98,16 @@ def _chosen(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool) -> S
         ShadingStage.REQUEST: features.requests,
         ShadingStage.OCCLUSION: features.occlusion_pass,
     }
+    stages = [stage for stage in ShadingStage if has[stage]]
     return StageKernels(
         generate=generate_kernel(_generate_features(features, shading)),
         generate_active=generate_active_kernel(_generate_features(features, shading)) if features.adaptive else None,
         settle=settle_kernel,
         walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
         volumes=VolumeKernels.choose(features, shading),
-        shading=_shading_kernels(features, shading, [stage for stage in ShadingStage if has[stage]], is_cuda),
+        shading=_shading_kernels(
+            features, shading, [stage for stage in ShadingStage if has[stage]], is_cuda, out_of_line
+        ),
         accumulate=accumulate_kernel(layout),
         resolve=resolve_kernel(layout),
         catchers=CATCHER_KERNELS if features.catchers else (),
@@ -121,19 +125,20 @@ def _generate_features(features: SceneFeatures, shading: SceneFeatures) -> Gener
 
 
 def _shading_kernels(
-    features: SceneFeatures, shading: SceneFeatures, stages: list[ShadingStage], aims_apart: bool
+    features: SceneFeatures, shading: SceneFeatures, stages: list[ShadingStage], aims_apart: bool, out_of_line: bool
 ) -> dict[ShadingStage, wp.Kernel]:
     """Kernels of `stages`. Where `shading` is that of all scenes, stages that run a program are one kernel; it takes so
     many registers that a GPU has few threads of it, so the others are kernels of their own, and in them what few scenes
     have is left out (`is_wide`). For a scene that has it, a CPU takes the large kernel for all stages.
 
-    `aims_apart`: whether light is aimed at by a kernel of its own, or by that at surfaces.
+    `aims_apart`: whether light is aimed at by a kernel of its own, or by that at surfaces; `out_of_line`: how
+    specialised kernels are compiled.
     """
     aim = narrow(shading, AimFeatures)
     in_one = None if aims_apart or not shading.shadow_rays else aim
     whole = _stage_functions(shading, in_one)
     if not shading.programs.apart:
-        return {stage: stage_kernel(whole[stage](), stage) for stage in stages}
+        return {stage: stage_kernel(whole[stage](), stage, out_of_line) for stage in stages}
     any_program = bool(features.programs or features.world_program or features.lamp_program)
     runs_program = {
         ShadingStage.SURFACE: any_program,

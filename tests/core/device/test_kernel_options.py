@@ -1,10 +1,23 @@
 """Every kernel of the core is compiled without contraction, fast math or adjoints."""
 
+import numpy as np
+import pytest
 import warp as wp
 
-from raybatch_addon.core.device.kernel import MODULE_OPTIONS, OUT_OF_LINE_OPTIONS, is_general
+from raybatch_addon.core.device.kernel import (
+    MODULE_OPTIONS,
+    OUT_OF_LINE_OPTIONS,
+    SPECIALISED_CODE,
+    is_general,
+    specialised_out_of_line,
+)
+from raybatch_addon.core.errors import SettingsError
+from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.kernels import StageKernels
+from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from tests.support import scenes
+from tests.support.under_test import DEVICE
 
 
 def test_every_loaded_module_has_the_options(session):
@@ -20,3 +33,24 @@ def test_every_loaded_module_has_the_options(session):
             ), name
             assert kernel.options.get("enable_backward") is False, name
     assert seen >= 10
+
+
+def test_films_do_not_depend_on_the_code_of_specialised_kernels(session, monkeypatch):
+    scene = scenes.scene([(scenes.sphere(), scenes.IDENTITY, scenes.diffuse())], lights=[scenes.area_light(3.0)])
+    settings = RenderSettings(sample_count=2, bounce_max=1, kernel_tier="SPECIALISED")
+    features = derive_features(scene, settings)
+    films, options = [], []
+    for code in ("INLINED", "OUT_OF_LINE"):
+        monkeypatch.setenv(SPECIALISED_CODE, code)
+        films.append(session.render(scene, settings).passes["Combined"])
+        surface = StageKernels.choose(features, wp.get_device(DEVICE)).shading[ShadingStage.SURFACE]
+        options.append(surface.module.options["cpu_compiler_flags"])
+    assert options == [MODULE_OPTIONS["cpu_compiler_flags"], OUT_OF_LINE_OPTIONS["cpu_compiler_flags"]]
+    np.testing.assert_array_equal(*films)
+    assert films[0].std() > 0
+
+
+def test_a_code_that_does_not_exist_is_refused(monkeypatch):
+    monkeypatch.setenv(SPECIALISED_CODE, "SMALL")
+    with pytest.raises(SettingsError, match="INLINED, OUT_OF_LINE"):
+        specialised_out_of_line()

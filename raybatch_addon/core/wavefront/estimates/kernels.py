@@ -6,7 +6,7 @@ import functools
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS, general_options
+from ...device.kernel import KERNEL_OPTIONS, OUT_OF_LINE_KERNEL_OPTIONS, general_options, specialised_out_of_line
 from ...displacement.evaluate import make_displace
 from ...scene.features import SceneFeatures
 from ..scene.scene_data import SceneData
@@ -31,16 +31,16 @@ def estimate_kernel(features: SceneFeatures, estimate: Estimate) -> wp.Kernel:
         moves = "vertex_offset" in features.programs.ops
         displace = make_displace(features.programs) if moves else None
         return _kernel_of_all(*(made() for made in make.values()), displace, features.programs.ops)
-    return _kernel_of(make[estimate]())
+    return _kernel_of(make[estimate](), specialised_out_of_line())
 
 
 @functools.cache
-def _kernel_of(function: wp.Function) -> wp.Kernel:
+def _kernel_of(function: wp.Function, out_of_line: bool) -> wp.Kernel:
     def estimate(data: SceneData, work: EstimateWork):
         function(data, work, wp.tid())
 
     estimate.__name__ = estimate.__qualname__ = f"{function.func.__name__}_kernel"
-    return wp.kernel(estimate, **KERNEL_OPTIONS)
+    return wp.kernel(estimate, **(OUT_OF_LINE_KERNEL_OPTIONS if out_of_line else KERNEL_OPTIONS))
 
 
 @functools.cache

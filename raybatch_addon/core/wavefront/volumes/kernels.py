@@ -10,7 +10,7 @@ import functools
 import warp as wp
 
 from ...device.devices import load_module
-from ...device.kernel import KERNEL_OPTIONS, general_options
+from ...device.kernel import KERNEL_OPTIONS, OUT_OF_LINE_KERNEL_OPTIONS, general_options, specialised_out_of_line
 from ...rays import Rays
 from ..rays import Paths
 from ..scene.scene_data import SceneData
@@ -27,14 +27,14 @@ def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
     """Kernel (data, volumes, work, limits, paths, rays, slots, count) of the stage `scatter`."""
     if features.volume_program.apart:
         return _general_kernel(features)
-    return _stage_kernel(make_scatter(features))
+    return _stage_kernel(make_scatter(features), specialised_out_of_line())
 
 
 def transmit_kernel(features: VolumeFeatures) -> wp.Kernel:
     """Kernel of the same arguments, of the stage `transmit`."""
     if features.volume_program.apart:
         return _general_kernel(features)
-    return _stage_kernel(make_transmit(features))
+    return _stage_kernel(make_transmit(features), specialised_out_of_line())
 
 
 def bound_kernel(features: VolumeFeatures) -> wp.Kernel:
@@ -57,7 +57,7 @@ def launch_bound(features: VolumeFeatures, volumes: VolumeData, count: int, devi
 
 
 @functools.cache
-def _stage_kernel(function: wp.Function) -> wp.Kernel:
+def _stage_kernel(function: wp.Function, out_of_line: bool) -> wp.Kernel:
     def stage(
         data: SceneData,
         volumes: VolumeData,
@@ -74,7 +74,7 @@ def _stage_kernel(function: wp.Function) -> wp.Kernel:
         function(data, volumes, work, limits, paths, rays, slots[i])
 
     stage.__name__ = stage.__qualname__ = f"{function.func.__name__}_kernel"
-    return wp.kernel(stage, **KERNEL_OPTIONS)
+    return wp.kernel(stage, **(OUT_OF_LINE_KERNEL_OPTIONS if out_of_line else KERNEL_OPTIONS))
 
 
 @functools.cache
