@@ -105,9 +105,7 @@ def _chosen(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool, out_
         settle=settle_kernel,
         walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
         volumes=VolumeKernels.choose(features, shading),
-        shading=_shading_kernels(
-            features, shading, [stage for stage in ShadingStage if has[stage]], is_cuda, out_of_line
-        ),
+        shading=_shading_kernels(features, shading, stages, is_cuda, out_of_line),
         accumulate=accumulate_kernel(layout),
         resolve=resolve_kernel(layout),
         catchers=CATCHER_KERNELS if features.catchers else (),
