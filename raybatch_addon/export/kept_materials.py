@@ -6,9 +6,8 @@ it was compiled is asked for again, and the material serves where the answers ar
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import bpy
 
@@ -36,7 +35,7 @@ class UntouchedMaterials:
 
     def __init__(self) -> None:
         self._known: dict[int, _Kept] = {}  # by `session_uid` of the original
-        self._images: dict[Any, Image] = {}  # by what `Collections.image` knows them as
+        self._images: dict[Hashable, Image] = {}  # by what `Collections.image` knows them as
         self._reported: tuple[str, int] | None = None  # what all of them follow from
 
     def forget(self, touched: Iterable[int] | None = None) -> None:

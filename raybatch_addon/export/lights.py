@@ -8,8 +8,8 @@ radius counts as 4), and a sun's strength is its radiance.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import Any
 
 import bpy
 import numpy as np
@@ -45,7 +45,7 @@ class LampGraphs:
     def __init__(self, collections: Collections | None = None) -> None:
         """`collections` gets the images and attributes that nodes refer to."""
         self._collections = collections or Collections()
-        self._known: dict[Any, LampGraph] = {}
+        self._known: dict[Hashable, LampGraph] = {}
 
     def of(self, light: bpy.types.Light) -> LampGraph:
         """The graph of an evaluated light datablock."""

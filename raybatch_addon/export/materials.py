@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import replace
-from typing import Any
 
 import bpy
 
@@ -37,7 +37,7 @@ class ExportedMaterials:
         # for each material: kind and name of the attributes that it reads
         self.asked: list[frozenset[tuple[str, str]]] = []
         self.compiled_count = 0  # materials that were looked at, and not known to be as before
-        self._index: dict[Any, int] = {}
+        self._index: dict[Hashable, int] = {}
         self._notes: dict[int, list[str]] = {}  # for each material: messages about parts that were left out
         self._users: dict[int, list[str]] = {}
 

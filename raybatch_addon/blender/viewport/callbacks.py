@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import weakref
 from collections.abc import Callable
-from typing import Any
 
 import bpy
 
@@ -14,13 +13,13 @@ from .. import warm_up
 _trouble = ""  # why there are no viewports
 
 
-def view_update(engine: bpy.types.RenderEngine, context: Any, depsgraph: bpy.types.Depsgraph) -> None:
+def view_update(engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
     """The scene was edited, or `engine` is new."""
     if _is_ready(engine):
         engine.viewport.update(context, depsgraph)
 
 
-def view_draw(engine: bpy.types.RenderEngine, context: Any, depsgraph: bpy.types.Depsgraph) -> None:
+def view_draw(engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
     """The region is to be drawn."""
     if not _is_ready(engine):
         engine.update_stats("RayBatch", _trouble or "Starting")

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
+import bpy
 import numpy as np
 
 from ...core.live.picture import LivePicture
+
+if TYPE_CHECKING:
+    import gpu
 
 
 class PictureTexture:
@@ -15,9 +19,11 @@ class PictureTexture:
     def __init__(self) -> None:
         self._picture: LivePicture | None = None
         self._exposure = 1.0
-        self._texture: Any = None
+        self._texture: gpu.types.GPUTexture | None = None
 
-    def draw(self, engine: Any, scene: Any, picture: LivePicture, exposure: float) -> None:
+    def draw(
+        self, engine: bpy.types.RenderEngine, scene: bpy.types.Scene, picture: LivePicture, exposure: float
+    ) -> None:
         """Draw `picture`, `exposure` times as bright, where it belongs in the region."""
         import gpu  # Blender without a window has none
         from gpu_extras.batch import batch_for_shader
@@ -42,7 +48,7 @@ class PictureTexture:
             gpu.state.blend_set("NONE")
 
 
-def _texture_of(pixels: np.ndarray, exposure: float) -> Any:
+def _texture_of(pixels: np.ndarray, exposure: float) -> gpu.types.GPUTexture:
     import gpu
 
     height, width = pixels.shape[:2]

@@ -60,7 +60,7 @@ class Viewport:
 
     # --- Blender's callbacks
 
-    def update(self, context: Any, depsgraph: bpy.types.Depsgraph) -> None:
+    def update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """The scene was edited."""
         start = time.perf_counter()
         try:
@@ -70,7 +70,7 @@ class Viewport:
         self._read(context, depsgraph)
         self.seconds.append(time.perf_counter() - start)
 
-    def draw(self, engine: bpy.types.RenderEngine, context: Any, depsgraph: bpy.types.Depsgraph) -> None:
+    def draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """The region is to be drawn: read on, and draw the newest picture there is."""
         start = time.perf_counter()
         finals.look()
@@ -98,7 +98,7 @@ class Viewport:
 
     # --- reading
 
-    def _read(self, context: Any, depsgraph: bpy.types.Depsgraph) -> None:
+    def _read(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Read a slice of what was edited, and have it rendered once all is read."""
         try:
             self._read_slice(context, depsgraph)
@@ -112,7 +112,7 @@ class Viewport:
         except Exception as error:  # a traceback at each draw would help nobody
             self._error = f"the scene could not be read: {type(error).__name__}: {error}"
 
-    def _read_slice(self, context: Any, depsgraph: bpy.types.Depsgraph) -> None:
+    def _read_slice(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         space, scene = context.space_data, depsgraph.scene
         space_state = _state_of(space)
         if space_state != self._space_state:
@@ -191,7 +191,7 @@ def _values_of(camera: Camera) -> tuple[Any, ...]:
     return (values.pop("transform").tobytes(), *values.values())
 
 
-def _state_of(space: Any) -> tuple[Any, ...]:
+def _state_of(space: bpy.types.Space) -> tuple[Any, ...]:
     """What of a 3D view decides which objects it shows, and of which Blender reports nowhere."""
     kinds = [name for name in space.bl_rna.properties.keys() if name.startswith("show_object_viewport_")]
     return (space.local_view is not None, space.use_local_collections, tuple(getattr(space, name) for name in kinds))

@@ -37,7 +37,7 @@ _ALIGNMENT = 4096
 _still_locked: list[np.ndarray] = []  # that the driver did not give back
 
 
-def locked_empty(shape: int | tuple[int, ...], dtype: Any, hurry: bool = True) -> wp.array:
+def locked_empty(shape: int | tuple[int, ...], dtype: type, hurry: bool = True) -> wp.array:
     """Page-locked memory without contents of the host that begins at a multiple of 4096 bytes, as an array of the CPU.
 
     `hurry`: all cores touch it; without, the calling thread does, and leaves the others to their work. Raises as Warp
@@ -67,7 +67,7 @@ def locked_empty(shape: int | tuple[int, ...], dtype: Any, hurry: bool = True) -
     )
 
 
-def locked_view(values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array | None:
+def locked_view(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array | None:
     """`values`, contiguous, as an array of the CUDA device `device`, which reads them where they lie, or of the CPU;
     None where the driver cannot lock them.
 
@@ -80,7 +80,7 @@ def locked_view(values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array |
     return _registered(driver, values, dtype, shape, device)
 
 
-def _registered(driver: Any, memory: np.ndarray, dtype: Any, shape: tuple[int, ...], device: wp.Device):
+def _registered(driver: Any, memory: np.ndarray, dtype: type, shape: tuple[int, ...], device: wp.Device):
     """`memory` registered with the driver, as an array of `device`; None where that cannot be."""
     pointer, size = memory.ctypes.data, memory.nbytes
     with _context(driver):

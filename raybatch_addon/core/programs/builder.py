@@ -7,11 +7,10 @@ their last uses.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from ctypes import c_float
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
@@ -65,7 +64,7 @@ def _bits(values: Sequence[float]) -> bytes:
     return np.array(values, np.float32).tobytes()
 
 
-def _key(operand: Value | int) -> Any:
+def _key(operand: Value | int) -> Hashable:
     """Key of an operand: operands with the same key are the same."""
     if not isinstance(operand, Value):
         return operand

@@ -113,7 +113,7 @@ def _corners(positions: np.ndarray, triangles: np.ndarray, device: wp.Device) ->
 _BY_TRIANGLE = ("triangles", "positions", "corner_normals", "triangle_slot")
 
 
-def uploaded(values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array:
+def uploaded(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
     """An array on `device`; a large one is locked where it lies meanwhile, so that a CUDA device copies it by itself
     (measured: 55 GB/s instead of 9).
     """
@@ -127,7 +127,7 @@ def uploaded(values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array:
     return wp.array(values, dtype=dtype, device=device)
 
 
-def host_array(values: np.ndarray, dtype: Any, device: wp.Device) -> wp.array:
+def host_array(values: np.ndarray, dtype: type, device: wp.Device) -> wp.array:
     """An array of the CUDA device `device` that lies in pinned memory of the host."""
     source = wp.array(values, dtype=dtype, device="cpu", copy=False)
     pinned = locked_empty(source.shape, dtype)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import warp as wp
 
@@ -31,7 +31,7 @@ class SurfacePoint:
 class SurfaceFunctions(NamedTuple):
     """Warp functions of one specialisation."""
 
-    point: Any  # (geometry, instance, primitive, uv, time) -> SurfacePoint
+    point: wp.Function  # (geometry, instance, primitive, uv, time) -> SurfacePoint
 
 
 @wp.func

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from typing import Any
 
@@ -24,9 +24,9 @@ class StrandMeshes:
         """New meshes go to `meshes`, messages to `warnings`."""
         self._meshes, self._warnings = meshes, warnings
         self._shape = curve_shape(scene)
-        self._made: dict[Any, tuple[Any, int | None]] = {}
+        self._made: dict[Hashable, tuple[Source, int | None]] = {}
         self.sources: dict[int, Source] = {}  # by mesh
-        self._seen: dict[Any, set[tuple[str, str]]] = {}
+        self._seen: dict[Hashable, set[tuple[str, str]]] = {}
 
     def forget_sources(self) -> None:
         """Keep nothing of Blender's: what is asked for again is made again."""
@@ -34,7 +34,9 @@ class StrandMeshes:
         self._made.clear()
         self._seen.clear()
 
-    def of(self, obj: bpy.types.Object, data: Any, collector: Any) -> tuple[list[int], Callable[[_Asked], int | None]]:
+    def of(
+        self, obj: bpy.types.Object, data: bpy.types.ID, collector: Any
+    ) -> tuple[list[int], Callable[[_Asked], int | None]]:
         """Materials of the slots of `data` (curves, points, or the modifier of a particle system) of `obj`, and the
         function that makes its mesh, with attributes.
         """
@@ -53,7 +55,9 @@ class StrandMeshes:
         )
         return wanted, lambda asked: self._mesh(obj, data, asked, reads_uv, collector.viewport)
 
-    def _mesh(self, obj: bpy.types.Object, data: Any, asked: _Asked, reads_uv: bool, viewport: bool) -> int | None:
+    def _mesh(
+        self, obj: bpy.types.Object, data: bpy.types.ID, asked: _Asked, reads_uv: bool, viewport: bool
+    ) -> int | None:
         key = (data.as_pointer(), reads_uv)
         if key not in self._made:
             source = self._source(obj, data, viewport)
@@ -81,7 +85,7 @@ class StrandMeshes:
                 text = f"object “{obj.name}”: its strands or points have no {what}, which their material asks for"
                 self._warnings.append(Notice(text, Weight.REPLACED, objects=[obj.name]))
 
-    def _source(self, obj: bpy.types.Object, data: Any, viewport: bool) -> Source:
+    def _source(self, obj: bpy.types.Object, data: bpy.types.ID, viewport: bool) -> Source:
         if isinstance(data, bpy.types.Curves):
             return CurvesSource(data, obj.name, self._shape)
         if isinstance(data, bpy.types.PointCloud):

@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import PurePath
-from typing import Any
 
 import bpy
 import imbuf
@@ -15,7 +14,7 @@ import numpy as np
 _HEAD_LENGTH = 32  # bytes of a file that show its kind
 
 
-def frame_number(user: Any, frame: int) -> int:
+def frame_number(user: bpy.types.ImageUser | None, frame: int) -> int:
     """The frame of a sequence or movie that `user`, an `ImageUser`, shows at the scene's frame `frame`."""
     length = user.frame_duration if user is not None else 0
     if length <= 0:

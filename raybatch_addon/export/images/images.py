@@ -14,7 +14,6 @@ import time
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import bpy
 import numpy as np
@@ -42,7 +41,7 @@ class _Kept:
 _kept: dict[tuple, _Kept] = {}
 
 
-def image_key(image: bpy.types.Image | None, user: Any, frame: int) -> tuple:
+def image_key(image: bpy.types.Image | None, user: bpy.types.ImageUser | None, frame: int) -> tuple:
     """Key of an image at the scene's frame `frame`; `user` is the node's `ImageUser`."""
     if image is None:
         return (0,)
@@ -50,7 +49,9 @@ def image_key(image: bpy.types.Image | None, user: Any, frame: int) -> tuple:
     return (image.session_uid, number) if hasattr(image, "session_uid") else (image.as_pointer(), number)
 
 
-def export_image(image: bpy.types.Image | None, user: Any, frame: int) -> tuple[Image, tuple[str, ...]]:
+def export_image(
+    image: bpy.types.Image | None, user: bpy.types.ImageUser | None, frame: int
+) -> tuple[Image, tuple[str, ...]]:
     """`image` at the scene's frame `frame`, and messages about its defects."""
     if image is None:
         return Image("none"), ()  # texture nodes treat a missing image themselves
@@ -102,7 +103,7 @@ def _make_pixels(image: bpy.types.Image) -> None:
         _ = image.size[0]
 
 
-def _signature(image: bpy.types.Image, user: Any, frame: int) -> tuple:
+def _signature(image: bpy.types.Image, user: bpy.types.ImageUser | None, frame: int) -> tuple:
     """Properties that the exported image depends on: while they are the same, the image is."""
     packed = tuple(
         (each.packed_file.size, zlib.crc32(each.packed_file.data)) for each in image.packed_files if each.packed_file
@@ -128,7 +129,7 @@ def _signature(image: bpy.types.Image, user: Any, frame: int) -> tuple:
     )
 
 
-def _paths(image: bpy.types.Image, user: Any, frame: int) -> list[str]:
+def _paths(image: bpy.types.Image, user: bpy.types.ImageUser | None, frame: int) -> list[str]:
     if image.source == "SEQUENCE":
         return [sequence_path(image, frame_number(user, frame))]
     if image.source == "TILED":
@@ -163,7 +164,9 @@ def _same_pixels(a: np.ndarray | None, b: np.ndarray | None) -> bool:
 # --- pixels
 
 
-def _exported(image: bpy.types.Image, user: Any, frame: int, kind: SpaceKind) -> tuple[Image, tuple[str, ...]]:
+def _exported(
+    image: bpy.types.Image, user: bpy.types.ImageUser | None, frame: int, kind: SpaceKind
+) -> tuple[Image, tuple[str, ...]]:
     notes: list[str] = []
     label = f"image “{image.name}”"
     unknown = kind is SpaceKind.UNKNOWN

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+
+import bpy
 
 # Kinds of data that no material is compiled from
 _WITHOUT_GRAPH = {
@@ -85,7 +86,7 @@ class Edits:
         self.moved, self.is_whole = set(), False
 
 
-def updates_of(depsgraph: Any) -> list[Update]:
+def updates_of(depsgraph: bpy.types.Depsgraph) -> list[Update]:
     """Blender's list as plain values."""
     return [
         Update(

@@ -7,7 +7,6 @@ the scene are in it already.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import bpy
 import numpy as np
@@ -50,7 +49,7 @@ class RegionView:
         return np.linalg.inv(np.array(self.to_view, float).reshape(4, 4))
 
 
-def region_view(region: Any, space: Any, scene: bpy.types.Scene) -> RegionView:
+def region_view(region: bpy.types.RegionView3D, space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> RegionView:
     """What `region` of the 3D view `space` shows of `scene`."""
     data = space.region_3d if getattr(region, "data", None) is None else region.data
     camera = camera_of(space, scene)
@@ -78,7 +77,7 @@ def region_view(region: Any, space: Any, scene: bpy.types.Scene) -> RegionView:
     )
 
 
-def camera_of(space: Any, scene: bpy.types.Scene) -> bpy.types.Object | None:
+def camera_of(space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> bpy.types.Object | None:
     """The camera that the view would look through."""
     return space.camera if space.use_local_camera and space.camera is not None else scene.camera
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from itertools import chain
-from typing import Any
 
 import bpy
 import numpy as np
@@ -94,10 +93,10 @@ class PlacementCollector:
         if live is not None:
             self.placements.materials.begin_live(live.materials)
         self._lamp_graphs = LampGraphs(collections)
-        self._templates: dict[Any, Template | None] = {}
-        self._holes: dict[Any, Template | None] = {}  # what the camera sees of holdout objects
-        self._meshes: dict[Any, int | None] = {}
-        self._attributes_seen: dict[Any, set[tuple[str, str]]] = {}  # attributes read, by mesh
+        self._templates: dict[Hashable, Template | None] = {}
+        self._holes: dict[Hashable, Template | None] = {}  # what the camera sees of holdout objects
+        self._meshes: dict[Hashable, int | None] = {}
+        self._attributes_seen: dict[Hashable, set[tuple[str, str]]] = {}  # attributes read, by mesh
         self._object_index: dict[str, int] = {}
         self._unsupported: dict[str, list[str]] = {}
         # objects that lack an attribute which their materials read, by attribute
@@ -184,14 +183,14 @@ class PlacementCollector:
             self._keep(key, placed, obj, *self._strands.of(obj, data, self))
         self._place(placed, obj, key)
 
-    def _keep(self, key: Any, placed, obj, wanted: list[int], mesh: Callable) -> None:
+    def _keep(self, key: Hashable, placed, obj, wanted: list[int], mesh: Callable) -> None:
         """Make the template of `key`, and that of what the camera sees of a holdout object."""
         template, hole = self._template(placed, obj, wanted, mesh), None
         if template is not None and is_holdout(placed, obj, self.view_layer):
             template, hole = with_hole(template, self.placements, len(wanted))
         self._templates[key], self._holes[key] = template, hole
 
-    def _place(self, placed, obj, key: Any) -> None:
+    def _place(self, placed, obj, key: Hashable) -> None:
         for template in (self._templates[key], self._holes[key]):
             if template is None:
                 continue

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
-from typing import Any
 
 import bpy
 
@@ -78,7 +77,9 @@ class LiveMeshes:
         else:
             self.owners.append(placed.object.original.session_uid)
 
-    def source(self, obj: Any, data: Any, read: Callable[[], MeshSource], warnings: list[str]) -> LiveSource:
+    def source(
+        self, obj: bpy.types.Object, data: bpy.types.ID, read: Callable[[], MeshSource], warnings: list[str]
+    ) -> LiveSource:
         """The mesh of `obj`, which `read()` reads where it is not known."""
         key, owner = (data.as_pointer(), data.session_uid), obj.original.session_uid
         known = self._known.get(key)

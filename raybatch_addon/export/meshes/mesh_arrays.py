@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 
-def read(collection: Any, attribute: str, dtype, count: int, width: int = 1) -> np.ndarray:
+def read(collection: bpy.types.bpy_prop_collection, attribute: str, dtype, count: int, width: int = 1) -> np.ndarray:
     """`attribute` of all items of `collection`: shape [count, width], or [count] for a width of 1."""
     values = np.empty(count * width, dtype)
     collection.foreach_get(attribute, values)

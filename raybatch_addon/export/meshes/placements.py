@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
-from typing import Any
 
+import bpy
 import numpy as np
 
 from ...core.scene.description import Instances, Light, Mesh
@@ -52,7 +52,7 @@ class Placements:
     matrices: array = field(default_factory=lambda: array("f"))  # of all placements, 16 numbers each, row by row
     usable: np.ndarray | None = None  # which of them are instances: bool, once `instances` was called
     templates: list[Template] = field(default_factory=list)
-    originals: list[Any] = field(default_factory=list)  # objects of all placements and lights
+    originals: list[bpy.types.Object] = field(default_factory=list)  # objects of all placements and lights
     linked: bool = False  # light is linked to receivers or blockers
     catches: bool = False  # some objects are shadow catchers
     grouped: bool = False  # emitters are in groups

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import Any, NamedTuple
 
 import bpy
@@ -75,7 +76,7 @@ class PlacedMotions:
     """The motion of placements, looked up once for all that one object places of another's mesh."""
 
     def __init__(self) -> None:
-        self._known: dict[Any, tuple[int, bool, np.ndarray | None]] = {}
+        self._known: dict[Hashable, tuple[int, bool, np.ndarray | None]] = {}
 
     def of(
         self, placed: bpy.types.DepsgraphObjectInstance, obj: bpy.types.Object, mesh: int, made: Any, item: int

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from itertools import chain
-from typing import Any
 
 import bpy
 import numpy as np
@@ -38,17 +37,17 @@ class MotionSteps:
         self._always = np.ones(len(placements.motion), bool)  # there at every step
         # first placements of the items of the depsgraph's list, which have others behind; items by key, and the next of
         # the same key
-        self._first, self._items, self._next = array("i"), dict[Any, int](), dict[int, int]()
+        self._first, self._items, self._next = array("i"), dict[Hashable, int](), dict[int, int]()
         for i, each in enumerate(placements.motion):
             if i == 0 or each.item != placements.motion[i - 1].item:
                 self._add_item(each.key)
                 self._first.append(i)
         self._first.append(len(placements.motion))
         self._positions: dict[int, list[tuple[np.ndarray, np.ndarray | None] | None]] = {}
-        self._cameras: list[Any] = []
+        self._cameras: list[Camera] = []
 
     def collect(
-        self, depsgraph: bpy.types.Depsgraph, camera_now: Callable[[], Any], cancelled: Callable[[], bool]
+        self, depsgraph: bpy.types.Depsgraph, camera_now: Callable[[], Camera], cancelled: Callable[[], bool]
     ) -> bool:
         """Go through all times, from the middle, where the scene is, on; False where `cancelled()`. The scene stays at
         the last of them. `camera_now` says how the camera is.
@@ -65,7 +64,7 @@ class MotionSteps:
         self._cameras = [cameras[step] for step in range(self.count)]
         return True
 
-    def _add_item(self, key: Any) -> None:
+    def _add_item(self, key: Hashable) -> None:
         new = len(self._first)
         item = self._items.setdefault(key, new)
         while item in self._next:

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import Any
+
+import bpy
+
+from ...core.scene.description import Image
 
 # Kind of an attribute: position of instances on the surface that places them, `generated` or `uv`
 OF_INSTANCER = "OF_INSTANCER"
 _WITHOUT_WORLD = 3e38  # [m]
 
 
-def occlusion_distance(scene: Any, view_layer: Any) -> float:
+def occlusion_distance(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> float:
     """How far occlusion reaches in Blender's `scene` where nothing else says so [m]."""
     world = getattr(view_layer, "world_override", None) or getattr(scene, "world", None)
     return _WITHOUT_WORLD if world is None else float(world.light_settings.distance)
@@ -20,11 +25,11 @@ class Collections:
 
     def __init__(self) -> None:
         self.frame = 0  # the scene's frame, for images that change with it
-        self.images: list[Any] = []  # the core's `Image`s
+        self.images: list[Image] = []
         self.environment_width = 0  # width of the widest image that worlds show [texels]
         self.sun_width = 0  # texels around a world so that the smallest sun in the worlds' skies is two texels wide
         self.warnings: list[str] = []  # messages about images and attributes that cannot be used as they are, by name
-        self._image_places: dict[Any, int] = {}
+        self._image_places: dict[Hashable, int] = {}
         self._attribute_places: dict[tuple[str, str], int] = {}
         self._object_attribute_places: dict[tuple[str, str], int] = {}
         self.asked: set[tuple[str, str]] = set()  # attributes that the current graph reads
@@ -32,11 +37,11 @@ class Collections:
         # arguments, and the answers; None: it depends on more than its nodes and these answers
         self.record: list[tuple[str, tuple, float]] | None = []
         self.has_grids = False  # there are objects with grids, which volumes read as attributes
-        self.view_layer: Any = None  # Blender's, whose properties graphs may read
-        self.scene: Any = None
+        self.view_layer: bpy.types.ViewLayer | None = None  # Blender's, whose properties graphs may read
+        self.scene: bpy.types.Scene | None = None
         self.engine = "CYCLES"  # whose output node counts where a tree has one for each engine
 
-    def output(self, tree: Any) -> Any:
+    def output(self, tree: bpy.types.NodeTree) -> bpy.types.Node | None:
         """The output node of a node tree that counts, None where it has none for this engine or for all."""
         return tree.get_output_node(self.engine) or tree.get_output_node("ALL")
 
@@ -49,14 +54,14 @@ class Collections:
         """The current graph depends on something that is neither in its nodes nor asked for here."""
         self.record = None
 
-    def image(self, key: Any, make) -> int:
+    def image(self, key: Hashable, make) -> int:
         """Index of the image known as `key`, which `make()` exports at the first request."""
         if key not in self._image_places:
             self._image_places[key] = len(self.images)
             self.images.append(make())
         return self._noted("image", key, self._image_places[key])
 
-    def images_by_key(self) -> dict[Any, Any]:
+    def images_by_key(self) -> dict[Hashable, Image]:
         """All images, by what they are known as."""
         return {key: self.images[place] for key, place in self._image_places.items()}
 

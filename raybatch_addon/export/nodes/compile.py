@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+
+import bpy
 
 from ...core.programs.op import op_named
 from ...core.programs.ops.values.math import MathOperation
@@ -35,7 +36,7 @@ class Compiled:
     varying: tuple[str, ...] = ()  # names of nodes whose outputs are not constants
 
 
-def compile_graph(socket, owner: Any, collections: Collections, displaced: bool = False) -> Compiled:
+def compile_graph(socket, owner: bpy.types.ID, collections: Collections, displaced: bool = False) -> Compiled:
     """The graph that feeds the shader input `socket` of an output node of `owner`.
 
     `collections` gets the images and attributes that it refers to. With `displaced` the displacement of the same node
@@ -44,7 +45,7 @@ def compile_graph(socket, owner: Any, collections: Collections, displaced: bool 
     return _compiled_from(Graph(owner, collections, keeps_values=is_inlinable(owner)), socket, displaced)
 
 
-def compile_volume(socket, owner: Any, collections: Collections) -> tuple[Volume | None, tuple[str, ...]]:
+def compile_volume(socket, owner: bpy.types.ID, collections: Collections) -> tuple[Volume | None, tuple[str, ...]]:
     """What the volume input `socket` of an output node of `owner` describes, and messages about what is left out; None
     where nothing is there.
     """
@@ -85,7 +86,7 @@ def _compiled_from(graph: Graph, socket, displaced: bool = False) -> Compiled:
     return _compiled(graph)
 
 
-def compile_displacement(socket, owner: Any, collections: Collections) -> Compiled:
+def compile_displacement(socket, owner: bpy.types.ID, collections: Collections) -> Compiled:
     """The graph that feeds the input `socket`, "Displacement", of an output node of `owner`: always a program."""
     graph = Graph(owner, collections, keeps_values=is_inlinable(owner))
     graph.survey = surveyed(socket.node, graph.note, graph.links)

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import bpy
+
 # Most nested groups, and most sockets on the way of one link: more of them is a cycle
 _GROUPS_MOST = 64
 _HOPS_MOST = 1000
@@ -20,13 +22,13 @@ _NUMBERED = re.compile(r"^\d+_")
 class Source:
     """An output socket, and the group nodes within which its node lies, outermost first."""
 
-    socket: Any
-    groups: tuple[Any, ...] = ()
+    socket: bpy.types.NodeSocket
+    groups: tuple[bpy.types.Node, ...] = ()
     # types of the sockets of groups and muted nodes on the way: values are converted at each
     through: tuple[str, ...] = ()
 
     @property
-    def node(self) -> Any:
+    def node(self) -> bpy.types.Node:
         """The node of the socket."""
         return self.socket.node
 
@@ -39,9 +41,9 @@ class SocketLinks:
     """
 
     def __init__(self) -> None:
-        self._trees: dict[int, dict[int, list[Any]]] = {}
+        self._trees: dict[int, dict[int, list[bpy.types.NodeLink]]] = {}
 
-    def of(self, socket) -> Sequence[Any]:
+    def of(self, socket) -> Sequence[bpy.types.NodeLink]:
         """The links that end in the input `socket`."""
         tree = socket.id_data
         key = tree.as_pointer()
@@ -74,7 +76,7 @@ def node_label(node) -> str:
 
 def find_source(
     socket,
-    groups: tuple[Any, ...] = (),
+    groups: tuple[bpy.types.Node, ...] = (),
     note: Callable[[str], None] = lambda text: None,
     links: SocketLinks | None = None,
     keeps_values: bool = False,

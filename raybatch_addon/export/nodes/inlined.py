@@ -6,7 +6,7 @@ here.
 
 from __future__ import annotations
 
-from typing import Any
+import bpy
 
 
 class Inlined:
@@ -15,9 +15,9 @@ class Inlined:
     The nodes exist as long as this object.
     """
 
-    def __init__(self, owner: Any, output: Any) -> None:
+    def __init__(self, owner: bpy.types.ID, output: bpy.types.Node) -> None:
         self.output = None  # output node of the simplified tree; None if it has none
-        self._tree: Any = None  # owner of the nodes
+        self._tree: bpy.types.ID | None = None  # owner of the nodes
         if not is_inlinable(owner) or output.id_data != owner.node_tree:
             return
         self._tree = owner.inline_shader_nodes()
@@ -26,6 +26,6 @@ class Inlined:
             self.output = found
 
 
-def is_inlinable(owner: Any) -> bool:
+def is_inlinable(owner: bpy.types.ID) -> bool:
     """Whether this Blender simplifies the graphs of `owner`."""
     return hasattr(owner, "inline_shader_nodes")

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import bpy
+
 from ...core.scene.notice import Notice, Weight
 
 
@@ -27,7 +29,7 @@ def notices(rows: Iterable[Row], *where: Any) -> Iterator[Notice]:
             yield Notice(row.text.format(found=found), row.weight, remedy=row.remedy)
 
 
-def object_notices(rows: Iterable[Row], objects: Iterable[Any]) -> Iterator[Notice]:
+def object_notices(rows: Iterable[Row], objects: Iterable[bpy.types.Object]) -> Iterator[Notice]:
     """What `rows` find at each of `objects`: a notice a row that names all of them."""
     rows = tuple(rows)
     names: list[list[str]] = [[] for _ in rows]

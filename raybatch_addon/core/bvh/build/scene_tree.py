@@ -186,7 +186,7 @@ def _assemble(built: BuiltTree, flat: FlatGeometry, entries: Entries, device: wp
     node_first = np.cumsum([0, *(mesh.nodes.size for mesh in meshes)])
     triangle_first = np.cumsum([0, *(mesh.triangles.size for mesh in meshes)])
 
-    def upload(values: np.ndarray, dtype: Any) -> wp.array:
+    def upload(values: np.ndarray, dtype: type) -> wp.array:
         host = np.ascontiguousarray(values, np.float32 if dtype in (wp.vec3, mat34) else np.int32)
         return wp.array(host, dtype=dtype, device=device)
 

@@ -13,7 +13,6 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -117,11 +116,11 @@ class Residency:
         self._state = np.full(count, ABSENT, np.int8)
         self._slot = np.full(count, -1, np.int32)
         self._pins = np.zeros(count, np.int32)
-        self._filled: dict[int, Any] = {}  # by page: the mark behind its copy, until a launch has waited for it
+        self._filled: dict[int, wp.Event] = {}  # by page: the mark behind its copy, until a launch has waited for it
         self._free = deque(
             (slot, None) for slot in range(self.slot_count)
         )  # slots, and the marks behind the last launch that saw them
-        self._used: list[Any] = [None] * self.slot_count
+        self._used: list[wp.Event | None] = [None] * self.slot_count
         self._wanted: deque[int] = deque()  # coming pages that have no slot yet
         self._clock = 0
         self._waiting, self._since, self._loaded_at, self._left_at, self._served = (
@@ -282,7 +281,7 @@ class Residency:
             self.bytes_peak = max(self.bytes_peak, self._bytes_always + self._bytes_there)
             self._line.fill(page, slot, used, self._arrived)
 
-    def _arrived(self, page: int, filled: Any, error: BaseException | None) -> None:
+    def _arrived(self, page: int, filled: wp.Event | None, error: BaseException | None) -> None:
         with self._changed:
             if error is not None:
                 self._error = error

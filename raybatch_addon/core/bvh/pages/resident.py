@@ -5,7 +5,6 @@ and sometimes all nodes.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -116,7 +115,7 @@ class _Uploads:
     def __init__(self, device: wp.Device):
         self._device, self.bytes = device, 0
 
-    def add(self, values: np.ndarray, dtype: Any) -> wp.array:
+    def add(self, values: np.ndarray, dtype: type) -> wp.array:
         host = np.ascontiguousarray(values, np.int32 if dtype is int else np.float32)
         self.bytes += host.nbytes
         return wp.array(host, dtype=dtype, device=self._device)

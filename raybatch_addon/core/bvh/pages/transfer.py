@@ -16,7 +16,7 @@ import queue
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Protocol
+from typing import Protocol
 
 import warp as wp
 
@@ -29,23 +29,23 @@ READER_COUNT = 2
 # launches
 _STEP_BYTES = 192 << 20
 
-Arrived = Callable[[int, Any, BaseException | None], None]
+Arrived = Callable[[int, wp.Event | None, BaseException | None], None]
 """Called once a page is in its slot, or will be behind a mark: (page, mark or None, error or None); from any thread."""
 
 
 class PageLine(Protocol):
     """Fills slots of the pool."""
 
-    def fill(self, number: int, slot: int, used: Any, arrived: Arrived) -> None:
+    def fill(self, number: int, slot: int, used: wp.Event | None, arrived: Arrived) -> None:
         """Bring page `number` to `slot`, behind the mark `used` (None: at once)."""
 
     def room(self) -> int:
         """Number of further pages that can be on their way now, beside those that have not landed."""
 
-    def mark(self) -> Any:
+    def mark(self) -> wp.Event | None:
         """The point behind everything that was launched so far; None where launches are over when they return."""
 
-    def land(self, number: int, slot: int, filled: Any) -> None:
+    def land(self, number: int, slot: int, filled: wp.Event | None) -> None:
         """Let launches from now on find page `number` in `slot`, where it came behind the mark `filled`."""
 
     def close(self) -> None:
@@ -88,7 +88,7 @@ class HostLine:
             for _ in range(READER_COUNT):
                 self._staging.put(page_buffer(largest_page(scene)))
 
-    def fill(self, number: int, slot: int, used: Any, arrived: Arrived) -> None:
+    def fill(self, number: int, slot: int, used: wp.Event | None, arrived: Arrived) -> None:
         self._threads.submit(_read_and_report, arrived, number, self._read, slot)
 
     def _read(self, number: int, slot: int) -> None:
@@ -110,14 +110,14 @@ class HostLine:
     def mark(self) -> None:
         return None
 
-    def land(self, number: int, slot: int, filled: Any) -> None:
+    def land(self, number: int, slot: int, filled: wp.Event | None) -> None:
         """Launches find pages in place."""
 
     def close(self) -> None:
         self._threads.shutdown(wait=True, cancel_futures=True)
 
 
-def _read_and_report(arrived: Arrived, number: int, read: Callable[[int, int], Any], slot: int) -> None:
+def _read_and_report(arrived: Arrived, number: int, read: Callable[[int, int], wp.Event | None], slot: int) -> None:
     try:
         mark = read(number, slot)
     except BaseException as error:
@@ -150,7 +150,7 @@ class CudaLine:
         # memory was allocated on the stream that traces
         self._stream.wait_event(device.stream.record_event())
 
-    def fill(self, number: int, slot: int, used: Any, arrived: Arrived) -> None:
+    def fill(self, number: int, slot: int, used: wp.Event | None, arrived: Arrived) -> None:
         self._staging_free -= 1
         if self._threads is None:
             arrived(number, self._copy(number, slot, self._scene.store.view(self._scene.pages[number]), used), None)
@@ -159,7 +159,7 @@ class CudaLine:
                 _read_and_report, arrived, number, lambda page, slot: self._read(page, slot, used), slot
             )
 
-    def _read(self, number: int, slot: int, used: Any) -> wp.Event:
+    def _read(self, number: int, slot: int, used: wp.Event | None) -> wp.Event:
         buffer, copied = self._pinned.get()
         try:
             if copied is not None:
@@ -171,7 +171,7 @@ class CudaLine:
             self._pinned.put((buffer, copied))
         return copied
 
-    def _copy(self, number: int, slot: int, source: wp.array, used: Any) -> wp.Event:
+    def _copy(self, number: int, slot: int, source: wp.array, used: wp.Event | None) -> wp.Event:
         page = self._scene.pages[number]
         if self._scene.encoded:
             # the slot is written by the stream that traces: only the buffer must be free

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -45,8 +45,8 @@ class Hit:
 class ReferenceQueries(NamedTuple):
     """Warp functions of one specialisation."""
 
-    closest: Any  # (tree, origin, direction, t_max, visibility) -> Hit
-    occluded: Any  # (tree, origin, direction, t_max, visibility) -> bool
+    closest: wp.Function  # (tree, origin, direction, t_max, visibility) -> Hit
+    occluded: wp.Function  # (tree, origin, direction, t_max, visibility) -> bool
 
 
 @dataclass

@@ -5,7 +5,7 @@ Functions for materials without hair are not touched. Hair scatters to all sides
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import warp as wp
 
@@ -19,13 +19,16 @@ from .chiang import HairDirection, cylinder_albedo, cylinder_of, principled_hair
 from .huang import facet_hair_value, fibre_albedo, fibre_of, sample_facet_hair
 from .lobes import hair_lobe_value, sample_hair_lobe
 
+if TYPE_CHECKING:
+    from ..bsdf.bsdf import Bsdf
+
 _TRANSMISSION = wp.constant(int(ClosureKind.HAIR_TRANSMISSION))
 _PRINCIPLED = wp.constant(int(ClosureKind.PRINCIPLED_HAIR))
 _FACETS = wp.constant(int(ClosureKind.FACET_HAIR))
 
 
-def with_hair(bsdf: Any, features: ClosureFeatures) -> Any:
-    """`bsdf`, a `Bsdf`, for materials that may have closures of hair; itself where `features` has none."""
+def with_hair(bsdf: Bsdf, features: ClosureFeatures) -> Bsdf:
+    """`bsdf` for materials that may have closures of hair; itself where `features` has none."""
     if not features.has(*HAIR_KINDS):
         return bsdf
     is_hair = features.test(HAIR_KINDS)

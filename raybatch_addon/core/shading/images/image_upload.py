@@ -5,7 +5,6 @@ from __future__ import annotations
 import weakref
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -304,7 +303,7 @@ def _upload(wanted: _Wanted, halvings: int, device) -> _Picture:
     )
 
 
-def _uploaded(pixels: np.ndarray, dtype: Any, device) -> wp.array:
+def _uploaded(pixels: np.ndarray, dtype: type, device) -> wp.array:
     """Texels [..., 1 or 4] one after another on the device."""
     flat = np.ascontiguousarray(pixels).reshape((-1, 4) if pixels.shape[-1] == 4 else -1)
     if flat.ctypes.data % _ALIGNMENT:

@@ -105,7 +105,7 @@ def _move(geometry: Geometry, flat: FlatGeometry, instance: int, mesh: Any, tran
         _overwrite(geometry.corner_normals, first, part.corner_normals.reshape(-1, 3), wp.vec3)
 
 
-def _overwrite(array: wp.array, first: int, values: np.ndarray, dtype: Any) -> None:
+def _overwrite(array: wp.array, first: int, values: np.ndarray, dtype: type) -> None:
     if len(values):
         source = wp.array(np.ascontiguousarray(values, np.float32), dtype=dtype, device="cpu", copy=False)
         wp.copy(array, source, dest_offset=first, count=len(values))

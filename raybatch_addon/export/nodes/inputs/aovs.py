@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+import bpy
 
 from ..node import Graph, Node
 
 
-def write_aovs(graph: Graph, tree: Any) -> None:
+def write_aovs(graph: Graph, tree: bpy.types.NodeTree) -> None:
     """Add what the AOV Output nodes of `tree` write, before any closure."""
     for found in tree.nodes:
         if found.bl_idname != "ShaderNodeOutputAOV" or found.mute:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
+import bpy
 import numpy as np
 
 from ....core.programs.builder import Value
@@ -88,7 +87,7 @@ def vector_displacement(node: Node) -> Value:
     """A displacement along three axes: those of the world, of the object, or of tangent, normal and bitangent."""
     none = (0.0, 0.0, 0.0)
 
-    def maths(operation: VectorOperation, a: Value, b: Any = none) -> Value:
+    def maths(operation: VectorOperation, a: Value, b: Value = none) -> Value:
         return node.op("vector_math", operation, a, b, none, 0.0)[0]
 
     midlevel, scale = node.as_vector(node.number("Midlevel")), node.number("Scale")
@@ -109,7 +108,7 @@ def vector_displacement(node: Node) -> Value:
     return node.op("vector_transform", VectorKind.VECTOR, Space.OBJECT, Space.WORLD, raised)
 
 
-def bump_from_displacement(graph: Graph, output: Any) -> None:
+def bump_from_displacement(graph: Graph, output: bpy.types.Node) -> None:
     """Bend the surface's normal by the displacement that is linked to the output node `output`."""
     node = Node(graph, output)
     normal = node.op("normals")[0]

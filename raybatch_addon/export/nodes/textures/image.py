@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+import bpy
 
 from ....core.programs.ops.textures.environment import EnvironmentProjection
 from ....core.programs.ops.textures.image import Projection
@@ -70,7 +70,7 @@ def _image_of(node: Node) -> tuple[int, int]:
     return index, int(node.wants("Alpha") and divides_alpha(texture.image))
 
 
-def exported_image(collections: Collections, image: Any, user: Any) -> int:
+def exported_image(collections: Collections, image: bpy.types.Image | None, user: bpy.types.ImageUser | None) -> int:
     """Index of Blender's `image` at the frame of `collections`; `user` is the node's `ImageUser`."""
     from ...images.images import export_image, image_key  # imports Blender
 
