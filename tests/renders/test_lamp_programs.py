@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from raybatch_addon.core.device.kernel import specialised_out_of_line
 from raybatch_addon.core.errors import SceneError
 from raybatch_addon.core.programs import ops  # noqa: F401  (registers ops)
 from raybatch_addon.core.programs.builder import ProgramBuilder
@@ -176,7 +177,8 @@ def test_scenes_pay_for_programs_of_lamps_only_where_there_are_some():
     assert changed == programs  # values compile nothing
     kernels, others = (StageKernels.choose(each, wp.get_device("cpu")).shading for each in (plain, programs))
     assert (
-        kernels[ShadingStage.CONNECT] is stage_kernel(make_connect(False, False, False), ShadingStage.CONNECT)
+        kernels[ShadingStage.CONNECT]
+        is stage_kernel(make_connect(False, False, False), ShadingStage.CONNECT, specialised_out_of_line())
         and kernels[ShadingStage.LIGHT_HITS] is not others[ShadingStage.LIGHT_HITS]
     )
 

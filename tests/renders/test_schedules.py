@@ -14,12 +14,20 @@ from raybatch_addon.core.scene.archive import save_scene
 from raybatch_addon.core.session import Session
 from raybatch_addon.core.settings.settings import SETTINGS
 from tests.support import schedule_scenes
+from tests.support.running.general_kernels import by_general_kernels
 from tests.support.schedule_scenes import ESTIMATOR
 from tests.support.under_test import DEVICE
 
 SIZES = DrawnSizes(triangles=5000, tree_bytes=400_000, paths=3000)
 EXAMPLES = 60  # of each scene, in a thorough run
 TURNS = 16
+
+
+@pytest.fixture(scope="module", autouse=True)
+def kernels_that_are_there():
+    """General ones where they can render; those of tracers, which schedules are about, are as ever."""
+    with by_general_kernels():
+        yield
 
 
 @pytest.fixture(scope="module")

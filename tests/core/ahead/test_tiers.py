@@ -44,7 +44,7 @@ from raybatch_addon.core.wavefront.tier import (
 from tests.support import scenes, schedule_scenes
 from tests.support.feature_scenes import ALL_FEATURES, EACH_FEATURE, EACH_WIDE_FEATURE, FEATURES, WIDE_FEATURES
 from tests.support.feature_scenes import SETTINGS as FEATURE_SETTINGS
-from tests.support.running.shares import thorough_but
+from tests.support.running.shares import each_of, thorough_but
 from tests.support.under_test import DEVICE
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -59,15 +59,9 @@ def choice_is_free(monkeypatch):
 
 
 SCENES = {**schedule_scenes.SCENES, "plain": scenes.mixed}
-# Of features, each of which compiles specialised kernels of its own
-ALWAYS = (
-    "everything",
-    "passes",
-    "subsurface",
-    "transparent with a program that asks for history",
-    "a volume with a program",
-    "settings of Cycles, and a denoiser's passes",
-)
+# What is run always of those and of features, each of which compiles specialised kernels of its own
+SCENES_ALWAYS = ("plain", "living")
+ALWAYS = ("everything", "subsurface", "volume", "settings of Cycles, and a denoiser's passes")
 
 
 def films(scene, **changes):
@@ -86,7 +80,7 @@ def assert_same(film, expected):
 
 
 @ON_CPU
-@pytest.mark.parametrize("name", list(SCENES))
+@pytest.mark.parametrize("name", thorough_but(SCENES_ALWAYS, SCENES))
 def test_tiers_give_the_same_film(name):
     specialised, general = films(SCENES[name]())
     assert_same(general, specialised)
@@ -111,12 +105,15 @@ def test_tiers_give_the_same_film_of_each_feature(feature):
 @ON_CPU
 @pytest.mark.parametrize(
     "frame",
-    [
-        Frame(24, 20, transparent=True),
-        Frame(24, 20, passes=("Combined", "Normal")),
-        Frame(24, 20, passes=("Combined", "Depth", "Position"), transparent=True),
-    ],
-    ids=["transparent", "normal", "depth and position"],
+    each_of(
+        3,
+        [
+            Frame(24, 20, passes=("Combined", "Depth", "Position"), transparent=True),
+            Frame(24, 20, transparent=True),
+            Frame(24, 20, passes=("Combined", "Normal")),
+        ],
+    ),
+    ids=["depth and position", "transparent", "normal"],
 )
 def test_frames_have_what_they_ask_for_and_no_more(frame):
     specialised, general = films(replace(scenes.mixed(), frame=frame))
@@ -126,7 +123,9 @@ def test_frames_have_what_they_ask_for_and_no_more(frame):
 
 @ON_CPU
 @pytest.mark.parametrize(
-    "changes", [dict(nee="OFF"), dict(nee="HALF"), dict(clamp_indirect=0.5), dict(roulette_bounce=99)], ids=str
+    "changes",
+    each_of(4, [dict(clamp_indirect=0.5), dict(nee="OFF"), dict(nee="HALF"), dict(roulette_bounce=99)]),
+    ids=str,
 )
 def test_settings_count_in_both_tiers(changes):
     specialised, general = films(scenes.mixed(), **changes)
@@ -170,7 +169,7 @@ def test_surfaces_of_common_scenes_are_shaded_by_less_code():
 
 
 @ON_CPU
-@pytest.mark.parametrize("name", list(SCENES))
+@pytest.mark.parametrize("name", thorough_but(SCENES_ALWAYS, SCENES))
 def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
     scene = SCENES[name]()
     features = derive_features(scene, SETTINGS)
@@ -193,7 +192,7 @@ def test_specialised_kernels_take_over_in_the_middle(name, monkeypatch):
 def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
     """What is compiled meanwhile is used, and statistics say so."""
     scene, asked = scenes.mixed(Frame(64, 64)), []
-    settings = SETTINGS.replace(sample_count=2048, tile_size=16)
+    settings = SETTINGS.replace(sample_count=256, tile_size=16)
     Session(DEVICE).render(scene, settings.replace(kernel_tier="SPECIALISED", sample_count=1))
 
     def compiled(_self, request, _left):
@@ -246,7 +245,8 @@ def test_what_general_kernels_cannot_do_is_said():
     large = ProgramFeatures(("emission",), 16, 2 * CLOSURES_MOST)
     assert "closures" in why_not(replace(features, world_program=large))
     session = Session(DEVICE)
-    film = session.render(scenes.mixed(), SETTINGS.replace(kernel_tier="GENERAL", mis="OFF", sample_count=1))
+    small = scenes.scene([(scenes.plane(), scenes.IDENTITY, scenes.diffuse())], world=0.5)
+    film = session.render(small, SETTINGS.replace(kernel_tier="GENERAL", mis="OFF", sample_count=1))
     why = why_not(replace(features, mis=False))
     assert any(f"not GENERAL: {why}" in warning for warning in film.statistics["warnings"])
 

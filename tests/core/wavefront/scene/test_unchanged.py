@@ -17,6 +17,8 @@ from raybatch_addon.core.wavefront.scene import device_scene, scene_cache
 from tests.support import scenes
 from tests.support.under_test import DEVICE
 
+pytestmark = pytest.mark.usefixtures("general_kernels")
+
 SETTINGS = RenderSettings(device=DEVICE, sample_count=2, bounce_max=2)
 PIXELS = freeze(np.random.default_rng(3).random((8, 8, 4)).astype(np.float32))
 
@@ -155,7 +157,7 @@ def test_what_changes_is_made_again_and_the_film_is_that_of_a_new_session(made, 
     assert film == pixels(other), "as a session renders it that has nothing to keep"
 
 
-def test_light_that_is_bumped_follows_the_camera(made, general_kernels):
+def test_light_that_is_bumped_follows_the_camera(made):
     """Heights are compared over a share of a pixel, whose width depends on the camera."""
     session, scene = Session(DEVICE), frozen(scene_of(bumped()))
     pixels(scene, session)
