@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Tell the direct light of single pixels in float64, with every triangle asked for every ray: who is right where two
+"""Report the direct light of single pixels in float64, with every triangle asked for every ray: who is right where two
 engines differ.
 
 python scripts/direct_light.py SCENE.scene.npz --size 160x160 --pixel X,Y [--pixel X,Y ...] [--samples N]

@@ -28,7 +28,9 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    if DEVICE == "cpu" and not config.option.thorough:  # which then compile in half the time, in processes that tests start too
+    if (
+        DEVICE == "cpu" and not config.option.thorough
+    ):  # which then compile in half the time, in processes that tests start too
         os.environ.setdefault(SPECIALISED_CODE, "OUT_OF_LINE")
     config.addinivalue_line("markers", "thorough: takes a minute or more, and runs with --thorough alone")
 

@@ -1,4 +1,4 @@
-"""Runs in words: what tells them apart, how far they came, and when they reach an error."""
+"""Runs in words: what sets them apart, how far they came, and when they reach an error."""
 
 from __future__ import annotations
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import textwrap
 from pathlib import Path
 from typing import Any
+
+from tables.marked_text import wrapped
 
 from parity_report.sheets import GAIN, slug
 
 MEAN_NOISE, REL_NOISE = "mean's noise", "relMSE's noise"
-WIDTH = 120  # columns of the page
 
 _HEAD = """\
 # Parity with Cycles
@@ -110,12 +110,12 @@ def _family(name: str, results: list, numbers: dict[str, int]) -> list[str]:
         lines += ["", "Notes of RayBatch:", ""]
         for result in noted:
             text = f"- **{result.feature.name}**: {result.note}"
-            lines += textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+            lines += wrapped(text, others="  ")
     if found := [result for result in results if result.feature.finding and not result.ok]:
         lines += ["", "Who is right:", ""]
         for result in found:
             text = f"- **{result.feature.name}**: {result.feature.finding}"
-            lines += textwrap.wrap(text, WIDTH, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
+            lines += wrapped(text, others="  ")
     if any(result.feature.name in numbers for result in results):
         lines += ["", f"![{name}: Cycles, RayBatch and their difference, by number](parity/{slug(name)}.png)"]
     return lines

@@ -7,11 +7,11 @@ Figures are those of the last comparison, which docs/real-files/results.json kee
 from __future__ import annotations
 
 import json
-import textwrap
 from pathlib import Path
 from typing import Any
 
 from lib.output import json_text, write_whole
+from tables.marked_text import wrapped
 
 from real_files.judging import NAMES
 from real_files.listing import may_be_shown, read_listing
@@ -30,9 +30,7 @@ from real_files.tables import (
     summary_rows,
 )
 
-WIDTH = 120  # columns of the page
 LISTING, PAGE, FOLDER = "docs/real-files.json", "docs/real-files.md", "docs/real-files"
-_WHOLE_WORDS = {"break_long_words": False, "break_on_hyphens": False}
 # The option of the command line, by the word for it in a request
 _KERNEL_CACHES = {"the user's": "", "cold": " --kernel-cache cold", "a copy": " --kernel-cache FOLDER-WITH-KERNELS"}
 _HEAD = """\
@@ -78,7 +76,7 @@ def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
     versions = ", ".join(f"{name} {value}" for name, value in report["versions"].items())
     # requests of earlier comparisons know neither
     repeats, defaults = report["request"].get("repeats", 1), report["request"].get("defaults", False)
-    note = "\n\n" + "\n".join(_wrapped(report["note"])) if report.get("note") else ""
+    note = "\n\n" + "\n".join(wrapped(report["note"])) if report.get("note") else ""
     lines = [
         _HEAD.format(
             width=report["request"]["width"],
@@ -87,7 +85,7 @@ def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
             how=f"{how_rendered(defaults)}, each in a process of its own. {versions}.{note}",
             kernel_cache=_KERNEL_CACHES[report["request"]["kernel_cache"]],
             counted=counted(report["summary"]),
-            old="".join("\n\n" + "\n".join(_wrapped(text)) for text in notes_of_old(report)),
+            old="".join("\n\n" + "\n".join(wrapped(text)) for text in notes_of_old(report)),
             summary=_table(SUMMARY_HEADS, summary_rows(report["summary"])),
             files=_table(HEADS, [cells(row) for row in report["files"]]),
             explained=EXPLAINED,
@@ -95,7 +93,7 @@ def with_findings(report: dict[str, Any], listing: list[dict[str, Any]]) -> str:
     ]
     missing = [name for name in about if name not in {row["name"] for row in report["files"]}]
     if missing:
-        lines += _wrapped(f"Of the list, not rendered yet: {'; '.join(missing)}.")
+        lines += wrapped(f"Of the list, not rendered yet: {'; '.join(missing)}.")
     for title, some in (
         ("Files that differ", [row for row in report["files"] if row["verdict"] == DIFFERS]),
         ("Other files", [row for row in report["files"] if row["verdict"] != DIFFERS]),
@@ -111,29 +109,25 @@ def _table(heads: tuple[str, ...], rows: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in made)
 
 
-def _wrapped(text: str, indent: str = "") -> list[str]:
-    return textwrap.wrap(text, WIDTH, subsequent_indent=indent, **_WHOLE_WORDS)
-
-
 def _section(row: dict[str, Any], entry: dict[str, Any]) -> list[str]:
     lines = ["", f"### {row['name']}", ""]
     if entry:
         kind = f"{entry['kind'][:1].upper()}{entry['kind'][1:]}. " if entry.get("kind") else ""
-        lines += _wrapped(f"{kind}Licence: {entry['licence']}.")
+        lines += wrapped(f"{kind}Licence: {entry['licence']}.")
     finding = entry.get("finding", {})
     if row["verdict"] == DIFFERS:
         judged = row.get("superposition", {}).get("right")
         right = finding.get("right", judged if judged in NAMES.values() else "not known yet")
         why = finding.get("why", "")
-        lines += ["", *_wrapped(f"**Right: {right}.**{' ' if why else ''}{why}")]
+        lines += ["", *wrapped(f"**Right: {right}.**{' ' if why else ''}{why}")]
     elif finding.get("why"):
-        lines += ["", *_wrapped(finding["why"])]
+        lines += ["", *wrapped(finding["why"])]
     reported = [f"- {kind}: {text}" for kind, text in remarks(row)]
-    lines += [""] * bool(reported) + [line for text in reported for line in _wrapped(text, "  ")]
+    lines += [""] * bool(reported) + [line for text in reported for line in wrapped(text, others="  ")]
     if row.get("picture"):
         credit = f"; {entry['credit']}" if entry.get("credit") else ""
         lines += ["", f"![Cycles, RayBatch and their difference](real-files/{row['picture']})", ""]
-        lines += _wrapped(f"Cycles, RayBatch, and their absolute difference {GAIN} times as bright{credit}.")
+        lines += wrapped(f"Cycles, RayBatch, and their absolute difference {GAIN} times as bright{credit}.")
     return lines
 
 

@@ -10,20 +10,18 @@ from __future__ import annotations
 import json
 import math
 import re
-import textwrap
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from tables.marked_text import with_part
+from tables.marked_text import with_part, wrapped
 
 from raybatch_addon.core.errors import RayBatchError
 from stability_report.report import json_number
 from tests.stability.case import Case
 
 MARKS = ("<!-- cases: made by scripts/stability.py --table -->", "<!-- end of cases -->")
-WIDTH = 120  # columns of the page
 _SHARED_MIN = 60  # characters from which a passage that several cases share is printed once
 _SENTENCE = re.compile(r"(?<=\.)\s+(?=[A-Z\d])")  # between sentences
 _LETTERS = "abcdefghijklmnopqrstuvwxyz"
@@ -106,12 +104,6 @@ def _short(text: str, letters: dict[str, str]) -> str:
     return " ".join(f"({letters[one]})" if one in letters else one for one in _SENTENCE.split(text))
 
 
-def _wrapped(text: str, first: str, others: str) -> list[str]:
-    return textwrap.wrap(
-        text, WIDTH, initial_indent=first, subsequent_indent=others, break_long_words=False, break_on_hyphens=False
-    )
-
-
 def _table(cases: Sequence[Case], results: Results) -> list[str]:
     lines = ["| case | tracers | quick | error | bound |", "|---|---|---|---|---|"]
     for each in cases:
@@ -133,11 +125,11 @@ def _descriptions(cases: Sequence[Case]) -> list[str]:
     if letters:
         lines += ["What several cases say:", ""]
         for sentence, letter in letters.items():
-            lines += _wrapped(f"({letter}) {sentence}", "- ", "  ")
+            lines += wrapped(f"({letter}) {sentence}", "- ", "  ")
         lines += ["", "The cases:", ""]
     for each in cases:
-        lines += _wrapped(f"**{each.name}.** {_short(each.about, letters)}", "- ", "  ")
-        lines += _wrapped(f"*Bound:* {_short(each.bound, letters)}", "  ", "  ")
+        lines += wrapped(f"**{each.name}.** {_short(each.about, letters)}", "- ", "  ")
+        lines += wrapped(f"*Bound:* {_short(each.bound, letters)}", "  ", "  ")
     return [*lines, "", "</details>"]
 
 
@@ -147,7 +139,7 @@ def cases_tables(cases: Iterable[Case], results: Results) -> str:
     for each in cases:
         families.setdefault(each.family, []).append(each)
     devices = sorted({run["device"] for run in results})
-    lines = _wrapped(
+    lines = wrapped(
         "*Error* is the worst of the runs that are stored in [stability/results.json](stability/results.json)"
         + (f" ({', '.join(devices)})" if devices else "")
         + ", *bound* what the case allows, in the same unit; *exact*: any error fails.",

@@ -9,19 +9,16 @@ from __future__ import annotations
 import ast
 import re
 import sys
-import textwrap
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
-from tables.marked_text import with_part, write_or_check
+from tables.marked_text import with_part, wrapped, write_or_check
 from tests.test_architecture import PACKAGE, room_of
 
 MANUAL = ROOT / "docs/architecture.md"
 PARTS = ("rooms", "files")  # the marks' names, in the order in which they are written
-WIDTH = 120  # columns of the page
-_WHOLE_WORDS = {"break_long_words": False, "break_on_hyphens": False}
 _COMMAND = re.compile(r": python scripts/.*")  # how a script is called, behind what it does
 _SENTENCE = re.compile(r".*?[.!?](?=\s+[A-Z`*]|$)")  # the first one of a line of text
 
@@ -95,7 +92,7 @@ def _folded(folder: Path) -> list[str]:
     lines = [f"<details><summary><code>{_name(folder)}</code></summary>", ""]
     for path in _files(folder):
         entry = f"- `{path.relative_to(folder).as_posix()}`: {idea_of(path)}"
-        lines += textwrap.wrap(entry, WIDTH, subsequent_indent="  ", **_WHOLE_WORDS)
+        lines += wrapped(entry, others="  ")
     return [*lines, "", "</details>"]
 
 

@@ -23,16 +23,18 @@ def with_part(text: str, first: str, last: str, made: str, where: object) -> str
     return text
 
 
+def wrapped(text: str, first: str = "", others: str = "") -> list[str]:
+    """`text` in lines of a document that break between words, with `first` before the first of them and `others` before
+    the others.
+    """
+    return textwrap.wrap(
+        text, WIDTH, initial_indent=first, subsequent_indent=others, break_long_words=False, break_on_hyphens=False
+    )
+
+
 def list_item(text: str, indent: str = "") -> list[str]:
     """`text` as an item of a list, in lines."""
-    return textwrap.wrap(
-        text,
-        WIDTH,
-        initial_indent=f"{indent}- ",
-        subsequent_indent=f"{indent}  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-    )
+    return wrapped(text, f"{indent}- ", f"{indent}  ")
 
 
 def write_or_check(page: Path, updated: Callable[[str], str], script: str, arguments: list[str]) -> int:

@@ -9,7 +9,6 @@ not up to date.
 from __future__ import annotations
 
 import sys
-import textwrap
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,11 +18,10 @@ import bpy
 
 from raybatch_addon.export import nodes  # noqa: F401  (registers handlers)
 from raybatch_addon.export.nodes.registry import Handled, shader_nodes, value_nodes
-from tables.marked_text import with_part, write_or_check
+from tables.marked_text import with_part, wrapped, write_or_check
 
 MANUAL = ROOT / "docs/nodes.md"
 FIRST, LAST = "<!-- nodes: made by scripts/tables/nodes_table.py -->", "<!-- end of nodes -->"
-WIDTH = 120  # columns of the page
 # Nodes that need no handler, and what becomes of them
 FOLLOWED = {
     "The graph starts here": ("ShaderNodeOutputMaterial", "ShaderNodeOutputWorld", "ShaderNodeOutputLight"),
@@ -88,7 +86,7 @@ def tables() -> str:
     lines.append("")
     missing = sorted(label for name, label in names.items() if name not in known)
     lines += ["### Not supported", ""]
-    lines += textwrap.wrap(f"A warning names each of these, its material and its objects: {', '.join(missing)}.", WIDTH)
+    lines += wrapped(f"A warning names each of these, its material and its objects: {', '.join(missing)}.")
     return "\n".join(lines)
 
 

@@ -30,7 +30,7 @@ class DenoiseSettings:
     denoise_inputs: str = setting(
         "ALBEDO_NORMAL",
         "Passes",
-        "What tells the denoiser of edges and textures beside the picture itself. These passes are rendered too",
+        "What shows the denoiser edges and textures beside the picture itself. These passes are rendered too",
         group="DENOISING",
         choices=(
             ("NONE", "Color", "The picture alone: fine textures get lost"),

@@ -74,7 +74,7 @@ class EstimatorSettings:
     error_estimate: str = setting(
         "OFF",
         "Error Estimate",
-        "Tell how far the picture is from its limit at infinitely many samples, without a reference",
+        "Estimate how far the picture is from its limit at infinitely many samples, without a reference",
         group="ERROR",
         choices=(
             ("OFF", "Off", "All samples have the same seed"),

@@ -22,7 +22,7 @@ class RayBatchConvergence(bpy.types.PropertyGroup):
         max=1e9,
         precision=6,
         options=set(),
-        description="The error (relMSE) to which the time is told; that of Stop at Error, where there is one",
+        description="The error (relMSE) to which the time is reported; that of Stop at Error, where there is one",
     )
 
 

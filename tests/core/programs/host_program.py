@@ -12,7 +12,7 @@ from raybatch_addon.core.programs.builder import _Closures
 from raybatch_addon.core.programs.op import as_python, op_named
 from raybatch_addon.core.scene.description import Closure
 from raybatch_addon.core.scene.program import Program
-from raybatch_addon.core.shading.bsdf.albedo import load_tables
+from raybatch_addon.core.shading.bsdf.albedo import AlbedoTables, load_table
 from raybatch_addon.core.shading.bsdf.materials import constant_closure
 
 
@@ -28,10 +28,15 @@ class _Table:
         return _Table(found) if np.ndim(found) else float(found)
 
 
+def albedo_arrays() -> dict[str, np.ndarray]:
+    """All arrays of `AlbedoTables` by name, float32."""
+    return {name: load_table(name) for name in AlbedoTables.vars}
+
+
 @functools.cache
 def host_tables() -> SimpleNamespace:
     """`AlbedoTables` that Python bodies can read."""
-    return SimpleNamespace(**{name: _Table(values.astype(np.float64)) for name, values in load_tables().items()})
+    return SimpleNamespace(**{name: _Table(values.astype(np.float64)) for name, values in albedo_arrays().items()})
 
 
 def closures_seen_at(program: Program, cosine: float, azimuth: float = 0.4) -> tuple[Closure, ...]:

@@ -24,9 +24,14 @@ def kernel(smooth: bool):
 
     @wp.kernel(**KERNEL_OPTIONS)
     def run(
-        geometry: Geometry, outside: float, cone: wp.vec2, distance: float, lobe: int, pdf: float,
+        geometry: Geometry,
+        outside: float,
+        cone: wp.vec2,
+        distance: float,
+        lobe: int,
+        pdf: float,
         out: wp.array(dtype=wp.vec2),
-    ):  # fmt: skip
+    ):
         v = Vertex()
         v.wo = wp.vec3(0.0, 0.0, outside)
         v.surface.geometric_normal = wp.vec3(0.0, 0.0, 1.0)

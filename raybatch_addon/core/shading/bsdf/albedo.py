@@ -62,11 +62,6 @@ def load_table(name: str) -> np.ndarray:
     return _stored(name).astype(np.float32)
 
 
-def load_tables() -> dict[str, np.ndarray]:
-    """All arrays of `AlbedoTables` by name, float32."""
-    return {name: load_table(name) for name in AlbedoTables.vars}
-
-
 def _stored(name: str) -> np.ndarray:
     """A table of the file, float64."""
     with np.load(_FILE) as file:

@@ -15,8 +15,8 @@ from precompute.albedo_tables import (
 )
 
 from raybatch_addon.core.programs.op import as_python
-from raybatch_addon.core.shading.bsdf.albedo import coat_fresnel_average, load_tables
-from tests.core.programs.host_program import host_tables
+from raybatch_addon.core.shading.bsdf.albedo import coat_fresnel_average
+from tests.core.programs.host_program import albedo_arrays, host_tables
 
 
 def _read(table, *position):
@@ -41,7 +41,7 @@ def random_points():
 
 
 def test_tables_lose_little_and_make_next_to_nothing(random_points):
-    tables, rng = load_tables(), np.random.default_rng(6)
+    tables, rng = albedo_arrays(), np.random.default_rng(6)
     for roughness, cosine, u in random_points:
         x = rng.uniform(-1, 1, 16)  # sign(l) |l|^(1/4), l = log(eta) / log(1000)
         etas = IOR_LARGEST ** (np.sign(x) * x**4)

@@ -178,9 +178,17 @@ def test_the_level_has_texels_of_the_footprints_area():
     )
     texel = 1 / (64 * 256)
     asked = [
-        (0, 0.99), (texel, 0), (texel, 0.99), (4 * texel, 0), (8 * texel, 0.49), (8 * texel, 0.51), (1e30, 0.5),
-        (np.nan, 0), (np.inf, 0.9), (-1, 0.5),
-    ]  # fmt: skip
+        (0, 0.99),
+        (texel, 0),
+        (texel, 0.99),
+        (4 * texel, 0),
+        (8 * texel, 0.49),
+        (8 * texel, 0.51),
+        (1e30, 0.5),
+        (np.nan, 0),
+        (np.inf, 0.9),
+        (-1, 0.5),
+    ]
     area, level = wp.array(asked, dtype=wp.vec2, device=DEVICE), wp.zeros(len(asked), dtype=int, device=DEVICE)
     wp.launch(probe_footprint, len(asked), [images.table, area, 0], [level], device=DEVICE)
     assert level.numpy().tolist() == [0, 0, 0, 1, 1, 2, 8, 0, 8, 0]
