@@ -28,9 +28,7 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    if (
-        DEVICE == "cpu" and not config.option.thorough
-    ):  # which then compile in half the time, in processes that tests start too
+    if DEVICE == "cpu" and not config.option.thorough:  # for kernels that compile in half the time
         os.environ.setdefault(SPECIALISED_CODE, "OUT_OF_LINE")
     config.addinivalue_line("markers", "thorough: takes a minute or more, and runs with --thorough alone")
 

@@ -128,7 +128,7 @@ class _OwnedFolders:
 def remove_left_folders() -> None:
     """Remove the temporary folders that processes left which were killed, those with spare kernels too.
 
-    Those of the header without a file for their owner are of Warp without RayBatch: they go where the system tells that
+    Those of the header without a file for their owner are of Warp without RayBatch: they go where the system says that
     no process with Warp in it is as old.
     """
     with contextlib.suppress(OSError):  # the temporary folder cannot be read

@@ -81,7 +81,7 @@ class EstimatorSettings:
             (
                 "ON",
                 "On",
-                "Every other sample has another seed, and either half a film of its own: how far they differ tells the "
+                "Every other sample has another seed, and either half a film of its own: how far they differ gives the "
                 "error of both together",
             ),
         ),

@@ -126,7 +126,7 @@ class SchedulerSettings:
     ray_count: int = setting(
         0,
         "Rays Alive",
-        "Paths alive at once in all workers together; 0 chooses by device and scene. The panel's memory estimate tells "
+        "Paths alive at once in all workers together; 0 chooses by device and scene. The panel's memory estimate says "
         "what each takes",
         group="SCHEDULER",
         effect="schedule",
