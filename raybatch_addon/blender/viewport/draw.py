@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import bpy
 import numpy as np
 
 from ...core.live.picture import LivePicture
 
 if TYPE_CHECKING:
+    import bpy
     import gpu
 
 

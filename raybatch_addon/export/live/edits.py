@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-import bpy
+if TYPE_CHECKING:
+    import bpy
 
 # Kinds of data that no material is compiled from
 _WITHOUT_GRAPH = {

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from array import array
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
-import bpy
 import numpy as np
 
 from ...core.scene.description import Instances, Light, Mesh
@@ -14,6 +14,9 @@ from ..curves.sources import Source
 from ..light_links import ObjectLinks
 from ..materials import ExportedMaterials
 from ..motion.objects import PlacedMotion
+
+if TYPE_CHECKING:
+    import bpy
 
 # A matrix composed in float32 from a few products has elements wrong by about this much, relatively
 _MATRIX_ERROR = 8 * 2.0**-24

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any
-
-import bpy
+from typing import TYPE_CHECKING, Any
 
 from ...core.scene.description import Image
+
+if TYPE_CHECKING:
+    import bpy
 
 # Kind of an attribute: position of instances on the surface that places them, `generated` or `uv`
 OF_INSTANCER = "OF_INSTANCER"

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-
-import bpy
+from typing import TYPE_CHECKING
 
 from ...core.programs.op import op_named
 from ...core.programs.ops.values.math import MathOperation
@@ -20,6 +19,9 @@ from .inputs.normals import bump_from_displacement
 from .node import Graph, Node, deep_recursion
 from .survey import surveyed
 from .volume_builder import VolumeBuilder
+
+if TYPE_CHECKING:
+    import bpy
 
 # Most closures of a point: Cycles' own limit
 CLOSURES_MOST = 64

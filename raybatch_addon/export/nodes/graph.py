@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import bpy
+if TYPE_CHECKING:
+    import bpy
 
 # Most nested groups, and most sockets on the way of one link: more of them is a cycle
 _GROUPS_MOST = 64

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
-
-import bpy
+from typing import TYPE_CHECKING, Any
 
 from ...core.scene.notice import Notice, Weight
+
+if TYPE_CHECKING:
+    import bpy
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import bpy
+from typing import TYPE_CHECKING
 
 from ..node import Graph, Node
+
+if TYPE_CHECKING:
+    import bpy
 
 
 def write_aovs(graph: Graph, tree: bpy.types.NodeTree) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import bpy
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from ....core.programs.builder import Value
@@ -14,6 +15,9 @@ from ....core.programs.point import shift_width, wide_shift
 from ..graph import AXES
 from ..node import Graph, Node
 from ..registry import values
+
+if TYPE_CHECKING:
+    import bpy
 
 FILTER_WIDTH = 0.1  # Blender's filter width in a new node, which is that of the steps aside
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import bpy
+from typing import TYPE_CHECKING
 
 from ....core.programs.ops.textures.environment import EnvironmentProjection
 from ....core.programs.ops.textures.image import Projection
@@ -12,6 +12,9 @@ from ..graph import node_label
 from ..node import Node, Value
 from ..registry import values
 from .mapping import mapped
+
+if TYPE_CHECKING:
+    import bpy
 
 _INTERPOLATIONS = {
     "Closest": Interpolation.CLOSEST,
