@@ -47,7 +47,7 @@ def look() -> None:
 
 
 @persistent
-def _begin(scene: bpy.types.Scene, *_: Any) -> None:
+def _begin(scene: bpy.types.Scene | None, *_: Any) -> None:
     global _is_job, job
     job += 1
     _is_job = scene is not None and scene.render.engine == "RAYBATCH"

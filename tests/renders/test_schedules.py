@@ -25,7 +25,7 @@ TURNS = 16
 
 @pytest.fixture(scope="module", autouse=True)
 def kernels_that_are_there():
-    """General ones where they can render; those of tracers, which schedules are about, are as ever."""
+    """General ones for the plain film, and where the drawn `kernel_tier` is AUTO; tracers are as ever."""
     with by_general_kernels():
         yield
 

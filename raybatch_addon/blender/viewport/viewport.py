@@ -191,7 +191,7 @@ def _values_of(camera: Camera) -> tuple[Any, ...]:
     return (values.pop("transform").tobytes(), *values.values())
 
 
-def _state_of(space: bpy.types.Space) -> tuple[Any, ...]:
+def _state_of(space: bpy.types.SpaceView3D) -> tuple[Any, ...]:
     """What of a 3D view decides which objects it shows, and of which Blender reports nowhere."""
     kinds = [name for name in space.bl_rna.properties.keys() if name.startswith("show_object_viewport_")]
     return (space.local_view is not None, space.use_local_collections, tuple(getattr(space, name) for name in kinds))

@@ -238,7 +238,7 @@ def _require_finite(values: np.ndarray, whose: str) -> None:
         raise RayBatchError(f"{whose} {bad:,} values that are not finite: it cannot be compared with; make it again")
 
 
-def _feed(digest: hashlib._Hash, value: Any) -> None:
+def _feed(digest: hashlib.blake2b, value: Any) -> None:
     """Every value with its kind and length in front, so that no two scenes are written alike."""
     if dataclasses.is_dataclass(value):
         digest.update(f"<{type(value).__name__}>".encode())

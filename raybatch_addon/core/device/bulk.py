@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -22,7 +23,7 @@ _SLICE_BYTES = 1 << 26
 _HOST_TYPES = {int: (np.int32, ()), float: (np.float32, ()), wp.vec3: (np.float32, (3,))}
 
 
-def large_empty(count: int, dtype: type, device: wp.Device, zeros: bool = False) -> wp.array:
+def large_empty(count: int, dtype: Any, device: wp.Device, zeros: bool = False) -> wp.array:
     """As `wp.empty` (or `wp.zeros`) for int, float, vec3 and structs. On a CPU its memory is NumPy's, who asks the
     system for large pages: to touch hundreds of megabytes of small ones for the first time takes longer than to fill
     them.

@@ -49,7 +49,7 @@ def sources_changed() -> bool:
     return sources_digest.__wrapped__() != sources_digest()
 
 
-def _add_folder(digest: hashlib._Hash, folder: str) -> None:
+def _add_folder(digest: hashlib.blake2b, folder: str) -> None:
     with os.scandir(folder) as entries:
         named = [entry for entry in entries if not entry.name.startswith(".") and entry.name != "__pycache__"]
     found = sorted(named, key=lambda entry: entry.name)

@@ -15,6 +15,7 @@ from .sources import STRAND_KIND, CurvesSource, ParticleHair, PointsSource, Sour
 from .strands import curve_shape
 
 _Asked = list[tuple[str, str]]
+CurveData = bpy.types.Curves | bpy.types.PointCloud | bpy.types.ParticleSystemModifier
 
 
 class StrandMeshes:
@@ -35,7 +36,7 @@ class StrandMeshes:
         self._seen.clear()
 
     def of(
-        self, obj: bpy.types.Object, data: bpy.types.ID, collector: Any
+        self, obj: bpy.types.Object, data: CurveData, collector: Any
     ) -> tuple[list[int], Callable[[_Asked], int | None]]:
         """Materials of the slots of `data` (curves, points, or the modifier of a particle system) of `obj`, and the
         function that makes its mesh, with attributes.
@@ -56,7 +57,7 @@ class StrandMeshes:
         return wanted, lambda asked: self._mesh(obj, data, asked, reads_uv, collector.viewport)
 
     def _mesh(
-        self, obj: bpy.types.Object, data: bpy.types.ID, asked: _Asked, reads_uv: bool, viewport: bool
+        self, obj: bpy.types.Object, data: CurveData, asked: _Asked, reads_uv: bool, viewport: bool
     ) -> int | None:
         key = (data.as_pointer(), reads_uv)
         if key not in self._made:
@@ -85,7 +86,7 @@ class StrandMeshes:
                 text = f"object “{obj.name}”: its strands or points have no {what}, which their material asks for"
                 self._warnings.append(Notice(text, Weight.REPLACED, objects=[obj.name]))
 
-    def _source(self, obj: bpy.types.Object, data: bpy.types.ID, viewport: bool) -> Source:
+    def _source(self, obj: bpy.types.Object, data: CurveData, viewport: bool) -> Source:
         if isinstance(data, bpy.types.Curves):
             return CurvesSource(data, obj.name, self._shape)
         if isinstance(data, bpy.types.PointCloud):

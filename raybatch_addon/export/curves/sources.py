@@ -124,7 +124,7 @@ class ParticleHair:
     """The hair of a particle system, as the evaluated object `owner` wears it."""
 
     def __init__(
-        self, owner: bpy.types.Object, modifier: bpy.types.Modifier, shape: CurveShape, viewport: bool
+        self, owner: bpy.types.Object, modifier: bpy.types.ParticleSystemModifier, shape: CurveShape, viewport: bool
     ) -> None:
         """`viewport`: the depsgraph of `owner` is that of the viewport."""
         self._owner, self._modifier, self._system = owner, modifier, modifier.particle_system
@@ -288,7 +288,7 @@ def _warn_dropped(strands: Strands, what: str, user: str, warnings: list[str]) -
         warnings.append(Notice(f"{what} are left out: {strands.dropped}", Weight.REPAIRED, objects=[user]))
 
 
-def _values(attribute: bpy.types.Attribute | None) -> np.ndarray | None:
+def _values(attribute: bpy.types.Attribute) -> np.ndarray | None:
     """All values of an attribute, float32, shape [n, width]; None for types that are no numbers."""
     if attribute.data_type not in ATTRIBUTE_TYPES:
         return None
@@ -361,7 +361,7 @@ def _radii(settings: bpy.types.ParticleSettings, points: np.ndarray, first: np.n
     return radii.astype(np.float32)
 
 
-def hair_systems(obj: bpy.types.Object, viewport: bool) -> list[bpy.types.Modifier]:
+def hair_systems(obj: bpy.types.Object, viewport: bool) -> list[bpy.types.ParticleSystemModifier]:
     """Modifiers of the particle systems whose hair is rendered as strands."""
     return [
         modifier

@@ -49,7 +49,7 @@ class RegionView:
         return np.linalg.inv(np.array(self.to_view, float).reshape(4, 4))
 
 
-def region_view(region: bpy.types.RegionView3D, space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> RegionView:
+def region_view(region: bpy.types.Region, space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> RegionView:
     """What `region` of the 3D view `space` shows of `scene`."""
     data = space.region_3d if getattr(region, "data", None) is None else region.data
     camera = camera_of(space, scene)

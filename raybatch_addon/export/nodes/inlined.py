@@ -6,7 +6,7 @@ here.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import bpy
@@ -20,7 +20,7 @@ class Inlined:
 
     def __init__(self, owner: bpy.types.ID, output: bpy.types.Node) -> None:
         self.output = None  # output node of the simplified tree; None if it has none
-        self._tree: bpy.types.ID | None = None  # owner of the nodes
+        self._tree: Any = None  # owner of the nodes
         if not is_inlinable(owner) or output.id_data != owner.node_tree:
             return
         self._tree = owner.inline_shader_nodes()

@@ -61,7 +61,8 @@ def choice_is_free(monkeypatch):
 SCENES = {**schedule_scenes.SCENES, "plain": scenes.mixed}
 # What is run always of those and of features, each of which compiles specialised kernels of its own
 SCENES_ALWAYS = ("plain", "living")
-ALWAYS = ("everything", "subsurface", "volume", "settings of Cycles, and a denoiser's passes")
+HISTORY, CYCLES = "transparent with a program that asks for history", "settings of Cycles, and a denoiser's passes"
+ALWAYS = (HISTORY, CYCLES, "subsurface", "a volume with a program")
 
 
 def films(scene, **changes):

@@ -50,6 +50,14 @@ def test_films_do_not_depend_on_the_code_of_specialised_kernels(session, monkeyp
     assert films[0].std() > 0
 
 
+@pytest.mark.parametrize("unset", [None, ""])
+def test_users_have_specialised_kernels_inlined(monkeypatch, unset):
+    monkeypatch.delenv(SPECIALISED_CODE, raising=False)
+    if unset is not None:
+        monkeypatch.setenv(SPECIALISED_CODE, unset)
+    assert not specialised_out_of_line()
+
+
 def test_a_code_that_does_not_exist_is_refused(monkeypatch):
     monkeypatch.setenv(SPECIALISED_CODE, "SMALL")
     with pytest.raises(SettingsError, match="INLINED, OUT_OF_LINE"):

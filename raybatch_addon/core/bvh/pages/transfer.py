@@ -187,7 +187,7 @@ class CudaLine:
     def room(self) -> int:
         return self._staging_free if self._scene.encoded else 2**31 - 1
 
-    def land(self, number: int, slot: int, filled: wp.Event) -> None:
+    def land(self, number: int, slot: int, filled: wp.Event | None) -> None:
         stream, page = self._device.stream, self._scene.pages[number]
         stream.wait_event(filled)
         self._staging_free += 1

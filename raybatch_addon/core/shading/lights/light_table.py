@@ -170,7 +170,7 @@ def upload_lights(
         table.world = world.table
     has_triangles = len(triangles) > 0
     table.instance_first = upload(triangles.instance_first if has_triangles else np.zeros(0, np.int32), int)
-    # what rays see them by; the other bits are of what they do to light of others
+    # the rays that see an instance; its other bits say whose light it blocks or catches
     visibility = scene.instances.visibility.astype(np.int32) & int(Visibility.ALL)
     table.instance_visibility = upload(visibility if has_triangles else np.zeros(0, np.int32), int)
     choice = _choice_table(table, records, strength, triangles, scene, geometry, world, keep)

@@ -4,12 +4,17 @@ import dataclasses
 
 import numpy as np
 import pytest
+import warp as wp
 
 from raybatch_addon.core.scene.description import ALL_LIGHT_SETS, ALL_SHADOW_SETS, Frame, Visibility
 from raybatch_addon.core.scene.features import derive_features
-from raybatch_addon.core.scene.linking import shadow_bit
+from raybatch_addon.core.scene.flatten import flatten
+from raybatch_addon.core.scene.geometry import upload_geometry
+from raybatch_addon.core.scene.linking import catcher_bits, shadow_bit
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.shading.lights.light_table import upload_lights
 from tests.support import scenes
+from tests.support.under_test import DEVICE
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
@@ -82,6 +87,16 @@ def test_a_mesh_that_shines_is_blocked_by_its_blockers_alone(session):
 
     assert right_floor(ALL_SHADOW_SETS) == 0
     assert right_floor(ALL_SHADOW_SETS & ~0b1) > 0.05
+
+
+def test_what_sees_an_emitter_is_apart_from_what_it_blocks_and_catches():
+    shining = scenes.plane("lamp", 0.5), scenes.IDENTITY, scenes.emitter(1.0)
+    made = scenes.scene([shining], frame=Frame(4, 4))
+    bits = np.array([int(Visibility.ALL) | shadow_bit(3) | catcher_bits(int(Visibility.ALL))], np.int32)
+    made = dataclasses.replace(made, instances=dataclasses.replace(made.instances, visibility=bits))
+    device = wp.get_device(DEVICE)
+    uploaded = upload_lights(made, device, geometry=upload_geometry(flatten(made), made, device))
+    assert uploaded.table.instance_visibility.numpy().tolist() == [int(Visibility.ALL)]
 
 
 def test_a_scene_without_links_has_none_of_it():
