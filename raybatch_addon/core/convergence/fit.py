@@ -377,7 +377,7 @@ def _in_words(slope: float, spread: float, freedom: int, points: Sequence[ErrorP
     steeper = INDEPENDENT_SLOPE - slope
     chance = 0.0 if spread == 0 else t_exceeds(abs(steeper) / spread, freedom)
     if chance >= OTHER_CHANCE:
-        same = "as of" if abs(steeper) <= OTHER_MARGIN else "not distinguishable from that of"
+        same = "as of" if abs(steeper) <= OTHER_MARGIN else "not to be told from that of"
         return f"{measured}: {same} independent samples (-0.5){notes}"
     if abs(steeper) <= OTHER_MARGIN:
         return f"{measured}: next to that of independent samples (-0.5), but not it{notes}"

@@ -237,7 +237,7 @@ _rolling(0.0)
 _rolling(0.3)
 
 
-@blurred("objects that are set to stand still")
+@blurred("objects that are told to stand still")
 def still(scene: bpy.types.Scene) -> None:
     stage(scene)
     for x in (-0.8, 0.8):
