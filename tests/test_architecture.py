@@ -243,7 +243,7 @@ def test_kernels_are_declared_with_the_cores_options_and_have_few_parameters(pat
             called.append((f"wp.kernel({ast.unparse(node.keywords[0])})", ast.unparse(node.args[0])))
     for found, name in called:
         found = re.sub(r"general_options\('\w+', of\)", "KERNEL_OPTIONS", found)
-        found = found.replace("OUT_OF_LINE_KERNEL_OPTIONS if out_of_line else ", "")
+        found = found.replace("kernel_options(out_of_line)", "KERNEL_OPTIONS")
         assert found == "wp.kernel(**KERNEL_OPTIONS)", f"{name_of(path)}: {name}"
         assert bodies[name] <= KERNEL_PARAMETERS_MAX, f"{name_of(path)}: {name}"
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tables.marked_text import wrapped
+from tables.marked_text import list_item
 
 from parity_report.sheets import GAIN, slug
 
@@ -109,13 +109,11 @@ def _family(name: str, results: list, numbers: dict[str, int]) -> list[str]:
     if noted := [result for result in results if result.note]:
         lines += ["", "Notes of RayBatch:", ""]
         for result in noted:
-            text = f"- **{result.feature.name}**: {result.note}"
-            lines += wrapped(text, others="  ")
+            lines += list_item(f"**{result.feature.name}**: {result.note}")
     if found := [result for result in results if result.feature.finding and not result.ok]:
         lines += ["", "Who is right:", ""]
         for result in found:
-            text = f"- **{result.feature.name}**: {result.feature.finding}"
-            lines += wrapped(text, others="  ")
+            lines += list_item(f"**{result.feature.name}**: {result.feature.finding}")
     if any(result.feature.name in numbers for result in results):
         lines += ["", f"![{name}: Cycles, RayBatch and their difference, by number](parity/{slug(name)}.png)"]
     return lines

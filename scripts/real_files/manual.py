@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lib.output import json_text, write_whole
-from tables.marked_text import wrapped
+from tables.marked_text import list_item, wrapped
 
 from real_files.judging import NAMES
 from real_files.listing import may_be_shown, read_listing
@@ -122,8 +122,8 @@ def _section(row: dict[str, Any], entry: dict[str, Any]) -> list[str]:
         lines += ["", *wrapped(f"**Right: {right}.**{' ' if why else ''}{why}")]
     elif finding.get("why"):
         lines += ["", *wrapped(finding["why"])]
-    reported = [f"- {kind}: {text}" for kind, text in remarks(row)]
-    lines += [""] * bool(reported) + [line for text in reported for line in wrapped(text, others="  ")]
+    reported = [f"{kind}: {text}" for kind, text in remarks(row)]
+    lines += [""] * bool(reported) + [line for text in reported for line in list_item(text)]
     if row.get("picture"):
         credit = f"; {entry['credit']}" if entry.get("credit") else ""
         lines += ["", f"![Cycles, RayBatch and their difference](real-files/{row['picture']})", ""]

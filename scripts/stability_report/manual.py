@@ -15,7 +15,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from tables.marked_text import with_part, wrapped
+from tables.marked_text import list_item, with_part, wrapped
 
 from raybatch_addon.core.errors import RayBatchError
 from stability_report.report import json_number
@@ -125,10 +125,10 @@ def _descriptions(cases: Sequence[Case]) -> list[str]:
     if letters:
         lines += ["What several cases say:", ""]
         for sentence, letter in letters.items():
-            lines += wrapped(f"({letter}) {sentence}", "- ", "  ")
+            lines += list_item(f"({letter}) {sentence}")
         lines += ["", "The cases:", ""]
     for each in cases:
-        lines += wrapped(f"**{each.name}.** {_short(each.about, letters)}", "- ", "  ")
+        lines += list_item(f"**{each.name}.** {_short(each.about, letters)}")
         lines += wrapped(f"*Bound:* {_short(each.bound, letters)}", "  ", "  ")
     return [*lines, "", "</details>"]
 

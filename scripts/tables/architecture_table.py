@@ -14,7 +14,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
-from tables.marked_text import with_part, wrapped, write_or_check
+from tables.marked_text import list_item, with_part, write_or_check
 from tests.test_architecture import PACKAGE, room_of
 
 MANUAL = ROOT / "docs/architecture.md"
@@ -91,8 +91,7 @@ def _folded(folder: Path) -> list[str]:
     """The list of the files of `folder`, which unfolds under its name."""
     lines = [f"<details><summary><code>{_name(folder)}</code></summary>", ""]
     for path in _files(folder):
-        entry = f"- `{path.relative_to(folder).as_posix()}`: {idea_of(path)}"
-        lines += wrapped(entry, others="  ")
+        lines += list_item(f"`{path.relative_to(folder).as_posix()}`: {idea_of(path)}")
     return [*lines, "", "</details>"]
 
 

@@ -35,8 +35,9 @@ KERNEL_OPTIONS: dict[str, Any] = unique_options(MODULE_OPTIONS)
 OUT_OF_LINE_OPTIONS: dict[str, Any] = {**MODULE_OPTIONS, "cpu_compiler_flags": _cpu_flags(1000)}
 OUT_OF_LINE_KERNEL_OPTIONS: dict[str, Any] = unique_options(OUT_OF_LINE_OPTIONS)
 
-# An environment variable for who compiles much and renders little: OUT_OF_LINE says that specialised kernels are
-# compiled as large modules of the general tier are. By default they are INLINED, which renders faster.
+# An environment variable for who compiles much and renders little: OUT_OF_LINE says that specialised kernels of stages,
+# volumes and estimates are compiled as large modules of the general tier are. By default they are INLINED, and most
+# render faster so.
 SPECIALISED_CODE = "RAYBATCH_SPECIALISED_CODE"
 _CODES = ("INLINED", "OUT_OF_LINE")
 
@@ -57,6 +58,11 @@ def general_options(name: str, of: tuple[str, ...]) -> dict[str, Any]:
     """
     own = f"{GENERAL_MODULE}_{name}_{zlib.crc32(' '.join(of).encode()):08x}"
     return {"module": shared_module(own, OUT_OF_LINE_OPTIONS), "enable_backward": False}
+
+
+def kernel_options(out_of_line: bool) -> dict[str, Any]:
+    """Arguments of `wp.kernel` for a kernel of its own, inlined for a CPU or not."""
+    return OUT_OF_LINE_KERNEL_OPTIONS if out_of_line else KERNEL_OPTIONS
 
 
 def specialised_out_of_line() -> bool:

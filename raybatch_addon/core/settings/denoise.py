@@ -30,7 +30,7 @@ class DenoiseSettings:
     denoise_inputs: str = setting(
         "ALBEDO_NORMAL",
         "Passes",
-        "What shows the denoiser edges and textures beside the picture itself. These passes are rendered too",
+        "What the denoiser sees beside the picture itself, to find edges and textures. These passes are rendered too",
         group="DENOISING",
         choices=(
             ("NONE", "Color", "The picture alone: fine textures get lost"),

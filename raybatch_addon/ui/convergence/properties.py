@@ -22,7 +22,7 @@ class RayBatchConvergence(bpy.types.PropertyGroup):
         max=1e9,
         precision=6,
         options=set(),
-        description="The error (relMSE) to which the time is reported; that of Stop at Error, where there is one",
+        description="An error (relMSE): how long it takes to reach it is reported; by default Stop at Error, if set",
     )
 
 

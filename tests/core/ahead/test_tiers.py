@@ -201,6 +201,7 @@ def test_a_render_changes_by_itself_where_that_pays(monkeypatch):
         return True
 
     monkeypatch.setattr(change.TierChanges, "poll", compiled)
+    monkeypatch.setattr(change, "_POLL_SECONDS", 0.001)
     monkeypatch.setattr(
         session_module,
         "choose_tier",

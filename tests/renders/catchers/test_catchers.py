@@ -10,7 +10,7 @@ from checking.schedules import SeededDraws
 from raybatch_addon.core.film import Film
 from raybatch_addon.core.scene.description import Closure, ClosureKind, Frame, Scene, Visibility
 from raybatch_addon.core.scene.features import derive_features
-from raybatch_addon.core.scene.linking import catcher_bits, catchers
+from raybatch_addon.core.scene.linking import catchers
 from raybatch_addon.core.scene.passes import (
     CATCHER_PASS,
     CATCHER_SHADOWS,
@@ -21,10 +21,10 @@ from raybatch_addon.core.scene.passes import (
 )
 from raybatch_addon.core.settings.settings import RenderSettings
 from tests.support import scenes
+from tests.support.feature_scenes import CATCHES
 
 pytestmark = pytest.mark.usefixtures("general_kernels")
 
-CATCHES = int(Visibility.ALL) | catcher_bits(int(Visibility.ALL))
 UNSEEN = int(Visibility.ALL & ~Visibility.CAMERA)
 ONCE = RenderSettings(sample_count=4, bounce_max=0)
 LIGHT = (*DIRECT_PASSES, *INDIRECT_PASSES, *COLOR_PASSES, *SEEN_PASSES)

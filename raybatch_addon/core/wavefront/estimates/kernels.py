@@ -6,7 +6,7 @@ import functools
 
 import warp as wp
 
-from ...device.kernel import KERNEL_OPTIONS, OUT_OF_LINE_KERNEL_OPTIONS, general_options, specialised_out_of_line
+from ...device.kernel import general_options, kernel_options, specialised_out_of_line
 from ...displacement.evaluate import make_displace
 from ...scene.features import SceneFeatures
 from ..scene.scene_data import SceneData
@@ -40,7 +40,7 @@ def _kernel_of(function: wp.Function, out_of_line: bool) -> wp.Kernel:
         function(data, work, wp.tid())
 
     estimate.__name__ = estimate.__qualname__ = f"{function.func.__name__}_kernel"
-    return wp.kernel(estimate, **(OUT_OF_LINE_KERNEL_OPTIONS if out_of_line else KERNEL_OPTIONS))
+    return wp.kernel(estimate, **kernel_options(out_of_line))
 
 
 @functools.cache

@@ -10,13 +10,7 @@ import functools
 
 import warp as wp
 
-from ...device.kernel import (
-    DEFAULT_BLOCK_SIZE,
-    KERNEL_OPTIONS,
-    OUT_OF_LINE_KERNEL_OPTIONS,
-    general_options,
-    with_block_size,
-)
+from ...device.kernel import DEFAULT_BLOCK_SIZE, general_options, kernel_options, with_block_size
 from ...film.tile import FilmTile
 from ...native.build import native_source
 from ...rays import Rays
@@ -88,7 +82,7 @@ def stage_kernel(function: wp.Function, of: ShadingStage, out_of_line: bool = Fa
     stage.__name__ = stage.__qualname__ = f"{function.func.__name__}_kernel"
     block_size, registers = _LAUNCHES.get(of, (DEFAULT_BLOCK_SIZE, None))
     limit = {} if registers is None else {"cuda_max_registers": registers}
-    kernel = wp.kernel(stage, **(OUT_OF_LINE_KERNEL_OPTIONS if out_of_line else KERNEL_OPTIONS), **limit)
+    kernel = wp.kernel(stage, **kernel_options(out_of_line), **limit)
     return with_block_size(kernel, block_size)
 
 

@@ -10,7 +10,7 @@ import functools
 import warp as wp
 
 from ...device.devices import load_module
-from ...device.kernel import KERNEL_OPTIONS, OUT_OF_LINE_KERNEL_OPTIONS, general_options, specialised_out_of_line
+from ...device.kernel import KERNEL_OPTIONS, general_options, kernel_options, specialised_out_of_line
 from ...rays import Rays
 from ..rays import Paths
 from ..scene.scene_data import SceneData
@@ -74,7 +74,7 @@ def _stage_kernel(function: wp.Function, out_of_line: bool) -> wp.Kernel:
         function(data, volumes, work, limits, paths, rays, slots[i])
 
     stage.__name__ = stage.__qualname__ = f"{function.func.__name__}_kernel"
-    return wp.kernel(stage, **(OUT_OF_LINE_KERNEL_OPTIONS if out_of_line else KERNEL_OPTIONS))
+    return wp.kernel(stage, **kernel_options(out_of_line))
 
 
 @functools.cache
