@@ -24,9 +24,9 @@ from raybatch_addon.core.settings.presets import PRESETS
 RENDER = """\
 Measure whole renders of SCENE: a .blend (needs bpy), a .scene.npz or the geometry of an .npz (do not).
 
-Runs of RayBatch and of Cycles alternate; medians are told, with the spread (largest less smallest, over the median). A
-whole render is everything but reading the file: the tree is built anew each time. RayBatch's first render, with
-compilation, is told apart.
+Runs of RayBatch and of Cycles alternate; medians are reported, with the spread (largest less smallest, over the
+median). A whole render is everything but reading the file: the tree is built anew each time. RayBatch's first render,
+with compilation, is reported apart.
 
 Cycles renders the same file on the same device, with the same samples, bounces and pixel filter, without adaptive
 sampling, denoising, clamping or any other bias. Its time is that of the whole render call.
@@ -34,14 +34,14 @@ sampling, denoising, clamping or any other bias. Its time is that of the whole r
 --equal-error: both engines are unbiased, so their error is noise. Each renders the picture twice more, with other
 seeds and the samples of the timed runs. relMSE is half the squared difference of the two, divided by the pixel's
 squared brightness (+ 0.01), and averaged over pixels and channels. Error and time are taken as inversely proportional:
-what is compared is time x relMSE, and its inverse is told as efficiency. Set-up counts as time, so take samples enough
-that it does not matter; a few very bright samples can rule the figure, so take samples enough for that too.
+what is compared is time x relMSE, and its inverse is reported as efficiency. Set-up counts as time, so take samples
+enough that it does not matter; a few very bright samples can rule the figure, so take samples enough for that too.
 
---samples 64,256: both counts are rendered in each run, and the line through their times tells what a sample takes and
+--samples 64,256: both counts are rendered in each run, and the line through their times gives what a sample takes and
 what a render takes once (reading nothing from disk, but building trees, loading kernels, and whatever else an engine
 does before and after). With --against cycles both engines are compared by the time of a sample, and by that time x
 relMSE of the larger count. On a GPU Cycles is measured by OptiX and by CUDA, and the quicker is the peer; the report
-says whether the device has ray-tracing cores, which only Cycles would use. The first render of each is told apart.
+says whether the device has ray-tracing cores, which only Cycles would use. The first render of each is reported apart.
 --resume leaves a scene out whose --json was made by the same command with the same code, so that a list of scenes goes
 on where it was stopped.
 
@@ -66,7 +66,7 @@ Measure how soon a viewport shows an edit of SCENE, a .blend (needs bpy), a .sce
 
 Edits of each kind are replayed through what renders viewports, without a window, while the picture before is still
 being refined. Told is the time from an edit to the first picture that shows it, which has coarse pixels if need be; of
-a .blend without Blender's own part. The first edit of a kind, which may load kernels, is told apart.
+a .blend without Blender's own part. The first edit of a kind, which may load kernels, is reported apart.
 """
 TRAVERSAL = """\
 Measure how fast tracers find hits, all on the same rays of real paths.
@@ -89,8 +89,9 @@ tracers  off: RayBatch's own tree without queues; off-plain: the same tree, one 
          order
 
 Hits are compared before anything is timed; where tracers disagree, every triangle is asked in float64, and answers
-beyond the error bound of float32 are told as faults. Then tracers take turns, run by run. One CPU thread is timed by
-its own clock, several by the wall's, CUDA devices by their events; tracers whose rays wait for pages by the wall's.
+beyond the error bound of float32 are reported as faults. Then tracers take turns, run by run. One CPU thread is
+timed by its own clock, several by the wall's, CUDA devices by their events; tracers whose rays wait for pages by the
+wall's.
 Mrays/s are medians and include the time of sorting, queues and copies.
 """
 
@@ -348,7 +349,7 @@ def run(options: argparse.Namespace, folders: OutputFolders, standard_output: IO
         report, text = measured(options)
         report["asked"] = asked
     write_report(options.json, report, text, standard_output)
-    if not report.get("films", {"equal": True})["equal"]:  # told in the report, which is of use
+    if not report.get("films", {"equal": True})["equal"]:  # stands in the report, which is of use
         print(f"benchmark.py: error: films differ: {'; '.join(report['films']['differences'])}", file=sys.stderr)
         return 1
     return 0

@@ -16,7 +16,7 @@ from lib.command import run_command
 from lib.output import OutputFolders, leave
 
 DESCRIPTION = """\
-Render .blend files with Cycles and with RayBatch on the CPU, and tell of each whether both show the same picture, how
+Render .blend files with Cycles and with RayBatch on the CPU, and report of each whether both show the same picture, how
 long the first and the last picture took, how long each takes to the same error, and what RayBatch left out, by name.
 
 Each engine renders each file in a process of its own, small, without clamping, adaptive sampling and denoising (or
@@ -80,8 +80,8 @@ def argument_parser() -> argparse.ArgumentParser:
     add(
         "--superposition",
         action="store_true",
-        help="tell of files that differ which engine is right: render each lamp, the world and all surfaces that emit "
-        "alone, and compare their sum with the picture of all; takes two renders for each",
+        help="report of files that differ which engine is right: render each lamp, the world and all surfaces that "
+        "emit alone, and compare their sum with the picture of all; takes two renders for each",
     )
     add("--superposition-of-all", action="store_true", help="the same of all files")
     add(

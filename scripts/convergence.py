@@ -30,7 +30,7 @@ seeds, and report how the error falls with time: curves, their slope, the time t
     F.npz               a reference that --save-reference wrote, or a film of render.py --film
     raybatch            a render by RayBatch with another seed and many more samples (default)
     cycles              the same by Cycles, an implementation of its own; needs a .blend
-    own                 each engine's own (default with --against cycles); how far the two are apart is told
+    own                 each engine's own (default with --against cycles); how far the two are apart is reported
     halves              none: the error is estimated from two halves of each render, in which a bias is not seen
 References that were made are kept for the next time, with their own noise, in the user's cache folder (or the folder
 that the environment variable RAYBATCH_REFERENCES names).
@@ -60,7 +60,7 @@ def argument_parser() -> argparse.ArgumentParser:
         "--target",
         type=float,
         metavar="RELMSE",
-        help="error whose time is told (default: that of the first setting at its end)",
+        help="error whose time is reported (default: that of the first setting at its end)",
     )
     add(
         "--set",

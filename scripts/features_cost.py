@@ -24,8 +24,8 @@ from raybatch_addon.core.errors import RayBatchError
 DESCRIPTION = """\
 Compile and render a plain scene (a matt ball and floor under a sun and a pale sky) with kernels of its own, and with
 kernels that have every feature: all closures, all ops of shader graphs, all lights, and the rest. Kernels are compiled
-into an empty folder, in a process of their own, the two in turns. Also told: what the statistics list as left out, and
-which functions of closures, ops and lights are in the plain scene's modules.
+into an empty folder, in a process of their own, the two in turns. Also reported: what the statistics list as left
+out, and which functions of closures, ops and lights are in the plain scene's modules.
 """
 
 

@@ -104,7 +104,7 @@ def argument_parser() -> argparse.ArgumentParser:
         "--settings-from",
         choices=("cycles", "eevee"),
         help="take over that engine's settings of the .blend (samples, bounces, clamping, filter and others; eevee:\n"
-        "also the materials' outputs for it), and tell what changed. --preset and --set then change single settings",
+        "also the materials' outputs for it), and report what changed. --preset and --set then change single settings",
     )
     add(
         "--strict",

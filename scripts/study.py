@@ -31,8 +31,8 @@ def argument_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="study.py", description=__doc__, allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("name", nargs="?", metavar="NAME", help="of the study; --list tells them")
-    parser.add_argument("--list", action="store_true", help="tell the studies, and end")
+    parser.add_argument("name", nargs="?", metavar="NAME", help="of the study; --list names them")
+    parser.add_argument("--list", action="store_true", help="name the studies, and end")
     parser.add_argument("--device", default="AUTO", help="AUTO, cpu or cuda:N")
     parser.add_argument("--quick", action="store_true", help="smaller scenes and fewer samples and turns")
     parser.add_argument(
@@ -55,7 +55,7 @@ def argument_parser() -> argparse.ArgumentParser:
         help="where figures, plots and page go (default: docs/studies)",
     )
     parser.add_argument("--fresh", action="store_true", help="forget what was measured, and measure all of it again")
-    parser.add_argument("--cases", action="store_true", help="tell what would be measured, and end")
+    parser.add_argument("--cases", action="store_true", help="name what would be measured, and end")
     parser.add_argument(
         "--gather",
         nargs="+",

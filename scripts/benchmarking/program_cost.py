@@ -6,7 +6,7 @@ into one node.
 
 Each node of the chain multiplies by a factor and adds a term; by hand that is one factor and one term. Both are
 rendered in turns, and beside them a plane of a constant colour, which has no program; the smallest times count. Also
-told: by how much the pictures differ.
+reported: by how much the pictures differ.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Whole renders with two sample counts: what an engine takes once, and what each sample takes.
 
-An engine that loads or compiles kernels, or builds trees, for longer than it samples is told apart from one whose
+An engine that loads or compiles kernels, or builds trees, for longer than it samples is distinguished from one whose
 samples are slow.
 """
 

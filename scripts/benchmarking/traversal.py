@@ -44,7 +44,7 @@ class TraversalRequest:
     threads: list[int]  # CPU only
     runs: int
     ray_count: int | None = None
-    counters: bool = True  # tell node steps and triangle tests where the tracer can
+    counters: bool = True  # report node steps and triangle tests where the tracer can
     nodes_resident: bool | None = None  # whether all nodes stay on the device; None: where they fit well
     budget: int = 0  # bytes of geometry on the device, for tracers that let rays wait; 0: all of it
     settings: dict[str, Any] = field(

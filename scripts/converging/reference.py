@@ -92,7 +92,7 @@ class References:
         session: Session,
         on_make: Callable[[str], None] = lambda _: None,
     ):
-        """`on_make` is told before one is rendered."""
+        """`on_make` is called before one is rendered."""
         self._request, self._opened, self._session, self._on_make = request, opened, session, on_make
         self._found: dict[tuple, UsedReference] = {}
         self._hash = scene_hash(opened.scene)

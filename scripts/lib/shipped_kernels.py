@@ -97,7 +97,7 @@ def make_kernels(
         kept: folder for what was compiled before; it is found again by the hash of its code.
         kernels: which (default: those that any scene can begin with).
         targets: of `TARGETS`, what they are compiled for.
-        on_progress: is told what is compiled.
+        on_progress: is called with what is compiled.
     """
     start_warp()
     targets, entries, tasks = list(targets), {}, []

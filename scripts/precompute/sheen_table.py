@@ -33,7 +33,7 @@ SUNS = np.array(
         (0.3, 0, 0.2),
     ]
 )
-ALBEDO_LEAST = 1e-6  # of a lobe that can be told from nothing
+ALBEDO_LEAST = 1e-6  # of a lobe that differs from nothing
 
 
 def build_scene():

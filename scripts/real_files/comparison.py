@@ -111,7 +111,7 @@ def _compared(
 
 
 def _without_place(outcome: Outcome, file: RealFile, folder: Path | None) -> Outcome:
-    """`outcome` with texts that do not tell where the file lies on this machine: // is its folder, as in Blender."""
+    """`outcome` with texts that do not say where the file lies on this machine: // is its folder, as in Blender."""
 
     def without_folders(value):
         if isinstance(value, str):

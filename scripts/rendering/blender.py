@@ -115,7 +115,7 @@ class BlenderRender:
         if self._request.json:
             write_json(self._request.json, self._statistics, self._standard_output)
 
-    # --- what the engine tells
+    # --- what the engine reports
 
     def _listen(self) -> None:
         from raybatch_addon.blender import frame
@@ -289,7 +289,7 @@ def _take_over_settings(scene: bpy.types.Scene, request: Request) -> None:
 def _apply_settings(scene: bpy.types.Scene, request: Request) -> None:
     for name, value in request.settings.items():
         assign_setting(scene.raybatch, name, value)
-    settings_from(scene)  # values that do not go together are told before the render
+    settings_from(scene)  # values that do not go together are reported before the render
     if request.resolution:
         scene.render.resolution_x, scene.render.resolution_y = request.resolution
         scene.render.resolution_percentage = 100

@@ -94,8 +94,8 @@ class Bench:
         """Figures of one render. A small one comes first, untimed, where there was none of `warm` yet: kernels are
         loaded then.
 
-        A render that takes more than `cap` seconds is ended, and told by how far it came: `complete` is false, `share`
-        what was done.
+        A render that takes more than `cap` seconds is ended, and reported by how far it came: `complete` is false,
+        `share` what was done.
         """
         self._warm_up(scene, settings, warm)
         watch = TimeCap(cap)
@@ -156,7 +156,7 @@ class Bench:
             self._warm.add(warm)
 
     def reference(self, key: Any, scene: Scene, settings: RenderSettings, samples: int) -> Reference:
-        """What the picture should be: by this engine as it is, with another seed, in halves that tell its own error;
+        """What the picture should be: by this engine as it is, with another seed, in halves that give its own error;
         kept in a file.
         """
         settings = settings.replace(seed=REFERENCE_SEED, sample_count=samples, error_estimate="ON")

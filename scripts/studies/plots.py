@@ -9,7 +9,7 @@ import matplotlib
 matplotlib.use("svg")
 from matplotlib import pyplot
 
-# Colours that people who confuse colours tell apart (Okabe and Ito 2008)
+# Colours that people who confuse colours distinguish (Okabe and Ito 2008)
 BLUE, ORANGE, GREEN, RED, SKY, PINK, GREY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#56b4e9", "#cc79a7", "#777777"
 COLORS = (BLUE, RED, GREEN, ORANGE, PINK, SKY, GREY)
 

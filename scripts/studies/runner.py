@@ -24,7 +24,7 @@ DATA = "data"  # folder beside the pages
 
 
 def device_of(name: str) -> dict[str, Any]:
-    """What the device `name` is, as statistics tell it; raises `DeviceError`."""
+    """What the device `name` is, as statistics state it; raises `DeviceError`."""
     start_warp(kernel_cache_folder())
     return device_description(find_device(name))
 

@@ -96,7 +96,7 @@ def under_a_plane(name: str, options: Options, edge: int) -> Scene:
     """A white mesh lit by two glowing triangles alone, as the thesis lit its scenes: above the dragon, in the open roof
     of Sponza.
 
-    The thesis does not tell where its plane and cameras stood.
+    The thesis does not state where its plane and cameras stood.
     """
     up = FILES[name][1]
     scene = under_the_sky(name, options, edge)

@@ -54,7 +54,7 @@ _TABS = {
 }
 _UNITS = {"relMSE": "", "relative": "", "of rays alive": "of Rays Alive", BYTES: "(megabytes)"}
 _OF_EVERY_GROUP = ("rna_type", "name")  # properties
-_LARGE = 2**31 - 1  # from here on a range is told without its end
+_LARGE = 2**31 - 1  # from here on a range is written without its end
 
 
 def panels() -> list[type]:

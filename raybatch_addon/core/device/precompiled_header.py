@@ -158,7 +158,7 @@ def _is_own(entry: os.DirEntry) -> bool:
 
 
 def _processes_with_warp() -> Iterator[float]:
-    """When each process began that has Warp's libraries in it, or of which that cannot be told [s since 1970]."""
+    """When each process began that has Warp's libraries in it, or of which that is not known [s since 1970]."""
     if not sys.platform.startswith("linux"):
         yield 0.0
         return

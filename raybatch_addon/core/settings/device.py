@@ -11,7 +11,7 @@ from .info import BYTES, setting
 TRACE_BLOCK_SIZE = 128
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DeviceSettings:
     """Where to render."""
 
@@ -56,7 +56,7 @@ class DeviceSettings:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LaunchSettings:
     """How the kernels that trace rays are compiled and launched."""
 
@@ -109,7 +109,7 @@ class LaunchSettings:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class MemorySettings:
     """How much of the scene's geometry is on the device, and where the rest is."""
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from .info import BYTES, INT_MAX, setting
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TracingSettings:
     """How rays are traced."""
 
@@ -119,7 +119,7 @@ class TracingSettings:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SchedulerSettings:
     """Which rays are alive, and what is done next."""
 
@@ -208,7 +208,7 @@ class SchedulerSettings:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class QueueSettings:
     """Where rays wait, in renders that batch."""
 
@@ -265,7 +265,7 @@ class QueueSettings:
     )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class TreeletSettings:
     """How trees are cut into parts that rays visit together."""
 

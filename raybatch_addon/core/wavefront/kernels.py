@@ -104,7 +104,7 @@ def _chosen(features: SceneFeatures, shading: SceneFeatures, is_cuda: bool, out_
         generate_active=generate_active_kernel(_generate_features(features, shading)) if features.adaptive else None,
         settle=settle_kernel,
         walk=walk_kernel(narrow(walked, WalkFeatures)) if features.subsurface else None,
-        volumes=VolumeKernels.choose(features, shading),
+        volumes=VolumeKernels.choose(features, shading, out_of_line),
         shading=_shading_kernels(features, shading, stages, is_cuda, out_of_line),
         accumulate=accumulate_kernel(layout),
         resolve=resolve_kernel(layout),

@@ -19,7 +19,7 @@ class Tree:
     """Cost of building."""
 
     build_seconds: float
-    bytes: int | None  # nodes and geometry; None where the tracer does not tell
+    bytes: int | None  # nodes and geometry; None where the tracer does not report it
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ TREELET_SIZES, RAY_COUNTS = (200, 800, 1600, 2000), (1024, 10240, 1048576)
 # Of its appendices D and E
 MANY_RAY_COUNTS, QUEUE_SIZES = tuple(2**k for k in range(8, 22)), (32, 64, 128, 256, 512, 1024, 2048)
 SAMPLES, BOUNCES = 2, 7  # SPP and MAXDEPTH
-# What all runs of a table had, as far as the thesis tells it: (sample_order, treelet_size, ray_count, queue_size)
+# What all runs of a table had, as far as the thesis states it: (sample_order, treelet_size, ray_count, queue_size)
 SWEEP = {"sample_order": "FRAME_FIRST", "treelet_size": 800, "ray_count": 1048576, "queue_size": 64}
 PARAMETERS = ("sample_order", "ray_storage", "treelet_size", "ray_count", "queue_size")
 
@@ -25,12 +25,12 @@ PARAMETERS = ("sample_order", "ray_storage", "treelet_size", "ray_count", "queue
 def settings_of(changes: dict[str, Any], samples: int = SAMPLES) -> RenderSettings:
     """Our settings for parameters of the thesis: those of the preset THESIS on all warps, with `changes`.
 
-    MIN_TREELETSIZE, which the thesis does not tell, is 1, so that TREELETSIZE alone decides: with the preset's (as
+    MIN_TREELETSIZE, which the thesis does not state, is 1, so that TREELETSIZE alone decides: with the preset's (as
     large as TREELETSIZE) most of the 96 would be of one treelet, since our nodes hold about six of the thesis's, and so
     there are fewer of them.
     """
     values = {**preset_settings("THESIS"), "warp_count": 0, "treelet_size_min": 1, **changes}
-    # no Russian roulette: the thesis does not tell of any
+    # no Russian roulette: the thesis does not mention any
     return RenderSettings(
         sample_count=samples,
         bounce_max=BOUNCES,

@@ -14,10 +14,15 @@ from raybatch_addon.core.device.kernel import (
 from raybatch_addon.core.errors import SettingsError
 from raybatch_addon.core.scene.features import derive_features
 from raybatch_addon.core.settings.settings import RenderSettings
+from raybatch_addon.core.wavefront.estimates.kernels import estimate_kernel
+from raybatch_addon.core.wavefront.estimates.work import Estimate
 from raybatch_addon.core.wavefront.kernels import StageKernels
 from raybatch_addon.core.wavefront.stages.work import ShadingStage
 from tests.support import scenes
+from tests.support.feature_scenes import ALL_FEATURES, SETTINGS
 from tests.support.under_test import DEVICE
+
+ESTIMATES = (Estimate.TRIANGLES, Estimate.WORLD, Estimate.LAMPS)
 
 
 def test_every_loaded_module_has_the_options(session):
@@ -48,6 +53,19 @@ def test_films_do_not_depend_on_the_code_of_specialised_kernels(session, monkeyp
     assert options == [MODULE_OPTIONS["cpu_compiler_flags"], OUT_OF_LINE_OPTIONS["cpu_compiler_flags"]]
     np.testing.assert_array_equal(*films)
     assert films[0].std() > 0
+
+
+@pytest.mark.parametrize("code", ["INLINED", "OUT_OF_LINE"])
+def test_volumes_and_estimates_have_the_code_that_is_asked_for(monkeypatch, code):
+    """Kernels are declared, not compiled."""
+    monkeypatch.setenv(SPECIALISED_CODE, code)
+    scene, changes = ALL_FEATURES["a volume with a program"]
+    features = derive_features(scene, SETTINGS.replace(**changes))
+    assert features.volumes and features.volume_program
+    volumes = StageKernels.choose(features, wp.get_device(DEVICE)).volumes
+    expected = (OUT_OF_LINE_OPTIONS if code == "OUT_OF_LINE" else MODULE_OPTIONS)["cpu_compiler_flags"]
+    for kernel in (volumes.scatter, volumes.transmit, *(estimate_kernel(features, of) for of in ESTIMATES)):
+        assert kernel.module.options["cpu_compiler_flags"] == expected, kernel.key
 
 
 @pytest.mark.parametrize("unset", [None, ""])

@@ -129,8 +129,8 @@ def find_bounds(
     rays: int = RAYS,
 ) -> FoundBounds | None:
     """The bounds of `volumes`, of which everything else is there, by `launch(volumes, cell_count)` of `make_bound`;
-    None where there are none. `rays`: of how many kinds of rays the largest counts; 1 where programs do not tell them
-    apart.
+    None where there are none. `rays`: of how many kinds of rays the largest counts; 1 where programs do not
+    distinguish them.
     """
     if not bounded:
         return None

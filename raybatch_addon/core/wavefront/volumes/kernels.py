@@ -10,7 +10,7 @@ import functools
 import warp as wp
 
 from ...device.devices import load_module
-from ...device.kernel import KERNEL_OPTIONS, general_options, kernel_options, specialised_out_of_line
+from ...device.kernel import KERNEL_OPTIONS, general_options, kernel_options
 from ...rays import Rays
 from ..rays import Paths
 from ..scene.scene_data import SceneData
@@ -23,18 +23,21 @@ from .table import VolumeData
 from .transmit import make_transmit
 
 
-def volume_kernel(features: VolumeFeatures) -> wp.Kernel:
-    """Kernel (data, volumes, work, limits, paths, rays, slots, count) of the stage `scatter`."""
+def volume_kernel(features: VolumeFeatures, out_of_line: bool) -> wp.Kernel:
+    """Kernel (data, volumes, work, limits, paths, rays, slots, count) of the stage `scatter`.
+
+    `out_of_line`: compile what is specialised for a CPU in less time (`OUT_OF_LINE_OPTIONS`).
+    """
     if features.volume_program.apart:
         return _general_kernel(features)
-    return _stage_kernel(make_scatter(features), specialised_out_of_line())
+    return _stage_kernel(make_scatter(features), out_of_line)
 
 
-def transmit_kernel(features: VolumeFeatures) -> wp.Kernel:
+def transmit_kernel(features: VolumeFeatures, out_of_line: bool) -> wp.Kernel:
     """Kernel of the same arguments, of the stage `transmit`."""
     if features.volume_program.apart:
         return _general_kernel(features)
-    return _stage_kernel(make_transmit(features), specialised_out_of_line())
+    return _stage_kernel(make_transmit(features), out_of_line)
 
 
 def bound_kernel(features: VolumeFeatures) -> wp.Kernel:

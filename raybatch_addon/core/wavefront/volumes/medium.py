@@ -240,7 +240,7 @@ def phase_sum(lobes: wp.array(dtype=PhaseLobe), m: Coefficients, throughput: wp.
 def phase_sample(
     lobes: wp.array(dtype=PhaseLobe), m: Coefficients, throughput: wp.vec3, u_lobe: float, u: float
 ) -> float:
-    """Cosine of a direction of the density that `phase_sum` tells."""
+    """Cosine of a direction of the density that `phase_sum` gives."""
     total = float(0.0)
     for k in range(m.lobes):
         total += _share(lobes[k], throughput)

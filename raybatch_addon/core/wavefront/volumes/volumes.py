@@ -28,17 +28,20 @@ class VolumeKernels:
     store_vectors: wp.Kernel | None
 
     @staticmethod
-    def choose(features: SceneFeatures, shading: SceneFeatures) -> VolumeKernels | None:
-        """The kernels of a scene with `features`, specialised on `shading`; None where there are no volumes."""
+    def choose(features: SceneFeatures, shading: SceneFeatures, out_of_line: bool) -> VolumeKernels | None:
+        """The kernels of a scene with `features`, specialised on `shading`; None where there are no volumes.
+
+        `out_of_line`: as for `volume_kernel`.
+        """
         if not features.volumes:
             return None
         needs = narrow(shading, VolumeFeatures)
         reads = "volume_attribute" in features.volume_program.ops
         return VolumeKernels(
             enter_kernel,
-            volume_kernel(needs),
+            volume_kernel(needs, out_of_line),
             cross_kernel(needs.instancing, needs.smooth_normals, needs.curves, needs.moving),
-            transmit_kernel(needs),
+            transmit_kernel(needs, out_of_line),
             bound_kernel(needs) if features.volume_program else None,
             store_numbers if reads else None,
             store_vectors if reads else None,
