@@ -41,6 +41,7 @@ from raybatch_addon.core.wavefront.tier import (
     general_kernels,
     why_not_general,
 )
+from tests.core.device.small_kernels import put_header
 from tests.support import scenes, schedule_scenes
 from tests.support.feature_scenes import ALL_FEATURES, EACH_FEATURE, EACH_WIDE_FEATURE, FEATURES, WIDE_FEATURES
 from tests.support.feature_scenes import SETTINGS as FEATURE_SETTINGS
@@ -155,9 +156,7 @@ def test_kernels_for_each_stage_are_chosen_where_they_have_all_that_a_scene_has(
 
 @ON_CPU
 def test_surfaces_of_common_scenes_are_shaded_by_less_code():
-    """By a kernel that is compiled ahead, and has not what the scene lacks; passes and rare features ask for the large
-    one.
-    """
+    """The kernel is compiled ahead, without what the scene lacks; passes and rare features ask for the large one."""
     device, programs = wp.get_device(DEVICE), ProgramFeatures(("diffuse", "noise_3d"), 16, 4)
     features = replace(derive_features(scenes.mixed(Frame(24, 20)), SETTINGS), programs=programs)
     assert is_common(features)
@@ -301,6 +300,7 @@ def test_a_process_compiles_what_is_found_here(tmp_path):
     features = derive_features(scenes.mixed(), SETTINGS)
     features = replace(features, lights=(), mesh_lights=False, world=False, smooth_normals=False, instancing=False)
     request = CompileRequest(features, SETTINGS, TracingPlan(Method.UNBATCHED))
+    put_header(tmp_path / wp.config.version)
     process = CompileProcess(DEVICE, tmp_path, request)
     process.wait()
     assert process.complaint() == "" and not process.is_running
