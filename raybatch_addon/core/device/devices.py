@@ -24,14 +24,17 @@ from .precompiled_header import share_precompiled_header
 from .ready import write_notes
 
 _warp_lock = threading.Lock()
-# Warp's native code prints a line that begins so where there is no CUDA driver, whatever its log level is. That is no
-# fault: `find_device` says which devices there are.
-_DRIVER_MISSING = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver"
+# Warp's native code prints lines that begin so where there is no CUDA driver, or a driver and no device that it may use,
+# whatever its log level is. That is no fault: `find_device` says which devices there are.
+_NO_CUDA = (
+    b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver",
+    b"Warp CUDA error 100: no CUDA-capable device is detected",
+)
 
 
 def start_warp(cache_folder: str | Path | None = None) -> None:
-    """Initialise Warp once, without a word on standard output, nor on standard error about a missing CUDA driver;
-    kernels are cached in `cache_folder`.
+    """Initialise Warp once, without a word on standard output, nor on standard error that there is no CUDA
+    device; kernels are cached in `cache_folder`.
 
     Where that folder cannot be made they are kept in a temporary one, and a note says so. Raises `DeviceError` where
     there is none either.
@@ -51,7 +54,7 @@ def start_warp(cache_folder: str | Path | None = None) -> None:
 
 @functools.cache
 def _initialize_warp() -> None:
-    with _without_line(_DRIVER_MISSING):
+    with _without_lines(_NO_CUDA):
         wp.init()
     compile_apart()
     pass_structs_by_reference()
@@ -60,9 +63,9 @@ def _initialize_warp() -> None:
 
 
 @contextlib.contextmanager
-def _without_line(start: bytes) -> Iterator[None]:
-    """Keep lines that begin with `start` from standard error; all else that is written there meanwhile comes at the
-    end.
+def _without_lines(starts: tuple[bytes, ...]) -> Iterator[None]:
+    """Keep lines that begin with one of `starts` from standard error; all else that is written there meanwhile comes at
+    the end.
     """
     with contextlib.ExitStack() as opened:
         written = None
@@ -82,7 +85,7 @@ def _without_line(start: bytes) -> Iterator[None]:
             os.dup2(real, 2)
             written.seek(0)
             for line in written:
-                if not line.startswith(start):
+                if not line.startswith(starts):
                     os.write(2, line)
 
 

@@ -30,7 +30,8 @@ def test_what_else_is_written_meanwhile_is_kept():
 import os, sys
 from raybatch_addon.core.device import devices
 def init():
-    os.write(2, devices._DRIVER_MISSING + b". It is gone.\\n")
+    for start in devices._NO_CUDA:
+        os.write(2, start + b". It is gone.\\n")
     os.write(2, b"Warp CUDA error 2: out of memory\\n")
     print("from Python", file=sys.stderr)
     raise RuntimeError("no Warp today")
