@@ -127,6 +127,11 @@ def import_targets(path: Path) -> set[Path]:
     return targets - {path}
 
 
+def callee_of(node: ast.expr) -> str:
+    """What `node` calls; "" where it is no call."""
+    return ast.unparse(node.func) if isinstance(node, ast.Call) else ""
+
+
 def absolute_imports(path: Path) -> set[str]:
     """Top-level names of the packages that `path` imports by absolute name."""
     names = set()
@@ -253,6 +258,20 @@ def test_native_functions_have_few_parameters(path):
     for node in ast.walk(parsed(path)):
         if isinstance(node, ast.FunctionDef) and any("func_native" in ast.unparse(d) for d in node.decorator_list):
             assert len(node.args.args) <= NATIVE_PARAMETERS_MAX, f"{name_of(path)}: {node.name}"
+
+
+@pytest.mark.parametrize("path", CORE_FILES, ids=name_of)
+def test_native_code_comes_from_headers_alone(path):
+    """A native function takes a plain `native_source(...)`, or what a function of its file returns, which is one."""
+    functions = [node for node in ast.walk(parsed(path)) if isinstance(node, ast.FunctionDef)]
+    returned = {each.name: [n.value for n in ast.walk(each) if isinstance(n, ast.Return)] for each in functions}
+    for function in functions:
+        for native in function.decorator_list:
+            if "func_native" not in ast.unparse(native):
+                continue
+            source = native.args[0]
+            for made in returned.get(callee_of(source), [source]):
+                assert callee_of(made) == "native_source", f"{name_of(path)}: {function.name}"
 
 
 @pytest.mark.parametrize("path", CORE_FILES, ids=name_of)

@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from ...errors import SceneError
+from ...native.build import native_source
 from ...native.structs import record_type, upload_records
 from ...scene.description import Closure, ClosureKind, Material
 from .albedo import AlbedoTables, upload_tables
@@ -136,8 +137,13 @@ class ClosureRecord:
 RECORD_FLOATS = ClosureRecord.numpy_dtype()["itemsize"] // 4
 
 
-@wp.func_native("return reinterpret_cast<wp::uint64>(values.data);")
+@wp.func_native(native_source("math/address.h", FIRST="0"))
 def address_of(values: wp.array(dtype=float)) -> wp.uint64: ...
+
+
+@wp.func_native(native_source("math/address.h", FIRST="first"))
+def address_of_closure(values: wp.array(dtype=ClosureRecord), first: int) -> wp.uint64:
+    """Where the record `first` is."""
 
 
 @wp.func

@@ -147,12 +147,12 @@ def _make_choice(has_suns: bool, has_world: bool, local: bool, linked: bool) -> 
         SUNS=has_suns, WORLD=has_world, LOCAL=local, FIELDS=len(FIELDS), WIDTH=WIDTH, DRAWS=_DRAWS, LINKS=linked
     )
     fields = {f"FIELD_{name.upper()}": place for place, name in enumerate(FIELDS)}
-    headers = functools.partial(native_source, "lights/candidates.h", **numbers, **kinds, **fields)
+    defines = {**numbers, **kinds, **fields}
 
-    @wp.func_native(headers("lights/choose.h"))
+    @wp.func_native(native_source("lights/candidates.h", "lights/choose.h", **defines))
     def choose_by(table: LightTable, point: LitPoint, bits: wp.uint32, seed: wp.uint32) -> wp.vec2i: ...
 
-    @wp.func_native(headers("lights/probability.h"))
+    @wp.func_native(native_source("lights/candidates.h", "lights/probability.h", **defines))
     def pdf(table: LightTable, point: LitPoint, emitter: int) -> float: ...
 
     @wp.func

@@ -24,7 +24,15 @@ from ....shading.bsdf.bsdf import (
     Lobe,
     make_bsdf,
 )
-from ....shading.bsdf.materials import AOV, RECORD_FLOATS, SURFACE_NORMAL, ClosureRecord, address_of, new_closure
+from ....shading.bsdf.materials import (
+    AOV,
+    RECORD_FLOATS,
+    SURFACE_NORMAL,
+    ClosureRecord,
+    address_of,
+    address_of_closure,
+    new_closure,
+)
 from ....shading.lights.light_shapes import LightSample
 from ....shading.lights.lights import LightFeatures, light_weights, make_lights
 from ....shading.sampling import bitangent_of, tangent_of
@@ -59,14 +67,7 @@ from .features import SurfaceFeatures
 from .filter_glossy import blur_alpha, make_blur
 from .history import history_after
 from .portal import pass_portal
-from .program import (
-    address_of_closure,
-    fixed_closure_count,
-    fixed_closures,
-    make_surface_program,
-    program_of,
-    shading_point,
-)
+from .program import fixed_closure_count, fixed_closures, make_surface_program, program_of, shading_point
 from .vertex import VertexFeatures, make_vertex
 
 RAY_NEW = int(Status.RAY_NEW)
