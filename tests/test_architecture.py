@@ -27,10 +27,10 @@ ROOMS = (
     "core/version.py",
     "core/native",
     "core/settings",
-    "core/denoise",
     "core/device",
     "core/rays.py",
     "core/scene",
+    "core/denoise",
     "core/sky",
     "core/bvh",
     "core/shading",
@@ -81,6 +81,9 @@ KERNEL_PARAMETERS_MAX = 8
 NATIVE_PARAMETERS_MAX = 8
 FUNCTION_PARAMETERS_MAX = 12  # of Warp's functions: compilers inline them, and what belongs together is a struct
 WIDE_FIELDS = 8  # of a dataclass from which on they are given by name
+# Constants that each file has of its own: of a format, an environment variable, a type variable, and what the engine is
+# called where a person reads it and where Blender does
+OF_EACH_FILE = {"FORMAT", "VERSION", "VARIABLE", "T", "ENGINE"}
 # of C++: its name, and its parameters
 LAMBDA = re.compile(r"(\w+) = \[[&=]?\]\s*\(([^()]*)\)")
 
@@ -226,10 +229,22 @@ def public_definitions(path: Path) -> list[str]:
     return names
 
 
+def public_constants(path: Path) -> list[str]:
+    """Names in capitals that `path` gives a value at its top level."""
+    targets = [
+        target
+        for node in parsed(path).body
+        if isinstance(node, (ast.Assign, ast.AnnAssign))
+        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
+    ]
+    names = {each.id for target in targets for each in ast.walk(target) if isinstance(each, ast.Name)}
+    return sorted(name for name in names if name.isupper() and not name.startswith("_") and name not in OF_EACH_FILE)
+
+
 def test_nothing_is_defined_twice_under_one_public_name():
     places = defaultdict(list)
     for path in FILES:
-        for name in public_definitions(path):
+        for name in (*public_definitions(path), *public_constants(path)):
             places[name].append(name_of(path))
     twice = {name: files for name, files in places.items() if len(files) > 1}
     assert not twice, twice

@@ -38,6 +38,12 @@ MIRROR_KINDS = frozenset({_K.GLOSSY, _K.METAL, _K.DIELECTRIC, _K.CONDUCTOR})
 PASSING_KINDS = frozenset({_K.GLASS, _K.REFRACTION})  # facets that refract
 REFLECTION_KINDS = MIRROR_KINDS | {_K.SHEET}  # facets whose albedo is that of reflection
 MICROFACET_KINDS = REFLECTION_KINDS | PASSING_KINDS | {_K.ASHIKHMIN_SHIRLEY, _K.SUBSURFACE}
+# models that scatter by no facets
+DIFFUSE_KINDS = tuple(
+    kind
+    for kind in _K
+    if kind.is_model and kind not in MICROFACET_KINDS | {_K.TRANSPARENT, _K.RAY_PORTAL, _K.EMISSION, _K.HOLDOUT}
+)
 # fibres, which scatter to all sides
 HAIR_KINDS = frozenset(kind for kind in _K if kind.is_hair)
 # Ops of programs that may make a closure that lets light pass straight on

@@ -19,7 +19,7 @@ from .table import INSIDE_MOST, VolumeData, entry
 
 # Scattering closures of a point; those beyond them scatter as the last one
 LOBES_MOST = 16
-LOBE_FLOATS = PhaseLobe.numpy_dtype()["itemsize"] // 4
+PHASE_LOBE_FLOATS = PhaseLobe.numpy_dtype()["itemsize"] // 4
 # How far a ray goes into the next cell at least [cells]
 _CELL_STEP = 1e-3
 # How far the outermost cells of the world's volume go on [sizes of its grid]: beyond, it is empty
